@@ -1,0 +1,1 @@
+"""Everything that knows a CAN frame, and nothing that knows calibration."""

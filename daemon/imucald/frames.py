@@ -1,0 +1,124 @@
+"""ISO 8855 axes and rotations: the only place that knows angle conventions.
+
+Vehicle axes: x forward, y left, z up. A rotation is named by both frames,
+`R_vehicle_from_sensor @ v_sensor = v_vehicle`. Mount angles are the intrinsic Z-Y-X
+(yaw, pitch, roll) angles of that rotation, as
+``scipy.spatial.transform.Rotation.from_euler("ZYX", [yaw, pitch, roll])`` has them:
+positive yaw turns the sensor to the left, positive pitch its nose down, positive roll
+its left side up.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Matrix3 = NDArray[np.float64]
+"""(3, 3) float64."""
+
+
+def rotation_from_angles(roll: float, pitch: float, yaw: float) -> Matrix3:
+    """Rotation sensor -> vehicle from intrinsic Z-Y-X mount angles [rad]; (3, 3)."""
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def angles_from_rotation(R_vehicle_from_sensor: ArrayLike) -> tuple[float, float, float]:
+    """Return roll, pitch, yaw [rad] of a rotation (3, 3); roll is 0 at pitch +-90."""
+    R = np.asarray(R_vehicle_from_sensor, dtype=float)
+    pitch = math.atan2(-R[2, 0], math.hypot(R[2, 1], R[2, 2]))
+    if math.hypot(R[2, 1], R[2, 2]) < 1e-9:
+        return 0.0, pitch, math.atan2(-R[0, 1], R[1, 1])
+    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
+
+
+def skew(v: ArrayLike) -> Matrix3:
+    """Cross-product matrix: ``skew(a) @ b == cross(a, b)``; (3,) -> (3, 3)."""
+    x, y, z = np.asarray(v, dtype=float)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def rotation_from_vector(v: ArrayLike) -> Matrix3:
+    """Exponential map (Rodrigues): rotation vector [rad] (3,) -> (3, 3)."""
+    w = np.asarray(v, dtype=float)
+    angle = float(np.sqrt(w @ w))
+    K = skew(w)
+    if angle < 1e-8:
+        return np.eye(3) + K + 0.5 * (K @ K)
+    sin_over = math.sin(angle) / angle
+    versine_over = 2.0 * (math.sin(0.5 * angle) / angle) ** 2
+    result: Matrix3 = np.eye(3) + sin_over * K + versine_over * (K @ K)
+    return result
+
+
+def vector_from_rotation(R: ArrayLike) -> NDArray[np.float64]:
+    """Logarithm map: (3, 3) -> rotation vector [rad] (3,), with length in [0, pi]."""
+    w, x, y, z = quaternion_from_rotation(R)
+    norm = math.sqrt(x * x + y * y + z * z)
+    if norm < 1e-12:
+        return np.array([2.0 * x, 2.0 * y, 2.0 * z])
+    factor = 2.0 * math.atan2(norm, w) / norm
+    return np.array([x * factor, y * factor, z * factor])
+
+
+def quaternion_from_rotation(R: ArrayLike) -> tuple[float, float, float, float]:
+    """Return unit quaternion (w, x, y, z) with w >= 0 of a rotation (3, 3) (Shepperd's method)."""
+    M = np.asarray(R, dtype=float)
+    candidates = [
+        1.0 + M[0, 0] + M[1, 1] + M[2, 2],
+        1.0 + M[0, 0] - M[1, 1] - M[2, 2],
+        1.0 - M[0, 0] + M[1, 1] - M[2, 2],
+        1.0 - M[0, 0] - M[1, 1] + M[2, 2],
+    ]
+    k = int(np.argmax(candidates))
+    s = 2.0 * math.sqrt(max(candidates[k], 0.0))
+    if k == 0:
+        q = (s / 4, (M[2, 1] - M[1, 2]) / s, (M[0, 2] - M[2, 0]) / s, (M[1, 0] - M[0, 1]) / s)
+    elif k == 1:
+        q = ((M[2, 1] - M[1, 2]) / s, s / 4, (M[0, 1] + M[1, 0]) / s, (M[0, 2] + M[2, 0]) / s)
+    elif k == 2:
+        q = ((M[0, 2] - M[2, 0]) / s, (M[0, 1] + M[1, 0]) / s, s / 4, (M[1, 2] + M[2, 1]) / s)
+    else:
+        q = ((M[1, 0] - M[0, 1]) / s, (M[0, 2] + M[2, 0]) / s, (M[1, 2] + M[2, 1]) / s, s / 4)
+    w, x, y, z = (float(c) for c in q)
+    sign = -1.0 if w < 0.0 else 1.0
+    norm = sign * math.sqrt(w * w + x * x + y * y + z * z)
+    return w / norm, x / norm, y / norm, z / norm
+
+
+def levelling_rotation(gravity_sensor: ArrayLike) -> Matrix3:
+    """Shortest rotation that takes the specific force at rest (3,) to (0, 0, |J|).
+
+    The tilt of method A, step 3: after it the sensor's x and y lie in the horizontal plane.
+    For a sensor exactly upside down the axis is open; the turn is then made about x.
+    """
+    up = np.asarray(gravity_sensor, dtype=float)
+    ux, uy, uz = up / np.sqrt(up @ up)
+    if uz < -1.0 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    k = 1.0 / (1.0 + uz)
+    return np.array(
+        [
+            [1.0 - ux * ux * k, -ux * uy * k, -ux],
+            [-ux * uy * k, 1.0 - uy * uy * k, -uy],
+            [ux, uy, uz],
+        ]
+    )
+
+
+def orthonormalised(R: ArrayLike) -> Matrix3:
+    """The nearest rotation to a (3, 3) matrix, in the least-squares sense (polar decomposition)."""
+    U, _, Vt = np.linalg.svd(np.asarray(R, dtype=float))
+    D = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
+    result: Matrix3 = U @ D @ Vt
+    return result

@@ -1,0 +1,1 @@
+"""What the vehicle does: ticks, standstill, straight line, speed and its derivative."""

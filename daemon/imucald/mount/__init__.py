@@ -1,0 +1,1 @@
+"""How the sensor sits: tilt from gravity, yaw from motion, states, correction."""

@@ -1,0 +1,97 @@
+"""What an estimator of the mount says: rotation, uncertainty, state, and what it waits for."""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import Matrix3, angles_from_rotation, quaternion_from_rotation
+from imucald.motion.ticks import TickRow
+
+ANGLES = ("roll", "pitch", "yaw")
+
+
+class MountState(enum.IntEnum):
+    """State of the mount calibration; the numbers are those on the bus."""
+
+    WAITING = 0
+    LEVELLED = 1
+    USABLE = 2
+    FINE = 3
+    SUSPECT = 4
+    RECALIBRATING = 5
+
+
+@dataclass(frozen=True)
+class MountEstimate:
+    """One state of knowledge about the mount.
+
+    R_vehicle_from_sensor: (3, 3), or None before there is any estimate.
+    covariance: (3, 3) of the rotation-vector error about the vehicle's axes [rad^2]:
+    R_true = exp(skew(e)) @ R_vehicle_from_sensor with e ~ (0, covariance).
+    waiting_for: per angle, what is still missing, in words; no entry where nothing is.
+    """
+
+    state: MountState
+    R_vehicle_from_sensor: Matrix3 | None = None
+    covariance: NDArray[np.float64] | None = None
+    waiting_for: Mapping[str, str] = field(default_factory=dict)
+    details: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def angles(self) -> tuple[float, float, float] | None:
+        """Roll, pitch, yaw [rad], or None."""
+        if self.R_vehicle_from_sensor is None:
+            return None
+        return angles_from_rotation(self.R_vehicle_from_sensor)
+
+    @property
+    def quaternion(self) -> tuple[float, float, float, float] | None:
+        """Unit quaternion (w, x, y, z), or None."""
+        if self.R_vehicle_from_sensor is None:
+            return None
+        return quaternion_from_rotation(self.R_vehicle_from_sensor)
+
+    @property
+    def std(self) -> tuple[float, float, float] | None:
+        """Standard deviations [rad] of the rotation-vector error about vehicle x, y, z."""
+        if self.covariance is None:
+            return None
+        x, y, z = (math.sqrt(max(float(self.covariance[i, i]), 0.0)) for i in range(3))
+        return x, y, z
+
+
+Correction = tuple[float, float, float, float, float, float, float, float, float]
+"""R_vehicle_from_sensor to apply to the samples of the next tick, row by row."""
+
+
+class MountEstimator(Protocol):
+    """The verbs of every mount estimator. Pure: no I/O, no clock.
+
+    The pipeline calls `step` once per closed tick (10 Hz, see `motion.ticks`), in time order,
+    without holes; `gap` when time was discontinuous before the next tick. `correction` is read
+    after each step and applied to all samples of the next tick; None means not usable.
+    """
+
+    @property
+    def correction(self) -> Correction | None:
+        """The rotation to apply now (smooth from tick to tick), or None: not usable yet."""
+        ...
+
+    def step(self, tick: TickRow) -> None:
+        """Take one tick."""
+        ...
+
+    def gap(self) -> None:
+        """Time jumped: nothing before this may be differenced with what follows."""
+        ...
+
+    def estimate(self) -> MountEstimate:
+        """Return the present state of knowledge."""
+        ...

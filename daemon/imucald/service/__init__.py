@@ -1,0 +1,1 @@
+"""What makes it a service: wiring of bus, pipeline and status."""

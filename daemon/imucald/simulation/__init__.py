@@ -1,0 +1,1 @@
+"""Vehicle, road, sensors and CAN traffic from a seed: a drive with its truth."""
