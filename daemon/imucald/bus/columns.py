@@ -1,0 +1,147 @@
+"""CAN frames as columns, and which of them are ours: what every log reader and the codec speak."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+CAN_EFF_FLAG = 0x8000_0000
+"""Set in a CAN id of 29 bits (SocketCAN's flag)."""
+
+CAN_SFF_MASK = 0x7FF
+"""The bits of an 11-bit id."""
+
+CAN_EFF_MASK = 0x1FFF_FFFF
+"""The bits of a 29-bit id."""
+
+CLASSIC_BYTES = 8
+"""Payload of a classic CAN frame [bytes]; longer ones are CAN FD."""
+
+FD_BYTES = 64
+"""Payload of a CAN FD frame [bytes]."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FrameColumns:
+    """N data frames in recorded order, one array for each property.
+
+    t: (N,) f8, recorded time [s], as the log states it (not checked for order).
+    can_id: (N,) u4, with `CAN_EFF_FLAG` set for 29-bit ids.
+    length: (N,) u1, payload bytes 0..64.
+    data: (N, W) u1, zero beyond `length`; W is 8 while no frame is longer, else 64.
+    channel: (N,) u1, index into `channels`; indices stay the same over all chunks of a reader.
+    fd: (N,) bool, frame in CAN FD format; None where none is.
+    """
+
+    t: NDArray[np.float64]
+    can_id: NDArray[np.uint32]
+    length: NDArray[np.uint8]
+    data: NDArray[np.uint8]
+    channel: NDArray[np.uint8]
+    channels: tuple[str, ...]
+    fd: NDArray[np.bool_] | None = None
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def take(self, index: NDArray[np.intp] | NDArray[np.bool_] | slice) -> FrameColumns:
+        """Return the chosen frames (index array, mask or slice)."""
+        return FrameColumns(
+            self.t[index],
+            self.can_id[index],
+            self.length[index],
+            self.data[index],
+            self.channel[index],
+            self.channels,
+            None if self.fd is None else self.fd[index],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class IdMatch:
+    """Which frames are wanted: ``(id & mask) == (can_id & mask)``, as a kernel filter does.
+
+    can_id: with `CAN_EFF_FLAG` for a 29-bit id; the flag is always compared, whatever the mask.
+    channel: only frames of this channel, or of any where None.
+    """
+
+    can_id: int
+    mask: int
+    channel: str | None = None
+
+    @property
+    def full_mask(self) -> int:
+        """Return the mask with the flag for 29-bit ids, which always counts."""
+        return self.mask | CAN_EFF_FLAG
+
+    def matches(self, can_id: int, channel: str) -> bool:
+        """Say whether a frame with this id (flag included) on this channel is wanted."""
+        if self.channel is not None and self.channel != channel:
+            return False
+        return not (can_id ^ self.can_id) & self.full_mask
+
+
+def concatenate(parts: Sequence[FrameColumns]) -> FrameColumns:
+    """Join chunks of one reader, in order; `parts` must not be empty."""
+    if len(parts) == 1:
+        return parts[0]
+    width = max(part.data.shape[1] for part in parts)
+    any_fd = any(part.fd is not None for part in parts)
+    fd = [np.zeros(len(part), np.bool_) if part.fd is None else part.fd for part in parts]
+    return FrameColumns(
+        np.concatenate([part.t for part in parts]),
+        np.concatenate([part.can_id for part in parts]),
+        np.concatenate([part.length for part in parts]),
+        np.concatenate([_widened(part.data, width) for part in parts]),
+        np.concatenate([part.channel for part in parts]),
+        max((part.channels for part in parts), key=len),
+        np.concatenate(fd) if any_fd else None,
+    )
+
+
+def _widened(data: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+    if data.shape[1] == width:
+        return data
+    wide = np.zeros((len(data), width), np.uint8)
+    wide[:, : data.shape[1]] = data
+    return wide
+
+
+class IdFilter:
+    """The wanted ids, compiled for columns; one for each channel, since a match may name one."""
+
+    def __init__(self, keep: Sequence[IdMatch] | None, channel: str) -> None:
+        """keep: None keeps everything."""
+        ours = [m for m in keep or () if m.channel is None or m.channel == channel]
+        self.everything = keep is None
+        standard = [m for m in ours if not m.can_id & CAN_EFF_FLAG]
+        extended = {
+            (m.can_id & m.mask & CAN_EFF_MASK, m.mask & CAN_EFF_MASK)
+            for m in ours
+            if m.can_id & CAN_EFF_FLAG
+        }
+        ids = np.arange(CAN_SFF_MASK + 1, dtype=np.uint32)
+        self.standard = np.full(len(ids), self.everything)
+        """(2048,) bool: 11-bit id wanted."""
+        for m in standard:
+            self.standard |= ((ids ^ np.uint32(m.can_id)) & np.uint32(m.mask & CAN_EFF_MASK)) == 0
+        self._exact = np.array(sorted(i for i, m in extended if m == CAN_EFF_MASK), np.uint32)
+        self._masked = sorted(pair for pair in extended if pair[1] != CAN_EFF_MASK)
+
+    def extended(self, ids: NDArray[np.uint32]) -> NDArray[np.bool_]:
+        """Say which 29-bit ids (N,), without flag, are wanted."""
+        if self.everything:
+            return np.ones(len(ids), np.bool_)
+        wanted = np.isin(ids, self._exact) if len(self._exact) else np.zeros(len(ids), np.bool_)
+        for can_id, mask in self._masked:
+            wanted |= (ids & np.uint32(mask)) == np.uint32(can_id)
+        return wanted
+
+    def wanted(self, can_id: int) -> bool:
+        """Say whether one frame's id, flag included, is wanted."""
+        if can_id & CAN_EFF_FLAG:
+            return bool(self.extended(np.array([can_id & CAN_EFF_MASK], np.uint32))[0])
+        return bool(self.standard[can_id])
