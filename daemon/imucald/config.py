@@ -402,7 +402,7 @@ def read_yaml(text: str, name: str) -> tuple[Any, Marks]:
         try:
             for event in yaml.parse(text, Loader=type(loader)):
                 if isinstance(event, yaml.AliasEvent):
-                    line = event.start_mark.line + 1
+                    line = event.start_mark.line + 1 if event.start_mark else 1
                     raise ConfigError(f"{name}:{line}: YAML aliases (*name) are not accepted")
             node = loader.get_single_node()
             marks: Marks = {}

@@ -28,6 +28,24 @@ class MountState(enum.IntEnum):
     RECALIBRATING = 5
 
 
+class Missing(enum.IntEnum):
+    """What an angle is waiting for; the numbers are those on the bus."""
+
+    NOTHING = 0
+    STANDSTILL = 1
+    ACCELERATION = 2
+    LEFT_TURN = 3
+    RIGHT_TURN = 4
+    TURNS = 5
+    DIRECTION_OF_TRAVEL = 6
+    AGREEMENT = 7
+    MORE_DRIVING = 8
+    ACCELEROMETER = 9
+    SPEED = 10
+    LEARNING_FROZEN = 14
+    OTHER = 15
+
+
 @dataclass(frozen=True)
 class MountEstimate:
     """One state of knowledge about the mount.
@@ -36,12 +54,14 @@ class MountEstimate:
     covariance: (3, 3) of the rotation-vector error about the vehicle's axes [rad^2]:
     R_true = exp(skew(e)) @ R_vehicle_from_sensor with e ~ (0, covariance).
     waiting_for: per angle, what is still missing, in words; no entry where nothing is.
+    missing: the same as a code, for the bus.
     """
 
     state: MountState
     R_vehicle_from_sensor: Matrix3 | None = None
     covariance: NDArray[np.float64] | None = None
     waiting_for: Mapping[str, str] = field(default_factory=dict)
+    missing: Mapping[str, Missing] = field(default_factory=dict)
     details: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -82,6 +102,11 @@ class MountEstimator(Protocol):
     @property
     def correction(self) -> Correction | None:
         """The rotation to apply now (smooth from tick to tick), or None: not usable yet."""
+        ...
+
+    @property
+    def state(self) -> MountState:
+        """The present state; cheap, read after each step."""
         ...
 
     def step(self, tick: TickRow) -> None:

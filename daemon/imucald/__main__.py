@@ -1,0 +1,7 @@
+"""``python -m imucald``."""
+
+import sys
+
+from imucald.cli import main
+
+sys.exit(main())

@@ -1,0 +1,65 @@
+"""The command line: `imucald COMMAND`. Thin: every command lives in a module of its own.
+
+Modules are imported when their command is asked for, so that `imucald run` starts without what it does
+not need. Exit status: 0 done, 1 an error that the text on stderr explains, 2 wrong usage, 130 Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+from imucald import __version__
+from imucald.errors import ImucaldError
+
+COMMANDS = {
+    "run": "calibrate on a live bus and send corrected frames",
+    "replay": "the same from recorded logs, as fast as it goes",
+    "check": "say what a configuration would decode, from a log or a live bus",
+    "simulate": "write a simulated drive as a log, with its truth",
+    "demo": "see a calibration converge, without hardware",
+    "schema": "print the JSON schema of the configuration",
+}
+
+
+def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """Return the parser; only the named command's options are loaded (all without one)."""
+    parser = argparse.ArgumentParser(
+        prog="imucald",
+        description="Finds out how an inertial sensor sits in a vehicle, from what the CAN bus "
+        "tells, and sends its signals corrected to vehicle axes.",
+        epilog="'imucald COMMAND --help' tells more. First steps: imucald demo.",
+    )
+    parser.add_argument("--version", action="version", version=f"imucald {__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, text in COMMANDS.items():
+        sub = subparsers.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        if command is None or name == command:
+            importlib.import_module(f"imucald.commands.{name}").add_arguments(sub)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of the `imucald` command; returns the exit status."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    named = next((a for a in arguments if a in COMMANDS), "")
+    parser = build_parser(named)
+    options = parser.parse_args(arguments)
+    module = importlib.import_module(f"imucald.commands.{options.command}")
+    try:
+        return int(module.run(options))
+    except ImucaldError as error:
+        print(f"imucald: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("imucald: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
