@@ -68,8 +68,10 @@ else:
         if ours and not session.config.option.collectonly:
             session.config.stash[RUN_KEY] = OuterRun(session.config, ours)
 
-    def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool:
+    def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
         """Report what the inner run reported for this test, instead of running it here."""
+        if HERE not in item.path.parents:
+            return None  # pytest asks us for every test, whatever its folder
         run = item.config.stash[RUN_KEY]
         item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
         for report in run.reports_of(item):
