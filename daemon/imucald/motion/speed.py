@@ -1,0 +1,160 @@
+"""dv/dt from a speed signal that may be slow, coarse and late, matched with the accelerometer.
+
+Between two speed samples (v1 - v0) / (t1 - t0) is exactly the mean of dv/dt over that interval,
+whatever the rates. So nothing is smoothed: the accelerometer is averaged over the same interval,
+moved by the speed's delay, and the pair is one `Block`. Coarseness of the speed then only adds
+noise to dv/dt that the accelerometer does not share.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from imucald.errors import EstimateError
+from imucald.motion.ticks import TICK_S
+
+NAN = math.nan
+HISTORY_TICKS = 64
+"""Ticks of running sums that are kept: a delay of up to 2 s and a block of up to 4 s."""
+LARGEST_DELAY = 2.0
+"""Speed delay [s] that can be matched, either way."""
+
+
+class Block(NamedTuple):
+    """Motion over an interval; means over it, NaN where unknown.
+
+    t0, t1: accelerometer time [s]; fx, fy, fz: specific force, sensor axes [m/s^2];
+    speed [m/s], negative in reverse; dvdt [m/s^2]; yaw_rate [rad/s]; clean: no rejected sample.
+    """
+
+    t0: float
+    t1: float
+    fx: float
+    fy: float
+    fz: float
+    speed: float
+    dvdt: float
+    yaw_rate: float
+    clean: bool
+
+
+def speed_slope(t: ArrayLike, speed: ArrayLike) -> NDArray[np.float64]:
+    """dv/dt between successive speed samples: t (N,) [s], speed (N,) [m/s] -> (N - 1,) [m/s^2]."""
+    times = np.asarray(t, dtype=float)
+    step = np.diff(times)
+    if np.any(step <= 0.0):
+        raise EstimateError("speed samples must be in time order, each later than the last")
+    result: NDArray[np.float64] = np.diff(np.asarray(speed, dtype=float)) / step
+    return result
+
+
+class _Sums(NamedTuple):
+    t: float
+    x: float
+    y: float
+    z: float
+    yaw: float
+    bad: float
+    yaw_unknown: float
+
+
+class BlockMaker:
+    """Cuts the stream of ticks into blocks: at speed samples, or by time where there is no speed.
+
+    block_s: shortest block [s]; delay: how late the speed is against the accelerometer [s]
+    (negative: it leads); timeout: time without speed [s] after which speed is unknown.
+    """
+
+    def __init__(self, block_s: float, delay: float, timeout: float) -> None:
+        if abs(delay) > LARGEST_DELAY:
+            raise EstimateError(f"speed delay of {delay} s: at most {LARGEST_DELAY} s either way")
+        self._block_s = block_s
+        self._delay = delay
+        self._timeout = timeout
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: time has jumped."""
+        self._rows: deque[_Sums] = deque(maxlen=HISTORY_TICKS)
+        self._last = _Sums(-math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        self._pending: deque[tuple[float, float]] = deque(maxlen=HISTORY_TICKS)
+        self._knot: _Sums | None = None
+        self._knot_speed = NAN
+        self._speed_seen = -math.inf
+
+    def add_speed(self, t: float, speed: float) -> None:
+        """Take a speed sample [m/s], signed, made at stream time t [s]."""
+        self._pending.append((t - self._delay, speed))
+        self._speed_seen = t
+
+    def step(
+        self, t: float, fx: float, fy: float, fz: float, yaw_rate: float, clean: bool
+    ) -> Block | None:
+        """Take the tick that ends at t [s]; return the block that is complete by now, if any."""
+        _, x, y, z, yaw, bad, unknown = self._last
+        known = not math.isnan(yaw_rate)
+        last = self._last = _Sums(
+            t,
+            x + fx * TICK_S,
+            y + fy * TICK_S,
+            z + fz * TICK_S,
+            yaw + yaw_rate * TICK_S if known else yaw,
+            bad if clean else bad + 1.0,
+            unknown if known else unknown + 1.0,
+        )
+        self._rows.append(last)
+        if t - self._speed_seen > self._timeout:
+            self._pending.clear()
+            if self._knot is None or t - self._knot.t >= self._block_s - 0.5 * TICK_S:
+                return self._cut(last, NAN)
+            return None
+        while self._pending and self._pending[0][0] <= t:
+            at, speed = self._pending.popleft()
+            if self._knot is None or at - self._knot.t >= self._block_s - 0.5 * TICK_S:
+                return self._cut(self._at(at), speed)
+        return None
+
+    def _at(self, t: float) -> _Sums | None:
+        """Return the running sums at time t, interpolated; None before the history begins."""
+        rows = self._rows
+        back = int((rows[-1].t - t) / TICK_S)
+        if back + 2 > len(rows):
+            return None
+        a, b = rows[-2 - back], rows[-1 - back]
+        part = (t - a.t) / (b.t - a.t)
+        return _Sums(
+            t,
+            a.x + part * (b.x - a.x),
+            a.y + part * (b.y - a.y),
+            a.z + part * (b.z - a.z),
+            a.yaw + part * (b.yaw - a.yaw),
+            b.bad,
+            b.yaw_unknown,
+        )
+
+    def _cut(self, knot: _Sums | None, speed: float) -> Block | None:
+        before, speed_before = self._knot, self._knot_speed
+        self._knot, self._knot_speed = knot, speed
+        if before is None or knot is None:
+            return None
+        dt = knot.t - before.t
+        if dt > self._timeout + self._block_s or dt <= 0.0:
+            return None
+        return Block(
+            t0=before.t,
+            t1=knot.t,
+            fx=(knot.x - before.x) / dt,
+            fy=(knot.y - before.y) / dt,
+            fz=(knot.z - before.z) / dt,
+            speed=0.5 * (speed + speed_before),
+            dvdt=(speed - speed_before) / dt,
+            yaw_rate=(knot.yaw - before.yaw) / dt
+            if knot.yaw_unknown == before.yaw_unknown
+            else NAN,
+            clean=knot.bad == before.bad,
+        )

@@ -1,0 +1,174 @@
+"""Standstill: the static test of method A (step 1), on sample arrays and online on ticks.
+
+As published, a preset number of accelerometer samples is static when on each axis max - min is at
+most that axis's threshold. Online two things are added: a known speed must be zero, and while it
+is, wider thresholds apply, because a running engine shakes a sensor more than a smooth road does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from imucald.errors import EstimateError
+from imucald.motion.ticks import (
+    ACCEL_BAD,
+    ACCEL_MAX_X,
+    ACCEL_MAX_Y,
+    ACCEL_MAX_Z,
+    ACCEL_MIN_X,
+    ACCEL_MIN_Y,
+    ACCEL_MIN_Z,
+    ACCEL_N,
+    ACCEL_X,
+    ACCEL_Y,
+    ACCEL_Z,
+    TICK_S,
+    TickRow,
+)
+
+Vector = tuple[float, float, float]
+
+CONFIRM_TICKS = 5
+"""A window counts after this many further quiet ticks: a late speed signal (up to 0.4 s) still
+reads zero when the vehicle has begun to move."""
+LONGEST_HOLE_TICKS = 10
+"""Ticks without a sample that a run survives; a slow or jittering sensor leaves single holes."""
+
+
+def is_static(accel: ArrayLike, thresholds: ArrayLike) -> bool:
+    """Static test of method A, step 1: max - min of (N, 3) samples against (3,) thresholds."""
+    a = np.asarray(accel, dtype=float)
+    if a.ndim != 2 or a.shape[1] != 3 or len(a) == 0:
+        raise EstimateError(f"the static test needs samples of shape (N, 3), got {a.shape}")
+    spread = a.max(axis=0) - a.min(axis=0)
+    return bool(np.all(spread <= np.asarray(thresholds, dtype=float)))
+
+
+def static_windows(accel: ArrayLike, count: int, thresholds: ArrayLike) -> NDArray[np.bool_]:
+    """Test each successive window of `count` samples; accel (N, 3) -> (N // count,) bool."""
+    a = np.asarray(accel, dtype=float)
+    if count < 1:
+        raise EstimateError(f"the static test needs at least one sample, got {count}")
+    n = len(a) // count
+    windows = a[: n * count].reshape(n, count, 3)
+    spread = windows.max(axis=1) - windows.min(axis=1)
+    result: NDArray[np.bool_] = np.all(spread <= np.asarray(thresholds, dtype=float), axis=1)
+    return result
+
+
+@dataclass(frozen=True)
+class StaticPresets:
+    """Presets of the static test.
+
+    count: accelerometer samples a window needs; seconds: and the time it must span [s].
+    thresholds: per axis, max - min [m/s^2], where speed is not known.
+    thresholds_at_zero_speed: the same where speed is known to be zero.
+    """
+
+    count: int = 20
+    seconds: float = 2.0
+    thresholds: Vector = (0.4, 0.4, 0.4)
+    thresholds_at_zero_speed: Vector = (1.2, 1.2, 1.2)
+
+
+class StaticWindow(NamedTuple):
+    """A window that passed the static test: mean specific force [m/s^2], samples, end [s]."""
+
+    x: float
+    y: float
+    z: float
+    samples: float
+    t: float
+
+
+class StandstillDetector:
+    """Runs the static test on ticks; windows follow one another without overlap.
+
+    still: whether the vehicle stands now, that is, a window has passed and the run goes on.
+    """
+
+    def __init__(self, presets: StaticPresets) -> None:
+        self._presets = presets
+        self._ticks_needed = max(1, round(presets.seconds / TICK_S))
+        self.still = False
+        self._passed: StaticWindow | None = None
+        self._confirm = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new run: what came before is not continued."""
+        self.still = False
+        self._passed = None
+        self._begin_window()
+
+    def _begin_window(self) -> None:
+        self._x = self._y = self._z = self._n = 0.0
+        self._ticks = self._holes = 0
+        self._low = [1e9, 1e9, 1e9]
+        self._high = [-1e9, -1e9, -1e9]
+
+    def step(self, tick: TickRow, stopped: bool | None) -> StaticWindow | None:
+        """Take a tick; return a window that has just been confirmed static.
+
+        stopped: whether speed says that the vehicle stands; None where speed is not known.
+        """
+        if stopped is False or tick[ACCEL_BAD] > 0.0:
+            self.restart()
+            return None
+        n = tick[ACCEL_N]
+        if n == 0.0:
+            self._holes += 1
+            if self._holes > LONGEST_HOLE_TICKS:
+                self.restart()
+            return None
+        if not self._within(tick, stopped):
+            self.restart()
+            self._within(tick, stopped)
+        self._x += n * tick[ACCEL_X]
+        self._y += n * tick[ACCEL_Y]
+        self._z += n * tick[ACCEL_Z]
+        self._n += n
+        self._ticks += 1
+        return self._advance(tick[0])
+
+    def _within(self, tick: TickRow, stopped: bool | None) -> bool:
+        presets = self._presets
+        limit = presets.thresholds_at_zero_speed if stopped else presets.thresholds
+        low, high = self._low, self._high
+        lx, ly, lz = tick[ACCEL_MIN_X], tick[ACCEL_MIN_Y], tick[ACCEL_MIN_Z]
+        hx, hy, hz = tick[ACCEL_MAX_X], tick[ACCEL_MAX_Y], tick[ACCEL_MAX_Z]
+        if lx < low[0]:
+            low[0] = lx
+        if ly < low[1]:
+            low[1] = ly
+        if lz < low[2]:
+            low[2] = lz
+        if hx > high[0]:
+            high[0] = hx
+        if hy > high[1]:
+            high[1] = hy
+        if hz > high[2]:
+            high[2] = hz
+        return (
+            high[0] - low[0] <= limit[0]
+            and high[1] - low[1] <= limit[1]
+            and high[2] - low[2] <= limit[2]
+        )
+
+    def _advance(self, t: float) -> StaticWindow | None:
+        confirmed = None
+        if self._passed is not None:
+            self._confirm += 1
+            if self._confirm >= CONFIRM_TICKS:
+                confirmed, self._passed = self._passed, None
+        if self._ticks + self._holes >= self._ticks_needed and self._n >= self._presets.count:
+            n = self._n
+            self._passed = StaticWindow(self._x / n, self._y / n, self._z / n, n, t)
+            self._confirm = 0
+            self.still = True
+            self._begin_window()
+        return confirmed

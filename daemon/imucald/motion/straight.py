@@ -1,0 +1,184 @@
+"""Straight-line motion: the recognisers of method A (step 4), and where the yaw rate comes from.
+
+Each recogniser is usable alone. A limit on the yaw rate in rad/s is the wrong unit at speed (at
+2 deg/s and 20 m/s the centripetal acceleration is 0.7 m/s^2), so beside the published ones stands
+a gate on the lateral acceleration v*r.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from imucald.errors import EstimateError
+from imucald.motion.ticks import (
+    GYRO_BAD,
+    GYRO_N,
+    GYRO_X,
+    GYRO_Y,
+    GYRO_Z,
+    STEERING,
+    STEERING_N,
+    YAW_RATE,
+    YAW_RATE_N,
+    TickRow,
+)
+
+NAN = math.nan
+LARGEST_GYRO_OFFSET = math.radians(5.0)
+"""A mean rate beyond this at rest [rad/s] is a turntable or a ferry, not an offset."""
+OFFSET_MEMORY = 600
+"""Ticks at rest after which an offset forgets: it drifts with temperature."""
+LONGEST_HOLD_TICKS = 10
+"""Ticks for which a slow signal's last value stands for the present one."""
+
+
+def steering_is_small(steering: ArrayLike, limit: float) -> NDArray[np.bool_]:
+    """Recogniser 1: |steering-wheel angle| (N,) [rad] at most limit [rad]."""
+    result: NDArray[np.bool_] = np.abs(np.asarray(steering, dtype=float)) <= limit
+    return result
+
+
+def yaw_rate_is_small(yaw_rate: ArrayLike, limit: float) -> NDArray[np.bool_]:
+    """Recogniser 2: |yaw rate| (N,) [rad/s] at most limit [rad/s]."""
+    result: NDArray[np.bool_] = np.abs(np.asarray(yaw_rate, dtype=float)) <= limit
+    return result
+
+
+def lateral_is_small(speed: ArrayLike, yaw_rate: ArrayLike, limit: float) -> NDArray[np.bool_]:
+    """Beyond the publication: |v r| at most limit [m/s^2]; speed [m/s], yaw rate [rad/s], (N,)."""
+    lateral = np.asarray(speed, dtype=float) * np.asarray(yaw_rate, dtype=float)
+    result: NDArray[np.bool_] = np.abs(lateral) <= limit
+    return result
+
+
+def angles_agree(angles: ArrayLike, spread: float) -> bool:
+    """Whether angles (N,) [rad] lie in an arc of `spread` [rad], wherever on the circle it is."""
+    a = np.sort(np.mod(np.asarray(angles, dtype=float), 2.0 * math.pi))
+    if len(a) < 2:
+        return len(a) == 1
+    widest_hole = max(float(np.max(np.diff(a))), float(a[0] + 2.0 * math.pi - a[-1]))
+    return 2.0 * math.pi - widest_hole <= spread
+
+
+def windows_agree(angles: ArrayLike, window: int, spread: float) -> NDArray[np.bool_]:
+    """Recogniser 3: angles from successive samples of a preset window agree within a range.
+
+    angles: (N,) [rad]; window: samples; spread: range [rad]. Returns (N,): a sample is straight
+    when it lies in at least one window that agrees.
+    """
+    if window < 2:
+        raise EstimateError(f"the consistency test needs a window of two or more, got {window}")
+    a = np.asarray(angles, dtype=float)
+    straight = np.zeros(len(a), dtype=bool)
+    for start in range(len(a) - window + 1):
+        if angles_agree(a[start : start + window], spread):
+            straight[start : start + window] = True
+    return straight
+
+
+def yaw_rate_from_steering(
+    speed: float, steering: float, steering_ratio: float, wheelbase: float
+) -> float:
+    """Yaw rate [rad/s] of a vehicle that rolls without slip: r = v tan(delta / n) / L.
+
+    speed [m/s], steering-wheel angle delta [rad], steering ratio n, wheelbase L [m].
+    """
+    return speed * math.tan(steering / steering_ratio) / wheelbase
+
+
+class ZeroOffset:
+    """Mean of a signal at rest, slowly forgetting."""
+
+    def __init__(self) -> None:
+        self.value = 0.0
+        self._n = 0
+
+    def add(self, x: float) -> None:
+        """Take the signal's value at rest."""
+        self._n = min(self._n + 1, OFFSET_MEMORY)
+        self.value += (x - self.value) / self._n
+
+    @property
+    def known(self) -> bool:
+        """Whether enough was seen at rest (a second)."""
+        return self._n >= 10
+
+
+class YawRateSource:
+    """The vehicle's yaw rate [rad/s, positive to the left] from the best signal a tick has.
+
+    In order: the vehicle's own yaw rate; the sensor's gyro along the vertical; the steering angle
+    with the speed. The first two lose the offset that they show at rest.
+    """
+
+    def __init__(self, steering_ratio: float, wheelbase: float, use_steering: bool = True) -> None:
+        self._ratio = steering_ratio
+        self._wheelbase = wheelbase
+        self._use_steering = use_steering
+        self._offset = ZeroOffset()
+        self._gyro_offset = (ZeroOffset(), ZeroOffset(), ZeroOffset())
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget held values, keep the offsets."""
+        self._rate = NAN
+        self._rate_age = LONGEST_HOLD_TICKS + 1
+        self._gyro: tuple[float, float, float] | None = None
+        self._gyro_age = LONGEST_HOLD_TICKS + 1
+        self._steering = NAN
+        self._steering_age = LONGEST_HOLD_TICKS + 1
+        self.source = ""
+
+    @property
+    def steering(self) -> float:
+        """Steering-wheel angle [rad], or NaN where it is not known now."""
+        return self._steering if self._steering_age <= LONGEST_HOLD_TICKS else NAN
+
+    def step(
+        self,
+        tick: TickRow,
+        up: tuple[float, float, float] | None,
+        speed: float,
+        at_rest: bool,
+    ) -> float:
+        """Take a tick and return the yaw rate, or NaN.
+
+        up: unit vector up in sensor axes; speed [m/s] or NaN; at_rest: the vehicle stands now.
+        """
+        self._take(tick, at_rest)
+        if self._rate_age <= LONGEST_HOLD_TICKS:
+            self.source = "yaw_rate"
+            return self._rate - self._offset.value
+        if self._gyro is not None and self._gyro_age <= LONGEST_HOLD_TICKS and up is not None:
+            self.source = "gyro"
+            (x, y, z), (ox, oy, oz) = self._gyro, self._gyro_offset
+            return (x - ox.value) * up[0] + (y - oy.value) * up[1] + (z - oz.value) * up[2]
+        steering = self.steering
+        if self._use_steering and not (math.isnan(steering) or math.isnan(speed)):
+            self.source = "steering"
+            return yaw_rate_from_steering(speed, steering, self._ratio, self._wheelbase)
+        self.source = ""
+        return NAN
+
+    def _take(self, tick: TickRow, at_rest: bool) -> None:
+        if tick[YAW_RATE_N] > 0.0:
+            self._rate, self._rate_age = tick[YAW_RATE], 0
+            if at_rest and abs(self._rate) < LARGEST_GYRO_OFFSET:
+                self._offset.add(self._rate)
+        else:
+            self._rate_age += 1
+        if tick[GYRO_N] > 0.0 and tick[GYRO_BAD] == 0.0:
+            self._gyro = (tick[GYRO_X], tick[GYRO_Y], tick[GYRO_Z])
+            self._gyro_age = 0
+            if at_rest and max(map(abs, self._gyro)) < LARGEST_GYRO_OFFSET:
+                for offset, value in zip(self._gyro_offset, self._gyro, strict=True):
+                    offset.add(value)
+        else:
+            self._gyro_age += 1
+        if tick[STEERING_N] > 0.0:
+            self._steering, self._steering_age = tick[STEERING], 0
+        else:
+            self._steering_age += 1
