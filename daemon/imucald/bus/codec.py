@@ -1,0 +1,337 @@
+"""Decode plans: a message and the signals asked for, compiled once.
+
+One frame is decoded by a small generated function (a few integer operations a signal), whole
+columns by numpy; both give the same doubles, and the ones cantools gives. A multiplexer's value
+is compared as raw value. The way back is in `encode`; databases are read by `database`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.bus.bits import (
+    MAX_FRAME_BYTES,
+    Columns,
+    Field,
+    field_of,
+    read_column,
+    signed_column,
+    words_of,
+)
+from imucald.bus.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
+from imucald.bus.database import Message, Signal
+from imucald.bus.scaling import Scaling, scaling_of
+from imucald.errors import DatabaseError, DecodeError
+
+J1939_BROADCAST_FORMAT = 240
+"""From this PDU format on (PDU2) the PDU-specific byte is part of the PGN (SAE J1939-21)."""
+
+J1939_PDU1_MASK = 0x03FF_0000
+"""Extended data page, data page and PDU format: the PGN of a message to one address."""
+
+J1939_PDU2_MASK = 0x03FF_FF00
+"""The same with the group extension: the PGN of a broadcast message."""
+
+MAX_MULTIPLEXER_VALUE = 2**63
+"""Multiplexer values are compared as signed 64-bit integers in columns."""
+
+Raw = int | float | None
+RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
+
+
+def id_match(message: Message, j1939: bool | None = None, channel: str | None = None) -> IdMatch:
+    """Which frames are this message's.
+
+    A J1939 message is matched by its PGN, whatever priority and source address (and, for PDU1,
+    destination); `j1939` overrides what the database says.
+    """
+    if message.is_j1939 if j1939 is None else j1939:
+        if not message.can_id & CAN_EFF_FLAG:
+            text = f"{message.source}: message {message.name} has 11 bits of identifier, no PGN"
+            raise DatabaseError(text)
+        is_pdu2 = (message.can_id >> 16 & 0xFF) >= J1939_BROADCAST_FORMAT
+        return IdMatch(message.can_id, J1939_PDU2_MASK if is_pdu2 else J1939_PDU1_MASK, channel)
+    is_extended = bool(message.can_id & CAN_EFF_FLAG)
+    return IdMatch(message.can_id, CAN_EFF_MASK if is_extended else CAN_SFF_MASK, channel)
+
+
+@dataclass(frozen=True)
+class Extraction:
+    """One signal, resolved: its bits, its conversion and the multiplexers above it."""
+
+    signal: Signal
+    field: Field
+    scaling: Scaling
+    selectors: tuple[tuple[str, frozenset[int]], ...] = ()
+
+
+@dataclass(frozen=True)
+class DecodedColumns:
+    """Columns of one message; `N` frames.
+
+    `raw`: a signal's raw integers (int64; uint64 for 64 unsigned bits) or floats. `values`:
+    physical float64, NaN where the signal is absent. `present`: (N,) bool a signal, None where
+    it always is. `ok`: (N,) bool, False where the frame is short (everything is absent there).
+    """
+
+    raw: tuple[RawColumn, ...]
+    values: tuple[NDArray[np.float64], ...]
+    present: tuple[NDArray[np.bool_] | None, ...]
+    ok: NDArray[np.bool_]
+
+
+class DecodePlan:
+    """Decodes the asked signals of one message, in the order asked.
+
+    `size`: bytes a frame must have. `decode_raw(data)`: raw values, None where another multiplexer
+    value stands. `scale(raw)`: physical values of those. `decode(data)`: both in one. The first
+    and the last raise DecodeError ("short_frame"). Not-finite floats come out as they are.
+    """
+
+    def __init__(
+        self,
+        message: Message,
+        extractions: Sequence[Extraction],
+        multiplexers: Mapping[str, Extraction],
+        match: IdMatch,
+    ) -> None:
+        self.message = message
+        self.id_match = match
+        self.signal_names = tuple(e.signal.name for e in extractions)
+        self.extractions = tuple(extractions)
+        self.multiplexers = dict(multiplexers)
+        self.size = message.length
+        names = generate(self)
+        self.decode_raw: Callable[[bytes | bytearray], tuple[Raw, ...]] = names["decode_raw"]
+        self.scale: Callable[[Sequence[Raw]], tuple[float | None, ...]] = names["scale"]
+        self.decode: Callable[[bytes | bytearray], tuple[float | None, ...]] = names["decode"]
+
+    def raise_short(self, length: int) -> NoReturn:
+        """Raise the DecodeError of a frame that is shorter than its message."""
+        text = f"{self.message.name}: {length} of {self.size} bytes"
+        raise DecodeError("short_frame", text)
+
+    def decode_columns(self, data: Columns, length: NDArray[np.uint8]) -> DecodedColumns:
+        """Decode (N, W) payloads of (N,) lengths; never raises on what a frame contains."""
+        ok = length >= self.size
+        if data.shape[1] < self.size:
+            wide = np.zeros((len(data), self.size), np.uint8)
+            wide[:, : data.shape[1]] = data
+            data = wide
+            ok = np.zeros(len(data), bool)
+        words: dict[str, NDArray[np.uint64]] = {}
+        selected = {
+            name: _raw_column(data, words, e).astype(np.int64, copy=False)
+            for name, e in self.multiplexers.items()
+        }
+        raws, values, presents = [], [], []
+        all_ok = bool(ok.all())
+        for extraction in self.extractions:
+            raw = _raw_column(data, words, extraction)
+            value = extraction.scaling.column(raw)
+            present = _present(extraction, selected, ok)
+            if present is not None:
+                value[~present] = np.nan
+            elif not all_ok:
+                value[~ok] = np.nan
+            raws.append(raw)
+            values.append(value)
+            presents.append(present)
+        return DecodedColumns(tuple(raws), tuple(values), tuple(presents), ok)
+
+
+def compile_decode(
+    message: Message,
+    signal_names: Sequence[str],
+    j1939: bool | None = None,
+    channel: str | None = None,
+) -> DecodePlan:
+    """Plan for the signals asked, in that order; DatabaseError where one cannot be decoded."""
+    if message.unsupported:
+        raise DatabaseError(f"{message.source}: message {message.name}: {message.unsupported}")
+    extractions = [resolve(message, name) for name in signal_names]
+    multiplexers: dict[str, Extraction] = {}
+    for extraction in extractions:
+        for name, _ in extraction.selectors:
+            multiplexers[name] = resolve(message, name)
+    return DecodePlan(message, extractions, multiplexers, id_match(message, j1939, channel))
+
+
+def resolve(message: Message, name: str) -> Extraction:
+    """Bits, conversion and multiplexers of a signal; DatabaseError where they make no sense."""
+    signal = message.signal(name)
+    place = f"{message.source}: {message.name}.{name}"
+    scaling = scaling_of(signal, place)
+    field = field_of(signal)
+    if not 0 < message.length <= MAX_FRAME_BYTES:
+        raise DatabaseError(f"{place}: a message of {message.length} bytes is no CAN frame")
+    if field.first_bit < 0 or field.end_byte > message.length:
+        raise DatabaseError(f"{place}: lies outside its message of {message.length} bytes")
+    seen = {name}
+    for parent, ids in signal.selectors:
+        multiplexer = message.signals.get(parent)
+        is_broken = multiplexer is None or multiplexer.is_float or parent in seen or not ids
+        if is_broken or not 0 <= min(ids) <= max(ids) < MAX_MULTIPLEXER_VALUE:
+            raise DatabaseError(f"{place}: its multiplexer {parent} is broken")
+        seen.add(parent)
+    return Extraction(signal, field, scaling, signal.selectors)
+
+
+def _present(
+    extraction: Extraction, selected: Mapping[str, NDArray[np.int64]], ok: NDArray[np.bool_]
+) -> NDArray[np.bool_] | None:
+    present: NDArray[np.bool_] | None = None
+    for name, ids in extraction.selectors:
+        found = np.isin(selected[name], np.fromiter(ids, np.int64, len(ids)))
+        present = found & ok if present is None else present & found
+    return present
+
+
+def _raw_column(data: Columns, words: dict[str, NDArray[np.uint64]], e: Extraction) -> RawColumn:
+    order = e.field.byte_order
+    if order not in words:
+        words[order] = words_of(data, order)
+    bits = read_column(words[order], e.field)
+    if e.signal.is_float:
+        return float_column(bits, e.field.length)
+    if e.signal.is_signed:
+        return signed_column(bits, e.field.length)
+    return bits if e.field.length == 64 else bits.view(np.int64)
+
+
+def float_column(bits: NDArray[np.uint64], length: int) -> NDArray[np.float64]:
+    """IEEE 754 numbers of `length` bits, as float64 (N,)."""
+    if length == 64:
+        return bits.view(np.float64)
+    kinds: dict[int, tuple[Any, Any]] = {
+        16: (np.uint16, np.float16),
+        32: (np.uint32, np.float32),
+    }
+    unsigned, floating = kinds[length]
+    narrow: NDArray[Any] = bits.astype(unsigned).view(floating)
+    with np.errstate(invalid="ignore"):  # signalling NaNs come from the bus
+        return narrow.astype(np.float64)
+
+
+# ---- generated functions ----
+
+_STRUCT_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
+_FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
+
+
+def generate(plan: DecodePlan) -> dict[str, Any]:
+    """Make the plan's functions `decode_raw`, `scale`, `decode`; also `body` (their first lines).
+
+    The text comes from numbers of checked type and from positions only, never from names in the
+    database.
+    """
+    body, scope = reading_lines(plan)
+    every = range(len(plan.extractions))
+    raw = [f"r{i}" for i in every]
+    physical = [physical_expression(e, f"r{i}") for i, e in enumerate(plan.extractions)]
+    lines = ["def decode_raw(data):", *body, f"    return ({_listing(raw)})"]
+    lines += ["def decode(data):", *body, f"    return ({_listing(physical)})"]
+    lines += ["def scale(raw):", *([f"    ({_listing(raw)}) = raw"] if raw else [])]
+    lines += [f"    return ({_listing(physical)})"]
+    exec("\n".join(lines), scope)
+    return scope
+
+
+def reading_lines(plan: DecodePlan) -> tuple[list[str], dict[str, Any]]:
+    """Lines that set r0, r1, ... from `data`, and the names they use."""
+    scope: dict[str, Any] = {"from_bytes": int.from_bytes, "short": plan.raise_short}
+    lines = [
+        f"    if len(data) != {plan.size}:",
+        f"        if len(data) < {plan.size}: short(len(data))",
+        f"        data = data[:{plan.size}]",
+    ]
+    wanted = [(f"m{i}", e) for i, e in enumerate(plan.multiplexers.values())]
+    wanted += [(f"r{i}", e) for i, e in enumerate(plan.extractions)]
+    grouped, loose = _split_aligned(wanted)
+    for order, group in grouped.items():
+        text, targets = _struct_group(order, group)
+        scope[f"unpack_{order}"] = struct.Struct(text).unpack_from
+        lines.append(f"    ({_listing(targets)}) = unpack_{order}(data)")
+    for order, short_name in (("little_endian", "little"), ("big_endian", "big")):
+        if any(e.field.byte_order == order for _, e in loose):
+            lines.append(f"    {short_name} = from_bytes(data, {short_name!r})")
+    for target, e in loose:
+        lines.append(f"    {target} = {_loose_expression(e, plan.size, scope)}")
+    multiplexer_names = {name: f"m{i}" for i, name in enumerate(plan.multiplexers)}
+    for i, e in enumerate(plan.extractions):
+        tests = []
+        for j, (name, ids) in enumerate(e.selectors):
+            if len(ids) == 1:
+                tests.append(f"{multiplexer_names[name]} != {next(iter(ids))}")
+            else:
+                scope[f"ids_{i}_{j}"] = ids
+                tests.append(f"{multiplexer_names[name]} not in ids_{i}_{j}")
+        if tests:
+            lines.append(f"    if {' or '.join(tests)}: r{i} = None")
+    return lines, scope
+
+
+def physical_expression(e: Extraction, raw: str) -> str:
+    """Python text of the physical value of a raw variable."""
+    text = e.scaling.expression.format(r=raw)
+    return f"None if {raw} is None else {text}" if e.selectors else text
+
+
+def _listing(names: Sequence[str]) -> str:
+    return "".join(f"{name}, " for name in names)
+
+
+def _split_aligned(
+    wanted: Sequence[tuple[str, Extraction]],
+) -> tuple[dict[str, list[tuple[str, Extraction]]], list[tuple[str, Extraction]]]:
+    """Signals that a struct can read, by byte order, and the rest."""
+    grouped: dict[str, list[tuple[str, Extraction]]] = {}
+    loose = []
+    ends = {"little_endian": 0, "big_endian": 0}
+    for target, e in sorted(wanted, key=lambda item: item[1].field.first_bit):
+        codes = _FLOAT_CODES if e.signal.is_float else _STRUCT_CODES
+        order, first = e.field.byte_order, e.field.first_bit
+        if first % 8 == 0 and e.field.length in codes and first >= ends[order]:
+            grouped.setdefault(order, []).append((target, e))
+            ends[order] = first + e.field.length
+        else:
+            loose.append((target, e))
+    return grouped, loose
+
+
+def _struct_group(order: str, group: Sequence[tuple[str, Extraction]]) -> tuple[str, list[str]]:
+    text = ">" if order == "big_endian" else "<"
+    at = 0
+    for _, e in group:
+        gap = e.field.first_bit // 8 - at
+        text += f"{gap}x" if gap else ""
+        text += _code(e.signal)
+        at = e.field.end_byte
+    return text, [target for target, _ in group]
+
+
+def _code(signal: Signal) -> str:
+    if signal.is_float:
+        return _FLOAT_CODES[signal.length]
+    code = _STRUCT_CODES[signal.length]
+    return code if signal.is_signed else code.upper()
+
+
+def _loose_expression(e: Extraction, size: int, scope: dict[str, Any]) -> str:
+    source = "big" if e.field.is_big else "little"
+    shift = e.field.shift(size)
+    text = f"{source} >> {shift} & {e.field.mask}" if shift else f"{source} & {e.field.mask}"
+    if e.signal.is_float:
+        code = _FLOAT_CODES[e.field.length]
+        scope[f"float_{code}"] = struct.Struct("<" + code).unpack
+        return f"float_{code}(({text}).to_bytes({e.field.length // 8}, 'little'))[0]"
+    if e.signal.is_signed:
+        top = 1 << e.field.length - 1
+        return f"({text} ^ {top}) - {top}"
+    return text

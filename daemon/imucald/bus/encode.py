@@ -1,0 +1,312 @@
+"""Encode plans: physical values into a message's bits, compiled once.
+
+One frame and whole columns give the same bytes, and those of cantools: raw is
+`round((value - offset) / scale)`, halves to even. Saturation is never silent: what a signal cannot
+say (beyond its range or bits, NaN, None) becomes its not-available raw value, or an EncodeError
+where it has none.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from imucald.bus.bits import Columns, Field, field_of, write_bits, write_column
+from imucald.bus.codec import Extraction, resolve
+from imucald.bus.database import Message, Signal
+from imucald.bus.scaling import raw_limits
+from imucald.errors import DatabaseError, EncodeError
+
+RANGE_TOLERANCE = 1e-6
+"""Slack at a stated minimum or maximum, in raw steps: the rounding of numbers in a database."""
+
+_FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
+
+
+class EncodePlan:
+    """Encodes the asked signals of one message, values in the order asked, into `size` bytes.
+
+    `encode(values)`: one frame from floats (None: not available). `encode_columns(columns)`:
+    (N, size) uint8 from arrays (NaN: not available). Signals not asked hold their start value;
+    multiplexers stand at `multiplexer` (raw).
+    """
+
+    def __init__(
+        self,
+        message: Message,
+        extractions: Sequence[Extraction],
+        not_available: Mapping[str, int | float],
+        multiplexer: Mapping[str, int],
+    ) -> None:
+        self.message = message
+        self.size = message.length
+        self.signal_names = tuple(e.signal.name for e in extractions)
+        self.multiplexer = dict(multiplexer)
+        self._slots = [_Slot(message, e, not_available.get(e.signal.name)) for e in extractions]
+        self.start_bytes = self._start_bytes()
+        self._encode = self._generate()
+
+    def encode(self, values: Sequence[float | None]) -> bytes:
+        """Payload of one frame; EncodeError where a value cannot be said."""
+        try:
+            return self._encode(values)
+        except (TypeError, ValueError, OverflowError):
+            if len(values) != len(self._slots):
+                text = f"{len(values)} values for {len(self._slots)} signals"
+                raise EncodeError(f"{self.message.name}: {text}") from None
+        payload = bytearray(self.start_bytes)
+        for slot, value in zip(self._slots, values, strict=True):
+            write_bits(payload, slot.field, slot.bits(value))
+        return bytes(payload)
+
+    def encode_columns(self, columns: Sequence[ArrayLike]) -> Columns:
+        """Payloads (N, size) of N frames; EncodeError where a value cannot be said."""
+        if len(columns) != len(self._slots):
+            text = f"{len(columns)} columns for {len(self._slots)} signals"
+            raise EncodeError(f"{self.message.name}: {text}")
+        arrays = [np.asarray(c, dtype=np.float64) for c in columns]
+        count = len(arrays[0]) if arrays else 0
+        if any(a.shape != (count,) for a in arrays):
+            raise EncodeError(f"{self.message.name}: columns differ in length")
+        out = np.zeros((count, -(-self.size // 8) * 8), np.uint8)
+        out[:, : self.size] = np.frombuffer(self.start_bytes, np.uint8)
+        for slot, array in zip(self._slots, arrays, strict=True):
+            write_column(out, slot.field, slot.bits_column(array))
+        return np.ascontiguousarray(out[:, : self.size])
+
+    def _start_bytes(self) -> bytes:
+        """Start values of the signals that are there, zeros under the signals asked."""
+        payload = bytearray(self.size)
+        for signal in self.message.signals.values():
+            field = field_of(signal)
+            inside = field.first_bit >= 0 and field.end_byte <= self.size and field.length > 0
+            if not inside or not self._is_there(signal):
+                continue
+            raw = self.multiplexer.get(signal.name, signal.initial_raw)
+            if raw is not None:
+                write_bits(payload, field, _start_bits(signal, raw))
+        for slot in self._slots:
+            write_bits(payload, slot.field, 0)
+        return bytes(payload)
+
+    def _is_there(self, signal: Signal) -> bool:
+        for name, ids in signal.selectors:
+            multiplexer = self.message.signals.get(name)
+            start = multiplexer.initial_raw if multiplexer is not None else None
+            if self.multiplexer.get(name, start) not in ids:
+                return False
+        return True
+
+    def _generate(self) -> Callable[[Sequence[float | None]], bytes]:
+        """Make the function of the ordinary case; anything else raises, and goes the slow way."""
+        scope: dict[str, Any] = {"slots": self._slots, "pack": {}}
+        parts: dict[bool, list[str]] = {False: [], True: []}
+        names = "".join(f"v{i}, " for i in range(len(self._slots)))
+        lines = ["def encode(values):"] + ([f"    ({names}) = values"] if names else [])
+        for i, slot in enumerate(self._slots):
+            scope[f"bits_{i}"] = slot.bits
+            if slot.is_float:
+                lines.append(f"    b{i} = bits_{i}(v{i})")
+            else:
+                lines.append(f"    b{i} = round({slot.raw_expression(f'v{i}')})")
+                test = f"{slot.lowest} <= b{i} <= {slot.highest}"
+                mask = f" & {slot.field.mask}" if slot.lowest < 0 else ""
+                lines.append(f"    b{i} = b{i}{mask} if {test} else bits_{i}(v{i})")
+            shift = slot.field.shift(self.size)
+            parts[slot.field.is_big].append(f"b{i} << {shift}" if shift else f"b{i}")
+        little = int.from_bytes(self.start_bytes, "little")
+        big_text = f"({' | '.join(parts[True])}).to_bytes({self.size}, 'big')"
+        if parts[True] and parts[False]:
+            parts[False].append(f"int.from_bytes({big_text}, 'little')")
+        if parts[True] and not parts[False]:
+            parts[True].append(str(int.from_bytes(self.start_bytes, "big")))
+            lines.append(f"    return ({' | '.join(parts[True])}).to_bytes({self.size}, 'big')")
+        else:
+            parts[False].append(str(little))
+            lines.append(f"    return ({' | '.join(parts[False])}).to_bytes({self.size}, 'little')")
+        exec("\n".join(lines), scope)
+        function: Callable[[Sequence[float | None]], bytes] = scope["encode"]
+        return function
+
+
+class _Slot:
+    """One signal of an encode plan: range in raw steps and its not-available bits."""
+
+    def __init__(self, message: Message, e: Extraction, not_available: int | float | None) -> None:
+        self.field: Field = e.field
+        self.is_float = e.signal.is_float
+        self.place = f"{message.name}.{e.signal.name}"
+        self._scale = float(e.scaling.scale)
+        self._offset = float(e.scaling.offset)
+        self._is_identity = e.scaling.is_identity
+        self._minimum, self._maximum = _float_limits(e.signal)
+        self.lowest, self.highest = (0, 0) if self.is_float else _integer_limits(e.signal)
+        self._absent = None
+        if not_available is not None:
+            self._absent = _not_available_bits(e.signal, not_available, self.place)
+
+    def raw_expression(self, value: str) -> str:
+        """Python text of the raw number before rounding."""
+        if self._is_identity:
+            return value
+        return f"({value} - {self._offset!r}) / {self._scale!r}"
+
+    def bits(self, value: float | None) -> int:
+        """Bits of one value; EncodeError where it cannot be said."""
+        if value is not None and math.isfinite(value):
+            raw = value if self._is_identity else (value - self._offset) / self._scale
+            if self.is_float:
+                if self._minimum <= value <= self._maximum:
+                    found = _float_bits(raw, self.field.length)
+                    if found is not None:
+                        return found
+            elif math.isfinite(raw) and self.lowest <= round(raw) <= self.highest:
+                return round(raw) & self.field.mask
+        if self._absent is None:
+            raise EncodeError(f"{self.place}: {value} is out of its range")
+        return self._absent
+
+    def bits_column(self, values: NDArray[np.float64]) -> NDArray[np.uint64]:
+        """The same for (N,) values."""
+        with np.errstate(all="ignore"):
+            raw = values if self._is_identity else (values - self._offset) / self._scale
+            if self.is_float:
+                bits, good = _float_bits_column(raw, self.field.length)
+                good &= (values >= self._minimum) & (values <= self._maximum)
+            else:
+                bits, good = self._integer_bits_column(raw)
+            good &= np.isfinite(values)
+        if not good.all():
+            if self._absent is None:
+                value = values[~good][0]
+                raise EncodeError(f"{self.place}: {value} is out of its range")
+            bits[~good] = self._absent
+        return bits
+
+    def _integer_bits_column(
+        self, raw: NDArray[np.float64]
+    ) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
+        rounded = np.rint(raw)
+        good = (rounded >= _ceil_double(self.lowest)) & (rounded <= _floor_double(self.highest))
+        rounded = np.where(good, rounded, 0.0)
+        if self.lowest < 0:
+            bits = rounded.astype(np.int64).view(np.uint64) & np.uint64(self.field.mask)
+        else:
+            bits = rounded.astype(np.uint64)
+        return bits, good
+
+
+def compile_encode(
+    message: Message,
+    signal_names: Sequence[str],
+    not_available: Mapping[str, int | float] | None = None,
+    multiplexer: Mapping[str, int] | None = None,
+) -> EncodePlan:
+    """Plan for the signals given, in that order.
+
+    `not_available`: raw value of a signal that says so (a float for float signals).
+    `multiplexer`: raw values of multiplexers; where not given, the lowest under which all asked
+    signals are there. DatabaseError where a signal cannot be encoded or they exclude one another.
+    """
+    if message.unsupported:
+        raise DatabaseError(f"{message.source}: message {message.name}: {message.unsupported}")
+    if len(set(signal_names)) != len(signal_names):
+        raise DatabaseError(f"{message.source}: message {message.name}: a signal is given twice")
+    extractions = [resolve(message, name) for name in signal_names]
+    chosen = _choose_multiplexers(message, extractions, multiplexer or {})
+    return EncodePlan(message, extractions, not_available or {}, chosen)
+
+
+def _choose_multiplexers(
+    message: Message, extractions: Sequence[Extraction], given: Mapping[str, int]
+) -> dict[str, int]:
+    allowed: dict[str, frozenset[int]] = {n: frozenset([v]) for n, v in given.items()}
+    for e in extractions:
+        for name, ids in e.selectors:
+            allowed[name] = allowed.get(name, ids) & ids
+            if not allowed[name]:
+                text = f"signals of different {name} values are asked of one frame"
+                raise DatabaseError(f"{message.source}: message {message.name}: {text}")
+    for name in allowed:
+        resolve(message, name)
+        if any(name == e.signal.name for e in extractions):
+            raise DatabaseError(
+                f"{message.source}: {message.name}.{name} is a multiplexer; "
+                "give its raw value, not a column"
+            )
+    return {name: min(ids) for name, ids in allowed.items()}
+
+
+def _integer_limits(signal: Signal) -> tuple[int, int]:
+    """Lowest and highest raw integer within the bits and the stated physical range."""
+    lowest, highest = raw_limits(signal)
+    scale, offset = float(signal.scale), float(signal.offset)
+    ends = [
+        None if end is None or not math.isfinite(end) else (end - offset) / scale
+        for end in (signal.minimum, signal.maximum)
+    ]
+    low, high = ends if scale > 0 else reversed(ends)
+    if low is not None and math.isfinite(low):
+        lowest = max(lowest, math.ceil(low - RANGE_TOLERANCE))
+    if high is not None and math.isfinite(high):
+        highest = min(highest, math.floor(high + RANGE_TOLERANCE))
+    return lowest, highest
+
+
+def _float_limits(signal: Signal) -> tuple[float, float]:
+    low = -math.inf if signal.minimum is None else signal.minimum
+    high = math.inf if signal.maximum is None else signal.maximum
+    return low, high
+
+
+def _ceil_double(limit: int) -> float:
+    """Smallest double that is not below the limit."""
+    near = float(limit)
+    return near if int(near) >= limit else math.nextafter(near, math.inf)
+
+
+def _floor_double(limit: int) -> float:
+    """Largest double that is not above the limit."""
+    near = float(limit)
+    return near if int(near) <= limit else math.nextafter(near, -math.inf)
+
+
+def _float_bits(raw: float, length: int) -> int | None:
+    """IEEE 754 bits; None where the number is too large for the length."""
+    try:
+        return int.from_bytes(struct.pack("<" + _FLOAT_CODES[length], raw), "little")
+    except OverflowError:
+        return None
+
+
+def _float_bits_column(
+    raw: NDArray[np.float64], length: int
+) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
+    if length == 64:
+        return raw.copy().view(np.uint64), np.isfinite(raw)
+    floating, unsigned = (np.float32, np.uint32) if length == 32 else (np.float16, np.uint16)
+    narrow: NDArray[Any] = raw.astype(floating)
+    return narrow.view(unsigned).astype(np.uint64), np.isfinite(narrow)
+
+
+def _not_available_bits(signal: Signal, raw: int | float, place: str) -> int:
+    if signal.is_float:
+        found = _float_bits(float(raw), signal.length)
+        if found is not None:
+            return found
+    elif float(raw).is_integer() and -(1 << signal.length - 1) <= raw < 1 << signal.length:
+        return int(raw) & ((1 << signal.length) - 1)
+    raise DatabaseError(f"{place}: not-available raw value {raw} does not fit its bits")
+
+
+def _start_bits(signal: Signal, raw: int | float) -> int:
+    mask = (1 << signal.length) - 1
+    if not signal.is_float:
+        return round(raw) & mask if math.isfinite(raw) else 0
+    found = _float_bits(float(raw), signal.length) if signal.length in _FLOAT_CODES else None
+    return found or 0
