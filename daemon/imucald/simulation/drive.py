@@ -1,0 +1,205 @@
+"""A simulated drive: samples as a car's bus would give them, and the truth behind them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import Matrix3, angles_from_rotation, quaternion_from_rotation
+from imucald.samples import Samples, Series
+from imucald.simulation.body import BodyMotion, Lean, body_motion, lean, road_force
+from imucald.simulation.driver import Driving, drive_route
+from imucald.simulation.filters import Array, generator
+from imucald.simulation.imu import accel_series, gyro_series, mounts
+from imucald.simulation.model import Model
+from imucald.simulation.road import Attitude, road_attitude, road_roughness
+from imucald.simulation.section import ZERO
+from imucald.simulation.single_track import Handling, handle, steer_for
+from imucald.simulation.vehicle_signals import VehicleSignals
+
+MOVING_MPS = 1.0
+"""Means 'while driving' are taken above this speed."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is true in a simulated drive; arrays (N,) on the regular times `t`, SI, radians.
+
+    Angles are ISO 8855 (pitch positive nose down, roll positive left side up): `road_*` of the
+    road plane against the horizontal, `body_*` of the body against the road plane.
+    """
+
+    mounts: tuple[tuple[float, Matrix3], ...]
+    """From time [s] on, R_vehicle_from_sensor."""
+    lever_arm_m: tuple[float, float, float]
+    t: Array
+    speed: Array
+    """Signed, along the vehicle [m/s]."""
+    acceleration: Array
+    """Its time derivative."""
+    lateral_velocity: Array
+    yaw_rate: Array
+    """About the road's normal."""
+    steer: Array
+    """Road-wheel angle."""
+    heading: Array
+    """Clockwise from north, not wrapped."""
+    road_pitch: Array
+    road_roll: Array
+    body_pitch: Array
+    body_roll: Array
+    force: NDArray[np.float64]
+    """(N, 3) specific force at the sensor's place, vehicle axes, without vibration."""
+    reference_force: NDArray[np.float64]
+    """(N, 3) the same at the body's centre of rotation."""
+    rate: NDArray[np.float64]
+    """(N, 3) angular rate, vehicle axes."""
+
+    def R_vehicle_from_sensor(self, t: float | None = None) -> Matrix3:
+        """Return the mount at a time [s]; at the end of the drive without one."""
+        reached = [R for start, R in self.mounts if t is None or start <= t]
+        return reached[-1] if reached else self.mounts[0][1]
+
+    def mean_crown(self, start_s: float = 0.0, stop_s: float = math.inf) -> float:
+        """Mean roll of the road while driving [rad]: what mount roll cannot be told from."""
+        return self._driving_mean(self.road_roll, start_s, stop_s)
+
+    def mean_grade(self, start_s: float = 0.0, stop_s: float = math.inf) -> float:
+        """Mean pitch of the road while driving [rad], positive downhill."""
+        return self._driving_mean(self.road_pitch, start_s, stop_s)
+
+    def _driving_mean(self, x: Array, start_s: float, stop_s: float) -> float:
+        use = (np.abs(self.speed) > MOVING_MPS) & (self.t >= start_s) & (self.t < stop_s)
+        return float(np.mean(x[use])) if use.any() else 0.0
+
+    def summary(self) -> dict[str, object]:
+        """Return what `truth.json` says: plain numbers and lists."""
+        return {
+            "mount": _mount_summary(self.mounts[0][1]),
+            "shifts": [{"t_s": t, "mount": _mount_summary(R)} for t, R in self.mounts[1:]],
+            "lever_arm_m": list(self.lever_arm_m),
+            "mean_crown_deg": math.degrees(self.mean_crown()),
+            "mean_grade_deg": math.degrees(self.mean_grade()),
+            "distance_m": float(np.sum(np.abs(self.speed)) * (self.t[1] - self.t[0])),
+            "standing_share": float(np.mean(self.speed == 0.0)),
+            "duration_s": float(self.t[-1]),
+        }
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Samples of a drive and what made them."""
+
+    samples: Samples
+    truth: Truth
+    model: Model
+    seed: int
+
+    @property
+    def duration_s(self) -> float:
+        """Length of the drive [s]."""
+        return float(self.truth.t[-1])
+
+    def summary(self) -> dict[str, object]:
+        """Return the truth with seed and model: the content of `truth.json`."""
+        parameters = self.model.model_dump(mode="json")
+        return {"seed": self.seed, **self.truth.summary(), "model": parameters}
+
+
+def simulate(model: Model, seed: int, minutes: float) -> Drive:
+    """Simulate a drive. The same model, seed and length give the same numbers.
+
+    Times begin at 0; samples are in sensor axes and SI units (see `imucald.samples`).
+    """
+    rate = model.grid_hz
+    driving = drive_route(model.route, seed, 60.0 * minutes, rate)
+    banked = driving.speed * driving.speed * driving.banked_curvature
+    road = road_attitude(model.road, model.route, seed, driving.distance, banked, rate)
+    steer = steer_for(model.chassis, driving.speed, driving.curvature, road.roll)
+    handling = handle(model.chassis, driving.speed, steer, road.roll, rate)
+    leaning, body = _body(model, seed, driving, handling, road)
+    heading = _heading(seed, body, rate)
+    placed = mounts(model.mount)
+    samples: dict[str, Series] = {}
+    if model.accel.enabled:
+        samples["accel"] = accel_series(
+            model.accel, model.temperature, placed, body.force, driving.speed, seed, rate
+        )
+    if model.gyro.enabled:
+        samples["gyro"] = gyro_series(
+            model.gyro, model.temperature, placed, body.rate, body.force, driving.speed, seed, rate
+        )
+    signals = VehicleSignals(model, seed, driving, handling, body)
+    samples.update(signals.all())
+    if model.heading.enabled:
+        samples["heading"] = signals.heading(heading)
+    if model.mag.enabled:
+        samples["mag"] = signals.magnetometer(heading, road, leaning, placed)
+    truth = _truth(model, driving, handling, road, leaning, body, heading)
+    return Drive(samples, truth, model, seed)
+
+
+def _body(
+    model: Model, seed: int, driving: Driving, handling: Handling, road: Attitude
+) -> tuple[Lean, BodyMotion]:
+    rate = model.grid_hz
+    force = road_force(driving.speed, driving.acceleration, handling, road)
+    roughness = road_roughness(
+        model.road, model.chassis, model.suspension, seed, driving.speed, driving.distance, rate
+    )
+    leaning = lean(model.suspension, force[0], force[1], roughness, rate)
+    lever = model.mount.lever_arm_m if model.mount.lever_arm else ZERO
+    return leaning, body_motion(force, handling, road, leaning, lever, rate)
+
+
+def _heading(seed: int, body: BodyMotion, rate: float) -> Array:
+    """Heading clockwise from north; the drive begins in a random direction."""
+    start = float(generator(seed, "heading").uniform(0.0, 2.0 * np.pi))
+    return start - np.cumsum(body.heading_rate) / rate
+
+
+def _truth(
+    model: Model,
+    driving: Driving,
+    handling: Handling,
+    road: Attitude,
+    leaning: Lean,
+    body: BodyMotion,
+    heading: Array,
+) -> Truth:
+    every = max(1, round(model.grid_hz / model.accel.rate_hz))
+    arrays: Mapping[str, Array] = {
+        "t": driving.t,
+        "speed": driving.speed,
+        "acceleration": driving.acceleration,
+        "lateral_velocity": handling.lateral_velocity,
+        "yaw_rate": handling.yaw_rate,
+        "steer": handling.steer,
+        "heading": heading,
+        "road_pitch": road.pitch,
+        "road_roll": road.roll,
+        "body_pitch": leaning.pitch,
+        "body_roll": leaning.roll,
+    }
+    return Truth(
+        mounts=tuple(mounts(model.mount)),
+        lever_arm_m=model.mount.lever_arm_m if model.mount.lever_arm else ZERO,
+        **{name: np.ascontiguousarray(x[::every]) for name, x in arrays.items()},
+        force=np.column_stack([x[::every] for x in body.force]),
+        reference_force=np.column_stack([x[::every] for x in body.reference_force]),
+        rate=np.column_stack([x[::every] for x in body.rate]),
+    )
+
+
+def _mount_summary(R: Matrix3) -> dict[str, object]:
+    roll, pitch, yaw = (math.degrees(angle) for angle in angles_from_rotation(R))
+    return {
+        "roll_deg": roll,
+        "pitch_deg": pitch,
+        "yaw_deg": yaw,
+        "quaternion_wxyz": list(quaternion_from_rotation(R)),
+    }

@@ -1,0 +1,172 @@
+"""How the path is driven: speed, distance and intended curvature against time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.simulation.filters import Array, gauss_markov, generator, smoothed
+from imucald.simulation.route import Path, build_path
+from imucald.simulation.vehicle_model import Route
+
+JERK_WINDOW_S = 0.35
+"""Two running means of this width limit the jerk to what drivers do (2-6 m/s^3)."""
+SPEED_WANDER_S = 9.0
+"""Time in which the driver's speed forgets itself."""
+WANDER_GRID_S = 0.5
+STEERING_WANDER_S = 0.8
+SHIFT_SPEEDS_MPS = (4.5, 8.5, 13.5, 19.0)
+SHIFT_WIDTH_MPS = 0.12
+SHIFT_MPS2 = 0.17
+"""While shifting the vehicle hardly gains: 0.12 m/s at 0.17 m/s^2 takes 0.7 s."""
+FADE_SPEED_MPS = 42.0
+"""Acceleration fades with speed as the engine's power is spent; zero here."""
+EASE_SPEED_MPS = 4.0
+"""Below this speed drivers ease the brake, down to half at standstill."""
+STILL_MPS = 1e-6
+DRIFT_GRID_S = 1.0
+MIN_SPEED_FOR_WANDER = 6.0
+"""[m/s] Steering corrections are bounded in curvature below this speed."""
+
+
+@dataclass(frozen=True)
+class Driving:
+    """What the driver does, on the physics' grid; all (N,).
+
+    speed is signed (negative in reverse); distance counts the metres driven either way.
+    """
+
+    t: Array
+    speed: Array
+    acceleration: Array
+    distance: Array
+    curvature: Array
+    banked_curvature: Array
+    """Curvature of superelevated road; 0 elsewhere."""
+    braking: Array
+
+
+def drive_route(route: Route, seed: int, duration_s: float, rate: float) -> Driving:
+    """Drive a route for duration_s [s] on a grid of `rate` [Hz]."""
+    t = np.arange(round(duration_s * rate) + 1) / rate
+    path = build_path(route, seed, duration_s)
+    if path is None:
+        zero = np.zeros(len(t))
+        return Driving(t, zero, zero, zero, zero, zero, zero)
+    node_t, node_v, node_s, node_kappa, node_banked = _timed(path, route, seed, duration_s)
+    speed = smoothed(np.interp(t, node_t, node_v), rate, JERK_WINDOW_S)
+    speed[np.abs(speed) < STILL_MPS] = 0.0
+    distance = _distance(t, speed, rate, node_t, node_s)
+    curvature = np.interp(distance, node_s, node_kappa)
+    curvature += _steering_wander(route, seed, speed, rate)
+    acceleration = np.gradient(speed) * rate
+    travel = np.sign(speed)
+    return Driving(
+        t=t,
+        speed=speed,
+        acceleration=acceleration,
+        distance=distance,
+        curvature=curvature,
+        banked_curvature=np.interp(distance, node_s, node_banked),
+        braking=((acceleration * travel < -0.4) | (speed == 0.0)).astype(float),
+    )
+
+
+def _timed(
+    path: Path, route: Route, seed: int, duration_s: float
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Return times, signed speeds, distances and curvatures of the nodes, stops doubled."""
+    moving_start = route.standing_first_s <= 0.0
+    limit = _limits(path, route, seed)
+    v = _profile(path, limit, moving_start, route.gear_shifts)
+    node_t = _node_times(path, v, route.standing_first_s)
+    last = int(np.searchsorted(node_t, duration_s - route.standing_last_s))
+    if route.standing_last_s > 0.0 and 1 < last < len(v):
+        limit[last:] = 0.0
+        v = _profile(path, limit, moving_start, route.gear_shifts)[: last + 1]
+        path = Path(*(getattr(path, name)[: last + 1] for name in Path.__dataclass_fields__))
+        node_t = _node_times(path, v, route.standing_first_s)
+    s = np.concatenate(([0.0], np.cumsum(path.step)[:-1]))
+    signed = v * path.direction
+    stops = np.flatnonzero(path.stop_s > 0.0)
+    left = node_t[stops] + path.stop_s[stops]
+    order = np.insert(np.arange(len(v)), stops + 1, stops)
+    times = np.insert(node_t, stops + 1, left)
+    banked = path.curvature * path.banked
+    return times, signed[order], s[order], path.curvature[order], banked[order]
+
+
+def _limits(path: Path, route: Route, seed: int) -> Array:
+    """Speed limit at each node [m/s]: target with the driver's wander, bends, stops."""
+    rng = generator(seed, "speed_wander")
+    planned = np.cumsum(path.step / path.target_mps)
+    n = int(planned[-1] / WANDER_GRID_S) + 2
+    wander = gauss_markov(rng, n, WANDER_GRID_S, SPEED_WANDER_S)
+    wander = np.interp(planned, np.arange(n) * WANDER_GRID_S, wander)
+    limit = path.target_mps * np.clip(1.0 + route.speed_wander * wander, 0.6, 1.3)
+    bend = np.sqrt(path.lateral_mps2 / np.maximum(np.abs(path.curvature), 1e-6))
+    result: Array = np.minimum(limit, bend)
+    result[path.stop_s > 0.0] = 0.0
+    return result
+
+
+def _profile(path: Path, limit: Array, moving_start: bool, gear_shifts: bool) -> Array:
+    """Fastest speed (N,) within the limits, the braking and the acceleration of each node."""
+    v2 = (limit * limit).tolist()
+    two_step = (2.0 * path.step).tolist()
+    braking = path.braking_mps2.tolist()
+    if not moving_start:
+        v2[0] = 0.0
+    ease2 = EASE_SPEED_MPS**2
+    after = v2[-1]
+    for k in range(len(v2) - 2, -1, -1):
+        ease = 1.0 if after >= ease2 else 0.5 + 0.5 * (after / ease2) ** 0.5
+        reach = after + two_step[k] * braking[k] * ease
+        if v2[k] > reach:
+            v2[k] = reach
+        after = v2[k]
+    launch = path.launch_mps2.tolist()
+    shifts = SHIFT_SPEEDS_MPS if gear_shifts else ()
+    before = v2[0]
+    for k in range(1, len(v2)):
+        v = before**0.5
+        gain = max(launch[k] * (1.0 - v / FADE_SPEED_MPS), 0.1)
+        for at in shifts:
+            if at <= v < at + SHIFT_WIDTH_MPS:
+                gain = SHIFT_MPS2
+        reach = before + two_step[k - 1] * gain
+        if v2[k] > reach:
+            v2[k] = reach
+        before = v2[k]
+    profile: Array = np.sqrt(np.maximum(v2, 0.0))
+    return profile
+
+
+def _node_times(path: Path, v: Array, start_s: float) -> Array:
+    """Arrival time at each node [s]; speed is linear in time between nodes."""
+    dt = 2.0 * path.step[:-1] / np.maximum(v[:-1] + v[1:], 1e-3)
+    dt = dt + path.stop_s[:-1]
+    return start_s + np.concatenate(([0.0], np.cumsum(dt)))
+
+
+def _distance(t: Array, speed: Array, rate: float, node_t: Array, node_s: Array) -> Array:
+    """Integral of speed, tied to the nodes so that bends stay where stops are."""
+    step = np.abs(speed) / rate
+    driven = np.cumsum(step) - 0.5 * (step + step[0])
+    coarse = np.arange(0.0, t[-1] + DRIFT_GRID_S, DRIFT_GRID_S)
+    drift = np.interp(coarse, node_t, node_s) - np.interp(coarse, t, driven)
+    result: Array = np.maximum.accumulate(driven + np.interp(t, coarse, drift))
+    return result
+
+
+def _steering_wander(route: Route, seed: int, speed: Array, rate: float) -> Array:
+    """Small corrections of the driver as curvature (N,) [1/m]."""
+    if route.steering_wander_mps2 == 0.0:
+        return np.zeros(len(speed))
+    rng = generator(seed, "steering_wander")
+    accel = route.steering_wander_mps2 * gauss_markov(
+        rng, len(speed), 1.0 / rate, STEERING_WANDER_S
+    )
+    wander: Array = accel / np.maximum(np.abs(speed), MIN_SPEED_FOR_WANDER) ** 2
+    return wander

@@ -1,0 +1,165 @@
+"""What the inertial sensor reports: vibration, bandwidth, mount, errors, sampling.
+
+Chain of one axis triple: motion in body axes + vibration -> low-pass -> sampled (with delay) ->
+turned into sensor axes -> scale and cross-axis -> bias (temperature, walk), noise ->
+clipped -> quantised.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import Matrix3, rotation_from_angles
+from imucald.samples import Series
+from imucald.simulation.filters import Array, butterworth, filtered, generator
+from imucald.simulation.sensor_model import Accelerometer, Gyroscope, Temperature, Triad
+from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
+from imucald.simulation.vehicle_model import Mount
+
+REFERENCE_DEGC = 25.0
+REFERENCE_SPEED_MPS = 20.0
+VIBRATION_CORNER_HZ = 8.0
+"""Body vibration is white above this frequency and falls off below it."""
+IDLE_HZ = 26.0
+"""Second order of a four-cylinder engine idling at 780 1/min."""
+GEAR_UPPER_MPS = (4.5, 8.5, 13.5, 19.0)
+GEAR_HZ_PER_MPS = (9.0, 5.5, 3.9, 2.9, 2.1)
+
+Mounts = Sequence[tuple[float, Matrix3]]
+"""From time [s] on, R_vehicle_from_sensor; in order of time, the first at 0."""
+
+
+def mounts(mount: Mount) -> list[tuple[float, Matrix3]]:
+    """Return the mount and what each shift makes of it; shifts turn about vehicle axes."""
+
+    def rotation(part: object) -> Matrix3:
+        angles = (float(getattr(part, f"{name}_deg")) for name in ("roll", "pitch", "yaw"))
+        return rotation_from_angles(*(math.radians(angle) for angle in angles))
+
+    R = rotation(mount)
+    result = [(0.0, R)]
+    for shift in mount.shifts:
+        R = rotation(shift) @ R
+        result.append((shift.t_s, R))
+    return result
+
+
+def temperature_at(temperature: Temperature, t: Array) -> Array:
+    """Sensor temperature [degC]: first-order warm-up."""
+    rise = -np.expm1(-t / temperature.time_constant_s)
+    result: Array = temperature.start_degc + temperature.rise_k * rise
+    return result
+
+
+def accel_series(
+    accel: Accelerometer,
+    temperature: Temperature,
+    mount: Mounts,
+    force: tuple[Array, Array, Array],
+    speed: Array,
+    seed: int,
+    rate: float,
+) -> Series:
+    """Accelerometer samples from the specific force in body axes on the grid."""
+    shaken = list(force)
+    if accel.vibration:
+        rng = generator(seed, "vibration:accel")
+        amount = np.sqrt(np.abs(speed) / REFERENCE_SPEED_MPS)
+        engine = accel.engine_mps2 * _engine(speed, rate, float(rng.random()))
+        for i, rms in enumerate(accel.vibration_mps2):
+            shaken[i] = shaken[i] + rms * amount * _rumble(rng, len(speed), rate)
+            shaken[i] += engine if i == 2 else 0.5 * engine
+    timing = frame_timing(accel, "accel", seed, (len(speed) - 1) / rate)
+    values = _sampled(accel, shaken, timing, rate)
+    values = _turned(mount, timing.sampled - accel.delay_s, values)
+    return _finished(accel, "accel", temperature, timing, values, seed)
+
+
+def gyro_series(
+    gyro: Gyroscope,
+    temperature: Temperature,
+    mount: Mounts,
+    angular_rate: tuple[Array, Array, Array],
+    force: tuple[Array, Array, Array],
+    speed: Array,
+    seed: int,
+    rate: float,
+) -> Series:
+    """Gyroscope samples from the angular rate (and force, for g-sensitivity) in body axes."""
+    shaken = list(angular_rate)
+    if gyro.vibration and gyro.vibration_radps > 0.0:
+        rng = generator(seed, "vibration:gyro")
+        amount = gyro.vibration_radps * np.sqrt(np.abs(speed) / REFERENCE_SPEED_MPS)
+        shaken = [x + amount * _rumble(rng, len(speed), rate) for x in shaken]
+    timing = frame_timing(gyro, "gyro", seed, (len(speed) - 1) / rate)
+    when = timing.sampled - gyro.delay_s
+    values = _turned(mount, when, _sampled(gyro, shaken, timing, rate))
+    if any(gyro.g_sensitivity):
+        felt = _turned(mount, when, _sampled(gyro, list(force), timing, rate))
+        values += np.array(gyro.g_sensitivity) * felt
+    return _finished(gyro, "gyro", temperature, timing, values, seed)
+
+
+def _sampled(triad: Triad, axes: list[Array], timing: Timing, rate: float) -> NDArray[np.float64]:
+    if triad.lowpass_hz is not None and triad.lowpass_hz < 0.45 * rate:
+        axes = [butterworth(x, rate, triad.lowpass_hz) for x in axes]
+    when = timing.sampled - triad.delay_s
+    return np.column_stack([at_times(x, rate, when) for x in axes])
+
+
+def _turned(mount: Mounts, t: Array, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn body-axes vectors (N, 3) into the axes that the sensor has at each time."""
+    result = np.empty_like(vectors)
+    bounds = [0, *np.searchsorted(t, [start for start, _ in mount[1:]]).tolist(), len(t)]
+    for (_, R_vehicle_from_sensor), first, stop in zip(mount, bounds, bounds[1:], strict=False):
+        result[first:stop] = vectors[first:stop] @ R_vehicle_from_sensor
+    return result
+
+
+def _finished(
+    triad: Triad,
+    name: str,
+    temperature: Temperature,
+    timing: Timing,
+    true_values: NDArray[np.float64],
+    seed: int,
+) -> Series:
+    xy, xz, yx, yz, zx, zy = triad.cross_axis
+    sx, sy, sz = triad.scale
+    gain = np.array([[1 + sx, xy, xz], [yx, 1 + sy, yz], [zx, zy, 1 + sz]])
+    values = true_values @ gain.T + np.array(triad.bias)
+    if any(triad.bias_temperature):
+        warmth = temperature_at(temperature, timing.sampled) - REFERENCE_DEGC
+        values += warmth[:, None] * np.array(triad.bias_temperature)
+    if triad.bias_walk > 0.0:
+        steps = generator(seed, f"walk:{name}").standard_normal(values.shape)
+        values += np.cumsum(steps, axis=0) * (triad.bias_walk / math.sqrt(triad.rate_hz))
+    if triad.noise_density > 0.0:
+        noise = generator(seed, f"noise:{name}").standard_normal(values.shape)
+        values += noise * (triad.noise_density * math.sqrt(0.5 * triad.rate_hz))
+    if triad.full_scale is not None:
+        np.clip(values, -triad.full_scale, triad.full_scale, out=values)
+    values = quantised(values, triad.lsb)
+    kept = timing.kept
+    return Series(timing.stamp[kept], values[timing.source[kept]])
+
+
+def _rumble(rng: np.random.Generator, n: int, rate: float) -> Array:
+    """Unit-rms noise, high-passed (first order) at the corner of structure-borne vibration."""
+    c = math.exp(-2.0 * math.pi * VIBRATION_CORNER_HZ / rate)
+    # First difference over the same pole: variance 2 / (1 + c) of unit white noise.
+    gain = math.sqrt(0.5 * (1.0 + c))
+    return filtered([gain, -gain], [1.0, -c], rng.standard_normal(n), settled=False)
+
+
+def _engine(speed: Array, rate: float, phase: float) -> Array:
+    """Sine of the engine's second order: idle at rest, with the gears in motion."""
+    v = np.abs(speed)
+    per_mps = np.array(GEAR_HZ_PER_MPS)[np.searchsorted(GEAR_UPPER_MPS, v)]
+    frequency = np.maximum(IDLE_HZ, per_mps * v)
+    result: Array = np.sin(2.0 * np.pi * (phase + np.cumsum(frequency) / rate))
+    return result

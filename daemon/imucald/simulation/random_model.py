@@ -1,0 +1,140 @@
+"""Draws the nuisances of a drive: a different car, sensor, road and mount for every seed."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from imucald.samples import GRAVITY
+from imucald.simulation.filters import generator
+from imucald.simulation.model import Model, model_from_mapping
+from imucald.simulation.vehicle_model import RouteKind
+
+MILLI_G = GRAVITY / 1000.0
+ACCEL_BIAS_MPS2 = 10.0 * MILLI_G
+"""rms of the accelerometer bias on each axis."""
+GYRO_BIAS_RADPS = math.radians(0.3)
+SPEED_SCALE = 0.01
+SLOPE_RMS = 0.02
+"""rms of grade and of cross fall, the crown's mean included."""
+CROWN_MEAN, CROWN_SPREAD = 0.012, 0.006
+MAX_DELAY_S = 0.3
+MAX_TILT_DEG = 30.0
+UPSIDE_DOWN_SHARE = 0.1
+
+
+def random_model(
+    seed: int,
+    route: RouteKind = "mixed",
+    *,
+    standing_first: bool | None = None,
+    cross_axis: float = 0.0,
+    upside_down: bool | None = None,
+    max_tilt_deg: float = MAX_TILT_DEG,
+) -> Model:
+    """Return a model with every nuisance drawn from the seed.
+
+    standing_first, upside_down: forced, or drawn (half, and one in ten). cross_axis: rms of the
+    accelerometer's cross-axis errors, 0.005 for half a percent.
+    """
+    rng = generator(seed, "random_model")
+
+    def vector(rms: float) -> list[float]:
+        return [float(x) for x in rms * rng.standard_normal(3)]
+
+    def uniform(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    crown = float(np.clip(rng.normal(CROWN_MEAN, CROWN_SPREAD), -0.005, 0.03))
+    # What the mean and its spread leave of the rms goes into the wandering part.
+    wander = math.sqrt(SLOPE_RMS**2 - CROWN_MEAN**2 - CROWN_SPREAD**2)
+    upside = bool(rng.random() < UPSIDE_DOWN_SHARE)
+    standing = bool(rng.random() < 0.5)
+    standing_s = uniform(5.0, 40.0)
+    roll, pitch = (uniform(-max_tilt_deg, max_tilt_deg) for _ in range(2))
+    if upside if upside_down is None else upside_down:
+        roll += 180.0 if roll < 0.0 else -180.0
+    if standing_first is not None:
+        standing = standing_first
+    data: dict[str, Any] = {
+        "route": {
+            "kind": route,
+            "standing_first_s": standing_s if standing else 0.0,
+            "driving_side": "right",
+        },
+        "chassis": {
+            "understeer_gradient": uniform(0.0015, 0.0045),
+            "steering_ratio": uniform(13.0, 17.5),
+            "wheelbase_m": uniform(2.5, 2.9),
+            "rear_cornering_stiffness_npr": uniform(85e3, 140e3),
+        },
+        "suspension": {
+            "squat_gradient": uniform(0.0020, 0.0055),
+            "dive_gradient": uniform(0.0025, 0.0060),
+            "roll_gradient": uniform(0.0045, 0.0110),
+            "pitch_frequency_hz": uniform(1.4, 2.0),
+            "roll_frequency_hz": uniform(1.4, 2.2),
+        },
+        "road": {
+            "grade_rms": SLOPE_RMS,
+            "grade_length_m": uniform(100.0, 250.0),
+            "crown_mean": crown,
+            "bank_rms": wander,
+            "bank_length_m": uniform(50.0, 150.0),
+            "superelevation": uniform(0.0, 0.5),
+            "roughness_n0": 16e-6 * 2.0 ** uniform(0.0, 3.0),
+        },
+        "mount": {
+            "roll_deg": roll,
+            "pitch_deg": pitch,
+            "yaw_deg": uniform(-180.0, 180.0),
+            "lever_arm_m": [uniform(-1.5, 1.5), uniform(-0.6, 0.6), uniform(-0.2, 0.9)],
+        },
+    }
+    accel_delay = uniform(0.0, 0.05)
+    data["accel"] = {
+        "bias": vector(ACCEL_BIAS_MPS2),
+        "bias_temperature": vector(0.2 * MILLI_G),
+        "bias_walk": 0.002 * MILLI_G,
+        "scale": vector(0.003),
+        "cross_axis": [float(x) for x in cross_axis * rng.standard_normal(6)],
+        "noise_density": uniform(0.0008, 0.003),
+        "delay_s": accel_delay,
+        "vibration_mps2": [uniform(0.05, 0.2), uniform(0.05, 0.15), uniform(0.05, 0.25)],
+        "engine_mps2": uniform(0.02, 0.1),
+        "clock_drift_ppm": uniform(-100.0, 100.0),
+    }
+    data["gyro"] = {
+        "bias": vector(GYRO_BIAS_RADPS),
+        "bias_temperature": vector(math.radians(0.005)),
+        "bias_walk": math.radians(0.0005),
+        "scale": vector(0.003),
+        "g_sensitivity": vector(math.radians(0.01) / GRAVITY),
+        "delay_s": accel_delay,
+        "clock_drift_ppm": data["accel"]["clock_drift_ppm"],
+    }
+    speed_scale = SPEED_SCALE * float(rng.standard_normal())
+    speed_delay = uniform(0.0, MAX_DELAY_S)
+    data["speed"] = {"scale": speed_scale, "delay_s": speed_delay, "jitter_s": 0.001}
+    data["wheel_speeds"] = {
+        "scale": [float(speed_scale + x) for x in 0.002 * rng.standard_normal(4)],
+        "delay_s": speed_delay,
+    }
+    data["steering"] = {
+        "offset": math.radians(2.0) * float(rng.standard_normal()),
+        "delay_s": uniform(0.0, 0.1),
+    }
+    data["yaw_rate"] = {
+        "offset": GYRO_BIAS_RADPS * float(rng.standard_normal()),
+        "scale": 0.01 * float(rng.standard_normal()),
+        "delay_s": uniform(0.0, 0.15),
+    }
+    data["lateral_accel"] = {"offset": 0.1 * float(rng.standard_normal())}
+    data["longitudinal_accel"] = {"offset": 0.1 * float(rng.standard_normal())}
+    data["temperature"] = {
+        "start_degc": uniform(-5.0, 30.0),
+        "rise_k": uniform(5.0, 25.0),
+    }
+    return model_from_mapping(data, f"random model {seed}")

@@ -1,0 +1,141 @@
+"""The road under the vehicle: slope, cross fall, and roughness that shakes the body."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.samples import GRAVITY
+from imucald.simulation.filters import Array, bilinear, filtered, gauss_markov, generator
+from imucald.simulation.vehicle_model import Chassis, Road, Route, Suspension
+
+REFERENCE_WAVENUMBER = 0.1
+"""[cycles/m] of ISO 8608."""
+LONGEST_ROUGHNESS_M = 40.0
+"""Waves longer than this belong to slope and cross fall."""
+LONGEST_TILT_M = 8.0
+"""Longer waves lift both tracks alike."""
+SMOOTHER_FROM_MPS = 15.0
+"""Faster roads are smoother: the density falls by 1 + (v / this)^2."""
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """Attitude of the road plane, (N,) each; ISO 8855: pitch positive nose down."""
+
+    pitch: Array
+    roll: Array
+    pitch_rate: Array
+    roll_rate: Array
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """What the road's waves do to the suspension, (N,) each."""
+
+    pitch: Array
+    """Angle of the road between the axles [rad], nose down."""
+    roll: Array
+    """Angle of the road between the wheels [rad], left side up."""
+    heave_acceleration: Array
+    """Vertical acceleration of the body [m/s^2]."""
+
+
+def road_attitude(
+    road: Road, route: Route, seed: int, distance: Array, curve_accel: Array, rate: float
+) -> Attitude:
+    """Slope and cross fall along the distance driven [m].
+
+    curve_accel: (N,) speed^2 * curvature of superelevated road [m/s^2]; 0 elsewhere.
+    """
+    length = float(distance[-1])
+    grade, fall = np.zeros(len(distance)), np.zeros(len(distance))
+    n = math.ceil(length) + 2
+    nodes = np.arange(n, dtype=float)
+    if road.grade:
+        waves = gauss_markov(generator(seed, "grade"), n, 1.0, road.grade_length_m)
+        grade = road.grade_mean + road.grade_rms * _spline(distance, nodes, waves)
+    if road.bank:
+        waves = gauss_markov(generator(seed, "bank"), n, 1.0, road.bank_length_m)
+        fall = road.crown_mean + road.bank_rms * _spline(distance, nodes, waves)
+        # Towards the kerb: right of a vehicle that keeps right, whose left side is then up.
+        if route.driving_side == "left":
+            fall = -fall
+        lean = -road.superelevation * curve_accel / GRAVITY
+        fall = fall + np.clip(lean, -road.superelevation_max, road.superelevation_max)
+    pitch, roll = -np.arctan(grade), np.arctan(fall)
+    return Attitude(pitch, roll, np.gradient(pitch) * rate, np.gradient(roll) * rate)
+
+
+def _spline(x: Array, nodes: Array, values: Array) -> Array:
+    """Cubic (Catmull-Rom) interpolation on unit nodes: its slope is continuous."""
+    i = np.clip(x.astype(np.int64), 0, len(nodes) - 2)
+    u = x - i
+    y0, y1 = values[np.maximum(i - 1, 0)], values[i]
+    y2, y3 = values[i + 1], values[np.minimum(i + 2, len(values) - 1)]
+    half = 0.5 * u
+    result: Array = y1 + half * (
+        (y2 - y0) + u * ((2.0 * y0 - 5.0 * y1 + 4.0 * y2 - y3) + u * (3.0 * (y1 - y2) + y3 - y0))
+    )
+    return result
+
+
+def road_roughness(
+    road: Road,
+    chassis: Chassis,
+    suspension: Suspension,
+    seed: int,
+    speed: Array,
+    distance: Array,
+    rate: float,
+) -> Roughness | None:
+    """Shake the wheels over an ISO 8608 profile; None where the road is smooth.
+
+    The profile's slope is white in distance, so its vertical velocity has the one-sided density
+    (2 pi n0)^2 G(n0) |v| [(m/s)^2/Hz]. Left and right tracks are independent; the rear wheels
+    follow the front ones after the wheelbase.
+    """
+    if not road.roughness or road.roughness_n0 == 0.0 or distance[-1] <= 0.0:
+        return None
+    rng = generator(seed, "roughness")
+    intensity = (2.0 * math.pi * REFERENCE_WAVENUMBER) ** 2 * road.roughness_n0 * np.abs(speed)
+    intensity /= 1.0 + (speed / SMOOTHER_FROM_MPS) ** 2
+    velocity = np.sqrt(0.5 * rate * intensity)
+    n = len(speed)
+    centre = velocity * rng.standard_normal(n) / math.sqrt(2.0)
+    across = velocity * rng.standard_normal(n) * math.sqrt(2.0)
+    behind = np.maximum(distance - chassis.wheelbase_m, 0.0)
+    usual = 2.0 * math.pi * max(float(np.mean(np.abs(speed))), 1.0)
+    front = _height(centre, rate, usual / LONGEST_ROUGHNESS_M)
+    tilt = _height(across, rate, usual / LONGEST_TILT_M)
+    rear = np.interp(behind, distance, front)
+    tilt = 0.5 * (tilt + np.interp(behind, distance, tilt))
+    return Roughness(
+        pitch=(rear - front) / chassis.wheelbase_m,
+        roll=tilt / chassis.track_m,
+        heave_acceleration=_quarter_car(suspension, 0.5 * (front + rear), rate),
+    )
+
+
+def _height(velocity: Array, rate: float, slowest: float) -> Array:
+    """Height of the road from its vertical velocity, without the waves of the slope."""
+    b, a = bilinear([0.0, 1.0], [slowest**2, 1.4 * slowest, 1.0], rate)
+    return filtered(b, a, velocity, settled=False)
+
+
+def _quarter_car(suspension: Suspension, height: Array, rate: float) -> Array:
+    """Body acceleration (N,) from road height [m]: two masses, a spring, a damper, a tyre.
+
+    With w = body frequency, z its damping, mu = unsprung over sprung mass, t = tyre stiffness over
+    unsprung mass (so that the wheel hops at its frequency):
+    Z_s/Z_r = t (2 z w s + w^2) / (D4 s^4 + D3 s^3 + D2 s^2 + D1 s + D0).
+    """
+    w = 2.0 * math.pi * suspension.heave_frequency_hz
+    c, k = 2.0 * suspension.heave_damping * w, w * w
+    mu = suspension.unsprung_ratio
+    t = max((2.0 * math.pi * suspension.wheel_hop_hz) ** 2 - k / mu, k)
+    denominator = [t * k, t * c, t + k + k / mu, c + c / mu, 1.0]
+    b, a = bilinear([0.0, 0.0, t * k, t * c], denominator, rate)
+    return filtered(b, a, height, settled=False)

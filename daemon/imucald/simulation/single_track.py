@@ -1,0 +1,138 @@
+"""Single-track vehicle with saturating tyres: steering to yaw rate and sideslip.
+
+States: lateral velocity v_y of the centre of gravity and yaw rate r, in road axes.
+
+    m (dv_y/dt + v r + g sin(bank)) = F_f + F_r
+    I dr/dt                          = l_f F_f - l_r F_r
+    F_i = C_i a_i / sqrt(1 + (C_i a_i / D_i)^2),  D_i = friction * axle load
+    a_f = (delta v - v_y - l_f r) / |v|,          a_r = (-v_y + l_r r) / |v|
+
+(Rajamani, Vehicle Dynamics and Control, ch. 2; the tyre is a smooth curve with the slope C and
+the limit D.) The whole drive is solved at once: second-order backward differences, Newton's
+method on the tyre, and one banded system per iteration, so stiff low speeds need no small steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_banded
+
+from imucald.samples import GRAVITY
+from imucald.simulation.filters import Array
+from imucald.simulation.vehicle_model import Chassis
+
+LOW_SPEED_MPS = 0.5
+"""|v| in the slip angles is sqrt(v^2 + this^2): the rolling limit without division by zero."""
+NEWTON_STEPS = 12
+NEWTON_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class Handling:
+    """Response of the vehicle, (N,) each."""
+
+    yaw_rate: Array
+    """[rad/s] about the road's normal."""
+    lateral_velocity: Array
+    """[m/s] of the centre of gravity, to the left."""
+    lateral_velocity_rate: Array
+    steer: Array
+    """Road-wheel angle [rad], positive to the left."""
+
+
+def steer_for(chassis: Chassis, speed: Array, curvature: Array, bank: Array) -> Array:
+    """Steering that a driver holds for a curvature: delta = L k + K (v^2 k + g bank)."""
+    felt = speed * speed * curvature + GRAVITY * np.sin(bank)
+    # Nobody turns up a hill by understeer compensation at standstill: the bank counts when rolling.
+    rolling = speed * speed / (speed * speed + 1.0)
+    return chassis.wheelbase_m * curvature + chassis.understeer_gradient * felt * rolling
+
+
+def handle(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: float) -> Handling:
+    """Drive (speed, steer, bank), (N,) at `rate` [Hz]; speed is signed [m/s], angles in rad."""
+    if not chassis.single_track:
+        curvature = steer / chassis.wheelbase_m
+        zero = np.zeros(len(speed))
+        return Handling(speed * curvature, zero, zero, steer)
+    state = np.zeros((len(speed), 2))
+    state[:, 1] = _steady_yaw_rate(chassis, speed, steer)
+    state[:, 0] = chassis.cg_to_rear_m * state[:, 1]
+    forcing = np.column_stack((-GRAVITY * np.sin(bank), np.zeros(len(speed))))
+    for _ in range(NEWTON_STEPS):
+        acceleration, jacobian = _dynamics(chassis, speed, steer, state)
+        change = _newton_step(state, acceleration + forcing, jacobian, rate)
+        state += change
+        if float(np.max(np.abs(change))) < NEWTON_TOLERANCE:
+            break
+    return Handling(
+        yaw_rate=np.ascontiguousarray(state[:, 1]),
+        lateral_velocity=np.ascontiguousarray(state[:, 0]),
+        lateral_velocity_rate=np.gradient(state[:, 0]) * rate,
+        steer=steer,
+    )
+
+
+def _steady_yaw_rate(chassis: Chassis, speed: Array, steer: Array) -> Array:
+    denominator = chassis.wheelbase_m + chassis.understeer_gradient * speed * speed
+    return speed * steer / np.maximum(denominator, 0.5)
+
+
+def _tyre(stiffness: float, limit: float | None, slip: Array) -> tuple[Array, Array]:
+    """Return force and its slope by slip angle."""
+    if limit is None:
+        return stiffness * slip, np.full(len(slip), stiffness)
+    root = 1.0 / np.sqrt(1.0 + (stiffness / limit * slip) ** 2)
+    return stiffness * slip * root, stiffness * root**3
+
+
+def _dynamics(
+    chassis: Chassis, v: Array, steer: Array, state: Array
+) -> tuple[Array, NDArray[np.float64]]:
+    """Return state derivative (N, 2) without gravity, and its Jacobian (N, 2, 2)."""
+    front, rear, m = chassis.cg_to_front_m, chassis.cg_to_rear_m, chassis.mass_kg
+    weight = m * GRAVITY / chassis.wheelbase_m * chassis.friction
+    limits = (weight * rear, weight * front) if chassis.tyre_saturation else (None, None)
+    vy, r = state[:, 0], state[:, 1]
+    inverse = 1.0 / np.sqrt(v * v + LOW_SPEED_MPS**2)
+    slip_f = (steer * v - vy - front * r) * inverse
+    slip_r = (rear * r - vy) * inverse
+    force_f, slope_f = _tyre(chassis.front_cornering_stiffness_npr, limits[0], slip_f)
+    force_r, slope_r = _tyre(chassis.rear_cornering_stiffness_npr, limits[1], slip_r)
+    slope_f, slope_r = slope_f * inverse, slope_r * inverse
+    inertia = chassis.yaw_inertia_kgm2
+    rates = np.column_stack(
+        ((force_f + force_r) / m - v * r, (front * force_f - rear * force_r) / inertia)
+    )
+    jacobian = np.empty((len(v), 2, 2))
+    jacobian[:, 0, 0] = -(slope_f + slope_r) / m
+    jacobian[:, 0, 1] = (rear * slope_r - front * slope_f) / m - v
+    jacobian[:, 1, 0] = (rear * slope_r - front * slope_f) / inertia
+    jacobian[:, 1, 1] = -(front * front * slope_f + rear * rear * slope_r) / inertia
+    return rates, jacobian
+
+
+def _newton_step(state: Array, f: Array, jacobian: Array, rate: float) -> Array:
+    """Solve the linearised difference equations; node 0 is held by its steady state."""
+    n = len(state)
+    band = np.zeros((6, 2 * n))  # solve_banded with four lower and one upper diagonal
+    residual = np.empty((n, 2))
+    diagonal = np.full(n, 1.5 * rate)
+    diagonal[0], diagonal[1 : min(2, n)] = 0.0, rate
+    residual[0] = -f[0]
+    residual[1:2] = (state[1:2] - state[0:1]) * rate - f[1:2]
+    residual[2:] = (1.5 * state[2:] - 2.0 * state[1:-1] + 0.5 * state[:-2]) * rate - f[2:]
+    for i in range(2):
+        band[1, i::2] = diagonal - jacobian[:, i, i]
+        # Column c of row k+1 and k+2: one and two steps back.
+        band[3, i : 2 * n - 2 : 2] = -2.0 * rate
+        band[3, i] = -rate
+        band[5, i : 2 * n - 4 : 2] = 0.5 * rate
+    band[0, 1::2] = -jacobian[:, 0, 1]
+    band[2, 0::2] = -jacobian[:, 1, 0]
+    step: Array = solve_banded(
+        (4, 1), band, -residual.ravel(), overwrite_ab=True, overwrite_b=True, check_finite=False
+    ).reshape(n, 2)
+    return step

@@ -1,0 +1,70 @@
+"""When frames come: cycle, clock drift, lateness, losses, drop-outs, stuck values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.simulation.filters import Array, generator
+from imucald.simulation.sensor_model import Message
+
+IMU_UNIT = "imu"
+"""Accelerometer and gyroscope are sampled by one unit, at the same moments."""
+GYRO_AFTER_ACCEL_S = 0.00025
+"""The gyroscope's frame follows the accelerometer's: one frame at 500 kbit/s."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Moments of one message: (N,) each.
+
+    sampled: when the unit makes the frame [s]; stamp: when the frame is on the bus [s].
+    kept: frames that are not lost. source: index of the sample whose value the frame carries,
+    which is an earlier one where the signal is stuck.
+    """
+
+    sampled: Array
+    stamp: Array
+    kept: NDArray[np.bool_]
+    source: NDArray[np.int64]
+
+
+def frame_timing(message: Message, name: str, seed: int, duration_s: float) -> Timing:
+    """Draw the timing of a message over a drive."""
+    unit = IMU_UNIT if name in ("accel", "gyro") else name
+    period = (1.0 + message.clock_drift_ppm * 1e-6) / message.rate_hz
+    phase = float(generator(seed, f"phase:{unit}").random()) * period
+    n = max(0, int((duration_s - phase) / period) + 1)
+    sampled: Array = phase + np.arange(n, dtype=np.float64) * period
+    rng = generator(seed, f"timing:{name}")
+    late = message.jitter_s * rng.standard_exponential(n)
+    if name == "gyro":
+        late += GYRO_AFTER_ACCEL_S
+    # A unit's frames never overtake one another.
+    stamp = np.maximum.accumulate(sampled + late)
+    kept = rng.random(n) >= message.loss if message.loss > 0.0 else np.ones(n, dtype=bool)
+    kept &= stamp <= duration_s
+    for gap in message.dropouts:
+        kept &= (sampled < gap.start_s) | (sampled >= gap.start_s + gap.duration_s)
+    source = np.arange(n)
+    for gap in message.stuck:
+        inside = np.flatnonzero((sampled >= gap.start_s) & (sampled < gap.start_s + gap.duration_s))
+        if len(inside):
+            source[inside] = inside[0]
+    return Timing(sampled, stamp, kept, source)
+
+
+def at_times(x: Array, rate: float, t: Array) -> Array:
+    """Value of a grid signal x (N,) at times t [s], linear between grid points, held outside."""
+    place = np.clip(t * rate, 0.0, len(x) - 1.0)
+    i = np.minimum(place.astype(np.int64), max(len(x) - 2, 0))
+    u = place - i
+    result: Array = x[i] * (1.0 - u) + x[np.minimum(i + 1, len(x) - 1)] * u
+    return result
+
+
+def quantised(x: Array, lsb: float) -> Array:
+    """Round to whole steps; lsb 0 leaves x alone."""
+    return x if lsb == 0.0 else np.rint(x / lsb) * lsb

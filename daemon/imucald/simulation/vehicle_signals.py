@@ -1,0 +1,152 @@
+"""What the vehicle's own bus says: speed, wheels, steering, stability control, switches."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.samples import Series
+from imucald.simulation.body import BodyMotion, Lean
+from imucald.simulation.driver import Driving
+from imucald.simulation.filters import Array, butterworth, first_order, generator
+from imucald.simulation.imu import Mounts, _turned, temperature_at
+from imucald.simulation.model import Model
+from imucald.simulation.road import Attitude
+from imucald.simulation.sensor_model import Message, Scalar
+from imucald.simulation.single_track import Handling
+from imucald.simulation.timing import at_times, frame_timing, quantised
+
+
+class VehicleSignals:
+    """Makes each signal of the vehicle from its motion."""
+
+    def __init__(
+        self, model: Model, seed: int, driving: Driving, handling: Handling, body: BodyMotion
+    ) -> None:
+        self._model, self._seed = model, seed
+        self._driving, self._handling, self._body = driving, handling, body
+        self._rate = model.grid_hz
+        self._duration = float(driving.t[-1])
+
+    def all(self) -> dict[str, Series]:
+        """Return every signal that the model has, but for the magnetometer."""
+        m, body = self._model, self._body
+        made: dict[str, Series] = {}
+        if m.speed.enabled:
+            made["speed"] = self._speed()
+        if m.wheel_speeds.enabled:
+            made["wheel_speeds"] = self._wheel_speeds()
+        wheel = self._handling.steer * m.chassis.steering_ratio
+        scalars: tuple[tuple[str, Scalar, Array], ...] = (
+            ("steering", m.steering, wheel),
+            ("yaw_rate", m.yaw_rate, body.rate[2]),
+            ("lateral_accel", m.lateral_accel, body.reference_force[1]),
+            ("longitudinal_accel", m.longitudinal_accel, body.reference_force[0]),
+        )
+        for name, scalar, signal in scalars:
+            if scalar.enabled:
+                made[name] = self._scalar(name, scalar, signal)
+        if m.reverse.enabled:
+            made["reverse"] = self._flag("reverse", self._driving.speed < 0.0)
+        if m.brake.enabled:
+            made["brake"] = self._flag("brake", self._driving.braking > 0.5)
+        if m.temperature.enabled:
+            made["temperature"] = self._temperature()
+        return made
+
+    def heading(self, heading: Array) -> Series:
+        """Heading signal from the true one, clockwise from north [rad] and not wrapped."""
+        series = self._scalar("heading", self._model.heading, heading)
+        return Series(series.t, np.mod(series.values, 2.0 * np.pi))
+
+    def magnetometer(self, heading: Array, road: Attitude, leaning: Lean, mount: Mounts) -> Series:
+        """Magnetometer samples in sensor axes."""
+        mag = self._model.mag
+        x = mag.field_horizontal_t * np.cos(heading)
+        y = mag.field_horizontal_t * np.sin(heading)
+        z = np.full(len(heading), -mag.field_down_t)
+        for pitch, roll in ((road.pitch, road.roll), (leaning.pitch, leaning.roll)):
+            sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
+            x, z = cp * x - sp * z, sp * x + cp * z
+            y, z = cr * y + sr * z, cr * z - sr * y
+        timing = frame_timing(mag, "mag", self._seed, self._duration)
+        when = timing.sampled - mag.delay_s
+        body_axes = np.column_stack([at_times(c, self._rate, when) for c in (x, y, z)])
+        values = _turned(mount, when, body_axes) + np.array(mag.hard_iron_t)
+        noise = generator(self._seed, "noise:mag").standard_normal(values.shape)
+        values = quantised(values + mag.noise_t * noise, mag.lsb)
+        return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
+
+    def _sample(self, name: str, message: Message, *columns: Array) -> tuple[Array, ...]:
+        """Return stamps and the sampled columns (before loss and sticking are applied)."""
+        timing = frame_timing(message, name, self._seed, self._duration)
+        when = timing.sampled - message.delay_s
+        index = timing.source[timing.kept]
+        return (
+            timing.stamp[timing.kept],
+            *(at_times(column, self._rate, when)[index] for column in columns),
+        )
+
+    def _noise(self, name: str, shape: tuple[int, ...], rms: float) -> NDArray[np.float64]:
+        return rms * generator(self._seed, f"noise:{name}").standard_normal(shape)
+
+    def _speed(self) -> Series:
+        speed = self._model.speed
+        true = np.abs(self._driving.speed)
+        if speed.time_constant_s > 0.0:
+            true = first_order(true, self._rate, speed.time_constant_s)
+        t, v = self._sample("speed", speed, true)
+        return Series(t, _rolling(v, speed.scale, speed.dead_band_mps, speed.lsb,
+                                  self._noise("speed", v.shape, speed.noise_mps)))  # fmt: skip
+
+    def _wheel_speeds(self) -> Series:
+        wheels, chassis = self._model.wheel_speeds, self._model.chassis
+        v, r, steer = self._driving.speed, self._handling.yaw_rate, self._handling.steer
+        cross = self._handling.lateral_velocity + chassis.cg_to_front_m * r
+        half = 0.5 * chassis.track_m * r
+        force = self._body.reference_force[0] * np.where(v < 0.0, -1.0, 1.0)
+        slip = wheels.slip_per_mps2
+        braked, driven = 1.0 + slip * np.minimum(force, 0.0), 1.0 + slip * force
+        cos, sin = np.cos(steer), np.sin(steer)
+        true = [
+            np.abs((v - half) * cos + cross * sin) * driven,
+            np.abs((v + half) * cos + cross * sin) * driven,
+            np.abs(v - half) * braked,
+            np.abs(v + half) * braked,
+        ]
+        t, *sampled = self._sample("wheel_speeds", wheels, *true)
+        values = np.column_stack(sampled)
+        noise = self._noise("wheel_speeds", values.shape, wheels.noise_mps)
+        return Series(
+            t, _rolling(values, np.array(wheels.scale), wheels.dead_band_mps, wheels.lsb, noise)
+        )
+
+    def _scalar(self, name: str, scalar: Scalar, signal: Array) -> Series:
+        if scalar.lowpass_hz is not None and scalar.lowpass_hz < 0.45 * self._rate:
+            signal = butterworth(signal, self._rate, scalar.lowpass_hz)
+        timing = frame_timing(scalar, name, self._seed, self._duration)
+        values = at_times(signal, self._rate, timing.sampled - scalar.delay_s)
+        values = (1.0 + scalar.scale) * values + scalar.offset
+        values += self._noise(name, values.shape, scalar.noise)
+        values = quantised(values, scalar.lsb)
+        return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
+
+    def _flag(self, name: str, on: NDArray[np.bool_]) -> Series:
+        message: Message = getattr(self._model, name)
+        t, values = self._sample(name, message, on.astype(float))
+        return Series(t, np.rint(values))
+
+    def _temperature(self) -> Series:
+        temperature = self._model.temperature
+        timing = frame_timing(temperature, "temperature", self._seed, self._duration)
+        values = temperature_at(temperature, np.maximum(timing.sampled, 0.0))
+        values = quantised(values, temperature.lsb)
+        return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
+
+
+def _rolling(
+    v: Array, scale: float | Array, dead_band: float, lsb: float, noise: Array
+) -> NDArray[np.float64]:
+    """Speed signal: scale, noise while rolling, dead band, whole steps, never negative."""
+    said = np.maximum(v * (1.0 + scale) + noise, 0.0)
+    return quantised(np.where(v * (1.0 + scale) < max(dead_band, 1e-3), 0.0, said), lsb)
