@@ -34,6 +34,8 @@ class Snapshot:
 
     k: int
     estimate: MountEstimate
+    usable: bool
+    """Whether a correction is in force from this tick on."""
 
     @property
     def t(self) -> float:
@@ -147,7 +149,7 @@ class Pipeline:
         self._judge()
         self.k += 1
         if self.k % self._status_ticks == 0:
-            snapshots.append(Snapshot(self.k - 1, estimator.estimate()))
+            snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0))
 
     def _judge(self) -> None:
         if self.correction is None:

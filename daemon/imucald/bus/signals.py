@@ -1,0 +1,429 @@
+"""Frames -> samples: which signal is which quantity, compiled from configuration and databases.
+
+A `Router` takes single frames (live) or columns of frames (replay) and gives samples by channel
+(see `samples`), the same either way. What it rejects it counts, by reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.bus.columns import FrameColumns, IdMatch
+from imucald.bus.quantities import REASONS
+from imucald.bus.routes import Route, Tap
+from imucald.samples import CHANNEL_WIDTH, Series
+
+SOURCE_HOLD = 1.5
+"""A less preferred source is heard when the preferred ones were silent this long [s]: longer than
+the cycle of any vehicle speed, shorter than a manoeuvre."""
+MAX_SKEW = 0.1
+"""Parts of a triad from different frames belong together within this [s]: one tick."""
+MAX_KNOWN_IDS = 4096
+"""Identifiers remembered by the dispatcher; J1939 sources are few, an attacker's are many."""
+
+Sample = tuple[str, Sequence[float]]
+"""Channel and values."""
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnSamples(Series):
+    """A series that knows which row of the chunk each sample came from; row: (N,) int64."""
+
+    row: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Routed:
+    """What a chunk of frames came to.
+
+    samples: by channel. rejected: by channel, the rows whose sample was rejected, in order.
+    events: (M,) stream times of all rejections that were counted [s], in order.
+    """
+
+    samples: dict[str, ColumnSamples]
+    rejected: dict[str, Rows]
+    events: NDArray[np.float64]
+
+
+class Router:
+    """Turns frames into samples.
+
+    routes: one for each message (or raw expression) in use, see `routes`.
+    derive_speed: speed comes from the wheels. derive_reverse: reverse is a negative speed.
+    """
+
+    def __init__(
+        self, routes: Sequence[Route], derive_speed: bool = False, derive_reverse: bool = False
+    ) -> None:
+        self.routes = tuple(routes)
+        self.rejected: Counter[str] = Counter()
+        """Rejected frames and samples by reason."""
+        self.used = 0
+        """Frames that were accepted."""
+        self.sample_counts: Counter[str] = Counter()
+        """Accepted samples by channel."""
+        self._known: dict[int, tuple[Route, ...]] = {}
+        self._derive_speed = derive_speed
+        self._derive_reverse = derive_reverse
+        ranks: dict[str, int] = {}
+        for tap in self._taps():
+            ranks[tap.channel] = max(ranks.get(tap.channel, 0), tap.rank + 1)
+        self._arbiters = {c: _Arbiter(n) for c, n in ranks.items() if n > 1}
+        self._assemblers: dict[tuple[str, int], _Assembler] = {
+            (tap.channel, tap.rank): _Assembler(_width(tap.channel))
+            for tap in self._taps()
+            if not tap.complete
+        }
+
+    def _taps(self) -> Iterable[Tap]:
+        return (tap for route in self.routes for tap in route.taps)
+
+    @property
+    def matches(self) -> list[IdMatch]:
+        """Identifiers that the bus link and log readers must let through."""
+        return list(dict.fromkeys(route.match for route in self.routes))
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """Channels that can come."""
+        found = {tap.channel for tap in self._taps()}
+        if self._derive_speed:
+            found.add("speed")
+        if self._derive_reverse:
+            found.add("reverse")
+        return frozenset(found)
+
+    # one frame -----------------------------------------------------------------------------
+
+    def frame(self, t: float, can_id: int, data: bytes) -> tuple[list[Sample], list[str]]:
+        """Samples of one frame, and the channels of which a sample was rejected.
+
+        t: stream time [s]; can_id with the flag for 29 bits. The channel of a recording is not
+        looked at: a live bus is one bus.
+        """
+        samples: list[Sample] = []
+        rejected: list[str] = []
+        accepted = False
+        for route in self._routes_of(can_id):
+            reason = route.check(t, data)
+            if reason is None:
+                continue
+            if reason:
+                self.rejected[reason] += 1
+                rejected.extend(tap.channel for tap in route.taps)
+                continue
+            accepted = True
+            self._take(route, t, data, samples, rejected)
+        self.used += accepted
+        return samples, rejected
+
+    def _take(
+        self, route: Route, t: float, data: bytes, samples: list[Sample], rejected: list[str]
+    ) -> None:
+        raw, physical = route.numbers(data)
+        for tap in route.taps:
+            values: Sequence[float] | None
+            values, code = tap.one(raw, physical)
+            if code < 0:
+                continue
+            if code:
+                self.rejected[REASONS[code]] += 1
+            if not tap.complete:
+                values, bad = self._assemblers[tap.channel, tap.rank].add(
+                    t, tap.slots, None if code else values
+                )
+                if bad:
+                    rejected.append(tap.channel)
+                if values is None:
+                    continue
+            elif code:
+                rejected.append(tap.channel)
+                continue
+            arbiter = self._arbiters.get(tap.channel)
+            if arbiter is not None and not arbiter.accept(t, tap.rank):
+                continue
+            self._finish(tap.channel, values, samples)
+
+    def _finish(self, channel: str, values: Sequence[float], samples: list[Sample]) -> None:
+        if channel == "speed":
+            if self._derive_reverse:
+                samples.append(("reverse", (1.0 if values[0] < 0.0 else 0.0,)))
+            values = (abs(values[0]),)
+        samples.append((channel, values))
+        self.sample_counts[channel] += 1
+        if channel == "wheel_speeds" and self._derive_speed:
+            _, b, c, _ = sorted(abs(v) for v in values)
+            samples.append(("speed", (0.5 * (b + c),)))
+            self.sample_counts["speed"] += 1
+
+    def _routes_of(self, can_id: int) -> tuple[Route, ...]:
+        routes = self._known.get(can_id)
+        if routes is None:
+            routes = tuple(
+                r for r in self.routes if not (can_id ^ r.match.can_id) & r.match.full_mask
+            )
+            if len(self._known) < MAX_KNOWN_IDS:
+                self._known[can_id] = routes
+        return routes
+
+    # columns -------------------------------------------------------------------------------
+
+    def columns(self, t: NDArray[np.float64], frames: FrameColumns) -> Routed:
+        """Samples of a chunk of frames; t: (N,) stream times of the frames."""
+        used = np.zeros(len(frames), dtype=bool)
+        parts: dict[str, list[_Part]] = {}
+        rejected: dict[str, list[Rows]] = {}
+        events: list[Rows] = []
+        for route in self.routes:
+            rows = _rows_of(route.match, frames)
+            if not len(rows):
+                continue
+            chosen = frames if len(rows) == len(frames) else frames.take(rows)
+            ok, reasons = route.check_columns(t[rows], chosen)
+            for reason, bad in reasons.items():
+                self.rejected[reason] += len(bad)
+                events.append(rows[bad])
+                for tap in route.taps:
+                    rejected.setdefault(tap.channel, []).append(rows[bad])
+            if not ok.all():
+                rows = rows[ok]
+                chosen = chosen.take(ok)
+            used[rows] = True
+            self._take_columns(route, t, rows, chosen, parts, rejected, events)
+        self.used += int(np.count_nonzero(used))
+        samples = {c: self._joined(c, found) for c, found in parts.items()}
+        self._assemble(parts, samples, rejected)
+        self._finish_columns(samples)
+        return Routed(
+            samples,
+            {c: np.sort(np.concatenate(rows)) for c, rows in rejected.items()},
+            t[np.sort(np.concatenate(events))] if events else np.zeros(0),
+        )
+
+    def _take_columns(
+        self,
+        route: Route,
+        t: NDArray[np.float64],
+        rows: Rows,
+        frames: FrameColumns,
+        parts: dict[str, list[_Part]],
+        rejected: dict[str, list[Rows]],
+        events: list[Rows],
+    ) -> None:
+        columns = route.number_columns(frames)
+        for tap in route.taps:
+            values, codes = tap.columns(columns)
+            bad = codes > 0
+            if bad.any():
+                events.append(rows[bad])
+                for code in np.unique(codes[bad]).tolist():
+                    self.rejected[REASONS[code]] += int(np.count_nonzero(codes == code))
+                if tap.complete:
+                    rejected.setdefault(tap.channel, []).append(rows[bad])
+            keep = codes == 0 if tap.complete else codes >= 0
+            part = _Part(tap, t[rows], rows, values, codes)
+            if not keep.all():
+                part = part.take(keep)
+            parts.setdefault(tap.channel, []).append(part)
+
+    def _joined(self, channel: str, found: list[_Part]) -> ColumnSamples:
+        """Whole samples of a channel, by preference; parts of triads are left to `_assemble`."""
+        whole = sorted((p for p in found if p.tap.complete), key=lambda p: p.tap.rank)
+        arbiter = self._arbiters.get(channel)
+        if arbiter is not None and not any(not p.tap.complete for p in found):
+            by_rank: dict[int, _Part] = {}
+            for part in whole:
+                known = by_rank.get(part.tap.rank)
+                by_rank[part.tap.rank] = part if known is None else known.merged(part)
+            whole = arbiter.accept_columns(by_rank)
+        if len(whole) == 1:
+            part = whole[0]
+            return ColumnSamples(part.t, part.values, part.row)
+        if not whole:
+            width = _width(channel)
+            empty = np.zeros((0, width) if width > 1 else 0)
+            return ColumnSamples(np.zeros(0), empty, np.zeros(0, np.int64))
+        merged = whole[0]
+        for part in whole[1:]:
+            merged = merged.merged(part)
+        return ColumnSamples(merged.t, merged.values, merged.row)
+
+    def _assemble(
+        self,
+        parts: Mapping[str, list[_Part]],
+        samples: dict[str, ColumnSamples],
+        rejected: dict[str, list[Rows]],
+    ) -> None:
+        """Channels with split triads: the same steps as for single frames, in row order."""
+        for channel, found in parts.items():
+            if all(p.tap.complete for p in found):
+                continue
+            arbiter = self._arbiters.get(channel)
+            t_out: list[float] = []
+            rows_out: list[int] = []
+            values_out: list[Sequence[float]] = []
+            bad_out: list[int] = []
+            for row, tap, t, value, code in _in_row_order(found):
+                values: Sequence[float] | None = value
+                if not tap.complete:
+                    values, bad = self._assemblers[channel, tap.rank].add(
+                        t, tap.slots, None if code else value
+                    )
+                    if bad:
+                        bad_out.append(row)
+                    if values is None:
+                        continue
+                if arbiter is not None and not arbiter.accept(t, tap.rank):
+                    continue
+                t_out.append(t)
+                rows_out.append(row)
+                values_out.append(values or ())
+            width = _width(channel)
+            values_array = np.array(values_out).reshape(len(t_out), width)
+            samples[channel] = ColumnSamples(
+                np.array(t_out),
+                values_array if width > 1 else values_array[:, 0],
+                np.array(rows_out, dtype=np.int64),
+            )
+            if bad_out:
+                rejected.setdefault(channel, []).append(np.array(bad_out, dtype=np.int64))
+
+    def _finish_columns(self, samples: dict[str, ColumnSamples]) -> None:
+        for channel in [c for c, s in samples.items() if not len(s.t)]:
+            del samples[channel]
+        for channel, series in samples.items():
+            self.sample_counts[channel] += len(series.t)
+        speed = samples.get("speed")
+        if speed is not None:
+            if self._derive_reverse:
+                backwards = (speed.values < 0.0).astype(np.float64)
+                samples["reverse"] = ColumnSamples(speed.t, backwards, speed.row)
+            samples["speed"] = ColumnSamples(speed.t, np.abs(speed.values), speed.row)
+        wheels = samples.get("wheel_speeds")
+        if wheels is not None and self._derive_speed:
+            ordered = np.sort(np.abs(wheels.values), axis=1)
+            middle = 0.5 * (ordered[:, 1] + ordered[:, 2])
+            samples["speed"] = ColumnSamples(wheels.t, middle, wheels.row)
+            self.sample_counts["speed"] += len(middle)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """What one tap gave on a chunk: times, rows, values (N, k) or (N,), codes."""
+
+    tap: Tap
+    t: NDArray[np.float64]
+    row: NDArray[np.int64]
+    values: NDArray[np.float64]
+    codes: NDArray[np.int8]
+
+    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> _Part:
+        return _Part(self.tap, self.t[keep], self.row[keep], self.values[keep], self.codes[keep])
+
+    def merged(self, other: _Part) -> _Part:
+        row = np.concatenate([self.row, other.row])
+        order = np.argsort(row, kind="stable")
+        return _Part(
+            self.tap,
+            np.concatenate([self.t, other.t])[order],
+            row[order],
+            np.concatenate([self.values, other.values])[order],
+            np.concatenate([self.codes, other.codes])[order],
+        )
+
+
+class _Arbiter:
+    """Of several sources of one quantity, hears the first that is alive."""
+
+    def __init__(self, n: int) -> None:
+        self._last = [-math.inf] * n
+
+    def accept(self, t: float, rank: int) -> bool:
+        self._last[rank] = t
+        return all(t - self._last[better] > SOURCE_HOLD for better in range(rank))
+
+    def accept_columns(self, by_rank: Mapping[int, _Part]) -> list[_Part]:
+        accepted = []
+        for rank, part in by_rank.items():
+            keep = np.ones(len(part.t), dtype=bool)
+            for better in range(rank):
+                keep &= part.t - self._last_before(better, by_rank.get(better), part) > SOURCE_HOLD
+            accepted.append(part.take(keep))
+        for rank, part in by_rank.items():
+            if len(part.t):
+                self._last[rank] = float(part.t[-1])
+        return accepted
+
+    def _last_before(self, better: int, source: _Part | None, part: _Part) -> NDArray[np.float64]:
+        if source is None:
+            return np.full(len(part.t), self._last[better])
+        index = np.searchsorted(source.row, part.row, side="right")
+        times = np.concatenate([[self._last[better]], source.t])
+        return times[index]
+
+
+class _Assembler:
+    """Puts a triad together whose axes come in different frames."""
+
+    def __init__(self, width: int) -> None:
+        self._values: list[float | None] = [None] * width
+        self._times = [-math.inf] * width
+
+    def add(
+        self, t: float, slots: Sequence[int], values: Sequence[float] | None
+    ) -> tuple[Sequence[float] | None, bool]:
+        """Return (the whole triad or None, whether a sample was spoilt by a rejected part)."""
+        if values is None:
+            self._values = [None] * len(self._values)
+            return None, True
+        for slot, value in zip(slots, values, strict=True):
+            self._values[slot] = value
+            self._times[slot] = t
+        for slot, time in enumerate(self._times):
+            if t - time > MAX_SKEW:
+                self._values[slot] = None
+        whole = [v for v in self._values if v is not None]
+        if len(whole) < len(self._values):
+            return None, False
+        self._values = [None] * len(self._values)
+        return whole, False
+
+
+def _in_row_order(
+    found: Iterable[_Part],
+) -> list[tuple[int, Tap, float, Sequence[float], int]]:
+    events: list[tuple[int, Tap, float, Sequence[float], int]] = []
+    for part in sorted(found, key=lambda p: p.tap.rank):
+        values = part.values if part.values.ndim == 2 else part.values[:, None]
+        events.extend(
+            (row, part.tap, t, value, code)
+            for row, t, value, code in zip(
+                part.row.tolist(),
+                part.t.tolist(),
+                values.tolist(),
+                part.codes.tolist(),
+                strict=True,
+            )
+        )
+    events.sort(key=lambda event: event[0])
+    return events
+
+
+def _rows_of(match: IdMatch, frames: FrameColumns) -> NDArray[np.int64]:
+    mask = np.uint32(match.full_mask)
+    hit = (frames.can_id & mask) == np.uint32(match.can_id & match.full_mask)
+    if match.channel is not None:
+        wanted = [i for i, name in enumerate(frames.channels) if name == match.channel]
+        hit &= np.isin(frames.channel, wanted)
+    return np.flatnonzero(hit)
+
+
+def _width(channel: str) -> int:
+    return CHANNEL_WIDTH.get(channel, 3)

@@ -1,0 +1,297 @@
+"""Frames in, frames out: router, pipeline and output put together. No I/O, no clock.
+
+The live daemon feeds frames one by one (`frame`), replay feeds chunks of columns (`columns`). Both
+give the same frames in the same order; the two may be mixed on one engine.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.bus.columns import FrameColumns
+from imucald.bus.signals import Routed, Router
+from imucald.motion.ticks import TICK_RATE, tick_index
+from imucald.mount.estimate import Correction, MountEstimator
+from imucald.output import Health, OutFrame, OutputFrames
+from imucald.pipeline import Pipeline, Snapshot, TickCorrections
+from imucald.timebase import Piece, TimeBase
+
+MISSING_TICKS = 10
+"""An input that gave no sample for so many ticks is missing: one second."""
+
+_SENSORS = {"accel": "accelerometer_missing", "gyro": "gyroscope_missing", "speed": "speed_missing"}
+
+
+@dataclass(frozen=True)
+class LinkHealth:
+    """What only the bus link knows; all zero in replay."""
+
+    lost: int = 0
+    frames_lost: bool = False
+    id_conflict: bool = False
+    send_failed: bool = False
+
+
+class Engine:
+    """One sensor on one bus.
+
+    on_snapshot: called with every snapshot of the estimate (for terminals and state files).
+    link_health: asked whenever a health frame is made.
+    """
+
+    def __init__(
+        self,
+        router: Router,
+        estimator: MountEstimator,
+        output: OutputFrames,
+        status_rate: int = 1,
+        on_snapshot: Callable[[Snapshot], None] | None = None,
+        link_health: Callable[[], LinkHealth] = LinkHealth,
+    ) -> None:
+        self.router = router
+        self.output = output
+        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate))
+        self.timebase = TimeBase()
+        self.sent = 0
+        """Frames given out."""
+        self._on_snapshot = on_snapshot
+        self._link_health = link_health
+        self._watched = {c: 0 for c in _SENSORS if c in router.channels}  # tick of last sample
+        self._rejected_total = 0
+        self._rejections: deque[int] = deque()  # ticks of the last second's rejections
+
+    # one frame -----------------------------------------------------------------------------
+
+    def frame(self, stamp: float, can_id: int, data: bytes) -> list[OutFrame]:
+        """Take one frame; return the frames to send.
+
+        stamp: reception time [s], wall clock. can_id with the flag for 29 bits.
+        """
+        t, gap = self.timebase.one(stamp)
+        out: list[OutFrame] = []
+        if gap:
+            out += self._statuses(self.pipeline.gap())
+        k = tick_index(t)
+        if k > self.pipeline.k:
+            out += self._statuses(self.pipeline.advance(k))
+        samples, rejected = self.router.frame(t, can_id, data)
+        for channel in rejected:
+            self.pipeline.reject(channel)
+        self._count_rejections(k)
+        corrected: dict[str, OutFrame] = {}
+        for channel, values in samples:
+            self.pipeline.add(t, channel, values)
+            if channel in self._watched:
+                self._watched[channel] = k
+            if channel in self.output.triads:
+                turned = _turned(self.pipeline.correction, values)
+                corrected[channel] = self.output.corrected(channel, turned, self.pipeline.quality)
+        for channel in self.output.triads:
+            if channel in corrected:
+                out.append(corrected[channel])
+        for channel in self.output.triads:
+            if channel in rejected and channel not in corrected:
+                out.append(self.output.corrected(channel, None, 0))
+        self.sent += len(out)
+        return out
+
+    def idle(self, stamp: float) -> list[OutFrame]:
+        """Time passed without a frame of ours: close ticks up to wall-clock time `stamp` [s]."""
+        if not self.timebase.started:
+            return []
+        t, gap = self.timebase.one(stamp)
+        snapshots = self.pipeline.gap() if gap else []
+        out = self._statuses(snapshots + self.pipeline.advance(tick_index(t)))
+        self.sent += len(out)
+        return out
+
+    def _count_rejections(self, k: int) -> None:
+        total = self.router.rejected.total()
+        if total > self._rejected_total:
+            self._rejections.append(k)
+            self._rejected_total = total
+
+    # columns -------------------------------------------------------------------------------
+
+    def columns(self, frames: FrameColumns, keep: bool = True) -> FrameColumns | None:
+        """Take a chunk of frames; return the frames to send (None with keep=False)."""
+        parts = [
+            part
+            for piece in self.timebase.columns(frames.t)
+            for part in self._piece(piece, frames, keep)
+        ]
+        if not keep:
+            return None
+        return _in_order(parts, frames)
+
+    def _piece(self, piece: Piece, frames: FrameColumns, keep: bool) -> Iterator[_OutPart]:
+        base = piece.start
+        if piece.gap:
+            yield from self._status_parts(self.pipeline.gap(), lambda _: base, np.zeros(0))
+        whole = base == 0 and piece.stop == len(frames)
+        chunk = frames if whole else frames.take(slice(base, piece.stop))
+        routed = self.router.columns(piece.t, chunk)
+        ticks = np.floor(piece.t * TICK_RATE).astype(np.int64)
+        times = {c: piece.t[rows] for c, rows in routed.rejected.items()}
+        corrections, snapshots = self.pipeline.run(routed.samples, times, float(piece.t[-1]))
+        events = np.floor(routed.events * TICK_RATE)
+        yield from self._status_parts(
+            snapshots,
+            lambda k: base + int(np.searchsorted(ticks, k, side="right")),
+            events,
+            routed,
+        )
+        self._rejected_total = self.router.rejected.total()
+        self._rejections.extend(int(k) for k in np.unique(events)[-2 * MISSING_TICKS :])
+        for channel in self._watched:
+            if channel in routed.samples:
+                last = float(routed.samples[channel].t[-1])
+                self._watched[channel] = tick_index(last)
+        if keep:
+            yield from self._corrected_parts(routed, corrections, ticks, base)
+        else:
+            self.sent += sum(
+                len(routed.samples[c].t) for c in self.output.triads if c in routed.samples
+            )
+
+    def _corrected_parts(
+        self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64], base: int
+    ) -> Iterator[_OutPart]:
+        for order, channel in enumerate(self.output.triads):
+            series = routed.samples.get(channel)
+            bad = routed.rejected.get(channel)
+            if series is None and bad is None:
+                continue
+            row = np.zeros(0, np.int64) if series is None else series.row
+            values = np.zeros((0, 3)) if series is None else series.values
+            index = ticks[row] - corrections.first
+            turned = _turned_columns(corrections.rotations[index], values)
+            quality = corrections.quality[index]
+            if bad is not None:
+                bad = np.setdiff1d(bad, row)
+                row = np.concatenate([row, bad])
+                by_row = np.argsort(row, kind="stable")
+                row = row[by_row]
+                turned = np.concatenate([turned, np.full((len(bad), 3), np.nan)])[by_row]
+                quality = np.concatenate([quality, np.zeros(len(bad), np.uint8)])[by_row]
+            can_id, data = self.output.corrected_columns(channel, turned, quality)
+            # not-available frames of a row come after its corrected ones, as in `frame`
+            missing = np.isin(row, bad) if bad is not None else np.zeros(len(row), bool)
+            rank = np.where(missing, len(self.output.triads), 0) + order + _STATUS_FRAMES
+            yield _OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
+            self.sent += len(row)
+
+    def _status_parts(
+        self,
+        snapshots: list[Snapshot],
+        row_of: Callable[[int], int],
+        events: NDArray[np.float64],
+        routed: Routed | None = None,
+    ) -> Iterator[_OutPart]:
+        """Status frames with the health as it was at each snapshot, not at the chunk's end."""
+        before = self._rejected_total
+        for snapshot in snapshots:
+            seen = events[events <= snapshot.k]
+            recent = bool(np.any(seen > snapshot.k - MISSING_TICKS)) or self._recent(snapshot.k)
+            last = {c: self._last_sample(c, snapshot.k, routed) for c in self._watched}
+            out = self._status(snapshot, before + len(seen), recent, last)
+            yield _OutPart(
+                np.full(len(out), row_of(snapshot.k)),
+                np.arange(len(out)),
+                np.array([can_id for can_id, _ in out], dtype=np.uint32),
+                np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
+            )
+            self.sent += len(out)
+
+    def _last_sample(self, channel: str, k: int, routed: Routed | None) -> int:
+        """Tick of the channel's last sample up to the end of tick k."""
+        series = routed.samples.get(channel) if routed is not None else None
+        if series is None:
+            return self._watched[channel]
+        n = int(np.searchsorted(np.floor(series.t * TICK_RATE), k, side="right"))
+        return tick_index(float(series.t[n - 1])) if n else self._watched[channel]
+
+    # status --------------------------------------------------------------------------------
+
+    def _statuses(self, snapshots: list[Snapshot]) -> list[OutFrame]:
+        out: list[OutFrame] = []
+        for snapshot in snapshots:
+            recent = self._recent(snapshot.k)
+            out += self._status(snapshot, self._rejected_total, recent, self._watched)
+        return out
+
+    def _recent(self, k: int) -> bool:
+        while self._rejections and self._rejections[0] <= k - MISSING_TICKS:
+            self._rejections.popleft()
+        return bool(self._rejections) and self._rejections[0] <= k
+
+    def _status(
+        self, snapshot: Snapshot, rejected: int, recent: bool, last: dict[str, int]
+    ) -> list[OutFrame]:
+        if self._on_snapshot is not None:
+            self._on_snapshot(snapshot)
+        link = self._link_health()
+        missing = {_SENSORS[c]: snapshot.k - k >= MISSING_TICKS for c, k in last.items()}
+        health = Health(
+            **missing,
+            input_rejected=recent,
+            rejected=rejected,
+            frames_lost=link.frames_lost,
+            id_conflict=link.id_conflict,
+            send_failed=link.send_failed,
+            lost=link.lost,
+        )
+        return self.output.status(snapshot.estimate, snapshot.usable, health)
+
+
+_STATUS_FRAMES = 3
+"""Status frames stand before the corrected frames of the row that brought them about."""
+
+
+@dataclass(frozen=True, eq=False)
+class _OutPart:
+    """Frames to send with the input row they belong to and their rank within it."""
+
+    row: NDArray[np.int64]
+    rank: NDArray[np.int64]
+    can_id: NDArray[np.uint32]
+    data: NDArray[np.uint8]
+
+
+def _in_order(parts: list[_OutPart], frames: FrameColumns) -> FrameColumns:
+    if not parts:
+        return frames.take(slice(0, 0))
+    row = np.concatenate([p.row for p in parts])
+    rank = np.concatenate([p.rank for p in parts])
+    order = np.lexsort((rank, row))
+    row = row[order]
+    data = np.concatenate([p.data for p in parts])[order]
+    return FrameColumns(
+        t=frames.t[np.minimum(row, len(frames) - 1)],
+        can_id=np.concatenate([p.can_id for p in parts])[order],
+        length=np.full(len(row), data.shape[1], np.uint8),
+        data=data,
+        channel=np.zeros(len(row), np.uint8),
+        channels=frames.channels[:1] or ("can0",),
+    )
+
+
+def _turned(correction: Correction | None, v: Sequence[float]) -> tuple[float, float, float] | None:
+    if correction is None:
+        return None
+    x, y, z = v
+    a, b, c, d, e, f, g, h, i = correction
+    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+
+def _turned_columns(rotations: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotate (N, 3) by (N, 9); the same operations in the same order as `_turned`."""
+    x, y, z = v[:, 0], v[:, 1], v[:, 2]
+    r = rotations.T
+    rows = [r[3 * i] * x + r[3 * i + 1] * y + r[3 * i + 2] * z for i in range(3)]
+    return np.stack(rows, axis=1)

@@ -1,0 +1,232 @@
+"""The frames that imucald sends: layout from ``imucald_out.dbc``, ids and protection configured.
+
+Corrected samples go out as they come, one frame a sample; status frames with each snapshot. A value
+that is not usable is sent as not available, never as a number. Columns of frames and single
+frames are the same bytes, counters included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.bus.checksums import ChecksumSpec, crc8_j1850, xor_checksum
+from imucald.bus.columns import CAN_EFF_FLAG
+from imucald.bus.database import Database, Message, load_database_text
+from imucald.bus.encode import EncodePlan, compile_encode
+from imucald.bus.protection import OutputProtector, ProtectionSpec, counter_of
+from imucald.config import STANDARD_ID_MAX, Config
+from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
+
+OutFrame = tuple[int, bytes]
+"""CAN id (with the flag for 29 bits) and payload."""
+
+NOT_AVAILABLE_SIGNED = -32768
+NOT_AVAILABLE_UNSIGNED = 65535
+REJECTED_MAX = 65534
+LOST_MAX = 4094
+
+_TO_DEG = 180.0 / math.pi
+_LAYOUTS: Mapping[str, tuple[str, tuple[str, str, str], float]] = {
+    "acceleration": ("IMUCALD_Acceleration", ("AccelX", "AccelY", "AccelZ"), 1.0),
+    "angular_rate": ("IMUCALD_AngularRate", ("RateX", "RateY", "RateZ"), _TO_DEG),
+    "magnetic_field": ("IMUCALD_MagneticField", ("FieldX", "FieldY", "FieldZ"), 1e6),
+}
+"""Per kind of sensor: message, signals, factor from SI to the message's unit."""
+
+_HEALTH_FLAGS = (
+    "AccelerometerMissing",
+    "GyroscopeMissing",
+    "SpeedMissing",
+    "InputRejected",
+    "FramesLost",
+    "IdConflict",
+    "SendFailed",
+)
+
+
+@dataclass(frozen=True)
+class Health:
+    """What the health frame says besides the calibration."""
+
+    accelerometer_missing: bool = False
+    gyroscope_missing: bool = False
+    speed_missing: bool = False
+    input_rejected: bool = False
+    frames_lost: bool = False
+    id_conflict: bool = False
+    send_failed: bool = False
+    rejected: int = 0
+    lost: int = 0
+
+    @property
+    def flags(self) -> tuple[bool, ...]:
+        """The flags in the frame's order."""
+        return (
+            self.accelerometer_missing,
+            self.gyroscope_missing,
+            self.speed_missing,
+            self.input_rejected,
+            self.frames_lost,
+            self.id_conflict,
+            self.send_failed,
+        )
+
+
+def output_database() -> Database:
+    """The database of what imucald sends."""
+    text = (resources.files("imucald") / "data" / "imucald_out.dbc").read_text("utf-8")
+    return load_database_text(text, "dbc", "imucald_out.dbc")
+
+
+class _Sender:
+    """One output message: encode, then protect."""
+
+    def __init__(
+        self,
+        message: Message,
+        signals: Sequence[str],
+        can_id: int,
+        checksum: str,
+        not_available: Mapping[str, int],
+    ) -> None:
+        self.can_id = can_id | (CAN_EFF_FLAG if can_id > STANDARD_ID_MAX else 0)
+        self._plan: EncodePlan = compile_encode(message, signals, not_available)
+        self._protector = OutputProtector(
+            ProtectionSpec(
+                size=message.length,
+                counter=counter_of(message.signal("Counter")),
+                checksum=_checksum(checksum, can_id, message),
+            )
+        )
+
+    def frame(self, values: Sequence[float | None]) -> OutFrame:
+        return self.can_id, self._protector.protect(self._plan.encode(values))
+
+    def columns(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.uint8]:
+        return self._protector.protect_columns(self._plan.encode_columns(columns))
+
+
+def _checksum(kind: str, can_id: int, message: Message) -> ChecksumSpec | None:
+    position = message.length - 1
+    id_bytes = can_id.to_bytes(4 if can_id > STANDARD_ID_MAX else 2, "big")
+    if kind == "crc8_j1850":
+        return crc8_j1850(message.length, position, id_bytes)
+    if kind == "xor":
+        return xor_checksum(message.length, position, id_bytes)
+    return None
+
+
+class OutputFrames:
+    """Encodes everything that imucald sends for one configuration.
+
+    triads: the channels that get a corrected frame, in the order they are sent in.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._database = output_database()
+        output, signals = config.output, config.signals
+        ids = output.ids
+        kinds: dict[str, tuple[str, int]] = {"accel": ("acceleration", ids.acceleration)}
+        if signals.gyroscope is not None:
+            kinds["gyro"] = ("angular_rate", ids.angular_rate)
+        if signals.magnetometer is not None:
+            kinds["mag"] = ("magnetic_field", ids.magnetic_field)
+        for sensor in signals.parallel:
+            kinds[f"parallel/{sensor.name}"] = (sensor.kind, sensor.id)
+        self.triads = tuple(kinds)
+        self._checksum = output.checksum
+        self._senders = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
+        self._factors = {c: _LAYOUTS[kind][2] for c, (kind, _) in kinds.items()}
+        self._mount = self._signed("IMUCALD_Mount", ids.mount, "Mount{}", ANGLES)
+        self._deviation = _Sender(
+            self._database.message("IMUCALD_MountDeviation"),
+            ("DeviationX", "DeviationY", "DeviationZ", "State"),
+            ids.mount_deviation,
+            output.checksum,
+            {f"Deviation{a}": NOT_AVAILABLE_UNSIGNED for a in "XYZ"},
+        )
+        self._health = _Sender(
+            self._database.message("IMUCALD_Health"),
+            (
+                "State",
+                *(f"Waiting{a.capitalize()}" for a in ANGLES),
+                *_HEALTH_FLAGS,
+                "RejectedCount",
+                "LostCount",
+            ),
+            ids.health,
+            output.checksum,
+            {},
+        )
+
+    @property
+    def can_ids(self) -> frozenset[int]:
+        """Every id that is sent, with the flag for 29 bits."""
+        status = (self._mount, self._deviation, self._health)
+        return frozenset(s.can_id for s in (*self._senders.values(), *status))
+
+    def _triad(self, kind: str, can_id: int) -> _Sender:
+        name, signals, _ = _LAYOUTS[kind]
+        return _Sender(
+            self._database.message(name),
+            (*signals, "Quality"),
+            can_id,
+            self._checksum,
+            dict.fromkeys(signals, NOT_AVAILABLE_SIGNED),
+        )
+
+    def _signed(self, name: str, can_id: int, pattern: str, parts: Sequence[str]) -> _Sender:
+        signals = [pattern.format(part.capitalize()) for part in parts]
+        return _Sender(
+            self._database.message(name),
+            (*signals, "State"),
+            can_id,
+            self._checksum,
+            dict.fromkeys(signals, NOT_AVAILABLE_SIGNED),
+        )
+
+    def corrected(self, channel: str, values: Sequence[float] | None, quality: int) -> OutFrame:
+        """Frame of one corrected sample in SI (None: not available)."""
+        sender = self._senders[channel]
+        if values is None:
+            return sender.frame((None, None, None, 0))
+        factor = self._factors[channel]
+        x, y, z = values
+        return sender.frame((x * factor, y * factor, z * factor, quality))
+
+    def corrected_columns(
+        self, channel: str, values: NDArray[np.float64], quality: NDArray[np.uint8]
+    ) -> tuple[int, NDArray[np.uint8]]:
+        """Id and payloads (N, 8) of corrected samples (N, 3) in SI; NaN is not available."""
+        sender = self._senders[channel]
+        factor = self._factors[channel]
+        columns = [values[:, i] * factor for i in range(3)]
+        return sender.can_id, sender.columns([*columns, quality.astype(np.float64)])
+
+    def status(self, estimate: MountEstimate, usable: bool, health: Health) -> list[OutFrame]:
+        """The status frames for one snapshot; angles are there where they are usable."""
+        state = int(estimate.state)
+        angles = estimate.angles if usable else None
+        std = estimate.std if usable else None
+        nothing: tuple[None, None, None] = (None, None, None)
+        angle_values = [v * _TO_DEG for v in angles] if angles else nothing
+        std_values = [min(v * _TO_DEG, 327.67) for v in std] if std else nothing
+        waiting = [int(estimate.missing.get(a, _default(estimate, a))) for a in ANGLES]
+        counts = (min(health.rejected, REJECTED_MAX), min(health.lost, LOST_MAX))
+        return [
+            self._mount.frame((*angle_values, state)),
+            self._deviation.frame((*std_values, state)),
+            self._health.frame((state, *waiting, *map(float, health.flags), *counts)),
+        ]
+
+
+def _default(estimate: MountEstimate, angle: str) -> Missing:
+    if angle in estimate.waiting_for:
+        return Missing.OTHER
+    return Missing.NOTHING if estimate.state != MountState.WAITING else Missing.OTHER
