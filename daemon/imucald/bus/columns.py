@@ -24,6 +24,13 @@ FD_BYTES = 64
 """Payload of a CAN FD frame [bytes]."""
 
 
+MAX_CHANNELS = 255
+"""Channel indices are bytes; a log with more has been tampered with."""
+
+UNWANTED, WANTED, NO_ID = np.uint8(0), np.uint8(1), np.uint8(2)
+"""What an `IdFilter` says of an 11-bit id."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class FrameColumns:
     """N data frames in recorded order, one array for each property.
@@ -84,6 +91,25 @@ class IdMatch:
         return not (can_id ^ self.can_id) & self.full_mask
 
 
+class Channels:
+    """The channels of a recording in the order they were met; indices never change."""
+
+    def __init__(self) -> None:
+        self._index: dict[str, int] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return all names, in the order of their indices."""
+        return tuple(self._index)
+
+    def index(self, name: str) -> int | None:
+        """Return the index of a channel, new or not; None where there are too many."""
+        known = self._index.get(name)
+        if known is None and len(self._index) < MAX_CHANNELS:
+            known = self._index[name] = len(self._index)
+        return known
+
+
 def concatenate(parts: Sequence[FrameColumns]) -> FrameColumns:
     """Join chunks of one reader, in order; `parts` must not be empty."""
     if len(parts) == 1:
@@ -124,10 +150,12 @@ class IdFilter:
             if m.can_id & CAN_EFF_FLAG
         }
         ids = np.arange(CAN_SFF_MASK + 1, dtype=np.uint32)
-        self.standard = np.full(len(ids), self.everything)
-        """(2048,) bool: 11-bit id wanted."""
+        wanted = np.full(len(ids), self.everything)
         for m in standard:
-            self.standard |= ((ids ^ np.uint32(m.can_id)) & np.uint32(m.mask & CAN_EFF_MASK)) == 0
+            wanted |= ((ids ^ np.uint32(m.can_id)) & np.uint32(m.mask & CAN_EFF_MASK)) == 0
+        self.verdict = np.full(16**3, NO_ID, np.uint8)
+        """(4096,) u1, for three hexadecimal digits: WANTED, UNWANTED or, above 7FF, NO_ID."""
+        self.verdict[: len(ids)] = np.where(wanted, WANTED, UNWANTED)
         self._exact = np.array(sorted(i for i, m in extended if m == CAN_EFF_MASK), np.uint32)
         self._masked = sorted(pair for pair in extended if pair[1] != CAN_EFF_MASK)
 
@@ -144,4 +172,18 @@ class IdFilter:
         """Say whether one frame's id, flag included, is wanted."""
         if can_id & CAN_EFF_FLAG:
             return bool(self.extended(np.array([can_id & CAN_EFF_MASK], np.uint32))[0])
-        return bool(self.standard[can_id])
+        return bool(self.verdict[can_id] == WANTED)
+
+
+class IdFilters:
+    """The filter of each channel, made when the channel is first met."""
+
+    def __init__(self, keep: Sequence[IdMatch] | None) -> None:
+        self._keep = keep
+        self._of: dict[str, IdFilter] = {}
+
+    def of(self, channel: str) -> IdFilter:
+        """Return the filter of a channel. Ask only for channels that `Channels` accepted."""
+        if channel not in self._of:
+            self._of[channel] = IdFilter(self._keep, channel)
+        return self._of[channel]
