@@ -339,10 +339,12 @@ class PublishedEstimator:
             return
         self._vote_straight(block, f, dt)
         if known:
-            if not self._fast_enough(block.speed) or abs(dvdt) < self._settings.min_speed_change:
+            along = dvdt - offset[3]
+            least = self._settings.min_speed_change
+            if not self._fast_enough(block.speed) or max(abs(along), abs(dvdt)) < least:
                 self._close_after_hole(block.t0)
                 return
-            self._collect(block, dt, f, dvdt - offset[3], lateral - offset[4], dvdt)
+            self._collect(block, dt, f, along, lateral - offset[4], dvdt)
         else:
             self._collect_without_speed(block, dt, f)
 
@@ -354,6 +356,8 @@ class PublishedEstimator:
                     return False
             elif abs(self._lateral) > s.lateral_limit:  # the vehicle's own; False where NaN
                 return False
+            elif self._unexplained(block) > s.lateral_limit:
+                return False
         for recogniser in s.recognisers:
             if recogniser == "yaw_rate" and not isnan(block.yaw_rate):
                 gated = s.lateral_limit > 0.0 and not isnan(lateral)
@@ -364,6 +368,17 @@ class PublishedEstimator:
             if recogniser == "consistency":
                 return self._angles_agree()
         return False
+
+    def _unexplained(self, block: Block) -> float:
+        """Horizontal force beyond what dv/dt explains [m/s^2]: v r where no yaw rate is known."""
+        if isnan(block.dvdt) or not self._offset.ready:
+            return 0.0
+        mean = self._offset.mean()
+        level = self._current_level()
+        f = np.array((block.fx - mean[0], block.fy - mean[1], block.fz - mean[2]))
+        x, y = float(level[0] @ f), float(level[1] @ f)
+        along = block.dvdt - mean[3]
+        return math.sqrt(max(x * x + y * y - along * along, 0.0))
 
     def _angles_agree(self) -> bool:
         """Recogniser 3 on the smoothed angles of the last window; offset is taken off first.
@@ -399,7 +414,7 @@ class PublishedEstimator:
         m = self._open
         if m is not None and (
             not m.signed
-            or (m.peak > 0.0) != (dvdt > 0.0)
+            or (m.peak * dvdt < 0.0 and abs(dvdt) >= self._settings.min_speed_change)
             or block.t0 - m.stop > MANOEUVRE_HOLE
             or m.seconds >= MANOEUVRE_SECONDS
         ):

@@ -44,7 +44,7 @@ class PublishedSettings:
     # Step 4: straight variable-speed motion.
     recognisers: tuple[str, ...] = RECOGNISERS
     """Recognisers by preference; the first whose signal is there decides."""
-    yaw_rate_limit: float = math.radians(3.0)
+    yaw_rate_limit: float = math.radians(5.0)
     """Yaw rate of straight motion [rad/s] where v r is known and gated as well."""
     yaw_rate_limit_without_speed: float = math.radians(1.0)
     """The same where speed is unknown: 1 deg/s at 20 m/s is 0.35 m/s^2."""
@@ -59,7 +59,7 @@ class PublishedSettings:
     """Range within which they agree [rad]."""
     consistency_smoothing: int = 10
     """Ticks (0.1 s) averaged for each angle: road noise is as large as braking otherwise."""
-    lateral_limit: float = 0.8
+    lateral_limit: float = 1.0
     """Lateral acceleration v r of straight motion [m/s^2]; 0 switches the gate off."""
     min_speed_change: float = 0.4
     """Least |dv/dt| of variable-speed motion [m/s^2]: below, slope and noise decide the angle."""
@@ -67,7 +67,7 @@ class PublishedSettings:
     """|dv/dt| that a manoeuvre must reach to count [m/s^2]."""
     min_speed: float = 1.0
     """Speed [m/s] below which nothing is learnt: manoeuvring, clutch, signal dead zone."""
-    min_speed_unknown_gear: float = 3.0
+    min_speed_unknown_gear: float = 2.0
     """The same where no signal tells reverse gear: nobody reverses faster for long [m/s]."""
 
     # Step 5: the target angle and its sign.
@@ -75,7 +75,7 @@ class PublishedSettings:
     """What may tell accelerating from braking."""
     subtract_lateral: bool = True
     """Subtract v r where speed and yaw rate are known (beyond the publication)."""
-    remove_offset_after: float = 5.0
+    remove_offset_after: float = 4.0
     """Time constant [s] of the mean that is removed: slope, bank and bias wander. 0: never."""
     use_speed: bool = True
     """Use dv/dt for gate, sign and weight (beyond the publication for gate and weight)."""
