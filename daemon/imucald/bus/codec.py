@@ -7,7 +7,6 @@ is compared as raw value. The way back is in `encode`; databases are read by `da
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -16,17 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.bus.bits import (
-    MAX_FRAME_BYTES,
     Columns,
-    Field,
-    field_of,
     read_column,
     signed_column,
     words_of,
 )
 from imucald.bus.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
-from imucald.bus.database import Message, Signal
-from imucald.bus.scaling import Scaling, scaling_of
+from imucald.bus.database import Message
+from imucald.bus.extraction import Extraction, resolve
+from imucald.bus.generated import decode_functions
 from imucald.errors import DatabaseError, DecodeError
 
 J1939_BROADCAST_FORMAT = 240
@@ -37,9 +34,6 @@ J1939_PDU1_MASK = 0x03FF_0000
 
 J1939_PDU2_MASK = 0x03FF_FF00
 """The same with the group extension: the PGN of a broadcast message."""
-
-MAX_MULTIPLEXER_VALUE = 2**63
-"""Multiplexer values are compared as signed 64-bit integers in columns."""
 
 Raw = int | float | None
 RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
@@ -59,16 +53,6 @@ def id_match(message: Message, j1939: bool | None = None, channel: str | None = 
         return IdMatch(message.can_id, J1939_PDU2_MASK if is_pdu2 else J1939_PDU1_MASK, channel)
     is_extended = bool(message.can_id & CAN_EFF_FLAG)
     return IdMatch(message.can_id, CAN_EFF_MASK if is_extended else CAN_SFF_MASK, channel)
-
-
-@dataclass(frozen=True)
-class Extraction:
-    """One signal, resolved: its bits, its conversion and the multiplexers above it."""
-
-    signal: Signal
-    field: Field
-    scaling: Scaling
-    selectors: tuple[tuple[str, frozenset[int]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -107,7 +91,7 @@ class DecodePlan:
         self.extractions = tuple(extractions)
         self.multiplexers = dict(multiplexers)
         self.size = message.length
-        names = generate(self)
+        names = decode_functions(self.size, extractions, multiplexers, self.raise_short)
         self.decode_raw: Callable[[bytes | bytearray], tuple[Raw, ...]] = names["decode_raw"]
         self.scale: Callable[[Sequence[Raw]], tuple[float | None, ...]] = names["scale"]
         self.decode: Callable[[bytes | bytearray], tuple[float | None, ...]] = names["decode"]
@@ -163,26 +147,6 @@ def compile_decode(
     return DecodePlan(message, extractions, multiplexers, id_match(message, j1939, channel))
 
 
-def resolve(message: Message, name: str) -> Extraction:
-    """Bits, conversion and multiplexers of a signal; DatabaseError where they make no sense."""
-    signal = message.signal(name)
-    place = f"{message.source}: {message.name}.{name}"
-    scaling = scaling_of(signal, place)
-    field = field_of(signal)
-    if not 0 < message.length <= MAX_FRAME_BYTES:
-        raise DatabaseError(f"{place}: a message of {message.length} bytes is no CAN frame")
-    if field.first_bit < 0 or field.end_byte > message.length:
-        raise DatabaseError(f"{place}: lies outside its message of {message.length} bytes")
-    seen = {name}
-    for parent, ids in signal.selectors:
-        multiplexer = message.signals.get(parent)
-        is_broken = multiplexer is None or multiplexer.is_float or parent in seen or not ids
-        if is_broken or not 0 <= min(ids) <= max(ids) < MAX_MULTIPLEXER_VALUE:
-            raise DatabaseError(f"{place}: its multiplexer {parent} is broken")
-        seen.add(parent)
-    return Extraction(signal, field, scaling, signal.selectors)
-
-
 def _present(
     extraction: Extraction, selected: Mapping[str, NDArray[np.int64]], ok: NDArray[np.bool_]
 ) -> NDArray[np.bool_] | None:
@@ -217,121 +181,3 @@ def float_column(bits: NDArray[np.uint64], length: int) -> NDArray[np.float64]:
     narrow: NDArray[Any] = bits.astype(unsigned).view(floating)
     with np.errstate(invalid="ignore"):  # signalling NaNs come from the bus
         return narrow.astype(np.float64)
-
-
-# ---- generated functions ----
-
-_STRUCT_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
-_FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
-
-
-def generate(plan: DecodePlan) -> dict[str, Any]:
-    """Make the plan's functions `decode_raw`, `scale`, `decode`; also `body` (their first lines).
-
-    The text comes from numbers of checked type and from positions only, never from names in the
-    database.
-    """
-    body, scope = reading_lines(plan)
-    every = range(len(plan.extractions))
-    raw = [f"r{i}" for i in every]
-    physical = [physical_expression(e, f"r{i}") for i, e in enumerate(plan.extractions)]
-    lines = ["def decode_raw(data):", *body, f"    return ({_listing(raw)})"]
-    lines += ["def decode(data):", *body, f"    return ({_listing(physical)})"]
-    lines += ["def scale(raw):", *([f"    ({_listing(raw)}) = raw"] if raw else [])]
-    lines += [f"    return ({_listing(physical)})"]
-    exec("\n".join(lines), scope)
-    return scope
-
-
-def reading_lines(plan: DecodePlan) -> tuple[list[str], dict[str, Any]]:
-    """Lines that set r0, r1, ... from `data`, and the names they use."""
-    scope: dict[str, Any] = {"from_bytes": int.from_bytes, "short": plan.raise_short}
-    lines = [
-        f"    if len(data) != {plan.size}:",
-        f"        if len(data) < {plan.size}: short(len(data))",
-        f"        data = data[:{plan.size}]",
-    ]
-    wanted = [(f"m{i}", e) for i, e in enumerate(plan.multiplexers.values())]
-    wanted += [(f"r{i}", e) for i, e in enumerate(plan.extractions)]
-    grouped, loose = _split_aligned(wanted)
-    for order, group in grouped.items():
-        text, targets = _struct_group(order, group)
-        scope[f"unpack_{order}"] = struct.Struct(text).unpack_from
-        lines.append(f"    ({_listing(targets)}) = unpack_{order}(data)")
-    for order, short_name in (("little_endian", "little"), ("big_endian", "big")):
-        if any(e.field.byte_order == order for _, e in loose):
-            lines.append(f"    {short_name} = from_bytes(data, {short_name!r})")
-    for target, e in loose:
-        lines.append(f"    {target} = {_loose_expression(e, plan.size, scope)}")
-    multiplexer_names = {name: f"m{i}" for i, name in enumerate(plan.multiplexers)}
-    for i, e in enumerate(plan.extractions):
-        tests = []
-        for j, (name, ids) in enumerate(e.selectors):
-            if len(ids) == 1:
-                tests.append(f"{multiplexer_names[name]} != {next(iter(ids))}")
-            else:
-                scope[f"ids_{i}_{j}"] = ids
-                tests.append(f"{multiplexer_names[name]} not in ids_{i}_{j}")
-        if tests:
-            lines.append(f"    if {' or '.join(tests)}: r{i} = None")
-    return lines, scope
-
-
-def physical_expression(e: Extraction, raw: str) -> str:
-    """Python text of the physical value of a raw variable."""
-    text = e.scaling.expression.format(r=raw)
-    return f"None if {raw} is None else {text}" if e.selectors else text
-
-
-def _listing(names: Sequence[str]) -> str:
-    return "".join(f"{name}, " for name in names)
-
-
-def _split_aligned(
-    wanted: Sequence[tuple[str, Extraction]],
-) -> tuple[dict[str, list[tuple[str, Extraction]]], list[tuple[str, Extraction]]]:
-    """Signals that a struct can read, by byte order, and the rest."""
-    grouped: dict[str, list[tuple[str, Extraction]]] = {}
-    loose = []
-    ends = {"little_endian": 0, "big_endian": 0}
-    for target, e in sorted(wanted, key=lambda item: item[1].field.first_bit):
-        codes = _FLOAT_CODES if e.signal.is_float else _STRUCT_CODES
-        order, first = e.field.byte_order, e.field.first_bit
-        if first % 8 == 0 and e.field.length in codes and first >= ends[order]:
-            grouped.setdefault(order, []).append((target, e))
-            ends[order] = first + e.field.length
-        else:
-            loose.append((target, e))
-    return grouped, loose
-
-
-def _struct_group(order: str, group: Sequence[tuple[str, Extraction]]) -> tuple[str, list[str]]:
-    text = ">" if order == "big_endian" else "<"
-    at = 0
-    for _, e in group:
-        gap = e.field.first_bit // 8 - at
-        text += f"{gap}x" if gap else ""
-        text += _code(e.signal)
-        at = e.field.end_byte
-    return text, [target for target, _ in group]
-
-
-def _code(signal: Signal) -> str:
-    if signal.is_float:
-        return _FLOAT_CODES[signal.length]
-    code = _STRUCT_CODES[signal.length]
-    return code if signal.is_signed else code.upper()
-
-
-def _loose_expression(e: Extraction, size: int, scope: dict[str, Any]) -> str:
-    source = "big" if e.field.is_big else "little"
-    shift = e.field.shift(size)
-    text = f"{source} >> {shift} & {e.field.mask}" if shift else f"{source} & {e.field.mask}"
-    if e.signal.is_float:
-        code = _FLOAT_CODES[e.field.length]
-        scope[f"float_{code}"] = struct.Struct("<" + code).unpack
-        return f"float_{code}(({text}).to_bytes({e.field.length // 8}, 'little'))[0]"
-    if e.signal.is_signed:
-        top = 1 << e.field.length - 1
-        return f"({text} ^ {top}) - {top}"
-    return text

@@ -1,56 +1,26 @@
 """CAN databases (DBC, ARXML, KCD, SYM) read by cantools into plain, frozen descriptions.
 
 Nothing past this module knows cantools: a codec, a test or the `check` command sees `Message` and
-`Signal`. A database is untrusted input, so sizes that would exhaust memory in the parser are
-refused before it sees them, and whatever the parser raises becomes a `DatabaseError`.
+`Signal`. A database is untrusted input: what would exhaust the parser is refused before it sees it
+(`database_limits`), and whatever the parser raises becomes a `DatabaseError`.
 """
 
 from __future__ import annotations
 
 import importlib
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from imucald.bus.columns import CAN_EFF_FLAG
+from imucald.bus.database_limits import MAX_FILE_BYTES, refuse_heavy
 from imucald.errors import DatabaseError
 
 ByteOrder = Literal["little_endian", "big_endian"]
 
 ENCODINGS: Mapping[str, str] = {"dbc": "cp1252", "sym": "cp1252", "kcd": "utf-8", "arxml": "utf-8"}
 """Text encoding of each format, as the tools that write them have it."""
-
-MAX_FILE_BYTES = 256 * 2**20
-"""Vehicle-wide ARXML files reach 100 MB; more than this is no database."""
-
-MAX_MESSAGE_BYTES = 4096
-"""Longest message taken (J1939 transport: 1785); the parser's memory grows with it."""
-
-MAX_MULTIPLEXER_IDS = 65_536
-"""Most identifiers taken in one multiplexer range; the parser makes a list of them."""
-
-_HEAVY_NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
-    "dbc": (
-        (r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)", MAX_MESSAGE_BYTES),
-        (r"\bSG_\s+\w+\s*\w*\s*:\s*(\d+)\s*\|", 8 * MAX_MESSAGE_BYTES),
-        (r"\bSG_\s+\w+\s*\w*\s*:\s*\d+\s*\|\s*(\d+)", 8 * MAX_MESSAGE_BYTES),
-    ),
-    "kcd": (
-        (r"\b(?:length|offset)\s*=\s*[\"'](\d+)", 8 * MAX_MESSAGE_BYTES),
-        (r"<Message\b[^>]*\blength\s*=\s*[\"'](\d+)", MAX_MESSAGE_BYTES),
-    ),
-    "sym": (
-        (r"\bLen\s*=\s*(\d+)", MAX_MESSAGE_BYTES),
-        (r"\b(?:unsigned|signed|bit|char|string|raw)\s+(\d+)", 8 * MAX_MESSAGE_BYTES),
-        (r"\b(?:Sig|Var|Mux)\s*=[^\n/]*?\s(\d{5,})", 8 * MAX_MESSAGE_BYTES),
-    ),
-    "arxml": (
-        (r"<(?:\w+:)?(?:FRAME-LENGTH|LENGTH)>\s*(\d+)", 8 * MAX_MESSAGE_BYTES),
-        (r"<(?:\w+:)?START-POSITION>\s*(\d+)", 8 * MAX_MESSAGE_BYTES),
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -177,7 +147,7 @@ def _load_file(path: Path) -> Iterator[Message]:
 
 
 def _parse(text: str, database_format: str, source: str) -> Iterator[Message]:
-    _refuse_heavy(text, database_format, source)
+    refuse_heavy(text, database_format, source)
     # cantools imports python-can: let it find the one without heavy readers.
     importlib.import_module("imucald.bus.pythoncan")
     from cantools.database import load_string  # noqa: PLC0415
@@ -198,22 +168,6 @@ def _reason(error: Exception) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     text = lines[0] if lines else type(error).__name__
     return f"cannot be read: {text}"
-
-
-def _refuse_heavy(text: str, database_format: str, source: str) -> None:
-    for pattern, limit in _HEAVY_NUMBERS.get(database_format, ()):
-        for match in re.finditer(pattern, text):
-            digits = match.group(1)
-            if len(digits) > 12 or int(digits) > limit:
-                place = f"{source}:{text.count(chr(10), 0, match.start()) + 1}"
-                raise DatabaseError(f"{place}: the number {digits[:20]} is larger than {limit}")
-    if database_format != "dbc":
-        return
-    for match in re.finditer(r"\bSG_MUL_VAL_\s+\d+\s+\w+\s+\w+\s+([^;]*);", text):
-        ranges = re.findall(r"(\d{1,20})\s*-\s*(\d{1,20})", match.group(1))
-        if sum(int(high) - int(low) + 1 for low, high in ranges) > MAX_MULTIPLEXER_IDS:
-            place = f"{source}:{text.count(chr(10), 0, match.start()) + 1}"
-            raise DatabaseError(f"{place}: more than {MAX_MULTIPLEXER_IDS} multiplexer values")
 
 
 def _message(found: Any, source: str) -> Message:

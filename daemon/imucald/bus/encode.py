@@ -9,23 +9,17 @@ where it has none.
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from imucald.bus.bits import Columns, Field, field_of, write_bits, write_column
-from imucald.bus.codec import Extraction, resolve
+from imucald.bus.bits import Columns, field_of, write_bits, write_column
 from imucald.bus.database import Message, Signal
-from imucald.bus.scaling import raw_limits
+from imucald.bus.extraction import Extraction, resolve
+from imucald.bus.slots import FLOAT_CODES, Slot, float_bits
 from imucald.errors import DatabaseError, EncodeError
-
-RANGE_TOLERANCE = 1e-6
-"""Slack at a stated minimum or maximum, in raw steps: the rounding of numbers in a database."""
-
-_FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
 
 
 class EncodePlan:
@@ -47,7 +41,7 @@ class EncodePlan:
         self.size = message.length
         self.signal_names = tuple(e.signal.name for e in extractions)
         self.multiplexer = dict(multiplexer)
-        self._slots = [_Slot(message, e, not_available.get(e.signal.name)) for e in extractions]
+        self._slots = [Slot(message, e, not_available.get(e.signal.name)) for e in extractions]
         self.start_bytes = self._start_bytes()
         self._encode = self._generate()
 
@@ -134,73 +128,6 @@ class EncodePlan:
         return function
 
 
-class _Slot:
-    """One signal of an encode plan: range in raw steps and its not-available bits."""
-
-    def __init__(self, message: Message, e: Extraction, not_available: int | float | None) -> None:
-        self.field: Field = e.field
-        self.is_float = e.signal.is_float
-        self.place = f"{message.name}.{e.signal.name}"
-        self._scale = float(e.scaling.scale)
-        self._offset = float(e.scaling.offset)
-        self._is_identity = e.scaling.is_identity
-        self._minimum, self._maximum = _float_limits(e.signal)
-        self.lowest, self.highest = (0, 0) if self.is_float else _integer_limits(e.signal)
-        self._absent = None
-        if not_available is not None:
-            self._absent = _not_available_bits(e.signal, not_available, self.place)
-
-    def raw_expression(self, value: str) -> str:
-        """Python text of the raw number before rounding."""
-        if self._is_identity:
-            return value
-        return f"({value} - {self._offset!r}) / {self._scale!r}"
-
-    def bits(self, value: float | None) -> int:
-        """Bits of one value; EncodeError where it cannot be said."""
-        if value is not None and math.isfinite(value):
-            raw = value if self._is_identity else (value - self._offset) / self._scale
-            if self.is_float:
-                if self._minimum <= value <= self._maximum:
-                    found = _float_bits(raw, self.field.length)
-                    if found is not None:
-                        return found
-            elif math.isfinite(raw) and self.lowest <= round(raw) <= self.highest:
-                return round(raw) & self.field.mask
-        if self._absent is None:
-            raise EncodeError(f"{self.place}: {value} is out of its range")
-        return self._absent
-
-    def bits_column(self, values: NDArray[np.float64]) -> NDArray[np.uint64]:
-        """The same for (N,) values."""
-        with np.errstate(all="ignore"):
-            raw = values if self._is_identity else (values - self._offset) / self._scale
-            if self.is_float:
-                bits, good = _float_bits_column(raw, self.field.length)
-                good &= (values >= self._minimum) & (values <= self._maximum)
-            else:
-                bits, good = self._integer_bits_column(raw)
-            good &= np.isfinite(values)
-        if not good.all():
-            if self._absent is None:
-                value = values[~good][0]
-                raise EncodeError(f"{self.place}: {value} is out of its range")
-            bits[~good] = self._absent
-        return bits
-
-    def _integer_bits_column(
-        self, raw: NDArray[np.float64]
-    ) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
-        rounded = np.rint(raw)
-        good = (rounded >= _ceil_double(self.lowest)) & (rounded <= _floor_double(self.highest))
-        rounded = np.where(good, rounded, 0.0)
-        if self.lowest < 0:
-            bits = rounded.astype(np.int64).view(np.uint64) & np.uint64(self.field.mask)
-        else:
-            bits = rounded.astype(np.uint64)
-        return bits, good
-
-
 def compile_encode(
     message: Message,
     signal_names: Sequence[str],
@@ -242,71 +169,9 @@ def _choose_multiplexers(
     return {name: min(ids) for name, ids in allowed.items()}
 
 
-def _integer_limits(signal: Signal) -> tuple[int, int]:
-    """Lowest and highest raw integer within the bits and the stated physical range."""
-    lowest, highest = raw_limits(signal)
-    scale, offset = float(signal.scale), float(signal.offset)
-    ends = [
-        None if end is None or not math.isfinite(end) else (end - offset) / scale
-        for end in (signal.minimum, signal.maximum)
-    ]
-    low, high = ends if scale > 0 else reversed(ends)
-    if low is not None and math.isfinite(low):
-        lowest = max(lowest, math.ceil(low - RANGE_TOLERANCE))
-    if high is not None and math.isfinite(high):
-        highest = min(highest, math.floor(high + RANGE_TOLERANCE))
-    return lowest, highest
-
-
-def _float_limits(signal: Signal) -> tuple[float, float]:
-    low = -math.inf if signal.minimum is None else signal.minimum
-    high = math.inf if signal.maximum is None else signal.maximum
-    return low, high
-
-
-def _ceil_double(limit: int) -> float:
-    """Smallest double that is not below the limit."""
-    near = float(limit)
-    return near if int(near) >= limit else math.nextafter(near, math.inf)
-
-
-def _floor_double(limit: int) -> float:
-    """Largest double that is not above the limit."""
-    near = float(limit)
-    return near if int(near) <= limit else math.nextafter(near, -math.inf)
-
-
-def _float_bits(raw: float, length: int) -> int | None:
-    """IEEE 754 bits; None where the number is too large for the length."""
-    try:
-        return int.from_bytes(struct.pack("<" + _FLOAT_CODES[length], raw), "little")
-    except OverflowError:
-        return None
-
-
-def _float_bits_column(
-    raw: NDArray[np.float64], length: int
-) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
-    if length == 64:
-        return raw.copy().view(np.uint64), np.isfinite(raw)
-    floating, unsigned = (np.float32, np.uint32) if length == 32 else (np.float16, np.uint16)
-    narrow: NDArray[Any] = raw.astype(floating)
-    return narrow.view(unsigned).astype(np.uint64), np.isfinite(narrow)
-
-
-def _not_available_bits(signal: Signal, raw: int | float, place: str) -> int:
-    if signal.is_float:
-        found = _float_bits(float(raw), signal.length)
-        if found is not None:
-            return found
-    elif float(raw).is_integer() and -(1 << signal.length - 1) <= raw < 1 << signal.length:
-        return int(raw) & ((1 << signal.length) - 1)
-    raise DatabaseError(f"{place}: not-available raw value {raw} does not fit its bits")
-
-
 def _start_bits(signal: Signal, raw: int | float) -> int:
     mask = (1 << signal.length) - 1
     if not signal.is_float:
         return round(raw) & mask if math.isfinite(raw) else 0
-    found = _float_bits(float(raw), signal.length) if signal.length in _FLOAT_CODES else None
+    found = float_bits(float(raw), signal.length) if signal.length in FLOAT_CODES else None
     return found or 0

@@ -1,9 +1,9 @@
-"""Protection of CAN messages: length, checksum, alive counter, time-out; the way in and out.
+"""Protection of the frames that come in: length, checksum, alive counter, time-out.
 
 A frame that fails is dropped whole, with one counted reason. After a fault the next `recovery`
 good frames are dropped too ("untrusted"). One frame at a time (`check`) and columns
 (`check_columns`) give the same reasons and leave the same state, in any mixture. What only
-concerns one signal (not available, implausible) is judged by `validity`.
+concerns one signal (not available, implausible) is judged in `quantities`.
 
 The order of judgement: "short_frame", "checksum" (with the data id), "counter_invalid": such a
 frame says nothing, and its counter is not read. Then "timeout": the first good frame after a
@@ -16,25 +16,23 @@ is one fault.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.bus.bits import (
-    MAX_FRAME_BYTES,
-    Columns,
-    Field,
-    field_of,
-    read_bits,
-    read_column,
-    words_of,
-    write_bits,
-    write_column,
-)
-from imucald.bus.checksums import Checksum, ChecksumSpec
-from imucald.bus.database import Signal
-from imucald.errors import ConfigError, EncodeError
+from imucald.bus.bits import Columns, read_bits, read_column, words_of
+from imucald.bus.checksums import Checksum
+from imucald.bus.protection_spec import CounterSpec, ProtectionSpec, counter_of, e2e_counter
+from imucald.bus.protector import OutputProtector
+
+__all__ = [
+    "REASONS",
+    "CounterSpec",
+    "MessageGuard",
+    "OutputProtector",
+    "ProtectionSpec",
+    "counter_of",
+    "e2e_counter",
+]
 
 REASONS = (
     "",
@@ -50,74 +48,6 @@ REASONS = (
 """Text of each reason code; code 0 is an accepted frame."""
 
 OK, SHORT, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED = range(len(REASONS))
-
-DEFAULT_RECOVERY = 3
-"""Good frames in a row after a fault before a message is trusted again."""
-
-DEFAULT_TIMEOUT_CYCLES = 10.0
-"""Silence, in cycle times, after which a message is timed out."""
-
-E2E_COUNTER_MODULUS = {1: 15, 2: 16, 5: 256, 11: 15}
-"""Values of the alive counter in AUTOSAR E2E profiles (1 and 11 leave 15 out)."""
-
-
-@dataclass(frozen=True)
-class CounterSpec:
-    """An alive counter: its bits, its number of values, the largest step accepted."""
-
-    field: Field
-    modulus: int
-    max_jump: int = 2
-
-    def __post_init__(self) -> None:
-        if not 2 <= self.modulus <= 1 << self.field.length:
-            raise ConfigError(f"{self.field.length} bits do not count {self.modulus} values")
-        if not 1 <= self.max_jump < self.modulus:
-            raise ConfigError(f"largest counter step {self.max_jump} of {self.modulus} values")
-
-
-@dataclass(frozen=True)
-class ProtectionSpec:
-    """How one message is protected. `size`: bytes it has. `cycle_time` [s]: None, no time-out."""
-
-    size: int
-    counter: CounterSpec | None = None
-    checksum: ChecksumSpec | None = None
-    cycle_time: float | None = None
-    timeout_cycles: float = DEFAULT_TIMEOUT_CYCLES
-    recovery: int = DEFAULT_RECOVERY
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.size <= MAX_FRAME_BYTES:
-            raise ConfigError(f"a message of {self.size} bytes is no CAN frame")
-        if self.counter is not None and self.counter.field.end_byte > self.size:
-            raise ConfigError(f"the counter is beyond a message of {self.size} bytes")
-        if self.checksum is not None and self.checksum.size > self.size:
-            raise ConfigError(f"the checksum is beyond a message of {self.size} bytes")
-        if self.recovery < 0:
-            raise ConfigError("recovery frames cannot be negative")
-        if self.cycle_time is not None and not self.cycle_time * self.timeout_cycles > 0.0:
-            raise ConfigError("cycle time and time-out must be positive")
-
-    @property
-    def timeout(self) -> float | None:
-        """Silence that is a fault [s]; None where the cycle time is not known."""
-        return None if self.cycle_time is None else self.cycle_time * self.timeout_cycles
-
-
-def counter_of(signal: Signal, modulus: int | None = None, max_jump: int = 2) -> CounterSpec:
-    """Alive counter in a signal's bits; it wraps at the bits' end unless `modulus` is given."""
-    return CounterSpec(field_of(signal), modulus or 1 << signal.length, max_jump)
-
-
-def e2e_counter(profile: int, offset_bit: int, max_jump: int = 2) -> CounterSpec:
-    """Alive counter of AUTOSAR E2E profile 1, 2, 5 or 11 at its bit offset."""
-    if profile not in E2E_COUNTER_MODULUS:
-        raise ConfigError(f"E2E profile {profile} is not one of {list(E2E_COUNTER_MODULUS)}")
-    length = 8 if profile == 5 else 4
-    return CounterSpec(
-        Field(offset_bit, length, "little_endian"), E2E_COUNTER_MODULUS[profile], max_jump
-    )
 
 
 class MessageGuard:
@@ -283,64 +213,3 @@ class MessageGuard:
         since = row - last_fault
         codes[(codes == OK) & (since <= recovery)] = UNTRUSTED
         self._distrust = max(0, recovery - int(since[-1]))
-
-
-class OutputProtector:
-    """Puts alive counter, data id and checksum into the encoded frames of one message.
-
-    The counter starts at 0 and goes up by one with each frame, one by one or in columns.
-    """
-
-    def __init__(self, spec: ProtectionSpec) -> None:
-        self.spec = spec
-        self._next = 0
-        self._checksum = None if spec.checksum is None else Checksum(spec.checksum)
-
-    def protect(self, data: bytes | bytearray) -> bytes:
-        """Return the frame with its protection; EncodeError where it is too short for it."""
-        self._refuse_short(len(data))
-        payload = bytearray(data)
-        counter = self.spec.counter
-        if counter is not None:
-            write_bits(payload, counter.field, self._next)
-            self._next = (self._next + 1) % counter.modulus
-        if self._checksum is not None:
-            spec = self._checksum.spec
-            if spec.fixed is not None:
-                write_bits(payload, *spec.fixed)
-            end = spec.position + spec.width
-            value = self._checksum.compute(payload)
-            payload[spec.position : end] = value.to_bytes(spec.width, "little")
-        return bytes(payload)
-
-    def protect_columns(self, data: Columns) -> Columns:
-        """Return (N, W) frames with their protection; the same bytes as one by one."""
-        count, width = data.shape
-        self._refuse_short(width)
-        out = np.zeros((count, -(-width // 8) * 8), np.uint8)
-        out[:, :width] = data
-        counter = self.spec.counter
-        if counter is not None:
-            values = (self._next + np.arange(count)) % counter.modulus
-            _overwrite(out, counter.field, values.astype(np.uint64))
-            self._next = (self._next + count) % counter.modulus
-        if self._checksum is not None:
-            spec = self._checksum.spec
-            if spec.fixed is not None:
-                field, value = spec.fixed
-                _overwrite(out, field, np.full(count, value, np.uint64))
-            crc = self._checksum.compute_columns(out)
-            for i in range(spec.width):
-                out[:, spec.position + i] = (crc >> np.uint16(8 * i)) & np.uint16(0xFF)
-        return np.ascontiguousarray(out[:, :width])
-
-    def _refuse_short(self, length: int) -> None:
-        if length < self.spec.size:
-            raise EncodeError(f"a frame of {length} bytes is too short for its protection")
-
-
-def _overwrite(out: Columns, field: Field, values: NDArray[np.uint64]) -> None:
-    keep = bytearray(b"\xff" * out.shape[1])
-    write_bits(keep, field, 0)
-    out &= np.frombuffer(keep, np.uint8)
-    write_column(out, field, values)
