@@ -168,5 +168,7 @@ def _steering_wander(route: Route, seed: int, speed: Array, rate: float) -> Arra
     accel = route.steering_wander_mps2 * gauss_markov(
         rng, len(speed), 1.0 / rate, STEERING_WANDER_S
     )
-    wander: Array = accel / np.maximum(np.abs(speed), MIN_SPEED_FOR_WANDER) ** 2
-    return wander
+    v = np.abs(speed)
+    # A hand at rest holds the wheel still; the corrections fade out with the speed.
+    wander: Array = accel / np.maximum(v, MIN_SPEED_FOR_WANDER) ** 2
+    return wander * np.minimum(v / MIN_SPEED_FOR_WANDER, 1.0)

@@ -22,7 +22,7 @@ from imucald.simulation.vehicle_model import Mount
 
 REFERENCE_DEGC = 25.0
 REFERENCE_SPEED_MPS = 20.0
-VIBRATION_CORNER_HZ = 8.0
+VIBRATION_CORNER_HZ = 2.0
 """Body vibration is white above this frequency and falls off below it."""
 IDLE_HZ = 26.0
 """Second order of a four-cylinder engine idling at 780 1/min."""

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 from pydantic import Field, ValidationError
 
+from imucald.config import MAX_FILE_BYTES, Marks, read_yaml
 from imucald.errors import ConfigError
 from imucald.simulation.section import Positive, Section
 from imucald.simulation.sensor_model import (
@@ -83,49 +84,33 @@ def model_from_mapping(data: object, place: str) -> Model:
 def load_model(path: Path | str) -> Model:
     """Read a model file. Raises ConfigError with file, line, key and reason."""
     try:
+        size = Path(path).stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise ConfigError(f"{path}: {size} bytes is too long for a model file")
         text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
-    try:
-        data = yaml.safe_load(text)
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: not valid YAML: {error}") from error
-    lines: dict[tuple[str, ...], int] = {}
-    _collect_lines(node, (), lines)
-    return _validated({} if data is None else data, str(path), lines)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text: {error.reason}") from None
+    data, marks = read_yaml(text, str(path))
+    return _validated({} if data is None else data, str(path), marks)
 
 
-def _validated(data: object, place: str, lines: Mapping[tuple[str, ...], int]) -> Model:
+def _validated(data: object, place: str, marks: Marks) -> Model:
     try:
         return Model.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(
-            "\n".join(
-                _describe(place, tuple(str(part) for part in item["loc"]), item["msg"], lines)
-                for item in error.errors(include_url=False, include_context=False)
-            )
-        ) from error
+        lines = [
+            _describe(place, item["loc"], item["msg"], marks)
+            for item in error.errors(include_url=False, include_context=False)
+        ]
+        raise ConfigError("\n".join(lines)) from None
 
 
-def _describe(
-    place: str, key: tuple[str, ...], reason: str, lines: Mapping[tuple[str, ...], int]
-) -> str:
-    line = next((lines[key[:n]] for n in range(len(key), 0, -1) if key[:n] in lines), None)
-    where = place if line is None else f"{place}:{line}"
-    return f"{where}: {'.'.join(key) or 'model'}: {reason}"
-
-
-def _collect_lines(
-    node: yaml.Node | None, key: tuple[str, ...], lines: dict[tuple[str, ...], int]
-) -> None:
-    if isinstance(node, yaml.MappingNode):
-        for name, value in node.value:
-            path = (*key, str(name.value))
-            lines[path] = name.start_mark.line + 1
-            _collect_lines(value, path, lines)
-    elif isinstance(node, yaml.SequenceNode):
-        for i, value in enumerate(node.value):
-            path = (*key, str(i))
-            lines[path] = value.start_mark.line + 1
-            _collect_lines(value, path, lines)
+def _describe(place: str, key: tuple[str | int, ...], reason: str, marks: Marks) -> str:
+    known = next((key[:n] for n in range(len(key), 0, -1) if key[:n] in marks), None)
+    where = place if known is None else f"{place}:{marks[known]}"
+    name = ".".join(str(part) for part in key) or "model"
+    reason = reason.removeprefix("Value error, ").replace("Extra inputs are not permitted",
+                                                          "unknown key; leave it out")  # fmt: skip
+    return f"{where}: {name}: {reason[:1].lower()}{reason[1:]}"

@@ -79,10 +79,10 @@ def random_model(
         },
         "road": {
             "grade_rms": SLOPE_RMS,
-            "grade_length_m": uniform(100.0, 250.0),
+            "grade_length_m": uniform(60.0, 180.0),
             "crown_mean": crown,
             "bank_rms": wander,
-            "bank_length_m": uniform(50.0, 150.0),
+            "bank_length_m": uniform(30.0, 100.0),
             "superelevation": uniform(0.0, 0.5),
             "roughness_n0": 16e-6 * 2.0 ** uniform(0.0, 3.0),
         },

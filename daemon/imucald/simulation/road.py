@@ -13,9 +13,9 @@ from imucald.simulation.vehicle_model import Chassis, Road, Route, Suspension
 
 REFERENCE_WAVENUMBER = 0.1
 """[cycles/m] of ISO 8608."""
-LONGEST_ROUGHNESS_M = 40.0
+LONGEST_ROUGHNESS_M = 100.0
 """Waves longer than this belong to slope and cross fall."""
-LONGEST_TILT_M = 8.0
+LONGEST_TILT_M = 20.0
 """Longer waves lift both tracks alike."""
 SMOOTHER_FROM_MPS = 15.0
 """Faster roads are smoother: the density falls by 1 + (v / this)^2."""

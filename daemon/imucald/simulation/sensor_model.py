@@ -93,7 +93,7 @@ class Gyroscope(Triad):
 
     noise_density: NonNegative = 0.00012
     lowpass_hz: Positive | None = 40.0
-    full_scale: Positive | None = 4.36
+    full_scale: Positive | None = 4.363323
     lsb: NonNegative = 0.00035
     g_sensitivity: Vector3 = ZERO
     """Rate per specific force on the same axis [(rad/s)/(m/s^2)]."""

@@ -102,14 +102,14 @@ class Road(Section):
     """rms of the slope along the road (tangent), about its mean."""
     grade_mean: float = 0.0
     """Mean slope (tangent), positive uphill."""
-    grade_length_m: Positive = 160.0
+    grade_length_m: Positive = 110.0
     """Distance over which the slope forgets itself (second-order Gauss-Markov)."""
     bank: bool = True
     crown_mean: float = 0.012
     """Mean cross fall towards the kerb (tangent)."""
     bank_rms: NonNegative = 0.015
     """rms of the cross fall about its mean."""
-    bank_length_m: Positive = 90.0
+    bank_length_m: Positive = 60.0
     superelevation: Fraction = 0.3
     """Share of the centripetal acceleration that banked curves take off, outside cities."""
     superelevation_max: NonNegative = 0.05

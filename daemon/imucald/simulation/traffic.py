@@ -1,0 +1,154 @@
+"""The bus that frames share: arbitration, and the traffic of all other units."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.bus.columns import CAN_EFF_FLAG, FrameColumns
+from imucald.simulation.filters import Array, generator
+
+STANDARD_BITS = 47
+"""Bits of an 11-bit data frame without payload, with the gap to the next one."""
+EXTENDED_BITS = 67
+STUFFING = 1.1
+"""Stuffed bits, on average."""
+SWAP_PASSES = 8
+"""Frames waiting at once are few; neighbours are put in order of priority this many times."""
+CYCLES_S = (0.01, 0.02, 0.05, 0.1, 1.0)
+CYCLE_SHARES = (0.22, 0.22, 0.16, 0.28, 0.12)
+"""How many messages of a real bus have each cycle."""
+
+
+def background(
+    seed: int, frames_per_s: float, avoid: frozenset[int], start_s: float, stop_s: float
+) -> FrameColumns:
+    """Frames of other units in [start_s, stop_s); the same messages whatever the interval."""
+    rng = generator(seed, "background")
+    cycles: list[float] = []
+    while sum(1.0 / c for c in cycles) < frames_per_s:
+        cycles.append(float(rng.choice(CYCLES_S, p=CYCLE_SHARES)))
+    free = np.array([i for i in range(0x080, 0x7F0) if i not in avoid])
+    if len(cycles) > len(free):
+        cycles = cycles[: len(free)]
+    ids = rng.permutation(free)[: len(cycles)]
+    phases = rng.random(len(cycles))
+    constant = rng.integers(0, 256, (len(cycles), 8), dtype=np.uint8)
+    changing = rng.random((len(cycles), 8)) < 0.4
+    t, index = _moments(np.array(cycles), phases, start_s, stop_s)
+    noise = generator(seed, f"background:{start_s:.3f}")
+    t = t + noise.standard_exponential(len(t)) * 2e-4
+    data = constant[index]
+    random_bytes = noise.integers(0, 256, data.shape, dtype=np.uint8)
+    data = np.where(changing[index], random_bytes, data)
+    n = len(t)
+    return FrameColumns(
+        t, ids[index].astype(np.uint32), np.full(n, 8, np.uint8), data, np.zeros(n, np.uint8),
+        ("can0",),
+    )  # fmt: skip
+
+
+def _moments(
+    cycles: Array, phases: Array, start_s: float, stop_s: float
+) -> tuple[Array, NDArray[np.int64]]:
+    times, owners = [], []
+    for i, (cycle, phase) in enumerate(zip(cycles.tolist(), phases.tolist(), strict=True)):
+        first = max(0, int(np.ceil(start_s / cycle - phase)))
+        t = (np.arange(first, int(np.ceil(stop_s / cycle - phase))) + phase) * cycle
+        times.append(t)
+        owners.append(np.full(len(t), i, np.int64))
+    if not times:
+        return np.zeros(0), np.zeros(0, np.int64)
+    return np.concatenate(times), np.concatenate(owners)
+
+
+def arbitrated(frames: FrameColumns, bitrate: float, busy_until: float) -> FrameColumns:
+    """Send frames over one bus: none overlaps, the lower id goes first among those that wait.
+
+    frames: any order; t is when each was handed over. busy_until: when the bus is free first [s].
+    The t of the result is the end of each frame, when receivers take its stamp.
+    """
+    order = np.argsort(frames.t, kind="stable")
+    request = frames.t[order]
+    duration = _durations(frames, bitrate)[order]
+    priority = _priority(frames.can_id)[order]
+    end = _ends(request, duration, busy_until)
+    for _ in range(SWAP_PASSES):
+        swapped = False
+        for odd in (0, 1):
+            swapped |= _swap(order, request, duration, priority, end, odd)
+            end = _ends(request, duration, busy_until)
+        if not swapped:
+            break
+    sent = frames.take(order)
+    return FrameColumns(
+        end, sent.can_id, sent.length, sent.data, sent.channel, sent.channels, sent.fd
+    )
+
+
+def _ends(request: Array, duration: Array, busy_until: float) -> Array:
+    """End of each frame in a first-come queue: end[k] = max(request[k], end[k-1]) + duration[k]."""
+    total = np.cumsum(duration)
+    slack = np.maximum.accumulate(np.maximum(request, busy_until) - (total - duration))
+    ends: Array = slack + total
+    return ends
+
+
+def _swap(
+    order: NDArray[np.intp],
+    request: Array,
+    duration: Array,
+    priority: NDArray[np.int64],
+    end: Array,
+    odd: int,
+) -> bool:
+    """Exchange neighbours where the later one has priority and was there in time."""
+    first = np.arange(odd, len(order) - 1, 2)
+    start = end[first] - duration[first]
+    late = (priority[first + 1] < priority[first]) & (request[first + 1] <= start)
+    a = first[late]
+    for column in (order, request, duration, priority):
+        column[a], column[a + 1] = column[a + 1].copy(), column[a].copy()
+    return bool(len(a))
+
+
+def _durations(frames: FrameColumns, bitrate: float) -> Array:
+    extended = (frames.can_id & CAN_EFF_FLAG) != 0
+    bits = np.where(extended, EXTENDED_BITS, STANDARD_BITS) + 8.0 * frames.length
+    durations: Array = bits * (STUFFING / bitrate)
+    return durations
+
+
+def _priority(can_id: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """Order of arbitration: the first 11 bits decide, then the standard frame wins."""
+    extended = (can_id & CAN_EFF_FLAG) != 0
+    number = (can_id & 0x1FFF_FFFF).astype(np.int64)
+    result: NDArray[np.int64] = np.where(extended, (number << 1) | 1, number << 19)
+    return result
+
+
+def joined(parts: Sequence[FrameColumns]) -> FrameColumns:
+    """Put frames of several messages into one, channels and widths made common."""
+    channels = tuple(dict.fromkeys(name for part in parts for name in part.channels))
+    width = max(part.data.shape[1] for part in parts)
+
+    def widened(part: FrameColumns) -> NDArray[np.uint8]:
+        return np.pad(part.data, ((0, 0), (0, width - part.data.shape[1])))
+
+    def renumbered(part: FrameColumns) -> NDArray[np.uint8]:
+        table = np.array([channels.index(name) for name in part.channels], np.uint8)
+        return table[part.channel]
+
+    has_fd = any(part.fd is not None for part in parts)
+    fd = [np.zeros(len(p), dtype=bool) if p.fd is None else p.fd for p in parts]
+    return FrameColumns(
+        t=np.concatenate([part.t for part in parts]),
+        can_id=np.concatenate([part.can_id for part in parts]),
+        length=np.concatenate([part.length for part in parts]),
+        data=np.concatenate([widened(part) for part in parts]),
+        channel=np.concatenate([renumbered(part) for part in parts]),
+        channels=channels,
+        fd=np.concatenate(fd) if has_fd else None,
+    )
