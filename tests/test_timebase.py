@@ -54,9 +54,20 @@ def test_an_hour_back_is_a_new_segment_that_goes_on_within_a_tick():
     assert base.steps == 1
 
 
-def test_a_hole_is_bridged_without_carrying_its_length():
+def test_a_long_hole_is_shortened_whether_or_not_somebody_watched_it():
+    asleep, awake = TimeBase(), TimeBase()
+    for base in (asleep, awake):
+        base.one(0.0)
+        base.one(1.23)
+    for elapsed in np.arange(0.0, 498.0, 0.5):
+        awake.idle(elapsed)
+    assert asleep.one(500.0) == awake.one(500.0)
+    assert asleep.now <= 1.23 + 10.1 + 1e-9
+
+
+def test_a_short_silence_keeps_its_length():
     base = TimeBase()
     base.one(0.0)
-    t, gap = base.one(500.0)
-    assert gap
-    assert t <= 0.1 + 1e-12
+    base.idle(3.0)
+    t, gap = base.one(4.0)
+    assert (t, gap) == (4.0, False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,6 +18,8 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from imucald.errors import ConfigError
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.published_settings import PublishedSettings
 
 MAX_FILE_BYTES = 1_000_000
 """Largest accepted file: a thousand times a real one."""
@@ -71,8 +74,6 @@ class Source(_Model):
     """Added to the physical value, in its unit, before the sign."""
     channel: str | None = None
     """Bus of a recording with several; without effect on a live bus."""
-    delay: float | None = Field(None, ge=-0.5, le=2.0)
-    """Known age of the value when its frame arrives [s]."""
     range: tuple[float, float] | None = None
     """Plausible physical values, in the source's unit, before offset and sign."""
     not_available: tuple[int, ...] = ()
@@ -263,50 +264,107 @@ class Vehicle(_Model):
     """Identity; a saved state is used for the same vehicle only."""
     driving_side: Literal["left", "right", "unknown"] = "unknown"
     """Side of the road it drives on: the road's crown leans the vehicle towards the kerb."""
-    crown_percent: float = Field(1.5, ge=0, le=5)
+    crown_percent: float = Field(1.2, ge=0, le=5)
     """Mean cross slope of the roads it uses, towards the kerb."""
-    crown_spread_percent: float = Field(1.0, gt=0, le=5)
+    crown_spread_percent: float = Field(0.6, gt=0, le=5)
+    """Spread of that mean from drive to drive."""
     wheelbase: Positive = 2.7
     """[m]; turns the steering angle into a yaw rate where there is no other."""
     steering_ratio: Positive = 15.0
+    """Steering-wheel angle over road-wheel angle."""
+    track: Positive = 1.55
+    """[m]; how much the wheels may differ in a curve."""
+
+
+_METHOD_A = PublishedSettings()
+_FULL = EstimatorSettings()
+
+
+def _deg(radians: float) -> float:
+    return round(math.degrees(radians), 6)
 
 
 class StaticTest(_Model):
-    """Method A, steps 1 and 2: when the vehicle stands, and its tilt from gravity."""
+    """Method A, steps 1 to 3: when the vehicle stands, and its tilt from gravity."""
 
-    samples: int = Field(100, ge=5, le=100_000)
-    threshold: tuple[Positive, Positive, Positive] = (0.5, 0.5, 0.5)
-    """Largest max - min per axis [m/s^2]."""
+    samples: int = Field(_METHOD_A.static.count, ge=2, le=100_000)
+    """Accelerometer samples that a window needs."""
+    duration: Positive = _METHOD_A.static.seconds
+    """Time that it must span [s]."""
+    threshold: tuple[Positive, Positive, Positive] = _METHOD_A.static.thresholds
+    """Largest max - min per axis [m/s^2], where speed is not known."""
+    threshold_at_zero_speed: tuple[Positive, Positive, Positive] = (
+        _METHOD_A.static.thresholds_at_zero_speed
+    )
+    """The same where speed is known to be zero: a running engine shakes the sensor."""
+    standstill_speed: Positive = _METHOD_A.standstill_speed
+    """Speed up to which the vehicle stands [m/s]."""
+    average_stops: bool = _METHOD_A.average_stops
+    """All stops count (beyond the publication); else the last one decides."""
 
 
 class StraightMotion(_Model):
     """Method A, step 4: which motion counts as straight and of variable speed."""
 
-    recognise_by: tuple[Literal["steering", "yaw_rate", "consistency"], ...] = Field(
+    recognise_by: tuple[Literal["yaw_rate", "steering", "consistency"], ...] = Field(
         ("yaw_rate", "steering", "consistency"), min_length=1
     )
-    """Ways to recognise it, in order of preference; the first whose signal is there is used."""
-    steering_limit_deg: Positive = 10.0
-    yaw_rate_limit_deg_s: Positive = 2.0
-    lateral_limit: Positive = 0.4
-    """Largest |v r| [m/s^2]."""
-    min_acceleration: Positive = 0.6
-    """Smallest |dv/dt|, or horizontal specific force without a speed [m/s^2]."""
-    consistency_window: Positive = 1.0
-    """[s]"""
-    consistency_range_deg: Positive = 10.0
+    """In order of preference; the first whose signal is there decides."""
+    yaw_rate_limit_deg_s: Positive = _deg(_METHOD_A.yaw_rate_limit)
+    yaw_rate_limit_without_speed_deg_s: Positive = _deg(_METHOD_A.yaw_rate_limit_without_speed)
+    steering_limit_deg: Positive = _deg(_METHOD_A.steering_limit)
+    lateral_limit: float = Field(_METHOD_A.lateral_limit, ge=0)
+    """Largest |v r| [m/s^2]; 0 switches this gate off."""
+    min_speed_change: Positive = _METHOD_A.min_speed_change
+    """Smallest |dv/dt| [m/s^2]."""
+    manoeuvre_peak: Positive = _METHOD_A.manoeuvre_peak
+    """|dv/dt| that a manoeuvre must reach to count [m/s^2]."""
+    min_speed: Positive = _METHOD_A.min_speed
+    """[m/s]"""
+    consistency_window: int = Field(_METHOD_A.consistency_window, ge=2, le=1000)
+    """Successive angles, ten a second, that must agree."""
+    consistency_range_deg: Positive = _deg(_METHOD_A.consistency_spread)
+
+
+class TargetAngle(_Model):
+    """Method A, step 5: the yaw angle and its sign."""
+
+    sign_from: tuple[Literal["speed", "brake", "turn", "first_motion"], ...] = Field(
+        ("speed", "brake", "turn", "first_motion"), min_length=1
+    )
+    """What may tell accelerating from braking, in order of preference."""
+    subtract_lateral: bool = _METHOD_A.subtract_lateral
+    """Subtract v r where speed and yaw rate are known (beyond the publication)."""
+    remove_offset_after: float = Field(_METHOD_A.remove_offset_after, ge=0)
+    """Time constant of the mean that is removed, since slope and bias wander [s]; 0: never."""
+
+
+class States(_Model):
+    """From which standard deviations on the estimate is used; left again at 1.4 times."""
+
+    usable_yaw_deg: Positive = _deg(_FULL.usable_std)
+    usable_tilt_deg: Positive = _deg(_FULL.usable_tilt_std)
+    fine_yaw_deg: Positive = _deg(_FULL.fine_std)
+    fine_tilt_deg: Positive = _deg(_FULL.fine_tilt_std)
 
 
 class Calibration(_Model):
     """How the mount is found."""
 
     estimator: Literal["full", "published"] = "full"
+    """"published" is method A alone; "full" fuses all the evidence there is."""
+    accelerometer_bias: Positive = round(_FULL.accel_bias_std, 6)
+    """Standard deviation of the accelerometer's zero error [m/s^2]."""
+    accelerometer_range: Positive | None = None
+    """Full scale [m/s^2]; nothing is learnt close to it."""
+    cross_axis: float = Field(0.0, ge=0, le=0.05)
+    """Cross-axis error of the accelerometer (part): widens the intervals."""
+    speed_delay: float | None = Field(None, ge=-0.5, le=1.2)
+    """How late speed is against the accelerometer [s]; estimated when absent."""
+    states: States = States()
     static: StaticTest = StaticTest()
     straight: StraightMotion = StraightMotion()
-    accelerometer_bias: Positive = 0.1
-    """Standard deviation of its zero error [m/s^2] (0.1 is 10 mg)."""
-    speed_delay: float | None = Field(None, ge=-0.5, le=2.0)
-    """Age of the speed when its frame arrives [s]; estimated when absent."""
+    target_angle: TargetAngle = TargetAngle()
 
 
 class Config(_Model):
@@ -336,6 +394,11 @@ class LoadedConfig:
         """Return a database's absolute path: relative ones are relative to the configuration."""
         base = self.path.parent if self.path is not None else Path.cwd()
         return (base / database.path).resolve()
+
+    def with_databases(self, entries: tuple[Database, ...]) -> LoadedConfig:
+        """The same configuration with other database entries."""
+        config = self.config.model_copy(update={"database": entries})
+        return LoadedConfig(config, self.path, self._marks)
 
     def error(self, place: tuple[str | int, ...], text: str) -> ConfigError:
         """An error at a key of the file, such as ("signals", "speed", 0)."""

@@ -7,7 +7,7 @@ give the same frames in the same order; the two may be mixed on one engine.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,10 +74,10 @@ class Engine:
         """
         t, gap = self.timebase.one(stamp)
         out: list[OutFrame] = []
-        if gap:
-            out += self._statuses(self.pipeline.gap())
         k = tick_index(t)
-        if k > self.pipeline.k:
+        if gap:
+            out += self._statuses(self.pipeline.gap(k))
+        elif k > self.pipeline.k:
             out += self._statuses(self.pipeline.advance(k))
         samples, rejected = self.router.frame(t, can_id, data)
         for channel in rejected:
@@ -100,13 +100,22 @@ class Engine:
         self.sent += len(out)
         return out
 
-    def idle(self, stamp: float) -> list[OutFrame]:
-        """Time passed without a frame of ours: close ticks up to wall-clock time `stamp` [s]."""
-        if not self.timebase.started:
-            return []
-        t, gap = self.timebase.one(stamp)
-        snapshots = self.pipeline.gap() if gap else []
-        out = self._statuses(snapshots + self.pipeline.advance(tick_index(t)))
+    def idle(self, elapsed: float) -> list[OutFrame]:
+        """No frame of ours came for `elapsed` seconds: close the ticks that have passed."""
+        k = tick_index(self.timebase.idle(elapsed))
+        out = self._statuses(self.pipeline.advance(k))
+        self.sent += len(out)
+        return out
+
+    def heartbeat(self) -> list[OutFrame]:
+        """Status frames while no stream time passes: nothing was heard yet, or not for long."""
+        pipeline = self.pipeline
+        link = self._link_health()
+        out = self.output.status(
+            pipeline.estimator.estimate(),
+            False,
+            self._health(dict.fromkeys(self._watched, True), False, self._rejected_total, link),
+        )
         self.sent += len(out)
         return out
 
@@ -132,7 +141,8 @@ class Engine:
     def _piece(self, piece: Piece, frames: FrameColumns, keep: bool) -> Iterator[_OutPart]:
         base = piece.start
         if piece.gap:
-            yield from self._status_parts(self.pipeline.gap(), lambda _: base, np.zeros(0))
+            snapshots = self.pipeline.gap(tick_index(float(piece.t[0])))
+            yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
         whole = base == 0 and piece.stop == len(frames)
         chunk = frames if whole else frames.take(slice(base, piece.stop))
         routed = self.router.columns(piece.t, chunk)
@@ -235,10 +245,16 @@ class Engine:
     ) -> list[OutFrame]:
         if self._on_snapshot is not None:
             self._on_snapshot(snapshot)
-        link = self._link_health()
-        missing = {_SENSORS[c]: snapshot.k - k >= MISSING_TICKS for c, k in last.items()}
-        health = Health(
-            **missing,
+        missing = {c: snapshot.k - k >= MISSING_TICKS for c, k in last.items()}
+        health = self._health(missing, recent, rejected, self._link_health())
+        return self.output.status(snapshot.estimate, snapshot.usable, health)
+
+    @staticmethod
+    def _health(
+        missing: Mapping[str, bool], recent: bool, rejected: int, link: LinkHealth
+    ) -> Health:
+        return Health(
+            **{_SENSORS[c]: is_missing for c, is_missing in missing.items()},
             input_rejected=recent,
             rejected=rejected,
             frames_lost=link.frames_lost,
@@ -246,7 +262,6 @@ class Engine:
             send_failed=link.send_failed,
             lost=link.lost,
         )
-        return self.output.status(snapshot.estimate, snapshot.usable, health)
 
 
 _STATUS_FRAMES = 3

@@ -91,9 +91,9 @@ class Pipeline:
             self._close(self._ticks.close(self.k), snapshots)
         return snapshots
 
-    def gap(self) -> list[Snapshot]:
-        """Time was discontinuous: close the open tick and begin a new segment."""
-        snapshots = self.advance(self.k + 1)
+    def gap(self, k: int) -> list[Snapshot]:
+        """Time was discontinuous: close all ticks before k, where a new segment begins."""
+        snapshots = self.advance(k)
         self.estimator.gap()
         return snapshots
 

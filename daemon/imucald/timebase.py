@@ -1,8 +1,8 @@
 """Recorded or received time stamps -> stream time: seconds from our first frame, never backwards.
 
 Stamps are wall clock. They come a little out of order, stand still, and step when somebody sets the
-clock. Small disorder is flattened; a step (or a long hole) begins a new segment: stream time goes
-on where it was, at the next tick, and whoever differences over time is told.
+clock. Small disorder is flattened; a step (or a long hole) begins a new segment at the next tick,
+and whoever differences over time is told. A hole lasts `FORWARD_STEP` of stream time at most.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ class TimeBase:
         self._offset = 0.0
         self._newest = -math.inf  # stamp
         self._now = 0.0  # stream time
+        self._frame = 0.0  # stream time of the newest stamp
 
     @property
     def now(self) -> float:
@@ -59,8 +60,16 @@ class TimeBase:
             self._begin_segment(stamp)
         elif stamp > self._newest:
             self._newest = stamp
-        self._now = max(self._now, stamp - self._offset)
+        self._now = self._frame = max(self._now, stamp - self._offset)
         return self._now, gap
+
+    def idle(self, elapsed: float) -> float:
+        """Let time pass without a stamp; return stream time [s].
+
+        elapsed: seconds since the newest stamp, by a clock that does not step.
+        """
+        self._now = max(self._now, self._frame + min(elapsed, FORWARD_STEP))
+        return self._now
 
     def columns(self, stamps: NDArray[np.float64]) -> Iterator[Piece]:
         """Split a column of stamps (N,) into pieces without discontinuity, with stream times."""
@@ -79,12 +88,13 @@ class TimeBase:
             stop = start + 1 + int(bad[0]) if len(bad) else n
             t = np.maximum.accumulate(np.maximum(stamps[start:stop] - self._offset, self._now))
             self._newest = float(newest[stop - start - 1])
-            self._now = float(t[-1])
+            self._now = self._frame = float(t[-1])
             yield Piece(start, stop, t, gap)
             start = stop
 
     def _begin_segment(self, stamp: float) -> None:
         self.steps += 1
+        resume = self._now if stamp < self._newest else self._frame + FORWARD_STEP
         self._newest = stamp
-        self._now = (math.floor(self._now * TICK_RATE) + 1) / TICK_RATE
+        self._now = (math.floor(max(resume, self._now) * TICK_RATE) + 1) / TICK_RATE
         self._offset = stamp - self._now

@@ -1,0 +1,111 @@
+"""`imucald replay`: recorded logs through the same engine as the live daemon."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from imucald.bus.columns import FrameColumns
+    from imucald.config import LoadedConfig
+    from imucald.replay import Sink
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `replay`."""
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="candump log (.log, .gz, '-' for standard input), or .asc .blf .trc .csv .mf4",
+    )
+    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="configuration")
+    parser.add_argument(
+        "--database",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="database to use in place of the configuration's (repeat for several)",
+    )
+    parser.add_argument(
+        "--out", metavar="FILE", help="write the frames that imucald would send (candump log)"
+    )
+    parser.add_argument(
+        "--json", metavar="FILE", help="write the result as JSON ('-': standard output)"
+    )
+    parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        metavar="X",
+        help="play at X times real time and send the frames on the bus (1 is real time)",
+    )
+    parser.add_argument("--interface", help="with --speed: python-can interface of that bus")
+    parser.add_argument("--channel", help="with --speed: its channel")
+    parser.add_argument("--quiet", action="store_true", help="no progress, no table")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Replay, then say what came of it."""
+    from imucald.bus.log import LogReader
+    from imucald.commands.terminal import progress_bar
+    from imucald.errors import ConfigError
+    from imucald.replay import Replay
+    from imucald.session import make_engine, open_config
+    from imucald.summary import as_json
+
+    if options.speed is not None and options.speed <= 0:
+        raise ConfigError("--speed must be positive")
+    loaded = open_config(options.config, options.database)
+    engine = make_engine(loaded)
+    with progress_bar("replay", options.quiet) as progress:
+        reader = LogReader(options.logs, engine.router.matches, options.strict, progress)
+        sink, close = _sink(options, loaded)
+        try:
+            result = Replay(engine, reader, sink, options.speed).run()
+        finally:
+            close()
+    for text in reader.problems:
+        print(f"imucald: {text}", file=sys.stderr)
+    if options.json == "-":
+        sys.stdout.write(as_json(result))
+    elif options.json:
+        Path(options.json).write_text(as_json(result), encoding="utf-8")
+    if options.json != "-" and not options.quiet:
+        from imucald.commands.terminal import print_summary
+
+        print_summary(result)
+    return 0
+
+
+def _sink(
+    options: argparse.Namespace, loaded: LoadedConfig
+) -> tuple[Sink | None, Callable[[], None]]:
+    """Where the frames go: a file, a bus, both, or nowhere; and how to close it."""
+    from contextlib import ExitStack
+
+    from imucald.bus.log import CandumpWriter
+
+    stack = ExitStack()
+    sinks: list[Sink] = []
+    if options.out:
+        sinks.append(stack.enter_context(CandumpWriter(options.out)).write_columns)
+    if options.speed is not None:
+        from imucald.service.live import open_link, send_columns
+
+        link = stack.enter_context(
+            open_link(loaded, [], frozenset(), options.interface, options.channel)
+        )
+        sinks.append(lambda frames: send_columns(link, frames))
+    if not sinks:
+        return None, stack.close
+
+    def everywhere(frames: FrameColumns) -> None:
+        for sink in sinks:
+            sink(frames)
+
+    return everywhere, stack.close

@@ -1,0 +1,75 @@
+"""What people see: progress, tables. Progress goes to stderr, and only to a terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from imucald.mount.estimate import ANGLES
+
+Progress = Callable[[int, int | None], None]
+
+
+@contextmanager
+def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
+    """Show a bar while the body runs; yields what takes (done, total) bytes, or None."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn(text), BarColumn(), DownloadColumn(), TimeRemainingColumn())
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def print_summary(result: Mapping[str, Any]) -> None:
+    """Print the result of a replay as tables."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    console.print(f"state: [bold]{result['state']}[/bold]{_since(result)}")
+    table = Table(box=None, pad_edge=False)
+    table.add_column("angle")
+    table.add_column("value", justify="right")
+    table.add_column("std", justify="right")
+    table.add_column("waiting for", overflow="fold")
+    mount = result["mount"]
+    for angle, axis in zip(ANGLES, "xyz", strict=True):
+        table.add_row(
+            angle,
+            _number(mount[f"{angle}_deg"], "+.2f", " deg"),
+            _number(mount["std_deg"][axis], ".2f", " deg"),
+            result["waiting_for"].get(angle, ""),
+        )
+    console.print(table)
+    frames = result["frames"]
+    signals = ", ".join(
+        f"{name} {row['rate_hz'] or 0:.4g}/s" for name, row in result["signals"].items()
+    )
+    console.print(
+        f"{frames['read']} frames read, {frames['used']} used, {result['duration_s']:.1f} s"
+    )
+    console.print(f"signals: {signals or 'none'}")
+    if frames["rejected"]:
+        rejected = ", ".join(f"{reason} {n}" for reason, n in frames["rejected"].items())
+        console.print(f"rejected: {rejected}")
+
+
+def _since(result: Mapping[str, Any]) -> str:
+    parts = [
+        f"{name} after {result[key]:.1f} s"
+        for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
+        if result[key] is not None
+    ]
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def _number(value: float | None, form: str, unit: str) -> str:
+    return "-" if value is None else f"{value:{form}}{unit}"

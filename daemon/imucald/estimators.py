@@ -1,0 +1,91 @@
+"""Configuration -> estimator."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from imucald.config import Config
+from imucald.mount.estimate import MountEstimator
+from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.mount.published import PublishedEstimator
+from imucald.mount.published_settings import PublishedSettings
+
+CONFIGURED_DELAY_STD = 0.03
+"""How well a configured delay is taken to be known [s]."""
+
+
+def estimator_for(config: Config) -> MountEstimator:
+    """Return the estimator that a configuration asks for."""
+    if config.calibration.estimator == "published":
+        return PublishedEstimator(published_settings(config))
+    return FullEstimator(full_settings(config))
+
+
+def _is_planar(config: Config) -> bool:
+    return config.signals.accelerometer[0].z is None
+
+
+def published_settings(config: Config) -> PublishedSettings:
+    """Settings of method A."""
+    calibration = config.calibration
+    static, straight, target = calibration.static, calibration.straight, calibration.target_angle
+    presets = PublishedSettings()
+    return replace(
+        presets,
+        static=replace(
+            presets.static,
+            count=static.samples,
+            seconds=static.duration,
+            thresholds=static.threshold,
+            thresholds_at_zero_speed=static.threshold_at_zero_speed,
+        ),
+        standstill_speed=static.standstill_speed,
+        average_stops=static.average_stops,
+        accel_bias_std=calibration.accelerometer_bias,
+        planar=_is_planar(config),
+        recognisers=straight.recognise_by,
+        yaw_rate_limit=math.radians(straight.yaw_rate_limit_deg_s),
+        yaw_rate_limit_without_speed=math.radians(straight.yaw_rate_limit_without_speed_deg_s),
+        steering_limit=math.radians(straight.steering_limit_deg),
+        steering_ratio=config.vehicle.steering_ratio,
+        wheelbase=config.vehicle.wheelbase,
+        consistency_window=straight.consistency_window,
+        consistency_spread=math.radians(straight.consistency_range_deg),
+        lateral_limit=straight.lateral_limit,
+        min_speed_change=straight.min_speed_change,
+        manoeuvre_peak=straight.manoeuvre_peak,
+        min_speed=straight.min_speed,
+        sign_sources=target.sign_from,
+        subtract_lateral=target.subtract_lateral,
+        remove_offset_after=target.remove_offset_after,
+        speed_delay=calibration.speed_delay or 0.0,
+    )
+
+
+def full_settings(config: Config) -> EstimatorSettings:
+    """Settings of the full estimator."""
+    calibration, vehicle = config.calibration, config.vehicle
+    defaults = EstimatorSettings()
+    delays = dict(defaults.delays)
+    if calibration.speed_delay is not None:
+        delays["speed"] = DelayPrior(calibration.speed_delay, CONFIGURED_DELAY_STD)
+    states = calibration.states
+    return replace(
+        defaults,
+        accel_bias_std=calibration.accelerometer_bias,
+        driving_side={"left": "left", "right": "right"}.get(vehicle.driving_side, "none"),
+        crown_mean=vehicle.crown_percent / 100.0,
+        crown_std=vehicle.crown_spread_percent / 100.0,
+        accel_cross_axis_std=calibration.cross_axis,
+        accel_range=calibration.accelerometer_range or math.inf,
+        delays=delays,
+        steering_ratio=vehicle.steering_ratio if config.signals.steering_wheel_angle else None,
+        wheelbase=vehicle.wheelbase,
+        track=vehicle.track,
+        usable_std=math.radians(states.usable_yaw_deg),
+        usable_tilt_std=math.radians(states.usable_tilt_deg),
+        fine_std=math.radians(states.fine_yaw_deg),
+        fine_tilt_std=math.radians(states.fine_tilt_deg),
+    )

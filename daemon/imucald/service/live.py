@@ -1,0 +1,142 @@
+"""The live daemon: one loop that receives, calibrates, corrects and sends. No threads.
+
+Frames that came are handled at once; when none come, the clock closes ticks so that status
+frames go on and inputs are found missing. Before the first frame of ours a heartbeat says so.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from imucald.bus.columns import FrameColumns, IdMatch
+from imucald.bus.link import Link, LinkEvent
+from imucald.config import LoadedConfig
+from imucald.engine import Engine, LinkHealth
+from imucald.timebase import FORWARD_STEP
+
+WAIT_S = 0.05
+"""Longest wait for a frame [s]: bounds how late a silent bus is noticed and a stop obeyed."""
+IDLE_S = 0.5
+"""Silence after which the clock closes ticks [s]: far longer than any delivery takes."""
+CONFLICT_S = 10.0
+"""A foreign sender of our ids is reported this long [s]."""
+HEARTBEAT_S = 1.0
+"""Period of status frames while the bus is silent [s]."""
+RECENT_S = 1.0
+"""Losses and failed sends are reported this long [s]."""
+
+
+def open_link(
+    loaded: LoadedConfig,
+    matches: Sequence[IdMatch],
+    own_ids: frozenset[int],
+    interface: str | None = None,
+    channel: str | None = None,
+    on_event: Callable[[LinkEvent], None] | None = None,
+) -> Link:
+    """Open the configuration's bus (or the one named). Raises LinkError."""
+    bus = loaded.config.bus
+    unbound = [IdMatch(m.can_id, m.mask) for m in matches]  # one live bus: any channel
+    return Link(
+        interface or bus.interface,
+        channel or bus.channel,
+        receive=unbound,
+        own_ids=own_ids,
+        fd=bus.fd,
+        bitrate=bus.bitrate,
+        options=bus.options,
+        on_event=on_event,
+    )
+
+
+def send_columns(link: Link, frames: FrameColumns) -> None:
+    """Send columns of frames, in order."""
+    ids, lengths = frames.can_id.tolist(), frames.length.tolist()
+    for can_id, length, data in zip(ids, lengths, frames.data, strict=True):
+        link.send(can_id, data[:length].tobytes())
+
+
+@dataclass
+class _Recent:
+    """Turns a growing counter into "it grew lately"."""
+
+    hold: float
+    _value: int = 0
+    _until: float = field(default=float("-inf"))
+
+    def update(self, value: int, now: float) -> bool:
+        if value != self._value:
+            self._value = value
+            self._until = now + self.hold
+        return now < self._until
+
+
+class Daemon:
+    """Runs an engine on a link until told to stop.
+
+    clock: monotonic [s].
+    """
+
+    def __init__(
+        self, engine: Engine, link: Link, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.engine = engine
+        self.link = link
+        self.stopping = False
+        self._clock = clock
+        self._lost = _Recent(RECENT_S)
+        self._conflict = _Recent(CONFLICT_S)
+        self._unsent = _Recent(RECENT_S)
+        self._last_frame = clock()
+        self._next_heartbeat = clock()
+
+    def link_health(self) -> LinkHealth:
+        """What the link says, for the health frame."""
+        counters, now = self.link.counters, self._clock()
+        return LinkHealth(
+            lost=counters.lost,
+            frames_lost=self._lost.update(counters.lost, now),
+            id_conflict=self._conflict.update(counters.conflicts, now),
+            send_failed=self._unsent.update(sum(counters.send_errors.values()), now),
+        )
+
+    def run(self) -> None:
+        """Loop until `stop`."""
+        while not self.stopping:
+            self.step()
+
+    def stop(self) -> None:
+        """Ask the loop to end; it does within `WAIT_S`. Safe in a signal handler."""
+        self.stopping = True
+
+    def step(self, wait: float = WAIT_S) -> int:
+        """Receive once and handle what came; return the number of frames."""
+        frames = self.link.receive(wait)
+        send, handle = self.link.send, self.engine.frame
+        for t, can_id, data in frames:
+            for out_id, out in handle(t, can_id, data):
+                send(out_id, out)
+        now = self._clock()
+        if frames:
+            self._last_frame = now
+        elif now - self._last_frame > IDLE_S:
+            self._idle(now)
+        return len(frames)
+
+    def _idle(self, now: float) -> None:
+        """Nothing came for a while: let stream time pass by the monotonic clock."""
+        # behind by IDLE_S, so that a frame on its way is not late
+        elapsed = now - self._last_frame - IDLE_S
+        engine = self.engine
+        if engine.timebase.started and elapsed < FORWARD_STEP:
+            out = engine.idle(elapsed)
+            self._next_heartbeat = now
+        elif now >= self._next_heartbeat:
+            self._next_heartbeat = now + HEARTBEAT_S
+            out = engine.heartbeat()
+        else:
+            return
+        for can_id, data in out:
+            self.link.send(can_id, data)

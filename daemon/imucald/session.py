@@ -1,0 +1,58 @@
+"""A configuration made ready to run: router, estimator and output frames as one engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from imucald.bus.columns import CAN_EFF_MASK
+from imucald.bus.wiring import compile_router
+from imucald.config import LoadedConfig, load_config
+from imucald.engine import Engine, LinkHealth
+from imucald.errors import ConfigError
+from imucald.estimators import estimator_for
+from imucald.output import OutputFrames
+from imucald.pipeline import Snapshot
+
+
+def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
+    """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError."""
+    loaded = load_config(path)
+    if not databases:
+        return loaded
+    if len(databases) != len(loaded.config.database):
+        raise ConfigError(
+            f"{path} names {len(loaded.config.database)} database(s), {len(databases)} given"
+        )
+    entries = tuple(
+        entry.model_copy(update={"path": str(database.resolve())})
+        for entry, database in zip(loaded.config.database, databases, strict=True)
+    )
+    return loaded.with_databases(entries)
+
+
+def make_engine(
+    loaded: LoadedConfig,
+    on_snapshot: Callable[[Snapshot], None] | None = None,
+    link_health: Callable[[], LinkHealth] = LinkHealth,
+) -> Engine:
+    """Build the engine of a configuration. Raises ConfigError with the place of a mistake."""
+    config = loaded.config
+    router = compile_router(loaded)
+    output = OutputFrames(config)
+    _refuse_shared_ids(loaded, output, [m.can_id for m in router.matches])
+    return Engine(
+        router,
+        estimator_for(config),
+        output,
+        config.output.status_rate,
+        on_snapshot,
+        link_health,
+    )
+
+
+def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, inputs: list[int]) -> None:
+    for can_id in inputs:
+        if can_id in output.can_ids:
+            text = f"0x{can_id & CAN_EFF_MASK:X} is both an input and an output id; choose another"
+            raise loaded.error(("output", "ids"), text)
