@@ -11,7 +11,6 @@ own output ids are counted and announced (a conflict: two calibrators, or a wron
 
 from __future__ import annotations
 
-import enum
 import errno
 import math
 import time
@@ -19,21 +18,21 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from imucald.bus.columns import (
-    CAN_EFF_FLAG,
-    CAN_EFF_MASK,
-    CAN_SFF_MASK,
-    CLASSIC_BYTES,
-    FD_BYTES,
-    IdMatch,
-)
+from imucald.bus.columns import CLASSIC_BYTES, FD_BYTES, IdMatch
+from imucald.bus.fates import Fate, Fates
 from imucald.bus.link_status import Announcer, LinkCounters, LinkEvent, LinkState
+from imucald.bus.link_texts import (
+    absent_text,
+    bus_off_text,
+    conflict_text,
+    down_text,
+    queue_full_text,
+)
 from imucald.bus.outbox import Outbox, SendingPort
 from imucald.bus.socketcan import (
     CAN_ERR_BUSOFF,
     CAN_ERR_FLAG,
     CAN_ERR_RESTARTED,
-    CAN_RTR_FLAG,
     Frame,
     SocketCan,
 )
@@ -55,9 +54,6 @@ RECEIVE_BUFFER = 4 << 20
 
 FLUSH_PERIOD = 0.001
 """Pause between attempts to send while the send queue is full [s]."""
-
-KNOWN_IDS = 4096
-"""Ids whose fate is remembered; cleared beyond, since a fuzzed bus shows any number of them."""
 
 SEND_REASONS = {
     errno.ENETDOWN: "down",
@@ -88,15 +84,6 @@ class Port(SendingPort, Protocol):
 
     def is_up(self) -> bool:
         """Whether it is set up."""
-
-
-class _Fate(enum.Enum):
-    """What becomes of a received frame."""
-
-    WANTED = 1
-    CONFLICT = 2
-    ERROR = 3
-    FOREIGN = 4
 
 
 class Link:
@@ -136,8 +123,6 @@ class Link:
         self.channel = channel
         self.counters = LinkCounters()
         self.state = LinkState.ABSENT
-        self._matches = tuple(m for m in receive if m.channel in (None, channel))
-        self._own_ids = frozenset(own_ids)
         self._fd = fd
         self._bitrate = bitrate
         self._options = options
@@ -148,7 +133,7 @@ class Link:
         self._port: Port | None = None
         self._opened_before = False
         self._lost_before = 0  # what earlier sockets had lost
-        self._fates: dict[int, _Fate] = {}
+        self._fates = Fates(receive, own_ids, channel)
         self._outbox = Outbox(bitrate_switch, clock, self._frame_sent, self._queue_full)
         self._pause = RETRY_FIRST
         self._next_try = self._next_check = -math.inf
@@ -196,12 +181,12 @@ class Link:
         wanted = []
         fates = self._fates
         for frame in frames:
-            fate = fates.get(frame[1]) or self._fate(frame[1])
-            if fate is _Fate.WANTED:
+            fate = fates[frame[1]]
+            if fate is Fate.WANTED:
                 wanted.append(frame)
-            elif fate is _Fate.CONFLICT:
+            elif fate is Fate.CONFLICT:
                 self._conflict(frame[1])
-            elif fate is _Fate.ERROR:
+            elif fate is Fate.ERROR:
                 self._error_frame(frame[1])
             else:
                 self.counters.foreign += 1
@@ -211,30 +196,9 @@ class Link:
             self._is_up_again()  # we hear the bus: some drivers do not tell of the restart
         return wanted
 
-    def _fate(self, can_id: int) -> _Fate:
-        if can_id & CAN_ERR_FLAG:
-            fate = _Fate.ERROR
-        elif can_id & CAN_RTR_FLAG:
-            fate = _Fate.FOREIGN
-        elif can_id in self._own_ids:
-            fate = _Fate.CONFLICT
-        elif any(match.matches(can_id, self.channel) for match in self._matches):
-            fate = _Fate.WANTED
-        else:
-            fate = _Fate.FOREIGN
-        if len(self._fates) >= KNOWN_IDS:
-            self._fates.clear()
-        self._fates[can_id] = fate
-        return fate
-
     def _conflict(self, can_id: int) -> None:
         self.counters.conflicts += 1
-        digits = 8 if can_id & CAN_EFF_FLAG else 3
-        self._announcer.tell_seldom(
-            "conflict",
-            f"another node on {self.channel} sends our output id {can_id & CAN_EFF_MASK:0{digits}X}"
-            ": choose other ids for the output, or stop the other sender",
-        )
+        self._announcer.tell_seldom("conflict", conflict_text(self.channel, can_id))
 
     def _error_frame(self, can_id: int) -> None:
         self.counters.error_frames += 1
@@ -242,11 +206,7 @@ class Link:
             self._is_up_again()
         elif can_id & CAN_ERR_BUSOFF and self.state is not LinkState.BUS_OFF:
             self.counters.bus_off += 1
-            self._enter(
-                LinkState.BUS_OFF,
-                f"the controller of {self.channel} is bus-off (wrong bit rate, wiring, or no other "
-                f"node); to restart by itself: ip link set {self.channel} type can restart-ms 100",
-            )
+            self._enter(LinkState.BUS_OFF, bus_off_text(self.channel))
 
     def _count_losses(self, port: Port) -> None:
         lost = self._lost_before + port.lost
@@ -295,11 +255,7 @@ class Link:
 
     def _queue_full(self) -> None:
         self.counters.not_sent("bus_off" if self.state is LinkState.BUS_OFF else "queue_full")
-        self._announcer.tell_seldom(
-            "queue_full",
-            f"the send queue of {self.channel} is full and frames are dropped: nobody acknowledges "
-            f"them, or it is too short (ip link set {self.channel} txqueuelen 100)",
-        )
+        self._announcer.tell_seldom("queue_full", queue_full_text(self.channel))
 
     # ---- losing and regaining -----------------------------------------------------------------
 
@@ -309,8 +265,11 @@ class Link:
             port = self._new_port()
         except OSError as error:
             if required:
-                raise LinkError(self._absent_text(error)) from None
-            self._enter(LinkState.ABSENT, self._absent_text(error) + "; waiting for it")
+                raise LinkError(absent_text(self.interface, self.channel, error)) from None
+            self._enter(
+                LinkState.ABSENT,
+                absent_text(self.interface, self.channel, error) + "; waiting for it",
+            )
             return None
         self._port = port
         self.counters.reopened += self._opened_before
@@ -319,37 +278,17 @@ class Link:
         if port.is_up():
             self._enter(LinkState.UP, f"{self.interface} {self.channel} is open")
         else:
-            self._enter(LinkState.DOWN, self._down_text())
+            self._enter(LinkState.DOWN, down_text(self.channel))
         return port
 
     def _new_port(self) -> Port:
-        own = [
-            IdMatch(can_id, CAN_EFF_MASK if can_id & CAN_EFF_FLAG else CAN_SFF_MASK)
-            for can_id in sorted(self._own_ids)
-        ]
-        matches = [*self._matches, *own]
+        filters = self._fates.filters()
         if self.interface == "socketcan":
-            return SocketCan(self.channel, matches, fd=self._fd, receive_buffer=self._buffer)
+            return SocketCan(self.channel, filters, fd=self._fd, receive_buffer=self._buffer)
         from imucald.bus.adapter import Adapter  # noqa: PLC0415  (SocketCAN needs no python-can)
 
         bus = (self.interface, self.channel)
-        return Adapter(*bus, matches, fd=self._fd, bitrate=self._bitrate, options=self._options)
-
-    def _absent_text(self, error: OSError) -> str:
-        if self.interface != "socketcan":
-            return f"{error}: is it plugged in, and is the channel's name right?"
-        name = self.channel
-        return (
-            f"no CAN interface {name} here ({error.strerror or error}). Remedy: name one of those "
-            f"that `ip link show type can` lists, or for a trial: "
-            f"ip link add dev {name} type vcan && ip link set up {name}"
-        )
-
-    def _down_text(self) -> str:
-        return (
-            f"{self.channel} is set down. Remedy: ip link set up {self.channel} "
-            "(a real interface needs its bit rate first: type can bitrate ...)"
-        )
+        return Adapter(*bus, filters, fd=self._fd, bitrate=self._bitrate, options=self._options)
 
     def _reopened(self) -> Port | None:
         """Open again when the pause since the last attempt is over."""
@@ -396,7 +335,7 @@ class Link:
     def _went_down(self) -> None:
         if self.state is not LinkState.DOWN:
             self.counters.went_down += 1
-            self._enter(LinkState.DOWN, self._down_text())
+            self._enter(LinkState.DOWN, down_text(self.channel))
 
     def _is_up_again(self) -> None:
         self._enter(LinkState.UP, f"{self.channel} is up again")
