@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run until SIGINT or SIGTERM."""
+    import dataclasses
     import signal
     import time
 
@@ -64,6 +65,7 @@ def run(options: argparse.Namespace) -> int:
             daemon.step()
     counts = Counts(link.counters.received, engine.router.used, engine.router.rejected)
     result = summary(engine, counts, engine.timebase.now)
+    result["link"] = dataclasses.asdict(link.counters)
     if options.json == "-":
         sys.stdout.write(as_json(result))
     elif options.json:

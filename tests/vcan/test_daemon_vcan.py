@@ -1,0 +1,228 @@
+"""The daemon on a kernel's CAN: canplayer plays, imucald runs, candump records, replay agrees."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import shuttle
+from imucald.bus.codec import compile_decode
+from imucald.bus.log import LogReader
+from imucald.output import output_database
+
+CORRECTED = (0x640, 0x641)
+STATUS = (0x643, 0x644, 0x645)
+RESUME_LIMIT_S = 1.0
+
+
+class Daemon:
+    """A running `imucald run`; what it says on stderr is kept, line by line."""
+
+    def __init__(self, folder: Path, config: Path, channel: str) -> None:
+        self.result = folder / "result.json"
+        self.lines: list[str] = []
+        options = ["--config", str(config), "--interface", "socketcan", "--channel", channel]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "imucald", "run", *options, "--json", str(self.result)],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        self.lines.extend(line.rstrip() for line in self.process.stderr)
+
+    def wait_for(self, text: str, limit: float = 20.0) -> None:
+        end = time.monotonic() + limit
+        while not any(text in line for line in self.lines):
+            assert self.process.poll() is None, self.lines
+            assert time.monotonic() < end, f"no {text!r} in {self.lines}"
+            time.sleep(0.02)
+
+    def stop(self) -> dict[str, object]:
+        self.process.send_signal(signal.SIGTERM)
+        assert self.process.wait(5) == 0, self.lines
+        self._reader.join(5)
+        result: dict[str, object] = json.loads(self.result.read_text())
+        return result
+
+
+@contextmanager
+def running_daemon(folder: Path, config: Path, channel: str) -> Iterator[Daemon]:
+    daemon = Daemon(folder, config, channel)
+    try:
+        daemon.wait_for("listening")
+        yield daemon
+    finally:
+        if daemon.process.poll() is None:
+            daemon.process.kill()
+            daemon.process.wait()
+
+
+@contextmanager
+def recorded(channel: str, path: Path) -> Iterator[None]:
+    """Candump writes all of the channel to `path` until the block ends."""
+    with path.open("wb") as file:
+        candump = subprocess.Popen(["candump", "-L", channel], stdout=file)
+        time.sleep(0.3)
+        try:
+            yield
+        finally:
+            time.sleep(0.3)
+            candump.terminate()
+            candump.wait(10)
+
+
+def play(log: Path, channel: str, *options: str) -> None:
+    subprocess.run(["canplayer", *options, "-I", str(log), f"{channel}=can0"], check=True)
+
+
+def frames_of(path: Path) -> dict[int, list[bytes]]:
+    """Payloads by id, in order."""
+    found: dict[int, list[bytes]] = {}
+    for chunk in LogReader([path], strict=True):
+        for can_id, length, data in zip(chunk.can_id, chunk.length, chunk.data, strict=True):
+            found.setdefault(int(can_id), []).append(bytes(data[:length]))
+    return found
+
+
+def without_protection(can_id: int, payloads: list[bytes]) -> list[tuple[float | None, ...]]:
+    """Status frames without counter and checksum, which a heartbeat before the input shifts."""
+    names = {m.can_id: m for m in output_database().messages.values()}
+    message = names[can_id]
+    signals = [s for s in message.signals if s not in ("Counter", "Checksum")]
+    plan = compile_decode(message, signals)
+    return [plan.decode(p) for p in payloads]
+
+
+def inputs_of(recording: Path, target: Path) -> Path:
+    """The recording without what the daemon sent."""
+    lines = recording.read_text().splitlines()
+    ours = tuple(f" {i:03X}#" for i in (*CORRECTED, *STATUS))
+    target.write_text("\n".join(line for line in lines if not any(o in line for o in ours)) + "\n")
+    return target
+
+
+def test_live_frames_equal_replay_of_what_candump_recorded(vcan, tmp_path):
+    config = shuttle.write(tmp_path, cycles=3)
+    recording = tmp_path / "recorded.log"
+    with (
+        running_daemon(tmp_path, config, vcan.name) as daemon,
+        recorded(vcan.name, recording),
+    ):
+        play(tmp_path / "shuttle.log", vcan.name)
+        time.sleep(0.2)
+        result = daemon.stop()
+    replayed = tmp_path / "replayed.log"
+    inputs = inputs_of(recording, tmp_path / "inputs.log")
+    options = ["--config", str(config), "--out", str(replayed), "--json", "-"]
+    done = subprocess.run(
+        [sys.executable, "-m", "imucald", "replay", str(inputs), *options],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    live, offline = frames_of(recording), frames_of(replayed)
+    for can_id in CORRECTED:
+        assert len(live[can_id]) > 2900
+        assert live[can_id] == offline[can_id]
+    for can_id in STATUS:
+        status = without_protection(can_id, offline[can_id])
+        heard = without_protection(can_id, live[can_id])
+        start = next(i for i in range(len(heard)) if heard[i:][: len(status)] == status)
+        assert start <= 2, "more than a heartbeat before the first status of the drive"
+    said = json.loads(done.stdout)
+    assert result["mount"] == said["mount"]
+    assert result["state"] == said["state"] != "waiting"
+    assert abs(said["mount"]["yaw_deg"] - 25.0) < 3.0
+    qualities = {payload[6] & 0xF for payload in live[0x640]}
+    assert 0 in qualities
+    assert qualities & {2, 3}, "no corrected frame became usable"
+
+
+def test_corrected_frames_resume_after_down_and_up_and_after_deletion(vcan, tmp_path):
+    config = shuttle.write(tmp_path, cycles=1)
+    with running_daemon(tmp_path, config, vcan.name) as daemon:
+        for way in ("down", "deletion", "down"):
+            if way == "down":
+                subprocess.run(["ip", "link", "set", vcan.name, "down"], check=True)
+                time.sleep(0.3)
+                subprocess.run(["ip", "link", "set", vcan.name, "up"], check=True)
+            else:
+                subprocess.run(["ip", "link", "del", vcan.name], check=True)
+                time.sleep(0.3)
+                subprocess.run(["ip", "link", "add", vcan.name, "type", "vcan"], check=True)
+                subprocess.run(["ip", "link", "set", vcan.name, "up"], check=True)
+            back = time.monotonic()
+            assert seconds_to_corrected_frame(vcan.name, back) < RESUME_LIMIT_S
+        daemon.stop()
+
+
+def seconds_to_corrected_frame(channel: str, back: float) -> float:
+    """Send accelerometer frames until a corrected one is heard; time since `back` [s]."""
+    listener = subprocess.Popen(
+        ["candump", "-L", "-n", "1", f"{channel},640:7FF"], stdout=subprocess.PIPE
+    )
+    try:
+        while listener.poll() is None and time.monotonic() - back < 5.0:
+            subprocess.run(["cansend", channel, "200#0000000027130000"], check=True)
+            time.sleep(0.01)
+        return time.monotonic() - back
+    finally:
+        listener.kill()
+        listener.wait()
+
+
+def test_another_node_on_our_ids_is_reported_in_the_health_frame(vcan, tmp_path):
+    config = shuttle.write(tmp_path, cycles=1)
+    recording = tmp_path / "recorded.log"
+    with (
+        running_daemon(tmp_path, config, vcan.name) as daemon,
+        recorded(vcan.name, recording),
+    ):
+        for _ in range(30):
+            subprocess.run(["cansend", vcan.name, "640#0102030405060708"], check=True)
+            subprocess.run(["cansend", vcan.name, "200#0000000027130000"], check=True)
+            time.sleep(0.02)
+        time.sleep(0.3)
+        daemon.stop()
+    plan = compile_decode(output_database().message("IMUCALD_Health"), ["IdConflict"])
+    flags = [plan.decode(p)[0] for p in frames_of(recording)[0x645]]
+    assert flags[-1] == 1.0
+    assert any("our output id 640" in line for line in daemon.lines)
+
+
+def test_a_flooded_bus_loses_none_of_ours_or_counts_each_loss(vcan, tmp_path):
+    config = shuttle.write(tmp_path, cycles=1)
+    recording = tmp_path / "recorded.log"
+    subprocess.run(["ip", "link", "set", vcan.name, "txqueuelen", "1000"], check=True)
+    with running_daemon(tmp_path, config, vcan.name) as daemon, recorded(vcan.name, recording):
+        flood = subprocess.Popen(
+            ["cangen", vcan.name, "-g", "0.2", "-I", "3A0", "-L", "8", "-i"],
+            stderr=subprocess.DEVNULL,
+        )
+        try:
+            play(tmp_path / "shuttle.log", vcan.name)
+            time.sleep(0.5)
+        finally:
+            flood.terminate()
+            flood.wait(10)
+        result = daemon.stop()
+    sent = sum(
+        len(p) for i, p in frames_of(tmp_path / "shuttle.log").items() if i in (0x200, 0x201, 0x202)
+    )
+    frames = result["frames"]
+    assert isinstance(frames, dict)
+    flood_frames = len(frames_of(recording).get(0x3A0, []))
+    assert flood_frames > 2000, "this was no flood"
+    lost = result["link"]["lost"]  # type: ignore[index]
+    assert frames["used"] + lost >= sent
