@@ -12,6 +12,8 @@ from imucald.simulation.vehicle_model import Route
 
 JERK_WINDOW_S = 0.35
 """Two running means of this width limit the jerk to what drivers do (2-6 m/s^3)."""
+STEERING_WINDOW_S = 0.2
+"""Hands follow the bend as smoothly as two running means of this width."""
 SPEED_WANDER_S = 9.0
 """Time in which the driver's speed forgets itself."""
 WANDER_GRID_S = 0.5
@@ -58,7 +60,7 @@ def drive_route(route: Route, seed: int, duration_s: float, rate: float) -> Driv
     speed = smoothed(np.interp(t, node_t, node_v), rate, JERK_WINDOW_S)
     speed[np.abs(speed) < STILL_MPS] = 0.0
     distance = _distance(t, speed, rate, node_t, node_s)
-    curvature = np.interp(distance, node_s, node_kappa)
+    curvature = smoothed(np.interp(distance, node_s, node_kappa), rate, STEERING_WINDOW_S)
     curvature += _steering_wander(route, seed, speed, rate)
     acceleration = np.gradient(speed) * rate
     travel = np.sign(speed)

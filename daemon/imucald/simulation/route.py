@@ -114,7 +114,7 @@ class RouteBuilder:
         self, radius: float, angle: float, speed: float, side: float, banked: bool = False
     ) -> None:
         """Add a bend of an angle [rad] with eased ends, at most at `speed`."""
-        ease = min(max(0.35 * radius * angle, 0.35 * speed), radius * angle)
+        ease = min(max(0.5 * radius * angle, 0.5 * speed), radius * angle)
         length = radius * angle + ease
 
         def curvature(share: Array) -> Array:

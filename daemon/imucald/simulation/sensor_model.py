@@ -134,6 +134,11 @@ class WheelSpeeds(Message):
     noise_mps: NonNegative = 0.02
     slip_per_mps2: NonNegative = 0.003
     """Slip of the driven (front) or braked (all) wheels per longitudinal specific force."""
+    slip_events: tuple[Gap, ...] = ()
+    """Stretches in which the wheels slip and disagree, as on ice with the brakes' control at work;
+    the speed signal suffers with the rear wheels."""
+    slip_event_size: Fraction = 0.4
+    """Largest slip in such a stretch."""
 
 
 class Scalar(Message):

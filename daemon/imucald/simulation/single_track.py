@@ -24,7 +24,7 @@ from imucald.samples import GRAVITY
 from imucald.simulation.filters import Array
 from imucald.simulation.vehicle_model import Chassis
 
-LOW_SPEED_MPS = 0.5
+LOW_SPEED_MPS = 0.2
 """|v| in the slip angles is sqrt(v^2 + this^2): the rolling limit without division by zero."""
 NEWTON_STEPS = 12
 NEWTON_TOLERANCE = 1e-9
@@ -45,10 +45,10 @@ class Handling:
 
 def steer_for(chassis: Chassis, speed: Array, curvature: Array, bank: Array) -> Array:
     """Steering that a driver holds for a curvature: delta = L k + K (v^2 k + g bank)."""
-    felt = speed * speed * curvature + GRAVITY * np.sin(bank)
-    # Nobody turns up a hill by understeer compensation at standstill: the bank counts when rolling.
+    # Nobody turns the wheel against a bank at standstill: it counts when rolling.
     rolling = speed * speed / (speed * speed + 1.0)
-    return chassis.wheelbase_m * curvature + chassis.understeer_gradient * felt * rolling
+    felt = speed * speed * curvature + GRAVITY * np.sin(bank) * rolling
+    return chassis.wheelbase_m * curvature + chassis.understeer_gradient * felt
 
 
 def handle(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: float) -> Handling:

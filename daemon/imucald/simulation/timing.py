@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from imucald.simulation.filters import Array, generator
 from imucald.simulation.sensor_model import Message
 
-IMU_UNIT = "imu"
+SHARED_PHASE = {"accel": "imu", "gyro": "imu"}
 """Accelerometer and gyroscope are sampled by one unit, at the same moments."""
+SHARED_FRAME = dict.fromkeys(("yaw_rate", "lateral_accel", "longitudinal_accel"), "dynamics")
+"""The stability control sends its sensors in one frame: same moments, same lateness, same loss."""
 GYRO_AFTER_ACCEL_S = 0.00025
 """The gyroscope's frame follows the accelerometer's: one frame at 500 kbit/s."""
 
@@ -33,12 +35,13 @@ class Timing:
 
 def frame_timing(message: Message, name: str, seed: int, duration_s: float) -> Timing:
     """Draw the timing of a message over a drive."""
-    unit = IMU_UNIT if name in ("accel", "gyro") else name
+    frame = SHARED_FRAME.get(name, name)
+    unit = SHARED_PHASE.get(name, frame)
     period = (1.0 + message.clock_drift_ppm * 1e-6) / message.rate_hz
     phase = float(generator(seed, f"phase:{unit}").random()) * period
     n = max(0, int((duration_s - phase) / period) + 1)
     sampled: Array = phase + np.arange(n, dtype=np.float64) * period
-    rng = generator(seed, f"timing:{name}")
+    rng = generator(seed, f"timing:{frame}")
     late = message.jitter_s * rng.standard_exponential(n)
     if name == "gyro":
         late += GYRO_AFTER_ACCEL_S

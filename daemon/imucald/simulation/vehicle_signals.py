@@ -17,6 +17,10 @@ from imucald.simulation.single_track import Handling
 from imucald.simulation.timing import at_times, frame_timing, quantised
 
 
+SLIP_CYCLES_HZ = (5.0, 6.1, 4.3, 7.2)
+"""Control cycles of the brakes of each wheel."""
+
+
 class VehicleSignals:
     """Makes each signal of the vehicle from its motion."""
 
@@ -92,7 +96,8 @@ class VehicleSignals:
 
     def _speed(self) -> Series:
         speed = self._model.speed
-        true = np.abs(self._driving.speed)
+        grip = self._grip()
+        true = np.abs(self._driving.speed) * 0.5 * (grip[2] + grip[3])
         if speed.time_constant_s > 0.0:
             true = first_order(true, self._rate, speed.time_constant_s)
         t, v = self._sample("speed", speed, true)
@@ -114,12 +119,24 @@ class VehicleSignals:
             np.abs(v - half) * braked,
             np.abs(v + half) * braked,
         ]
+        true = [x * grip for x, grip in zip(true, self._grip(), strict=True)]
         t, *sampled = self._sample("wheel_speeds", wheels, *true)
         values = np.column_stack(sampled)
         noise = self._noise("wheel_speeds", values.shape, wheels.noise_mps)
         return Series(
             t, _rolling(values, np.array(wheels.scale), wheels.dead_band_mps, wheels.lsb, noise)
         )
+
+    def _grip(self) -> list[Array | float]:
+        """Factor on each wheel's speed: 1, less in the stretches where wheels slip."""
+        wheels, t = self._model.wheel_speeds, self._driving.t
+        if not wheels.slip_events:
+            return [1.0] * 4
+        slipping = np.zeros(len(t))
+        for event in wheels.slip_events:
+            slipping[(t >= event.start_s) & (t < event.start_s + event.duration_s)] = 0.5
+        waves = [1.0 + np.sin(2.0 * np.pi * hz * t) for hz in SLIP_CYCLES_HZ]
+        return [1.0 - wheels.slip_event_size * slipping * wave for wave in waves]
 
     def _scalar(self, name: str, scalar: Scalar, signal: Array) -> Series:
         if scalar.lowpass_hz is not None and scalar.lowpass_hz < 0.45 * self._rate:
