@@ -149,6 +149,12 @@ def test_a_damaged_database_never_crashes(kind: str) -> None:
     assert refused > 20
 
 
+def test_a_cycle_time_of_a_wrong_kind_is_passed_over() -> None:
+    text = HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL
+    text += 'BA_DEF_ BO_ "GenMsgCycleTime" STRING;\nBA_ "GenMsgCycleTime" BO_ 16 "often";\n'
+    assert load_database_text(text, "dbc").message("M").cycle_time is None
+
+
 def test_one_name_in_two_files_is_refused_unless_identical(tmp_path: Path) -> None:
     text = HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL
     a = write(tmp_path, "a.dbc", text)

@@ -8,7 +8,8 @@ Nothing past this module knows cantools: a codec, a test or the `check` command 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -129,10 +130,10 @@ def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:
 
 def load_database_text(text: str, database_format: str, name: str = "<text>") -> Database:
     """Read a database from text in the format ``dbc``, ``kcd``, ``sym`` or ``arxml``."""
-    return Database(list(_parse(text, database_format, name)), {})
+    return Database(_parse(text, database_format, name), {})
 
 
-def _load_file(path: Path) -> Iterator[Message]:
+def _load_file(path: Path) -> list[Message]:
     database_format = path.suffix.lower().removeprefix(".")
     if database_format not in ENCODINGS:
         known = ", ".join(f".{f}" for f in ENCODINGS)
@@ -146,7 +147,7 @@ def _load_file(path: Path) -> Iterator[Message]:
     return _parse(text, database_format, str(path))
 
 
-def _parse(text: str, database_format: str, source: str) -> Iterator[Message]:
+def _parse(text: str, database_format: str, source: str) -> list[Message]:
     refuse_heavy(text, database_format, source)
     # cantools imports python-can: let it find the one without heavy readers.
     importlib.import_module("imucald.bus.pythoncan")
@@ -154,11 +155,10 @@ def _parse(text: str, database_format: str, source: str) -> Iterator[Message]:
 
     try:
         loaded: Any = load_string(text, database_format, strict=False)
+        return [_message(message, source) for message in loaded.messages]
     # The parser meets text of any kind, and answers with almost any exception.
     except Exception as error:
         raise DatabaseError(f"{source}: {_reason(error)}") from error
-    for message in loaded.messages:
-        yield _message(message, source)
 
 
 def _reason(error: Exception) -> str:
@@ -177,7 +177,7 @@ def _message(found: Any, source: str) -> Message:
     elif found.autosar is not None and getattr(found.autosar, "is_secured", False):
         unsupported = "secured frames (SecOC) are not supported"
     by_name = {s.name: s for s in found.signals}
-    cycle = found.cycle_time
+    cycle = _number_or_none(found.cycle_time)
     return Message(
         name=found.name,
         can_id=found.frame_id | (CAN_EFF_FLAG if found.is_extended_frame else 0),
@@ -185,7 +185,7 @@ def _message(found: Any, source: str) -> Message:
         signals={n: _signal(s, by_name) for n, s in by_name.items()},
         is_fd=bool(found.is_fd) or found.length > 8,
         is_j1939=found.protocol == "j1939",
-        cycle_time=cycle / 1000.0 if cycle else None,
+        cycle_time=cycle / 1000.0 if cycle is not None and cycle > 0 else None,
         comment=found.comment or "",
         source=source,
         unsupported=unsupported,
@@ -193,7 +193,7 @@ def _message(found: Any, source: str) -> Message:
 
 
 def _signal(found: Any, by_name: Mapping[str, Any]) -> Signal:
-    low, high = found.minimum, found.maximum
+    low, high = _number_or_none(found.minimum), _number_or_none(found.maximum)
     if low is not None and high is not None and not low < high:
         low = high = None  # [0|0] and the like say nothing
     return Signal(
@@ -211,14 +211,21 @@ def _signal(found: Any, by_name: Mapping[str, Any]) -> Signal:
         choices={int(k): str(v) for k, v in (found.choices or {}).items()},
         is_multiplexer=bool(found.is_multiplexer),
         selectors=_selectors(found, by_name),
-        initial_raw=found.raw_initial,
-        invalid_raw=found.raw_invalid,
+        initial_raw=_number_or_none(found.raw_initial),
+        invalid_raw=_number_or_none(found.raw_invalid),
         comment=found.comment or "",
     )
 
 
 def _plain_number(value: Any) -> int | float:
     return value if isinstance(value, (int, float)) else float(value)
+
+
+def _number_or_none(value: Any) -> int | float | None:
+    """A finite number, whole ones as int; None for anything else that an attribute may hold."""
+    if not isinstance(value, (int, float)) or not math.isfinite(value):
+        return None
+    return int(value) if float(value).is_integer() else float(value)
 
 
 def _selectors(found: Any, by_name: Mapping[str, Any]) -> tuple[tuple[str, frozenset[int]], ...]:
