@@ -86,7 +86,8 @@ class CandumpWriter:
         seconds, micros = divmod(round(t * MICROSECONDS), MICROSECONDS)
         number = f"{bare:08X}" if extended else f"{bare:03X}"
         mark = f"##{self._fd_flags:X}" if fd else "#"
-        text = f"({seconds:010d}.{micros:06d}) {_channel(channel)} {number}{mark}{data.hex().upper()}\n"
+        stamp = f"({seconds:010d}.{micros:06d})"
+        text = f"{stamp} {_channel(channel)} {number}{mark}{data.hex().upper()}\n"
         self._put(text.encode("ascii"), 1)
 
     def flush(self) -> None:

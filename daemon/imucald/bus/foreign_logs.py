@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -34,6 +35,15 @@ PROGRESS_FRAMES: Final = 20_000
 MAX_IDS: Final = 65_536
 """Ids whose verdict is remembered; a log with more is damaged, and is forgotten now and then."""
 
+SPACED_FORMATS: Final = (".asc", ".trc")
+"""Formats that write data bytes apart, two digits each."""
+
+LAST_BYTES: Final = 1024
+"""The last line of such a file is shorter."""
+
+LEAST_TOKENS: Final = 6
+"""Words of its lines before the first data byte."""
+
 Frame = tuple[float, int, bytes, int, bool]
 """Time [s], id with flag, payload, channel index, CAN FD."""
 
@@ -61,19 +71,24 @@ class ForeignReader:
         as one rejection ("unreadable") and ends there, since python-can's readers cannot resume.
         """
         before = self._tally.frames_read
+        cut = _ends_in_half_a_byte(path)
         batch: list[Frame] = []
+        frame, counted = None, before
         try:
-            reader = _open(path)
-            with reader:
+            with _open(path) as reader:
                 for number, message in enumerate(reader, 1):
-                    frame = self._judge(message, f"{path}: message {number}")
+                    counted = self._tally.frames_read
+                    frame = self._judge(message, path, number)
                     if frame is not None:
                         batch.append(frame)
-                        if len(batch) == BATCH_FRAMES:
-                            yield _columns(batch, self._channels.names)
-                            batch = []
+                    # The last one stays here: it may have to be taken back.
+                    if len(batch) > BATCH_FRAMES:
+                        yield _columns(batch[:-1], self._channels.names)
+                        batch = batch[-1:]
                     if number % PROGRESS_FRAMES == 0:
                         report(_position(reader))
+            if cut and self._tally.frames_read > counted:
+                self._take_back(batch, frame, path)
         except LogError:
             raise
         # What python-can's readers raise on damaged files is not documented, and is anything.
@@ -86,7 +101,14 @@ class ForeignReader:
         if batch:
             yield _columns(batch, self._channels.names)
 
-    def _judge(self, message: Any, place: str) -> Frame | None:
+    def _take_back(self, batch: list[Frame], last: Frame | None, path: Path) -> None:
+        """Reject the file's last frame."""
+        if last is not None:
+            batch.pop()
+        self._tally.frames_read -= 1
+        self._tally.reject("cut_line", f"{path}: the last line is cut")
+
+    def _judge(self, message: Any, path: Path, number: int) -> Frame | None:
         """Count one message; return it if it is a wanted data frame."""
         if message.is_error_frame:
             self._tally.ignore("error_frame")
@@ -99,7 +121,8 @@ class ForeignReader:
         index = self._channels.index(channel)
         if reason or index is None:
             reason = reason or "too_many_channels"
-            self._tally.reject(reason, f"{place}: {reason.replace('_', ' ')}")
+            text = f"{path}: message {number}: {reason.replace('_', ' ')}"
+            self._tally.reject(reason, text)
             return None
         self._tally.frames_read += 1
         can_id = message.arbitration_id | (CAN_EFF_FLAG if message.is_extended_id else 0)
@@ -125,6 +148,22 @@ def _open(path: Path) -> Any:
         return with_mf4()(path)
     except ImportError as error:
         raise LogError(f"{path}: reading MF4 needs the extra 'mf4' (asammdf)") from error
+
+
+def _ends_in_half_a_byte(path: Path) -> bool:
+    """Say whether a text log was cut within its last data byte: python-can's readers take the
+    digit that is left for the byte. Any other cut makes the data too short. Raises LogError.
+    """
+    try:
+        with path.open("rb") as file:
+            if path.suffix.lower() not in SPACED_FORMATS:
+                return False
+            file.seek(-min(LAST_BYTES, path.stat().st_size), os.SEEK_END)
+            last_line = file.read().rpartition(b"\n")[2]
+    except OSError as error:
+        raise LogError(f"{path}: cannot be opened: {error.strerror}") from error
+    tokens = last_line.split()
+    return len(tokens) > LEAST_TOKENS and len(tokens[-1]) == 1 and last_line.endswith(tokens[-1])
 
 
 def _fault(message: Any) -> str:

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from imucald.bus.candump import PADDING, CandumpParser
 from imucald.bus.candump_line import MAX_LINE_BYTES
 from imucald.bus.candump_writer import CandumpWriter
@@ -36,6 +38,10 @@ CHUNK_FRAMES: Final = 16_384
 
 CHUNK_BLOCKS: Final = 8
 """Blocks after which they are passed on however few they are, so that progress shows."""
+
+KEPT_BYTES: Final = 16 << 20
+"""Freed memory that the C library may keep for reuse, above the arrays of one block (about 6 MiB
+with their copies)."""
 
 Progress = Callable[[int, int | None], None]
 """Called with bytes read and bytes in all (None where standard input is among the files)."""
@@ -89,6 +95,7 @@ class LogReader:
         self._tally = Tally(self._tally.strict)
         self._bytes_before = 0
         self._bytes_total = _total_bytes(self._paths)
+        _keep_freed_memory()
         channels, filters = Channels(), IdFilters(self._keep)
         candump = CandumpParser(filters, channels, self._tally)
         foreign = ForeignReader(filters, channels, self._tally)
@@ -121,6 +128,15 @@ class LogReader:
                 self._tally.reject("damaged_file", f"{where}: reading ends here: {blocks.damage}")
             elif blocks.rest:
                 yield parser.parse_rest(blocks.rest, (name, lines))
+
+
+def _keep_freed_memory() -> None:
+    """Let glibc reuse freed memory, instead of giving it back and faulting it in for each block.
+
+    It sets its threshold for that to the largest block it has seen freed. The array is never
+    touched, so it costs nothing; reading takes less than half the time. Elsewhere: no effect.
+    """
+    np.empty(KEPT_BYTES, np.uint8)
 
 
 def _gathered(blocks: Iterator[FrameColumns]) -> Iterator[FrameColumns]:

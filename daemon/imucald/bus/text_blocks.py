@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 
@@ -35,8 +35,7 @@ class _Source(Protocol):
 def open_source(path: Path | str) -> AbstractContextManager[_Source]:
     """Open a file, or standard input for "-". Raises LogError."""
     if str(path) == STDIN:
-        stdin: _Source = sys.stdin.buffer
-        return nullcontext(stdin)
+        return nullcontext(cast(_Source, sys.stdin.buffer))
     try:
         return Path(path).open("rb", buffering=0)
     except OSError as error:
