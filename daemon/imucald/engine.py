@@ -192,7 +192,7 @@ class Engine:
             can_id, data = self.output.corrected_columns(channel, turned, quality)
             # not-available frames of a row come after its corrected ones, as in `frame`
             missing = np.isin(row, bad) if bad is not None else np.zeros(len(row), bool)
-            rank = np.where(missing, len(self.output.triads), 0) + order + _STATUS_FRAMES
+            rank = np.where(missing, len(self.output.triads), 0) + order + 1
             yield _OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
             self.sent += len(row)
 
@@ -212,7 +212,7 @@ class Engine:
             out = self._status(snapshot, before + len(seen), recent, last)
             yield _OutPart(
                 np.full(len(out), row_of(snapshot.k)),
-                np.arange(len(out)),
+                np.zeros(len(out), np.int64),  # one frame may close many ticks: as they come
                 np.array([can_id for can_id, _ in out], dtype=np.uint32),
                 np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
             )
@@ -264,13 +264,13 @@ class Engine:
         )
 
 
-_STATUS_FRAMES = 3
-"""Status frames stand before the corrected frames of the row that brought them about."""
-
-
 @dataclass(frozen=True, eq=False)
 class _OutPart:
-    """Frames to send with the input row they belong to and their rank within it."""
+    """Frames to send with the input row they belong to and their rank within it.
+
+    Status frames have rank 0: they stand before the corrected frames of the row that brought them
+    about.
+    """
 
     row: NDArray[np.int64]
     rank: NDArray[np.int64]
