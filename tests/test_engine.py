@@ -1,0 +1,63 @@
+"""Engine: one frame at a time and columns give the same frames, counters and ticks, bit for bit."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from engine_bus import CONFIGS, ScriptedEstimator, Traffic, columns_of, engine_of, frames_of, load
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imucald.engine import Engine
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory):
+    return {name: load(text, tmp_path_factory.mktemp(name)) for name, text in CONFIGS.items()}
+
+
+def one_by_one(engine: Engine, frames):
+    return [out for frame in frames for out in engine.frame(*frame)]
+
+
+def in_chunks(engine: Engine, frames, rng, scalar_share):
+    """Feed chunks of random length, by columns or (with the given share) frame by frame."""
+    out, start = [], 0
+    while start < len(frames):
+        stop = start + rng.choice([1, 2, 3, 10, 40, 200, len(frames)])
+        part = frames[start:stop]
+        if rng.random() < scalar_share:
+            out += one_by_one(engine, part)
+        else:
+            out += frames_of(engine.columns(columns_of(part)))
+        start = stop
+    return out
+
+
+def told(engine: Engine):
+    """Everything an engine can say about what it has seen."""
+    router, pipeline = engine.router, engine.pipeline
+    return {
+        "used": router.used,
+        "rejected": dict(router.rejected),
+        "samples": {c: n for c, n in router.sample_counts.items() if n},
+        "sent": engine.sent,
+        "ticks": pipeline.k,
+        "rows": pipeline.estimator.rows,
+        "first": (pipeline.first_usable, pipeline.first_fine),
+        "now": engine.timebase.now,
+        "steps": engine.timebase.steps,
+    }
+
+
+@pytest.mark.parametrize("name", sorted(CONFIGS))
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32), scalar_share=st.sampled_from([0.0, 0.5]))
+def test_columns_and_single_frames_are_the_same_engine(loaded, name, seed, scalar_share):
+    rng = random.Random(seed)
+    frames = Traffic(rng, loaded[name]).frames(rng.choice([3, 40, 300]))
+    single, other = engine_of(loaded[name]), engine_of(loaded[name])
+    expected = one_by_one(single, frames)
+    assert in_chunks(other, frames, rng, scalar_share) == expected
+    assert told(other) == told(single)
