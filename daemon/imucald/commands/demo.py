@@ -1,0 +1,64 @@
+"""`imucald demo`: see a calibration converge, without hardware."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import time
+from contextlib import ExitStack
+
+from imucald.errors import ConfigError
+
+DEFAULT_MINUTES = 6.0
+"""A drive that brings every angle to rest, and some fifteen seconds of waiting."""
+QUICK_MINUTES = 2.5
+MAX_MINUTES = 120.0
+"""Two hours of driving: some minutes of waiting."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `demo`."""
+    # Otherwise "-5,3,30" would be taken for an option.
+    parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
+    parser.add_argument("--seed", type=int, default=1, metavar="N",
+                        help="another seed, another drive, car, sensor and mount (default: 1)")  # fmt: skip
+    parser.add_argument("--minutes", type=float, metavar="M",
+                        help=f"length of the drive (default: {DEFAULT_MINUTES:g})")  # fmt: skip
+    parser.add_argument("--mount", metavar="R,P,Y",
+                        help="mount angles in degrees (default: drawn from the seed)")  # fmt: skip
+    parser.add_argument("--quick", action="store_true",
+                        help=f"a drive of {QUICK_MINUTES:g} minutes only")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Drive, show, compare; 0 when the estimate became usable."""
+    from imucald.commands.demo_view import LiveView, PlainView, print_result
+    from imucald.commands.simulate import chosen_model
+    from imucald.demo import Demonstration
+    from imucald.simulation.bus_frames import example_config
+    from imucald.simulation.drive import simulate
+
+    minutes = options.minutes
+    if minutes is None:
+        minutes = QUICK_MINUTES if options.quick else DEFAULT_MINUTES
+    if not 0.1 <= minutes <= MAX_MINUTES:
+        raise ConfigError(f"--minutes must be between 0.1 and {MAX_MINUTES:g}")
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="replace")  # a terminal without UTF-8 still shows numbers
+    model = chosen_model(
+        argparse.Namespace(
+            seed=options.seed, mount=options.mount, model=None, route=None, shift=[], changes=[]
+        )
+    )
+    began = time.monotonic()
+    drive = simulate(model, options.seed, minutes)
+    view = LiveView(options.seed) if sys.stdout.isatty() else PlainView(options.seed)
+    with ExitStack() as stack:
+        demonstration = stack.enter_context(Demonstration(drive, example_config()))
+        with view:
+            for _ in demonstration.run():
+                view.show(demonstration)
+        print_result(demonstration, time.monotonic() - began)
+        usable = demonstration.engine.pipeline.first_usable is not None
+    return 0 if usable else 1

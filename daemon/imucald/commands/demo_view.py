@@ -1,0 +1,260 @@
+"""What `imucald demo` shows: a live picture on a terminal, plain lines elsewhere, then the result."""
+
+from __future__ import annotations
+
+import math
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.padding import Padding
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from imucald.demo import LAST_S, Angle, Demonstration, angles_beside
+from imucald.mount.estimate import ANGLES, MountState
+
+FRAME_S = 0.1
+"""The picture is drawn anew so often [s of waiting]."""
+LINE_S = 15.0
+"""A plain line appears so often [s of driving]."""
+HISTORY = 24
+"""Columns of the history of an angle's uncertainty."""
+BLOCKS = " ▁▂▃▄▅▆▇█"
+WIDEST_DEG, NARROWEST_DEG = 30.0, 0.1
+"""Two standard deviations that fill the history's column, and that leave it empty (log scale)."""
+_STYLES = {
+    MountState.USABLE: "green",
+    MountState.FINE: "bold green",
+    MountState.SUSPECT: "red",
+    MountState.RECALIBRATING: "red",
+}
+_DEG = 180.0 / math.pi
+
+
+class PlainView:
+    """One line every so often."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+        self._next = LINE_S
+
+    def __enter__(self) -> Self:
+        print(f"A simulated drive (seed {self._seed}) on a virtual CAN bus, imucald listening.")
+        print(
+            "   time  state          roll +- 2 sd     pitch +- 2 sd       yaw +- 2 sd  waiting for"
+        )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Nothing is open."""
+
+    def show(self, demo: Demonstration) -> None:
+        """Print a line when one is due."""
+        if demo.now < self._next:
+            return
+        self._next += LINE_S
+        estimate = demo.estimate()
+        found = {a.name: a for a in angles_beside(estimate, demo.truth)}
+        cells = "".join(f"{_with_interval(found.get(name)):>18}" for name in ANGLES)
+        waiting = next(iter(estimate.waiting_for.values()), "")
+        state = estimate.state.name.lower()
+        print(f"{_clock(demo.now):>7}  {state:<9}{cells}  {waiting}".rstrip(), flush=True)
+
+
+class LiveView:
+    """A picture that moves."""
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+        self._console = Console(highlight=False)
+        self._live = Live(console=self._console, auto_refresh=False)
+        self._began = time.monotonic()
+        self._drawn = -math.inf
+        self._history: dict[str, list[float]] = {name: [] for name in ANGLES}
+
+    def __enter__(self) -> Self:
+        self._live.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._live.__exit__(kind, error, trace)
+
+    def show(self, demo: Demonstration) -> None:
+        """Draw the picture when it is due."""
+        column = int(HISTORY * demo.now / demo.drive.duration_s)
+        angles = {a.name: a for a in angles_beside(demo.estimate(), demo.truth)}
+        for name, history in self._history.items():
+            while len(history) < min(column, HISTORY):
+                history.append(2.0 * angles[name].std if name in angles else math.inf)
+        now = time.monotonic()
+        if now - self._drawn >= FRAME_S or demo.now >= demo.drive.duration_s:
+            self._drawn = now
+            self._live.update(self._picture(demo, angles), refresh=True)
+
+    def _picture(self, demo: Demonstration, angles: dict[str, Angle]) -> Group:
+        estimate = demo.estimate()
+        waiting = [f"{angle}: {text}" for angle, text in estimate.waiting_for.items()]
+        return Group(
+            self._headline(demo),
+            Padding(_state_line(demo), (1, 0)),
+            self._angle_table(angles),
+            Padding(Text("\n".join(waiting[:3]), style="yellow"), (0, 0, 0, 2)),
+            Padding(_acceleration_table(demo), (1, 0)),
+            _traffic_line(demo, time.monotonic() - self._began),
+        )
+
+    def _headline(self, demo: Demonstration) -> Table:
+        grid = Table.grid(padding=(0, 2))
+        speed, _, yaw_rate = demo.motion()
+        turn = "left" if yaw_rate > 0.03 else "right" if yaw_rate < -0.03 else "straight on"
+        doing = "standing" if abs(speed) < 0.1 else f"{3.6 * speed:3.0f} km/h, {turn}"
+        grid.add_row(
+            Text("imucald demo", style="bold"),
+            ProgressBar(demo.drive.duration_s, min(demo.now, demo.drive.duration_s), width=24),
+            f"{_clock(demo.now)} of {_clock(demo.drive.duration_s)}",
+            doing,
+        )
+        return grid
+
+    def _angle_table(self, angles: dict[str, Angle]) -> Table:
+        table = Table(box=None, pad_edge=False)
+        table.add_column("mount")
+        for name in ("estimate", "± 2 sd", "truth"):
+            table.add_column(name, justify="right", min_width=9)
+        table.add_column("± 2 sd so far, log scale", min_width=HISTORY)
+        for name in ANGLES:
+            angle = angles.get(name)
+            cells = ("-", "-", "") if angle is None else (
+                f"{angle.estimate * _DEG:+.2f}°",
+                f"{2.0 * angle.std * _DEG:.2f}°",
+                f"{angle.truth * _DEG:+.2f}°",
+            )  # fmt: skip
+            table.add_row(name, *cells, Text(_history(self._history[name]), style="cyan"))
+        return table
+
+
+def _state_line(demo: Demonstration) -> Text:
+    estimate, pipeline = demo.estimate(), demo.engine.pipeline
+    text = Text("state  ")
+    text.append(estimate.state.name.lower(), style=_STYLES.get(estimate.state, "yellow"))
+    times = (("usable", pipeline.first_usable), ("fine", pipeline.first_fine))
+    reached = [f"{name} after {_clock(t)}" for name, t in times if t is not None]
+    text.append("   " + ", ".join(reached) if reached else "   nothing is sent as available yet")
+    return text
+
+
+def _acceleration_table(demo: Demonstration) -> Table:
+    measured, corrected = demo.acceleration()
+    table = Table(box=None, pad_edge=False)
+    table.add_column("acceleration [m/s²]")
+    for axis in ("x", "y", "z"):
+        table.add_column(axis, justify="right", min_width=8)
+    table.add_row("as the sensor sends it", *(f"{v:+.2f}" for v in measured))
+    received = ["n/a"] * 3 if corrected is None else [f"{v:+.2f}" for v in corrected]
+    table.add_row("as received from imucald", *received)
+    return table
+
+
+def _traffic_line(demo: Demonstration, waited: float) -> Text:
+    now = max(demo.now, 1e-9)
+    rejected = demo.engine.router.rejected.total()
+    text = f"{demo.sent / now:.0f} frames/s in, {demo.engine.sent / now:.0f}/s out"
+    text += f", {rejected} rejected, {now / max(waited, 1e-9):.0f} times real time"
+    return Text(text, style="dim")
+
+
+def print_result(demo: Demonstration, waited: float) -> None:
+    """Print estimate beside truth, the frames' proof, and what to do next."""
+    console = Console(highlight=False, soft_wrap=True)
+    angles = angles_beside(demo.estimate(), demo.truth)
+    console.print()
+    if angles:
+        console.print(_result_table(angles))
+    else:
+        console.print("No estimate was reached.")
+    console.print()
+    for line in _result_lines(demo, waited):
+        console.print(line)
+    console.print()
+    console.print("Next: what would imucald decode from a log of yours, and what would it find?")
+    console.print("  imucald check  --config config/imucald.yaml your.log    (edit the copy first)")
+    console.print("  imucald replay --config config/imucald.yaml your.log")
+
+
+def _result_table(angles: list[Angle]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("mount angle")
+    for name in ("estimate", "± 2 sd", "truth", "error"):
+        table.add_column(name, justify="right", min_width=9)
+    table.add_column("truth inside?")
+    for angle in angles:
+        style = "green" if angle.inside else "red"
+        table.add_row(
+            angle.name,
+            f"{angle.estimate * _DEG:+.2f}°",
+            f"{2.0 * angle.std * _DEG:.2f}°",
+            f"{angle.truth * _DEG:+.2f}°",
+            f"{angle.error * _DEG:+.2f}°",
+            Text("yes" if angle.inside else "no", style=style),
+        )
+    return table
+
+
+def _result_lines(demo: Demonstration, waited: float) -> list[str]:
+    pipeline, listener = demo.engine.pipeline, demo.listener
+    name = demo.estimate().state.name.lower()
+    usable = _clock(pipeline.first_usable) if pipeline.first_usable is not None else "never"
+    fine = _clock(pipeline.first_fine) if pipeline.first_fine is not None else "never"
+    lines = [
+        f"State {name}; usable after {usable}, fine after {fine} of {_clock(demo.now)} driven "
+        f"({waited:.0f} s of waiting).",
+        f"Frames: {demo.sent} received, {demo.engine.router.rejected.total()} rejected; "
+        f"{listener.frames} corrected accelerations heard, {listener.damaged} damaged.",
+    ]
+    found = demo.compare()
+    if found is None:
+        return [*lines, "No corrected acceleration was available in the end."]
+    return [
+        *lines,
+        f"Acceleration over the last {min(LAST_S, demo.now):.0f} s, rms distance from the truth:",
+        f"  as the sensor sends it    {found.measured:6.2f} m/s²",
+        f"  as received from imucald  {found.corrected:6.2f} m/s²",
+        f"  with the mount known      {found.known_mount:6.2f} m/s² (noise, vibration, bias)",
+    ]
+
+
+def _with_interval(angle: Angle | None) -> str:
+    if angle is None:
+        return "-"
+    return f"{angle.estimate * _DEG:+.2f} +- {2.0 * angle.std * _DEG:.2f}"
+
+
+def _history(widths: list[float]) -> str:
+    return "".join(_block(w * _DEG) for w in widths)
+
+
+def _block(width_deg: float) -> str:
+    if not math.isfinite(width_deg):
+        return "·"
+    span = math.log(WIDEST_DEG / NARROWEST_DEG)
+    part = math.log(max(width_deg, NARROWEST_DEG) / NARROWEST_DEG) / span
+    return BLOCKS[min(max(math.ceil(part * 8.0), 1), 8)]
+
+
+def _clock(seconds: float) -> str:
+    whole = round(seconds)
+    return f"{whole // 60}:{whole % 60:02d}"
