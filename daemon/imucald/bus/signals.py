@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from imucald.bus.columns import FrameColumns, IdMatch
 from imucald.bus.quantities import REASONS
-from imucald.bus.routes import Route, Tap
+from imucald.bus.routes import Physical, Raw, Route, Tap
 from imucald.samples import CHANNEL_WIDTH, Series
 
 SOURCE_HOLD = 1.5
@@ -110,7 +110,8 @@ class Router:
         """
         samples: list[Sample] = []
         rejected: list[str] = []
-        accepted = False
+        found: list[tuple[Tap, Raw, Physical]] = []
+        accepted = 0
         for route in self._routes_of(can_id):
             reason = route.check(t, data)
             if reason is None:
@@ -119,16 +120,23 @@ class Router:
                 self.rejected[reason] += 1
                 rejected.extend(tap.channel for tap in route.taps)
                 continue
-            accepted = True
-            self._take(route, t, data, samples, rejected)
-        self.used += accepted
+            accepted += 1
+            raw, physical = route.numbers(data)
+            found += [(tap, raw, physical) for tap in route.taps]
+        if accepted > 1:  # the preferred source is heard first, whichever route it is on
+            found.sort(key=lambda one: one[0].rank)
+        self.used += accepted > 0
+        self._take(t, found, samples, rejected)
         return samples, rejected
 
     def _take(
-        self, route: Route, t: float, data: bytes, samples: list[Sample], rejected: list[str]
+        self,
+        t: float,
+        found: Iterable[tuple[Tap, Raw, Physical]],
+        samples: list[Sample],
+        rejected: list[str],
     ) -> None:
-        raw, physical = route.numbers(data)
-        for tap in route.taps:
+        for tap, raw, physical in found:
             values: Sequence[float] | None
             values, code = tap.one(raw, physical)
             if code < 0:
