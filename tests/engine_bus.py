@@ -159,7 +159,26 @@ signals:
 output: {status_rate: 1, ids: {acceleration: 0x650, angular_rate: 0x1640000}}
 """
 
-CONFIGS = {"rich": RICH, "planar": PLANAR, "split": SPLIT}
+CLASH = """
+database: bus.dbc
+signals:
+  accelerometer:
+    - {x: ACC.AX, y: ACC.AY, z: ACC.AZ}
+    - x: {raw: {id: 0x100, value: "data[0] - 100"}, unit: m/s^2}
+      y: {raw: {id: 0x100, value: "data[2] - 100"}, unit: m/s^2}
+      z: {raw: {id: 0x110, value: "data[3] - 100"}, unit: m/s^2}
+    - {x: MUX.LAT, y: ACC.AX, z: {raw: {id: 0x140, value: "data[7]"}, unit: m/s^2}}
+  speed:
+    - {signal: SPD.V, range: [-100, 100]}
+    - {raw: {id: 0x130, value: "data[0]"}, unit: km/h}
+    - WHL.FL
+  wheel_speeds: {front_left: WHL.FL, front_right: WHL.FR, rear_left: SPD.V, rear_right: WHL.RR}
+  brake: [GEAR.BRK, {raw: {id: 0x160, value: "data[0] == 4 or length > 3"}}, GEAR.G]
+messages:
+  ACC: {counter: {signal: ACNT}, checksum: {kind: xor, signal: ACRC}, recover_after: 2}
+"""
+
+CONFIGS = {"clash": CLASH, "rich": RICH, "planar": PLANAR, "split": SPLIT}
 
 
 def load(text: str, folder: Path, dbc: str = DBC) -> LoadedConfig:

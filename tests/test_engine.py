@@ -5,10 +5,10 @@ from __future__ import annotations
 import random
 
 import pytest
-from engine_bus import CONFIGS, ScriptedEstimator, Traffic, columns_of, engine_of, frames_of, load
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from engine_bus import CONFIGS, Traffic, columns_of, engine_of, frames_of, load
 from imucald.engine import Engine
 
 
