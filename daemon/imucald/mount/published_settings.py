@@ -30,10 +30,15 @@ class PublishedSettings:
     """The same without speed: seconds of motion."""
     slope_std: float = math.radians(1.3)
     """Spread of road slope from stop to stop, per axis [rad]; measured: 0.7-3 deg."""
-    accel_bias_std: float = 0.05
-    """Accelerometer bias [m/s^2] (5 mg): what no number of stops averages."""
-    crown_std: float = math.radians(0.5)
-    """Road crown that always leans one way [rad]: it reads as roll and nothing sees it."""
+    accel_bias_std: float = 0.098
+    """Accelerometer bias [m/s^2] (10 mg): what no number of stops averages."""
+    accel_range: float = math.inf
+    """Full scale of the accelerometer [m/s^2]; nothing is learnt close to it."""
+    crown: float = 0.0
+    """Expected lean of the roads [rad]: positive where traffic keeps right, 0 where unknown."""
+    crown_std: float = 0.0134
+    """Spread of that lean [rad]; it reads as mount roll and nothing sees it. Without a driving
+    side: 1.2 % either way with a spread of 0.6 %."""
     planar: bool = False
     """The accelerometer has two axes only and counts as level; z is taken as gravity."""
     planar_tilt_std: float = math.radians(1.5)
@@ -44,7 +49,7 @@ class PublishedSettings:
     # Step 4: straight variable-speed motion.
     recognisers: tuple[str, ...] = RECOGNISERS
     """Recognisers by preference; the first whose signal is there decides."""
-    yaw_rate_limit: float = math.radians(5.0)
+    yaw_rate_limit: float = math.radians(2.0)
     """Yaw rate of straight motion [rad/s] where v r is known and gated as well."""
     yaw_rate_limit_without_speed: float = math.radians(1.0)
     """The same where speed is unknown: 1 deg/s at 20 m/s is 0.35 m/s^2."""
@@ -59,8 +64,10 @@ class PublishedSettings:
     """Range within which they agree [rad]."""
     consistency_smoothing: int = 10
     """Ticks (0.1 s) averaged for each angle: road noise is as large as braking otherwise."""
-    lateral_limit: float = 1.0
+    lateral_limit: float = 0.6
     """Lateral acceleration v r of straight motion [m/s^2]; 0 switches the gate off."""
+    settle: float = 1.5
+    """Straight motion [s] after a turn before anything is learnt: body roll swings out."""
     min_speed_change: float = 0.4
     """Least |dv/dt| of variable-speed motion [m/s^2]: below, slope and noise decide the angle."""
     manoeuvre_peak: float = 0.8
@@ -75,7 +82,7 @@ class PublishedSettings:
     """What may tell accelerating from braking."""
     subtract_lateral: bool = True
     """Subtract v r where speed and yaw rate are known (beyond the publication)."""
-    remove_offset_after: float = 4.0
+    remove_offset_after: float = 2.0
     """Time constant [s] of the mean that is removed: slope, bank and bias wander. 0: never."""
     use_speed: bool = True
     """Use dv/dt for gate, sign and weight (beyond the publication for gate and weight)."""
@@ -83,7 +90,7 @@ class PublishedSettings:
     """How late the speed is against the accelerometer [s]; negative where it leads."""
     speed_timeout: float = 2.5
     """Time without a speed sample after which speed is unknown [s]."""
-    block_s: float = 0.5
+    block_s: float = 0.3
     """Shortest interval over which dv/dt and acceleration are compared [s]."""
 
     # States; a state is left only when its limit is exceeded by the factor `hysteresis`.
@@ -95,7 +102,7 @@ class PublishedSettings:
     fine_tilt_std: float = math.radians(1.0)
     hysteresis: float = 1.4
     slew: float = math.radians(0.5)
-    """Rate at which the applied rotation follows the estimate [rad/s]."""
+    """Rate [rad/s] at which the applied rotation follows the estimate."""
 
     def as_published(self) -> PublishedSettings:
         """Return the same presets without what goes beyond the publication."""

@@ -9,23 +9,38 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
+from imucald.motion.speed import Block
+
 Vector = tuple[float, float, float]
 
 VOTES_KEPT = 60
-VOTE_WEIGHTS = {"brake": 1.0, "turn": 1.0, "first_motion": 1.0}
-VOTES_NEEDED = 3.0
+VOTES_NEEDED = 3
 """Votes by which one direction must lead: a single pull-off may have been in reverse."""
 AGREEMENT = 0.7
 """Part of all votes that must agree."""
 ALIGNED = 0.7
-"""A vote must lie within 45 deg of the axis; others tell nothing."""
+"""Cosine: a vote must lie within 45 deg of the axis; others tell nothing."""
+GATHER_S = 2.0
+"""Time over which the force of a first motion or a braking is averaged [s]."""
+FIRST_MOTION_WITHIN_S = 4.0
+"""A first motion must begin within this time of the end of standstill [s]."""
+FIRST_MOTION_FORCE = 0.7
+"""Mean horizontal force of a first motion that counts [m/s^2]."""
+BRAKE_FORCE = 0.6
+"""The same for a braking that counts."""
+TURN_RATE = math.radians(6.0)
+"""Yaw rate of a turn that tells left from right [rad/s]."""
+TURN_FORCE = 0.8
+"""Mean horizontal force of such a turn [m/s^2]."""
+TURN_S = 1.5
+"""Shortest such turn [s]."""
 
 
 class SignVotes:
     """Collects votes and says which way along an axis is forward."""
 
     def __init__(self) -> None:
-        self._votes: deque[tuple[Vector, str]] = deque(maxlen=VOTES_KEPT)
+        self._votes: deque[Vector] = deque(maxlen=VOTES_KEPT)
         self.counts: dict[str, int] = {}
 
     def add(self, source: str, forward: Sequence[float]) -> None:
@@ -33,19 +48,97 @@ class SignVotes:
         x, y, z = forward
         norm = math.sqrt(x * x + y * y + z * z)
         if norm > 0.0:
-            self._votes.append(((x / norm, y / norm, z / norm), source))
+            self._votes.append((x / norm, y / norm, z / norm))
             self.counts[source] = self.counts.get(source, 0) + 1
 
     def sign(self, axis: Vector) -> float:
         """Return +1 when the axis (3,) points forward, -1 when it points back, 0 when unsure."""
-        ahead = back = 0.0
-        for (x, y, z), source in self._votes:
-            along = x * axis[0] + y * axis[1] + z * axis[2]
-            if along > ALIGNED:
-                ahead += VOTE_WEIGHTS[source]
-            elif along < -ALIGNED:
-                back += VOTE_WEIGHTS[source]
-        most = max(ahead, back)
-        if abs(ahead - back) < VOTES_NEEDED or most < AGREEMENT * (ahead + back):
+        along = [x * axis[0] + y * axis[1] + z * axis[2] for x, y, z in self._votes]
+        ahead = sum(1 for c in along if c > ALIGNED)
+        back = sum(1 for c in along if c < -ALIGNED)
+        if abs(ahead - back) < VOTES_NEEDED or max(ahead, back) < AGREEMENT * (ahead + back):
             return 0.0
         return 1.0 if ahead > back else -1.0
+
+
+class _Gathered:
+    """Force summed over time, in sensor axes."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        self.x = self.y = self.z = self.seconds = 0.0
+
+    def add(self, f: Vector, dt: float, direction: float) -> None:
+        self.x += direction * dt * f[0]
+        self.y += direction * dt * f[1]
+        self.z += direction * dt * f[2]
+        self.seconds += dt
+
+    def horizontal(self, up: Vector) -> Vector:
+        along = self.x * up[0] + self.y * up[1] + self.z * up[2]
+        return (self.x - along * up[0], self.y - along * up[1], self.z - along * up[2])
+
+
+class SignEvidence:
+    """Watches blocks for what tells forward from backward, and votes. Offset is off the force.
+
+    sources: which of "brake", "turn", "first_motion" may vote.
+    """
+
+    def __init__(self, sources: Sequence[str]) -> None:
+        self._sources = frozenset(sources)
+        self.votes = SignVotes()
+        self._first, self._brake, self._turn = _Gathered(), _Gathered(), _Gathered()
+        self.restart()
+
+    def restart(self) -> None:
+        """Drop what is half gathered; votes stay."""
+        self._departed = -math.inf
+        for gathered in (self._first, self._brake, self._turn):
+            gathered.clear()
+
+    def depart(self, t: float) -> None:
+        """Standstill has ended at t [s]."""
+        self._departed = t
+        self._first.clear()
+
+    def take_turn(self, block: Block, f: Vector, up: Vector | None, reverse: bool) -> None:
+        """Take any block: in a turn the force points to the side that the gyro turns to."""
+        turn = self._turn
+        if abs(block.yaw_rate) > TURN_RATE:
+            turn.add(f, block.t1 - block.t0, math.copysign(1.0, block.yaw_rate))
+            return
+        if turn.seconds >= TURN_S and not reverse and up is not None:
+            x, y, z = turn.horizontal(up)  # to the left
+            forward = (y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
+            self._vote("turn", forward, TURN_FORCE * turn.seconds)
+        turn.clear()
+
+    def take_straight(
+        self, block: Block, f: Vector, up: Vector | None, reverse: bool, braking: bool
+    ) -> None:
+        """Take a straight block."""
+        if up is None:
+            return
+        dt = block.t1 - block.t0
+        direction = -1.0 if reverse else 1.0
+        first, brake = self._first, self._brake
+        if block.t0 - self._departed < FIRST_MOTION_WITHIN_S:
+            first.add(f, dt, direction)
+            if first.seconds >= GATHER_S:
+                self._vote("first_motion", first.horizontal(up), FIRST_MOTION_FORCE * GATHER_S)
+                self._departed = -math.inf
+        if not braking:
+            brake.clear()
+            return
+        brake.add(f, dt, -direction)
+        if brake.seconds >= GATHER_S:
+            self._vote("brake", brake.horizontal(up), BRAKE_FORCE * GATHER_S)
+            brake.clear()
+
+    def _vote(self, source: str, forward: Vector, least: float) -> None:
+        x, y, z = forward
+        if source in self._sources and math.sqrt(x * x + y * y + z * z) > least:
+            self.votes.add(source, forward)
