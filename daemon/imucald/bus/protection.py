@@ -102,6 +102,7 @@ class MessageGuard:
                 if self._timeout is not None or value is not None:
                     code = self._sequence(t, value)
                 self._last_t = t
+                self._missed = 0
                 if code == OK and self._distrust:
                     self._distrust -= 1
                     self._counts[UNTRUSTED] += 1
@@ -117,8 +118,7 @@ class MessageGuard:
     def _sequence(self, t: float, value: int | None) -> int:
         """Time-out and counter of a frame that is good in itself."""
         last, self._last_counter = self._last_counter, value
-        missed, self._missed = self._missed, 0
-        last_t = self._last_t
+        missed, last_t = self._missed, self._last_t
         if self._timeout is not None and last_t is not None and t - last_t > self._timeout:
             return TIMEOUT
         counter = self._counter
