@@ -9,14 +9,12 @@ Bad samples are never learnt from: a block that holds one is dropped whole.
 from __future__ import annotations
 
 import math
-from collections import deque
 from math import isnan
 
 import numpy as np
 
-from imucald.frames import Matrix3, levelling_rotation, rotation_from_angles
+from imucald.frames import Matrix3, rotation_from_angles
 from imucald.motion.speed import Block, BlockMaker
-from imucald.motion.standstill import StandstillDetector
 from imucald.motion.straight import YawRateSource
 from imucald.motion.ticks import (
     ACCEL_BAD,
@@ -38,17 +36,22 @@ from imucald.motion.ticks import (
     SPEED_AGE,
     SPEED_BAD,
     SPEED_N,
-    TICK_S,
     T,
     TickRow,
 )
 from imucald.mount.estimate import Correction, MountEstimate, MountState
-from imucald.mount.levelling import LongRunLevel, StopBook, Tilt
-from imucald.mount.published_events import Angle, Manoeuvre, combined, combined_axis
+from imucald.mount.published_events import (
+    Angle,
+    Manoeuvre,
+    ManoeuvreBook,
+    combined,
+    combined_axis,
+)
 from imucald.mount.published_gate import StraightGate, WanderingOffset
 from imucald.mount.published_settings import PublishedSettings
 from imucald.mount.published_sign import SignEvidence
 from imucald.mount.published_states import Knowledge, judged, waiting_for
+from imucald.mount.published_tilt import TiltKeeper
 from imucald.mount.published_yaw import rotation_about_up
 from imucald.mount.slewing import SlewedRotation
 from imucald.samples import GRAVITY
@@ -71,9 +74,6 @@ STUCK_TICKS = 10
 PLAUSIBLE_FORCE = (0.3 * GRAVITY, 3.0 * GRAVITY)
 """Size of a tick's mean specific force on a vehicle that drives [m/s^2]."""
 NEAR_FULL_SCALE = 0.98
-UP_MEMORY_S = 20.0
-"""Time constant of the vertical before the first levelling [s]."""
-UP_SETTLED_TICKS = 50.0
 UNKNOWN_SIGN_STD = math.pi / 2.0
 """Standard deviation of a yaw that may be off by 180 deg [rad]."""
 
@@ -83,27 +83,21 @@ class PublishedEstimator:
 
     def __init__(self, settings: PublishedSettings | None = None) -> None:
         s = self._settings = settings or PublishedSettings()
-        self._stops = StopBook(s.slope_std, s.accel_bias_std, s.average_stops)
-        self._long_run = LongRunLevel(s.slope_std, s.accel_bias_std)
-        self._standstill = StandstillDetector(s.static)
+        self._tilt = TiltKeeper(s)
         self._blocks = BlockMaker(s.block_s, s.speed_delay, s.speed_timeout)
         self._yaw_source = YawRateSource(s.steering_ratio, s.wheelbase, "steering" in s.recognisers)
         self._offset = WanderingOffset(s.remove_offset_after)
         self._gate = StraightGate(s, self._offset)
         self._sign = SignEvidence(s.sign_sources)
-        self._signed: deque[Manoeuvre] = deque(maxlen=MANOEUVRES_KEPT)
-        self._unsigned: deque[Manoeuvre] = deque(maxlen=MANOEUVRES_KEPT)
+        self._signed = ManoeuvreBook(MANOEUVRES_KEPT)
+        self._unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
         self._applied = SlewedRotation(s.slew)
         self._known = Knowledge()
-        self._level: Matrix3 = np.eye(3)
         self._target: Matrix3 | None = None
         self._state = MountState.WAITING
         self._reverse_known = False
-        self._moved = self._moved_s = math.inf
-        self._up_sum = [0.0, 0.0, 0.0, 0.0]
         self._restart_stream()
-        if s.planar:
-            self._set_tilt(Tilt((0.0, 0.0, 1.0), s.planar_tilt_std, 0))
+        self._solve()
 
     # The verbs.
 
@@ -122,7 +116,7 @@ class PublishedEstimator:
         self._restart_stream()
 
     def _restart_stream(self) -> None:
-        self._standstill.restart()
+        self._tilt.restart()
         self._blocks.restart()
         self._yaw_source.restart()
         self._offset.restart()
@@ -134,7 +128,6 @@ class PublishedEstimator:
         self._speed, self._speed_t = NAN, -math.inf
         self._reverse = False
         self._brake = self._lateral = NAN
-        self._was_still = False
         self._straight_s = 0.0
 
     def step(self, tick: TickRow) -> None:
@@ -143,13 +136,16 @@ class PublishedEstimator:
         clean = self._take_force(tick)
         force = self._force
         if force is not None:
-            still = self._take_standstill(tick)
-            up = self._up(force, clean, still)
-            yaw_rate = self._yaw_source.step(tick, up, self._speed, still)
+            tilt = self._tilt
+            if tilt.step(tick, force, clean, self._speed):
+                self._solve()
+            if tilt.departed:
+                self._sign.depart(tick[T])
+            yaw_rate = self._yaw_source.step(tick, tilt.up, self._speed, tilt.still)
             x, y, z = force
             block = self._blocks.step(tick[T], x, y, z, yaw_rate, clean)
             if block is not None:
-                self._take_block(block, up, still)
+                self._take_block(block)
         self._applied.step()
 
     def estimate(self) -> MountEstimate:
@@ -169,7 +165,7 @@ class PublishedEstimator:
             missing={name: code for name, (_, code) in reasons.items()},
             details={
                 "method": "published",
-                "stops": self._stops.seen,
+                "stops": self._tilt.stops,
                 "manoeuvres": len(self._signed),
                 "manoeuvres_without_speed": len(self._unsigned),
                 "sign_votes": dict(self._sign.votes.counts),
@@ -225,66 +221,18 @@ class PublishedEstimator:
         lowest = min(tick[ACCEL_MIN_X], tick[ACCEL_MIN_Y], tick[ACCEL_MIN_Z])
         return highest >= limit or lowest <= -limit
 
-    def _take_standstill(self, tick: TickRow) -> bool:
-        s, speed = self._settings, self._speed
-        stopped = None if isnan(speed) else abs(speed) <= s.standstill_speed
-        window = self._standstill.step(tick, stopped)
-        if window is not None and not s.planar:
-            far = self._moved > s.place_distance
-            far = far or (stopped is None and self._moved_s > s.place_seconds)
-            self._stops.add((window.x, window.y, window.z), window.samples, far)
-            self._moved = self._moved_s = 0.0
-            tilt = self._stops.tilt()
-            if tilt is not None:
-                self._set_tilt(tilt)
-        still = self._standstill.still
-        if not still:
-            self._moved_s += TICK_S
-            self._moved += 0.0 if stopped is None else abs(speed) * TICK_S
-            if self._was_still:
-                self._sign.depart(tick[T])
-        self._was_still = still
-        return still
-
-    def _up(self, force: Vector, clean: bool, still: bool) -> Vector | None:
-        """Return the vertical in sensor axes; before levelling, from a slow mean."""
-        tilt = self._known.tilt
-        if tilt is not None and (self._stops.seen or self._settings.planar):
-            return tilt.up
-        s = self._up_sum
-        if clean:
-            keep = 1.0 - TICK_S / UP_MEMORY_S
-            x, y, z = force
-            self._up_sum = s = [s[0] * keep + x, s[1] * keep + y, s[2] * keep + z, s[3] + 1.0]
-            if not still:
-                self._level_without_stop(x, y, z)
-        if s[3] < UP_SETTLED_TICKS:
-            return None
-        norm = math.sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2])
-        return (s[0] / norm, s[1] / norm, s[2] / norm)
-
-    def _level_without_stop(self, x: float, y: float, z: float) -> None:
-        """Fall back on the mean force of the drive, once a second, when it is long enough."""
-        run = self._long_run
-        before = int(run.seconds)
-        run.add(x, y, z, TICK_S)
-        if run.seconds >= self._settings.level_without_stop_after and int(run.seconds) > before:
-            tilt = run.tilt()
-            if tilt is not None:
-                self._set_tilt(tilt)
-
     # What a block brings.
 
-    def _take_block(self, block: Block, up: Vector | None, still: bool) -> None:
+    def _take_block(self, block: Block) -> None:
         s, dt = self._settings, block.t1 - block.t0
         mx, my, mz, m_dvdt, m_lateral = self._offset.mean()
         ready = self._offset.ready
         f = (block.fx - mx, block.fy - my, block.fz - mz)
         if block.clean and ready:
-            self._sign.take_turn(block, f, up, self._reverse)
+            self._sign.take_turn(block, f, self._tilt.up, self._reverse)
         steering = self._yaw_source.steering
         straight = block.clean and self._gate.is_straight(
-            block, steering, self._lateral, self._present_level()
+            block, steering, self._lateral, self._tilt.level
         )
         if not straight:
             self._offset.fade(dt)
@@ -298,10 +246,11 @@ class PublishedEstimator:
         lateral = 0.0 if isnan(lateral) else lateral
         self._offset.add(block.fx, block.fy, block.fz, dvdt, lateral, dt)
         self._straight_s += dt
-        if not ready or still or self._straight_s < s.settle:
+        if not ready or self._tilt.still or self._straight_s < s.settle:
             self._close()
             return
-        self._sign.take_straight(block, f, up, self._reverse, self._brake > 0.5)
+        braking = self._brake > 0.5
+        self._sign.take_straight(block, f, self._tilt.up, self._reverse, braking)
         if known and "speed" in s.sign_sources:
             self._collect(block, f, dvdt - m_dvdt, lateral - m_lateral)
         else:
@@ -320,7 +269,7 @@ class PublishedEstimator:
             m.peak = block.dvdt
 
     def _collect_without_sign(self, block: Block, f: Vector) -> None:
-        x, y, _ = (self._present_level() @ np.array(f)).tolist()
+        x, y, _ = (self._tilt.level @ np.array(f)).tolist()
         size = math.hypot(x, y)
         if size >= self._settings.min_speed_change:
             m = self._manoeuvre(block, signed=False)
@@ -346,51 +295,41 @@ class PublishedEstimator:
         if m is None or abs(m.peak) < self._settings.manoeuvre_peak:
             return
         if m.seconds >= SHORTEST_MANOEUVRE:
-            (self._signed if m.signed else self._unsigned).append(m)
+            (self._signed if m.signed else self._unsigned).add(m)
             self._solve()
 
     # The solution.
 
-    def _present_level(self) -> Matrix3:
-        if self._known.tilt is None and self._up_sum[3] > 0.0:
-            return levelling_rotation(self._up_sum[:3])
-        return self._level
-
-    def _set_tilt(self, tilt: Tilt) -> None:
-        self._level = levelling_rotation(tilt.up)
-        self._solve(tilt)
-
-    def _solve(self, tilt: Tilt | None = None) -> None:
+    def _solve(self) -> None:
         """Combine all manoeuvres under the present tilt into the target angle; set the state."""
-        tilt = tilt or self._known.tilt
+        tilt, level = self._tilt.tilt, self._tilt.level
         angle, sign_known = None, False
         if tilt is not None:
-            angle, sign_known = self._target_angle()
+            angle, sign_known = self._target_angle(level)
         if angle is not None:
             lean = rotation_from_angles(-self._settings.crown, 0.0, 0.0)
-            self._target = lean @ rotation_about_up(angle.value) @ self._level
+            self._target = lean @ rotation_about_up(angle.value) @ level
         self._known = Knowledge(
             tilt=tilt,
             angle=angle,
             sign_known=sign_known,
-            stops=self._stops.seen,
+            stops=self._tilt.stops,
             manoeuvres=max(len(self._signed), len(self._unsigned)),
         )
         self._state = judged(self._known, self._state, self._settings)
-        if self._state >= MountState.USABLE and self._target is not None:
+        if self._state in {MountState.USABLE, MountState.FINE} and self._target is not None:
             self._applied.aim(self._target)
 
-    def _target_angle(self) -> tuple[Angle | None, bool]:
+    def _target_angle(self, level: Matrix3) -> tuple[Angle | None, bool]:
         """Return lambda and whether its sign is known; manoeuvres with speed are preferred."""
-        signed = combined([m.pointer(self._level) for m in self._signed])
+        signed = combined(self._signed.pointers(level))
         if not self._unsigned or len(self._signed) >= self._settings.usable_manoeuvres:
             return signed, signed is not None
-        axis = combined_axis(
-            [m.axis_pointer(self._level) for m in (*self._unsigned, *self._signed)]
-        )
+        books = (self._unsigned, self._signed)
+        axis = combined_axis(np.concatenate([book.axis_pointers(level) for book in books]))
         if axis is None:
             return None, False
-        forward = math.cos(axis.value) * self._level[0] - math.sin(axis.value) * self._level[1]
+        forward = math.cos(axis.value) * level[0] - math.sin(axis.value) * level[1]
         x, y, z = forward.tolist()
         sign = self._sign.votes.sign((x, y, z))
         if sign < 0.0:

@@ -9,12 +9,17 @@ from one another: samples within one share its slope, its bank and its driver.
 
 from __future__ import annotations
 
-import cmath
 import math
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from imucald.frames import Matrix3
+
+Pointers = NDArray[np.complex128]
 
 PRIOR_SPREAD = math.radians(4.0)
 """Spread of single manoeuvres about the truth that is expected before there are any [rad]."""
@@ -24,57 +29,75 @@ SMALLEST_SPREAD = math.radians(0.8)
 """Robust limits never shrink below this [rad]."""
 ROBUST_SPREADS = 1.5
 """A manoeuvre further than this many spreads from the rest counts less (Huber)."""
+ROBUST_ROUNDS = 4
 FLOOR_STD = math.radians(0.15)
 """What manoeuvres share, so that no number of them averages it: cross-axis error, delay [rad]."""
+MEDIAN_TO_STD = 1.4826
+"""Normal distribution: standard deviation over median absolute deviation."""
 
 
 class Manoeuvre:
-    """Sums over the blocks of one straight braking or acceleration, in sensor axes."""
+    """Sums over the blocks of one straight braking or acceleration, in sensor axes.
 
-    __slots__ = ("along", "lateral", "moment", "peak", "seconds", "signed", "start", "stop")
+    sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each times dt.
+    signed: speed says which way is forward; peak: largest change of speed in it [m/s^2].
+    """
 
     def __init__(self, start: float, signed: bool) -> None:
         self.start = self.stop = start
         self.signed = signed
         self.peak = 0.0
         self.seconds = 0.0
-        self.along = [0.0, 0.0, 0.0]  # sum f dv/dt
-        self.lateral = [0.0, 0.0, 0.0]  # sum f v r
-        self.moment = [0.0] * 6  # sum f f', xx yy zz xy xz yz
+        self.sums = [0.0] * 12
 
     def add(self, stop: float, dt: float, f: Sequence[float], dvdt: float, lateral: float) -> None:
         """Take a block: force less offset (3,) [m/s^2], dv/dt and v r [m/s^2], over dt [s]."""
         x, y, z = f
-        for i in range(3):
-            self.along[i] += dt * f[i] * dvdt
-            self.lateral[i] += dt * f[i] * lateral
-        m = self.moment
-        m[0] += dt * x * x
-        m[1] += dt * y * y
-        m[2] += dt * z * z
-        m[3] += dt * x * y
-        m[4] += dt * x * z
-        m[5] += dt * y * z
+        motion = (
+            x * dvdt, y * dvdt, z * dvdt, x * lateral, y * lateral, z * lateral,
+            x * x, y * y, z * z, x * y, x * z, y * z,
+        )  # fmt: skip
+        self.sums = [total + dt * value for total, value in zip(self.sums, motion, strict=True)]
         self.seconds += dt
         self.stop = stop
 
-    def pointer(self, R_level_from_sensor: Matrix3) -> complex:
-        """Sum of conj(R') (dv/dt + i v r): its argument is this manoeuvre's lambda."""
-        (ax, ay, az), (bx, by, bz), _ = R_level_from_sensor.tolist()
-        u, w = self.along, self.lateral
-        p = complex(ax * u[0] + ay * u[1] + az * u[2], bx * u[0] + by * u[1] + bz * u[2])
-        q = complex(ax * w[0] + ay * w[1] + az * w[2], bx * w[0] + by * w[1] + bz * w[2])
-        return p.conjugate() + 1j * q.conjugate()
 
-    def axis_pointer(self, R_level_from_sensor: Matrix3) -> complex:
+class ManoeuvreBook:
+    """The last manoeuvres, at most `kept`; the oldest goes first."""
+
+    def __init__(self, kept: int) -> None:
+        self._sums: deque[list[float]] = deque(maxlen=kept)
+
+    def __len__(self) -> int:
+        return len(self._sums)
+
+    def add(self, manoeuvre: Manoeuvre) -> None:
+        """Keep a manoeuvre that is over."""
+        self._sums.append(manoeuvre.sums)
+
+    def pointers(self, R_level_from_sensor: Matrix3) -> Pointers:
+        """Sum of conj(R') (dv/dt + i v r) of each: its argument is the manoeuvre's lambda."""
+        sums = np.array(self._sums).reshape(-1, 12)
+        along = sums[:, 0:3] @ R_level_from_sensor[:2].T
+        lateral = sums[:, 3:6] @ R_level_from_sensor[:2].T
+        x, y = along[:, 0] + lateral[:, 1], lateral[:, 0] - along[:, 1]
+        result: Pointers = x + 1j * y
+        return result
+
+    def axis_pointers(self, R_level_from_sensor: Matrix3) -> Pointers:
         """Sum of conj(R')^2: half its argument is lambda up to 180 deg; isotropic noise cancels."""
-        a, b, _ = R_level_from_sensor.tolist()
-        xx, yy, zz, xy, xz, yz = self.moment
-        m = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-        aa = sum(a[i] * a[j] * m[i][j] for i in range(3) for j in range(3))
-        bb = sum(b[i] * b[j] * m[i][j] for i in range(3) for j in range(3))
-        ab = sum(a[i] * b[j] * m[i][j] for i in range(3) for j in range(3))
-        return complex(aa - bb, -2.0 * ab)
+        moments = np.array(self._sums).reshape(-1, 12)[:, 6:]
+        a, b = R_level_from_sensor[0], R_level_from_sensor[1]
+        squares = moments @ (_products(a, a) - _products(b, b))
+        result: Pointers = squares - 2j * (moments @ _products(a, b))
+        return result
+
+
+def _products(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients of a' M b over M's xx, yy, zz, xy, xz, yz."""
+    i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+    both = np.where(np.arange(6) < 3, 0.5, 1.0) * (a[i] * b[j] + a[j] * b[i])
+    return np.asarray(both, dtype=np.float64)
 
 
 class Angle(NamedTuple):
@@ -85,48 +108,37 @@ class Angle(NamedTuple):
     manoeuvres: int
 
 
-def combined(pointers: Sequence[complex]) -> Angle | None:
-    """Combine pointers robustly into one angle; None where there is nothing to combine.
+def combined(pointers: Pointers) -> Angle | None:
+    """Combine pointers (N,) robustly into one angle; None where there is nothing to combine.
 
     The spread over manoeuvres (with a prior worth two) over their effective number gives the
     standard deviation; Huber weights keep a manoeuvre that disagrees from deciding.
     """
-    sizes = [abs(p) for p in pointers]
-    if not sizes or max(sizes) <= 0.0:
+    sizes = np.abs(pointers)
+    if len(sizes) == 0 or not float(sizes.max()) > 0.0:
         return None
-    weights = list(sizes)
-    mean = sum(pointers)
-    spread = PRIOR_SPREAD
-    away: list[float] = []
-    for _ in range(4):
-        if mean == 0.0:
-            return None
-        away = [cmath.phase(p * mean.conjugate()) for p in pointers]
-        limit = ROBUST_SPREADS * max(SMALLEST_SPREAD, _median_size(away) * 1.4826)
-        weights = [
-            s if abs(d) <= limit else s * limit / abs(d) for s, d in zip(sizes, away, strict=True)
-        ]
-        mean = sum((p * w / s for p, w, s in zip(pointers, weights, sizes, strict=True) if s), 0j)
-    total = sum(weights)
-    effective = total * total / sum(w * w for w in weights)
-    square = sum(w * d * d for w, d in zip(weights, away, strict=True)) / total
-    spread = math.sqrt(
-        (PRIOR_MANOEUVRES * PRIOR_SPREAD**2 + effective * square)
-        / (PRIOR_MANOEUVRES + effective - 1.0)
-    )
-    std = math.sqrt(spread * spread / effective + FLOOR_STD**2)
-    return Angle(cmath.phase(mean), std, len(pointers))
+    units = pointers / np.where(sizes > 0.0, sizes, 1.0)
+    weights = sizes
+    away = np.zeros(len(sizes))
+    mean = complex(np.sum(pointers))
+    for _ in range(ROBUST_ROUNDS):
+        away = np.angle(units * mean.conjugate())
+        typical = MEDIAN_TO_STD * float(np.median(np.abs(away)))
+        limit = ROBUST_SPREADS * max(SMALLEST_SPREAD, typical)
+        weights = sizes * np.minimum(1.0, limit / np.maximum(np.abs(away), 1e-12))
+        mean = complex(np.sum(units * weights))
+    total = float(np.sum(weights))
+    effective = total * total / float(weights @ weights)
+    square = float(weights @ (away * away)) / total
+    freedom = PRIOR_MANOEUVRES + effective - 1.0
+    variance = (PRIOR_MANOEUVRES * PRIOR_SPREAD**2 + effective * square) / freedom
+    std = math.sqrt(variance / effective + FLOOR_STD**2)
+    return Angle(math.atan2(mean.imag, mean.real), std, len(sizes))
 
 
-def combined_axis(pointers: Sequence[complex]) -> Angle | None:
-    """Combine axis pointers (`Manoeuvre.axis_pointer`): the angle is known up to 180 deg."""
+def combined_axis(pointers: Pointers) -> Angle | None:
+    """Combine axis pointers (see `ManoeuvreBook`): the angle is known up to 180 deg."""
     double = combined(pointers)
     if double is None:
         return None
     return Angle(0.5 * double.value, 0.5 * double.std, double.manoeuvres)
-
-
-def _median_size(values: Sequence[float]) -> float:
-    sizes = sorted(abs(v) for v in values)
-    n = len(sizes)
-    return sizes[n // 2] if n % 2 else 0.5 * (sizes[n // 2 - 1] + sizes[n // 2])
