@@ -21,14 +21,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `demo`."""
     # Otherwise "-5,3,30" would be taken for an option.
     parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
-    parser.add_argument("--seed", type=int, default=1, metavar="N",
-                        help="another seed, another drive, car, sensor and mount (default: 1)")  # fmt: skip
-    parser.add_argument("--minutes", type=float, metavar="M",
-                        help=f"length of the drive (default: {DEFAULT_MINUTES:g})")  # fmt: skip
-    parser.add_argument("--mount", metavar="R,P,Y",
-                        help="mount angles in degrees (default: drawn from the seed)")  # fmt: skip
-    parser.add_argument("--quick", action="store_true",
-                        help=f"a drive of {QUICK_MINUTES:g} minutes only")  # fmt: skip
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=1,
+        metavar="N",
+        help="draws car, road, drive and mount (default: 1)",
+    )
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        metavar="M",
+        help=f"length of the drive (default: {DEFAULT_MINUTES:g})",
+    )
+    parser.add_argument(
+        "--mount", metavar="R,P,Y", help="mount angles in degrees (default: drawn from the seed)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help=f"a drive of {QUICK_MINUTES:g} minutes only"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

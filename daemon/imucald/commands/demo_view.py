@@ -1,4 +1,4 @@
-"""What `imucald demo` shows: a live picture on a terminal, plain lines elsewhere, then the result."""
+"""What `imucald demo` shows: a live picture on a terminal, lines elsewhere, then the result."""
 
 from __future__ import annotations
 

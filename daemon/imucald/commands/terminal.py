@@ -28,6 +28,26 @@ def progress_bar(text: str, quiet: bool = False) -> Iterator[Progress | None]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+@contextmanager
+def countdown(text: str, seconds: float) -> Iterator[Callable[[float], None]]:
+    """Show how much of a known time has passed; yields what takes the seconds passed."""
+    if not sys.stderr.isatty():
+        yield _nothing
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn(text), BarColumn(), TimeRemainingColumn())
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=seconds)
+        yield lambda passed: bar.update(task, completed=passed)
+
+
+def _nothing(passed: float) -> None:
+    """Show nothing: this is no terminal."""
+
+
 def print_summary(result: Mapping[str, Any]) -> None:
     """Print the result of a replay as tables."""
     from rich.console import Console

@@ -1,0 +1,164 @@
+"""Counts and ranges of what routes decode, taken on the way, for `imucald check`.
+
+A `Probe` stands in a router in a route's place. It hands everything on unchanged and keeps the
+figures: frames, cycle, rejections by reason, and range of each signal in its own unit and in SI.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.bus.columns import FrameColumns, IdMatch
+from imucald.bus.quantities import REASONS, Conversion
+from imucald.bus.routes import Columns, Physical, Raw, Route, Tap
+
+Array = NDArray[np.float64]
+
+CYCLE_FRAMES = 5000
+"""The cycle seen is the median over so many frames at most."""
+
+
+class Range:
+    """Least, mean and largest of numbers that come in pieces."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.least = math.inf
+        self.largest = -math.inf
+        self._sum = 0.0
+
+    def add(self, values: Array) -> None:
+        """Take finite values (N,)."""
+        if not len(values):
+            return
+        self.count += len(values)
+        self.least = min(self.least, float(values.min()))
+        self.largest = max(self.largest, float(values.max()))
+        self._sum += float(values.sum())
+
+    @property
+    def mean(self) -> float:
+        """Their mean; NaN without any."""
+        return self._sum / self.count if self.count else math.nan
+
+    def as_dict(self) -> dict[str, float | None]:
+        """The three figures, for JSON."""
+        if not self.count:
+            return {"min": None, "mean": None, "max": None}
+        return {
+            "min": _figure(self.least),
+            "mean": _figure(self.mean),
+            "max": _figure(self.largest),
+        }
+
+
+def _figure(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+class SignalStatistics:
+    """One signal of one tap. rejected: values by reason; absent ones (multiplexer) do not count."""
+
+    def __init__(self, conversion: Conversion) -> None:
+        self.conversion = conversion
+        self.physical = Range()
+        self.si = Range()
+        self.rejected: Counter[str] = Counter()
+
+    def add(self, raw: NDArray[np.generic], physical: Array) -> None:
+        """Take raw and physical values (N,)."""
+        values, codes = self.conversion.columns(raw, physical)
+        good = codes == 0
+        self.physical.add(physical[good])
+        self.si.add(values[good])
+        for code in np.unique(codes[~good]).tolist():
+            self.rejected[REASONS[code]] += int(np.count_nonzero(codes == code))
+
+
+class Probe:
+    """A route that keeps figures of what passes through it (columns only)."""
+
+    def __init__(self, route: Route) -> None:
+        self.route = route
+        self.frames = 0
+        """Frames of this kind, good or not."""
+        self.rejected: Counter[str] = Counter()
+        """Frames rejected whole, by reason."""
+        self.signals = {
+            (tap.channel, tap.rank, slot): SignalStatistics(component.conversion)
+            for tap in route.taps
+            for component, slot in zip(tap.components, tap.slots, strict=True)
+        }
+        self._intervals: list[Array] = []
+        self._interval_count = 0
+        self._last: float | None = None
+
+    @property
+    def name(self) -> str:
+        """The route's name."""
+        return self.route.name
+
+    @property
+    def match(self) -> IdMatch:
+        """The route's frames."""
+        return self.route.match
+
+    @property
+    def taps(self) -> tuple[Tap, ...]:
+        """The route's taps."""
+        return self.route.taps
+
+    @property
+    def cycle(self) -> float | None:
+        """Median time between frames [s], None before two of them."""
+        if not self._interval_count:
+            return None
+        return float(np.median(np.concatenate(self._intervals)))
+
+    def check(self, t: float, data: bytes) -> str | None:
+        """As the route; not counted."""
+        return self.route.check(t, data)
+
+    def numbers(self, data: bytes) -> tuple[Raw, Physical]:
+        """As the route; not counted."""
+        return self.route.numbers(data)
+
+    def check_columns(
+        self, t: Array, frames: FrameColumns
+    ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
+        """As the route; counted."""
+        ok, reasons = self.route.check_columns(t, frames)
+        for reason, rows in reasons.items():
+            self.rejected[reason] += len(rows)
+        ours = ok.copy()
+        for rows in reasons.values():
+            ours[rows] = True
+        self.frames += int(np.count_nonzero(ours))
+        self._time(t[ours])
+        return ok, reasons
+
+    def _time(self, t: Array) -> None:
+        if not len(t):
+            return
+        if self._interval_count < CYCLE_FRAMES:
+            before = [] if self._last is None else [self._last]
+            intervals = np.diff(np.concatenate([before, t]))[: CYCLE_FRAMES - self._interval_count]
+            self._intervals.append(intervals)
+            self._interval_count += len(intervals)
+        self._last = float(t[-1])
+
+    def number_columns(self, frames: FrameColumns) -> Columns:
+        """As the route; ranges are taken."""
+        columns = self.route.number_columns(frames)
+        for tap in self.route.taps:
+            for component, slot in zip(tap.components, tap.slots, strict=True):
+                raw, physical, present = columns[component.index]
+                if present is not None:
+                    raw, physical = raw[present], physical[present]
+                self.signals[tap.channel, tap.rank, slot].add(raw, physical)
+        return columns

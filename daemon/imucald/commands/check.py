@@ -1,0 +1,114 @@
+"""`imucald check`: what a configuration would decode, from a log or a live bus."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from imucald.bus.link import Frame
+    from imucald.check import Check
+    from imucald.config import LoadedConfig
+
+LISTEN_S = 10.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `check`."""
+    parser.epilog = (
+        "Without LOG it listens on the configuration's bus; it never sends. Exit status: 0 when "
+        "the configuration can be used, 1 when something necessary is missing or wrong."
+    )
+    parser.add_argument(
+        "logs",
+        nargs="*",
+        metavar="LOG",
+        help="candump log (.log, .gz, '-' for standard input), or .asc .blf .trc .csv .mf4",
+    )
+    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="configuration")
+    parser.add_argument(
+        "--database",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="database to use in place of the configuration's (repeat for several)",
+    )
+    parser.add_argument("--interface", help="python-can interface (default: the configuration's)")
+    parser.add_argument("--channel", help="its channel, such as can0")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=LISTEN_S,
+        metavar="S",
+        help=f"how long to listen without LOG (default: {LISTEN_S:g})",
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Look, then tell."""
+    from imucald.check import Check
+    from imucald.errors import ConfigError
+    from imucald.session import open_config
+
+    if options.logs and (options.interface or options.channel):
+        raise ConfigError("either LOG or --interface and --channel: not both")
+    if not options.seconds > 0:
+        raise ConfigError("--seconds must be positive")
+    loaded = open_config(options.config, options.database)
+    check = Check(loaded)
+    if options.logs:
+        _read(check, options.logs)
+    else:
+        _listen(check, loaded, options)
+    report = check.report()
+    if options.json:
+        json.dump(report, sys.stdout, indent=2, allow_nan=False, ensure_ascii=False)
+        print()
+    else:
+        from imucald.commands.check_view import print_report
+
+        print_report(report)
+    return 0 if report["usable"] else 1
+
+
+def _read(check: Check, logs: list[str]) -> None:
+    from imucald.bus.log import LogReader
+    from imucald.commands.terminal import progress_bar
+
+    with progress_bar("check") as progress:
+        reader = LogReader(logs, None, False, progress)
+        for chunk in reader:
+            check.feed(chunk)
+    for text in reader.problems:
+        print(f"imucald: {text}", file=sys.stderr)
+
+
+def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> None:
+    from imucald.check import EVERY_FRAME
+    from imucald.commands.terminal import countdown
+    from imucald.service.live import open_link
+
+    link = open_link(loaded, EVERY_FRAME, frozenset(), options.interface, options.channel)
+    with link, countdown(f"listening on {link.channel}", options.seconds) as tick:
+        began = time.monotonic()
+        waiting: list[Frame] = []
+        while (passed := time.monotonic() - began) < options.seconds:
+            waiting += link.receive(min(0.1, options.seconds - passed))
+            if len(waiting) >= 10_000:
+                _feed(check, waiting, link.channel)
+                waiting = []
+            tick(passed)
+        _feed(check, waiting, link.channel)
+
+
+def _feed(check: Check, frames: list[Frame], channel: str) -> None:
+    if frames:
+        from imucald.check import columns_of
+
+        check.feed(columns_of(frames, channel))

@@ -1,0 +1,102 @@
+"""The report of `imucald check`, for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+_STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "green"}
+
+
+def print_report(report: Mapping[str, Any]) -> None:
+    """Print messages, quantities, findings and output ids."""
+    console = Console(highlight=False)
+    frames = report["frames"]
+    console.print(
+        f"{frames['read']} frames in {report['duration_s']:.1f} s: {frames['used']} used, "
+        f"{frames['other_frames']} of {frames['other_ids']} other ids"
+    )
+    console.print()
+    console.print(_messages(report["messages"]))
+    console.print()
+    console.print(_quantities(report["quantities"]))
+    console.print()
+    console.print(_findings(report["findings"]))
+    console.print()
+    ids = ", ".join(f"{row['id']} {row['frame']}" for row in report["output"])
+    console.print(f"imucald would send: {ids}")
+    if report["usable"]:
+        console.print(Text("This configuration can be used.", style="bold green"))
+    else:
+        console.print(Text("This configuration cannot be used yet.", style="bold red"))
+
+
+def _messages(rows: list[dict[str, Any]]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("message", overflow="fold")
+    table.add_column("id")
+    table.add_column("frames", justify="right")
+    table.add_column("cycle [ms]", justify="right")
+    table.add_column("stated", justify="right")
+    table.add_column("rejected", overflow="fold")
+    for row in rows:
+        channel = f" {row['channel']}" if row["channel"] else ""
+        table.add_row(
+            row["name"],
+            row["id"] + channel,
+            Text(str(row["frames"]), style="" if row["frames"] else "red"),
+            _millis(row["cycle_s"]),
+            _millis(row["stated_cycle_s"]),
+            _reasons(row["rejected"]),
+        )
+    return table
+
+
+def _quantities(rows: list[dict[str, Any]]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("quantity", overflow="fold")
+    table.add_column("from", overflow="fold")
+    table.add_column("samples", justify="right")
+    for name in ("min", "mean", "max"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("unit", overflow="fold")
+    for row in rows:
+        rank = f" ({row['preference'] + 1}.)" if row["preference"] else ""
+        rejected = f"\n-{_reasons(row['rejected'])}" if row["rejected"] else ""
+        in_unit, in_si = row["in_unit"], row["in_si"]
+        same = row["unit"] == row["si_unit"] or row["factor"] == 1.0 or not row["si_unit"]
+        cells = [
+            _figure(in_si[k]) if same else f"{_figure(in_unit[k])}\n{_figure(in_si[k])}"
+            for k in ("min", "mean", "max")
+        ]
+        unit = row["si_unit"] if same else f"{row['unit']}\n{row['si_unit']}"
+        if not same and row["factor"] < 0:
+            unit += " (sign -1)"
+        table.add_row(
+            row["quantity"] + rank, row["source"] + rejected, str(row["samples"]), *cells, unit
+        )
+    return table
+
+
+def _findings(rows: list[dict[str, Any]]) -> Table:
+    table = Table.grid(padding=(0, 2))
+    for row in rows:
+        quantity = f"{row['quantity']} " if row["quantity"] else ""
+        table.add_row(Text(row["level"], style=_STYLES[row["level"]]), quantity + row["text"])
+    return table
+
+
+def _millis(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{1e3 * seconds:.4g}"
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _reasons(rejected: Mapping[str, int]) -> str:
+    return ", ".join(f"{reason} {n}" for reason, n in rejected.items()) or "none"
