@@ -136,6 +136,15 @@ def test_floats_are_written_as_ieee_754(database: Database) -> None:
             strict.encode_columns([np.array([bad])])
 
 
+@pytest.mark.parametrize("bits", [32, 64])
+def test_a_raw_float_that_overflows_is_not_available(bits: int) -> None:
+    kind = f"SIG_VALTYPE_ 16 S : {bits // 32};\n"
+    message = one_signal(f'0|{bits}@1- (1e-6,0) [0|0] ""', kind)
+    plan = compile_encode(message, ["S"], {"S": math.nan})
+    for value in (1e308, -1e308, 1e303):
+        assert math.isnan(compile_decode(message, ["S"]).decode(both(plan, [value]))[0] or 0.0)
+
+
 def test_a_not_available_value_must_fit_its_bits(imu: Message) -> None:
     assert compile_encode(imu, ["AX"], {"AX": 0x8000}).encode([None])[:2] == b"\x00\x80"
     for raw in (0x10000, -0x8001, 0.5, math.nan):

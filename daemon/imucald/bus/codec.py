@@ -35,6 +35,9 @@ J1939_PDU1_MASK = 0x03FF_0000
 J1939_PDU2_MASK = 0x03FF_FF00
 """The same with the group extension: the PGN of a broadcast message."""
 
+FEW_VALUES = 8
+"""Up to so many multiplexer values, comparing with each is quicker than a search."""
+
 Raw = int | float | None
 RawColumn = NDArray[np.int64] | NDArray[np.uint64] | NDArray[np.float64]
 
@@ -152,9 +155,18 @@ def _present(
 ) -> NDArray[np.bool_] | None:
     present: NDArray[np.bool_] | None = None
     for name, ids in extraction.selectors:
-        found = np.isin(selected[name], np.fromiter(ids, np.int64, len(ids)))
+        found = _any_of(selected[name], ids)
         present = found & ok if present is None else present & found
     return present
+
+
+def _any_of(values: NDArray[np.int64], ids: frozenset[int]) -> NDArray[np.bool_]:
+    if len(ids) > FEW_VALUES:
+        return np.isin(values, np.fromiter(ids, np.int64, len(ids)))
+    found = np.zeros(len(values), bool)
+    for value in ids:
+        found |= values == value
+    return found
 
 
 def _raw_column(data: Columns, words: dict[str, NDArray[np.uint64]], e: Extraction) -> RawColumn:

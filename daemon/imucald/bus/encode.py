@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -98,31 +98,22 @@ class EncodePlan:
 
     def _generate(self) -> Callable[[Sequence[float | None]], bytes]:
         """Make the function of the ordinary case; anything else raises, and goes the slow way."""
-        scope: dict[str, Any] = {"slots": self._slots, "pack": {}}
+        scope: dict[str, Any] = {"from_bytes": int.from_bytes}
         parts: dict[bool, list[str]] = {False: [], True: []}
         names = "".join(f"v{i}, " for i in range(len(self._slots)))
         lines = ["def encode(values):"] + ([f"    ({names}) = values"] if names else [])
         for i, slot in enumerate(self._slots):
-            scope[f"bits_{i}"] = slot.bits
-            if slot.is_float:
-                lines.append(f"    b{i} = bits_{i}(v{i})")
-            else:
-                lines.append(f"    b{i} = round({slot.raw_expression(f'v{i}')})")
-                test = f"{slot.lowest} <= b{i} <= {slot.highest}"
-                mask = f" & {slot.field.mask}" if slot.lowest < 0 else ""
-                lines.append(f"    b{i} = b{i}{mask} if {test} else bits_{i}(v{i})")
+            lines += slot.generate(i, scope)
             shift = slot.field.shift(self.size)
             parts[slot.field.is_big].append(f"b{i} << {shift}" if shift else f"b{i}")
-        little = int.from_bytes(self.start_bytes, "little")
-        big_text = f"({' | '.join(parts[True])}).to_bytes({self.size}, 'big')"
-        if parts[True] and parts[False]:
-            parts[False].append(f"int.from_bytes({big_text}, 'little')")
+        order: Literal["little", "big"] = "little"
         if parts[True] and not parts[False]:
-            parts[True].append(str(int.from_bytes(self.start_bytes, "big")))
-            lines.append(f"    return ({' | '.join(parts[True])}).to_bytes({self.size}, 'big')")
-        else:
-            parts[False].append(str(little))
-            lines.append(f"    return ({' | '.join(parts[False])}).to_bytes({self.size}, 'little')")
+            order = "big"
+        elif parts[True]:
+            turned = f"({' | '.join(parts[True])}).to_bytes({self.size}, 'big')"
+            parts[False].append(f"from_bytes({turned}, 'little')")
+        terms = [*parts[order == "big"], str(int.from_bytes(self.start_bytes, order))]
+        lines.append(f"    return ({' | '.join(terms)}).to_bytes({self.size}, {order!r})")
         exec("\n".join(lines), scope)
         function: Callable[[Sequence[float | None]], bytes] = scope["encode"]
         return function

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,9 @@ from imucald.errors import DatabaseError, EncodeError
 
 RANGE_TOLERANCE = 1e-6
 """Slack at a stated minimum or maximum, in raw steps: the rounding of numbers in a database."""
+
+LARGEST = sys.float_info.max
+"""Beyond this a number is not finite; NaN fails any comparison."""
 
 FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
 """struct's letter for a float of so many bits."""
@@ -32,24 +36,33 @@ class Slot:
         self._scale = float(e.scaling.scale)
         self._offset = float(e.scaling.offset)
         self._is_identity = e.scaling.is_identity
-        self._minimum, self._maximum = _float_limits(e.signal)
+        self.low, self.high = _float_limits(e.signal)
         self.lowest, self.highest = (0, 0) if self.is_float else _integer_limits(e.signal)
         self._absent = None
         if not_available is not None:
             self._absent = _not_available_bits(e.signal, not_available, self.place)
 
-    def raw_expression(self, value: str) -> str:
-        """Python text of the raw number before rounding."""
-        if self._is_identity:
-            return value
-        return f"({value} - {self._offset!r}) / {self._scale!r}"
+    def generate(self, i: int, scope: dict[str, Any]) -> list[str]:
+        """Lines of Python that set ``b{i}``, the bits, from ``v{i}``, the value."""
+        raw = f"v{i}"
+        if not self._is_identity:
+            raw = f"(v{i} - {self._offset!r}) / {self._scale!r}"
+        scope[f"bits_{i}"] = self.bits
+        if self.is_float:
+            scope[f"pack_{i}"] = struct.Struct("<" + FLOAT_CODES[self.field.length]).pack
+            test = f"{self.low!r} <= v{i} <= {self.high!r} and {-LARGEST!r} <= x <= {LARGEST!r}"
+            packed = f"from_bytes(pack_{i}(x), 'little')"
+            return [f"    x = {raw}", f"    b{i} = {packed} if {test} else bits_{i}(v{i})"]
+        test = f"{self.lowest} <= b{i} <= {self.highest}"
+        mask = f" & {self.field.mask}" if self.lowest < 0 else ""
+        return [f"    b{i} = round({raw})", f"    b{i} = b{i}{mask} if {test} else bits_{i}(v{i})"]
 
     def bits(self, value: float | None) -> int:
         """Bits of one value; EncodeError where it cannot be said."""
         if value is not None and math.isfinite(value):
             raw = value if self._is_identity else (value - self._offset) / self._scale
             if self.is_float:
-                if self._minimum <= value <= self._maximum:
+                if self.low <= value <= self.high and math.isfinite(raw):
                     found = float_bits(raw, self.field.length)
                     if found is not None:
                         return found
@@ -65,7 +78,7 @@ class Slot:
             raw = values if self._is_identity else (values - self._offset) / self._scale
             if self.is_float:
                 bits, good = _float_bits_column(raw, self.field.length)
-                good &= (values >= self._minimum) & (values <= self._maximum)
+                good &= (values >= self.low) & (values <= self.high)
             else:
                 bits, good = self._integer_bits_column(raw)
             good &= np.isfinite(values)
@@ -106,8 +119,9 @@ def _integer_limits(signal: Signal) -> tuple[int, int]:
 
 
 def _float_limits(signal: Signal) -> tuple[float, float]:
-    low = -math.inf if signal.minimum is None else signal.minimum
-    high = math.inf if signal.maximum is None else signal.maximum
+    """Stated physical range; finite, so that no infinity is within it."""
+    low = -LARGEST if signal.minimum is None else signal.minimum
+    high = LARGEST if signal.maximum is None else signal.maximum
     return low, high
 
 
