@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from imucald.bus import text_blocks
+from imucald.bus import candump, candump_line, text_blocks
 from imucald.bus.log import CAN_EFF_FLAG, IdMatch, LogReader
 from imucald.bus.pythoncan import can
 from imucald.errors import LogError
@@ -299,6 +299,31 @@ def test_many_channels_and_forms_are_read(tmp_path: Path) -> None:
     assert [f.channel for f in frames[:60]] == names
     assert all(f.channel == f"can{f.can_id}" for f in frames)
     assert [f.t for f in frames[:600]] == [float(line[1:].split(")")[0]) for line in lines]
+
+
+@pytest.mark.parametrize("tail", ["", " R", "\r"])
+def test_lines_of_common_forms_are_not_read_one_by_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tail: str
+) -> None:
+    # The reader of single lines is a hundred times slower; it is for what is odd.
+    singly: list[bytes] = []
+
+    def counted(text: bytes) -> candump_line.Line | str | None:
+        singly.append(text)
+        return candump_line.parse_line(text)
+
+    monkeypatch.setattr(candump, "parse_line", counted)
+    rng = np.random.default_rng(4)
+    forms = [(3, "#", 8), (3, "#", 0), (8, "#", 5), (3, "##1", 64), (8, "##0", 12)]
+    lines = []
+    for k in range(3000):
+        width, mark, size = forms[k % 5]
+        number = f"{rng.integers(0x7FF):0{width}X}"
+        channel = ("can0", "vcan10")[k % 2]
+        data = rng.bytes(size).hex().upper()
+        lines.append(f"(16000{k:05d}.000100) {channel} {number}{mark}{data}{tail}\n")
+    assert len(read(tmp_path / "a.log", "".join(lines))) == 3000
+    assert len(singly) == 2
 
 
 @pytest.mark.parametrize("name", ["absent.log", "."])

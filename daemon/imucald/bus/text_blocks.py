@@ -112,7 +112,8 @@ class TextBlocks:
         self._store = bytearray(BLOCK_BYTES + padding)
         self._view = memoryview(self._store)[:BLOCK_BYTES]
         self._filled = 0
-        head = source.read(len(GZIP_MAGIC)) or b""
+        head = source.read(1) or b""
+        head += source.read(1) or b""  # one by one: a pipe may give less than asked for
         self._stream = (_Inflated if head == GZIP_MAGIC else _Plain)(source, head)
 
     @property
