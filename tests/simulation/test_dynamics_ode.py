@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+
 from imucald.samples import GRAVITY
 from imucald.simulation.filters import filtered, second_order
 from imucald.simulation.single_track import handle
 from imucald.simulation.vehicle_model import Chassis
-from scipy.integrate import solve_ivp
 
 RATE = 200.0
 

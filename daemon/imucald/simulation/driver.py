@@ -18,6 +18,9 @@ SPEED_WANDER_S = 9.0
 """Time in which the driver's speed forgets itself."""
 WANDER_GRID_S = 0.5
 STEERING_WANDER_S = 0.8
+STOP_SEARCHES = 3
+"""Attempts to end the drive standing for as long as asked."""
+TOP_SPEED_MPS = 36.0
 SHIFT_SPEEDS_MPS = (4.5, 8.5, 13.5, 19.0)
 SHIFT_WIDTH_MPS = 0.12
 SHIFT_MPS2 = 0.17
@@ -83,12 +86,18 @@ def _timed(
     limit = _limits(path, route, seed)
     v = _profile(path, limit, moving_start, route.gear_shifts)
     node_t = _node_times(path, v, route.standing_first_s)
-    last = int(np.searchsorted(node_t, duration_s - route.standing_last_s))
-    if route.standing_last_s > 0.0 and 1 < last < len(v):
-        limit[last:] = 0.0
-        v = _profile(path, limit, moving_start, route.gear_shifts)[: last + 1]
+    target = duration_s - route.standing_last_s
+    for _ in range(STOP_SEARCHES if route.standing_last_s > 0.0 else 0):
+        last = int(np.searchsorted(node_t, target))
+        if not 1 < last < len(v):
+            break
         path = Path(*(getattr(path, name)[: last + 1] for name in Path.__dataclass_fields__))
+        limit = limit[: last + 1]
+        limit[last] = 0.0
+        v = _profile(path, limit, moving_start, route.gear_shifts)
         node_t = _node_times(path, v, route.standing_first_s)
+        # Braking takes its time: stop so much earlier.
+        target -= max(0.0, float(node_t[-1]) - (duration_s - route.standing_last_s))
     s = np.concatenate(([0.0], np.cumsum(path.step)[:-1]))
     signed = v * path.direction
     stops = np.flatnonzero(path.stop_s > 0.0)
@@ -107,6 +116,7 @@ def _limits(path: Path, route: Route, seed: int) -> Array:
     wander = gauss_markov(rng, n, WANDER_GRID_S, SPEED_WANDER_S)
     wander = np.interp(planned, np.arange(n) * WANDER_GRID_S, wander)
     limit = path.target_mps * np.clip(1.0 + route.speed_wander * wander, 0.6, 1.3)
+    limit = np.minimum(limit, TOP_SPEED_MPS)
     bend = np.sqrt(path.lateral_mps2 / np.maximum(np.abs(path.curvature), 1e-6))
     result: Array = np.minimum(limit, bend)
     result[path.stop_s > 0.0] = 0.0

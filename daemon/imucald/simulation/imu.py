@@ -75,7 +75,7 @@ def accel_series(
             shaken[i] += engine if i == 2 else 0.5 * engine
     timing = frame_timing(accel, "accel", seed, (len(speed) - 1) / rate)
     values = _sampled(accel, shaken, timing, rate)
-    values = _turned(mount, timing.sampled - accel.delay_s, values)
+    values = turned(mount, timing.sampled - accel.delay_s, values)
     return _finished(accel, "accel", temperature, timing, values, seed)
 
 
@@ -97,9 +97,9 @@ def gyro_series(
         shaken = [x + amount * _rumble(rng, len(speed), rate) for x in shaken]
     timing = frame_timing(gyro, "gyro", seed, (len(speed) - 1) / rate)
     when = timing.sampled - gyro.delay_s
-    values = _turned(mount, when, _sampled(gyro, shaken, timing, rate))
+    values = turned(mount, when, _sampled(gyro, shaken, timing, rate))
     if any(gyro.g_sensitivity):
-        felt = _turned(mount, when, _sampled(gyro, list(force), timing, rate))
+        felt = turned(mount, when, _sampled(gyro, list(force), timing, rate))
         values += np.array(gyro.g_sensitivity) * felt
     return _finished(gyro, "gyro", temperature, timing, values, seed)
 
@@ -111,7 +111,7 @@ def _sampled(triad: Triad, axes: list[Array], timing: Timing, rate: float) -> ND
     return np.column_stack([at_times(x, rate, when) for x in axes])
 
 
-def _turned(mount: Mounts, t: Array, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def turned(mount: Mounts, t: Array, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Turn body-axes vectors (N, 3) into the axes that the sensor has at each time."""
     result = np.empty_like(vectors)
     bounds = [0, *np.searchsorted(t, [start for start, _ in mount[1:]]).tolist(), len(t)]

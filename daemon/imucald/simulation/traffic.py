@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,8 +16,6 @@ STANDARD_BITS = 47
 EXTENDED_BITS = 67
 STUFFING = 1.1
 """Stuffed bits, on average."""
-SWAP_PASSES = 8
-"""Frames waiting at once are few; neighbours are put in order of priority this many times."""
 CYCLES_S = (0.01, 0.02, 0.05, 0.1, 1.0)
 CYCLE_SHARES = (0.22, 0.22, 0.16, 0.28, 0.12)
 """How many messages of a real bus have each cycle."""
@@ -75,13 +74,12 @@ def arbitrated(frames: FrameColumns, bitrate: float, busy_until: float) -> Frame
     duration = _durations(frames, bitrate)[order]
     priority = _priority(frames.can_id)[order]
     end = _ends(request, duration, busy_until)
-    for _ in range(SWAP_PASSES):
-        swapped = False
-        for odd in (0, 1):
-            swapped |= _swap(order, request, duration, priority, end, odd)
-            end = _ends(request, duration, busy_until)
-        if not swapped:
-            break
+    for first, stop in _contested(request, duration, priority, end):
+        span = slice(first, stop)
+        won = _served(request[span], duration[span], priority[span], end[first] - duration[first])
+        order[span] = order[span][won]
+        duration[span] = duration[span][won]
+        end[span] = end[first] - duration[first] + np.cumsum(duration[span])
     sent = frames.take(order)
     return FrameColumns(
         end, sent.can_id, sent.length, sent.data, sent.channel, sent.channels, sent.fd
@@ -96,22 +94,39 @@ def _ends(request: Array, duration: Array, busy_until: float) -> Array:
     return ends
 
 
-def _swap(
-    order: NDArray[np.intp],
-    request: Array,
-    duration: Array,
-    priority: NDArray[np.int64],
-    end: Array,
-    odd: int,
-) -> bool:
-    """Exchange neighbours where the later one has priority and was there in time."""
-    first = np.arange(odd, len(order) - 1, 2)
-    start = end[first] - duration[first]
-    late = (priority[first + 1] < priority[first]) & (request[first + 1] <= start)
-    a = first[late]
-    for column in (order, request, duration, priority):
-        column[a], column[a + 1] = column[a + 1].copy(), column[a].copy()
-    return bool(len(a))
+def _contested(
+    request: Array, duration: Array, priority: NDArray[np.int64], end: Array
+) -> list[tuple[int, int]]:
+    """Busy periods in which first come is not first served, as ranges of frames.
+
+    That is so exactly where some frame has a successor that was there when it started and has
+    priority: if a later one than the successor has, so has one between them.
+    """
+    if len(request) < 2:
+        return []
+    start = end - duration
+    begins = np.concatenate(([0], np.flatnonzero(request[1:] > end[:-1]) + 1, [len(request)]))
+    passed = (request[1:] <= start[:-1]) & (priority[1:] < priority[:-1])
+    periods = np.unique(np.searchsorted(begins, np.flatnonzero(passed), side="right") - 1)
+    return list(zip(begins[periods].tolist(), begins[periods + 1].tolist(), strict=True))
+
+
+def _served(
+    request: Array, duration: Array, priority: NDArray[np.int64], start: float
+) -> list[int]:
+    """Order in which the frames of one busy period are sent, that begins at `start` [s]."""
+    requests, durations, priorities = request.tolist(), duration.tolist(), priority.tolist()
+    waiting: list[tuple[int, int]] = []
+    served: list[int] = []
+    now, next_one, count = start, 0, len(requests)
+    while len(served) < count:
+        while next_one < count and (requests[next_one] <= now or not waiting):
+            heapq.heappush(waiting, (priorities[next_one], next_one))
+            next_one += 1
+        chosen = heapq.heappop(waiting)[1]
+        served.append(chosen)
+        now += durations[chosen]
+    return served
 
 
 def _durations(frames: FrameColumns, bitrate: float) -> Array:

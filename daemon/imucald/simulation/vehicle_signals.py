@@ -9,13 +9,12 @@ from imucald.samples import Series
 from imucald.simulation.body import BodyMotion, Lean
 from imucald.simulation.driver import Driving
 from imucald.simulation.filters import Array, butterworth, first_order, generator
-from imucald.simulation.imu import Mounts, _turned, temperature_at
+from imucald.simulation.imu import Mounts, temperature_at, turned
 from imucald.simulation.model import Model
 from imucald.simulation.road import Attitude
 from imucald.simulation.sensor_model import Message, Scalar
 from imucald.simulation.single_track import Handling
 from imucald.simulation.timing import at_times, frame_timing, quantised
-
 
 SLIP_CYCLES_HZ = (5.0, 6.1, 4.3, 7.2)
 """Control cycles of the brakes of each wheel."""
@@ -76,7 +75,7 @@ class VehicleSignals:
         timing = frame_timing(mag, "mag", self._seed, self._duration)
         when = timing.sampled - mag.delay_s
         body_axes = np.column_stack([at_times(c, self._rate, when) for c in (x, y, z)])
-        values = _turned(mount, when, body_axes) + np.array(mag.hard_iron_t)
+        values = turned(mount, when, body_axes) + np.array(mag.hard_iron_t)
         noise = generator(self._seed, "noise:mag").standard_normal(values.shape)
         values = quantised(values + mag.noise_t * noise, mag.lsb)
         return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])

@@ -1,0 +1,109 @@
+"""`imucald simulate` as a person uses it."""
+
+import json
+from pathlib import Path
+
+import pytest
+from scipy.spatial.transform import Rotation
+
+from imucald.cli import main
+from imucald.config import load_config
+from imucald.simulation import load_model
+from imucald.simulation.bus_frames import example_config
+
+
+def simulate(tmp_path, *options):
+    out = tmp_path / "drive.log"
+    status = main(["simulate", "--out", str(out), "--minutes", "0.2", *options])
+    return status, out, tmp_path / "truth.json"
+
+
+def test_log_and_truth_are_written(tmp_path, capsys):
+    options = ("--mount", "-5,3.5,120", "--shift", "6,0,0,4", "--seed", "7")
+    status, out, truth_path = simulate(tmp_path, *options)
+    assert status == 0
+    assert out.read_text().startswith("(1600000000.0")
+    truth = json.loads(truth_path.read_text())
+    w, x, y, z = truth["mount"]["quaternion_wxyz"]
+    expected = Rotation.from_euler("ZYX", [120, 3.5, -5], degrees=True)
+    assert (Rotation.from_quat([x, y, z, w]).inv() * expected).magnitude() < 1e-9
+    assert truth["mount"]["yaw_deg"] == pytest.approx(120.0)
+    assert truth["shifts"][0]["t_s"] == 6.0
+    assert truth["shifts"][0]["mount"]["yaw_deg"] == pytest.approx(124.0)
+    assert truth["seed"] == 7
+    assert truth["model"]["road"]["grade_rms"] == 0.02
+    assert "mean_crown_deg" in truth
+    assert "drive.log" in capsys.readouterr().out
+
+
+def test_the_same_seed_gives_the_same_file(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    logs = [simulate(tmp_path / name, "--seed", "3")[1].read_bytes() for name in "ab"]
+    assert logs[0] == logs[1]
+    assert len(logs[0]) > 100_000
+
+
+def test_a_written_model_gives_the_same_drive(tmp_path):
+    model = tmp_path / "model.yaml"
+    _, out, _ = simulate(tmp_path, "--seed", "3", "--write-model", str(model))
+    first = out.read_bytes()
+    assert load_model(model).route.kind == "mixed"
+    _, out, _ = simulate(tmp_path, "--seed", "3", "--model", str(model))
+    assert out.read_bytes() == first
+
+
+def test_background_fills_the_bus(tmp_path):
+    _, out, _ = simulate(tmp_path)
+    alone = len(out.read_text().splitlines())
+    _, out, _ = simulate(tmp_path, "--background")
+    assert len(out.read_text().splitlines()) - alone == pytest.approx(12 * 2300, rel=0.15)
+
+
+def test_parameters_can_be_set(tmp_path):
+    options = ("--set", "route.standing_first_s=12", "--set", "accel.bias=[1, 0, 0]",
+               "--set", "accel.vibration=false", "--route", "parked")  # fmt: skip
+    status, _, truth = simulate(tmp_path, *options)
+    assert status == 0
+    model = json.loads(truth.read_text())["model"]
+    assert model["accel"]["bias"] == [1.0, 0.0, 0.0]
+    assert model["accel"]["vibration"] is False
+    assert model["route"]["kind"] == "parked"
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (("--mount", "1,2"), "3 numbers"),
+        (("--mount", "a,b,c"), "3 numbers"),
+        (("--shift", "1,2,3"), "4 numbers"),
+        (("--shift", "-1,2,3,4"), "t_s"),
+        (("--set", "road"), "KEY=VALUE"),
+        (("--set", "road.crown=1"), "road.crown"),
+        (("--minutes", "0"), "minutes"),
+        (("--minutes", "nan"), "minutes"),
+        (("--model", "nothing.yaml"), "nothing.yaml"),
+        (("--config", "nothing.yaml"), "nothing.yaml"),
+        (("--write-model", "/nowhere/model.yaml"), "cannot be written"),
+    ],
+)
+def test_mistakes_end_in_one_clear_line(tmp_path, capsys, options, reason):
+    status, _, _ = simulate(tmp_path, *options)
+    assert status == 1
+    text = capsys.readouterr().err
+    assert reason in text
+    assert "Traceback" not in text
+
+
+def test_the_shipped_example_configuration_is_the_packages_own():
+    shipped = Path(__file__).parents[2] / "config" / "examples" / "simulated.yaml"
+    ours, theirs = example_config(), load_config(shipped)
+    assert ours.config.signals == theirs.config.signals
+    assert ours.config.messages == theirs.config.messages
+    assert (
+        ours.database_path(ours.config.database[0]).samefile(
+            theirs.database_path(theirs.config.database[0])
+        )
+        or ours.database_path(ours.config.database[0]).read_text()
+        == theirs.database_path(theirs.config.database[0]).read_text()
+    )
