@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.check_motion import Motion, shifted
+from imucald.check_motion import Motion, shifted, smooth
 from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
@@ -36,6 +36,11 @@ PLANAR_REST = 1.5
 """What a level accelerometer may show at rest [m/s^2]: slope and offset."""
 GYRO_REST = math.radians(5.0)
 """Largest plausible gyro offset at rest [rad/s]."""
+AXIS_DEG = 20.0
+"""Largest plausible angle between a gyroscope's axis in turns and gravity [deg]: body roll and
+cross-axis errors make a few."""
+HANDED = 0.7
+"""Triple product of the unit vectors forward, left and up from which their sense is clear."""
 WORTH_TELLING_DELAY = 2
 """Ticks of speed delay from which it is told."""
 MAX_DELAY = 12
@@ -67,14 +72,31 @@ class Finding:
 def judge(
     motion: Motion, track: float, wheelbase: float, steering_ratio: float
 ) -> Iterator[Finding]:
-    """Yield everything that the motion tells about units, signs and axes."""
+    """Yield everything that the motion tells about units, signs and axes.
+
+    A wrong scale of accelerometer or speed is told once and then allowed for, so that it is not
+    told again of every signal that is compared with them.
+    """
     yield from _at_rest(motion)
+    if not motion.planar and motion.gravity is not None:
+        motion = motion.scaled(accel=GRAVITY / float(np.linalg.norm(motion.gravity)))
+        response = _best_response(motion, motion.turn_rates(track, wheelbase, steering_ratio))
+        if response is not None:
+            gain = float(np.linalg.norm(response.along))
+            yield from _speed(gain, response.delay)
+            if _wrong(gain):
+                motion = motion.scaled(speed=gain)
     rates = motion.turn_rates(track, wheelbase, steering_ratio)
-    yield from _turns(rates, motion)
+    yield from _turns(rates)
     yield from _along(motion)
     if not motion.planar:
         yield from _axes(motion, rates)
     yield from _flags(motion)
+
+
+def _wrong(gain: float) -> bool:
+    """Whether a gain that should be one is a wrong unit."""
+    return not 1.0 / WRONG_GAIN < abs(gain) < WRONG_GAIN
 
 
 # at rest ---------------------------------------------------------------------------------------
@@ -113,17 +135,18 @@ def _at_rest(motion: Motion) -> Iterator[Finding]:
 
 def _gain_guess(ratio: float) -> str:
     """Words for a gain that should be one."""
-    for factor, words in _FACTORS:
-        for value in (factor, 1.0 / factor):
-            if abs(math.log(abs(ratio) / value)) < math.log(1.15):
-                return f"{abs(ratio):.3g} times too much, as {words} would be; set 'unit:'"
-    return f"{abs(ratio):.3g} times what it should be; check unit and scale"
+    size = abs(ratio)
+    words = f"{size:.3g} times too much" if size > 1.0 else f"{1.0 / size:.3g} times too little"
+    for factor, guess in _FACTORS:
+        if abs(math.log(max(size, 1.0 / size) / factor)) < math.log(1.15):
+            return f"{words}, as {guess} would be; set 'unit:'"
+    return f"{words}; check its unit and scale"
 
 
 # turns -----------------------------------------------------------------------------------------
 
 
-def _turns(rates: Mapping[str, Array], motion: Motion) -> Iterator[Finding]:
+def _turns(rates: Mapping[str, Array]) -> Iterator[Finding]:
     """Compare all witnesses of the yaw rate with the first one that turns."""
     names = [name for name, rate in rates.items() if _spread(rate) > LEAST_TURNING]
     if len(names) < 2:
@@ -138,18 +161,18 @@ def _turns(rates: Mapping[str, Array], motion: Motion) -> Iterator[Finding]:
             text = f"hardly follows {reference} in turns (correlation {correlation:+.2f})"
             yield Finding("warning", name, text)
     yield from _signs(gains)
-    middle = float(np.median([abs(g) for g in gains.values()]))
-    for name, gain in gains.items():
-        ratio = abs(gain) / middle
-        # two witnesses do not tell which is wrong; the text names both
-        if not 1.0 / WRONG_GAIN < ratio < WRONG_GAIN or (
-            len(gains) == 2 and not 1.0 / WRONG_GAIN < abs(gain) < WRONG_GAIN
-        ):
-            against = " and ".join(n for n in gains if n != name)
-            ratio = abs(gain) if len(gains) == 2 else ratio
-            yield Finding("warning", name, f"against {against} in turns: {_gain_guess(ratio)}")
-            if len(gains) == 2 and name != reference:
-                return
+    yield from _gains(gains)
+
+
+def _gains(gains: Mapping[str, float]) -> Iterator[Finding]:
+    """Of three witnesses or more the middle one is believed; of two the first."""
+    sizes = {name: abs(gain) for name, gain in gains.items()}
+    middle = float(np.median(list(sizes.values()))) if len(sizes) > 2 else 1.0
+    for name, size in sizes.items():
+        if _wrong(size / middle):
+            against = ", ".join(other for other in sizes if other != name)
+            text = f"against {against} in turns {_gain_guess(size / middle)}"
+            yield Finding("warning", name, text)
 
 
 def _signs(gains: Mapping[str, float]) -> Iterator[Finding]:
@@ -200,27 +223,18 @@ def _along(motion: Motion) -> Iterator[Finding]:
         elif gain < 0.0:
             text = "is negative when the vehicle accelerates; set 'sign: -1'"
             yield Finding("warning", name, text)
-        elif not 1.0 / WRONG_GAIN < gain < WRONG_GAIN:
-            yield Finding("warning", name, f"against the change of speed: {_gain_guess(gain)}")
+        elif _wrong(gain):
+            text = f"against the change of speed {_gain_guess(gain)}"
+            yield Finding("warning", name, text)
         else:
             yield Finding("ok", name, f"follows the change of speed (gain {gain:.2f})")
 
 
-def _axes(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding]:
-    """The accelerometer's answers to changes of speed and to turns: gains and right-handedness."""
-    if motion.change is None or motion.accel is None or motion.up is None or motion.speed is None:
-        return
-    reference = next((r for r in rates.values() if _spread(r) > LEAST_TURNING), None)
-    turn = np.zeros_like(motion.speed) if reference is None else motion.speed * reference
-    fits = [_response(motion.accel, motion.change, turn, delay) for delay in _DELAYS]
-    best = max((fit for fit in fits if fit is not None), key=lambda f: f.explained, default=None)
-    if best is None or best.explained < CLEAR**2:
-        return
-    along, across, delay = best.along, best.across, best.delay
-    gain = float(np.linalg.norm(along))
-    if not 1.0 / WRONG_GAIN < gain < WRONG_GAIN:
-        text = f"the accelerometer's answer to its changes has a gain of {gain:.2f}: "
-        yield Finding("warning", "speed", text + _gain_guess(1.0 / gain))
+def _speed(gain: float, delay: int) -> Iterator[Finding]:
+    """Whether changes of speed show in the accelerometer as they should, and how late."""
+    if _wrong(gain):
+        text = f"its changes are {_gain_guess(1.0 / gain)} (against the accelerometer)"
+        yield Finding("warning", "speed", text)
     else:
         text = f"its changes show in the accelerometer (gain {gain:.2f})"
         yield Finding("ok", "speed", text)
@@ -228,18 +242,58 @@ def _axes(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding]:
         word = "behind" if delay > 0 else "ahead of"
         text = f"is about {abs(delay) / 10:.1f} s {word} the accelerometer (this is allowed for)"
         yield Finding("note", "speed", text)
-    if reference is None or np.linalg.norm(across) < 1.0 / WRONG_GAIN:
+
+
+def _axes(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding]:
+    """Whether accelerometer and gyroscope make sense as right-handed sets of the same axes."""
+    up = motion.up
+    if up is None:
         return
-    turned = np.cross(along, across) @ motion.up
-    handed = float(turned / (gain * np.linalg.norm(across)))
-    if handed < -0.7:
+    yield from _rotation_axis(motion, rates, up)
+    response = _best_response(motion, rates)
+    if response is None or np.linalg.norm(response.across) < 1.0 / WRONG_GAIN:
+        return
+    along, across = response.along, response.across
+    handed = float(np.cross(along, across) @ up / np.linalg.norm(along) / np.linalg.norm(across))
+    if handed < -HANDED:
         text = (
             "forward, left and up are a left-handed set: one axis has the wrong sign, two are "
             "exchanged, or the turn rate has the wrong sign"
         )
         yield Finding("warning", "accelerometer", text)
-    elif handed > 0.7:
+    elif handed > HANDED:
         yield Finding("ok", "accelerometer", "forward, left and up are a right-handed set")
+
+
+def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Iterator[Finding]:
+    """In turns a gyroscope turns about the direction that the accelerometer calls up."""
+    names = [n for n, rate in rates.items() if n != "gyroscope" and _spread(rate) > LEAST_TURNING]
+    if "gyro" not in motion.grid or not names:
+        return
+    rate, gyro = rates[names[0]], smooth(motion.grid["gyro"])
+    rows = np.isfinite(rate) & np.isfinite(gyro).all(axis=1)
+    if np.count_nonzero(rows) < FEWEST:
+        return
+    axis = np.cov(gyro[rows].T, rate[rows])[3, :3]
+    aligned = abs(float(axis @ up)) / max(float(np.linalg.norm(axis)), 1e-12)
+    angle = math.degrees(math.acos(min(aligned, 1.0)))
+    if angle > AXIS_DEG and abs(_gain(gyro @ axis, rate)[1]) > CLEAR:
+        text = (
+            f"turns about an axis {angle:.0f} deg from gravity's: one of its axes (or of the "
+            "accelerometer's) has the wrong sign, or two are exchanged"
+        )
+        yield Finding("warning", "gyroscope", text)
+
+
+def _best_response(motion: Motion, rates: Mapping[str, Array]) -> _Response | None:
+    """The response with the delay that explains most; None where it is not clear."""
+    if motion.change is None or motion.accel is None or motion.speed is None:
+        return None
+    reference = next((r for r in rates.values() if _spread(r) > LEAST_TURNING), None)
+    turn = np.zeros_like(motion.speed) if reference is None else motion.speed * reference
+    fits = [_response(motion.accel, motion.change, turn, delay) for delay in _DELAYS]
+    best = max((fit for fit in fits if fit is not None), key=lambda f: f.explained, default=None)
+    return best if best is not None and best.explained >= CLEAR**2 else None
 
 
 _DELAYS = range(-MAX_DELAY // 2, MAX_DELAY + 1)

@@ -115,6 +115,12 @@ class Motion:
         self.standing = self._standing()
         self.gravity = self._gravity()
 
+    def scaled(self, accel: float = 1.0, speed: float = 1.0) -> Motion:
+        """The same motion with accelerometer and speed times a factor."""
+        factors = {"accel": accel, "speed": speed}
+        grid = {name: values * factors.get(name, 1.0) for name, values in self.grid.items()}
+        return Motion(grid, self.planar)
+
     @property
     def up(self) -> Array | None:
         """Direction of gravity's reaction in sensor axes (3,)."""

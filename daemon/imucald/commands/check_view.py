@@ -85,7 +85,7 @@ def _quantities(rows: list[dict[str, Any]]) -> Table:
 def _findings(rows: list[dict[str, Any]]) -> Table:
     table = Table.grid(padding=(0, 2))
     for row in rows:
-        quantity = f"{row['quantity']} " if row["quantity"] else ""
+        quantity = f"{row['quantity']}: " if row["quantity"] else ""
         table.add_row(Text(row["level"], style=_STYLES[row["level"]]), quantity + row["text"])
     return table
 
