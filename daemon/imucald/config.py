@@ -31,7 +31,9 @@ EXTENDED_ID_MAX = 0x1FFF_FFFF
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 CanId = Annotated[int, Field(ge=0, le=EXTENDED_ID_MAX)]
