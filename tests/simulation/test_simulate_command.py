@@ -6,10 +6,13 @@ from pathlib import Path
 import pytest
 from scipy.spatial.transform import Rotation
 
+from imucald.bus.pythoncan import can
 from imucald.cli import main
 from imucald.config import load_config
-from imucald.simulation import load_model
-from imucald.simulation.bus_frames import example_config
+from imucald.simulation import load_model, random_model
+from imucald.simulation import simulate as run_model
+from imucald.simulation.bus_frames import BusEncoder, example_config
+from imucald.simulation.can_log import live_frames
 
 
 def simulate(tmp_path, *options):
@@ -93,6 +96,35 @@ def test_mistakes_end_in_one_clear_line(tmp_path, capsys, options, reason):
     text = capsys.readouterr().err
     assert reason in text
     assert "Traceback" not in text
+
+
+def test_the_log_can_go_to_standard_output(capfdbinary):
+    assert main(["simulate", "--out", "-", "--minutes", "0.1"]) == 0
+    written = capfdbinary.readouterr().out
+    assert written.startswith(b"(1600000000.0")
+    assert written.endswith(b"\n")
+    assert written.count(b"\n") > 2000
+
+
+def test_somewhere_to_write_is_needed(capsys):
+    for options in ([], ["--interface", "virtual"], ["--channel", "x"]):
+        assert main(["simulate", *options]) == 1
+        assert "--interface" in capsys.readouterr().err
+
+
+def test_a_drive_is_sent_onto_a_bus_in_its_time(capsys):
+    options = ["--interface", "virtual", "--channel", "simulated", "--minutes", "0.02"]
+    with can.Bus(interface="virtual", channel="simulated") as listener:
+        assert main(["simulate", *options, "--set", "speed.enabled=false"]) == 0
+        frames = []
+        while (frame := listener.recv(0.0)) is not None:
+            frames.append(frame)
+    drive = run_model(random_model(1).with_changes({"speed.enabled": False}), 1, 0.02)
+    expected = list(live_frames(drive, BusEncoder(example_config())))
+    assert [(f.arbitration_id, bytes(f.data)) for f in frames] == [row[1:] for row in expected]
+    assert f"{len(expected)} frames sent" in capsys.readouterr().out
+    span = frames[-1].timestamp - frames[0].timestamp
+    assert span == pytest.approx(expected[-1][0] - expected[0][0], abs=0.3)
 
 
 def test_the_shipped_example_configuration_is_the_packages_own():

@@ -6,15 +6,13 @@ import argparse
 import json
 import re
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from imucald.errors import ConfigError, ImucaldError
 
 if TYPE_CHECKING:
-    from imucald.simulation.can_log import Progress
+    from imucald.simulation.bus_frames import BusEncoder
     from imucald.simulation.drive import Drive
     from imucald.simulation.model import Model
 
@@ -27,54 +25,120 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `simulate`."""
     # Otherwise "-5,3,30" would be taken for an option.
     parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE.log",
-                        help="the log; truth.json is written beside it")  # fmt: skip
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FILE.log",
+        help="the log, - for standard output; truth.json is written beside it",
+    )
     parser.add_argument("--minutes", type=float, default=10.0, help="length (default: 10)")
     parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same drive")
-    parser.add_argument("--mount", metavar="R,P,Y",
-                        help="mount angles in degrees (default: drawn from the seed)")  # fmt: skip
-    parser.add_argument("--shift", action="append", default=[], metavar="T,R,P,Y",
-                        help="turn the sensor by these degrees, T seconds into the drive; "
-                        "may be repeated")  # fmt: skip
+    parser.add_argument(
+        "--mount", metavar="R,P,Y", help="mount angles in degrees (default: drawn from the seed)"
+    )
+    parser.add_argument(
+        "--shift",
+        action="append",
+        default=[],
+        metavar="T,R,P,Y",
+        help="turn the sensor by these degrees, T seconds into the drive; may be repeated",
+    )
     parser.add_argument("--route", choices=ROUTES, help="kind of route (default: mixed)")
-    parser.add_argument("--model", type=Path, metavar="FILE",
-                        help="model file; without it, vehicle, road and sensor are drawn "
-                        "from the seed")  # fmt: skip
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="changes",
-                        help="change a parameter of the model, as road.crown_mean=0.02 or "
-                        "suspension.body_roll=false; may be repeated")  # fmt: skip
-    parser.add_argument("--config", type=Path, metavar="FILE",
-                        help="configuration whose messages are written (default: an example "
-                        "bus)")  # fmt: skip
-    parser.add_argument("--background", action=argparse.BooleanOptionalAction, default=False,
-                        help="write the frames of other units too, about 2300/s")  # fmt: skip
-    parser.add_argument("--write-model", type=Path, metavar="FILE",
-                        help="write the model that was used, every parameter")  # fmt: skip
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="FILE",
+        help="model file; without it, vehicle, road and sensor are drawn from the seed",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="changes",
+        help="change a parameter of the model, as road.crown_mean=0.02 or "
+        "suspension.body_roll=false; may be repeated",
+    )
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="configuration whose messages are written (default: an example bus)",
+    )
+    parser.add_argument(
+        "--background",
+        action=argparse.BooleanOptionalAction,
+        default=False,
+        help="write the frames of other units too, about 2300/s",
+    )
+    parser.add_argument("--interface", help="send the drive onto a bus: python-can interface")
+    parser.add_argument("--channel", help="its channel, such as vcan0")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        help="with --interface: so many times as fast as real (default: 1)",
+    )
+    parser.add_argument(
+        "--write-model",
+        type=Path,
+        metavar="FILE",
+        help="write the model that was used, every parameter",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, write log, truth and perhaps the model; say what was written."""
     from imucald.config import load_config
     from imucald.simulation.bus_frames import BusEncoder, example_config
-    from imucald.simulation.can_log import write_log
     from imucald.simulation.drive import simulate
 
     if not 0.0 < options.minutes <= MAX_MINUTES:
         raise ConfigError(f"--minutes must be between 0 and {MAX_MINUTES:g}")
+    if options.out is None and options.interface is None:
+        raise ConfigError("say where the frames go: --out FILE.log, or --interface and --channel")
+    if (options.interface is None) != (options.channel is None):
+        raise ConfigError("--interface and --channel belong together")
+    if not 0.0 < options.speed < 1e6:
+        raise ConfigError("--speed must be positive")
     model = chosen_model(options)
-    loaded = load_config(options.config) if options.config else example_config()
-    encoder = BusEncoder(loaded)
-    with _progress() as progress:
-        drive = simulate(model, options.seed, options.minutes)
-        frames = write_log(drive, options.out, encoder, options.background, progress)
-    truth = options.out.parent / "truth.json"
-    _write(truth, json.dumps(drive.summary(), indent=2) + "\n")
+    encoder = BusEncoder(load_config(options.config) if options.config else example_config())
+    drive = simulate(model, options.seed, options.minutes)
+    if options.out is not None:
+        _write_log(options, drive, encoder)
     if options.write_model:
         _write(options.write_model, model.to_yaml())
-    print(_report(options.out, truth, drive, frames))
     for name in encoder.left_out:
         print(f"not written, as it comes by an expression: {name}", file=sys.stderr)
+    if options.interface is not None:
+        _send(options, drive, encoder)
     return 0
+
+
+def _write_log(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
+    from imucald.commands.terminal import countdown
+    from imucald.simulation.can_log import write_log
+
+    with countdown("writing", drive.duration_s) as progress:
+        frames = write_log(drive, options.out, encoder, options.background, progress)
+    if str(options.out) == "-":
+        return
+    truth = options.out.parent / "truth.json"
+    _write(truth, json.dumps(drive.summary(), indent=2) + "\n")
+    print(_report(options.out, truth, drive, frames))
+
+
+def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
+    from imucald.bus.link import Link
+    from imucald.commands.terminal import countdown
+    from imucald.simulation.play import play
+
+    with (
+        Link(options.interface, options.channel, receive=()) as link,
+        countdown("driving", drive.duration_s) as progress,
+    ):
+        frames = play(drive, encoder, link, options.speed, options.background, progress)
+    print(f"{options.channel}: {frames} frames sent")
 
 
 def chosen_model(options: argparse.Namespace) -> Model:
@@ -143,22 +207,3 @@ def _report(log: Path, truth: Path, drive: Drive, frames: int) -> str:
         f"{truth}: mount roll {roll}, pitch {pitch}, yaw {yaw} deg",
     ]
     return "\n".join(lines)
-
-
-@contextmanager
-def _progress() -> Iterator[Progress | None]:
-    """Show a bar on a terminal; nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("driving", total=None)
-
-        def show(done_s: float, total_s: float) -> None:
-            bar.update(task, description="writing", completed=done_s, total=total_s)
-
-        yield show

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from imucald.bus.columns import CAN_EFF_FLAG, FrameColumns
-from imucald.errors import LogError
+from imucald.bus.candump_writer import CandumpWriter
+from imucald.bus.columns import FrameColumns
 from imucald.simulation.bus_frames import BusEncoder
 from imucald.simulation.drive import Drive
 from imucald.simulation.traffic import arbitrated, background, joined
@@ -19,8 +20,8 @@ EPOCH_S = 1_600_000_000.0
 BLOCK_S = 30.0
 """Frames are made in blocks, so that memory does not grow with background traffic."""
 
-Progress = Callable[[float, float], None]
-"""Called with (seconds done, seconds in all)."""
+Progress = Callable[[float], None]
+"""Called with the seconds of the drive that are written."""
 
 
 def bus_frames(
@@ -72,44 +73,12 @@ def write_log(
     progress: Progress | None = None,
 ) -> int:
     """Write a drive as a candump log; return the number of frames. LogError where it cannot be."""
-    written = 0
-    try:
-        with path.open("w", encoding="ascii", newline="\n") as file:
-            for block in bus_frames(drive, encoder, with_background):
-                file.write(candump_text(block))
-                written += len(block)
-                if progress is not None:
-                    progress(float(block.t[-1]), drive.duration_s)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written: {error.strerror or error}") from error
-    return written
-
-
-def candump_text(frames: FrameColumns) -> str:
-    """Lines of `candump -l` for frames whose t counts from the drive's start."""
-    width = frames.data.shape[1]
-    digits = frames.data.tobytes().hex().upper()
-    micros = np.rint((frames.t + EPOCH_S) * 1e6).astype(np.int64)
-    seconds, rest = np.divmod(micros, 1_000_000)
-    is_fd = itertools.repeat(False) if frames.fd is None else frames.fd.tolist()
-    names = [f" {name} " for name in frames.channels]
-    lines = []
-    rows = zip(
-        seconds.tolist(),
-        rest.tolist(),
-        frames.channel.tolist(),
-        frames.can_id.tolist(),
-        frames.length.tolist(),
-        is_fd,
-        range(0, 2 * width * len(frames), 2 * width),
-        strict=False,
-    )
-    for second, micro, channel, can_id, length, fd, at in rows:
-        number = f"{can_id & 0x1FFF_FFFF:08X}" if can_id & CAN_EFF_FLAG else f"{can_id:03X}"
-        mark = "##0" if fd else "#"
-        payload = digits[at : at + 2 * length]
-        lines.append(f"({second}.{micro:06d}){names[channel]}{number}{mark}{payload}\n")
-    return "".join(lines)
+    with CandumpWriter(path) as writer:
+        for block in bus_frames(drive, encoder, with_background):
+            writer.write_columns(replace(block, t=block.t + EPOCH_S))
+            if progress is not None:
+                progress(float(block.t[-1]))
+    return writer.frames_written
 
 
 def _on_channel(frames: FrameColumns, channels: tuple[str, ...]) -> FrameColumns:

@@ -8,7 +8,7 @@ States: lateral velocity v_y of the centre of gravity and yaw rate r, in road ax
     a_f = (delta v - v_y - l_f r) / |v|,          a_r = (-v_y + l_r r) / |v|
 
 (Rajamani, Vehicle Dynamics and Control, ch. 2; the tyre is a smooth curve with the slope C and
-the limit D.) The whole drive is solved at once: second-order backward differences, Newton's
+the limit D.) A minute of driving is solved at once: second-order backward differences, Newton's
 method on the tyre, and one banded system per iteration, so stiff low speeds need no small steps.
 """
 
@@ -26,6 +26,10 @@ from imucald.simulation.vehicle_model import Chassis
 
 LOW_SPEED_MPS = 0.2
 """|v| in the slip angles is sqrt(v^2 + this^2): the rolling limit without division by zero."""
+BLOCK_S = 60.0
+LEAD_S = 6.0
+"""The drive is solved in blocks, each with a lead in which the start (a steady turn) is forgotten:
+sideslip decays within tenths of a second. Blocks keep the system small, near the core."""
 NEWTON_STEPS = 12
 NEWTON_TOLERANCE = 1e-9
 
@@ -57,6 +61,23 @@ def handle(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: floa
         curvature = steer / chassis.wheelbase_m
         zero = np.zeros(len(speed))
         return Handling(speed * curvature, zero, zero, steer)
+    n, block, lead = len(speed), round(BLOCK_S * rate), round(LEAD_S * rate)
+    state = np.empty((n, 2))
+    for start in range(0, n, block):
+        first = max(0, start - lead)
+        span = slice(first, min(start + block, n))
+        solved = _solved(chassis, speed[span], steer[span], bank[span], rate)
+        state[start : span.stop] = solved[start - first :]
+    return Handling(
+        yaw_rate=np.ascontiguousarray(state[:, 1]),
+        lateral_velocity=np.ascontiguousarray(state[:, 0]),
+        lateral_velocity_rate=np.gradient(state[:, 0]) * rate,
+        steer=steer,
+    )
+
+
+def _solved(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: float) -> Array:
+    """States (N, 2) of a stretch that begins in a steady turn."""
     state = np.zeros((len(speed), 2))
     state[:, 1] = _steady_yaw_rate(chassis, speed, steer)
     state[:, 0] = chassis.cg_to_rear_m * state[:, 1]
@@ -67,12 +88,7 @@ def handle(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: floa
         state += change
         if float(np.max(np.abs(change))) < NEWTON_TOLERANCE:
             break
-    return Handling(
-        yaw_rate=np.ascontiguousarray(state[:, 1]),
-        lateral_velocity=np.ascontiguousarray(state[:, 0]),
-        lateral_velocity_rate=np.gradient(state[:, 0]) * rate,
-        steer=steer,
-    )
+    return state
 
 
 def _steady_yaw_rate(chassis: Chassis, speed: Array, steer: Array) -> Array:
