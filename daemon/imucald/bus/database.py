@@ -8,7 +8,9 @@ Nothing past this module knows cantools: a codec, a test or the `check` command 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -149,16 +151,29 @@ def _load_file(path: Path) -> list[Message]:
 
 def _parse(text: str, database_format: str, source: str) -> list[Message]:
     refuse_heavy(text, database_format, source)
-    # cantools imports python-can: let it find the one without heavy readers.
-    importlib.import_module("imucald.bus.pythoncan")
-    from cantools.database import load_string  # noqa: PLC0415
-
     try:
-        loaded: Any = load_string(text, database_format, strict=False)
+        loaded: Any = _cantools().load_string(text, database_format, strict=False)
         return [_message(message, source) for message in loaded.messages]
     # The parser meets text of any kind, and answers with almost any exception.
     except Exception as error:
         raise DatabaseError(f"{source}: {_reason(error)}") from error
+
+
+def _cantools() -> Any:
+    """`cantools.database`, without the rest of cantools, which would import python-can.
+
+    That takes 0.1 s; a replay, and a daemon on SocketCAN, do without. Whoever imports cantools
+    later gets it whole.
+    """
+    name = "cantools"
+    spec = importlib.util.find_spec(name)
+    if name in sys.modules or spec is None:
+        return importlib.import_module(f"{name}.database")
+    sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        return importlib.import_module(f"{name}.database")
+    finally:
+        del sys.modules[name]
 
 
 def _reason(error: Exception) -> str:
