@@ -1,18 +1,27 @@
 """The command line: `imucald COMMAND`. Thin: every command lives in a module of its own.
 
-Modules are imported when their command is asked for, so that `imucald run` starts without what it does
-not need. Exit status: 0 done, 1 an error that the text on stderr explains, 2 wrong usage, 130 Ctrl-C.
+Modules are imported when their command is asked for, so that `imucald run` starts without what it
+does not need. Exit status: 0 done, 1 an error that the text on stderr explains, 2 wrong usage, 130
+Ctrl-C.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
 from imucald import __version__
 from imucald.errors import ImucaldError
+
+PROCESS_SETTINGS = {
+    "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads cost more time than they save
+    "OMP_NUM_THREADS": "1",
+    "PYDANTIC_DISABLE_PLUGINS": "__all__",  # none is used, and looking for them takes time
+}
+"""Set for this process, where the user has not; read when numpy and pydantic are imported."""
 
 COMMANDS = {
     "run": "calibrate on a live bus and send corrected frames",
@@ -44,6 +53,8 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of the `imucald` command; returns the exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    for name, value in PROCESS_SETTINGS.items():
+        os.environ.setdefault(name, value)
     named = next((a for a in arguments if a in COMMANDS), "")
     parser = build_parser(named)
     options = parser.parse_args(arguments)
