@@ -1,0 +1,52 @@
+"""YAML -> typed settings. Every mistake is one clear line with its place in the file and a remedy.
+
+The models below are the configuration reference's source: `imucald schema` prints their JSON schema
+and ``docs/configuration.md`` is checked against them. Files are untrusted: size, nesting and
+aliases are bounded before anything is built from them.
+"""
+
+from __future__ import annotations
+
+from imucald.config.base import EXTENDED_ID_MAX, STANDARD_ID_MAX
+from imucald.config.calibration import Calibration
+from imucald.config.network import (
+    Bus,
+    Checksum,
+    Counter,
+    Database,
+    MessageProtection,
+    Output,
+    OutputIds,
+    Vehicle,
+)
+from imucald.config.signals import ParallelSensor, RawSource, Signals, Source, Triad, Wheels
+from imucald.config.whole import Config, LoadedConfig, json_schema, load_config, parse_config
+from imucald.config.yaml_lines import MAX_FILE_BYTES, Marks, read_yaml
+
+__all__ = [
+    "EXTENDED_ID_MAX",
+    "MAX_FILE_BYTES",
+    "STANDARD_ID_MAX",
+    "Bus",
+    "Calibration",
+    "Checksum",
+    "Config",
+    "Counter",
+    "Database",
+    "LoadedConfig",
+    "Marks",
+    "MessageProtection",
+    "Output",
+    "OutputIds",
+    "ParallelSensor",
+    "RawSource",
+    "Signals",
+    "Source",
+    "Triad",
+    "Vehicle",
+    "Wheels",
+    "json_schema",
+    "load_config",
+    "parse_config",
+    "read_yaml",
+]

@@ -1,0 +1,124 @@
+"""Databases, message protection, the bus, what is sent, the vehicle."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from imucald.config.base import CanId, Model, Positive, as_list
+
+
+class Database(Model):
+    """A CAN database file, relative to the configuration file."""
+
+    path: str
+    channel: str | None = None
+    """Bus of a recording whose frames it describes; every bus when absent."""
+    j1939: bool | None = None
+    """Match 29-bit ids by PGN, whatever the source address; default: as the database says."""
+
+
+def _path_shorthand(value: Any) -> Any:
+    return {"path": value} if isinstance(value, str) else value
+
+
+Databases = Annotated[
+    tuple[Annotated[Database, BeforeValidator(_path_shorthand)], ...],
+    BeforeValidator(as_list),
+    Field(min_length=1),
+]
+
+
+class Counter(Model):
+    """Alive counter of a message."""
+
+    signal: str
+    modulus: int | None = Field(None, ge=2, le=65536)
+    """Number of values before it wraps; default: all that its bits hold."""
+    max_step: int = Field(1, ge=1, le=255)
+    """Largest step that is still believed (frames lost in between)."""
+
+
+class Checksum(Model):
+    """Checksum of a message."""
+
+    kind: Literal["none", "xor", "crc8_j1850", "e2e_p1", "e2e_p2", "e2e_p5", "e2e_p11"]
+    signal: str | None = None
+    """Where it stands; E2E profiles have their own places."""
+    data_id: int | tuple[int, ...] | None = None
+    """E2E data id; profile 2: a list of sixteen."""
+    data_id_mode: Literal["both", "alternating", "low", "nibble"] = "both"
+    id_bytes: int = Field(0, ge=0, le=4)
+    """For xor and crc8_j1850: bytes of the CAN identifier that go in first."""
+    offset: int = Field(0, ge=0, le=63)
+    """E2E: first byte of the header in the frame."""
+
+
+class MessageProtection(Model):
+    """What is known about a message's cycle and protection."""
+
+    cycle_time: Positive | None = None
+    """[s]; default: GenMsgCycleTime of the database, else none is assumed."""
+    timeout_cycles: Annotated[float, Field(ge=1.5, le=1000)] = 10.0
+    counter: Counter | None = None
+    checksum: Checksum | None = None
+    recover_after: int = Field(3, ge=0, le=1000)
+    """Good frames in a row after a fault before the message is believed again."""
+
+
+class Bus(Model):
+    """The bus that `imucald run` listens and sends on."""
+
+    interface: str = "socketcan"
+    channel: str = "can0"
+    bitrate: int | None = Field(None, gt=0)
+    fd: bool = False
+    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+    """Further arguments of python-can's bus."""
+
+
+class OutputIds(Model):
+    """Identifiers of the frames that imucald sends (see dbc/imucald_out.dbc)."""
+
+    acceleration: CanId = 0x640
+    angular_rate: CanId = 0x641
+    magnetic_field: CanId = 0x642
+    mount: CanId = 0x643
+    mount_deviation: CanId = 0x644
+    health: CanId = 0x645
+
+    @model_validator(mode="after")
+    def _distinct(self) -> OutputIds:
+        ids = list(self.model_dump().values())
+        if len(set(ids)) != len(ids):
+            raise ValueError("two output frames have the same id")
+        return self
+
+
+class Output(Model):
+    """What is sent."""
+
+    ids: OutputIds = OutputIds()
+    status_rate: Literal[1, 2, 5, 10] = 1
+    """Status frames per second."""
+    checksum: Literal["crc8_j1850", "xor", "none"] = "crc8_j1850"
+
+
+class Vehicle(Model):
+    """What is known about the vehicle."""
+
+    id: str = Field("vehicle", max_length=64)
+    """Identity; a saved state is used for the same vehicle only."""
+    driving_side: Literal["left", "right", "unknown"] = "unknown"
+    """Side of the road it drives on: the road's crown leans the vehicle towards the kerb."""
+    crown_percent: float = Field(1.2, ge=0, le=5)
+    """Mean cross slope of the roads it uses, towards the kerb."""
+    crown_spread_percent: float = Field(0.6, gt=0, le=5)
+    """Spread of that mean from drive to drive."""
+    wheelbase: Positive = 2.7
+    """[m]; turns the steering angle into a yaw rate where there is no other."""
+    steering_ratio: Positive = 15.0
+    """Steering-wheel angle over road-wheel angle."""
+    track: Positive = 1.55
+    """[m]; how much the wheels may differ in a curve."""

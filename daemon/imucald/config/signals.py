@@ -1,0 +1,127 @@
+"""Which signal is which quantity."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from imucald.config.base import STANDARD_ID_MAX, CanId, Model, as_list
+
+
+class RawSource(Model):
+    """A value computed from a frame's bytes, for frames that no database describes (OBD-II)."""
+
+    id: CanId
+    extended: bool = False
+    """29-bit identifier; set by itself when the id needs one."""
+    when: str | None = None
+    """Condition on data[i] and length; frames that fail it are not this signal."""
+    value: str
+    """Expression on data[i]."""
+
+    @property
+    def is_extended(self) -> bool:
+        """Whether the identifier has 29 bits."""
+        return self.extended or self.id > STANDARD_ID_MAX
+
+
+def _signal_shorthand(value: Any) -> Any:
+    return {"signal": value} if isinstance(value, str) else value
+
+
+class Source(Model):
+    """Where one number comes from: ``MESSAGE.SIGNAL`` alone, or a mapping with more."""
+
+    signal: str | None = Field(None, pattern=r"^[^.\s]+\.[^.\s]+$")
+    """``MESSAGE.SIGNAL`` in the database."""
+    raw: RawSource | None = None
+    """Instead of `signal`: bytes and an expression."""
+    unit: str | None = None
+    """Overrides the unit in the database."""
+    sign: Literal[-1, 1] = 1
+    offset: float = 0.0
+    """Added to the physical value, in its unit, before the sign."""
+    channel: str | None = None
+    """Bus of a recording with several; without effect on a live bus."""
+    range: tuple[float, float] | None = None
+    """Plausible physical values, in the source's unit, before offset and sign."""
+    not_available: tuple[int, ...] = ()
+    """Raw values that mean 'not available'."""
+    equals: tuple[float, ...] | float | None = None
+    """For on/off quantities: on when the physical value is (one of) this."""
+    above: float | None = None
+    """For on/off quantities: on when the physical value is larger."""
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Source:
+        if (self.signal is None) == (self.raw is None):
+            raise ValueError("give either 'signal: MESSAGE.SIGNAL' or 'raw: {id, value}'")
+        if self.range is not None and self.range[0] >= self.range[1]:
+            raise ValueError("range must be [low, high] with low < high")
+        return self
+
+
+OneSource = Annotated[Source, BeforeValidator(_signal_shorthand)]
+
+
+Sources = Annotated[tuple[OneSource, ...], BeforeValidator(as_list), Field(min_length=1)]
+"""One source, or several in order of preference."""
+
+
+class Triad(Model):
+    """Three axes of one sensor, in its own axes; an accelerometer may lack z (planar)."""
+
+    x: OneSource
+    y: OneSource
+    z: OneSource | None = None
+
+
+Triads = Annotated[tuple[Triad, ...], BeforeValidator(as_list), Field(min_length=1)]
+
+
+class Wheels(Model):
+    """Wheel speeds."""
+
+    front_left: OneSource
+    front_right: OneSource
+    rear_left: OneSource
+    rear_right: OneSource
+
+
+class ParallelSensor(Model):
+    """Another sensor whose axes are parallel to the accelerometer's; gets the same correction."""
+
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")
+    kind: Literal["acceleration", "angular_rate", "magnetic_field"]
+    x: OneSource
+    y: OneSource
+    z: OneSource
+    id: CanId
+    """Identifier of the frame with its corrected values."""
+
+
+class Signals(Model):
+    """Which signal is which quantity."""
+
+    accelerometer: Triads
+    gyroscope: Triads | None = None
+    magnetometer: Triads | None = None
+    speed: Sources | None = None
+    wheel_speeds: Wheels | None = None
+    steering_wheel_angle: Sources | None = None
+    yaw_rate: Sources | None = None
+    lateral_acceleration: Sources | None = None
+    longitudinal_acceleration: Sources | None = None
+    reverse: Sources | None = None
+    brake: Sources | None = None
+    temperature: Sources | None = None
+    heading: Sources | None = None
+    parallel: tuple[ParallelSensor, ...] = Field((), max_length=8)
+
+    @model_validator(mode="after")
+    def _planar_only_alone(self) -> Signals:
+        for triads in (self.gyroscope, self.magnetometer):
+            if triads and any(triad.z is None for triad in triads):
+                raise ValueError("only the accelerometer may lack its z axis")
+        return self

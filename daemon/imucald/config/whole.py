@@ -1,0 +1,105 @@
+"""A whole configuration: read, checked, and where it came from."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pydantic import Field, ValidationError
+
+from imucald.config.base import Model
+from imucald.config.calibration import Calibration
+from imucald.config.explain import explain
+from imucald.config.network import Bus, Database, Databases, MessageProtection, Output, Vehicle
+from imucald.config.signals import Signals
+from imucald.config.yaml_lines import (
+    MAX_FILE_BYTES,
+    Marks,
+    Place,
+    dotted,
+    line_of,
+    read_yaml,
+)
+from imucald.errors import ConfigError
+
+
+class Config(Model):
+    """A whole configuration file."""
+
+    vehicle: Vehicle = Vehicle()
+    database: Databases
+    signals: Signals
+    messages: dict[str, MessageProtection] = Field(default_factory=dict)
+    bus: Bus = Bus()
+    calibration: Calibration = Calibration()
+    output: Output = Output()
+
+
+class LoadedConfig:
+    """A configuration with the place it came from.
+
+    config: the settings. path: the file, or None. `database_paths`: absolute.
+    """
+
+    def __init__(self, config: Config, path: Path | None, marks: Marks) -> None:
+        self.config = config
+        self.path = path
+        self._marks = marks
+
+    def database_path(self, database: Database) -> Path:
+        """Return a database's absolute path: relative ones are relative to the configuration."""
+        base = self.path.parent if self.path is not None else Path.cwd()
+        return (base / database.path).resolve()
+
+    def with_databases(self, entries: tuple[Database, ...]) -> LoadedConfig:
+        """The same configuration with other database entries."""
+        config = self.config.model_copy(update={"database": entries})
+        return LoadedConfig(config, self.path, self._marks)
+
+    def error(self, place: Place, text: str) -> ConfigError:
+        """An error at a key of the file, such as ("signals", "speed", 0)."""
+        return ConfigError(f"{self._where(place)}{dotted(place)}: {text}")
+
+    def _where(self, place: Place) -> str:
+        name = str(self.path) if self.path is not None else "<config>"
+        return f"{name}:{line_of(self._marks, place)}: "
+
+
+def load_config(path: Path) -> LoadedConfig:
+    """Read a configuration file.
+
+    Raises ConfigError with one line per mistake: file, line, key, reason, remedy.
+    """
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise ConfigError(f"{path}: {size} bytes is too long for a configuration")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text: {error.reason}") from None
+    return parse_config(text, path)
+
+
+def parse_config(text: str, path: Path | None = None) -> LoadedConfig:
+    """Parse the text of a configuration; `path` names it and anchors relative paths.
+
+    Raises ConfigError as `load_config` does.
+    """
+    name = str(path) if path is not None else "<config>"
+    data, marks = read_yaml(text, name)
+    if not isinstance(data, dict):
+        raise ConfigError(f"{name}:1: a configuration is a mapping with 'database' and 'signals'")
+    try:
+        config = Config.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(
+            "\n".join(explain(error, Config.model_json_schema, marks, name, data))
+        ) from None
+    return LoadedConfig(config, path, marks)
+
+
+def json_schema() -> str:
+    """JSON schema (draft 2020-12) of the configuration."""
+    return json.dumps(Config.model_json_schema(), indent=2)

@@ -1,0 +1,86 @@
+"""YAML to plain data that knows its lines. The text is untrusted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import yaml
+
+from imucald.errors import ConfigError
+
+MAX_FILE_BYTES = 1_000_000
+"""Largest accepted file: a thousand times a real one."""
+MAX_DEPTH = 30
+"""Deepest accepted nesting."""
+
+Place = tuple[str | int, ...]
+Marks = dict[Place, int]
+"""Line (from 1) of every key and item."""
+
+
+def read_yaml(text: str, name: str) -> tuple[Any, Marks]:
+    """Parse YAML to plain data and the line of every key.
+
+    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and they are
+    how a file becomes a bomb. Raises ConfigError with the line.
+    """
+    try:
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
+        try:
+            for event in yaml.parse(text, Loader=type(loader)):
+                if isinstance(event, yaml.AliasEvent):
+                    line = event.start_mark.line + 1 if event.start_mark else 1
+                    raise ConfigError(f"{name}:{line}: YAML aliases (*name) are not accepted")
+            node = loader.get_single_node()
+            marks: Marks = {}
+            data = None if node is None else _build(loader, node, (), marks, name)
+        finally:
+            loader.dispose()
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = mark.line + 1 if mark is not None else 1
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        raise ConfigError(f"{name}:{line}: not valid YAML: {problem}") from None
+    except (RecursionError, ValueError, OverflowError) as error:
+        raise ConfigError(f"{name}:1: not usable YAML: {error}") from None
+    return data, marks
+
+
+def _build(loader: Any, node: yaml.Node, place: Place, marks: Marks, name: str) -> Any:
+    line = node.start_mark.line + 1
+    marks.setdefault(place, line)
+    if len(place) > MAX_DEPTH:
+        raise ConfigError(f"{name}:{line}: nested too deeply")
+    if isinstance(node, yaml.SequenceNode):
+        return [_build(loader, n, (*place, i), marks, name) for i, n in enumerate(node.value)]
+    if isinstance(node, yaml.MappingNode):
+        result: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key_line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise ConfigError(f"{name}:{key_line}: a key must be a plain word")
+            key = key_node.value
+            if key in result:
+                raise ConfigError(f"{name}:{key_line}: the key '{key}' stands here a second time")
+            marks[(*place, key)] = key_line
+            result[key] = _build(loader, value_node, (*place, key), marks, name)
+        return result
+    value = loader.construct_object(node)
+    if value is not None and not isinstance(value, str | int | float | bool):
+        raise ConfigError(f"{name}:{line}: {node.value!r} is neither text nor number")
+    return value
+
+
+def line_of(marks: Marks, place: Place) -> int:
+    """Line of a key, or of the nearest one around it."""
+    while place and place not in marks:
+        place = place[:-1]
+    return marks.get(place, 1)
+
+
+def dotted(place: Place) -> str:
+    """Name of a key with all that it stands in."""
+    text = ""
+    for part in place:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
+    return text or "configuration"
