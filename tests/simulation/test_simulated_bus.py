@@ -130,7 +130,7 @@ def test_the_bus_is_as_full_as_a_real_one(drive, lines, encoder):
     assert 0.12 < ours / len(lines) < 0.25
 
 
-def queue_reference(t, can_id, duration):
+def queue_reference(t, can_id, durations):
     """Arbitration frame by frame: when the bus is free, the lowest id that waits is sent."""
     order = sorted(range(len(t)), key=lambda i: t[i])
     waiting, sent, now, k = [], [], 0.0, 0
@@ -141,7 +141,7 @@ def queue_reference(t, can_id, duration):
             heapq.heappush(waiting, (can_id[order[k]], t[order[k]], order[k]))
             k += 1
         _, _, i = heapq.heappop(waiting)
-        now += duration
+        now += durations[i]
         sent.append((i, now))
     return sent
 
@@ -149,16 +149,17 @@ def queue_reference(t, can_id, duration):
 @pytest.mark.parametrize("load", [0.3, 0.7, 0.9])
 def test_arbitration_is_that_of_a_queue_with_priorities(load):
     rng = np.random.default_rng(1)
-    duration = 111 * 1.1 / 500e3
     n = 3000
-    t = np.sort(rng.uniform(0.0, n * duration / load, n))
+    length = rng.integers(0, 9, n).astype(np.uint8)
+    durations = (47 + 8.0 * length) * 1.1 / 500e3
+    t = np.sort(rng.uniform(0.0, durations.sum() / load, n))
     can_id = rng.permutation(n).astype(np.uint32) % 0x7FF
     frames = FrameColumns(
-        t, can_id, np.full(n, 8, np.uint8), np.arange(8 * n).astype(np.uint8).reshape(n, 8),
+        t, can_id, length, np.arange(8 * n).astype(np.uint8).reshape(n, 8),
         np.zeros(n, np.uint8), ("can0",),
     )  # fmt: skip
     found = arbitrated(frames, 500e3, 0.0)
-    expected = queue_reference(t.tolist(), can_id.tolist(), duration)
+    expected = queue_reference(t.tolist(), can_id.tolist(), durations.tolist())
     np.testing.assert_array_equal(found.can_id, can_id[[i for i, _ in expected]])
     assert np.any(np.diff(t[[i for i, _ in expected]]) < 0.0)
     np.testing.assert_allclose(found.t, [end for _, end in expected], atol=1e-9)

@@ -74,12 +74,9 @@ def arbitrated(frames: FrameColumns, bitrate: float, busy_until: float) -> Frame
     duration = _durations(frames, bitrate)[order]
     priority = _priority(frames.can_id)[order]
     end = _ends(request, duration, busy_until)
-    for first, stop in _contested(request, duration, priority, end):
-        span = slice(first, stop)
-        won = _served(request[span], duration[span], priority[span], end[first] - duration[first])
-        order[span] = order[span][won]
-        duration[span] = duration[span][won]
-        end[span] = end[first] - duration[first] + np.cumsum(duration[span])
+    won = _in_order_of_priority(request, duration, priority, end)
+    order = order[won]
+    end = _ends(request[won], duration[won], busy_until)
     sent = frames.take(order)
     return FrameColumns(
         end, sent.can_id, sent.length, sent.data, sent.channel, sent.channels, sent.fd
@@ -92,6 +89,18 @@ def _ends(request: Array, duration: Array, busy_until: float) -> Array:
     slack = np.maximum.accumulate(np.maximum(request, busy_until) - (total - duration))
     ends: Array = slack + total
     return ends
+
+
+def _in_order_of_priority(
+    request: Array, duration: Array, priority: NDArray[np.int64], end: Array
+) -> NDArray[np.intp]:
+    """Places (N,) of frames, given first come first served, in the order in which they are sent."""
+    result = np.arange(len(request))
+    starts = (end - duration).tolist()
+    waits, lengths, ranks = request.tolist(), duration.tolist(), priority.tolist()
+    for first, stop in _contested(request, duration, priority, end):
+        result[first:stop] = _served(waits, lengths, ranks, first, stop, starts[first])
+    return result
 
 
 def _contested(
@@ -112,20 +121,24 @@ def _contested(
 
 
 def _served(
-    request: Array, duration: Array, priority: NDArray[np.int64], start: float
+    request: list[float],
+    duration: list[float],
+    priority: list[int],
+    first: int,
+    stop: int,
+    start: float,
 ) -> list[int]:
-    """Order in which the frames of one busy period are sent, that begins at `start` [s]."""
-    requests, durations, priorities = request.tolist(), duration.tolist(), priority.tolist()
+    """Order of the frames [first, stop) of one busy period that begins at `start` [s]."""
     waiting: list[tuple[int, int]] = []
     served: list[int] = []
-    now, next_one, count = start, 0, len(requests)
-    while len(served) < count:
-        while next_one < count and (requests[next_one] <= now or not waiting):
-            heapq.heappush(waiting, (priorities[next_one], next_one))
-            next_one += 1
+    now, coming = start, first
+    while len(served) < stop - first:
+        while coming < stop and (not waiting or request[coming] <= now):
+            heapq.heappush(waiting, (priority[coming], coming))
+            coming += 1
         chosen = heapq.heappop(waiting)[1]
         served.append(chosen)
-        now += durations[chosen]
+        now += duration[chosen]
     return served
 
 
