@@ -7,6 +7,7 @@ import re
 import sys
 import time
 from contextlib import ExitStack
+from pathlib import Path
 
 from imucald.errors import ConfigError
 
@@ -40,11 +41,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--quick", action="store_true", help=f"a drive of {QUICK_MINUTES:g} minutes only"
     )
+    parser.add_argument(
+        "--svg", type=Path, metavar="FILE", help="write the last picture and the result as SVG"
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Drive, show, compare; 0 when the estimate became usable."""
-    from imucald.commands.demo_view import LiveView, PlainView, print_result
+    from imucald.commands.demo_view import (
+        LiveView,
+        Picture,
+        PlainView,
+        print_result,
+        write_svg,
+    )
     from imucald.commands.simulate import chosen_model
     from imucald.demo import Demonstration
     from imucald.simulation.bus_frames import example_config
@@ -65,11 +75,16 @@ def run(options: argparse.Namespace) -> int:
     began = time.monotonic()
     drive = simulate(model, options.seed, minutes)
     view = LiveView(options.seed) if sys.stdout.isatty() else PlainView(options.seed)
+    picture = Picture()
     with ExitStack() as stack:
         demonstration = stack.enter_context(Demonstration(drive, example_config()))
         with view:
             for _ in demonstration.run():
                 view.show(demonstration)
-        print_result(demonstration, time.monotonic() - began)
+                picture.note(demonstration)
+        waited = time.monotonic() - began
+        print_result(demonstration, waited)
+        if options.svg:
+            write_svg(demonstration, picture, waited, options.svg)
         usable = demonstration.engine.pipeline.first_usable is not None
     return 0 if usable else 1

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import math
+import re
 import time
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from rich._export_format import CONSOLE_SVG_FORMAT
 from rich.console import Console, Group
 from rich.live import Live
 from rich.padding import Padding
@@ -15,6 +19,8 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.demo import LAST_S, Angle, Demonstration, angles_beside
+from imucald.errors import ImucaldError
+from imucald.frames import angles_from_rotation
 from imucald.mount.estimate import ANGLES, MountState
 
 FRAME_S = 0.1
@@ -23,6 +29,7 @@ LINE_S = 15.0
 """A plain line appears so often [s of driving]."""
 HISTORY = 24
 """Columns of the history of an angle's uncertainty."""
+SVG_COLUMNS = 82
 BLOCKS = " ▁▂▃▄▅▆▇█"
 WIDEST_DEG, NARROWEST_DEG = 30.0, 0.1
 """Two standard deviations that fill the history's column, and that leave it empty (log scale)."""
@@ -74,12 +81,9 @@ class LiveView:
     """A picture that moves."""
 
     def __init__(self, seed: int) -> None:
-        self._seed = seed
-        self._console = Console(highlight=False)
-        self._live = Live(console=self._console, auto_refresh=False)
-        self._began = time.monotonic()
+        self._live = Live(console=Console(highlight=False), auto_refresh=False)
+        self._picture = Picture()
         self._drawn = -math.inf
-        self._history: dict[str, list[float]] = {name: [] for name in ANGLES}
 
     def __enter__(self) -> Self:
         self._live.__enter__()
@@ -95,56 +99,75 @@ class LiveView:
 
     def show(self, demo: Demonstration) -> None:
         """Draw the picture when it is due."""
-        column = int(HISTORY * demo.now / demo.drive.duration_s)
-        angles = {a.name: a for a in angles_beside(demo.estimate(), demo.truth)}
-        for name, history in self._history.items():
-            while len(history) < min(column, HISTORY):
-                history.append(2.0 * angles[name].std if name in angles else math.inf)
+        self._picture.note(demo)
         now = time.monotonic()
         if now - self._drawn >= FRAME_S or demo.now >= demo.drive.duration_s:
             self._drawn = now
-            self._live.update(self._picture(demo, angles), refresh=True)
+            self._live.update(self._picture.draw(demo), refresh=True)
 
-    def _picture(self, demo: Demonstration, angles: dict[str, Angle]) -> Group:
+
+class Picture:
+    """The state of a demonstration at one moment, with the history of its uncertainty."""
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+        self._history: dict[str, list[float]] = {name: [] for name in ANGLES}
+
+    def note(self, demo: Demonstration) -> None:
+        """Take the uncertainty of the moment into the history."""
+        columns = min(int(HISTORY * demo.now / demo.drive.duration_s), HISTORY)
+        if columns <= len(self._history["yaw"]):
+            return
+        angles = {a.name: a for a in angles_beside(demo.estimate(), demo.truth)}
+        for name, history in self._history.items():
+            width = 2.0 * angles[name].std if name in angles else math.inf
+            history.extend([width] * (columns - len(history)))
+
+    def draw(self, demo: Demonstration) -> Group:
+        """Return the picture, twenty lines for 80 columns."""
         estimate = demo.estimate()
         waiting = [f"{angle}: {text}" for angle, text in estimate.waiting_for.items()]
+        waiting += [""] * (len(ANGLES) - len(waiting))  # so that nothing jumps
         return Group(
-            self._headline(demo),
+            _headline(demo),
             Padding(_state_line(demo), (1, 0)),
-            self._angle_table(angles),
-            Padding(Text("\n".join(waiting[:3]), style="yellow"), (0, 0, 0, 2)),
+            self._angle_table(demo),
+            Padding(
+                Text("\n".join(waiting), style="yellow", overflow="ellipsis", no_wrap=True),
+                (1, 0, 0, 0),
+            ),
             Padding(_acceleration_table(demo), (1, 0)),
             _traffic_line(demo, time.monotonic() - self._began),
         )
 
-    def _headline(self, demo: Demonstration) -> Table:
-        grid = Table.grid(padding=(0, 2))
-        speed, _, yaw_rate = demo.motion()
-        turn = "left" if yaw_rate > 0.03 else "right" if yaw_rate < -0.03 else "straight on"
-        doing = "standing" if abs(speed) < 0.1 else f"{3.6 * speed:3.0f} km/h, {turn}"
-        grid.add_row(
-            Text("imucald demo", style="bold"),
-            ProgressBar(demo.drive.duration_s, min(demo.now, demo.drive.duration_s), width=24),
-            f"{_clock(demo.now)} of {_clock(demo.drive.duration_s)}",
-            doing,
-        )
-        return grid
-
-    def _angle_table(self, angles: dict[str, Angle]) -> Table:
+    def _angle_table(self, demo: Demonstration) -> Table:
+        angles = {a.name: a for a in angles_beside(demo.estimate(), demo.truth)}
+        truth = dict(zip(ANGLES, angles_from_rotation(demo.truth), strict=True))
         table = Table(box=None, pad_edge=False)
-        table.add_column("mount")
+        table.add_column("mount", min_width=6)
         for name in ("estimate", "± 2 sd", "truth"):
             table.add_column(name, justify="right", min_width=9)
-        table.add_column("± 2 sd so far, log scale", min_width=HISTORY)
+        table.add_column("± 2 sd so far (log scale)", min_width=HISTORY)
         for name in ANGLES:
-            angle = angles.get(name)
-            cells = ("-", "-", "") if angle is None else (
-                f"{angle.estimate * _DEG:+.2f}°",
-                f"{2.0 * angle.std * _DEG:.2f}°",
-                f"{angle.truth * _DEG:+.2f}°",
-            )  # fmt: skip
-            table.add_row(name, *cells, Text(_history(self._history[name]), style="cyan"))
+            found = angles.get(name)
+            cells = ("-", "-") if found is None else (_deg(found.estimate), _size(2.0 * found.std))
+            history = Text(_history(self._history[name]), style="cyan")
+            table.add_row(name, *cells, _deg(truth[name]), history)
         return table
+
+
+def _headline(demo: Demonstration) -> Table:
+    grid = Table.grid(padding=(0, 2))
+    speed, _, yaw_rate = demo.motion()
+    turn = "left" if yaw_rate > 0.03 else "right" if yaw_rate < -0.03 else "straight on"
+    doing = "standing" if abs(speed) < 0.1 else f"{3.6 * speed:3.0f} km/h, {turn}"
+    grid.add_row(
+        Text("imucald demo", style="bold"),
+        ProgressBar(demo.drive.duration_s, min(demo.now, demo.drive.duration_s), width=24),
+        f"{_clock(demo.now)} of {_clock(demo.drive.duration_s)}",
+        doing,
+    )
+    return grid
 
 
 def _state_line(demo: Demonstration) -> Text:
@@ -177,9 +200,23 @@ def _traffic_line(demo: Demonstration, waited: float) -> Text:
     return Text(text, style="dim")
 
 
-def print_result(demo: Demonstration, waited: float) -> None:
+def write_svg(demo: Demonstration, picture: Picture, waited: float, path: Path) -> None:
+    """Write the last picture and the result as SVG. Raises ImucaldError where it cannot."""
+    console = Console(
+        record=True, file=io.StringIO(), width=SVG_COLUMNS, force_terminal=True, highlight=False
+    )
+    console.print(picture.draw(demo))
+    print_result(demo, waited, console)
+    form = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL)
+    try:
+        path.write_text(console.export_svg(title="imucald demo", code_format=form), "utf-8")
+    except OSError as error:
+        raise ImucaldError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def print_result(demo: Demonstration, waited: float, console: Console | None = None) -> None:
     """Print estimate beside truth, the frames' proof, and what to do next."""
-    console = Console(highlight=False, soft_wrap=True)
+    console = console or Console(highlight=False)
     angles = angles_beside(demo.estimate(), demo.truth)
     console.print()
     if angles:
@@ -197,7 +234,7 @@ def print_result(demo: Demonstration, waited: float) -> None:
 
 def _result_table(angles: list[Angle]) -> Table:
     table = Table(box=None, pad_edge=False)
-    table.add_column("mount angle")
+    table.add_column("mount")
     for name in ("estimate", "± 2 sd", "truth", "error"):
         table.add_column(name, justify="right", min_width=9)
     table.add_column("truth inside?")
@@ -205,10 +242,10 @@ def _result_table(angles: list[Angle]) -> Table:
         style = "green" if angle.inside else "red"
         table.add_row(
             angle.name,
-            f"{angle.estimate * _DEG:+.2f}°",
-            f"{2.0 * angle.std * _DEG:.2f}°",
-            f"{angle.truth * _DEG:+.2f}°",
-            f"{angle.error * _DEG:+.2f}°",
+            _deg(angle.estimate),
+            _size(2.0 * angle.std),
+            _deg(angle.truth),
+            _deg(angle.error),
             Text("yes" if angle.inside else "no", style=style),
         )
     return table
@@ -241,6 +278,14 @@ def _with_interval(angle: Angle | None) -> str:
     if angle is None:
         return "-"
     return f"{angle.estimate * _DEG:+.2f} +- {2.0 * angle.std * _DEG:.2f}"
+
+
+def _deg(angle: float) -> str:
+    return f"{angle * _DEG:+.2f}°"
+
+
+def _size(angle: float) -> str:
+    return f"{angle * _DEG:.2f}°"
 
 
 def _history(widths: list[float]) -> str:
