@@ -30,6 +30,9 @@ SMALLEST_SPREAD = math.radians(0.8)
 ROBUST_SPREADS = 1.5
 """A manoeuvre further than this many spreads from the rest counts less (Huber)."""
 ROBUST_ROUNDS = 4
+COUNTED_LIMITS = 2.0
+"""Deviations count up to this many robust limits: one that disagrees must not hide from the
+interval, nor blow it up."""
 FLOOR_STD = math.radians(0.15)
 """What manoeuvres share, so that no number of them averages it: cross-axis error, delay [rad]."""
 MEDIAN_TO_STD = 1.4826
@@ -108,8 +111,10 @@ class Angle(NamedTuple):
     manoeuvres: int
 
 
-def combined(pointers: Pointers) -> Angle | None:
+def combined(pointers: Pointers, turns: float = 1.0) -> Angle | None:
     """Combine pointers (N,) robustly into one angle; None where there is nothing to combine.
+
+    turns: how often a pointer goes round while the angle goes round once (2 for an axis).
 
     The spread over manoeuvres (with a prior worth two) over their effective number gives the
     standard deviation; Huber weights keep a manoeuvre that disagrees from deciding.
@@ -121,24 +126,23 @@ def combined(pointers: Pointers) -> Angle | None:
     weights = sizes
     away = np.zeros(len(sizes))
     mean = complex(np.sum(pointers))
+    limit = math.pi
     for _ in range(ROBUST_ROUNDS):
         away = np.angle(units * mean.conjugate())
         typical = MEDIAN_TO_STD * float(np.median(np.abs(away)))
-        limit = ROBUST_SPREADS * max(SMALLEST_SPREAD, typical)
+        limit = ROBUST_SPREADS * max(turns * SMALLEST_SPREAD, typical)
         weights = sizes * np.minimum(1.0, limit / np.maximum(np.abs(away), 1e-12))
         mean = complex(np.sum(units * weights))
     total = float(np.sum(weights))
     effective = total * total / float(weights @ weights)
-    square = float(weights @ (away * away)) / total
+    spread = np.minimum(np.abs(away), COUNTED_LIMITS * limit)
+    square = float(sizes @ (spread * spread)) / float(np.sum(sizes))
     freedom = PRIOR_MANOEUVRES + effective - 1.0
-    variance = (PRIOR_MANOEUVRES * PRIOR_SPREAD**2 + effective * square) / freedom
-    std = math.sqrt(variance / effective + FLOOR_STD**2)
-    return Angle(math.atan2(mean.imag, mean.real), std, len(sizes))
+    variance = (PRIOR_MANOEUVRES * (turns * PRIOR_SPREAD) ** 2 + effective * square) / freedom
+    std = math.sqrt(variance / effective / turns**2 + FLOOR_STD**2)
+    return Angle(math.atan2(mean.imag, mean.real) / turns, std, len(sizes))
 
 
 def combined_axis(pointers: Pointers) -> Angle | None:
     """Combine axis pointers (see `ManoeuvreBook`): the angle is known up to 180 deg."""
-    double = combined(pointers)
-    if double is None:
-        return None
-    return Angle(0.5 * double.value, 0.5 * double.std, double.manoeuvres)
+    return combined(pointers, turns=2.0)
