@@ -18,6 +18,8 @@ SPEED_WANDER_S = 9.0
 """Time in which the driver's speed forgets itself."""
 WANDER_GRID_S = 0.5
 STEERING_WANDER_S = 0.8
+CREEP_MPS = 0.2
+"""Slowest pace between two nodes at rest."""
 STOP_SEARCHES = 3
 """Attempts to end the drive standing for as long as asked."""
 TOP_SPEED_MPS = 36.0
@@ -91,6 +93,8 @@ def _timed(
         last = int(np.searchsorted(node_t, target))
         if not 1 < last < len(v):
             break
+        if path.stop_s[last - 1] > 0.0:
+            last -= 1  # the wait at a stop is not to be followed by another one metre on
         path = Path(*(getattr(path, name)[: last + 1] for name in Path.__dataclass_fields__))
         limit = limit[: last + 1]
         limit[last] = 0.0
@@ -157,7 +161,7 @@ def _profile(path: Path, limit: Array, moving_start: bool, gear_shifts: bool) ->
 
 def _node_times(path: Path, v: Array, start_s: float) -> Array:
     """Arrival time at each node [s]; speed is linear in time between nodes."""
-    dt = 2.0 * path.step[:-1] / np.maximum(v[:-1] + v[1:], 1e-3)
+    dt = 2.0 * path.step[:-1] / np.maximum(v[:-1] + v[1:], CREEP_MPS)
     dt = dt + path.stop_s[:-1]
     return start_s + np.concatenate(([0.0], np.cumsum(dt)))
 
