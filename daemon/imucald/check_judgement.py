@@ -22,8 +22,10 @@ Level = Literal["error", "warning", "note", "ok"]
 
 FEWEST = 200
 """Ticks in motion that a judgement needs: 20 s."""
-LEAST_TURNING = 0.02
-"""Least standard deviation of the yaw rate for a judgement [rad/s]."""
+LEAST_TURNING = 0.008
+"""Least standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""
+MUCH_TURNING = 0.04
+"""The same from which a signal that does not follow is told [rad/s]: a city."""
 LEAST_BRAKING = 0.25
 """Least standard deviation of the change of speed for a judgement [m/s^2]."""
 CLEAR = 0.6
@@ -45,6 +47,13 @@ WORTH_TELLING_DELAY = 2
 """Ticks of speed delay from which it is told."""
 MAX_DELAY = 12
 """Ticks: a speed is up to 1.2 s late."""
+
+REVERSE_SPEED = 5.0
+"""Nobody reverses faster for long [m/s]."""
+REVERSE_SHARE = 0.1
+"""Part of the time above that speed that reverse may be on: a lever passing by."""
+FEWEST_BRAKING = 50
+"""Ticks with and without brake that a judgement of it needs: 5 s."""
 
 _FACTORS = (
     (180.0 / math.pi, "deg against rad"),
@@ -78,6 +87,10 @@ def judge(
     told again of every signal that is compared with them.
     """
     yield from _at_rest(motion)
+    backwards = list(_reverse(motion))
+    if backwards:
+        yield from backwards
+        motion = motion.without("reverse")
     if not motion.planar and motion.gravity is not None:
         motion = motion.scaled(accel=GRAVITY / float(np.linalg.norm(motion.gravity)))
         response = _best_response(motion, motion.turn_rates(track, wheelbase, steering_ratio))
@@ -91,7 +104,7 @@ def judge(
     yield from _along(motion)
     if not motion.planar:
         yield from _axes(motion, rates)
-    yield from _flags(motion)
+    yield from _brake(motion)
 
 
 def _wrong(gain: float) -> bool:
@@ -157,7 +170,7 @@ def _turns(rates: Mapping[str, Array]) -> Iterator[Finding]:
         gain, correlation = _gain(rates[reference], rates[name])
         if abs(correlation) >= CLEAR:
             gains[name] = gain
-        elif abs(correlation) < CLEAR / 2.0 and _spread(rates[reference]) > 2.0 * LEAST_TURNING:
+        elif abs(correlation) < CLEAR / 2.0 and _spread(rates[reference]) > MUCH_TURNING:
             text = f"hardly follows {reference} in turns (correlation {correlation:+.2f})"
             yield Finding("warning", name, text)
     yield from _signs(gains)
@@ -333,24 +346,26 @@ def _response(accel: Array, change: Array, turn: Array, delay: int) -> _Response
 # switches --------------------------------------------------------------------------------------
 
 
-def _flags(motion: Motion) -> Iterator[Finding]:
-    speed, change, grid = motion.speed, motion.change, motion.grid
-    if speed is None or change is None:
+def _reverse(motion: Motion) -> Iterator[Finding]:
+    if motion.speed is None or "reverse" not in motion.grid:
         return
-    fast = np.nan_to_num(np.abs(speed)) > 5.0
-    if "reverse" in grid and np.count_nonzero(fast) >= FEWEST:
-        share = float(np.nanmean(grid["reverse"][fast] > 0.5))
-        if share > 0.1:
-            text = f"is on for {100 * share:.0f} % of the time above 18 km/h: see 'equals:'"
-            yield Finding("warning", "reverse", text)
-    if "brake" in grid:
-        brake = grid["brake"] > 0.5
-        moving = np.nan_to_num(np.abs(speed)) > 1.0
-        on, off = change[moving & brake], change[moving & ~brake]
-        on, off = on[np.isfinite(on)], off[np.isfinite(off)]
-        if len(on) >= FEWEST // 4 and len(off) >= FEWEST and on.mean() > off.mean() + 0.1:
-            text = "is on when the vehicle accelerates: see 'equals:' and 'above:'"
-            yield Finding("warning", "brake", text)
+    fast = np.nan_to_num(np.abs(motion.speed)) > REVERSE_SPEED
+    reverse = motion.grid["reverse"][fast]
+    share = float(np.mean(reverse > 0.5)) if len(reverse) >= FEWEST else 0.0
+    if share > REVERSE_SHARE:
+        text = f"is on for {100 * share:.0f} % of the time above 18 km/h: see 'equals:'"
+        yield Finding("warning", "reverse", text)
+
+
+def _brake(motion: Motion) -> Iterator[Finding]:
+    if motion.speed is None or motion.change is None or "brake" not in motion.grid:
+        return
+    moving = (np.nan_to_num(np.abs(motion.speed)) > 1.0) & np.isfinite(motion.change)
+    brake = motion.grid["brake"] > 0.5
+    on, off = motion.change[moving & brake], motion.change[moving & ~brake]
+    if min(len(on), len(off)) >= FEWEST_BRAKING and on.mean() > off.mean() + 0.1:
+        text = "is on when the vehicle accelerates: see 'equals:' and 'above:'"
+        yield Finding("warning", "brake", text)
 
 
 # arithmetic ------------------------------------------------------------------------------------

@@ -121,6 +121,11 @@ class Motion:
         grid = {name: values * factors.get(name, 1.0) for name, values in self.grid.items()}
         return Motion(grid, self.planar)
 
+    def without(self, channel: str) -> Motion:
+        """The same motion as if a channel were not there."""
+        grid = {name: values for name, values in self.grid.items() if name != channel}
+        return Motion(grid, self.planar)
+
     @property
     def up(self) -> Array | None:
         """Direction of gravity's reaction in sensor axes (3,)."""
@@ -183,6 +188,8 @@ class Motion:
 def shifted(x: Array, ticks: int) -> Array:
     """The array whose row k is row k + ticks of x; NaN beyond the ends."""
     result = np.full_like(x, np.nan)
+    if abs(ticks) >= len(x):
+        return result
     if ticks >= 0:
         result[: len(x) - ticks] = x[ticks:]
     else:
