@@ -34,7 +34,6 @@ class Drive:
     stops: bool = True
     turns: bool = True
     circles: bool = False
-    reverse_start: bool = False
 
     def motion(self) -> tuple[np.ndarray, ...]:
         """t, speed, yaw rate at the IMU's rate; speed follows a trapezoid plan, smoothed."""

@@ -238,3 +238,9 @@ def test_another_answer_is_taken_at_once() -> None:
     slewed.aim(rotation_from_angles(0.0, 0.0, math.pi))
     slewed.step()
     assert turn_of(slewed.correction, rotation_from_angles(0.0, 0.0, math.pi).ravel()) < 1e-6
+
+
+def test_manoeuvres_of_two_minds_are_not_averaged_with_confidence() -> None:
+    found = combined(pointers([0.0] * 30 + [180.0] * 15))
+    assert found is not None
+    assert found.std > 40.0 * DEG

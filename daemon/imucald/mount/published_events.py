@@ -33,6 +33,10 @@ ROBUST_ROUNDS = 4
 COUNTED_LIMITS = 2.0
 """Deviations count up to this many robust limits: one that disagrees must not hide from the
 interval, nor blow it up."""
+LEAST_AGREEMENT = 0.6
+"""Resultant below which manoeuvres are of two minds (turns among them, say): the spread about their
+mean then tells nothing."""
+TWO_MINDS_STD = math.radians(45.0)
 FLOOR_STD = math.radians(0.15)
 """What manoeuvres share, so that no number of them averages it: cross-axis error, delay [rad]."""
 MEDIAN_TO_STD = 1.4826
@@ -140,6 +144,8 @@ def combined(pointers: Pointers, turns: float = 1.0) -> Angle | None:
     freedom = PRIOR_MANOEUVRES + effective - 1.0
     variance = (PRIOR_MANOEUVRES * (turns * PRIOR_SPREAD) ** 2 + effective * square) / freedom
     std = math.sqrt(variance / effective / turns**2 + FLOOR_STD**2)
+    if abs(complex(np.sum(pointers))) < LEAST_AGREEMENT * float(np.sum(sizes)):
+        std = max(std, TWO_MINDS_STD)
     return Angle(math.atan2(mean.imag, mean.real) / turns, std, len(sizes))
 
 

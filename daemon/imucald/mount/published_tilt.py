@@ -61,7 +61,9 @@ class TiltKeeper:
         """
         s = self._settings
         stopped = None if isnan(speed) else abs(speed) <= s.standstill_speed
-        window = self._standstill.step(tick, stopped)
+        if not clean:
+            self._standstill.restart()
+        window = self._standstill.step(tick, stopped) if clean else None
         changed = False
         if window is not None and not s.planar:
             far = self._moved > s.place_distance
