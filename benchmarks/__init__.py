@@ -1,0 +1,1 @@
+"""Measurements of imucald, each run as ``python -m benchmarks.NAME`` from the repository's root."""

@@ -1,0 +1,89 @@
+"""What the benchmarks share: processes with their time and memory, files made once."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT.parent / "shared" / "data"
+"""Measured drives; not part of the project."""
+FOLDER = Path(tempfile.gettempdir()) / "imucald-benchmarks"
+"""What is made once and kept."""
+EXAMPLES = ROOT / "config" / "examples"
+MIB = 1024.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a process: wall time and processor time [s], largest memory [MiB], its output."""
+
+    wall: float
+    cpu: float
+    memory: float
+    output: str
+
+
+def run(command: Sequence[str]) -> Run:
+    """Run a whole process, start of the interpreter included. RuntimeError where it fails.
+
+    Compiled modules are kept, as in any installation; call once more than is measured.
+    """
+    began = time.perf_counter()
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=ROOT,
+        env=environment(),
+    )
+    assert process.stdout is not None
+    output = process.stdout.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    wall = time.perf_counter() - began
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(command)} failed:\n{output}")
+    return Run(wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / MIB, output)
+
+
+def environment() -> dict[str, str]:
+    """Environment of a measured process: as here, but with a cache of compiled modules."""
+    found = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    return found | {"PYTHONPYCACHEPREFIX": str(FOLDER / "compiled")}
+
+
+def best(runs: Sequence[Run]) -> Run:
+    """The fastest of several runs: what else the machine does can only add."""
+    return min(runs, key=lambda one: one.wall)
+
+
+def imucald(*arguments: str | Path) -> list[str]:
+    """Command line of imucald in this interpreter."""
+    return [sys.executable, "-m", "imucald", *map(str, arguments)]
+
+
+def made_once(name: str, recipe: str, make: Callable[[Path], None]) -> Path:
+    """A file in the temporary folder, made anew only when its recipe has changed."""
+    FOLDER.mkdir(exist_ok=True)
+    digest = hashlib.sha256(recipe.encode()).hexdigest()[:12]
+    stem, dot, suffix = name.partition(".")
+    path = FOLDER / f"{stem}-{digest}{dot}{suffix}"
+    if not path.exists():
+        making = path.with_name(f"making-{os.getpid()}-{path.name}")
+        make(making)
+        making.rename(path)
+    return path
+
+
+def verdict(is_met: bool) -> str:
+    """How a bar is marked."""
+    return "met" if is_met else "NOT MET"
