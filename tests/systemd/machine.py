@@ -13,12 +13,13 @@ import fcntl
 import hashlib
 import os
 import shutil
-import signal
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from guarded import Guarded
 
 SUITE = "bookworm"
 PACKAGES = (
@@ -180,17 +181,7 @@ def _boot(root: Path, exchange: Path, limit: float) -> str:
         *(f"systemd.mask={unit}" for unit in UNWANTED_UNITS),
     ]
     console = exchange / "console"
-    with console.open("wb") as output:
-        machine = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-        try:
-            machine.wait(limit)
-        except subprocess.TimeoutExpired:
-            os.killpg(machine.pid, signal.SIGKILL)
-            machine.wait()
+    machine = Guarded(command, console)
+    machine.wait(limit)
+    machine.end()
     return console.read_text(errors="replace")

@@ -23,6 +23,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from guarded import Guarded
+
 REPORTS_VARIABLE = "IMUCALD_VCAN_REPORTS"  # set inside: the file to which reports are written
 REQUIRE_VARIABLE = "IMUCALD_REQUIRE_VCAN"  # set to 1 by CI: a missing ground is a failure
 UML_MEMORY = "1024M"  # virtual; taken only as used
@@ -56,15 +58,10 @@ class Ground:
 
 @dataclass(frozen=True)
 class InnerRun:
-    """One started inner pytest process and the files it speaks through."""
+    """One started inner pytest process and the folder of its files."""
 
     folder: Path
-    process: subprocess.Popen[bytes]
-
-    @property
-    def reports(self) -> Path:
-        """The file of reports, one JSON object per line."""
-        return self.folder / "reports.jsonl"
+    process: Guarded
 
 
 def which(program: str) -> str | None:
@@ -116,15 +113,8 @@ def start_inner_pytest(ground: Ground, root: Path, folder: Path, ids: Sequence[s
     script = folder / "inner.sh"
     script.write_text(_inner_script(ground, root, folder))
     script.chmod(0o755)
-    with (folder / "console.txt").open("wb") as console:
-        process = subprocess.Popen(
-            _command(ground, script, folder),
-            stdin=subprocess.DEVNULL,
-            stdout=console,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,  # so that all of it can be ended at once
-        )
-    return InnerRun(folder, process)
+    command = _command(ground, script, folder)
+    return InnerRun(folder, Guarded(command, folder / "console.txt"))
 
 
 def _command(ground: Ground, script: Path, folder: Path) -> list[str]:

@@ -10,12 +10,10 @@ A test takes the fixture `vcan` (a fresh interface) or `make_vcan` (as many as i
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import itertools
 import json
 import os
-import signal
 import socket
 import struct
 import subprocess
@@ -82,10 +80,11 @@ else:
         item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
         return True
 
-    def pytest_sessionfinish(session: pytest.Session) -> None:
+    def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
         run = session.config.stash.get(RUN_KEY, None)
         if run is not None:
-            run.finish(interrupted=bool(session.shouldstop or session.shouldfail))
+            stopped = session.shouldstop or session.shouldfail
+            run.finish(at_once=bool(stopped) or exitstatus == pytest.ExitCode.INTERRUPTED)
 
 
 class OuterRun:
@@ -153,15 +152,12 @@ class OuterRun:
         self._read[folder] = start + len(whole)
         return bool(whole)
 
-    def finish(self, interrupted: bool) -> None:
-        """End what this worker started, after the others may have read the last report."""
+    def finish(self, at_once: bool) -> None:
+        """End what this worker started, when all of it has been told: others may still read."""
         for run in self._runs:
-            if interrupted:
-                _kill(run.process.pid)
-            try:
+            if not at_once:
                 run.process.wait(SILENCE_LIMIT_S)
-            except subprocess.TimeoutExpired:
-                _kill(run.process.pid)
+            run.process.end()
 
 
 def _folder_of_all_workers(config: pytest.Config) -> Path:
@@ -216,11 +212,6 @@ def _own_report(item: pytest.Item, outcome: Any, reason: str) -> pytest.TestRepo
     return pytest.TestReport(
         item.nodeid, item.location, {item.name: 1, "vcan": 1}, outcome, longrepr, "call"
     )
-
-
-def _kill(pid: int) -> None:
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(pid, signal.SIGKILL)
 
 
 # ---- what the tests use, inside ---------------------------------------------------------------
