@@ -77,8 +77,7 @@ def main() -> int:
     print(
         f"{read} frames, {used} of them ours ({100 * used / read:.1f} %), best of {options.rounds}"
     )
-    bars = {"imucald replay": PEER = "python-can + cantools"
-BAR_READ, "imucald replay --out": BAR_WRITE}
+    bars = {"imucald replay": BAR_READ, "imucald replay --out": BAR_WRITE}
     met = True
     for name, found in runs.items():
         one = best(found)
