@@ -43,7 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="T,R,P,Y",
         help="turn the sensor by these degrees, T seconds into the drive; may be repeated",
     )
-    parser.add_argument("--route", choices=ROUTES, help="kind of route (default: mixed)")
+    parser.add_argument("--route", choices=ROUTES, metavar="KIND",
+                        help=f"kind of route: {', '.join(ROUTES)} (default: mixed)")  # fmt: skip
     parser.add_argument(
         "--model",
         type=Path,
