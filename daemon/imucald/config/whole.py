@@ -58,11 +58,12 @@ class LoadedConfig:
 
     def error(self, place: Place, text: str) -> ConfigError:
         """An error at a key of the file, such as ("signals", "speed", 0)."""
-        return ConfigError(f"{self._where(place)}{dotted(place)}: {text}")
-
-    def _where(self, place: Place) -> str:
+        written: Place = ()
+        for part in place:  # a single source may stand where a list of them is meant
+            if not isinstance(part, int) or (*written, part) in self._marks:
+                written = (*written, part)
         name = str(self.path) if self.path is not None else "<config>"
-        return f"{name}:{line_of(self._marks, place)}: "
+        return ConfigError(f"{name}:{line_of(self._marks, written)}: {dotted(written)}: {text}")
 
 
 def load_config(path: Path) -> LoadedConfig:
