@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import random
 import re
 import subprocess
@@ -160,6 +161,9 @@ JUNK: list[Any] = [
 ]  # fmt: skip
 
 
+BASE_DATA = yaml.safe_load(BASE)
+
+
 def places(data: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
     if not isinstance(data, dict | list):
         return [at]
@@ -168,7 +172,7 @@ def places(data: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 
 def with_junk(rng: random.Random) -> str:
-    data = yaml.safe_load(BASE)
+    data = copy.deepcopy(BASE_DATA)
     for _ in range(rng.choice((1, 1, 2, 4))):
         *parents, last = rng.choice(places(data)[1:])
         holder = data

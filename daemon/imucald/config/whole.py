@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field, ValidationError
 
@@ -95,12 +97,16 @@ def parse_config(text: str, path: Path | None = None) -> LoadedConfig:
     try:
         config = Config.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(
-            "\n".join(explain(error, Config.model_json_schema, marks, name, data))
-        ) from None
+        raise ConfigError("\n".join(explain(error, _schema, marks, name, data))) from None
     return LoadedConfig(config, path, marks)
 
 
 def json_schema() -> str:
     """JSON schema (draft 2020-12) of the configuration."""
-    return json.dumps(Config.model_json_schema(), indent=2)
+    return json.dumps(_schema(), indent=2)
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    """The schema as data; it is asked for again with every unknown key of a file."""
+    return Config.model_json_schema()
