@@ -23,6 +23,10 @@ CROWN_MEAN, CROWN_SPREAD = 0.012, 0.006
 MAX_DELAY_S = 0.3
 MAX_TILT_DEG = 30.0
 UPSIDE_DOWN_SHARE = 0.1
+STYLE = (0.65, 1.05)
+"""Drivers from gentle to lively: factor on all their accelerations."""
+MOTORWAY_LENGTHS = 2.5
+"""Slopes and cross falls of motorways change over longer distances."""
 
 
 def random_model(
@@ -56,6 +60,8 @@ def random_model(
     roll, pitch = (uniform(-max_tilt_deg, max_tilt_deg) for _ in range(2))
     if upside if upside_down is None else upside_down:
         roll += 180.0 if roll < 0.0 else -180.0
+    style = float(generator(seed, "style").uniform(*STYLE))
+    smooth = MOTORWAY_LENGTHS if route == "motorway" else 1.0
     if standing_first is not None:
         standing = standing_first
     data: dict[str, Any] = {
@@ -63,6 +69,9 @@ def random_model(
             "kind": route,
             "standing_first_s": standing_s if standing else 0.0,
             "driving_side": "right",
+            "launch_mps2": [style * x for x in (0.8, 2.5)],
+            "braking_mps2": [style * x for x in (0.8, 3.3)],
+            "lateral_mps2": [style * x for x in (1.3, 3.6)],
         },
         "chassis": {
             "understeer_gradient": uniform(0.0015, 0.0045),
@@ -79,10 +88,10 @@ def random_model(
         },
         "road": {
             "grade_rms": SLOPE_RMS,
-            "grade_length_m": uniform(60.0, 180.0),
+            "grade_length_m": smooth * uniform(60.0, 180.0),
             "crown_mean": crown,
             "bank_rms": wander,
-            "bank_length_m": uniform(30.0, 100.0),
+            "bank_length_m": smooth * uniform(30.0, 100.0),
             "superelevation": uniform(0.0, 0.5),
             "roughness_n0": 16e-6 * 2.0 ** uniform(0.0, 3.0),
         },
@@ -102,7 +111,7 @@ def random_model(
         "cross_axis": [float(x) for x in cross_axis * rng.standard_normal(6)],
         "noise_density": uniform(0.0008, 0.003),
         "delay_s": accel_delay,
-        "vibration_mps2": [uniform(0.05, 0.2), uniform(0.05, 0.15), uniform(0.05, 0.25)],
+        "vibration_mps2": [uniform(0.05, 0.25), uniform(0.05, 0.25), uniform(0.05, 0.40)],
         "engine_mps2": uniform(0.02, 0.1),
         "clock_drift_ppm": uniform(-100.0, 100.0),
     }

@@ -1,7 +1,7 @@
 """Where a drive goes: a path of curvature, target speed and stops, drawn from a seed.
 
 The path is a list of nodes along the distance. Lengths, radii and speeds are those of European
-streets: city blocks of 110-450 m at 30 and 50 km/h, country roads at 70-100 km/h, motorways.
+streets: city blocks of 130-540 m at 30 and 50 km/h, country roads at 70-100 km/h, motorways.
 """
 
 from __future__ import annotations
@@ -175,14 +175,14 @@ class RouteBuilder:
     def city_block(self) -> None:
         """Add a city block and what waits at its end."""
         speed = float(self._rng.choice([8.3, 13.9], p=[0.35, 0.65])) * self.uniform(0.88, 1.1)
-        self.straight(self.uniform(60.0, 250.0), speed)
+        self.straight(self.uniform(70.0, 300.0), speed)
         if self.chance(0.30):
             self.bend(self.uniform(35.0, 200.0), self.uniform(0.15, 0.7), speed, self.side())
         if self.chance(0.12):
             self.lane_change(speed, self.side())
         if self.chance(0.25):
             self.straight(self.uniform(15.0, 50.0), speed * self.uniform(0.35, 0.75))
-        self.straight(self.uniform(50.0, 200.0), speed)
+        self.straight(self.uniform(60.0, 240.0), speed)
         event = float(self._rng.random())
         if event < 0.26:
             self.stop(self.stop_time(), speed)

@@ -82,7 +82,7 @@ class Accelerometer(Triad):
     full_scale: Positive | None = 39.2
     lsb: NonNegative = 0.002
     vibration: bool = True
-    vibration_mps2: Vector3 = (0.10, 0.08, 0.12)
+    vibration_mps2: Vector3 = (0.12, 0.12, 0.22)
     """rms of body vibration (not from suspension motion) at 20 m/s; grows with sqrt(speed)."""
     engine_mps2: NonNegative = 0.05
     """Amplitude of the engine's second order in idle, about 25 Hz."""
