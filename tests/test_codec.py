@@ -113,6 +113,15 @@ def test_classic_columns_of_an_fd_message_are_all_short(database: Database) -> N
     assert np.isnan(decoded.values[1]).all()
 
 
+def test_a_short_frame_has_no_multiplexed_signal_either(database: Database) -> None:
+    plan = compile_decode(database.message("STATUS"), ["TEMPERATURE"])
+    decoded = plan.decode_columns(*column([b"\0" * 7, b"\0" * 8]))
+    present = decoded.present[0]
+    assert present is not None
+    assert present.tolist() == [False, True]
+    assert np.isnan(decoded.values[0]).tolist() == [True, False]
+
+
 def test_no_frames_at_all_give_empty_columns(database: Database) -> None:
     plan = compile_decode(database.message("STATUS"), ["TEMPERATURE", "ALWAYS"])
     decoded = plan.decode_columns(np.zeros((0, 8), np.uint8), np.zeros(0, np.uint8))
@@ -206,17 +215,17 @@ def test_asking_for_what_is_not_there_names_the_nearest(database: Database) -> N
 
 def test_large_integers_are_scaled_as_cantools_scales_them() -> None:
     text = (
-        'VERSION ""\nNS_ :\nBS_:\nBU_:\nBO_ 16 M: 24 Vector__XXX\n'
+        'VERSION ""\nNS_ :\nBS_:\nBU_:\nBO_ 16 M: 32 Vector__XXX\n'
         ' SG_ WHOLE : 0|64@1+ (3,7) [0|0] "" Vector__XXX\n'
         ' SG_ SIGNED : 64|63@1- (-5,0.5) [0|0] "" Vector__XXX\n'
         ' SG_ PLAIN : 128|64@1+ (1,0) [0|0] "" Vector__XXX\n'
+        ' SG_ MIDDLE : 192|55@1+ (3,7) [0|0] "" Vector__XXX\n'
     )
     theirs = cantools.database.load_string(text, "dbc").get_message_by_name("M")
-    plan = compile_decode(
-        load_database_text(text, "dbc").message("M"), ["WHOLE", "SIGNED", "PLAIN"]
-    )
+    names = ["WHOLE", "SIGNED", "PLAIN", "MIDDLE"]
+    plan = compile_decode(load_database_text(text, "dbc").message("M"), names)
     rng = np.random.default_rng(3)
-    frames = [b"\xff" * 24, *(rng.bytes(24) for _ in range(50))]
+    frames = [b"\xff" * 32, *(rng.bytes(32) for _ in range(50))]
     decoded = plan.decode_columns(*column(frames, 64))
     for row, frame in enumerate(frames):
         expected = tuple(float(v) for v in theirs.decode(frame).values())  # type: ignore[arg-type,union-attr]

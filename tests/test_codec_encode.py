@@ -80,6 +80,12 @@ def test_the_stated_range_holds_to_half_a_step(imu: Message) -> None:
     assert decode.decode_raw(both(plan, [-65.534])) == (-32767,)
 
 
+def test_the_rounding_of_a_stated_range_takes_nothing_away() -> None:
+    # 0.3 / 0.1 is a little less than 3 in doubles
+    plan = compile_encode(one_signal('0|8@1- (0.1,0) [-0.3|0.3] ""'), ["S"], {"S": 100})
+    assert [both(plan, [v])[0] for v in (0.3, -0.3, 0.4)] == [3, 253, 100]
+
+
 def test_a_negative_factor_keeps_its_range() -> None:
     plan = compile_encode(one_signal('0|8@1+ (-2,10) [-100|4] ""'), ["S"], {"S": 255})
     assert both(plan, [4.0])[0] == 3

@@ -119,6 +119,20 @@ def test_the_counter_wraps_at_its_modulus_and_no_value_beyond_is_taken() -> None
     assert verdicts == ["", "", "", "", "", "counter_invalid", "", ""]
 
 
+def test_frames_with_an_impossible_counter_are_missing_like_damaged_ones() -> None:
+    spec = ProtectionSpec(SIZE, CounterSpec(Field(8, 8, "little_endian"), 20, 1), recovery=0)
+    values = [7, 200, 200, 200, 11, 12]
+    one, many = MessageGuard(spec), MessageGuard(spec)
+    expected = ["", *["counter_invalid"] * 3, "", ""]
+    received = counted(spec, values)
+    assert judge(one, received) == expected
+    data, length = as_columns(received)
+    times = CYCLE * np.arange(6)
+    codes = [*many.check_columns(times[:3], data[:3], length[:3])]
+    codes += [*many.check_columns(times[3:], data[3:], length[3:])]
+    assert [REASONS[c] for c in codes] == expected
+
+
 def test_frames_known_to_be_missing_widen_the_step() -> None:
     """Eight damaged frames in a row, then a sound one: eight faults, not nine."""
     guard = MessageGuard(PROTECTED)
@@ -220,6 +234,7 @@ def specs() -> st.SearchStrategy[ProtectionSpec]:
     profile_1 = st.builds(e2e_profile_1, st.just(8), st.integers(0, 0xFFFF), modes)
     pairs: list[st.SearchStrategy[tuple[CounterSpec | None, ChecksumSpec | None]]] = [
         st.just((None, None)),
+        st.just((CounterSpec(Field(8, 8, "little_endian"), 11), None)),
         st.just((COUNTER, None)),
         st.tuples(st.just(e2e_counter(1, 8)), profile_1),
         st.just((e2e_counter(2, 8), e2e_profile_2(8, range(16)))),
