@@ -1,0 +1,255 @@
+"""The documentation says what the code does: keys, defaults, frames, commands, examples."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+import yaml
+from pydantic import BaseModel
+
+from imucald import cli
+from imucald.bus.wiring import compile_router
+from imucald.check import Check
+from imucald.config import Config, json_schema, load_config, parse_config
+from imucald.errors import ConfigError
+from imucald.mount.estimate import MountState
+from imucald.output import OutputFrames, output_database
+from imucald.session import make_engine
+from imucald.summary import Counts, summary
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Code blocks of a page, without the indentation of a list that they stand in."""
+    found = re.findall(rf"^( *)```{language}\n(.*?)^\1```", page.read_text(), re.M | re.S)
+    return [re.sub(rf"^{indent}", "", text, flags=re.M) for indent, text in found]
+
+
+def tables(page: Path) -> dict[str, dict[str, tuple[str, ...]]]:
+    """Rows by heading and first cell (without its backticks)."""
+    found: dict[str, dict[str, tuple[str, ...]]] = {}
+    heading = ""
+    for line in page.read_text().splitlines():
+        if line.startswith("#"):
+            heading = line.lstrip("# ").strip()
+        elif line.startswith("| `"):
+            first, *rest = (cell.strip() for cell in line.strip("|").split(" | "))
+            found.setdefault(heading, {})[first.strip("` ")] = tuple(rest)
+    return found
+
+
+# configuration ---------------------------------------------------------------------------------
+
+SECTIONS = {
+    "Config": "Top level",
+    "Triad": "axes",
+    "Source": "source",
+    "RawSource": "raw",
+    "ParallelSensor": "parallel",
+    "MessageProtection": "messages",
+    "OutputIds": "ids",
+    "StaticTest": "static",
+    "StraightMotion": "straight",
+    "TargetAngle": "target_angle",
+    "Wheels": "wheel_speeds",
+}
+"""Where a model's heading is not its name."""
+
+
+def models(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    yield model
+    for field in model.model_fields.values():
+        for part in parts(field.annotation):
+            yield from models(part)
+
+
+def parts(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from parts(argument)
+
+
+ALL_MODELS = sorted(set(models(Config)), key=lambda m: m.__name__)
+
+
+@pytest.mark.parametrize("model", ALL_MODELS, ids=lambda m: m.__name__)
+def test_every_key_is_documented_with_its_default(model: type[BaseModel]) -> None:
+    heading = SECTIONS.get(model.__name__, model.__name__.lower())
+    rows = tables(DOCS / "configuration.md")[heading]
+    assert list(rows) == list(model.model_fields), "the same keys in the same order"
+    for name, field in model.model_fields.items():
+        said = rows[name][0].strip("`")
+        if field.is_required():
+            assert said == "required", name
+        elif isinstance(field.default, BaseModel):
+            assert said == "presets", name
+        elif field.default is not None and field.default != () and field.default_factory is None:
+            value = yaml.safe_load(said)
+            default = list(field.default) if isinstance(field.default, tuple) else field.default
+            assert value == default, name
+        else:
+            assert said in ("none", "{}") or said.startswith(("the database", "as the", "estim",
+                                                              "all its")), name  # fmt: skip
+
+
+def test_there_is_no_key_that_does_not_exist() -> None:
+    headings = {SECTIONS.get(m.__name__, m.__name__.lower()) for m in ALL_MODELS}
+    assert set(tables(DOCS / "configuration.md")) == headings
+
+
+def test_the_schema_carries_descriptions() -> None:
+    schema = json.loads(json_schema())
+    source = schema["$defs"]["Source"]["properties"]
+    assert "unit in the database" in source["unit"]["description"]
+
+
+CONFIGURATIONS = [ROOT / "config" / "imucald.yaml", *sorted((ROOT / "config/examples").glob("*"))]
+
+
+@pytest.mark.parametrize("path", CONFIGURATIONS, ids=lambda p: p.name)
+def test_shipped_configurations_work(path: Path) -> None:
+    loaded = load_config(path)
+    for entry in loaded.config.database:
+        if not loaded.database_path(entry).exists():
+            pytest.skip(f"{entry.path} is not here")
+    make_engine(loaded)
+
+
+def test_the_packaged_example_is_the_one_in_the_examples() -> None:
+    ours = yaml.safe_load((ROOT / "daemon/imucald/data/imucald_example.yaml").read_text())
+    example = yaml.safe_load((ROOT / "config/examples/simulated.yaml").read_text())
+    assert ours.pop("database") == Path(example.pop("database")).name
+    assert ours == example
+
+
+def test_the_readme_configuration_works_on_the_example_bus() -> None:
+    (text,) = blocks(ROOT / "README.md", "yaml")
+    assert len(text.splitlines()) <= 16
+    database = ROOT / "dbc" / "imucald_example.dbc"
+    make_engine(parse_config(text.replace("car.dbc", str(database)), ROOT / "car.yaml"))
+
+
+def test_configurations_in_the_documentation_are_valid() -> None:
+    for page in PAGES:
+        for text in blocks(page, "yaml"):
+            loaded = parse_config(text, page)
+            with pytest.raises(ConfigError, match=r"car\.dbc"):  # which nobody has
+                compile_router(loaded)
+
+
+# output frames ---------------------------------------------------------------------------------
+
+
+def test_the_frame_table_is_that_of_the_database() -> None:
+    database = output_database()
+    text = (DOCS / "output-frames.md").read_text()
+    rows = re.findall(r"^\| `0x(\w+)` \| `(\w+)` \| .*? \| (.*) \|$", text, re.M)
+    assert {name for _, name, _ in rows} == set(database.messages)
+    for number, name, signals in rows:
+        message = database.message(name)
+        assert message.can_id == int(number, 16)
+        for signal, start, stop in re.findall(r"`(\w+)` (\d+)\.\.(\d+)", signals):
+            found = message.signal(signal)
+            assert (found.start, found.start + found.length - 1) == (int(start), int(stop))
+        for step, unit in re.findall(r"signed, ([\d.]+) (\S+?)$", signals):
+            first = next(iter(message.signals.values()))
+            assert float(step) == first.scale
+            assert unit.replace("²", "^2") == first.unit
+        assert message.signal("Counter").start == 52
+        assert message.signal("Checksum").start == 56
+    flags = re.search(r"flags (\d+)\.\.(\d+)", text)
+    assert flags
+    health = database.message("IMUCALD_Health")
+    ones = [s.start for s in health.signals.values() if s.length == 1]
+    assert (min(ones), max(ones)) == (int(flags[1]), int(flags[2]))
+    for name in health.signals:
+        assert f"`{name}`" in text or name in ("Counter", "Checksum")
+
+
+def test_value_tables_are_those_of_the_database() -> None:
+    text = (DOCS / "output-frames.md").read_text()
+    tables_in_doc = re.findall(r"\| (Quality|State) \| name.*?\n\|[-|]+\n((?:\|.*\n)+)", text)
+    database = output_database()
+    quality = database.message("IMUCALD_Acceleration").signal("Quality").choices
+    state = database.message("IMUCALD_Mount").signal("State").choices
+    assert dict(state) == {int(s): s.name.lower() for s in MountState}
+    for heading, body in tables_in_doc:
+        rows = {int(n): name for n, name in re.findall(r"\| (\d) \| `(\w+)`", body)}
+        assert rows == dict(quality if heading == "Quality" else state)
+    assert len(tables_in_doc) == 2
+
+
+def test_the_consumers_check_accepts_ours_and_refuses_damage() -> None:
+    (code,) = blocks(DOCS / "output-frames.md", "python")
+    scope: dict[str, Any] = {}
+    exec(code, scope)
+    value_of_x = scope["value_of_x"]
+    output = OutputFrames(load_config(ROOT / "config" / "imucald.yaml").config)
+    _, first = output.corrected("accel", (1.5, -0.25, 9.81), 2)
+    _, second = output.corrected("accel", (-3.0, 0.0, 9.81), 3)
+    _, missing = output.corrected("accel", None, 0)
+    assert value_of_x(first, None) == pytest.approx(1.5, abs=0.001)
+    assert value_of_x(second, first[6] >> 4) == pytest.approx(-3.0, abs=0.001)
+    assert value_of_x(second, second[6] >> 4) is None
+    assert value_of_x(missing, None) is None
+    for bit in range(64):
+        damaged = bytearray(first)
+        damaged[bit // 8] ^= 1 << bit % 8
+        assert value_of_x(bytes(damaged), None) is None
+
+
+# JSON ------------------------------------------------------------------------------------------
+
+
+def test_the_json_keys_are_documented_and_in_the_example() -> None:
+    engine = make_engine(load_config(ROOT / "config" / "imucald.yaml"))
+    result = summary(engine, Counts(0, 0, {}), 0.0)
+    (example,) = blocks(DOCS / "json.md", "json")
+    shown = json.loads(example)
+    assert list(shown) == list(result)
+    assert list(shown["mount"]) == list(result["mount"])
+    assert list(shown["frames"]) == list(result["frames"])
+    text = (DOCS / "json.md").read_text()
+    for key in Check(load_config(ROOT / "config" / "imucald.yaml")).report():
+        assert f"| `{key}` |" in text
+
+
+# commands and links ----------------------------------------------------------------------------
+
+
+def test_commands_and_options_in_the_documentation_exist() -> None:
+    (group,) = [a.choices for a in cli.build_parser()._subparsers._group_actions if a.choices]  # type: ignore[union-attr]
+    parsers: dict[str, Any] = dict(group)  # type: ignore[call-overload]
+    seen = set()
+    for page in [*PAGES, ROOT / "config" / "imucald.yaml"]:
+        for name, rest in re.findall(r"\bimucald (\w+)((?: [^\s`#]+)*)", page.read_text()):
+            if name not in parsers:
+                assert name not in ("check", "replay", "run", "simulate", "demo", "schema")
+                continue
+            seen.add(name)
+            options = {o for a in parsers[name]._actions for o in a.option_strings}
+            for option in re.findall(r"--[a-z-]+", rest):
+                assert option in options, f"{page.name}: imucald {name} {option}"
+    assert seen >= {"check", "replay", "run", "simulate", "demo", "schema"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_and_named_files_exist(page: Path) -> None:
+    text = page.read_text()
+    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
+        assert (page.parent / target).exists(), target
+    for target, anchor in re.findall(r"\]\(([^)#:]*)#([^)]+)\)", text):
+        other = (page.parent / target) if target else page
+        headings = re.findall(r"^#+ (.*)$", other.read_text(), re.M)
+        assert anchor in {h.lower().replace(" ", "-") for h in headings}
+    for path in re.findall(r"`((?:config|dbc|docs|\.ci)/[\w./-]*)`", text):
+        assert (ROOT / path).exists(), path
