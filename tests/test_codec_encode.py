@@ -111,6 +111,21 @@ def test_multiplexers_stand_where_the_signals_need_them(database: Database) -> N
     assert found == (2.0, None, None, 5.0, 9.0, 165.0)
 
 
+def test_start_values_are_those_of_the_multiplexer_value_that_stands(database: Database) -> None:
+    message = database.message("STATUS")
+    decode = compile_decode(message, ["PAGE", "TEMPERATURE", "SUPPLY", "SUB", "BOOTS", "ALWAYS"])
+    expected = {
+        0: (0.0, 32.0, None, None, None, 1.0),
+        1: (1.0, None, 5.0, None, None, 1.0),
+        2: (2.0, None, None, 0.0, None, 1.0),
+    }
+    for page, found in expected.items():
+        plan = compile_encode(message, ["ALWAYS"], multiplexer={"PAGE": page})
+        assert decode.decode(both(plan, [1.0])) == found
+    assert decode.decode(both(compile_encode(message, ["ALWAYS"]), [1.0])) == expected[0]
+    assert both(compile_encode(message, ["ALWAYS"], multiplexer={"PAGE": 2}), [1.0])[1:3] == b"\0\0"
+
+
 def test_signals_that_exclude_one_another_are_refused(database: Database) -> None:
     message = database.message("STATUS")
     with pytest.raises(DatabaseError, match="different PAGE values"):

@@ -91,7 +91,7 @@ class EncodePlan:
     def _is_there(self, signal: Signal) -> bool:
         for name, ids in signal.selectors:
             multiplexer = self.message.signals.get(name)
-            start = multiplexer.initial_raw if multiplexer is not None else None
+            start = (multiplexer.initial_raw if multiplexer is not None else None) or 0
             if self.multiplexer.get(name, start) not in ids:
                 return False
         return True
