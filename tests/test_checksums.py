@@ -8,7 +8,7 @@ from typing import Any
 import crccheck.crc
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucald.bus.bits import Field
@@ -83,6 +83,7 @@ def test_j1850_has_its_catalogue_check_value() -> None:
     assert Checksum(crc8_j1850(10, 9)).compute(b"123456789\0") == 0x4B
 
 
+@settings(deadline=None)
 @given(data=st.binary(min_size=8, max_size=8), id_bytes=st.binary(max_size=4), last=st.booleans())
 def test_j1850_with_id_bytes_equals_crccheck(data: bytes, id_bytes: bytes, last: bool) -> None:
     others = data[:3] + data[4:]
@@ -91,6 +92,7 @@ def test_j1850_with_id_bytes_equals_crccheck(data: bytes, id_bytes: bytes, last:
     assert Checksum(crc8_j1850(8, 3, id_bytes, last)).compute(data) == expected
 
 
+@settings(deadline=None)
 @given(data=st.binary(min_size=8, max_size=8), id_bytes=st.binary(max_size=4))
 def test_xor_is_the_exclusive_or_of_everything_else(data: bytes, id_bytes: bytes) -> None:
     expected = 0x5A
@@ -105,6 +107,7 @@ def peer(profile: int) -> tuple[Callable[..., None], Any]:
     return getattr(module, f"e2e_p{profile:02d}_protect"), module
 
 
+@settings(deadline=None)
 @given(
     frame=st.integers(3, 64).flatmap(lambda n: st.binary(min_size=n, max_size=n)),
     data_id=st.integers(0, 0xFFFF),
@@ -117,6 +120,7 @@ def test_profile_1_equals_an_independent_one(frame: bytes, data_id: int, mode: s
     assert Checksum(e2e_profile_1(len(frame), data_id, mode)).is_right(theirs)  # type: ignore[arg-type]
 
 
+@settings(deadline=None)
 @given(
     frame=st.integers(3, 64).flatmap(lambda n: st.binary(min_size=n, max_size=n)),
     data_ids=st.binary(min_size=16, max_size=16),
@@ -128,6 +132,7 @@ def test_profile_2_equals_an_independent_one(frame: bytes, data_ids: bytes) -> N
     assert Checksum(e2e_profile_2(len(frame), data_ids)).is_right(theirs)
 
 
+@settings(deadline=None)
 @given(
     frame=st.integers(4, 48).flatmap(lambda n: st.binary(min_size=n, max_size=n)),
     data_id=st.integers(0, 0xFFFF),
@@ -143,6 +148,7 @@ def test_profile_5_equals_an_independent_one(
     assert Checksum(e2e_profile_5(len(frame), data_id, 8 * offset)).is_right(theirs)
 
 
+@settings(deadline=None)
 @given(
     frame=st.integers(3, 64).flatmap(lambda n: st.binary(min_size=n, max_size=n)),
     data_id=st.integers(0, 0xFFF),
@@ -177,6 +183,7 @@ def any_spec(size: int) -> st.SearchStrategy[ChecksumSpec]:
     )
 
 
+@settings(deadline=None)
 @given(size=st.integers(3, 64), seed=st.integers(0, 2**32 - 1), data=st.data())
 def test_columns_equal_frame_by_frame(size: int, seed: int, data: st.DataObject) -> None:
     checksum = Checksum(data.draw(any_spec(size)))

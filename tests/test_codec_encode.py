@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucald.bus.codec import compile_decode
@@ -184,6 +184,7 @@ def test_a_wrong_number_of_values_is_refused(imu: Message) -> None:
         plan.encode_columns([np.zeros(2), np.zeros(3)])
 
 
+@settings(deadline=None)
 @given(
     rows=st.lists(
         st.tuples(*[st.floats(width=64, allow_nan=True) | st.none()] * 3), min_size=1, max_size=8

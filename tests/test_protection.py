@@ -356,6 +356,7 @@ def test_a_hundred_thousand_random_frames_are_each_counted(spec: ProtectionSpec)
 # ---- output ----
 
 
+@settings(deadline=None)
 @given(spec=specs(), seed=st.integers(0, 2**32 - 1))
 def test_protected_columns_equal_frame_by_frame_and_pass_their_guard(
     spec: ProtectionSpec, seed: int
