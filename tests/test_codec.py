@@ -128,6 +128,29 @@ def test_no_frames_at_all_give_empty_columns(database: Database) -> None:
     assert [len(v) for v in decoded.values] == [0, 0]
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_hundred_thousand_random_frames_decode_or_are_short(database: Database) -> None:
+    rng = np.random.default_rng(9)
+    count = 40_000
+    data = rng.integers(0, 256, (count, 64), dtype=np.uint8)
+    length = rng.integers(0, 65, count).astype(np.uint8)
+    data[np.arange(64) >= length[:, None]] = 0
+    for name in ("IMU", "STATUS", "FLOATS"):
+        message = database.message(name)
+        plan = compile_decode(message, list(message.signals))
+        decoded = plan.decode_columns(data, length)
+        assert (decoded.ok == (length >= message.length)).all()
+        assert all(np.isnan(v[~decoded.ok]).all() for v in decoded.values)
+        for row in range(0, count, 40):
+            frame = data[row, : length[row]].tobytes()
+            if not decoded.ok[row]:
+                with pytest.raises(DecodeError):
+                    plan.decode(frame)
+                continue
+            values = [math.nan if v is None else v for v in plan.decode(frame)]
+            np.testing.assert_array_equal(values, [v[row] for v in decoded.values])
+
+
 def matches(match: IdMatch, can_id: int) -> bool:
     mask = match.mask | CAN_EFF_FLAG
     return can_id & mask == match.can_id & mask

@@ -83,6 +83,17 @@ def test_sizes_that_would_take_all_memory_are_refused_at_their_line(kind: str, t
         load_database_text(text, kind, "x")
 
 
+def test_large_numbers_that_cost_nothing_are_taken() -> None:
+    symbols = (DATA / "cluster.sym").read_text()
+    symbols += "[PAGES]\nID=201h\nLen=8\nMux=FAR 0,32 99999h\nVar=V unsigned 8,8\n"
+    assert "PAGES" in load_database_text(symbols, "sym").messages
+    description = (DATA / "cluster.arxml").read_text()
+    ethernet = "<I-SIGNAL><SHORT-NAME>CAMERA</SHORT-NAME><LENGTH>524288</LENGTH></I-SIGNAL>"
+    at = description.index("<I-SIGNAL>")
+    both = description[:at] + ethernet + description[at:]
+    assert "IMU" in load_database_text(both, "arxml").messages
+
+
 def nested(depth: int, values: int) -> str:
     lines = [' SG_ X0 M : 0|4@1+ (1,0) [0|0] "" Vector__XXX']
     ranges = []

@@ -19,6 +19,9 @@ MAX_MESSAGE_BYTES = 4096
 
 MAX_BITS = 8 * MAX_MESSAGE_BYTES
 
+MAX_PDU_BITS = 2**24
+"""Longest PDU taken in an ARXML file, which may describe Ethernet beside CAN."""
+
 MAX_MULTIPLEXED_SETS = 65_536
 """Most sets of signals that one message's multiplexers may select, nested ones multiplied."""
 
@@ -35,11 +38,11 @@ _NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
     "sym": (
         (r"\bLen\s*=\s*(\d+)", MAX_MESSAGE_BYTES),
         (r"\b(?:unsigned|signed|bit|char|string|raw)\s+(\d+)", MAX_BITS),
-        (r"\b(?:Sig|Var|Mux)\s*=[^\n/]*?\s(\d{5,})", MAX_BITS),
+        (r"\b(?:Sig|Var|Mux)\s*=[^\n/]*?\s(\d{5,})(?![\dA-Fa-fh])", MAX_BITS),
     ),
     "arxml": (
-        (r"<(?:\w+:)?(?:FRAME-LENGTH|LENGTH)>\s*(\d+)", MAX_BITS),
-        (r"<(?:\w+:)?START-POSITION>\s*(\d+)", MAX_BITS),
+        (r"<(?:\w+:)?FRAME-LENGTH>\s*(\d+)", MAX_BITS),
+        (r"<(?:\w+:)?(?:LENGTH|START-POSITION)>\s*(\d+)", MAX_PDU_BITS),
     ),
 }
 """Numbers that cost memory, by format: a pattern with the digits as its group, and their limit."""
