@@ -307,4 +307,4 @@ def test_wrx_drive_has_the_signs_that_its_configuration_states() -> None:
     assert told(report, "error", "warning") == {}
     assert "wheel_speeds" in told(report, "ok")["yaw_rate"]
     rows = {row["quantity"]: row for row in report["quantities"]}
-    assert rows["steering_wheel_angle"]["in_si"]["min"] == pytest.approx(math.radians(-457.3), 1e-3)
+    assert rows["steering_wheel_angle"]["in_si"]["max"] == pytest.approx(math.radians(457.3), 1e-3)

@@ -106,8 +106,7 @@ class Motion:
         self.grid = grid
         self.speed = self.change = None
         if "speed" in grid:
-            backwards = np.nan_to_num(grid.get("reverse", np.zeros(1))) > 0.5
-            self.speed = smooth(np.where(backwards, -1.0, 1.0) * grid["speed"])
+            self.speed = smooth(self._direction() * grid["speed"])
             half = SMOOTH // 2
             ahead, behind = shifted(self.speed, half), shifted(self.speed, -half)
             self.change = (ahead - behind) * (TICK_RATE / (2 * half))
@@ -132,6 +131,10 @@ class Motion:
         if self.gravity is None:
             return None
         return np.asarray(self.gravity / np.linalg.norm(self.gravity))
+
+    def _direction(self) -> Array:
+        """-1 in reverse, else 1 (n,), or (1,) where reverse is not known."""
+        return np.where(np.nan_to_num(self.grid.get("reverse", np.zeros(1))) > 0.5, -1.0, 1.0)
 
     def _standing(self) -> NDArray[np.bool_] | None:
         """Ticks at rest (n,), None where too few."""
@@ -168,10 +171,11 @@ class Motion:
         if "yaw_rate" in grid:
             found["yaw_rate"] = smooth(grid["yaw_rate"])
         if "wheel_speeds" in grid:
-            wheels = smooth(grid["wheel_speeds"])
-            found["wheel_speeds"] = (
-                0.5 * (wheels[:, (1, 3)] - wheels[:, (0, 2)]).sum(axis=1) / track
-            )
+            wheels = grid["wheel_speeds"]
+            right_less_left = 0.5 * (wheels[:, 1] - wheels[:, 0] + wheels[:, 3] - wheels[:, 2])
+            if not np.nanmin(wheels, initial=0.0) < 0.0:  # magnitudes, as nearly all vehicles send
+                right_less_left = right_less_left * self._direction()
+            found["wheel_speeds"] = smooth(right_less_left) / track
         if self.speed is None:
             return found
         if "steering" in grid:

@@ -1,0 +1,11 @@
+"""What a configuration decodes from a log or a bus: sources, units, rates, gaps, suspicions.
+
+The frames go through the daemon's own router, so what is told here is what `imucald run` would do.
+"""
+
+from __future__ import annotations
+
+from imucald.check.checker import EVERY_FRAME, Check, columns_of
+from imucald.check.finding import Finding
+
+__all__ = ["EVERY_FRAME", "Check", "Finding", "columns_of"]

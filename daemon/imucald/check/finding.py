@@ -1,0 +1,80 @@
+"""What `imucald check` has to tell, and the arithmetic that decides it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.samples import GRAVITY
+
+Array = NDArray[np.float64]
+Level = Literal["error", "warning", "note", "ok"]
+
+FEWEST = 200
+"""Ticks in motion that a judgement needs: 20 s."""
+CLEAR = 0.6
+"""Correlation from which two signals are taken to show the same motion."""
+WRONG_GAIN = 2.5
+"""A gain beyond this (or below its inverse) is a unit, not a vehicle."""
+
+_FACTORS = (
+    (180.0 / math.pi, "deg against rad"),
+    (GRAVITY, "g against m/s²"),
+    (3.6, "km/h against m/s"),
+    (1.0 / 0.44704, "mph against m/s"),
+    (1.609344, "mph against km/h"),
+    (1000.0, "thousandths"),
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing to tell; `quantity` as in the configuration."""
+
+    level: Level
+    quantity: str
+    text: str
+
+    def as_dict(self) -> dict[str, str]:
+        """Plain, for JSON."""
+        return {"level": self.level, "quantity": self.quantity, "text": self.text}
+
+
+def is_wrong(gain: float) -> bool:
+    """Whether a gain that should be one is a wrong unit."""
+    return not 1.0 / WRONG_GAIN < abs(gain) < WRONG_GAIN
+
+
+def gain_guess(ratio: float) -> str:
+    """Words for a gain that should be one."""
+    size = abs(ratio)
+    words = f"{size:.3g} times too much" if size > 1.0 else f"{1.0 / size:.3g} times too little"
+    for factor, guess in _FACTORS:
+        if abs(math.log(max(size, 1.0 / size) / factor)) < math.log(1.15):
+            return f"{words}, as {guess} would be; set 'unit:'"
+    return f"{words}; check its unit and scale"
+
+
+def spread(x: Array) -> float:
+    """Standard deviation of what is known of x; 0 where that is too little."""
+    known = x[np.isfinite(x)]
+    return float(np.std(known)) if len(known) >= FEWEST else 0.0
+
+
+def gain_between(reference: Array, signal: Array) -> tuple[float, float]:
+    """How many times the reference the signal is, with sign, and the correlation.
+
+    The gain is the ratio of spreads: noise in either of them moves it less than a regression.
+    """
+    rows = np.isfinite(reference) & np.isfinite(signal)
+    if np.count_nonzero(rows) < FEWEST:
+        return 1.0, 0.0
+    a, b = reference[rows], signal[rows]
+    if np.std(a) == 0.0 or np.std(b) == 0.0:
+        return 1.0, 0.0
+    correlation = float(np.corrcoef(a, b)[0, 1])
+    return math.copysign(float(np.std(b) / np.std(a)), correlation), correlation
