@@ -1,0 +1,78 @@
+"""How late a vehicle signal is against the accelerometer, from the phase of their spectra.
+
+A signal x that is late by tau has the spectrum X(w) exp(-i w tau); the response of the force to
+it is real, so the tau is right at which the real parts of the cross-spectrum, summed along the
+direction of response, are largest (generalised cross-correlation; Knapp and Carter, IEEE Trans.
+ASSP 24, 1976), each bin weighed by the inverse of the force's power.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.mount.estimator_settings import DelayPrior
+from imucald.mount.evidence_spectra import OMEGA
+
+Array = NDArray[np.float64]
+
+STEP = 0.025
+"""Grid of candidates [s]."""
+LEAST, MOST = -0.5, 1.2
+
+
+class DelaySearch:
+    """Sums of cross-spectra of one signal with the force; the delay in them."""
+
+    def __init__(self, prior: DelayPrior) -> None:
+        self._prior = prior
+        low = max(LEAST, prior.mean - 4.0 * prior.std)
+        high = min(MOST, prior.mean + 4.0 * prior.std)
+        self._taus = np.arange(low, high + 0.5 * STEP, STEP) if prior.std > 0 else np.zeros(1)
+        self._phases = np.exp(1j * np.outer(self._taus, OMEGA))
+        self._cross = np.zeros((len(OMEGA), 3), dtype=np.complex128)
+        self._power = np.zeros(len(OMEGA))
+        self._force = np.zeros(len(OMEGA))
+        self.windows = 0
+        self.value = prior.mean
+        self.std = prior.std
+
+    def add(self, signal: NDArray[np.complex128], force: NDArray[np.complex128]) -> None:
+        """Take spectra of a window: signal (BINS,), force (BINS, 3)."""
+        power = signal.real**2 + signal.imag**2
+        if power.sum() < 1e-2:
+            return
+        self.windows += 1
+        self._cross += np.conj(signal)[:, None] * force
+        self._power += power
+        self._force += (force.real**2 + force.imag**2).sum(axis=1)
+
+    def search(self) -> float:
+        """Return the delay [s]; `std` is its standard deviation."""
+        p = self._prior
+        if p.std <= 0.0 or self.windows < 6:
+            return self.value
+        weight = 1.0 / (self._force + 0.02 * self._force.max() + 1e-9)
+        # force is x(t) and the signal x(t - tau): conj(signal) * force = P exp(+i w tau)
+        gain = (np.conj(self._phases) @ (self._cross * weight[:, None])).real
+        size = np.sqrt((gain * gain).sum(axis=1))
+        best = int(np.argmax(size))
+        tau = float(self._taus[best])
+        if 0 < best < len(size) - 1:
+            a, b, c = size[best - 1], size[best], size[best + 1]
+            bend = a - 2.0 * b + c
+            if bend < 0.0:
+                tau += STEP * 0.5 * float((a - c) / bend)
+        d = gain[best] / max(float(size[best]), 1e-12)
+        along = (self._cross @ d) * np.exp(-1j * OMEGA * tau)
+        coherence2 = np.minimum(
+            (along.real**2) / np.maximum(self._power * self._force, 1e-12), 0.98
+        )
+        information = float((2.0 * OMEGA**2 * coherence2 / (1.0 - coherence2)).sum())
+        information *= self.windows / 8.0
+        prior = 1.0 / (p.std * p.std)
+        self.value = (information * tau + prior * p.mean) / (information + prior)
+        self.std = 1.0 / math.sqrt(information + prior)
+        return self.value

@@ -1,0 +1,142 @@
+"""The full mount estimator: roll, pitch and yaw of the sensor with an honest covariance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import rotation_from_vector
+from imucald.motion.ticks import TickRow
+from imucald.mount.estimate import Correction, MountEstimate, MountState
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.evidence_signals import Prepared, SignalPreparer
+from imucald.mount.slewing import SlewedRotation
+from imucald.mount.solution import Solution
+from imucald.mount.supervision import Knowledge, Manoeuvres, judged, waiting_for
+
+Array = NDArray[np.float64]
+
+EAGER_HOPS = 100
+"""So many hops (320 s) every hop is fitted at once; later every `LAZY_HOPS`."""
+LAZY_HOPS = 4
+SLEW_RATE = math.radians(0.5)
+"""The applied rotation turns no faster than this [rad/s]."""
+FROZEN_TICKS = 20
+"""Learning counts as frozen when so many of a hop's ticks were not to be trusted."""
+
+
+class FullEstimator:
+    """Estimate from all evidence; `solution` fuses it, `supervision` judges it."""
+
+    def __init__(self, settings: EstimatorSettings | None = None) -> None:
+        self._settings = settings or EstimatorSettings()
+        self._signals = SignalPreparer(self._settings)
+        self._solution = Solution(self._settings)
+        self._driven = Manoeuvres()
+        self._served = SlewedRotation(SLEW_RATE)
+        self._state = MountState.WAITING
+        self._hops = 0
+        self._known = Knowledge(accelerometer=False)
+
+    @property
+    def correction(self) -> Correction | None:
+        """The rotation to apply now, or None."""
+        return self._served.correction
+
+    @property
+    def state(self) -> MountState:
+        """The present state."""
+        return self._state
+
+    def step(self, tick: TickRow) -> None:
+        """Take one tick."""
+        self._served.step()
+        if self._signals.push(tick):
+            self._hop(self._signals.hop())
+
+    def gap(self) -> None:
+        """Time jumped: signals before it are not joined with those after it."""
+        self._signals.restart()
+        self._solution.gap()
+
+    def _hop(self, p: Prepared) -> None:
+        self._hops += 1
+        self._driven.add(*self._solution.add(p))
+        if self._hops <= EAGER_HOPS or self._hops % LAZY_HOPS == 0:
+            self._solution.fit()
+        self._judge(p)
+
+    def _judge(self, p: Prepared) -> None:
+        solution = self._solution
+        fused = solution.fused
+        std = (math.inf, math.inf, math.inf)
+        if fused is not None:
+            x, y, z = (math.sqrt(v) for v in fused.variance.tolist())
+            std = (x, y, z if solution.yaw_known else math.inf)
+        self._known = Knowledge(
+            gravity=fused is not None,
+            std=std,
+            straight=self._driven.straight,
+            lefts=self._driven.lefts,
+            rights=self._driven.rights,
+            stops=solution.gravity.stops,
+            accelerometer=bool(p.ok_force.any()),
+            speed=bool(p.ok_speed.any()),
+            frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
+        )
+        self._state = judged(self._known, self._state, self._settings)
+        if self._state in {MountState.USABLE, MountState.FINE}:
+            self._served.aim(self._answer()[0])
+        else:
+            self._served.clear()
+
+    def _answer(self) -> tuple[Array, Array]:
+        """R_vehicle_from_sensor with the crown taken out, and its covariance."""
+        solution, s = self._solution, self._settings
+        if solution.R is None or solution.fused is None:
+            return np.eye(3), np.eye(3)
+        R = rotation_from_vector([-s.crown, 0.0, 0.0]) @ solution.R
+        variance = solution.fused.variance.copy()
+        if not solution.yaw_known:
+            variance[2] = (math.pi / math.sqrt(3.0)) ** 2
+        covariance = np.diag(variance)
+        covariance[0, 0] += s.crown_std**2
+        return R, covariance
+
+    def estimate(self) -> MountEstimate:
+        """Return the present state of knowledge."""
+        reasons = waiting_for(self._known, self._settings)
+        words = {name: text for name, (text, _) in reasons.items()}
+        codes = {name: code for name, (_, code) in reasons.items()}
+        if self._solution.fused is None:
+            return MountEstimate(self._state, waiting_for=words, missing=codes)
+        R, covariance = self._answer()
+        return MountEstimate(self._state, R, covariance, words, codes, self._details())
+
+    def _details(self) -> dict[str, object]:
+        solution, signals, known = self._solution, self._signals, self._known
+        fused = solution.fused
+        bias = solution.bias
+        return {
+            "evidence_share": {} if fused is None else fused.shares,
+            "evidence_std_deg": {
+                name: math.degrees(math.sqrt(piece.variance))
+                for name, piece in solution.pieces.items()
+            },
+            "accel_bias": [] if bias is None else bias.tolist(),
+            "gyro_bias": signals.gyro_bias.tolist(),
+            "yaw_rate_offset": signals.yaw_offset,
+            "steering_offset": signals.steering_offset,
+            "speed_delay": solution.delay_speed.value,
+            "speed_delay_std": solution.delay_speed.std,
+            "gain_dvdt": solution.gains()[0],
+            "gain_turn": solution.gains()[1],
+            "launches_and_brakings": known.straight,
+            "left_turns": known.lefts,
+            "right_turns": known.rights,
+            "stops": known.stops,
+            "distance": solution.gravity.metres,
+            "frozen_ticks": dict(signals.frozen),
+        }

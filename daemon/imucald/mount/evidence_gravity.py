@@ -1,0 +1,103 @@
+"""Gravity: where the specific force points when the motion is taken out, mean over the road.
+
+At rest it is the levelling of method A, steps 1-2. One stop holds the slope of its place; on the
+way the slope changes, so the mean over D metres of road has the variance of a mean of a
+Gauss-Markov process of length L,
+
+    s^2 * 2 (L / D) (1 - (L / D) (1 - exp(-D / L))),
+
+which is s^2 for one place and falls as 2 L / D: places are counted, not samples. The bias of
+the accelerometer stays whatever the road, and the mean lean of roads stays as well.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import Matrix3
+from imucald.mount.evidence_signals import Prepared
+from imucald.samples import GRAVITY
+
+Array = NDArray[np.float64]
+
+STOP_METRES = 12.0
+"""A stop counts as much as that much road at most: no motion, but one place."""
+REST_METRES_PER_TICK = 0.5
+SHARE = 0.1
+"""Share of the motion that may be missed; weighs ticks of hard driving down."""
+STILL = 0.15
+"""Motion force that does not matter [m/s^2]."""
+
+
+class GravityEvidence:
+    """Sums over the road of force and motion; R and gains may still change."""
+
+    def __init__(self) -> None:
+        self._weight = 0.0
+        self._force = np.zeros(3)
+        self._motion = np.zeros(2)
+        self.metres = 0.0
+        self.stops = 0
+        self._stop_used = 0.0
+        self._resting = False
+
+    def add(self, p: Prepared, turn: Array) -> None:
+        """Take a hop; turn: (N,) v r [m/s^2]."""
+        use = p.learn & (p.ok_speed | p.rest)
+        if not use.any():
+            return
+        weight = np.where(p.rest, 0.0, np.abs(p.speed) * 0.1)
+        hard2 = p.accel * p.accel + turn * turn
+        weight *= use / (1.0 + hard2 * (SHARE / STILL) ** 2)
+        moved = bool((np.abs(p.speed) > 1.0).any())
+        if moved:
+            self._stop_used, self._resting = 0.0, False
+        resting = p.rest & use
+        n = int(resting.sum())
+        if n:
+            if not self._resting:
+                self._resting = True
+                self.stops += 1
+            each = min(REST_METRES_PER_TICK, max(STOP_METRES - self._stop_used, 0.0) / n)
+            self._stop_used += each * n
+            weight[resting] = each
+        if self._weight == 0.0 and not weight.any():
+            return
+        self._weight += float(weight.sum())
+        self._force += weight @ p.force
+        self._motion[0] += float(weight @ p.accel)
+        self._motion[1] += float(weight @ turn)
+        self.metres += float((np.abs(p.speed) * use).sum()) * 0.1
+
+    @property
+    def known(self) -> bool:
+        """True when there is a direction of gravity at all."""
+        return self._weight > 0.0
+
+    def mean_force(self) -> Array:
+        """Mean specific force in sensor axes, motion still in it (3,)."""
+        mean: Array = self._force / max(self._weight, 1e-9)
+        return mean
+
+    def tilt(self, R: Matrix3, bias: Array, gains: tuple[float, float]) -> tuple[float, float]:
+        """e_x and e_y [rad] about R that gravity asks for, with the lean of roads still in."""
+        w = max(self._weight, 1e-9)
+        F = R @ (self._force / w - bias)
+        x = F[0] - gains[0] * self._motion[0] / w
+        y = F[1] - gains[1] * self._motion[1] / w
+        return math.atan2(y, F[2]), -math.atan2(x, F[2])
+
+    def variance(self, std: float, length: float, missed: float) -> float:
+        """Variance of the mean slope over the road driven [rad^2].
+
+        missed: share of the motion force that may be wrong, 1 where yaw is not known.
+        """
+        q = self.metres / length
+        slope = std * std
+        if q > 1e-3:
+            slope *= 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
+        mean2 = float(self._motion @ self._motion) / max(self._weight, 1e-9) ** 2
+        return slope + missed * missed * mean2 / GRAVITY**2

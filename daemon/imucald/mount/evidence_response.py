@@ -1,0 +1,333 @@
+"""Response of the specific force to dv/dt and to v r, and of the rate to turning.
+
+With e the rotation-vector error of R (R_true = exp([e]) R), A = dv/dt, V = v r, F = R f_s and
+(p, q, r) = R w_s, to first order
+
+    F_x = gx A + e_z gy V      F_y = gy V - e_z gx A      F_z = e_y gx A - e_x gy V - v q
+    p = p_road - e_y r         q = q_road + e_x r,
+
+so noise in A itself costs gain but turns nothing. Small terms go along as nuisance with priors:
+lever arm (r^2; heave of a pitching body, w^2 A), squat and body roll to second order (A^2, V^2,
+A r, V r), sideslip (r^2, V^2). That gives six pieces: e_z and e_y from A, e_z and e_x from V,
+e_x and e_y from the axis of rotation in turns.
+
+Noise has another colour on each axis: slopes are red, rough roads and the rounding of a speed are
+blue. Each band and axis has its own noise level, learnt from what the fit leaves over, and a
+window that is worse than usual counts for less (Student's t weights; Lange, Little and Taylor,
+J. Am. Stat. Assoc. 84, 1989). The variance comes from the spread of the scores from piece of
+road to piece of road (sandwich; White, Econometrica 48, 1980), because noise is correlated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import Matrix3, vector_from_rotation
+from imucald.mount import evidence_spectra as sp
+from imucald.mount.evidence_spectra import (
+    BAND_OMEGA2,
+    BAND_WIDTH,
+    BANDS,
+    BINS,
+    MEASURED,
+    PAIR,
+    PRODUCTS,
+)
+
+Array = NDArray[np.float64]
+
+KEPT = 128
+"""Windows kept whole (7 min): those can be weighed afresh; older ones are only summed."""
+FOLD = 32
+"""So many windows, or a few more to whole groups, are summed up when the store is full."""
+MOST_GROUPS = 2000
+"""Groups kept apart (14 h); then neighbours are joined."""
+GROUP = 8
+"""Hops per piece of the sandwich: 25.6 s, one window's length."""
+AFRESH = 16
+"""All kept windows are weighed afresh every so many hops."""
+NU = 8.0
+"""Degrees of freedom of a window's usual noise level."""
+FORCE_FLOOR, RATE_FLOOR = 0.015**2, 0.0015**2
+"""No band is trusted beyond this noise per tick [(m/s^2)^2], [(rad/s)^2]."""
+FORCE_PRIOR, RATE_PRIOR = 0.3**2, 0.03**2
+"""Noise per tick until the first windows speak."""
+MODEL_GROUPS = 6.0
+"""The model's variance counts like that many pieces of road in the sandwich."""
+MODEL_SHARE = 1.5
+"""The model's variance is taken that much larger: correlated noise is the rule."""
+
+X_ROW, Y_ROW, PITCH_ROW, ROLL_ROW, P_ROW, Q_ROW = range(6)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One regression: which row answers to what; the first regressor carries the angle."""
+
+    name: str
+    axis: int  # of e
+    regressors: tuple[int, ...]
+    prior_std: tuple[float, ...]  # of the nuisance coefficients
+    bands: int = BANDS  # only so many: above, the suspension's resonance answers
+
+
+ROWS = (
+    Row("yaw_turn", 2, (sp.FV, sp.FR2, sp.FV2), (1.5, 0.01)),
+    Row("yaw_dvdt", 2, (sp.FA, sp.FR2), (0.8,)),
+    Row("pitch_dvdt", 1, (sp.FA, sp.FA, sp.FA2), (0.005, 0.005), 7),
+    Row("roll_turn", 0, (sp.FV, sp.FV, sp.FV2), (0.005, 0.01), 7),
+    Row("pitch_axis", 1, (sp.R, sp.FAR, sp.FV), (0.015, 0.0015), 6),
+    Row("roll_axis", 0, (sp.R, sp.FVR), (0.01,), 6),
+)
+"""In the order of X_ROW .. Q_ROW."""
+TARGETS = (sp.FX, sp.FY, sp.FZ, sp.FZ, sp.P, sp.Q)
+GX, GY, GQ, GX_QUARTER, GY_QUARTER, GP_QUARTER, GQ_QUARTER = range(7)
+GAINS = (
+    (X_ROW, sp.FX, sp.FA, 1.0, 0.02, 1.3),
+    (Y_ROW, sp.FY, sp.FV, 1.0, 0.02, 1.4),
+    (PITCH_ROW, sp.FZ, sp.FQ, 0.0, -1.3, 0.3),
+    (X_ROW, sp.FX, sp.FAI, 0.0, -0.7, 0.7),
+    (Y_ROW, sp.FY, sp.FVI, 0.0, -0.7, 0.7),
+    (P_ROW, sp.P, sp.FVI, 0.0, -0.2, 0.2),
+    (Q_ROW, sp.Q, sp.FAI, 0.0, -0.2, 0.2),
+)
+"""Gains per band: row, target, signal, expected, least, most."""
+_M = 3
+
+
+@dataclass
+class Piece:
+    """One piece of evidence about one angle: value [rad], variance, pieces of road in it."""
+
+    value: float
+    variance: float
+    groups: float
+
+
+class ResponseEvidence:
+    """Windows of products, their fit for a given R, and the sums of those gone by."""
+
+    def __init__(self) -> None:
+        self._products = np.zeros((KEPT, BANDS, PRODUCTS))
+        self._spectra = np.zeros((KEPT, BINS, MEASURED), dtype=np.complex128)
+        self._hop_number = np.zeros(KEPT, dtype=np.int64)
+        self._n = self._scored = 0
+        self.hops = 0
+        self._last_afresh = 0
+        self.noise = np.full((6, BANDS), FORCE_PRIOR)
+        self.noise[4:] = RATE_PRIOR
+        self.gains = np.zeros((len(GAINS), BANDS))
+        self.gains[:2] = 1.0
+        self._score = np.zeros((len(ROWS), KEPT, _M))
+        self._normal = np.zeros((len(ROWS), KEPT, _M, _M))
+        self._old_score = np.zeros((len(ROWS), 0, _M))
+        self._old_normal = np.zeros((len(ROWS), 0, _M, _M))
+        self._R = np.eye(3)
+        self.delays = (0.0, 0.0)
+
+    @property
+    def windows(self) -> int:
+        """Windows kept whole."""
+        return self._n
+
+    def add(self, s: sp.Spectra) -> None:
+        """Take a window's spectra (BINS, MEASURED)."""
+        self.hops += 1
+        if self._n == KEPT:
+            self._fold()
+        k = self._n
+        self._spectra[k] = s
+        self._products[k] = sp.band_products(s, *self.delays)
+        self._hop_number[k] = self.hops
+        self._n += 1
+
+    def set_delays(self, speed: float, turn: float) -> None:
+        """Form the kept windows' products afresh with other delays [s]."""
+        self.delays = (speed, turn)
+        for i in range(self._n):
+            self._products[i] = sp.band_products(self._spectra[i], speed, turn)
+        self._scored = 0
+
+    def direction_sums(self) -> tuple[Array, Array, float, float]:
+        """Sums over windows and bands: response to A (3,), to V (3,), power of A, of V."""
+        p = self._products[: self._n].sum(axis=(0, 1))
+        to_a = np.array([p[sp.place(i, sp.A)] for i in range(3)])
+        to_v = np.array([p[sp.place(i, sp.V)] for i in range(3)])
+        return to_a, to_v, float(p[sp.place(sp.A, sp.A)]), float(p[sp.place(sp.V, sp.V)])
+
+    def fit(self, R: Matrix3) -> dict[str, Piece]:
+        """Fit gains, noise levels and the pieces of e about R; old sums included."""
+        if self._n == 0:
+            return {}
+        turned = vector_from_rotation(R @ self._R.T)
+        large = float(np.abs(turned).max()) > 0.005
+        if self._scored == 0 or self._n <= 40 or large or self.hops - self._last_afresh >= AFRESH:
+            self._scored = 0
+            self._last_afresh = self.hops
+        self._turn_scores(turned)
+        self._R = R.copy()
+        if self._scored < self._n:
+            self._weigh(R)
+        return self._pieces()
+
+    def _turn_scores(self, turned: Array) -> None:
+        """Scores about another R: to first order the angle's coefficient moves."""
+        k = self._scored
+        for i, row in enumerate(ROWS):
+            e = turned[row.axis]
+            self._old_score[i] -= self._old_normal[i, :, :, 0] * e
+            self._score[i, :k] -= self._normal[i, :k, :, 0] * e
+
+    def _fold(self) -> None:
+        """Sum the oldest windows up, in whole groups, and let them go."""
+        group = self._hop_number[: self._n] // GROUP
+        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        cut = int(starts[np.searchsorted(starts, FOLD)])
+        use = starts[starts < cut]
+        s = np.add.reduceat(self._score[:, :cut], use, axis=1)
+        m = np.add.reduceat(self._normal[:, :cut], use, axis=1)
+        self._old_score = np.concatenate([self._old_score, s], axis=1)
+        self._old_normal = np.concatenate([self._old_normal, m], axis=1)
+        if self._old_score.shape[1] > MOST_GROUPS:
+            half = np.arange(0, self._old_score.shape[1], 2)
+            self._old_score = np.add.reduceat(self._old_score, half, axis=1)
+            self._old_normal = np.add.reduceat(self._old_normal, half, axis=1)
+        left = self._n - cut
+        for kept in (self._products, self._spectra, self._hop_number):
+            kept[:left] = kept[cut : self._n].copy()
+        self._score[:, :left] = self._score[:, cut : self._n].copy()
+        self._normal[:, :left] = self._normal[:, cut : self._n].copy()
+        self._n = left
+        self._scored = max(self._scored - cut, 0)
+
+    def _weigh(self, R: Matrix3) -> None:
+        """Score the windows that are not scored yet; all of them also renew levels and gains."""
+        first = self._scored
+        P = sp.in_vehicle_axes(self._products[first : self._n], R)
+        weight = self._weights(self._left_over(P))
+        if first == 0:
+            self._renew(P, weight)
+            left = self._left_over(P)
+            weight = self._weights(left)
+            self._renew_levels(P, weight, left)
+            weight = self._weights(left)
+        factors = self._factors()
+        for i, row in enumerate(ROWS):
+            m = len(row.regressors)
+            weight[i][:, row.bands :] = 0.0
+            for a in range(m):
+                wa = weight[i] * factors[i][a]
+                target = self._target(P, i, row.regressors[a])
+                self._score[i, first : self._n, a] = (wa * target).sum(axis=1)
+                for b in range(a, m):
+                    value = wa * factors[i][b] * P[PAIR[row.regressors[a], row.regressors[b]]]
+                    self._normal[i, first : self._n, a, b] = value.sum(axis=1)
+                    self._normal[i, first : self._n, b, a] = self._normal[i, first : self._n, a, b]
+        self._scored = self._n
+
+    def _factors(self) -> list[list[Array]]:
+        gx, gy, one = self.gains[GX], self.gains[GY], np.ones(BANDS)
+        return [
+            [gy, one, one],
+            [-gx, one],
+            [gx, gx * BAND_OMEGA2, one],
+            [-gy, gy * BAND_OMEGA2, one],
+            [-one, one, BAND_OMEGA2],
+            [one, one],
+        ]
+
+    def _target(self, P: Array, row: int, with_: int) -> Array:
+        """Products of a row's target (known response taken off) with a signal (n, BANDS)."""
+        out: Array = P[PAIR[TARGETS[row], with_]]
+        for signal, gain in self._known(row):
+            out = out - gain * P[PAIR[signal, with_]]
+        return out
+
+    def _known(self, row: int) -> tuple[tuple[int, Array], ...]:
+        """Signals and gains per band that a row's target is freed from."""
+        g = self.gains
+        if row == X_ROW:
+            return ((sp.FA, g[GX]), (sp.FAI, g[GX_QUARTER]))
+        if row == Y_ROW:
+            return ((sp.FV, g[GY]), (sp.FVI, g[GY_QUARTER]))
+        if row == PITCH_ROW:
+            return ((sp.FQ, g[GQ]),)
+        if row == P_ROW:
+            return ((sp.FVI, g[GP_QUARTER]),)
+        if row == Q_ROW:
+            return ((sp.FAI, g[GQ_QUARTER]),)
+        return ()
+
+    def _left_over(self, P: Array) -> Array:
+        """Power per window and band that each row's known response leaves (6, n, BANDS)."""
+        out = np.empty((6, *P.shape[1:]))
+        for row, target in enumerate(TARGETS):
+            out[row] = P[PAIR[target, target]]
+            for signal, gain in self._known(row):
+                out[row] += gain * (gain * P[PAIR[signal, signal]] - 2.0 * P[PAIR[target, signal]])
+        np.maximum(out, 0.0, out=out)
+        return out
+
+    def _weights(self, left: Array) -> Array:
+        dof = 2.0 * BAND_WIDTH
+        out: Array = (NU + dof) / (NU * self.noise[:, None, :] + 8.0 * left)
+        return out
+
+    def _renew(self, P: Array, weight: Array) -> None:
+        """Gains per band: free, because squat, body roll and noise in dv/dt all change them."""
+        for k, (row, target, signal, expected, low, high) in enumerate(GAINS):
+            w = weight[row]
+            scale = 4.0 if row < P_ROW else 400.0
+            a = (w * P[PAIR[signal, signal]]).sum(axis=0) + scale
+            b = (w * P[PAIR[target, signal]]).sum(axis=0) + scale * expected
+            self.gains[k] = np.clip(b / a, low, high)
+
+    def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
+        """Noise per tick, band and axis, of windows weighted by what they tell."""
+        power = np.empty_like(left)
+        power[:ROLL_ROW] = P[PAIR[sp.FA, sp.FA]] + P[PAIR[sp.FV, sp.FV]]
+        power[ROLL_ROW] = P[PAIR[sp.FV, sp.FV]]
+        power[P_ROW:] = P[PAIR[sp.R, sp.R]]
+        tells = power * weight * weight
+        total = np.maximum(tells.sum(axis=1), 1e-12)
+        fresh = 4.0 * (tells * left).sum(axis=1) / total / BAND_WIDTH
+        trust = self._n / (self._n + 8.0)
+        prior = np.full((6, 1), FORCE_PRIOR)
+        prior[4:] = RATE_PRIOR
+        low = np.full((6, 1), FORCE_FLOOR)
+        low[4:] = RATE_FLOOR
+        self.noise = np.maximum(trust * fresh + (1.0 - trust) * prior, low)
+
+    def _pieces(self) -> dict[str, Piece]:
+        group = self._hop_number[: self._n] // GROUP
+        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        s_all = np.add.reduceat(self._score[:, : self._n], starts, axis=1)
+        n_all = np.add.reduceat(self._normal[:, : self._n], starts, axis=1)
+        s_all = np.concatenate([self._old_score, s_all], axis=1)
+        n_all = np.concatenate([self._old_normal, n_all], axis=1)
+        out = {}
+        for i, row in enumerate(ROWS):
+            m = len(row.regressors)
+            s, n = s_all[i, :, :m], n_all[i, :, :m, :m]
+            normal = n.sum(axis=0)
+            if normal[0, 0] < 50.0:
+                continue
+            prior = np.array([0.0, *(1.0 / x**2 for x in row.prior_std)])
+            inverse = np.linalg.inv(normal + np.diag(prior))
+            value = inverse @ s.sum(axis=0)
+            u = (s - n @ value) @ inverse[0]
+            # the nuisance's prior pulls as well: its part is in the model's variance
+            spread = float(u @ u)
+            if len(u) > 1:
+                spread = max(spread + 2.0 * float(u[1:] @ u[:-1]), 0.6 * spread)
+            each = n[:, 0, 0]
+            groups = float(normal[0, 0] ** 2 / max(float(each @ each), 1e-12))
+            model = float(inverse[0, 0])
+            variance = (MODEL_GROUPS * model * MODEL_SHARE + groups * spread) / (
+                MODEL_GROUPS + groups
+            )
+            out[row.name] = Piece(float(value[0]), variance, groups)
+        return out

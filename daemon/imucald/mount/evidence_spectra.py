@@ -1,0 +1,154 @@
+"""Windows of even signals in the frequency domain, and their products band by band.
+
+Windows of 25.6 s with a Hann taper, an eighth apart, go to the frequency domain. Kept of each are
+the real cross products of all signals per band, after the signals' delays were taken out as
+phases: what a least-squares fit of the force on dv/dt, v r and the small terms needs, whatever
+the rotation, the gains and the noise of each band turn out to be.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import Matrix3
+from imucald.motion.ticks import TICK_S
+from imucald.mount.evidence_signals import HOP
+
+Array = NDArray[np.float64]
+Spectra = NDArray[np.complex128]
+
+WINDOW = 256
+"""Ticks per window; with HOP = 32 an eighth of it."""
+FIRST_BIN = 1
+BAND_EDGES = (1, 2, 3, 4, 6, 9, 13, 19, 28, 52)
+"""Bins of 0.039 Hz; the last ends at 2 Hz, above which dv/dt says nothing."""
+BINS = BAND_EDGES[-1] - FIRST_BIN
+BANDS = len(BAND_EDGES) - 1
+
+A, V = 3, 4
+"""Columns: dv/dt and v r, after the force (0-2)."""
+TURNED = slice(5, 8)
+"""Speed times rate [m/s^2], sensor axes."""
+RATE = slice(8, 11)
+"""Rate [rad/s], sensor axes."""
+A2, V2, R2, AR, VR = 11, 12, 13, 14, 15
+"""Even terms: A^2, V^2, r^2, A r, V r."""
+MEASURED = 16
+"""Columns that come from time; two more are their quarter turns in frequency."""
+AI, VI = 16, 17
+"""A and V a quarter period ahead: lags, tyres and lever arms answer with these."""
+SIGNALS = 18
+_LATE = (A, A2, AR)
+"""Columns that come with the speed's delay."""
+
+FX, FY, FZ, FA, FV, FQ, P, Q, R, FA2, FV2, FR2, FAR, FVR, FAI, FVI = range(16)
+"""Order of signals after `in_vehicle_axes`: force (3), A, V, v q, rate (3), even terms."""
+
+_TAPER = np.hanning(WINDOW + 1)[:WINDOW]
+_TAPER_SCALE = float(np.sqrt(2.0 / WINDOW / ((_TAPER**2).sum() / HOP)))
+_TAPER_COLUMN = (_TAPER_SCALE * _TAPER)[:, None]
+_STARTS = np.array(BAND_EDGES[:-1]) - FIRST_BIN
+BAND_WIDTH = np.diff(BAND_EDGES).astype(float)
+"""Bins per band."""
+OMEGA = 2.0 * np.pi * np.arange(FIRST_BIN, FIRST_BIN + BINS) / (WINDOW * TICK_S)
+"""Angular frequency of the bins [rad/s]."""
+BAND_OMEGA2 = np.add.reduceat(OMEGA**2, _STARTS) / BAND_WIDTH
+"""Mean square angular frequency of the bands [(rad/s)^2]."""
+
+
+def spectra(signals: Array, mask: NDArray[np.bool_]) -> Spectra:
+    """Spectra (BINS, k) of signals (WINDOW, k), masked ticks taken out.
+
+    Scaled so that overlapping windows add up: the sum over windows and bins of |x|^2 is the sum
+    over ticks of x^2 (in band).
+    """
+    if mask.all():
+        x = signals - signals.mean(axis=0)
+    else:
+        n = max(float(mask.sum()), 1.0)
+        x = np.where(mask[:, None], signals, 0.0)
+        x -= x.sum(axis=0) / n
+        x *= mask[:, None]
+    x *= _TAPER_COLUMN
+    s: Spectra = np.fft.rfft(x, axis=0)[FIRST_BIN : FIRST_BIN + BINS]
+    return s
+
+
+_ALONE = ((FA2, A2), (FV2, V2), (FR2, R2), (FAR, AR), (FVR, VR), (FAI, AI), (FVI, VI))
+
+
+def _turning(R_vehicle_from_sensor: Matrix3) -> Array:
+    """Matrix (16, SIGNALS) that takes the signals to vehicle axes."""
+    R_vs = R_vehicle_from_sensor
+    turn = np.zeros((16, SIGNALS))
+    turn[FX : FZ + 1, 0:3] = R_vs
+    turn[FA, A] = turn[FV, V] = 1.0
+    turn[FQ, TURNED] = R_vs[1]
+    turn[P : R + 1, RATE] = R_vs
+    for row, column in _ALONE:
+        turn[row, column] = 1.0
+    return turn
+
+
+PAIRS = (
+    (FX, FX), (FY, FY), (FZ, FZ), (FX, FA), (FX, FV), (FX, FR2), (FX, FV2),
+    (FY, FV), (FY, FA), (FY, FR2), (FZ, FA), (FZ, FQ), (FZ, FA2), (FZ, FV), (FZ, FV2),
+    (FA, FA), (FV, FV), (FA, FV), (FQ, FQ), (FQ, FA), (FQ, FA2), (FA, FR2), (FA, FV2),
+    (FA, FA2), (FV, FR2), (FV, FV2), (FR2, FR2), (FR2, FV2), (FV2, FV2), (FA2, FA2),
+    (P, P), (Q, Q), (R, R), (P, R), (Q, R), (P, FAR), (Q, FVR), (R, FAR), (R, FVR),
+    (FAR, FAR), (FVR, FVR), (P, FV), (R, FV), (FAR, FV),
+    (FX, FAI), (FY, FVI), (P, FVI), (Q, FAI), (FAI, FAI), (FVI, FVI), (FVI, FA), (FVI, FR2),
+    (FAI, FV), (FAI, FR2), (FAI, FV2), (FVI, R), (FVI, FAR), (FVI, FV), (FAI, R), (FAI, FVR),
+)  # fmt: skip
+"""Products in vehicle axes that the fit needs."""
+PAIR = {pair: i for i, pair in enumerate(PAIRS)} | {(j, i): k for k, (i, j) in enumerate(PAIRS)}
+"""Place of a product in the last dimension of `in_vehicle_axes`."""
+
+
+def _pair_map(R_vehicle_from_sensor: Matrix3) -> Array:
+    """Matrix (len(PAIRS), SIGNALS^2): products in vehicle axes from those of the signals."""
+    turn = _turning(R_vehicle_from_sensor)
+    left = turn[[i for i, _ in PAIRS]]
+    right = turn[[j for _, j in PAIRS]]
+    return (left[:, :, None] * right[:, None, :]).reshape(len(PAIRS), SIGNALS * SIGNALS)
+
+
+_NEEDED = np.flatnonzero(np.abs(_pair_map(np.full((3, 3), 1.0))).sum(axis=0))
+PRODUCTS = len(_NEEDED)
+_PLACE = {int(k): i for i, k in enumerate(_NEEDED)}
+
+
+def place(i: int, j: int) -> int:
+    """Place of the product of two signals (sensor axes) in `band_products`."""
+    return _PLACE[i * SIGNALS + j] if i * SIGNALS + j in _PLACE else _PLACE[j * SIGNALS + i]
+
+
+def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
+    """Products (BANDS, PRODUCTS) of spectra (BINS, MEASURED), those that are needed.
+
+    tau: lateness of the speed and of the yaw rate against the force [s].
+    """
+    x = np.empty((BINS, SIGNALS), dtype=np.complex128)
+    x[:, :MEASURED] = s
+    late = np.exp(1j * OMEGA * tau_speed)
+    for column in _LATE:
+        x[:, column] *= late
+    if tau_turn:
+        x[:, V] *= np.exp(1j * OMEGA * tau_turn)
+    x[:, AI] = 1j * x[:, A]
+    x[:, VI] = 1j * x[:, V]
+    both = np.concatenate([x.real, x.imag], axis=1).reshape(BINS * 2, SIGNALS)
+    out = np.empty((BANDS, PRODUCTS))
+    for k in range(BANDS):
+        part = both[2 * (BAND_EDGES[k] - FIRST_BIN) : 2 * (BAND_EDGES[k + 1] - FIRST_BIN)]
+        out[k] = (part.T @ part).ravel()[_NEEDED]
+    return out
+
+
+def in_vehicle_axes(products: Array, R_vehicle_from_sensor: Matrix3) -> Array:
+    """Turn products (n, BANDS, PRODUCTS) into vehicle axes: (len(PAIRS), n, BANDS)."""
+    matrix = np.ascontiguousarray(_pair_map(R_vehicle_from_sensor)[:, _NEEDED])
+    n = len(products)
+    out: Array = (matrix @ products.reshape(n * BANDS, PRODUCTS).T).reshape(-1, n, BANDS)
+    return out

@@ -1,0 +1,153 @@
+"""Which way is up, in sensor axes: carried by the gyroscope, drawn to the accelerometer.
+
+The specific force is f_s = R^T m + g u + b with u the vertical in sensor axes and m the motion
+(dv/dt, v r, -v q). u follows du/dt = -omega x u exactly, whatever the slope; so with a gyroscope
+the slope's changes are known and leave f_s. The pull to the accelerometer (time constant
+`PULL_S`) holds u against the gyroscope's errors. What is left, the innovation
+
+    e = f_s - g u - R^T m,
+
+answers to an accelerometer bias b by (I - B) b, where B follows the same equation as u: in a
+turn the true vertical turns against the sensor and a bias does not, which tells them apart
+(the alignment of inertial navigation; Groves, Principles of GNSS, Inertial and Multisensor
+Integrated Navigation Systems, ch. 14).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.motion.ticks import TICK_S
+from imucald.mount.evidence_signals import Prepared
+from imucald.samples import GRAVITY
+
+Array = NDArray[np.float64]
+
+PULL_S = 25.0
+"""Time constant of the pull to the accelerometer [s]."""
+PULL_NO_GYRO_S = 12.0
+"""The same where no gyroscope carries the vertical."""
+SETTLE_TICKS = 25
+"""The first ticks take the mean."""
+FORCE_NOISE = 0.06
+"""Innovation of a tick while nothing happens [m/s^2], rms."""
+FORCE_SHARE = 0.12
+"""Share of the motion that the model may miss (gains, squat, sideslip)."""
+
+
+class UpTracker:
+    """State: (3, 4) = u and B = d u / d (b / g)."""
+
+    def __init__(self) -> None:
+        self._state: Array | None = None
+        self._n = 0
+        self.bias_information = np.zeros((3, 3))
+        self.bias_score = np.zeros(3)
+        self._open_information = np.zeros((3, 3))
+        self._open_score = np.zeros(3)
+        self._open_ticks = 0
+        self._closed: list[tuple[Array, Array]] = []
+
+    def restart(self) -> None:
+        """Forget the vertical (time jumped), keep what is known of the bias."""
+        self._state = None
+        self._n = 0
+
+    @property
+    def up(self) -> Array | None:
+        """The vertical in sensor axes, about unit length; (3,) or None."""
+        return None if self._state is None else self._state[:, 0]
+
+    def advance(self, p: Prepared, motion: Array | None, bias: Array | None) -> Array:
+        """Carry the vertical through a hop; return f_s - g u (N, 3), motion still in it.
+
+        motion: (N, 3) expected motion force in sensor axes, or None while R is not known.
+        bias: what is known of the accelerometer's bias (3,) [m/s^2]; its answer is taken off.
+        """
+        n = len(p.t)
+        step = -TICK_S * p.rate * p.ok_rate[:, None]
+        turn = np.zeros((n, 3, 3))
+        x, y, z = step[:, 0], step[:, 1], step[:, 2]
+        turn[:, 0, 1], turn[:, 0, 2], turn[:, 1, 2] = -z, y, -x
+        turn[:, 1, 0], turn[:, 2, 0], turn[:, 2, 1] = z, -y, x
+        turn += 0.5 * (turn @ turn)
+        turn[:, 0, 0] += 1.0
+        turn[:, 1, 1] += 1.0
+        turn[:, 2, 2] += 1.0
+        target = np.zeros((n, 3, 4))
+        target[:, :, 1:] = np.eye(3)
+        force = p.force if motion is None else p.force - motion
+        target[:, :, 0] = force / GRAVITY
+        pull = TICK_S / (PULL_S if p.ok_rate.any() else PULL_NO_GYRO_S)
+        states = np.empty((n, 3, 4))
+        state = self._state
+        use = p.learn.tolist()
+        for i in range(n):
+            if state is None:
+                if not use[i]:
+                    states[i] = 0.0
+                    continue
+                state = target[i].copy()
+            state = turn[i] @ state
+            states[i] = state
+            if use[i]:
+                self._n += 1
+                gain = pull if self._n > SETTLE_TICKS else max(pull, 1.0 / self._n)
+                state += gain * (target[i] - state)
+        self._state = state
+        if motion is not None and p.ok_rate.any():
+            self._learn_bias(p, states, force, motion)
+        lone: Array = p.force - GRAVITY * states[:, :, 0]
+        if bias is not None:
+            lone -= (np.eye(3) - states[:, :, 1:]) @ bias
+        return lone
+
+    def _learn_bias(self, p: Prepared, states: Array, force: Array, motion: Array) -> None:
+        use = p.learn & p.ok_speed & ~p.rest
+        if not use.any() or self._n < 100:
+            return
+        answer = np.eye(3) - states[:, :, 1:]
+        size = np.abs(answer).max(axis=(1, 2))
+        if size.max() < 0.02:
+            return
+        share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
+        weight = use / (FORCE_NOISE * FORCE_NOISE + share2)
+        weighted = answer * weight[:, None, None]
+        innovation = force - GRAVITY * states[:, :, 0]
+        self._open_information += np.einsum("nki,nkj->ij", weighted, answer)
+        self._open_score += np.einsum("nki,nk->i", weighted, innovation)
+        self._open_ticks += len(p.t)
+        if self._open_ticks >= 400:
+            self._closed.append((self._open_information, self._open_score))
+            self._open_information = np.zeros((3, 3))
+            self._open_score = np.zeros(3)
+            self._open_ticks = 0
+
+    def bias(self, prior_std: float) -> tuple[Array, Array]:
+        """Accelerometer bias [m/s^2] (3,) and covariance (3, 3), sandwich over 40 s pieces."""
+        prior = np.eye(3) / (prior_std * prior_std)
+        if self._state is not None:
+            # along the vertical it tilts nothing, and squat would pass for it
+            up = self._state[:, 0]
+            prior += np.outer(up, up) * 1e6
+        information = self._open_information.copy()
+        score = self._open_score.copy()
+        for a, b in self._closed:
+            information += a
+            score += b
+        covariance = np.linalg.inv(information + prior)
+        value = covariance @ score
+        if len(self._closed) < 2:
+            scale = 6.0
+        else:
+            a = np.array([c[0] for c in self._closed])
+            b = np.array([c[1] for c in self._closed])
+            left = b - a @ value
+            model = np.trace(a.sum(axis=0) @ covariance)
+            spread = np.einsum("ni,ij,nj->", left, covariance, left)
+            k = len(a)
+            scale = (6.0 * 4.0 + k * spread / max(model, 0.05)) / (4.0 + k)
+        scale = max(scale, 1.0)
+        covariance = np.asarray(np.linalg.inv(information / scale + prior), dtype=np.float64)
+        return covariance @ (score / scale), covariance

@@ -1,0 +1,197 @@
+"""All evidence brought together: from hops of signals to one rotation with its variances."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import (
+    Matrix3,
+    levelling_rotation,
+    orthonormalised,
+    rotation_from_angles,
+    rotation_from_vector,
+)
+from imucald.mount.delay import DelaySearch
+from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.mount.evidence_gravity import GravityEvidence
+from imucald.mount.evidence_response import Piece, ResponseEvidence
+from imucald.mount.evidence_signals import HOP, Prepared
+from imucald.mount.evidence_spectra import MEASURED, WINDOW, spectra
+from imucald.mount.evidence_up import UpTracker
+from imucald.mount.fusion import Fused, Shared, fuse
+from imucald.samples import GRAVITY
+
+Array = NDArray[np.float64]
+
+LEAST_POWER = 1e-3
+"""A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
+
+
+PITCHING_STD = 0.0012
+"""Squat and dive differ (gradients by 0.0014 rad/(m/s^2)): that much pitch stays in dv/dt [rad]."""
+BIAS_FLOOR_STD = 0.0015
+"""The bias wanders with temperature (4 mg in a drive): that much stays in gravity [rad]."""
+
+
+class Solution:
+    """Holds the evidence of one mounting and fits R to it.
+
+    R takes the sensor to axes whose z is the mean vertical of the roads driven: the crown is
+    still in it.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._settings = s = settings
+        self.up = UpTracker()
+        self.gravity = GravityEvidence()
+        self.response = ResponseEvidence()
+        self.delay_speed = DelaySearch(s.delays.get("speed", DelayPrior()))
+        self._window = np.zeros((WINDOW, MEASURED))
+        self._mask = np.zeros(WINDOW, dtype=bool)
+        self.R: Matrix3 | None = None
+        self.yaw_known = False
+        self.fused: Fused | None = None
+        self.pieces: dict[str, Piece] = {}
+        self.bias: Array | None = None
+        self.hops = 0
+        self._shared = self._shared_errors()
+        self.response.delays = (self.delay_speed.value, 0.0)
+
+    def gap(self) -> None:
+        """Time jumped."""
+        self.up.restart()
+        self._window[:] = 0.0
+        self._mask[:] = False
+
+    def _shared_errors(self) -> tuple[Shared, ...]:
+        """Errors of the sensor itself that the spread of the data cannot show.
+
+        Scale errors s of a sensor turned against the vehicle are a symmetric cross-axis error of
+        s / sqrt(5) there (mean over all mounts): e_z from dv/dt and from v r get it with opposite
+        signs, as e_y from dv/dt does against gravity, which counts it as bias.
+        """
+        s = self._settings
+        scale = s.accel_scale_std / math.sqrt(5.0)
+        cross = s.accel_cross_axis_std
+        return (
+            Shared(scale, {"yaw_dvdt": 1.0, "yaw_turn": -1.0}),
+            Shared(scale, {"pitch_dvdt": 1.0}),
+            Shared(scale, {"roll_turn": 1.0}),
+            Shared(cross, {"yaw_dvdt": 1.0}),
+            Shared(cross, {"yaw_turn": 1.0}),
+            Shared(cross, {"pitch_dvdt": 1.0}),
+            Shared(cross, {"roll_turn": 1.0}),
+            Shared(PITCHING_STD, {"pitch_dvdt": 1.0}),
+            Shared(s.gyro_misalignment_std, {"roll_axis": 1.0}),
+            Shared(s.gyro_misalignment_std, {"pitch_axis": 1.0}),
+            Shared(BIAS_FLOOR_STD, {"roll_gravity": 1.0}),
+            Shared(BIAS_FLOOR_STD, {"pitch_gravity": 1.0}),
+        )
+
+    def add(self, p: Prepared) -> tuple[Array, Array]:
+        """Take a hop; return dv/dt and v r (N,), zero where they are not to be trusted."""
+        self.hops += 1
+        R = self.R if self.yaw_known else None
+        up = self.up.up
+        r = self._turn_rate(p, up)
+        turn = p.speed * r
+        gains = self.gains()
+        motion = None
+        if R is not None:
+            planned = np.zeros((HOP, 3))
+            planned[:, 0] = gains[0] * p.accel * p.ok_speed
+            planned[:, 1] = gains[1] * turn * p.ok_speed
+            if p.ok_rate.any():
+                planned[:, 2] = -(p.speed * (p.rate @ R[1])) * p.ok_speed
+            motion = planned @ R
+        lone = self.up.advance(p, motion, self.bias)
+        self.gravity.add(p, turn)
+        self._slide(p, lone, turn, r)
+        use = p.learn & p.ok_speed
+        return p.accel * use, turn * use
+
+    def _turn_rate(self, p: Prepared, up: Array | None) -> Array:
+        if up is not None and p.ok_rate.mean() > 0.5:
+            return np.asarray(p.rate @ up)
+        return p.yaw_rate
+
+    def gains(self) -> tuple[float, float]:
+        """Mean gains of dv/dt and v r in the low bands."""
+        g = self.response.gains
+        return float(g[0, 1:5].mean()), float(g[1, 1:5].mean())
+
+    def _slide(self, p: Prepared, lone: Array, turn: Array, r: Array) -> None:
+        w, m = self._window, self._mask
+        w[:-HOP] = w[HOP:].copy()
+        m[:-HOP] = m[HOP:].copy()
+        w[-HOP:, :3] = lone
+        w[-HOP:, 3] = p.accel
+        w[-HOP:, 4] = turn
+        rate = p.rate * p.ok_rate[:, None]
+        w[-HOP:, 5:8] = rate * p.speed[:, None]
+        w[-HOP:, 8:11] = rate
+        w[-HOP:, 11] = p.accel * p.accel
+        w[-HOP:, 12] = turn * turn
+        w[-HOP:, 13] = r * r
+        w[-HOP:, 14] = p.accel * r
+        w[-HOP:, 15] = turn * r
+        m[-HOP:] = p.learn & p.ok_speed
+        if m.sum() < 64:
+            return
+        s = spectra(w, m)
+        power = s[:, 3:5].real ** 2 + s[:, 3:5].imag ** 2
+        if power.sum() < LEAST_POWER * HOP:
+            return
+        self.response.add(s)
+        self.delay_speed.add(s[:, 3], s[:, :3])
+        n = self.delay_speed.windows
+        if n in (8, 12, 16, 24, 32) or n % 64 == 0:
+            tau = self.delay_speed.search()
+            if abs(tau - self.response.delays[0]) > 0.02:
+                self.response.set_delays(tau, 0.0)
+
+    def fit(self) -> None:
+        """Fit the rotation to all evidence so far."""
+        if not self.gravity.known:
+            return
+        s = self._settings
+        cross = s.accel_cross_axis_std
+        bias, bias_cov = self.up.bias(math.hypot(s.accel_bias_std, GRAVITY * cross))
+        if not self.yaw_known:
+            self._start()
+        for _ in range(2 if self.hops < 100 else 1):
+            if self.R is None:
+                return
+            pieces = self.response.fit(self.R) if self.yaw_known else {}
+            gains = self.gains() if self.yaw_known else (0.0, 0.0)
+            ex, ey = self.gravity.tilt(self.R, bias, gains)
+            b = self.R @ bias_cov @ self.R.T / GRAVITY**2
+            slope = self.gravity.variance(
+                s.slope_std, s.slope_length, 0.1 if self.yaw_known else 1.0
+            )
+            if "roll_axis" in pieces and "roll_turn" in pieces:
+                # both see the same noise, the pitch rate of the road: the better one speaks
+                worse = max(("roll_axis", "roll_turn"), key=lambda k: pieces[k].variance)
+                pieces[worse] = Piece(pieces[worse].value, pieces[worse].variance * 1e4, 0.0)
+            pieces["roll_gravity"] = Piece(ex, slope + b[1, 1], 0.0)
+            pieces["pitch_gravity"] = Piece(ey, slope + b[0, 0], 0.0)
+            fused = fuse(pieces, self._shared)
+            self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
+            self.pieces, self.fused = pieces, fused
+        self.bias, self.bias_cov = bias, bias_cov
+
+    def _start(self) -> None:
+        """Find a first rotation: level by gravity, yaw from the direction of the responses."""
+        level = levelling_rotation(self.gravity.mean_force())
+        self.R = level
+        to_a, to_v, power_a, power_v = self.response.direction_sums()
+        a, v = level @ to_a, level @ to_v
+        forward = complex(a[0], a[1]) + complex(v[1], -v[0])
+        if self.response.windows < 4 or power_a + power_v < 20.0:
+            return
+        yaw = -math.atan2(forward.imag, forward.real)
+        self.R = rotation_from_angles(0.0, 0.0, yaw) @ level
+        self.yaw_known = True

@@ -1,0 +1,176 @@
+"""States with hysteresis, what was driven so far, and what each angle still waits for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.mount.estimate import Missing, MountState
+from imucald.mount.estimator_settings import EstimatorSettings
+
+Array = NDArray[np.float64]
+
+SLACK = 1.4
+"""A state that was reached is left only beyond its limit times this."""
+HARD_ACCEL = 1.0
+"""Acceleration or braking of that size [m/s^2] counts as a manoeuvre."""
+HARD_TURN = 0.8
+"""A turn of that lateral acceleration [m/s^2] counts."""
+HARD_TICKS = 5
+"""It must last that long."""
+NEEDED = 3
+"""Launches or brakings before yaw can be usable."""
+
+
+@dataclass
+class _Counter:
+    """Counts stretches above a level that last; the level must be left in between."""
+
+    level: float
+    count: int = 0
+    run: int = 0
+    over: bool = False
+
+    def feed(self, values: Array) -> None:
+        if not (values > self.level).any() and not self.over:
+            self.run = 0
+            return
+        for value in values.tolist():
+            if value > self.level:
+                self.run += 1
+                if self.run == HARD_TICKS and not self.over:
+                    self.count += 1
+                    self.over = True
+            elif value < 0.5 * self.level:
+                self.run = 0
+                self.over = False
+
+
+class Manoeuvres:
+    """What was driven: launches, brakings, turns to either side."""
+
+    def __init__(self) -> None:
+        self._launches = _Counter(HARD_ACCEL)
+        self._brakings = _Counter(HARD_ACCEL)
+        self._lefts = _Counter(HARD_TURN)
+        self._rights = _Counter(HARD_TURN)
+
+    def add(self, accel: Array, turn: Array) -> None:
+        """Take a hop of dv/dt and v r, zero where not to be trusted."""
+        self._launches.feed(accel)
+        self._brakings.feed(-accel)
+        self._lefts.feed(turn)
+        self._rights.feed(-turn)
+
+    @property
+    def straight(self) -> int:
+        """Launches and brakings."""
+        return self._launches.count + self._brakings.count
+
+    @property
+    def lefts(self) -> int:
+        """Left turns."""
+        return self._lefts.count
+
+    @property
+    def rights(self) -> int:
+        """Right turns."""
+        return self._rights.count
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the states are judged by; standard deviations in rad, roll without the crown."""
+
+    gravity: bool = False
+    std: tuple[float, float, float] = (math.inf, math.inf, math.inf)
+    straight: int = 0
+    lefts: int = 0
+    rights: int = 0
+    stops: int = 0
+    accelerometer: bool = True
+    speed: bool = True
+    frozen: bool = False
+
+
+def judged(known: Knowledge, before: MountState, s: EstimatorSettings) -> MountState:
+    """Return the state that the knowledge gives, with hysteresis against the one before."""
+    if not known.gravity:
+        return MountState.WAITING
+    roll, pitch, yaw = known.std
+    tilt = max(roll, pitch)
+    fine = SLACK if before == MountState.FINE else 1.0
+    usable = SLACK if before in {MountState.USABLE, MountState.FINE} else 1.0
+    if known.straight < NEEDED and usable == 1.0:
+        return MountState.LEVELLED
+    if yaw < fine * s.fine_std and tilt < fine * s.fine_tilt_std:
+        return MountState.FINE
+    if yaw < usable * s.usable_std and tilt < usable * s.usable_tilt_std:
+        return MountState.USABLE
+    return MountState.LEVELLED
+
+
+def waiting_for(known: Knowledge, s: EstimatorSettings) -> dict[str, tuple[str, Missing]]:
+    """One reason per angle, in words and as a code; no entry where nothing is missing."""
+    if not known.accelerometer:
+        text = "waiting for the accelerometer", Missing.ACCELEROMETER
+        return {"roll": text, "pitch": text, "yaw": text}
+    if known.frozen:
+        text = "learning is frozen: the signals are not to be trusted now", Missing.LEARNING_FROZEN
+        return {"roll": text, "pitch": text, "yaw": text}
+    out: dict[str, tuple[str, Missing]] = {}
+    if not known.gravity:
+        text = "waiting for a standstill or for driving", Missing.STANDSTILL
+        out = {"roll": text, "pitch": text}
+    if known.std[2] > s.fine_std or known.straight < NEEDED:
+        out["yaw"] = _yaw_reason(known, s)
+    if "roll" in out:
+        return out
+    if known.std[0] > s.fine_tilt_std:
+        out["roll"] = _roll_reason(known)
+    if known.std[1] > s.fine_tilt_std:
+        out["pitch"] = _pitch_reason(known)
+    return out
+
+
+def _hard() -> str:
+    return f"acceleration or braking above {HARD_ACCEL:g} m/s2"
+
+
+def _yaw_reason(known: Knowledge, s: EstimatorSettings) -> tuple[str, Missing]:
+    if not known.speed:
+        if known.std[2] > math.radians(100.0):
+            return "waiting for speed, or for acceleration from rest or braking", Missing.SPEED
+        return "no speed: waiting for more straight acceleration and braking", Missing.SPEED
+    if known.straight < NEEDED:
+        text = f"waiting for {_hard()} ({known.straight} of {NEEDED} seen)"
+        return text, Missing.ACCELERATION
+    if known.std[2] > s.usable_std:
+        return f"waiting for more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
+    return f"waiting for more driving to be fine (+-{_deg(known.std[2])} deg)", Missing.MORE_DRIVING
+
+
+def _roll_reason(known: Knowledge) -> tuple[str, Missing]:
+    if known.lefts == 0 and known.rights == 0:
+        return "no turns yet", Missing.TURNS
+    if known.lefts == 0:
+        return "no left turns yet", Missing.LEFT_TURN
+    if known.rights == 0:
+        return "no right turns yet", Missing.RIGHT_TURN
+    seen = f"{known.lefts} left, {known.rights} right seen"
+    return f"waiting for more turns ({seen}, +-{_deg(known.std[0])} deg)", Missing.TURNS
+
+
+def _pitch_reason(known: Knowledge) -> tuple[str, Missing]:
+    if known.straight < NEEDED:
+        text = f"waiting for {_hard()} ({known.straight} of {NEEDED} seen)"
+        return text, Missing.ACCELERATION
+    text = f"waiting for more driving, slope averages out (+-{_deg(known.std[1])} deg)"
+    return text, Missing.MORE_DRIVING
+
+
+def _deg(angle: float) -> str:
+    return f"{math.degrees(angle):.1f}"
