@@ -60,7 +60,7 @@ class Expression:
             raise ConfigError(f"{ast.unparse(node)!r} can exceed 2^53: columns would not be exact")
         return bound
 
-    def _bound(self, node: ast.expr) -> float:  # noqa: PLR0911 - one line per kind of node
+    def _bound(self, node: ast.expr) -> float:
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 return abs(float(number))

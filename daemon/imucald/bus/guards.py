@@ -22,12 +22,14 @@ _COUNTER_BIT = {1: 8, 2: 8, 5: 16, 11: 8}
 
 
 def guard_for(message: Message, protection: MessageProtection | None) -> MessageGuard:
-    """Guard of a message; without configuration only length and time-out are judged.
+    """Guard of a message; without configuration only its length is judged.
+
+    The database's cycle time alone brings no time-out: many state one for event-driven messages.
 
     Raises ConfigError (without place) where the configuration does not fit the message.
     """
     if protection is None:
-        protection = MessageProtection()
+        return MessageGuard(ProtectionSpec(size=message.length, recovery=0))
     checksum, profile = _checksum(message, protection.checksum)
     return MessageGuard(
         ProtectionSpec(
