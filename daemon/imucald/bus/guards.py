@@ -29,7 +29,7 @@ def guard_for(message: Message, protection: MessageProtection | None) -> Message
     Raises ConfigError (without place) where the configuration does not fit the message.
     """
     if protection is None:
-        return MessageGuard(ProtectionSpec(size=message.length, recovery=0))
+        return MessageGuard(ProtectionSpec(size=message.length))
     checksum, profile = _checksum(message, protection.checksum)
     return MessageGuard(
         ProtectionSpec(
