@@ -1,0 +1,1 @@
+"""Attitude of the vehicle: acceleration correction (method B) and nine-state filter (method C)."""

@@ -1,0 +1,414 @@
+"""Methods B and C together: corrected samples in, attitude with its uncertainty out.
+
+Order of one run: start (5 s of rest, or of motion where the vehicle does not stand), attitude by
+gyroscope at every sample, and at the end of every interval between two average speeds the
+filter; after 30 s of rest, once, the sensor check. Pure: no I/O, no clock; samples one by one.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.attitude.axes import (
+    IDENTITY,
+    Quaternion,
+    Rows,
+    Vector,
+    from_vector,
+    product,
+    rows,
+    text_from_vehicle,
+    times,
+    transposed_times,
+    vehicle_angles,
+    vehicle_from_text,
+    wrapped,
+)
+from imucald.attitude.grade import RoadGrade
+from imucald.attitude.interval import Interval, Knot, interval
+from imucald.attitude.kalman import STATES, Measurement, NineStateFilter
+from imucald.attitude.motion_compensation import AverageSpeed, SpeedAverager
+from imucald.attitude.propagation import Propagator
+from imucald.attitude.sensor_check import rest_errors
+from imucald.attitude.settings import AttitudeSettings
+from imucald.frames import levelling_rotation, quaternion_from_rotation
+from imucald.samples import GRAVITY
+
+START_REST_STD = math.radians(2.0)
+START_MOVING_STD = math.radians(6.0)
+"""Tilt error taken for granted at the start; the first intervals say it better."""
+MAX_KNOTS = 64
+STALE_S = 1.0
+"""Without gyroscope or accelerometer for so long the attitude is not available [s]."""
+LEAST_UP = 0.3 * GRAVITY
+"""Less than this is not gravity: falling, or a broken sensor [m/s^2]."""
+
+
+class AttitudeState(enum.IntEnum):
+    """State of the attitude; the numbers are those on the bus."""
+
+    NOT_AVAILABLE = 0
+    STARTING = 1
+    SETTLING = 2
+    RELATIVE_HEADING = 3
+    FULL = 4
+
+
+@dataclass(frozen=True)
+class AttitudeEstimate:
+    """The attitude at the newest gyroscope sample; vehicle axes, radians.
+
+    roll (left side up), pitch (nose down), heading (clockwise from north, or from the start where
+    `state` says so); std of the three; rate: (x, y, z) free of bias [rad/s], rate_std likewise;
+    grade: slope of the road, tangent, positive uphill; bias: found so far [rad/s].
+    """
+
+    state: AttitudeState
+    t: float
+    roll: float
+    pitch: float
+    heading: float
+    std: Vector
+    rate: Vector
+    rate_std: Vector
+    grade: float
+    grade_std: float
+    bias: Vector
+
+
+class AttitudeFilter:
+    """Takes samples in vehicle axes (ISO 8855), SI units, stream time; see `AttitudeSettings`."""
+
+    def __init__(self, settings: AttitudeSettings | None = None) -> None:
+        self.settings = settings or AttitudeSettings()
+        compensation, of_filter = self.settings.compensation, self.settings.filter
+        self.kalman = NineStateFilter(of_filter)
+        self.constant_bias: Vector = (0.0, 0.0, 0.0)
+        """bs of the text [rad/s], its axes."""
+        self.constant_accel_error: Vector = (0.0, 0.0, 0.0)
+        """ds of the text [m/s^2], its axes."""
+        self.checked = False
+        """Whether the sensor check has been made."""
+        self.last_interval: Interval | None = None
+        self._propagator = Propagator(
+            of_filter.longest_step, text_from_vehicle(*compensation.lever_arm)
+        )
+        self._grade = RoadGrade(self.settings.squat, self.settings.grade_time)
+        self.reset()
+
+    # verbs -----------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Forget the attitude: the mount is not known any more."""
+        self.running = False
+        self._correction: Quaternion = IDENTITY
+        self._propagator.q = IDENTITY
+        self.gap()
+
+    def gap(self) -> None:
+        """Time jumped: nothing before this may be differenced with what follows."""
+        self._propagator.restart()
+        self._average = SpeedAverager(self.settings.compensation)
+        self._knots: deque[AverageSpeed] = deque(maxlen=MAX_KNOTS)
+        self._open: Knot | None = None
+        self._start: Knot | None = None
+        self._rest: Knot | None = None
+        self._speed_seen = -math.inf
+        self._last_knot = -math.inf
+        self._sign = 1.0
+        self._accel_seen = -math.inf
+        self._predicted = -math.inf
+        self._grade.restart()
+
+    def gyro(self, t: float, values: Sequence[float]) -> None:
+        """Take an angular rate [rad/s]."""
+        p, b = self.constant_bias, self.kalman.bias
+        bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
+        self._propagator.gyro(t, text_from_vehicle(values[0], values[1], values[2]), bias)
+        self._advance()
+
+    def accel(self, t: float, values: Sequence[float]) -> None:
+        """Take a specific force [m/s^2]."""
+        x, y, z = text_from_vehicle(values[0], values[1], values[2])
+        d = self.constant_accel_error
+        self._accel_seen = t
+        self._propagator.accel(t, (x - d[0], y - d[1], z - d[2]))
+
+    def speed(self, t: float, speed: float) -> None:
+        """Take a speed [m/s], not negative: the direction comes by `reverse`."""
+        self._speed_seen = t
+        knot = self._average.add(t, self._sign * speed)
+        spacing = self.settings.compensation.interval
+        if knot.t - self._last_knot >= spacing - 1e-6 or knot.t < self._last_knot - spacing:
+            self._last_knot = knot.t
+            self._knots.append(knot)
+
+    def reverse(self, is_reverse: bool) -> None:
+        """Say whether the vehicle drives backwards."""
+        self._sign = -1.0 if is_reverse else 1.0
+
+    def heading(self, t: float, heading: float) -> None:
+        """Take a heading, clockwise from north [rad]."""
+        if self.settings.filter.heading == "signal" and self.running:
+            self._take_heading(heading, self.settings.filter.heading_noise)
+
+    def mag(self, t: float, values: Sequence[float]) -> None:
+        """Take a magnetic field in vehicle axes [T]; its level part points north."""
+        if self.settings.filter.heading != "magnetometer" or not self.running:
+            return
+        m = text_from_vehicle(values[0], values[1], values[2])
+        east, north, _ = times(self._C(), m)
+        if math.hypot(east, north) > 0.0:
+            # the field seems turned by as much as the estimate is turned the other way
+            estimated = vehicle_angles(self._C())[2]
+            measured = estimated - math.atan2(east, north) + self.settings.filter.declination
+            self._take_heading(measured, self.settings.filter.magnetometer_noise)
+
+    def turned(self, old: Sequence[float], new: Sequence[float]) -> None:
+        """The mount's rotation (9 numbers, row by row) is another one from here on.
+
+        The sensor has not moved: the vehicle's axes are known better now, and turn in it.
+        """
+        before, after = np.array(old).reshape(3, 3), np.array(new).reshape(3, 3)
+        A = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # text from vehicle
+        D_new_from_old = A @ after @ before.T @ A.T
+        self._propagator.turn_body(quaternion_from_rotation(D_new_from_old.T))
+        self.kalman.turn_body(D_new_from_old)
+        self.constant_bias = _times(D_new_from_old, self.constant_bias)
+        self.constant_accel_error = _times(D_new_from_old, self.constant_accel_error)
+
+    def check_again(self) -> None:
+        """Repeat the sensor check at the next rest that is long enough."""
+        self.checked = False
+        self._rest = None
+
+    # result ----------------------------------------------------------------------------------
+
+    def state(self, now: float | None = None) -> AttitudeState:
+        """The state at stream time now [s]."""
+        t = self._propagator.t
+        if now is not None and now - min(t, self._accel_seen) > STALE_S:
+            return AttitudeState.NOT_AVAILABLE
+        if math.isinf(t):
+            return AttitudeState.NOT_AVAILABLE
+        if not self.running:
+            return AttitudeState.STARTING
+        kalman = self.kalman
+        if max(kalman.P[0, 0], kalman.P[1, 1]) > SETTLED_STD**2:
+            return AttitudeState.SETTLING
+        if kalman.P[2, 2] < HEADING_KNOWN_STD**2 and self.settings.filter.heading != "free":
+            return AttitudeState.FULL
+        return AttitudeState.RELATIVE_HEADING
+
+    def estimate(self, now: float | None = None) -> AttitudeEstimate:
+        """Return the attitude at the newest gyroscope sample; its state is that of `now`."""
+        C = self._C()
+        kalman = self.kalman
+        roll, pitch, heading = vehicle_angles(C)
+        s, c = math.sin(heading), math.cos(heading)
+        std = (kalman.std_along(s, c, 0.0), kalman.std_along(c, -s, 0.0), self._heading_std())
+        a, b = self.constant_bias, kalman.bias
+        spread = [math.sqrt(max(float(kalman.P[i, i]), 0.0)) for i in (3, 4, 5)]
+        return AttitudeEstimate(
+            state=self.state(now),
+            t=self._propagator.t,
+            roll=roll,
+            pitch=pitch,
+            heading=heading,
+            std=std,
+            rate=vehicle_from_text(*self._propagator.rate),
+            rate_std=(spread[1], spread[0], spread[2]),
+            grade=self._grade.grade,
+            grade_std=math.hypot(std[1], self._grade.spread),
+            bias=vehicle_from_text(a[0] + b[0], a[1] + b[1], a[2] + b[2]),
+        )
+
+    def _heading_std(self) -> float:
+        return math.sqrt(max(float(self.kalman.P[2, 2]), 0.0))
+
+    def _C(self) -> Rows:
+        """C_nav_from_body: the correction after the gyroscope's matrix."""
+        return rows(product(self._correction, self._propagator.q))
+
+    # intervals -------------------------------------------------------------------------------
+
+    def _advance(self) -> None:
+        """Make the intervals that are complete by now."""
+        newest = self._propagator.newest
+        if newest is None:
+            return
+        if self._open is not None and self._open.moment.t < self._propagator.segment_start:
+            self._open = self._start = self._rest = None
+        if newest.t - self._speed_seen > self.settings.compensation.timeout:
+            self._knots.clear()
+            if self._open is None or newest.t - self._open.moment.t >= self._spacing:
+                self._close(Knot(newest, math.nan))
+            return
+        while self._knots and self._knots[0].t <= newest.t:
+            at = self._knots.popleft()
+            moment = self._propagator.at(at.t)
+            if moment is None:
+                self._open = None
+            else:
+                self._close(Knot(moment, at.speed))
+
+    @property
+    def _spacing(self) -> float:
+        return self.settings.compensation.interval
+
+    def _close(self, knot: Knot) -> None:
+        first, self._open = self._open, knot
+        if first is None or knot.moment.t - first.moment.t <= 0.0:
+            self._start = self._rest = None
+            return
+        found = self._interval(first, knot)
+        self.last_interval = found
+        resting = self._is_rest(first, knot, found)
+        if not resting:
+            self._rest = None
+        elif self._rest is None:
+            self._rest = first
+        if not self.running:
+            self._try_start(first, knot, resting)
+            return
+        self._filter(found, resting)
+        if resting and self._rest is not None and not self.checked:
+            self._check(self._rest, knot)
+
+    def _interval(self, first: Knot, last: Knot) -> Interval:
+        s = self.settings
+        return interval(first, last, s.compensation, s.filter.accel_noise, s.filter.unknown_motion)
+
+    def _is_rest(self, first: Knot, last: Knot, found: Interval) -> bool:
+        s = self.settings.filter
+        quiet = (
+            found.force_variance < s.rest_accel_spread**2
+            and found.rate_variance < s.rest_gyro_spread**2
+        )
+        if math.isnan(found.speed):
+            # without a speed only what is as still as a parked vehicle is taken for rest
+            size = math.sqrt(sum(c * c for c in found.up))
+            return quiet and found.force_variance < 0.05**2 and abs(size - GRAVITY) < 0.1
+        return quiet and first.speed == 0.0 and last.speed == 0.0
+
+    def _try_start(self, first: Knot, last: Knot, resting: bool) -> None:
+        if self._start is None or (resting and self._rest is first):
+            self._start = first
+        if last.moment.t - self._start.moment.t < self.settings.filter.start - 1e-6:
+            return
+        found = self._interval(self._start, last)
+        if math.isnan(found.speed) and not resting:
+            self._start = None  # nothing tells gravity from motion: wait for a rest or a speed
+            return
+        if math.sqrt(sum(c * c for c in found.up)) < LEAST_UP:
+            self._start = None
+            return
+        self._correction = quaternion_from_rotation(levelling_rotation(found.up))
+        heading = vehicle_angles(self._C())[2]
+        self._correction = product(from_vector(0.0, 0.0, heading), self._correction)
+        s = self.settings.filter
+        tilt = START_REST_STD if resting else START_MOVING_STD
+        free = 0.0 if s.heading == "free" else math.pi
+        self.kalman.start(tilt, free, s.gyro_random if self.checked else s.gyro_start)
+        self.running = True
+        self._predicted = found.t1
+        self._filter(found, resting)
+
+    def _filter(self, found: Interval, resting: bool) -> None:
+        """Time update to the end of the interval, then what it measured."""
+        dt = max(found.t1 - self._predicted, 0.0)
+        self._predicted = found.t1
+        C = self._C()
+        self.kalman.predict(C, dt, found.angle)
+        measurements = self._tilt(found, C)
+        if resting and self.settings.filter.rest_update:
+            measurements += self._rates(found)
+        self._apply(self.kalman.update(measurements))
+        self._grade.take(found, -vehicle_angles(self._C())[1])
+
+    def _tilt(self, found: Interval, C: Rows) -> list[Measurement]:
+        """z of the text: pitch and roll of the propagated matrix less those of the accelerometer.
+
+        Written about the level axes right and forward of the vehicle, where it has no singular
+        place; for small errors it equals the difference of the angles.
+        """
+        d = times(C, self.kalman.accel_error)
+        m = times(rows(self._correction), found.up)
+        east, north, up = m[0] - d[0], m[1] - d[1], m[2] - d[2]
+        if math.sqrt(east * east + north * north + up * up) < LEAST_UP:
+            return []
+        heading = vehicle_angles(C)[2]
+        s, c = math.sin(heading), math.cos(heading)
+        right, forward = (c, -s, 0.0), (s, c, 0.0)
+        lag = max(self._propagator.t - 0.5 * (found.t0 + found.t1), 0.0)
+        in_body = {axis: transposed_times(C, axis) for axis in (right, forward)}
+        h_pitch, h_roll = np.zeros(STATES), np.zeros(STATES)
+        for h, axis, other, sign in (
+            (h_pitch, right, forward, -1.0),
+            (h_roll, forward, right, 1.0),
+        ):
+            h[0:3] = [-a for a in axis]
+            h[3:6] = [-lag * a for a in in_body[axis]]
+            h[6:9] = [sign * a / GRAVITY for a in in_body[other]]
+        z_pitch = -math.atan2(forward[0] * east + forward[1] * north, up)
+        z_roll = math.atan2(right[0] * east + right[1] * north, up)
+        return [
+            (h_pitch, z_pitch, (found.sigma_forward / GRAVITY) ** 2, True),
+            (h_roll, z_roll, (found.sigma_lateral / GRAVITY) ** 2, True),
+        ]
+
+    def _rates(self, found: Interval) -> list[Measurement]:
+        """At rest the gyroscope reads its own error."""
+        s = self.settings.filter
+        variance = s.gyro_noise**2 / found.duration + found.rate_variance / (3.0 * found.n)
+        measurements: list[Measurement] = []
+        for i in range(3):
+            h = np.zeros(STATES)
+            h[3 + i] = 1.0
+            z = found.rate[i] - self.constant_bias[i] - self.kalman.bias[i]
+            measurements.append((h, z, variance + REST_RATE_STD**2, True))
+        return measurements
+
+    def _take_heading(self, heading: float, noise: float) -> None:
+        C = self._C()
+        z = wrapped(heading - vehicle_angles(C)[2])  # the text's angle is the other way round
+        h = np.zeros(STATES)
+        h[2] = -1.0
+        known = self._heading_std() < 1.0
+        self._apply(self.kalman.update([(h, z, noise * noise, known)]))
+
+    def _apply(self, error: Vector) -> None:
+        self._correction = product(from_vector(*error), self._correction)
+
+    def _check(self, first: Knot, last: Knot) -> None:
+        """The sensor check at rest: constant errors of gyroscope and accelerometer."""
+        s = self.settings.filter
+        if last.moment.t - first.moment.t < s.check - 1e-6:
+            return
+        found = self._interval(first, last)
+        low, high, n = first.moment.body, last.moment.body, found.n
+        mean = ((high[0] - low[0]) / n, (high[1] - low[1]) / n, (high[2] - low[2]) / n)
+        self.constant_bias, extra = rest_errors(found.rate, mean, s.check_level)
+        old = self.constant_accel_error
+        self.constant_accel_error = (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2])
+        self.kalman.forget_bias(s.gyro_random)
+        self.checked = True
+
+
+SETTLED_STD = math.radians(1.5)
+"""Tilt is published as settled below this [rad]."""
+HEADING_KNOWN_STD = math.radians(20.0)
+"""A heading less sure than this is not called a heading [rad]."""
+REST_RATE_STD = math.radians(0.003)
+"""What a standing vehicle still turns, people getting in [rad/s]."""
+
+
+def _times(D: np.ndarray[tuple[int, ...], np.dtype[np.float64]], v: Vector) -> Vector:
+    x, y, z = (float(c) for c in D @ np.array(v))
+    return x, y, z

@@ -1,0 +1,38 @@
+"""The slope of the road from the body's pitch: less what the suspension adds, and smoothed."""
+
+from __future__ import annotations
+
+import math
+
+from imucald.attitude.interval import Interval
+
+SUSPENSION_STD = math.radians(0.5)
+"""What the springs add to the pitch of the body, where nothing is known of them [rad]."""
+
+
+class RoadGrade:
+    """Road grade, tangent, positive uphill.
+
+    squat: nose-up pitch per forward specific force [rad/(m/s^2)]. time: time constant [s].
+    """
+
+    def __init__(self, squat: float, time: float) -> None:
+        self._squat = squat
+        self._time = time
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew."""
+        self.grade = math.nan
+        self.spread = SUSPENSION_STD
+        """Standard deviation beyond that of the pitch."""
+        self._angle = math.nan
+
+    def take(self, interval: Interval, nose_up: float) -> None:
+        """Take the body's pitch at the end of an interval [rad], nose up positive."""
+        angle = nose_up - self._squat * interval.forward_acceleration
+        if math.isnan(self._angle):
+            self._angle = angle
+        part = 1.0 - math.exp(-interval.duration / self._time)
+        self._angle += part * (angle - self._angle)
+        self.grade = math.tan(self._angle)

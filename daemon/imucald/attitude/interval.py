@@ -1,0 +1,129 @@
+"""Method B over an interval between two average speeds, as the filter takes it.
+
+The mean over [t0, t1] of the specific force less a_fwd and omega x v is, all carried into the
+frame P by the gyroscope, the mean force less the change of the velocity *vector*:
+    mean(C (f - a_fwd y - omega x v y)) = mean(C f) - (C_1 y v_1 - C_0 y v_0) / (t1 - t0),
+since d(C y v)/dt = C (y dv/dt + omega x y v), y being the direction of motion. Nothing is
+differenced but the speed, a slow or late speed meets the force of its own time, and a lever arm l
+adds C (omega x l) to the velocity. What is left is gravity in P, plus error.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from imucald.attitude.axes import Vector
+from imucald.attitude.propagation import Moment
+from imucald.attitude.settings import CompensationSettings
+
+
+class Interval(NamedTuple):
+    """Gravity in P over an interval, and what its uncertainty depends on.
+
+    up: mean specific force less motion, frame P [m/s^2]. t0, t1 [s]. speed: mean [m/s] or NaN.
+    forward_acceleration, lateral_acceleration: of the vehicle [m/s^2]. force_variance: of
+    one sample about the mean [(m/s^2)^2], all axes. n: samples. rate: mean of the raw
+    gyroscope [rad/s]; rate_variance: of one sample, all axes. angle: turned [rad].
+    sigma_forward, sigma_lateral: standard deviation of `up` along the body's axes [m/s^2].
+    """
+
+    up: Vector
+    t0: float
+    t1: float
+    speed: float
+    forward_acceleration: float
+    lateral_acceleration: float
+    force_variance: float
+    n: float
+    rate: Vector
+    rate_variance: float
+    angle: float
+    sigma_forward: float
+    sigma_lateral: float
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return self.t1 - self.t0
+
+
+class Knot(NamedTuple):
+    """An end of an interval: the integrals there and the speed [m/s], NaN where unknown."""
+
+    moment: Moment
+    speed: float
+
+
+def interval(
+    first: Knot, last: Knot, settings: CompensationSettings, noise: float, unknown: float
+) -> Interval:
+    """Make the interval between two knots of one segment.
+
+    noise: of a mean specific force, unknown: of an acceleration without speed [m/s^2].
+    """
+    a, b = first.moment, last.moment
+    T = b.t - a.t
+    mean = tuple((y - x) / T for x, y in zip(a.force, b.force, strict=True))
+    v0, v1 = first.speed, last.speed
+    known = not math.isnan(v0) and not math.isnan(v1)
+    if known:
+        velocity = zip(a.forward, a.arm, b.forward, b.arm, strict=True)
+        change = tuple(((q * v1 + s) - (p * v0 + r)) / T for p, r, q, s in velocity)
+    else:
+        change = (0.0, 0.0, 0.0)
+    up = (mean[0] - change[0], mean[1] - change[1], mean[2] - change[2])
+    n, force_variance = _spread(b.n - a.n, a.body, b.body, b.square - a.square)
+    turns, rate_variance = _spread(b.turns - a.turns, a.rate, b.rate, b.rate_square - a.rate_square)
+    k = 1.0 / max(turns, 1.0)
+    rx, ry, rz = ((y - x) * k for x, y in zip(a.rate, b.rate, strict=True))
+    lateral = sum(c * 0.5 * (p + q) for c, p, q in zip(change, a.right, b.right, strict=True))
+    forward = (v1 - v0) / T if known else 0.0
+    floor = noise * noise + force_variance / n
+    sigmas = _known_sigma(first, last, settings, forward, lateral) if known else (unknown, unknown)
+    return Interval(
+        up,
+        a.t,
+        b.t,
+        0.5 * (v0 + v1),
+        forward,
+        lateral,
+        force_variance,
+        n,
+        (rx, ry, rz),
+        rate_variance,
+        b.angle - a.angle,
+        math.sqrt(sigmas[0] ** 2 + floor),
+        math.sqrt(sigmas[1] ** 2 + floor),
+    )
+
+
+def _known_sigma(
+    first: Knot, last: Knot, settings: CompensationSettings, forward: float, lateral: float
+) -> tuple[float, float]:
+    """How unsure the correction is, along and across the direction of motion [m/s^2].
+
+    Along: the speed's noise (more where it creeps and its signal may still say zero) and scale,
+    and the centripetal acceleration of a lever arm that is not known. Across: scale, and the
+    change of the side-slip, which is that lever arm too.
+    """
+    T = last.moment.t - first.moment.t
+    if first.speed == 0.0 and last.speed == 0.0:
+        return 0.0, 0.0
+    noise = settings.speed_noise * math.sqrt(2.0)
+    if min(abs(first.speed), abs(last.speed)) < settings.creep_speed:
+        noise += 0.3 * settings.creep_speed
+    r0, r1 = first.moment.up_rate, last.moment.up_rate
+    arm = settings.lever_uncertainty
+    along = (noise / T) ** 2 + (settings.speed_scale * forward) ** 2
+    along += (arm * 0.5 * (r0 * r0 + r1 * r1)) ** 2 + (settings.speed_scale * lateral) ** 2
+    across = (settings.speed_scale * lateral) ** 2 + (arm * (r1 - r0) / T) ** 2
+    across += (settings.speed_scale * forward) ** 2
+    return math.sqrt(along), math.sqrt(across)
+
+
+def _spread(n: float, low: Vector, high: Vector, square: float) -> tuple[float, float]:
+    """Count (at least 1) and variance of one sample, from differences of running sums."""
+    n = max(n, 1.0)
+    mean_square = sum((y - x) * (y - x) for x, y in zip(low, high, strict=True)) / n
+    return n, max((square - mean_square) / n, 0.0)

@@ -1,0 +1,148 @@
+"""The nine-state Kalman filter of method C: errors of attitude, gyroscope and accelerometer.
+
+x = (dp, dr, dy, bx, by, bz, dx, dy, dz): attitude error (rotation vector about east, north, up;
+C_true = exp(skew(e)) C), random error of the gyroscope [rad/s] and of the accelerometer
+[m/s^2] in body axes. With the text's axes of the body (x right, y forward, z up) an error about
+the right axis is one of pitch, about the forward axis one of roll.
+
+Model: x_{k+1} = F x_k + w, e' = -C b, b' = w_b, d' = -d / T_a + w_d. The accelerometer's random
+error is a Gauss-Markov process. The gyroscope's is its short-time form, a random walk: with a pull
+to zero, an error that nothing shows (about the vertical, between two stops) would be forgotten.
+Every estimate is fed back at once, so the state itself is zero between updates and only its
+covariance is carried.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.attitude.axes import Rows, Vector
+from imucald.attitude.settings import FilterSettings
+
+Array = NDArray[np.float64]
+
+Measurement = tuple[Array, float, float, bool]
+"""z = h . x + noise: h (9,), z, variance of the noise, whether an unlikely z is widened."""
+
+STATES = 9
+YAW_STD_MAX = math.pi
+"""A free heading is unknown; its variance stops growing here [rad], long before it could spoil
+the numbers."""
+START_HEADING_STD = math.pi
+_EYE = np.eye(STATES)
+
+
+class NineStateFilter:
+    """Covariance (9, 9) and the fed-back random errors.
+
+    bias: gyroscope [rad/s]; accel_error [m/s^2]; both body axes, of the text.
+    """
+
+    def __init__(self, settings: FilterSettings) -> None:
+        self.settings = settings
+        self.bias: Vector = (0.0, 0.0, 0.0)
+        self.accel_error: Vector = (0.0, 0.0, 0.0)
+        self.P: Array = np.zeros((STATES, STATES))
+        self.widened = 0
+        """Measurements whose noise had to be widened by the gate."""
+        self.updates = 0
+
+    def start(self, tilt_std: float, heading_std: float, gyro_std: float) -> None:
+        """Begin anew; standard deviations in rad and rad/s."""
+        s = self.settings
+        self.P = np.diag(
+            [tilt_std**2] * 2 + [heading_std**2] + [gyro_std**2] * 3 + [s.accel_random**2] * 3
+        )
+
+    def predict(self, C_nav_from_body: Rows, dt: float, turned: float) -> None:
+        """Time update over dt [s], in which the body turned by so much [rad]."""
+        s = self.settings
+        keep_d = math.exp(-dt / s.accel_random_time)
+        F = np.diag([1.0] * 6 + [keep_d] * 3)
+        F[0:3, 3:6] = np.array(C_nav_from_body).reshape(3, 3) * -dt
+        P = F @ self.P @ F.T
+        angle = s.gyro_noise * s.gyro_noise * dt + (s.gyro_scale * turned) ** 2
+        grown = np.array(
+            [angle] * 3
+            + [2.0 * s.gyro_random**2 * dt / s.gyro_random_time] * 3
+            + [s.accel_random**2 * (1.0 - keep_d * keep_d)] * 3
+        )
+        P[np.diag_indices(STATES)] += grown
+        self.P = 0.5 * (P + P.T)
+        self._hold_yaw()
+        dx, dy, dz = self.accel_error
+        self.accel_error = (dx * keep_d, dy * keep_d, dz * keep_d)
+
+    def update(self, measurements: Sequence[Measurement]) -> Vector:
+        """Measurement update; return the attitude error to correct [rad], about east, north, up.
+
+        All are of one instant; numbers with independent noise are taken one after another, which
+        is the same as at once and needs no inverse. Joseph's form keeps P a covariance.
+        """
+        x = np.zeros(STATES)
+        for h, z, variance, gated in measurements:
+            self._take(x, h, z, variance, gated)
+        bx, by, bz = self.bias
+        self.bias = (bx + float(x[3]), by + float(x[4]), bz + float(x[5]))
+        dx, dy, dz = self.accel_error
+        self.accel_error = (dx + float(x[6]), dy + float(x[7]), dz + float(x[8]))
+        return float(x[0]), float(x[1]), float(x[2])
+
+    def _take(self, x: Array, h: Array, z: float, variance: float, gated: bool) -> None:
+        """Add to x what z = h . x + noise tells.
+
+        A z far out of its expected spread widens its own variance until it is inside: it is
+        then a step of bounded size, and the covariance does not shrink by it as if it fitted.
+        """
+        P = self.P
+        Ph = P @ h
+        expected = float(h @ Ph)
+        innovation = z - float(h @ x)
+        limit = self.settings.gate**2
+        if gated and innovation * innovation > limit * (expected + variance):
+            variance = innovation * innovation / limit - expected
+            self.widened += 1
+        self.updates += 1
+        K = Ph / (expected + variance)
+        A = _EYE - np.outer(K, h)
+        P = A @ P @ A.T + np.outer(K, K) * variance
+        self.P = 0.5 * (P + P.T)
+        x += K * innovation
+
+    def turn_body(self, D_new_from_old: Array) -> None:
+        """The body's axes are defined anew: v_new = D v_old, (3, 3)."""
+        D = D_new_from_old
+        T = np.eye(STATES)
+        T[3:6, 3:6] = T[6:9, 6:9] = D
+        P = T @ self.P @ T.T
+        self.P = 0.5 * (P + P.T)
+        self.bias = _turned(D, self.bias)
+        self.accel_error = _turned(D, self.accel_error)
+
+    def forget_bias(self, std: float) -> None:
+        """The constant part has been measured anew: the random part is small again."""
+        self.bias = (0.0, 0.0, 0.0)
+        self.P[3:6, :] = 0.0
+        self.P[:, 3:6] = 0.0
+        self.P[3:6, 3:6] = np.eye(3) * std * std
+
+    def std_along(self, x: float, y: float, z: float) -> float:
+        """Standard deviation of the attitude error about a unit direction in east, north, up."""
+        u = np.array([x, y, z])
+        return math.sqrt(max(float(u @ self.P[0:3, 0:3] @ u), 0.0))
+
+    def _hold_yaw(self) -> None:
+        excess = float(self.P[2, 2]) / YAW_STD_MAX**2
+        if excess > 1.0:
+            k = 1.0 / math.sqrt(excess)  # a congruence: P stays a covariance
+            self.P[2, :] *= k
+            self.P[:, 2] *= k
+
+
+def _turned(D: Array, v: Vector) -> Vector:
+    x, y, z = (float(c) for c in D @ np.array(v))
+    return x, y, z

@@ -1,0 +1,197 @@
+"""The attitude matrix carried along by the gyroscope, and running integrals in its frame.
+
+The frame P is that of the start, kept by the gyroscope alone: corrections of the filter are a
+rotation beside it, so nothing in the history jumps. Integrals of specific force are kept for some
+seconds, so that an interval between two speed samples can be looked at when a late speed comes.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections import deque
+from typing import NamedTuple
+
+from imucald.attitude.axes import (
+    IDENTITY,
+    Quaternion,
+    Rows,
+    Vector,
+    cross,
+    product,
+    rotated,
+    rows,
+    times,
+)
+
+HISTORY_S = 8.0
+"""How far back intervals can be looked at [s]: an interval, its lateness, and a slow speed."""
+MAX_HISTORY = 16_384
+MAX_PENDING = 64
+"""Accelerometer samples that wait for a gyroscope sample to place them."""
+
+
+class Moment(NamedTuple):
+    """Running integrals up to time t [s], and the body's direction then; frame P.
+
+    force: integral of specific force [m/s]. forward, right: unit axes of the body. arm: velocity
+    of the sensor by its lever arm [m/s]. up_rate: about the body's up axis [rad/s]. n, body,
+    square: count, sum and sum of squares of the specific force in body axes. turns, rate,
+    rate_square: the same of the raw gyroscope. angle: turned in all [rad].
+    """
+
+    t: float
+    force: Vector
+    forward: Vector
+    right: Vector
+    arm: Vector
+    up_rate: float
+    n: float
+    body: Vector
+    square: float
+    turns: float
+    rate: Vector
+    rate_square: float
+    angle: float
+
+
+class Propagator:
+    """Attitude by gyroscope samples; history by accelerometer samples. Axes of the text.
+
+    longest_step: samples further apart than this [s] begin a new segment.
+    lever: from the point whose velocity is the speed to the sensor [m].
+    """
+
+    def __init__(self, longest_step: float, lever: Vector) -> None:
+        self._longest_step = longest_step
+        self._lever = lever
+        self.q: Quaternion = IDENTITY
+        """Body to P."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything but the attitude: time has jumped."""
+        self.segment_start = math.inf
+        """Time of the first moment of history that belongs together [s]."""
+        self.t = -math.inf
+        """Time of the newest gyroscope sample [s]."""
+        self.C: Rows = rows(self.q)
+        self._C_before = self.C
+        self._t_before = -math.inf
+        self.rate: Vector = (0.0, 0.0, 0.0)
+        """Newest angular rate, free of bias [rad/s]."""
+        self.raw_rate: Vector = (0.0, 0.0, 0.0)
+        self._pending: deque[tuple[float, Vector]] = deque(maxlen=MAX_PENDING)
+        self._history: deque[Moment] = deque(maxlen=MAX_HISTORY)
+        self._force: Vector = (0.0, 0.0, 0.0)  # newest, in P
+        self._turns, self._angle, self._rate_square = 0.0, 0.0, 0.0
+        self._rate_sum: Vector = (0.0, 0.0, 0.0)
+
+    @property
+    def newest(self) -> Moment | None:
+        """The newest moment of the history."""
+        return self._history[-1] if self._history else None
+
+    def turn_body(self, q_old_from_new: Quaternion) -> None:
+        """The body's axes are defined anew; the sensor has not moved."""
+        self.q = product(self.q, q_old_from_new)
+        self.C = rows(self.q)
+
+    def gyro(self, t: float, raw: Vector, bias: Vector) -> None:
+        """Take an angular rate [rad/s] and its bias; place the accelerometer samples up to t."""
+        rate = (raw[0] - bias[0], raw[1] - bias[1], raw[2] - bias[2])
+        dt = t - self.t
+        if dt > self._longest_step:
+            self.restart()
+        elif dt > 0.0:
+            k = 0.5 * dt
+            x, y, z = self.rate
+            rx, ry, rz = k * (x + rate[0]), k * (y + rate[1]), k * (z + rate[2])
+            self._t_before, self._C_before = self.t, self.C
+            self.q = rotated(self.q, rx, ry, rz)
+            self.C = rows(self.q)
+            self._angle += math.sqrt(rx * rx + ry * ry + rz * rz)
+        self.t = t
+        self.rate, self.raw_rate = rate, raw
+        self._turns += 1.0
+        x, y, z = self._rate_sum
+        self._rate_sum = (x + raw[0], y + raw[1], z + raw[2])
+        self._rate_square += raw[0] * raw[0] + raw[1] * raw[1] + raw[2] * raw[2]
+        while self._pending and self._pending[0][0] <= t:
+            self._place(*self._pending.popleft())
+
+    def accel(self, t: float, force: Vector) -> None:
+        """Take a specific force [m/s^2]."""
+        if t > self.t:
+            self._pending.append((t, force))
+        else:
+            self._place(t, force)
+
+    def _place(self, t: float, force: Vector) -> None:
+        """Carry a sample into P by the attitude at its time; C is taken as linear in between."""
+        span = self.t - self._t_before
+        part = (t - self._t_before) / span if 0.0 < span < math.inf else 1.0
+        if part < 0.0:  # older than the last two gyroscope samples: too late to be placed
+            return
+        after, before = times(self.C, force), times(self._C_before, force)
+        now = _between(before, after, part)
+        C, D = self.C, self._C_before
+        forward = _between((D[1], D[4], D[7]), (C[1], C[4], C[7]), part)
+        right = _between((D[0], D[3], D[6]), (C[0], C[3], C[6]), part)
+        arm = (0.0, 0.0, 0.0)
+        if any(self._lever):
+            arm = times(self.C, cross(self.rate, self._lever))
+        x, y, z = force
+        square = x * x + y * y + z * z
+        history = self._history
+        last = history[-1] if history else None
+        dt = t - last.t if last is not None else math.inf
+        if last is None or dt > self._longest_step:
+            history.clear()
+            self.segment_start = t
+            total, n, body = (0.0, 0.0, 0.0), 1.0, force
+        elif dt <= 0.0:
+            return
+        else:
+            k = 0.5 * dt
+            a, b, f = last.force, self._force, now
+            total = (a[0] + k * (b[0] + f[0]), a[1] + k * (b[1] + f[1]), a[2] + k * (b[2] + f[2]))
+            n, square = last.n + 1.0, last.square + square
+            body = (last.body[0] + x, last.body[1] + y, last.body[2] + z)
+        self._force = now
+        history.append(
+            Moment(
+                t, total, forward, right, arm, self.rate[2], n, body, square,
+                self._turns, self._rate_sum, self._rate_square, self._angle,
+            )
+        )  # fmt: skip
+        while history[0].t < t - HISTORY_S:
+            history.popleft()
+
+    def at(self, t: float) -> Moment | None:
+        """Return the integrals at time t [s], interpolated; None where history does not reach."""
+        history = self._history
+        if not history or t < history[0].t or t > history[-1].t:
+            return None
+        i = bisect.bisect_left(history, t, key=lambda moment: moment.t)
+        b = history[i]
+        if i == 0 or b.t == t:
+            return b
+        a = history[i - 1]
+        part = (t - a.t) / (b.t - a.t)
+        return b._replace(
+            t=t,
+            force=_between(a.force, b.force, part),
+            forward=_between(a.forward, b.forward, part),
+            right=_between(a.right, b.right, part),
+            arm=_between(a.arm, b.arm, part),
+            up_rate=a.up_rate + part * (b.up_rate - a.up_rate),
+        )
+
+
+def _between(a: Vector, b: Vector, part: float) -> Vector:
+    return (
+        a[0] + part * (b[0] - a[0]),
+        a[1] + part * (b[1] - a[1]),
+        a[2] + part * (b[2] - a[2]),
+    )
