@@ -69,8 +69,8 @@ def test_corrected_acceleration_is_near_the_truth_as_far_as_noise_allows(
 ) -> None:
     found = finished.compare()
     assert found is not None
-    assert found.measured > 5.0
-    assert found.corrected < 0.1 * found.measured
+    assert found.measured > 3.0
+    assert found.corrected < 0.2 * found.measured
     assert found.corrected < 1.5 * found.known_mount
 
 

@@ -19,11 +19,11 @@ MANY_REJECTED = 0.01
 FEWEST_STUCK = 100
 """So many equal values of a sensor in a row, and no other, look stuck."""
 
-_NO_SPEED = "is missing: yaw takes longer and is less certain; "
+_NO_SPEED = "missing: yaw takes longer and is less certain; "
 _NO_GYRO = "pitch and roll get nothing from turns, and no corrected angular rate is sent"
 _NO_TURNS = "so are yaw rate and steering angle: straight motion is told by steady angles only"
-_NO_REVERSE = "is missing: reversing reads as braking, which costs some accuracy"
-_NO_SIDE = "is unknown: a road crown reads as mount roll (about 0.7 deg); say left or right"
+_NO_REVERSE = "missing: reversing reads as braking, which costs some accuracy"
+_NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); say left or right"
 _REMEDIES = {
     "checksum": "; see 'checksum:' (kind, id_bytes, data_id) of the message",
     "counter": "; see 'counter:' (signal, modulus, max_step) of the message",
@@ -118,7 +118,7 @@ class Decoding:
         if not self._has("gyro"):
             yield Finding("note", "gyroscope", self._without_gyro())
         elif not self._has("yaw_rate"):
-            yield Finding("note", "yaw_rate", "is missing: turns are taken from the gyroscope")
+            yield Finding("note", "yaw_rate", "missing: turns are taken from the gyroscope")
         if self._has("speed") and not self._has("reverse"):
             yield Finding("note", "reverse", _NO_REVERSE)
         if config.vehicle.driving_side == "unknown" and config.signals.accelerometer[0].z:
@@ -135,8 +135,8 @@ class Decoding:
         for channel in ("yaw_rate", "steering"):
             if self._has(channel):
                 word = word_of(channel)
-                return f"is missing: turns are taken from {word}; {_NO_GYRO}"
-        return f"is missing, and {_NO_TURNS}; {_NO_GYRO}"
+                return f"missing: turns are taken from {word}; {_NO_GYRO}"
+        return f"missing, and {_NO_TURNS}; {_NO_GYRO}"
 
     def _conflicts(self) -> Iterator[Finding]:
         for can_id in sorted(self.output_ids):

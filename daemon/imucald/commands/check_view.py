@@ -9,6 +9,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+WIDE = 110
+"""Columns from which long names stay on one line."""
+LONG_NAME = 18
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "green"}
 
 
@@ -23,7 +26,7 @@ def print_report(report: Mapping[str, Any]) -> None:
     console.print()
     console.print(_messages(report["messages"]))
     console.print()
-    console.print(_quantities(report["quantities"]))
+    console.print(_quantities(report["quantities"], console.width < WIDE))
     console.print()
     console.print(_findings(report["findings"]))
     console.print()
@@ -56,7 +59,7 @@ def _messages(rows: list[dict[str, Any]]) -> Table:
     return table
 
 
-def _quantities(rows: list[dict[str, Any]]) -> Table:
+def _quantities(rows: list[dict[str, Any]], narrow: bool) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("quantity", overflow="fold")
     table.add_column("from", overflow="fold")
@@ -77,9 +80,18 @@ def _quantities(rows: list[dict[str, Any]]) -> Table:
         if not same and row["factor"] < 0:
             unit += " (sign -1)"
         table.add_row(
-            row["quantity"] + rank, row["source"] + rejected, str(row["samples"]), *cells, unit
+            _broken(row["quantity"], narrow) + rank,
+            _broken(row["source"], narrow) + rejected,
+            str(row["samples"]),
+            *cells,
+            unit,
         )
     return table
+
+
+def _broken(name: str, narrow: bool) -> str:
+    """A long dotted name on two lines, where columns are scarce."""
+    return name.replace(".", ".\n", 1) if narrow and len(name) > LONG_NAME else name
 
 
 def _findings(rows: list[dict[str, Any]]) -> Table:
@@ -95,7 +107,7 @@ def _millis(seconds: float | None) -> str:
 
 
 def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+    return "-" if value is None else f"{value:.3g}"
 
 
 def _reasons(rejected: Mapping[str, int]) -> str:

@@ -23,6 +23,8 @@ from imucald.errors import ImucaldError
 from imucald.frames import angles_from_rotation
 from imucald.mount.estimate import ANGLES, MountState
 
+FASTEST = 24.0
+"""On a terminal no more times real time than this, so that the eye can follow."""
 FRAME_S = 0.1
 """The picture is drawn anew so often [s of waiting]."""
 LINE_S = 15.0
@@ -31,7 +33,7 @@ HISTORY = 24
 """Columns of the history of an angle's uncertainty."""
 SVG_COLUMNS = 82
 BLOCKS = " ▁▂▃▄▅▆▇█"
-WIDEST_DEG, NARROWEST_DEG = 30.0, 0.1
+WIDEST_DEG, NARROWEST_DEG = 12.0, 0.25
 """Two standard deviations that fill the history's column, and that leave it empty (log scale)."""
 _STYLES = {
     MountState.USABLE: "green",
@@ -72,7 +74,7 @@ class PlainView:
         estimate = demo.estimate()
         found = {a.name: a for a in angles_beside(estimate, demo.truth)}
         cells = "".join(f"{_with_interval(found.get(name)):>18}" for name in ANGLES)
-        waiting = next(iter(estimate.waiting_for.values()), "")
+        waiting = next(iter(estimate.waiting_for.values()), "").removeprefix("waiting for ")
         state = estimate.state.name.lower()
         print(f"{_clock(demo.now):>7}  {state:<9}{cells}  {waiting}".rstrip(), flush=True)
 
@@ -83,6 +85,7 @@ class LiveView:
     def __init__(self, seed: int) -> None:
         self._live = Live(console=Console(highlight=False), auto_refresh=False)
         self._picture = Picture()
+        self._began = time.monotonic()
         self._drawn = -math.inf
 
     def __enter__(self) -> Self:
@@ -101,6 +104,9 @@ class LiveView:
         """Draw the picture when it is due."""
         self._picture.note(demo)
         now = time.monotonic()
+        ahead = demo.now / FASTEST - (now - self._began)
+        if ahead > 0.0:
+            time.sleep(ahead)
         if now - self._drawn >= FRAME_S or demo.now >= demo.drive.duration_s:
             self._drawn = now
             self._live.update(self._picture.draw(demo), refresh=True)
@@ -126,7 +132,7 @@ class Picture:
     def draw(self, demo: Demonstration) -> Group:
         """Return the picture, twenty lines for 80 columns."""
         estimate = demo.estimate()
-        waiting = [f"{angle}: {text}" for angle, text in estimate.waiting_for.items()]
+        waiting = [f"{angle:<6} {text}" for angle, text in estimate.waiting_for.items()]
         waiting += [""] * (len(ANGLES) - len(waiting))  # so that nothing jumps
         return Group(
             _headline(demo),
@@ -253,14 +259,14 @@ def _result_table(angles: list[Angle]) -> Table:
 
 def _result_lines(demo: Demonstration, waited: float) -> list[str]:
     pipeline, listener = demo.engine.pipeline, demo.listener
+    first, best = pipeline.first_usable, pipeline.first_fine
     name = demo.estimate().state.name.lower()
-    usable = _clock(pipeline.first_usable) if pipeline.first_usable is not None else "never"
-    fine = _clock(pipeline.first_fine) if pipeline.first_fine is not None else "never"
+    usable = "not yet usable" if first is None else f"usable after {_clock(first)}"
+    fine = "" if best is None else f", fine after {_clock(best)}"
     lines = [
-        f"State {name}; usable after {usable}, fine after {fine} of {_clock(demo.now)} driven "
-        f"({waited:.0f} s of waiting).",
-        f"Frames: {demo.sent} received, {demo.engine.router.rejected.total()} rejected; "
-        f"{listener.frames} corrected accelerations heard, {listener.damaged} damaged.",
+        f"State {name}: {usable}{fine} of {_clock(demo.now)} driven, in {waited:.0f} s.",
+        f"{demo.sent} frames received, {demo.engine.router.rejected.total()} rejected; "
+        f"{listener.frames} corrected ones heard, {listener.damaged} damaged.",
     ]
     found = demo.compare()
     if found is None:
