@@ -17,6 +17,7 @@ from imucald.bus.columns import FrameColumns
 from imucald.bus.log import CandumpWriter, LogReader
 from imucald.bus.pythoncan import can
 from imucald.check import Check
+from imucald.commands.check_view import print_report
 from imucald.config import parse_config
 from imucald.session import open_config
 from imucald.simulation import random_model, simulate
@@ -270,6 +271,17 @@ def test_the_command_listens_on_a_bus(frames: Frames, capsys: pytest.CaptureFixt
         "accelerometer.x",
         "speed",
     }
+
+
+def test_names_in_brackets_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    """Names come from databases, which are not ours: they are never taken for styles."""
+    report = checked([])
+    report["messages"][0]["name"] = "[/bold]A[red]"
+    report["findings"].append({"level": "note", "quantity": "speed[1]", "text": "[/x] [on blue]"})
+    print_report(report)
+    text = capsys.readouterr().out
+    for words in ("[/bold]A[red]", "speed[1]: [/x] [on blue]", "cycle [ms]"):
+        assert words in text
 
 
 def test_log_and_bus_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,7 @@ _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "gree
 
 def print_report(report: Mapping[str, Any]) -> None:
     """Print messages, quantities, findings and output ids."""
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)  # names from databases are not markup
     frames = report["frames"]
     console.print(
         f"{frames['read']} frames in {report['duration_s']:.1f} s: {frames['used']} used, "

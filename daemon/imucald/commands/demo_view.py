@@ -83,7 +83,7 @@ class LiveView:
     """A picture that moves."""
 
     def __init__(self, seed: int) -> None:
-        self._live = Live(console=Console(highlight=False), auto_refresh=False)
+        self._live = Live(console=Console(highlight=False, markup=False), auto_refresh=False)
         self._picture = Picture()
         self._began = time.monotonic()
         self._drawn = -math.inf
@@ -129,11 +129,12 @@ class Picture:
             width = 2.0 * angles[name].std if name in angles else math.inf
             history.extend([width] * (columns - len(history)))
 
-    def draw(self, demo: Demonstration) -> Group:
-        """Return the picture, twenty lines for 80 columns."""
+    def draw(self, demo: Demonstration, steady: bool = True) -> Group:
+        """Return the picture, twenty lines for 80 columns; steady: of the same height always."""
         estimate = demo.estimate()
         waiting = [f"{angle:<6} {text}" for angle, text in estimate.waiting_for.items()]
-        waiting += [""] * (len(ANGLES) - len(waiting))  # so that nothing jumps
+        if steady:
+            waiting += [""] * (len(ANGLES) - len(waiting))
         return Group(
             _headline(demo),
             Padding(_state_line(demo), (1, 0)),
@@ -209,9 +210,14 @@ def _traffic_line(demo: Demonstration, waited: float) -> Text:
 def write_svg(demo: Demonstration, picture: Picture, waited: float, path: Path) -> None:
     """Write the last picture and the result as SVG. Raises ImucaldError where it cannot."""
     console = Console(
-        record=True, file=io.StringIO(), width=SVG_COLUMNS, force_terminal=True, highlight=False
+        record=True,
+        file=io.StringIO(),
+        width=SVG_COLUMNS,
+        force_terminal=True,
+        highlight=False,
+        markup=False,
     )
-    console.print(picture.draw(demo))
+    console.print(picture.draw(demo, steady=False))
     print_result(demo, waited, console)
     form = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL)
     try:
@@ -222,7 +228,7 @@ def write_svg(demo: Demonstration, picture: Picture, waited: float, path: Path) 
 
 def print_result(demo: Demonstration, waited: float, console: Console | None = None) -> None:
     """Print estimate beside truth, the frames' proof, and what to do next."""
-    console = console or Console(highlight=False)
+    console = console or Console(highlight=False, markup=False)
     angles = angles_beside(demo.estimate(), demo.truth)
     console.print()
     if angles:

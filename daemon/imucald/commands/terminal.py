@@ -38,7 +38,8 @@ def countdown(text: str, seconds: float) -> Iterator[Callable[[float], None]]:
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
-    columns = (TextColumn(text), BarColumn(), TimeRemainingColumn())
+    words = TextColumn("{task.description}", markup=False)
+    columns = (words, BarColumn(), TimeRemainingColumn())
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text, total=seconds)
         yield lambda passed: bar.update(task, completed=passed)
@@ -52,9 +53,10 @@ def print_summary(result: Mapping[str, Any]) -> None:
     """Print the result of a replay as tables."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    console = Console(highlight=False)
-    console.print(f"state: [bold]{result['state']}[/bold]{_since(result)}")
+    console = Console(highlight=False, markup=False)
+    console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
     table = Table(box=None, pad_edge=False)
     table.add_column("angle")
     table.add_column("value", justify="right")
