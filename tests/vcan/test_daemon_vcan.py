@@ -70,9 +70,13 @@ def running_daemon(folder: Path, config: Path, channel: str) -> Iterator[Daemon]
 
 @contextmanager
 def recorded(channel: str, path: Path) -> Iterator[None]:
-    """Candump writes all of the channel to `path` until the block ends."""
+    """Candump writes all of the channel to `path` until the block ends.
+
+    On a busy machine its usual buffer is too small; what it drops it says (-d), as a line that
+    strict reading refuses.
+    """
     with path.open("wb") as file:
-        candump = subprocess.Popen(["candump", "-L", channel], stdout=file)
+        candump = subprocess.Popen(["candump", "-L", "-d", "-r", "8388608", channel], stdout=file)
         time.sleep(0.3)
         try:
             yield
