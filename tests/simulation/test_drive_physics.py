@@ -1,12 +1,16 @@
 """Drives against mechanics that the simulation does not use: energy, circles, rigid motion."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from imucald.errors import ConfigError
 from imucald.frames import rotation_from_angles
 from imucald.samples import GRAVITY
 from imucald.simulation import Model, simulate
+from imucald.simulation.single_track import handle
 
 QUIET = {
     "accel.vibration": False,
@@ -190,17 +194,34 @@ def test_angular_rate_is_that_of_the_attitude():
 
 
 def test_tyres_saturate_at_the_friction_limit():
-    slippery = model(
-        route__kind="circles",
-        route__circle_radius_m=25.0,
-        route__lateral_mps2=(3.0, 3.0),
-        chassis__friction=0.2,
-    ).with_changes(LEVEL)
-    truth = simulate(slippery, 7, 2.0).truth
-    lateral = np.abs(truth.reference_force[:, 1])
-    steady = (truth.t > 60.0) & (truth.t < 88.0)
-    assert np.percentile(lateral[steady], 90) < 0.2 * GRAVITY * 1.1
-    assert np.mean(truth.yaw_rate[steady]) < 0.85 * np.mean(truth.speed[steady]) / 25.0
+    """Steering ever further at constant speed: the lateral force ends at friction * g."""
+    t = np.arange(0.0, 20.0, 0.005)
+    chassis = model(chassis__friction=0.5, chassis__understeer_gradient=0.004).chassis
+    steer = 0.12 * t / 20.0
+    found = handle(chassis, np.full(len(t), 15.0), steer, np.zeros(len(t)), 200.0)
+    felt = found.lateral_velocity_rate + 15.0 * found.yaw_rate
+    assert np.max(felt) < 0.5 * GRAVITY
+    assert felt[-1] > 0.4 * GRAVITY
+    linear = 15.0**2 * 0.12 / (chassis.wheelbase_m + 0.004 * 15.0**2)
+    assert linear > 1.4 * felt[-1]
+
+
+def test_on_a_slippery_road_the_driver_is_gentle_and_stays_on_it():
+    truth = simulate(model(chassis__friction=0.25), 7, 10.0).truth
+    assert np.max(np.abs(truth.acceleration)) < 0.25 * GRAVITY
+    assert np.max(np.abs(truth.speed * truth.yaw_rate)) < 0.25 * GRAVITY
+    assert np.max(np.abs(truth.lateral_velocity)) < 2.0
+
+
+def test_a_vehicle_that_slides_off_is_an_error_not_a_number():
+    with pytest.raises(ConfigError, match="slides off"):
+        simulate(model(chassis__friction=0.15, road__bank_rms=0.3), 7, 10.0)
+
+
+def test_short_and_endless_drives_are_refused():
+    for minutes in (0.0, -1.0, 0.01, float("nan"), float("inf")):
+        with pytest.raises(ConfigError, match="a second"):
+            simulate(Model(), 1, minutes)
 
 
 def test_each_effect_can_be_switched_off():
@@ -255,8 +276,6 @@ def test_switching_one_effect_leaves_the_draws_of_the_others():
 
 
 def test_a_hundred_times_faster_than_real_time():
-    import time
-
-    began = time.perf_counter()
+    began = time.process_time()
     simulate(Model(), 1, 10.0)
-    assert time.perf_counter() - began < 6.0
+    assert time.process_time() - began < 6.0

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.errors import ConfigError
 from imucald.frames import Matrix3, angles_from_rotation, quaternion_from_rotation
 from imucald.samples import Samples, Series
 from imucald.simulation.body import BodyMotion, Lean, body_motion, lean, road_force
@@ -21,6 +22,7 @@ from imucald.simulation.section import ZERO
 from imucald.simulation.single_track import Handling, handle, steer_for
 from imucald.simulation.vehicle_signals import VehicleSignals
 
+SHORTEST_S = 1.0
 MOVING_MPS = 1.0
 """Means 'while driving' are taken above this speed."""
 
@@ -122,9 +124,13 @@ def simulate(model: Model, seed: int, minutes: float) -> Drive:
     """Simulate a drive. The same model, seed and length give the same numbers.
 
     Times begin at 0; samples are in sensor axes and SI units (see `imucald.samples`).
+    Raises ConfigError for a drive shorter than a second, or endless.
     """
+    duration_s = 60.0 * minutes
+    if not SHORTEST_S <= duration_s < math.inf:
+        raise ConfigError(f"a drive of {minutes:g} min: at least a second, and an end, are needed")
     rate = model.grid_hz
-    driving = drive_route(model.route, seed, 60.0 * minutes, rate)
+    driving = drive_route(model.route, seed, duration_s, rate, model.chassis.friction)
     banked = driving.speed * driving.speed * driving.banked_curvature
     road = road_attitude(model.road, model.route, seed, driving.distance, banked, rate)
     steer = steer_for(model.chassis, driving.speed, driving.curvature, road.roll)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imucald.samples import GRAVITY
 from imucald.simulation.filters import Array, gauss_markov, generator, smoothed
 from imucald.simulation.route import Path, build_path
-from imucald.simulation.vehicle_model import Route
+from imucald.simulation.vehicle_model import FASTEST_MPS, Route
 
 JERK_WINDOW_S = 0.35
 """Two running means of this width limit the jerk to what drivers do (2-6 m/s^3)."""
@@ -20,9 +21,10 @@ WANDER_GRID_S = 0.5
 STEERING_WANDER_S = 0.8
 CREEP_MPS = 0.2
 """Slowest pace between two nodes at rest."""
+GRIP_SHARE = 0.6
+"""Share of the road's grip that drivers use."""
 STOP_SEARCHES = 3
 """Attempts to end the drive standing for as long as asked."""
-TOP_SPEED_MPS = 36.0
 SHIFT_SPEEDS_MPS = (4.5, 8.5, 13.5, 19.0)
 SHIFT_WIDTH_MPS = 0.12
 SHIFT_MPS2 = 0.17
@@ -54,13 +56,19 @@ class Driving:
     braking: Array
 
 
-def drive_route(route: Route, seed: int, duration_s: float, rate: float) -> Driving:
-    """Drive a route for duration_s [s] on a grid of `rate` [Hz]."""
+def drive_route(
+    route: Route, seed: int, duration_s: float, rate: float, friction: float = 1.0
+) -> Driving:
+    """Drive a route for duration_s [s] on a grid of `rate` [Hz].
+
+    friction: of the road; on a slippery one the driver takes everything gently.
+    """
     t = np.arange(round(duration_s * rate) + 1) / rate
     path = build_path(route, seed, duration_s)
     if path is None:
         zero = np.zeros(len(t))
         return Driving(t, zero, zero, zero, zero, zero, zero)
+    path = _gentle(path, GRIP_SHARE * friction * GRAVITY)
     node_t, node_v, node_s, node_kappa, node_banked = _timed(path, route, seed, duration_s)
     speed = smoothed(np.interp(t, node_t, node_v), rate, JERK_WINDOW_S)
     speed[np.abs(speed) < STILL_MPS] = 0.0
@@ -77,6 +85,16 @@ def drive_route(route: Route, seed: int, duration_s: float, rate: float) -> Driv
         curvature=curvature,
         banked_curvature=np.interp(distance, node_s, node_banked),
         braking=((acceleration * travel < -0.4) | (speed == 0.0)).astype(float),
+    )
+
+
+def _gentle(path: Path, most: float) -> Path:
+    """The same path with all accelerations at most so large [m/s^2]."""
+    return replace(
+        path,
+        lateral_mps2=np.minimum(path.lateral_mps2, most),
+        launch_mps2=np.minimum(path.launch_mps2, most),
+        braking_mps2=np.minimum(path.braking_mps2, most),
     )
 
 
@@ -120,7 +138,7 @@ def _limits(path: Path, route: Route, seed: int) -> Array:
     wander = gauss_markov(rng, n, WANDER_GRID_S, SPEED_WANDER_S)
     wander = np.interp(planned, np.arange(n) * WANDER_GRID_S, wander)
     limit = path.target_mps * np.clip(1.0 + route.speed_wander * wander, 0.6, 1.3)
-    limit = np.minimum(limit, TOP_SPEED_MPS)
+    limit = np.minimum(limit, FASTEST_MPS)
     bend = np.sqrt(path.lateral_mps2 / np.maximum(np.abs(path.curvature), 1e-6))
     result: Array = np.minimum(limit, bend)
     result[path.stop_s > 0.0] = 0.0

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from imucald.config import MAX_FILE_BYTES, Marks, read_yaml
 from imucald.errors import ConfigError
@@ -34,7 +34,7 @@ class Model(Section):
     """All parameters of a drive but its seed and length. Immutable: see `with_changes`."""
 
     grid_hz: Positive = Field(default=200.0, ge=50.0, le=2000.0)
-    """Rate of the physics; must not be below the fastest sensor's."""
+    """Rate of the physics; must not be below the inertial sensor's."""
     route: Route = Route()
     chassis: Chassis = Chassis()
     suspension: Suspension = Suspension()
@@ -54,6 +54,13 @@ class Model(Section):
     mag: Magnetometer = Magnetometer()
     temperature: Temperature = Temperature()
     bus: Bus = Bus()
+
+    @model_validator(mode="after")
+    def _fine_enough(self) -> Model:
+        fastest = max(self.accel.rate_hz, self.gyro.rate_hz)
+        if self.grid_hz < fastest:
+            raise ValueError(f"grid_hz must be at least the inertial sensor's rate, {fastest:g}")
+        return self
 
     def to_yaml(self) -> str:
         """Return the model as the text of a model file."""

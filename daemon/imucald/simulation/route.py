@@ -53,6 +53,11 @@ class RouteBuilder:
         self._near_side = -1.0 if route.driving_side == "right" else 1.0
         self.least_time_s = route.standing_first_s
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is no road yet."""
+        return not self._columns[0]
+
     def uniform(self, low: float, high: float) -> float:
         """Draw a number."""
         return float(self._rng.uniform(low, high))
@@ -245,7 +250,7 @@ def build_path(route: Route, seed: int, duration_s: float) -> Path | None:
         return None
     if route.kind == "mixed":
         builder.straight(builder.uniform(15.0, 60.0), 8.3)
-    while builder.least_time_s < duration_s:
+    while builder.least_time_s < duration_s or builder.is_empty:
         _STRETCHES[route.kind](builder, route)
     return builder.path()
 

@@ -18,8 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
+from scipy.linalg import LinAlgError, solve_banded
 
+from imucald.errors import ConfigError
 from imucald.samples import GRAVITY
 from imucald.simulation.filters import Array
 from imucald.simulation.vehicle_model import Chassis
@@ -30,7 +31,9 @@ BLOCK_S = 60.0
 LEAD_S = 6.0
 """The drive is solved in blocks, each with a lead in which the start (a steady turn) is forgotten:
 sideslip decays within tenths of a second. Blocks keep the system small, near the core."""
-NEWTON_STEPS = 12
+LOST = 15.0
+"""A vehicle that slides sideways [m/s] or turns [rad/s] faster than this has left the road."""
+NEWTON_STEPS = 25
 NEWTON_TOLERANCE = 1e-9
 
 
@@ -68,6 +71,11 @@ def handle(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: floa
         span = slice(first, min(start + block, n))
         solved = _solved(chassis, speed[span], steer[span], bank[span], rate)
         state[start : span.stop] = solved[start - first :]
+    if not np.max(np.abs(state)) < LOST:
+        raise ConfigError(
+            "the simulated vehicle slides off the road: raise chassis.friction or "
+            "chassis.understeer_gradient, or choose gentler bends and banks"
+        )
     return Handling(
         yaw_rate=np.ascontiguousarray(state[:, 1]),
         lateral_velocity=np.ascontiguousarray(state[:, 0]),
@@ -82,12 +90,31 @@ def _solved(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: flo
     state[:, 1] = _steady_yaw_rate(chassis, speed, steer)
     state[:, 0] = chassis.cg_to_rear_m * state[:, 1]
     forcing = np.column_stack((-GRAVITY * np.sin(bank), np.zeros(len(speed))))
-    for _ in range(NEWTON_STEPS):
-        acceleration, jacobian = _dynamics(chassis, speed, steer, state)
-        change = _newton_step(state, acceleration + forcing, jacobian, rate)
-        state += change
-        if float(np.max(np.abs(change))) < NEWTON_TOLERANCE:
-            break
+    with np.errstate(all="ignore"):
+        for _ in range(NEWTON_STEPS):
+            acceleration, jacobian = _dynamics(chassis, speed, steer, state)
+            try:
+                change = _newton_step(state, acceleration + forcing, jacobian, rate)
+            except LinAlgError:
+                break
+            state += change
+            if float(np.max(np.abs(change))) < NEWTON_TOLERANCE:
+                return state
+    return _stepped(chassis, speed, steer, forcing, rate)
+
+
+def _stepped(chassis: Chassis, speed: Array, steer: Array, forcing: Array, rate: float) -> Array:
+    """Solve by linearly implicit Euler steps: first order, but a sliding vehicle does not stop it.
+
+    For stretches in which Newton's method finds nothing, as on ice.
+    """
+    state = np.zeros((len(speed), 2))
+    state[0, 1] = float(_steady_yaw_rate(chassis, speed[:1], steer[:1])[0])
+    identity = np.eye(2) * rate
+    for k in range(1, len(speed)):
+        here = slice(k, k + 1)
+        f, J = _dynamics(chassis, speed[here], steer[here], state[k - 1 : k])
+        state[k] = state[k - 1] + np.linalg.solve(identity - J[0], f[0] + forcing[k])
     return state
 
 

@@ -6,7 +6,7 @@ ordinary roads; the sources are named where a figure is not plain.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -21,6 +21,12 @@ from imucald.simulation.section import (
 
 RouteKind = Literal["mixed", "city", "motorway", "straight_only", "circles", "parked"]
 DrivingSide = Literal["right", "left"]
+RoadLength = Annotated[float, Field(ge=5.0)]
+"""Shorter waves than a vehicle's length are roughness."""
+
+
+FASTEST_MPS = 36.0
+"""Drivers do not go faster than this, whatever the route."""
 
 
 class Chassis(Section):
@@ -37,7 +43,7 @@ class Chassis(Section):
     """Lateral force over slip angle of the rear axle [N/rad]."""
     understeer_gradient: float = 0.0025
     """K in delta = L/R + K * a_y [rad/(m/s^2)]; 0.0025 is 1.4 deg/g."""
-    friction: Positive = 0.95
+    friction: Annotated[float, Field(ge=0.15)] = 0.95
     """Tyre force saturates at friction times axle load."""
     tyre_saturation: bool = True
     """False: tyres stay linear."""
@@ -60,11 +66,11 @@ class Chassis(Section):
     def _plausible(self) -> Chassis:
         if self.cg_to_front_m >= self.wheelbase_m:
             raise ValueError("cg_to_front_m must be shorter than wheelbase_m")
-        L, m = self.wheelbase_m, self.mass_kg
-        if self.understeer_gradient * L / m <= -self.cg_to_front_m / (
-            self.rear_cornering_stiffness_npr
-        ):
-            raise ValueError("understeer_gradient asks for a front axle without bound; raise it")
+        limit = -self.wheelbase_m / FASTEST_MPS**2
+        if self.understeer_gradient < limit:
+            raise ValueError(
+                f"understeer_gradient below {limit:.4f} makes a vehicle that spins at speed"
+            )
         return self
 
 
@@ -102,14 +108,14 @@ class Road(Section):
     """rms of the slope along the road (tangent), about its mean."""
     grade_mean: float = 0.0
     """Mean slope (tangent), positive uphill."""
-    grade_length_m: Positive = 110.0
+    grade_length_m: RoadLength = 110.0
     """Distance over which the slope forgets itself (second-order Gauss-Markov)."""
     bank: bool = True
     crown_mean: float = 0.012
     """Mean cross fall towards the kerb (tangent)."""
     bank_rms: NonNegative = 0.015
     """rms of the cross fall about its mean."""
-    bank_length_m: Positive = 60.0
+    bank_length_m: RoadLength = 60.0
     superelevation: Fraction = 0.3
     """Share of the centripetal acceleration that banked curves take off, outside cities."""
     superelevation_max: NonNegative = 0.05
