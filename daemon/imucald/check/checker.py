@@ -47,6 +47,8 @@ class Check:
         self.output = OutputFrames(loaded.config)
         self.ids: Counter[tuple[str, int]] = Counter()
         """Frames by (channel, id with the flag for 29 bits)."""
+        self.bad_lines: Counter[str] = Counter()
+        """What a log's reader rejected, by reason; for the report."""
         self._timebase = TimeBase()
         self._means = TickMeans()
 
@@ -76,6 +78,7 @@ class Check:
             self.ids,
             self.router.sample_counts,
             self._timebase.steps,
+            self.bad_lines,
             self.output.can_ids,
         )
         vehicle = self.loaded.config.vehicle
@@ -90,6 +93,7 @@ class Check:
     def report(self) -> dict[str, Any]:
         """Everything, as docs/json.md describes it."""
         findings = self.findings()
+        rejected = self.router.rejected + self.bad_lines
         matched = {
             key for key in self.ids if any(p.match.matches(key[1], key[0]) for p in self.probes)
         }
@@ -104,7 +108,7 @@ class Check:
             "frames": {
                 "read": sum(self.ids.values()),
                 "used": self.router.used,
-                "rejected": dict(sorted(self.router.rejected.items())),
+                "rejected": dict(sorted(rejected.items())),
                 "other_ids": len(unknown),
                 "other_frames": sum(unknown.values()),
             },

@@ -36,7 +36,8 @@ _REMEDIES = {
 
 @dataclass(frozen=True)
 class Decoding:
-    """What there is to judge: ids seen (channel, id with flag), samples by channel, clock steps."""
+    """What there is to judge: ids seen (channel, id with flag), samples by channel, clock steps,
+    bad lines by reason."""
 
     loaded: LoadedConfig
     probes: list[Probe]
@@ -44,6 +45,7 @@ class Decoding:
     ids: Mapping[tuple[str, int], int]
     samples: Mapping[str, int]
     steps: int
+    bad_lines: Counter[str]
     output_ids: frozenset[int]
 
     def findings(self) -> Iterator[Finding]:
@@ -103,8 +105,11 @@ class Decoding:
             if stated and seen and not 1 / CYCLE_TOLERANCE < seen / stated < CYCLE_TOLERANCE:
                 text = f"{probe.name} comes every {1e3 * seen:.3g} ms, stated are {1e3 * stated:g}"
                 yield Finding("note", "", text)
+        if self.bad_lines:
+            text = f"lines that cannot be used: {_counts_text(self.bad_lines)}"
+            yield Finding("warning", "log", text)
         if self.steps:
-            text = f"time stamps jump {self.steps} times: holes, or a clock that was set"
+            text = f"jumps of the time stamps: {self.steps}; holes, or a clock that was set"
             yield Finding("note", "", text)
 
     def _costs(self) -> Iterator[Finding]:

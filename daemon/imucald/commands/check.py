@@ -85,6 +85,7 @@ def _read(check: Check, logs: list[str]) -> None:
         reader = LogReader(logs, None, False, progress)
         for chunk in reader:
             check.feed(chunk)
+    check.bad_lines.update(reader.rejected)
     for text in reader.problems:
         print(f"imucald: {text}", file=sys.stderr)
 

@@ -239,9 +239,11 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
     for line in _result_lines(demo, waited):
         console.print(line)
     console.print()
-    console.print("Next: what would imucald decode from a log of yours, and what would it find?")
-    console.print("  imucald check  --config config/imucald.yaml your.log    (edit the copy first)")
-    console.print("  imucald replay --config config/imucald.yaml your.log")
+    console.print("Next, on a log of your vehicle (config/imucald.yaml is a commented start):")
+    console.print(
+        "  imucald check  --config car.yaml drive.log    what it decodes, what looks wrong"
+    )
+    console.print("  imucald replay --config car.yaml drive.log    what it finds")
 
 
 def _result_table(angles: list[Angle]) -> Table:
