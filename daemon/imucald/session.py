@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from imucald.bus.columns import CAN_EFF_MASK
+from imucald.bus.columns import CAN_EFF_MASK, IdMatch
 from imucald.bus.wiring import compile_router
 from imucald.config import LoadedConfig, load_config
 from imucald.engine import Engine, LinkHealth
@@ -40,7 +40,7 @@ def make_engine(
     config = loaded.config
     router = compile_router(loaded)
     output = OutputFrames(config)
-    _refuse_shared_ids(loaded, output, [m.can_id for m in router.matches])
+    _refuse_shared_ids(loaded, output, router.matches)
     return Engine(
         router,
         estimator_for(config),
@@ -51,8 +51,14 @@ def make_engine(
     )
 
 
-def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, inputs: list[int]) -> None:
-    for can_id in inputs:
-        if can_id in output.can_ids:
+def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, inputs: list[IdMatch]) -> None:
+    taken = dict.fromkeys(loaded.config.output.ids.model_dump().values(), "an output frame")
+    for index, sensor in enumerate(loaded.config.signals.parallel):
+        if sensor.id in taken:
+            text = f"0x{sensor.id:X} is already the id of {taken[sensor.id]}; choose another"
+            raise loaded.error(("signals", "parallel", index, "id"), text)
+        taken[sensor.id] = f"parallel sensor {sensor.name}"
+    for can_id in sorted(output.can_ids):
+        if any(not (can_id ^ match.can_id) & match.full_mask for match in inputs):
             text = f"0x{can_id & CAN_EFF_MASK:X} is both an input and an output id; choose another"
             raise loaded.error(("output", "ids"), text)

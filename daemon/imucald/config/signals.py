@@ -125,3 +125,10 @@ class Signals(Model):
             if triads and any(triad.z is None for triad in triads):
                 raise ValueError("only the accelerometer may lack its z axis")
         return self
+
+    @model_validator(mode="after")
+    def _parallel_sensors_distinct(self) -> Signals:
+        names = [sensor.name for sensor in self.parallel]
+        if len(set(names)) != len(names):
+            raise ValueError("two parallel sensors have the same name")
+        return self
