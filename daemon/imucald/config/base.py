@@ -14,7 +14,11 @@ class Model(BaseModel):
     """Unknown keys, NaN and infinity are mistakes; nothing changes once it is read."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+        defer_build=True,  # validators are built when first used: the start is quicker
     )
 
 
