@@ -244,7 +244,7 @@ class PublishedEstimator:
         dvdt = block.dvdt if known else 0.0
         lateral = block.speed * block.yaw_rate if s.subtract_lateral else 0.0
         lateral = 0.0 if isnan(lateral) else lateral
-        self._offset.add(block.fx, block.fy, block.fz, dvdt, lateral, dt)
+        self._offset.add(block, dvdt, lateral, with_speed=known)
         self._straight_s += dt
         if not ready or self._tilt.still or self._straight_s < s.settle:
             self._close()
@@ -264,7 +264,8 @@ class PublishedEstimator:
         if m is not None and m.peak * block.dvdt < 0.0 and abs(block.dvdt) >= s.min_speed_change:
             self._close()  # from braking to accelerating: another manoeuvre
         m = self._manoeuvre(block, signed=True)
-        m.add(block.t1, block.t1 - block.t0, f, along, lateral)
+        weight = 1.0 if s.wander_speed <= 0.0 else 1.0 / (1.0 + abs(block.speed) / s.wander_speed)
+        m.add(block, f, along, lateral, weight)
         if abs(block.dvdt) > abs(m.peak):
             m.peak = block.dvdt
 
@@ -273,7 +274,7 @@ class PublishedEstimator:
         size = math.hypot(x, y)
         if size >= self._settings.min_speed_change:
             m = self._manoeuvre(block, signed=False)
-            m.add(block.t1, block.t1 - block.t0, f, 0.0, 0.0)
+            m.add(block, f, 0.0, 0.0, 1.0)
             m.peak = max(m.peak, size)
 
     def _manoeuvre(self, block: Block, signed: bool) -> Manoeuvre:
@@ -331,7 +332,8 @@ class PublishedEstimator:
             return None, False
         forward = math.cos(axis.value) * level[0] - math.sin(axis.value) * level[1]
         x, y, z = forward.tolist()
-        sign = self._sign.votes.sign((x, y, z))
-        if sign < 0.0:
+        votes = self._sign.votes
+        ahead, back = votes.count((x, y, z))
+        if back > ahead:
             axis = axis._replace(value=axis.value + math.pi)
-        return axis, sign != 0.0
+        return axis, votes.sign((x, y, z)) != 0.0

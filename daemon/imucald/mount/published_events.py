@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.frames import Matrix3
+from imucald.motion.speed import Block
 
 Pointers = NDArray[np.complex128]
 
@@ -46,7 +47,8 @@ MEDIAN_TO_STD = 1.4826
 class Manoeuvre:
     """Sums over the blocks of one straight braking or acceleration, in sensor axes.
 
-    sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each times dt.
+    sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each times dt
+    and the block's weight.
     signed: speed says which way is forward; peak: largest change of speed in it [m/s^2].
     """
 
@@ -57,16 +59,21 @@ class Manoeuvre:
         self.seconds = 0.0
         self.sums = [0.0] * 12
 
-    def add(self, stop: float, dt: float, f: Sequence[float], dvdt: float, lateral: float) -> None:
-        """Take a block: force less offset (3,) [m/s^2], dv/dt and v r [m/s^2], over dt [s]."""
+    def add(
+        self, block: Block, f: Sequence[float], dvdt: float, lateral: float, weight: float
+    ) -> None:
+        """Take a block: force less offset (3,) [m/s^2], dv/dt and v r likewise [m/s^2]."""
+        dt = block.t1 - block.t0
         x, y, z = f
         motion = (
             x * dvdt, y * dvdt, z * dvdt, x * lateral, y * lateral, z * lateral,
             x * x, y * y, z * z, x * y, x * z, y * z,
         )  # fmt: skip
-        self.sums = [total + dt * value for total, value in zip(self.sums, motion, strict=True)]
+        self.sums = [
+            total + weight * dt * value for total, value in zip(self.sums, motion, strict=True)
+        ]
         self.seconds += dt
-        self.stop = stop
+        self.stop = block.t1
 
 
 class ManoeuvreBook:

@@ -19,8 +19,12 @@ OFFSET_SETTLED_S = 2.0
 """Straight motion that the offset needs before it is good [s]; less where it forgets sooner."""
 OFFSET_BLOCKS = 4.0
 """The offset's time constant in blocks, at least: a 1 Hz speed makes blocks of 1 s."""
+OFFSET_WITHOUT_SPEED_S = 2.0
+"""And at least this without speed [s]: the mean then takes part of the manoeuvre with it."""
 OFFSET_FADE_S = 15.0
 """Time constant at which the offset's weight fades while motion is not straight [s]."""
+UNEXPLAINED_NOISE = 0.4
+"""Horizontal force that road and a slow speed leave unexplained on a straight road [m/s^2]."""
 TURN_FACTOR = 1.5
 """A limit must be exceeded by this factor to call motion a turn, so that noise does not."""
 
@@ -52,11 +56,13 @@ class WanderingOffset:
             return [0.0] * 5
         return [s / self._weight for s in self._sums]
 
-    def add(self, fx: float, fy: float, fz: float, dvdt: float, lateral: float, dt: float) -> None:
-        """Take a straight block of dt [s]."""
+    def add(self, block: Block, dvdt: float, lateral: float, with_speed: bool) -> None:
+        """Take a straight block with its dv/dt and v r [m/s^2]."""
         if self._tau > 0.0:
-            keep = math.exp(-dt / max(self._tau, OFFSET_BLOCKS * dt))
-            values = (fx, fy, fz, dvdt, lateral)
+            dt = block.t1 - block.t0
+            least = OFFSET_BLOCKS * dt if with_speed else OFFSET_WITHOUT_SPEED_S
+            keep = math.exp(-dt / max(self._tau, least))
+            values = (block.fx, block.fy, block.fz, dvdt, lateral)
             self._sums = [s * keep + v * dt for s, v in zip(self._sums, values, strict=True)]
             self._weight = self._weight * keep + dt
 
@@ -131,7 +137,7 @@ class StraightGate:
             return abs(lateral) <= limit
         if not isnan(own_lateral):
             return abs(own_lateral) <= limit
-        return self._unexplained(block, level) <= limit
+        return self._unexplained(block, level) <= limit + UNEXPLAINED_NOISE
 
     def _unexplained(self, block: Block, level: Matrix3) -> float:
         """Horizontal force beyond what dv/dt explains [m/s^2]; 0 where that cannot be said."""

@@ -58,7 +58,7 @@ class PublishedSettings:
     steering_ratio: float = 15.5
     wheelbase: float = 2.7
     """Wheelbase [m]; with the steering ratio it gives yaw rate where nothing measures it."""
-    consistency_window: int = 10
+    consistency_window: int = 15
     """Successive angles, at 10 per second, that must agree."""
     consistency_spread: float = math.radians(25.0)
     """Range within which they agree [rad]."""
@@ -68,7 +68,7 @@ class PublishedSettings:
     """Lateral acceleration v r of straight motion [m/s^2]; 0 switches the gate off."""
     settle: float = 1.5
     """Straight motion [s] after a turn before anything is learnt: body roll swings out."""
-    min_speed_change: float = 0.4
+    min_speed_change: float = 0.25
     """Least |dv/dt| of variable-speed motion [m/s^2]: below, slope and noise decide the angle."""
     manoeuvre_peak: float = 0.8
     """|dv/dt| that a manoeuvre must reach to count [m/s^2]."""
@@ -82,15 +82,18 @@ class PublishedSettings:
     """What may tell accelerating from braking."""
     subtract_lateral: bool = True
     """Subtract v r where speed and yaw rate are known (beyond the publication)."""
-    remove_offset_after: float = 2.0
+    remove_offset_after: float = 1.0
     """Time constant [s] of the mean that is removed: slope, bank and bias wander. 0: never."""
+    wander_speed: float = 2.4
+    """Speed [m/s] at which a block counts half: the faster, the more slope and bank wander while
+    speed changes (beyond the publication). 0: all count alike."""
     use_speed: bool = True
     """Use dv/dt for gate, sign and weight (beyond the publication for gate and weight)."""
     speed_delay: float = 0.0
     """How late the speed is against the accelerometer [s]; negative where it leads."""
     speed_timeout: float = 2.5
     """Time without a speed sample after which speed is unknown [s]."""
-    block_s: float = 0.3
+    block_s: float = 0.2
     """Shortest interval over which dv/dt and acceleration are compared [s]."""
 
     # States; a state is left only when its limit is exceeded by the factor `hysteresis`.
@@ -111,5 +114,6 @@ class PublishedSettings:
             average_stops=False,
             subtract_lateral=False,
             remove_offset_after=0.0,
+            wander_speed=0.0,
             lateral_limit=0.0,
         )

@@ -51,11 +51,14 @@ class SignVotes:
             self._votes.append((x / norm, y / norm, z / norm))
             self.counts[source] = self.counts.get(source, 0) + 1
 
+    def count(self, axis: Vector) -> tuple[int, int]:
+        """Return how many votes lie along the axis (3,), and how many against it."""
+        along = [x * axis[0] + y * axis[1] + z * axis[2] for x, y, z in self._votes]
+        return sum(1 for c in along if c > ALIGNED), sum(1 for c in along if c < -ALIGNED)
+
     def sign(self, axis: Vector) -> float:
         """Return +1 when the axis (3,) points forward, -1 when it points back, 0 when unsure."""
-        along = [x * axis[0] + y * axis[1] + z * axis[2] for x, y, z in self._votes]
-        ahead = sum(1 for c in along if c > ALIGNED)
-        back = sum(1 for c in along if c < -ALIGNED)
+        ahead, back = self.count(axis)
         if abs(ahead - back) < VOTES_NEEDED or max(ahead, back) < AGREEMENT * (ahead + back):
             return 0.0
         return 1.0 if ahead > back else -1.0
