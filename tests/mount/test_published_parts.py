@@ -35,7 +35,8 @@ def book_of(mount: Rotation, motions: list[list[tuple[float, float]]]) -> Manoeu
     for blocks in motions:
         m = Manoeuvre(0.0, signed=True)
         for dvdt, lateral in blocks:
-            m.add(1.0, 0.5, mount.inv().apply([dvdt, lateral, 0.0]).tolist(), dvdt, lateral)
+            f = mount.inv().apply([dvdt, lateral, 0.0]).tolist()
+            m.add(block(0.0), f, dvdt, lateral, 0.7)
         book.add(m)
     return book
 
