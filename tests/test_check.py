@@ -221,6 +221,32 @@ def test_figures_are_those_of_numpy_whatever_the_chunks(frames: Frames) -> None:
     assert [f["text"] for f in whole["findings"]] == [f["text"] for f in cut["findings"]]
 
 
+def test_a_fuzzed_bus_is_survived_and_counted() -> None:
+    """Random bytes under our ids and any others: a report, finite and complete."""
+    rng = np.random.default_rng(5)
+    n = 60_000
+    known = np.array([0x200, 0x201, 0x1A0, 0x130, 0xC2, 0x1B0, 0x1D0, 0x1E0, 0x640], np.uint32)
+    anything = rng.integers(0, 2**29, n, dtype=np.uint32) | np.uint32(0x8000_0000)
+    ids = np.where(rng.random(n) < 0.5, rng.choice(known, n), anything)
+    t = np.cumsum(rng.exponential(0.001, n)) + 20.0 * (rng.random(n) < 1e-4).cumsum()
+    chunk = FrameColumns(
+        t - 30.0 * (np.arange(n) > n // 2),  # and the clock is set back once
+        ids.astype(np.uint32),
+        rng.integers(0, 9, n, dtype=np.uint8),
+        rng.integers(0, 256, (n, 8), dtype=np.uint8),
+        np.zeros(n, np.uint8),
+        ("can0",),
+    )
+    report = checked([chunk.take(slice(i, i + 7000)) for i in range(0, n, 7000)])
+    json.dumps(report, allow_nan=False)
+    frames = report["frames"]
+    assert frames["read"] == n
+    assert frames["rejected"]["short_frame"] > 0
+    assert frames["rejected"]["checksum"] > 0
+    assert frames["other_ids"] <= 20_000
+    assert frames["other_frames"] > 0.4 * n
+
+
 # the command -----------------------------------------------------------------------------------
 
 

@@ -30,6 +30,8 @@ from imucald.timebase import TimeBase
 
 EVERY_FRAME = (IdMatch(0, 0), IdMatch(CAN_EFF_FLAG, 0))
 """Lets every identifier through, 11 and 29 bits."""
+MAX_IDS = 20_000
+"""Identifiers that are told apart; a vehicle has hundreds, a fuzzed bus any number."""
 _OUTPUTS = ("acceleration", "angular_rate", "magnetic_field", "mount", "mount_deviation", "health")
 
 
@@ -49,6 +51,7 @@ class Check:
         """Frames by (channel, id with the flag for 29 bits)."""
         self.bad_lines: Counter[str] = Counter()
         """What a log's reader rejected, by reason; for the report."""
+        self._uncounted = 0
         self._timebase = TimeBase()
         self._means = TickMeans()
 
@@ -57,7 +60,11 @@ class Check:
         for index in np.unique(frames.channel).tolist():
             ids, counts = np.unique(frames.can_id[frames.channel == index], return_counts=True)
             for can_id, count in zip(ids.tolist(), counts.tolist(), strict=True):
-                self.ids[frames.channels[index], can_id] += count
+                key = frames.channels[index], can_id
+                if key in self.ids or len(self.ids) < MAX_IDS:
+                    self.ids[key] += count
+                else:
+                    self._uncounted += count
         for piece in self._timebase.columns(frames.t):
             chunk = frames.take(slice(piece.start, piece.stop))
             self._means.add(self.router.columns(piece.t, chunk).samples)
@@ -106,11 +113,11 @@ class Check:
             "findings": [finding.as_dict() for finding in findings],
             "output": self._output_ids(),
             "frames": {
-                "read": sum(self.ids.values()),
+                "read": sum(self.ids.values()) + self._uncounted,
                 "used": self.router.used,
                 "rejected": dict(sorted(rejected.items())),
                 "other_ids": len(unknown),
-                "other_frames": sum(unknown.values()),
+                "other_frames": sum(unknown.values()) + self._uncounted,
             },
         }
 

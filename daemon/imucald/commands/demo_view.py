@@ -240,10 +240,8 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
         console.print(line)
     console.print()
     console.print("Next, on a log of your vehicle (config/imucald.yaml is a commented start):")
-    console.print(
-        "  imucald check  --config car.yaml drive.log    what it decodes, what looks wrong"
-    )
-    console.print("  imucald replay --config car.yaml drive.log    what it finds")
+    console.print("  imucald check  --config car.yaml drive.log   what it decodes, what is odd")
+    console.print("  imucald replay --config car.yaml drive.log   what it finds")
 
 
 def _result_table(angles: list[Angle]) -> Table:
