@@ -14,6 +14,8 @@ from imucald.mount.published_settings import PublishedSettings
 
 CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""
+_KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
+"""Sign of the roll that a road's crown gives a vehicle that keeps to this side."""
 
 
 def estimator_for(config: Config) -> MountEstimator:
@@ -31,6 +33,8 @@ def published_settings(config: Config) -> PublishedSettings:
     """Settings of method A."""
     calibration = config.calibration
     static, straight, target = calibration.static, calibration.straight, calibration.target_angle
+    vehicle = config.vehicle
+    side_known = vehicle.driving_side != "unknown"
     presets = PublishedSettings()
     return replace(
         presets,
@@ -44,13 +48,16 @@ def published_settings(config: Config) -> PublishedSettings:
         standstill_speed=static.standstill_speed,
         average_stops=static.average_stops,
         accel_bias_std=calibration.accelerometer_bias,
+        accel_range=calibration.accelerometer_range or math.inf,
+        crown=_KERB[vehicle.driving_side] * vehicle.crown_percent / 100.0,
+        crown_std=vehicle.crown_spread_percent / 100.0 if side_known else presets.crown_std,
         planar=_is_planar(config),
         recognisers=straight.recognise_by,
         yaw_rate_limit=math.radians(straight.yaw_rate_limit_deg_s),
         yaw_rate_limit_without_speed=math.radians(straight.yaw_rate_limit_without_speed_deg_s),
         steering_limit=math.radians(straight.steering_limit_deg),
-        steering_ratio=config.vehicle.steering_ratio,
-        wheelbase=config.vehicle.wheelbase,
+        steering_ratio=vehicle.steering_ratio,
+        wheelbase=vehicle.wheelbase,
         consistency_window=straight.consistency_window,
         consistency_spread=math.radians(straight.consistency_range_deg),
         lateral_limit=straight.lateral_limit,
