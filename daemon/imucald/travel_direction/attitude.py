@@ -1,0 +1,150 @@
+"""Attitude of a carried terminal: earth axes from terminal axes, sample by sample.
+
+By gyroscope, levelled by the accelerometer slowly (a complementary filter as in Mahony, Hamel and
+Pflimlin, IEEE Trans. Automatic Control 53, 2008); north by `NorthFilter`, or from a compass signal.
+"""
+
+from __future__ import annotations
+
+import math
+
+from imucald.attitude.axes import (
+    IDENTITY,
+    Quaternion,
+    Rows,
+    Vector,
+    cross,
+    from_vector,
+    product,
+    rotated,
+    rows,
+    times,
+)
+from imucald.frames import levelling_rotation, quaternion_from_rotation
+from imucald.travel_direction.north import NorthFilter
+from imucald.travel_direction.settings import ModernSettings
+
+TWO_PI = 2.0 * math.pi
+GAP_S = 0.5
+"""Samples further apart than this are no steady stream [s]."""
+REST_S = 1.0
+REST_RATE = math.radians(2.0)
+"""At rest no axis of the gyroscope moves by more within `REST_S` [rad/s]."""
+REST_RATE_MEAN = math.radians(5.0)
+"""A larger mean is no zero error [rad/s]."""
+
+
+class TerminalAttitude:
+    """Level frame P from terminal axes, and where north is in it."""
+
+    def __init__(self, settings: ModernSettings) -> None:
+        self.settings = settings
+        self.north = NorthFilter()
+        self.zero_error: Vector = (0.0, 0.0, 0.0)
+        """Of the gyroscope, from rests [rad/s]."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: time has jumped."""
+        self.q: Quaternion = IDENTITY
+        """Terminal to P."""
+        self.level: Rows = rows(IDENTITY)
+        self.turned = 0.0
+        """Angle turned about the vertical by the gyroscope, clockwise seen from above [rad]."""
+        self.ready = False
+        self.north.restart()
+        self._signal_yaw: float | None = None
+        self._t_gyro = self._t_accel = self._t_signal = -math.inf
+        self._rate: Vector = (0.0, 0.0, 0.0)
+        self._age = self._signal_age = 0.0
+        self._rest_begin()
+
+    def gyro(self, t: float, raw: Vector) -> None:
+        """Take an angular rate [rad/s]."""
+        dt = t - self._t_gyro
+        self._rest(t, raw)
+        b = self.zero_error
+        rate = (raw[0] - b[0], raw[1] - b[1], raw[2] - b[2])
+        if dt > GAP_S:
+            if self.ready:
+                self.restart()
+        elif dt > 0.0:
+            k = 0.5 * dt
+            last = self._rate
+            v = (k * (rate[0] + last[0]), k * (rate[1] + last[1]), k * (rate[2] + last[2]))
+            self.turned -= times(self.level, v)[2]
+            self._set(rotated(self.q, *v))
+        self._t_gyro, self._rate = t, rate
+
+    def accel(self, t: float, force: Vector) -> None:
+        """Level by a specific force [m/s^2]."""
+        size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
+        dt = min(t - self._t_accel, GAP_S)
+        self._t_accel = t
+        if size < 1.0 or dt <= 0.0:
+            return
+        if not self.ready:
+            self._set(quaternion_from_rotation(levelling_rotation(force)))
+            self.ready, self._age = True, 0.0
+            return
+        self._age += dt
+        x, y, z = times(self.level, force)
+        part = dt / (min(self.settings.gravity_time, self._age) + dt)
+        ex, ey, _ = cross((x / size, y / size, z / size), (0.0, 0.0, 1.0))
+        self._set(product(from_vector(ex * part, ey * part, 0.0), self.q))
+
+    def mag(self, t: float, field: Vector) -> None:
+        """Take a magnetic field [T]."""
+        if self.ready:
+            self.north.add(t, field, self.level)
+
+    def compass(self, t: float, heading: float) -> None:
+        """Take a heading of the y axis from elsewhere, clockwise from north [rad]."""
+        if not self.ready:
+            return
+        x, y, _ = times(self.level, (0.0, 1.0, 0.0))
+        if math.hypot(x, y) < 0.1:
+            return
+        yaw = math.atan2(x, y) - heading
+        dt = min(max(t - self._t_signal, 0.0), 2.0)
+        self._t_signal = t
+        if self._signal_yaw is None:
+            self._signal_yaw, self._signal_age = yaw, 0.0
+            return
+        self._signal_age += dt
+        part = dt / (min(self.settings.compass_time, self._signal_age) + dt)
+        self._signal_yaw += part * math.remainder(yaw - self._signal_yaw, TWO_PI)
+
+    @property
+    def yaw(self) -> float | None:
+        """Turn about the vertical from P to the earth [rad]; None: north is not known."""
+        return self._signal_yaw if self._signal_yaw is not None else self.north.yaw
+
+    def _set(self, q: Quaternion) -> None:
+        self.q = q
+        self.level = rows(q)
+
+    def _rest_begin(self) -> None:
+        self._rest_start = math.nan
+        self._low = [math.inf] * 3
+        self._high = [-math.inf] * 3
+        self._total = [0.0] * 3
+        self._n = 0
+
+    def _rest(self, t: float, raw: Vector) -> None:
+        """The mean of a second in which nothing turns is the gyroscope's zero error."""
+        if math.isnan(self._rest_start):
+            self._rest_start = t
+        self._n += 1
+        for i, w in enumerate(raw):
+            self._low[i] = min(self._low[i], w)
+            self._high[i] = max(self._high[i], w)
+            self._total[i] += w
+        if t - self._rest_start < REST_S:
+            return
+        x, y, z = (total / self._n for total in self._total)
+        spread = max(high - low for high, low in zip(self._high, self._low, strict=True))
+        if spread < REST_RATE and max(abs(x), abs(y), abs(z)) < REST_RATE_MEAN:
+            self.zero_error = (x, y, z)
+            self.north.rested()
+        self._rest_begin()

@@ -1,0 +1,132 @@
+"""Step cycles: each full sine period of the vertical acceleration is one (method D, step 1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.travel_direction.settings import StepSettings
+
+Array = NDArray[np.float64]
+
+POINTS = 64
+"""A cycle is looked at on so many equal parts of its duration."""
+MAX_SAMPLES = 4096
+"""Samples of one cycle that are kept at most."""
+GAP_S = 0.25
+"""Samples further apart than this do not belong to one cycle [s]."""
+LEAST_SAMPLES = 6
+"""A sine needs so many samples."""
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One step: its time [s], and the acceleration (POINTS, 3) on equal parts of it [m/s^2].
+
+    Terminal axes; `extra`: columns handed in with the samples, on the same grid.
+    """
+
+    t0: float
+    t1: float
+    accel: Array
+    extra: Array
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.t1 - self.t0
+
+
+class StepCycles:
+    """Cuts the stream of accelerometer samples into step cycles.
+
+    The vertical is the low-passed acceleration; a cycle goes from one rise of the vertical
+    acceleration through its mean to the next, with a fall past the threshold in between.
+    """
+
+    def __init__(self, settings: StepSettings) -> None:
+        self.settings = settings
+        self.steps = 0
+        """Full cycles so far."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: time has jumped."""
+        self._t = -math.inf
+        self._g = (0.0, 0.0, 0.0)
+        self._warm = 0.0
+        self._slow = [0.0, 0.0]
+        self._before = 0.0
+        self._armed = False
+        self._high = False
+        self._start = math.nan
+        self._samples: list[tuple[float, ...]] = []
+
+    def add(self, t: float, accel: tuple[float, float, float], *extra: float) -> Cycle | None:
+        """Take a sample [m/s^2] at t [s]; return the cycle that it ends, if any."""
+        dt = t - self._t
+        if dt <= 0.0:
+            return None
+        if dt > GAP_S:
+            self.restart()
+            self._t, self._g = t, accel
+            return None
+        self._t = t
+        vertical = self._vertical(dt, accel)
+        if len(self._samples) < MAX_SAMPLES:
+            self._samples.append((t, *accel, *extra))
+        before, self._before = self._before, vertical
+        s = self.settings
+        if vertical < -s.threshold:
+            self._armed = True
+        elif vertical > s.threshold:
+            self._high = True
+        if not self._armed or not before < 0.0 <= vertical:
+            if t - self._start > s.longest:
+                self._start = math.nan  # nobody walks
+            if math.isnan(self._start):
+                self._samples = self._samples[-1:]
+            return None
+        part = -before / (vertical - before)
+        return self._crossing(t - dt + part * dt)
+
+    def _crossing(self, t: float) -> Cycle | None:
+        s = self.settings
+        start, duration = self._start, t - self._start
+        if duration < s.shortest:
+            self._armed = False
+            return None
+        whole = self._high and duration <= s.longest and len(self._samples) >= LEAST_SAMPLES
+        cycle = self._cut(start, t) if whole else None
+        self._start = t
+        self._armed = self._high = False
+        self._samples = self._samples[-2:]
+        if cycle is not None:
+            self.steps += 1
+        return cycle
+
+    def _cut(self, t0: float, t1: float) -> Cycle:
+        columns = np.array(self._samples)
+        grid = t0 + (t1 - t0) * (np.arange(POINTS) / POINTS)
+        made = [np.interp(grid, columns[:, 0], column) for column in columns.T[1:]]
+        return Cycle(t0, t1, np.column_stack(made[:3]), np.column_stack([grid, *made[3:]])[:, 1:])
+
+    def _vertical(self, dt: float, accel: tuple[float, float, float]) -> float:
+        """Vertical acceleration, low-passed twice [m/s^2]."""
+        s = self.settings
+        self._warm += dt
+        part = 1.0 - math.exp(-dt / min(s.gravity_time, max(self._warm, dt)))
+        x, y, z = (g + part * (a - g) for g, a in zip(self._g, accel, strict=True))
+        self._g = (x, y, z)
+        size = math.sqrt(x * x + y * y + z * z)
+        if size < 1.0:
+            return 0.0
+        along = (accel[0] * x + accel[1] * y + accel[2] * z) / size - size
+        part = 1.0 - math.exp(-dt * 2.0 * math.pi * s.corner_hz)
+        slow = self._slow
+        slow[0] += part * (along - slow[0])
+        slow[1] += part * (slow[0] - slow[1])
+        return slow[1]

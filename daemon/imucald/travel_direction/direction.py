@@ -1,0 +1,181 @@
+"""Frames of a carried terminal in, one direction of travel per step out. Pure: no I/O, no clock.
+
+The published method needs accelerometer and a compass (magnetometer, or any heading signal of the
+terminal's y axis); the alternative needs a gyroscope besides. Samples come one by one, in
+terminal axes, SI units, stream time; the accelerometer reads +g upwards whatever the convention.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.attitude.axes import Vector, times, transposed_times
+from imucald.travel_direction.attitude import TerminalAttitude
+from imucald.travel_direction.cycles import Cycle, StepCycles
+from imucald.travel_direction.modern import ModernDirection
+from imucald.travel_direction.published import (
+    PublishedDirection,
+    PublishedResult,
+    compass_of,
+    levelling_angles,
+    projected,
+)
+from imucald.travel_direction.settings import TravelSettings
+
+TWO_PI = 2.0 * math.pi
+STALE_S = 2.0
+"""Without a step for so long nobody walks [s]."""
+COMPASS_STALE_S = 1.0
+"""A compass older than this is none [s]."""
+
+
+class TravelState(enum.IntEnum):
+    """State of the direction; the numbers are those on the bus."""
+
+    NOT_AVAILABLE = 0
+    STANDING = 1
+    WALKING = 2
+    TURNING = 3
+    NO_COMPASS = 4
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step cycle and the headings it gave [rad, clockwise from north]; None: not known.
+
+    heading: by the method of the settings. compass: of the terminal's y axis.
+    """
+
+    t: float
+    duration: float
+    steps: int
+    heading: float | None
+    compass: float | None
+    published: PublishedResult | None
+    modern: float | None
+    trust: float
+
+
+class TravelDirection:
+    """The whole of method D and the alternative, for one terminal."""
+
+    def __init__(self, settings: TravelSettings | None = None) -> None:
+        self.settings = settings or TravelSettings()
+        s = self.settings
+        self.cycles = StepCycles(s.step)
+        self.published = PublishedDirection(s.choice, s.convention)
+        self.modern = ModernDirection(s.modern)
+        self.attitude = TerminalAttitude(s.modern)
+        self.last: Step | None = None
+        """The newest step."""
+        self.gap()
+
+    @property
+    def steps(self) -> int:
+        """Full step cycles so far."""
+        return self.cycles.steps
+
+    def gap(self) -> None:
+        """Time jumped: nothing before this may be differenced with what follows."""
+        self.cycles.restart()
+        self.published.restart()
+        self.modern.restart()
+        self.attitude.restart()
+        self._field_sum: Vector = (0.0, 0.0, 0.0)
+        self._fields = 0
+        self._heading: tuple[float, float] | None = None
+        self._has_gyro = False
+        self._heard = -math.inf
+        self.last = None
+
+    def gyro(self, t: float, values: Sequence[float]) -> None:
+        """Take an angular rate [rad/s]."""
+        self._has_gyro = True
+        self.attitude.gyro(t, (values[0], values[1], values[2]))
+
+    def mag(self, t: float, values: Sequence[float]) -> None:
+        """Take a magnetic field [T]."""
+        field = (values[0], values[1], values[2])
+        x, y, z = self._field_sum
+        self._field_sum = (x + field[0], y + field[1], z + field[2])
+        self._fields += 1
+        self.attitude.mag(t, field)
+
+    def heading(self, t: float, heading: float) -> None:
+        """Take a compass reading of the terminal's y axis, clockwise from north [rad]."""
+        self._heading = (t, heading)
+        self.attitude.compass(t, heading)
+
+    def accel(self, t: float, values: Sequence[float]) -> Step | None:
+        """Take a specific force [m/s^2]; return the step that it completes, if any."""
+        force = (values[0], values[1], values[2])
+        self._heard = t
+        self.attitude.accel(t, force)
+        cycle = self.cycles.add(t, force, *times(self.attitude.level, force))
+        if cycle is None:
+            return None
+        self.last = self._step(cycle)
+        self._field_sum, self._fields = (0.0, 0.0, 0.0), 0
+        return self.last
+
+    def state(self, now: float) -> TravelState:
+        """The state at stream time now [s]."""
+        if now - self._heard > COMPASS_STALE_S:
+            return TravelState.NOT_AVAILABLE
+        last = self.last
+        if last is None or now - last.t > STALE_S:
+            return TravelState.STANDING
+        if last.heading is None:
+            return TravelState.NO_COMPASS
+        turning = last.published is not None and last.published.is_turn
+        return TravelState.TURNING if turning else TravelState.WALKING
+
+    def _step(self, cycle: Cycle) -> Step:
+        compass = self._compass(cycle)
+        published = None if compass is None else self.published.take(cycle, compass)
+        modern = self._modern(cycle)
+        by_published = None if published is None else published.heading
+        heading = by_published
+        if self.settings.method == "modern" and modern is not None:
+            heading = modern
+        return Step(
+            t=cycle.t1,
+            duration=cycle.duration,
+            steps=self.cycles.steps,
+            heading=heading,
+            compass=compass,
+            published=published,
+            modern=modern,
+            trust=self.modern.trust if modern is not None else 0.0,
+        )
+
+    def _modern(self, cycle: Cycle) -> float | None:
+        yaw = self.attitude.yaw
+        if not self._has_gyro:
+            return None
+        up = transposed_times(self.attitude.level, (0.0, 0.0, 1.0))
+        angle = self.modern.take(cycle, self.attitude.turned, up)
+        if angle is None or yaw is None:
+            return None
+        # turning P by yaw, counter-clockwise, takes it from clockwise angles; true north follows
+        declination = self.settings.declination if self._heading is None else 0.0
+        return (angle - yaw + declination) % TWO_PI
+
+    def _compass(self, cycle: Cycle) -> float | None:
+        """Compass of the cycle: from the mean field in it, else from the newest heading."""
+        if self._fields:
+            n = self._fields
+            x, y, z = self._field_sum
+            field = np.array([x / n, y / n, z / n])
+            mean = cycle.accel.mean(axis=0)
+            if not np.any(projected(field, *levelling_angles(mean))[:2]):
+                return None
+            return (compass_of(field, mean) + self.settings.declination) % TWO_PI
+        if self._heading is not None and cycle.t1 - self._heading[0] <= COMPASS_STALE_S:
+            return self._heading[1] % TWO_PI
+        return None

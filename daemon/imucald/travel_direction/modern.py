@@ -1,0 +1,88 @@
+"""The alternative to the publication: attitude by gyroscope, axis by power, sign by phase.
+
+In a level frame the step's forward acceleration swings at the step's frequency, sideways sway at
+half of it. So each cycle gives, at its own frequency, an axis by power, and by its phase against the
+vertical the sign. Both are averaged over some steps in a frame that turns with the terminal:
+whoever turns takes it along, and the way it is carried changes rarely.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+
+from imucald.attitude.axes import Vector
+from imucald.travel_direction.cycles import POINTS, Cycle
+from imucald.travel_direction.settings import ModernSettings
+
+TWO_PI = 2.0 * math.pi
+
+
+class ModernDirection:
+    """Direction of travel from step cycles in the level frame.
+
+    The extra columns of a cycle: acceleration in it, x, y, up [m/s^2]. Angles are clockwise from y.
+    """
+
+    def __init__(self, settings: ModernSettings) -> None:
+        self.settings = settings
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget how the terminal is carried."""
+        self._axis = 0j  # doubled angle, weighed by power
+        self._sign = 0j  # angle, by phase
+        self._power = 0.0
+        self._turned = math.nan
+        self._up: Vector | None = None
+
+    def take(self, cycle: Cycle, turned: float, up_in_terminal: Vector) -> float | None:
+        """Return the direction after this cycle [0, 2 pi); None: not known.
+
+        turned: angle turned so far about the vertical, clockwise [rad]; up_in_terminal: (3,).
+        """
+        self._carried(up_in_terminal)
+        change = 0.0 if math.isnan(self._turned) else turned - self._turned
+        self._turned = turned
+        turn = cmath.exp(1j * change)
+        keep = math.exp(-1.0 / self.settings.memory_steps)
+        waves = cycle.extra - cycle.extra.mean(axis=0)
+        first = np.fft.fft(waves, axis=0)[1] / POINTS
+        east, north, up = (complex(c) for c in first)
+        vertical = abs(up)
+        if vertical == 0.0:
+            return None
+        power = abs(east) ** 2 + abs(north) ** 2
+        axis = complex(abs(north) ** 2 - abs(east) ** 2, 2.0 * (north * east.conjugate()).real)
+        # the part that leads the vertical by so much, signed
+        lead = up.conjugate() / vertical * cmath.exp(-1j * self.settings.lead)
+        sign = complex((north * lead).real, (east * lead).real)
+        self._axis = keep * self._axis * turn * turn + axis
+        self._sign = keep * self._sign * turn + sign
+        self._power = keep * self._power + power
+        if self._axis == 0j or self._sign == 0j:
+            return None
+        angle = 0.5 * cmath.phase(self._axis)
+        if math.cos(angle - cmath.phase(self._sign)) < 0.0:
+            angle += math.pi
+        return angle % TWO_PI
+
+    @property
+    def trust(self) -> float:
+        """How much the steps agree, 0 to 1."""
+        return min(abs(self._axis) / self._power, 1.0) if self._power > 0.0 else 0.0
+
+    def _carried(self, up: Vector) -> None:
+        if self._up is not None:
+            cosine = sum(a * b for a, b in zip(up, self._up, strict=True))
+            if cosine < math.cos(self.settings.carry_change):
+                self.restart()
+                self._up = up
+                return
+            k = 1.0 / self.settings.memory_steps
+            mixed = [b + k * (a - b) for a, b in zip(up, self._up, strict=True)]
+            size = math.sqrt(sum(c * c for c in mixed)) or 1.0
+            up = (mixed[0] / size, mixed[1] / size, mixed[2] / size)
+        self._up = up

@@ -1,0 +1,124 @@
+"""Where north is, from a magnetometer with iron near it and a gyroscope with a zero error.
+
+Field model, in a frame P that is level and kept by the gyroscope: m = h + C^T M + noise, with h the
+hard iron of the terminal and M the earth's field in P, which turns with the gyroscope's zero error
+about the vertical. h does not turn when the terminal does, and that is how the two are told
+apart. A Kalman filter of seven states (h, M in uT; zero error in rad/s) has all three.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.attitude.axes import Rows, Vector
+
+Array = NDArray[np.float64]
+
+MICRO = 1e6
+"""Tesla to uT: numbers near one are good for a covariance."""
+STEP_S = 0.2
+"""Fields are averaged over so long before they are used [s]."""
+HARD_IRON_STD = 15.0
+"""[uT]; a magnetised case has more, and is found when it turns."""
+FIELD_STD = 50.0
+"""[uT]; the earth's field has 25 to 65."""
+ZERO_ERROR_STD = math.radians(0.5)
+"""Gyroscope zero error without a rest [rad/s]."""
+RESTED_STD = math.radians(0.05)
+"""The same after a rest [rad/s]."""
+NOISE = 35.0
+"""[uT] per 0.2 s: 5 uT of disturbance that lasts some ten seconds (steel, cables)."""
+HARD_IRON_WALK = 0.03
+"""[uT/sqrt(s)]"""
+FIELD_WALK = 0.2
+"""[uT/sqrt(s)]: along streets the field is not the same."""
+ZERO_WALK = math.radians(0.002)
+"""[rad/s/sqrt(s)]"""
+GATE = 3.0
+
+
+class NorthFilter:
+    """Estimates the horizontal direction of the earth's field in P."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Nothing is known."""
+        self.x: Array = np.zeros(7)
+        self.P: Array = np.diag([HARD_IRON_STD**2] * 3 + [FIELD_STD**2] * 3 + [ZERO_ERROR_STD**2])
+        self.ready = False
+        self._sum: Array = np.zeros(3)
+        self._count = 0
+        self._since = -math.inf
+        self._t = math.nan
+
+    def rested(self) -> None:
+        """The gyroscope's zero error has just been measured: what is left of it is small."""
+        self.x[6] = 0.0
+        self.P[6, :] = 0.0
+        self.P[:, 6] = 0.0
+        self.P[6, 6] = RESTED_STD**2
+
+    def add(self, t: float, field: Vector, C_level_from_terminal: Rows) -> None:
+        """Take a field [T] in terminal axes."""
+        if t - self._since > 10.0 * STEP_S:
+            self._sum[:], self._count, self._since = 0.0, 0, t
+        self._sum += field
+        self._count += 1
+        if t - self._since >= STEP_S:
+            self._take(t, self._sum / self._count * MICRO, C_level_from_terminal)
+            self._sum[:], self._count, self._since = 0.0, 0, t
+
+    def _take(self, t: float, field: Array, C_level_from_terminal: Rows) -> None:
+        if self.ready:
+            self._predict(min(max(t - self._t, 0.0), 10.0))
+        self._t = t
+        C = np.array(C_level_from_terminal).reshape(3, 3)
+        H = np.zeros((3, 7))
+        H[:, 0:3] = np.eye(3)
+        H[:, 3:6] = C.T
+        # the first fields say at once where north is; disturbance is for those that follow
+        noise = NOISE**2 if self.ready else 1.0
+        innovation = field - H @ self.x
+        S = H @ self.P @ H.T
+        size = float(innovation @ innovation)
+        if self.ready:
+            noise = max(noise, size / GATE**2 - float(np.trace(S)) / 3.0)
+        S = S + noise * np.eye(3)
+        K = np.linalg.solve(S, H @ self.P).T
+        self.x = self.x + K @ innovation
+        A = np.eye(7) - K @ H
+        P = A @ self.P @ A.T + noise * (K @ K.T)
+        self.P = 0.5 * (P + P.T)
+        self.ready = True
+
+    def _predict(self, dt: float) -> None:
+        """The frame P turns with the zero error, and the field in it the other way."""
+        east, north, zero = float(self.x[3]), float(self.x[4]), float(self.x[6])
+        F = np.eye(7)
+        turn = zero * dt
+        s, c = math.sin(turn), math.cos(turn)
+        F[3:5, 3:5] = [[c, -s], [s, c]]
+        self.x[3], self.x[4] = c * east - s * north, s * east + c * north
+        F[3, 6], F[4, 6] = -self.x[4] * dt, self.x[3] * dt
+        walk = [HARD_IRON_WALK**2] * 3 + [FIELD_WALK**2] * 3 + [ZERO_WALK**2]
+        P = F @ self.P @ F.T + np.diag(walk) * dt
+        self.P = 0.5 * (P + P.T)
+
+    @property
+    def yaw(self) -> float | None:
+        """By what P must turn about the vertical to have the field in the north [rad]."""
+        east, north = float(self.x[3]), float(self.x[4])
+        if not self.ready or math.hypot(east, north) < 1.0:
+            return None
+        return math.atan2(east, north)
+
+    @property
+    def hard_iron(self) -> Vector:
+        """[T], terminal axes."""
+        x, y, z = (float(c) / MICRO for c in self.x[0:3])
+        return x, y, z
