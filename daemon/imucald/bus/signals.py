@@ -14,14 +14,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.bus.arbitration import Arbiter
 from imucald.bus.columns import FrameColumns, IdMatch
 from imucald.bus.quantities import REASONS
 from imucald.bus.routes import Physical, Raw, Route, Tap
 from imucald.samples import CHANNEL_WIDTH, Series
 
-SOURCE_HOLD = 1.5
-"""A less preferred source is heard when the preferred ones were silent this long [s]: longer than
-the cycle of any vehicle speed, shorter than a manoeuvre."""
 MAX_SKEW = 0.1
 """Parts of a triad from different frames belong together within this [s]: one tick."""
 MAX_KNOWN_IDS = 4096
@@ -75,7 +73,7 @@ class Router:
         ranks: dict[str, int] = {}
         for tap in self._taps():
             ranks[tap.channel] = max(ranks.get(tap.channel, 0), tap.rank + 1)
-        self._arbiters = {c: _Arbiter(n) for c, n in ranks.items() if n > 1}
+        self._arbiters = {c: Arbiter(n) for c, n in ranks.items() if n > 1}
         self._assemblers: dict[tuple[str, int], _Assembler] = {
             (tap.channel, tap.rank): _Assembler(_width(tap.channel))
             for tap in self._taps()
@@ -109,7 +107,7 @@ class Router:
         looked at: a live bus is one bus.
         """
         samples: list[Sample] = []
-        rejected: list[str] = []
+        refused: list[Tap] = []
         found: list[tuple[Tap, Raw, Physical]] = []
         accepted = 0
         for route in self._routes_of(can_id):
@@ -118,7 +116,7 @@ class Router:
                 continue
             if reason:
                 self.rejected[reason] += 1
-                rejected.extend(tap.channel for tap in route.taps)
+                refused += route.taps
                 continue
             accepted += 1
             raw, physical = route.numbers(data)
@@ -126,15 +124,20 @@ class Router:
         if accepted > 1:  # the preferred source is heard first, whichever route it is on
             found.sort(key=lambda one: one[0].rank)
         self.used += accepted > 0
-        self._take(t, found, samples, rejected)
-        return samples, rejected
+        self._take(t, found, samples, refused)
+        return samples, [tap.channel for tap in refused if self._hears(t, tap)]
+
+    def _hears(self, t: float, tap: Tap) -> bool:
+        """Whether a tap's samples are taken now: nothing is lost by those that would not be."""
+        arbiter = self._arbiters.get(tap.channel)
+        return arbiter is None or arbiter.hears(t, tap.rank)
 
     def _take(
         self,
         t: float,
         found: Iterable[tuple[Tap, Raw, Physical]],
         samples: list[Sample],
-        rejected: list[str],
+        refused: list[Tap],
     ) -> None:
         for tap, raw, physical in found:
             values: Sequence[float] | None
@@ -148,11 +151,11 @@ class Router:
                     t, tap.slots, None if code else values
                 )
                 if bad:
-                    rejected.append(tap.channel)
+                    refused.append(tap)
                 if values is None:
                     continue
             elif code:
-                rejected.append(tap.channel)
+                refused.append(tap)
                 continue
             arbiter = self._arbiters.get(tap.channel)
             if arbiter is not None and not arbiter.accept(t, tap.rank):
@@ -187,8 +190,10 @@ class Router:
         """Samples of a chunk of frames; t: (N,) stream times of the frames."""
         used = np.zeros(len(frames), dtype=bool)
         parts: dict[str, list[_Part]] = {}
-        rejected: dict[str, list[Rows]] = {}
+        refused: list[tuple[Tap, Rows]] = []
         events: list[Rows] = []
+        for arbiter in self._arbiters.values():
+            arbiter.begin_chunk()
         for route in self.routes:
             rows = _rows_of(route.match, frames)
             if not len(rows):
@@ -198,22 +203,34 @@ class Router:
             for reason, bad in reasons.items():
                 self.rejected[reason] += len(bad)
                 events.append(rows[bad])
-                for tap in route.taps:
-                    rejected.setdefault(tap.channel, []).append(rows[bad])
+                refused += [(tap, rows[bad]) for tap in route.taps]
             if not ok.all():
                 rows = rows[ok]
                 chosen = chosen.take(ok)
             used[rows] = True
-            self._take_columns(route, t, rows, chosen, parts, rejected, events)
+            self._take_columns(route, t, rows, chosen, parts, refused, events)
         self.used += int(np.count_nonzero(used))
         samples = {c: self._joined(c, found) for c, found in parts.items()}
-        self._assemble(parts, samples, rejected)
+        self._assemble(parts, samples, refused)
         self._finish_columns(samples)
         return Routed(
             samples,
-            {c: np.sort(np.concatenate(rows)) for c, rows in rejected.items()},
+            self._rejected_rows(t, refused),
             t[np.sort(np.concatenate(events))] if events else np.zeros(0),
         )
+
+    def _rejected_rows(
+        self, t: NDArray[np.float64], refused: list[tuple[Tap, Rows]]
+    ) -> dict[str, Rows]:
+        """Rows by channel of what was refused and would have been taken."""
+        found: dict[str, list[Rows]] = {}
+        for tap, rows in refused:
+            arbiter = self._arbiters.get(tap.channel)
+            if arbiter is not None:
+                rows = rows[arbiter.hears_columns(t[rows], rows, tap.rank)]  # noqa: PLW2901
+            if len(rows):
+                found.setdefault(tap.channel, []).append(rows)
+        return {channel: np.sort(np.concatenate(rows)) for channel, rows in found.items()}
 
     def _take_columns(
         self,
@@ -222,7 +239,7 @@ class Router:
         rows: Rows,
         frames: FrameColumns,
         parts: dict[str, list[_Part]],
-        rejected: dict[str, list[Rows]],
+        refused: list[tuple[Tap, Rows]],
         events: list[Rows],
     ) -> None:
         columns = route.number_columns(frames)
@@ -234,7 +251,7 @@ class Router:
                 for code in np.unique(codes[bad]).tolist():
                     self.rejected[REASONS[code]] += int(np.count_nonzero(codes == code))
                 if tap.complete:
-                    rejected.setdefault(tap.channel, []).append(rows[bad])
+                    refused.append((tap, rows[bad]))
             keep = codes == 0 if tap.complete else codes >= 0
             part = _Part(tap, t[rows], rows, values, codes)
             if not keep.all():
@@ -250,7 +267,10 @@ class Router:
             for part in whole:
                 known = by_rank.get(part.tap.rank)
                 by_rank[part.tap.rank] = part if known is None else known.merged(part)
-            whole = arbiter.accept_columns(by_rank)
+            whole = [
+                part.take(arbiter.accept_columns(part.t, part.row, rank))
+                for rank, part in sorted(by_rank.items())
+            ]
         if len(whole) == 1:
             part = whole[0]
             return ColumnSamples(part.t, part.values, part.row)
@@ -267,7 +287,7 @@ class Router:
         self,
         parts: Mapping[str, list[_Part]],
         samples: dict[str, ColumnSamples],
-        rejected: dict[str, list[Rows]],
+        refused: list[tuple[Tap, Rows]],
     ) -> None:
         """Channels with split triads: the same steps as for single frames, in row order."""
         for channel, found in parts.items():
@@ -277,7 +297,6 @@ class Router:
             t_out: list[float] = []
             rows_out: list[int] = []
             values_out: list[Sequence[float]] = []
-            bad_out: list[int] = []
             for row, tap, t, value, code in _in_row_order(found):
                 values: Sequence[float] | None = value
                 if not tap.complete:
@@ -285,10 +304,10 @@ class Router:
                         t, tap.slots, None if code else value
                     )
                     if bad:
-                        bad_out.append(row)
+                        refused.append((tap, np.array([row], dtype=np.int64)))
                     if values is None:
                         continue
-                if arbiter is not None and not arbiter.accept(t, tap.rank):
+                if arbiter is not None and not arbiter.accept_row(t, row, tap.rank):
                     continue
                 t_out.append(t)
                 rows_out.append(row)
@@ -300,8 +319,6 @@ class Router:
                 values_array if width > 1 else values_array[:, 0],
                 np.array(rows_out, dtype=np.int64),
             )
-            if bad_out:
-                rejected.setdefault(channel, []).append(np.array(bad_out, dtype=np.int64))
 
     def _finish_columns(self, samples: dict[str, ColumnSamples]) -> None:
         for channel in [c for c, s in samples.items() if not len(s.t)]:
@@ -345,36 +362,6 @@ class _Part:
             np.concatenate([self.values, other.values])[order],
             np.concatenate([self.codes, other.codes])[order],
         )
-
-
-class _Arbiter:
-    """Of several sources of one quantity, hears the first that is alive."""
-
-    def __init__(self, n: int) -> None:
-        self._last = [-math.inf] * n
-
-    def accept(self, t: float, rank: int) -> bool:
-        self._last[rank] = t
-        return all(t - self._last[better] > SOURCE_HOLD for better in range(rank))
-
-    def accept_columns(self, by_rank: Mapping[int, _Part]) -> list[_Part]:
-        accepted = []
-        for rank, part in by_rank.items():
-            keep = np.ones(len(part.t), dtype=bool)
-            for better in range(rank):
-                keep &= part.t - self._last_before(better, by_rank.get(better), part) > SOURCE_HOLD
-            accepted.append(part.take(keep))
-        for rank, part in by_rank.items():
-            if len(part.t):
-                self._last[rank] = float(part.t[-1])
-        return accepted
-
-    def _last_before(self, better: int, source: _Part | None, part: _Part) -> NDArray[np.float64]:
-        if source is None:
-            return np.full(len(part.t), self._last[better])
-        index = np.searchsorted(source.row, part.row, side="right")
-        times = np.concatenate([[self._last[better]], source.t])
-        return times[index]
 
 
 class _Assembler:

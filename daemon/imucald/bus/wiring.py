@@ -265,7 +265,8 @@ def _message_route(loaded: LoadedConfig, group: _Group) -> MessageRoute:
     protection = loaded.config.messages.get(group.message.name)
     place: Place = ("messages", group.message.name)
     try:
-        plan = compile_decode(group.message, group.names, group.j1939, group.channel)
+        j1939 = group.j1939 if group.message.can_id & CAN_EFF_FLAG else None
+        plan = compile_decode(group.message, group.names, j1939, group.channel)
         guard = guard_for(group.message, protection)
     except (DatabaseError, ConfigError) as error:
         raise loaded.error(place, str(error)) from None
