@@ -188,6 +188,16 @@ def test_value_tables_are_those_of_the_database() -> None:
     assert len(tables_in_doc) == 2
 
 
+def test_the_limits_of_usable_and_fine_are_those_of_the_configuration() -> None:
+    text = (DOCS / "output-frames.md").read_text()
+    states = load_config(ROOT / "config" / "imucald.yaml").config.calibration.states
+    for name, yaw, tilt in (
+        ("usable", states.usable_yaw_deg, states.usable_tilt_deg),
+        ("fine", states.fine_yaw_deg, states.fine_tilt_deg),
+    ):
+        assert f"for *{name}* (yaw {yaw} deg, tilt {tilt} deg" in text
+
+
 def test_the_consumers_check_accepts_ours_and_refuses_damage() -> None:
     (code,) = blocks(DOCS / "output-frames.md", "python")
     scope: dict[str, Any] = {}
