@@ -1,7 +1,7 @@
 """The alternative to the publication: attitude by gyroscope, axis by power, sign by phase.
 
 In a level frame the step's forward acceleration swings at the step's frequency, sideways sway at
-half of it. So each cycle gives, at its own frequency, an axis by power, and by its phase against the
+half of it. So each cycle gives, at its own frequency, an axis by power, and by phase against the
 vertical the sign. Both are averaged over some steps in a frame that turns with the terminal:
 whoever turns takes it along, and the way it is carried changes rarely.
 """
