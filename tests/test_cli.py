@@ -77,6 +77,23 @@ def test_a_missing_file_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert "nowhere.yaml" in text
 
 
+def test_output_that_knows_ascii_only_is_served(tmp_path: Path) -> None:
+    log = tmp_path / "drive.log"
+    commands = [["simulate", "--minutes", "0.3", "--out", str(log)],
+                ["check", "--config", str(START), str(log)],
+                ["replay", "--config", str(START), str(log)]]  # fmt: skip
+    for command in commands:
+        done = subprocess.run(
+            [sys.executable, "-m", "imucald", *command],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={"PYTHONIOENCODING": "ascii", "PATH": ""},
+        )
+        assert done.returncode == 0, done.stderr
+        assert "Traceback" not in done.stderr
+
+
 # mistakes with their place ---------------------------------------------------------------------
 
 BASE = f"""\

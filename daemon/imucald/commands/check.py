@@ -72,7 +72,9 @@ def run(options: argparse.Namespace) -> int:
         print()
     else:
         from imucald.commands.check_view import print_report
+        from imucald.commands.terminal import plain_where_needed
 
+        plain_where_needed()
         print_report(report)
     return 0 if report["usable"] else 1
 

@@ -56,6 +56,7 @@ def run(options: argparse.Namespace) -> int:
         write_svg,
     )
     from imucald.commands.simulate import chosen_model
+    from imucald.commands.terminal import plain_where_needed
     from imucald.demo import Demonstration
     from imucald.simulation.bus_frames import example_config
     from imucald.simulation.drive import simulate
@@ -65,8 +66,7 @@ def run(options: argparse.Namespace) -> int:
         minutes = QUICK_MINUTES if options.quick else DEFAULT_MINUTES
     if not 0.1 <= minutes <= MAX_MINUTES:
         raise ConfigError(f"--minutes must be between 0.1 and {MAX_MINUTES:g}")
-    if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="replace")  # a terminal without UTF-8 still shows numbers
+    plain_where_needed()
     model = chosen_model(
         argparse.Namespace(
             seed=options.seed, mount=options.mount, model=None, route=None, shift=[], changes=[]

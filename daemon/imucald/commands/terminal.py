@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -49,12 +50,19 @@ def _nothing(passed: float) -> None:
     """Show nothing: this is no terminal."""
 
 
+def plain_where_needed() -> None:
+    """Let standard output show '?' for what its encoding lacks, rather than fail."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+
+
 def print_summary(result: Mapping[str, Any]) -> None:
     """Print the result of a replay as tables."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    plain_where_needed()
     console = Console(highlight=False, markup=False)
     console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
     table = Table(box=None, pad_edge=False)
