@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from imucald.travel_direction.settings import StepSettings
 
 Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
 
 POINTS = 64
 """A cycle is looked at on so many equal parts of its duration."""
@@ -26,13 +27,13 @@ LEAST_SAMPLES = 6
 class Cycle:
     """One step: its time [s], and the acceleration (POINTS, 3) on equal parts of it [m/s^2].
 
-    Terminal axes; `extra`: columns handed in with the samples, on the same grid.
+    Terminal axes; level: the same in the level frame that was handed in.
     """
 
     t0: float
     t1: float
     accel: Array
-    extra: Array
+    level: Array
 
     @property
     def duration(self) -> float:
@@ -58,6 +59,7 @@ class StepCycles:
         self._t = -math.inf
         self._g = (0.0, 0.0, 0.0)
         self._warm = 0.0
+        self._mean = 0.0
         self._slow = [0.0, 0.0]
         self._before = 0.0
         self._armed = False
@@ -65,19 +67,26 @@ class StepCycles:
         self._start = math.nan
         self._samples: list[tuple[float, ...]] = []
 
-    def add(self, t: float, accel: tuple[float, float, float], *extra: float) -> Cycle | None:
-        """Take a sample [m/s^2] at t [s]; return the cycle that it ends, if any."""
+    def add(
+        self, t: float, accel: Vector, level: Vector = (0.0, 0.0, 0.0), up: float | None = None
+    ) -> Cycle | None:
+        """Take a sample [m/s^2] at t [s]; return the cycle that it ends, if any.
+
+        level: the same in a level frame, kept with the cycle. up: its part along the vertical,
+        where an attitude is known; the low-passed acceleration is the vertical where none is.
+        """
         dt = t - self._t
         if dt <= 0.0:
             return None
         if dt > GAP_S:
             self.restart()
             self._t, self._g = t, accel
+            self._mean = math.sqrt(accel[0] ** 2 + accel[1] ** 2 + accel[2] ** 2)
             return None
         self._t = t
-        vertical = self._vertical(dt, accel)
+        vertical = self._vertical(dt, accel, up)
         if len(self._samples) < MAX_SAMPLES:
-            self._samples.append((t, *accel, *extra))
+            self._samples.append((t, *accel, *level))
         before, self._before = self._before, vertical
         s = self.settings
         if vertical < -s.threshold:
@@ -111,10 +120,10 @@ class StepCycles:
     def _cut(self, t0: float, t1: float) -> Cycle:
         columns = np.array(self._samples)
         grid = t0 + (t1 - t0) * (np.arange(POINTS) / POINTS)
-        made = [np.interp(grid, columns[:, 0], column) for column in columns.T[1:]]
-        return Cycle(t0, t1, np.column_stack(made[:3]), np.column_stack([grid, *made[3:]])[:, 1:])
+        made = np.column_stack([np.interp(grid, columns[:, 0], c) for c in columns.T[1:]])
+        return Cycle(t0, t1, made[:, :3], made[:, 3:])
 
-    def _vertical(self, dt: float, accel: tuple[float, float, float]) -> float:
+    def _vertical(self, dt: float, accel: Vector, up: float | None) -> float:
         """Vertical acceleration, low-passed twice [m/s^2]."""
         s = self.settings
         self._warm += dt
@@ -124,7 +133,10 @@ class StepCycles:
         size = math.sqrt(x * x + y * y + z * z)
         if size < 1.0:
             return 0.0
-        along = (accel[0] * x + accel[1] * y + accel[2] * z) / size - size
+        if up is None:
+            up = (accel[0] * x + accel[1] * y + accel[2] * z) / size
+        self._mean += part * (up - self._mean)
+        along = up - self._mean
         part = 1.0 - math.exp(-dt * 2.0 * math.pi * s.corner_hz)
         slow = self._slow
         slow[0] += part * (along - slow[0])

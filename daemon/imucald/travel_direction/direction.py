@@ -116,7 +116,8 @@ class TravelDirection:
         force = (values[0], values[1], values[2])
         self._heard = t
         self.attitude.accel(t, force)
-        cycle = self.cycles.add(t, force, *times(self.attitude.level, force))
+        level = times(self.attitude.level, force)
+        cycle = self.cycles.add(t, force, level, level[2] if self._has_gyro else None)
         if cycle is None:
             return None
         self.last = self._step(cycle)

@@ -23,7 +23,7 @@ TWO_PI = 2.0 * math.pi
 class ModernDirection:
     """Direction of travel from step cycles in the level frame.
 
-    The extra columns of a cycle: acceleration in it, x, y, up [m/s^2]. Angles are clockwise from y.
+    Angles are clockwise from its y axis.
     """
 
     def __init__(self, settings: ModernSettings) -> None:
@@ -48,7 +48,7 @@ class ModernDirection:
         self._turned = turned
         turn = cmath.exp(1j * change)
         keep = math.exp(-1.0 / self.settings.memory_steps)
-        waves = cycle.extra - cycle.extra.mean(axis=0)
+        waves = cycle.level - cycle.level.mean(axis=0)
         first = np.fft.fft(waves, axis=0)[1] / POINTS
         east, north, up = (complex(c) for c in first)
         vertical = abs(up)
