@@ -132,6 +132,15 @@ def test_banked_curves_take_their_share_of_the_lateral_force():
     assert -0.45 < slope < -0.2
 
 
+def test_a_smooth_road_gives_no_blows():
+    """Whatever the route does, the force at a distant sensor changes as vehicles can change it."""
+    quiet = {"road__roughness": False, "mount__lever_arm_m": (1.5, 0.6, 0.8)}
+    for kind, seed in (("motorway", 3), ("mixed", 5), ("mixed", 6), ("city", 7)):
+        truth = truth_of(kind, seed, 6.0, **quiet)
+        jerk = np.diff(truth.force, axis=0) * 100.0
+        assert np.max(np.abs(jerk)) < 25.0
+
+
 def test_body_vibration_has_the_spectrum_of_a_quarter_car_on_an_iso_road():
     """Compared with the closed form of the transfer function, at constant speed."""
     rate, speed, n0 = 200.0, 15.0, 64e-6

@@ -15,6 +15,8 @@ JERK_WINDOW_S = 0.35
 """Two running means of this width limit the jerk to what drivers do (2-6 m/s^3)."""
 STEERING_WINDOW_S = 0.2
 """Hands follow the bend as smoothly as two running means of this width."""
+BANKING_WINDOW_S = 0.5
+"""Superelevation comes and goes gradually."""
 SPEED_WANDER_S = 9.0
 """Time in which the driver's speed forgets itself."""
 WANDER_GRID_S = 0.5
@@ -83,7 +85,7 @@ def drive_route(
         acceleration=acceleration,
         distance=distance,
         curvature=curvature,
-        banked_curvature=np.interp(distance, node_s, node_banked),
+        banked_curvature=smoothed(np.interp(distance, node_s, node_banked), rate, BANKING_WINDOW_S),
         braking=((acceleration * travel < -0.4) | (speed == 0.0)).astype(float),
     )
 

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.samples import GRAVITY
-from imucald.simulation.filters import Array, bilinear, filtered, gauss_markov, generator
+from imucald.simulation.filters import Array, bilinear, filtered, gauss_markov, generator, smoothed
 from imucald.simulation.vehicle_model import Chassis, Road, Route, Suspension
 
 REFERENCE_WAVENUMBER = 0.1
 """[cycles/m] of ISO 8608."""
+SHORTEST_SLOPE_M = 7.0
+"""Slope and cross fall are running means (twice) over such a length."""
 LONGEST_ROUGHNESS_M = 100.0
 """Waves longer than this belong to slope and cross fall."""
 LONGEST_TILT_M = 20.0
@@ -55,18 +57,25 @@ def road_attitude(
     n = math.ceil(length) + 2
     nodes = np.arange(n, dtype=float)
     if road.grade:
-        waves = gauss_markov(generator(seed, "grade"), n, 1.0, road.grade_length_m)
+        waves = _waves(seed, "grade", n, road.grade_length_m)
         grade = road.grade_mean + road.grade_rms * _spline(distance, nodes, waves)
     if road.bank:
-        waves = gauss_markov(generator(seed, "bank"), n, 1.0, road.bank_length_m)
+        waves = _waves(seed, "bank", n, road.bank_length_m)
         fall = road.crown_mean + road.bank_rms * _spline(distance, nodes, waves)
         # Towards the kerb: right of a vehicle that keeps right, whose left side is then up.
         if route.driving_side == "left":
             fall = -fall
-        lean = -road.superelevation * curve_accel / GRAVITY
-        fall = fall + np.clip(lean, -road.superelevation_max, road.superelevation_max)
+        # A smooth limit: a kink would be a blow to the body.
+        most = max(road.superelevation_max, 1e-9)
+        fall = fall - most * np.tanh(road.superelevation * curve_accel / (GRAVITY * most))
     pitch, roll = -np.arctan(grade), np.arctan(fall)
     return Attitude(pitch, roll, np.gradient(pitch) * rate, np.gradient(roll) * rate)
+
+
+def _waves(seed: int, name: str, n: int, length: float) -> Array:
+    """Unit waves, one value a metre; what is shorter than a vehicle is roughness, not slope."""
+    waves = gauss_markov(generator(seed, name), n, 1.0, length)
+    return smoothed(waves, 1.0, SHORTEST_SLOPE_M)
 
 
 def _spline(x: Array, nodes: Array, values: Array) -> Array:

@@ -21,8 +21,8 @@ from imucald.simulation.section import (
 
 RouteKind = Literal["mixed", "city", "motorway", "straight_only", "circles", "parked"]
 DrivingSide = Literal["right", "left"]
-RoadLength = Annotated[float, Field(ge=5.0)]
-"""Shorter waves than a vehicle's length are roughness."""
+RoadLength = Annotated[float, Field(ge=15.0)]
+"""Shorter waves are roughness."""
 
 
 FASTEST_MPS = 36.0
