@@ -61,3 +61,23 @@ def test_columns_and_single_frames_are_the_same_engine(loaded, name, seed, scala
     expected = one_by_one(single, frames)
     assert in_chunks(other, frames, rng, scalar_share) == expected
     assert told(other) == told(single)
+
+
+@pytest.mark.parametrize("name", sorted(CONFIGS))
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32))
+def test_without_output_all_else_is_the_same(loaded, name, seed):
+    rng = random.Random(seed)
+    frames = Traffic(rng, loaded[name]).frames(200)
+    silent, seen = engine_of(loaded[name]), []
+    telling = engine_of(loaded[name], on_snapshot=seen.append)
+    expected = engine_of(loaded[name])
+    for start in range(0, len(frames), 70):
+        part = columns_of(frames[start : start + 70])
+        expected.columns(part)
+        assert silent.columns(part, keep=False) is None
+        assert telling.columns(part, keep=False) is None
+    assert told(silent) == told(telling) == told(expected)
+    assert [s.k for s in seen] == [
+        k - 1 for k in range(1, expected.pipeline.k + 1) if k % expected.pipeline.status_ticks == 0
+    ]

@@ -17,7 +17,7 @@ from imucald.bus.columns import FrameColumns
 from imucald.bus.signals import Routed, Router
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
-from imucald.output import Health, OutFrame, OutputFrames
+from imucald.output import STATUS_FRAMES, Health, OutFrame, OutputFrames
 from imucald.pipeline import Pipeline, Snapshot, TickCorrections
 from imucald.timebase import Piece, TimeBase
 
@@ -148,7 +148,12 @@ class Engine:
         routed = self.router.columns(piece.t, chunk)
         ticks = np.floor(piece.t * TICK_RATE).astype(np.int64)
         times = {c: piece.t[rows] for c, rows in routed.rejected.items()}
-        corrections, snapshots = self.pipeline.run(routed.samples, times, float(piece.t[-1]))
+        first, wanted = self.pipeline.k, keep or self._on_snapshot is not None
+        corrections, snapshots = self.pipeline.run(
+            routed.samples, times, float(piece.t[-1]), wanted
+        )
+        if not wanted:
+            self.sent += STATUS_FRAMES * self.pipeline.snapshots_due(first)
         events = np.floor(routed.events * TICK_RATE)
         yield from self._status_parts(
             snapshots,
@@ -165,9 +170,7 @@ class Engine:
         if keep:
             yield from self._corrected_parts(routed, corrections, ticks, base)
         else:
-            self.sent += sum(
-                len(routed.samples[c].t) for c in self.output.triads if c in routed.samples
-            )
+            self.sent += sum(_corrected_count(routed, c) for c in self.output.triads)
 
     def _corrected_parts(
         self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64], base: int
@@ -276,6 +279,13 @@ class _OutPart:
     rank: NDArray[np.int64]
     can_id: NDArray[np.uint32]
     data: NDArray[np.uint8]
+
+
+def _corrected_count(routed: Routed, channel: str) -> int:
+    """Corrected and not-available frames that a channel comes to."""
+    series, bad = routed.samples.get(channel), routed.rejected.get(channel)
+    rows = np.zeros(0, np.int64) if series is None else series.row
+    return len(rows) + (0 if bad is None else len(np.setdiff1d(bad, rows)))
 
 
 def _in_order(parts: list[_OutPart], frames: FrameColumns) -> FrameColumns:

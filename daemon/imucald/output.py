@@ -28,6 +28,8 @@ OutFrame = tuple[int, bytes]
 
 NOT_AVAILABLE_SIGNED = -32768
 NOT_AVAILABLE_UNSIGNED = 65535
+STATUS_FRAMES = 3
+"""Frames that each snapshot is sent in: mount, deviation, health."""
 REJECTED_MAX = 65534
 LOST_MAX = 4094
 

@@ -70,7 +70,7 @@ class Pipeline:
         self.first_fine: float | None = None
         self.k = 0
         """The open tick."""
-        self._status_ticks = status_ticks
+        self.status_ticks = status_ticks
         self._ticks = TickAccumulator()
         self._judge()
 
@@ -104,23 +104,26 @@ class Pipeline:
         samples: Samples,
         rejected: Mapping[str, NDArray[np.float64]],
         t_last: float,
+        with_snapshots: bool = True,
     ) -> tuple[TickCorrections, list[Snapshot]]:
         """Add columns of samples up to stream time t_last [s], whose tick stays open.
 
         Samples are those since the last call; rejected: channel to times [s].
-        Returns the corrections from the tick that was open to the one that is now, and snapshots.
+        Returns the corrections from the tick that was open to the one that is now, and snapshots
+        (none without `with_snapshots`, which saves their time).
         """
         first, last = self.k, tick_index(t_last)
         rows = [self.correction]
         quality = [self.quality]
         snapshots: list[Snapshot] = []
+        taken = snapshots if with_snapshots else None
         self._add_tick(samples, rejected, first)
         if last > first:
-            self._close(self._ticks.close(first), snapshots)
+            self._close(self._ticks.close(first), taken)
             rows.append(self.correction)
             quality.append(self.quality)
             for row in ticks_from_samples(samples, first + 1, last, rejected).tolist():
-                self._close(row, snapshots)
+                self._close(row, taken)
                 rows.append(self.correction)
                 quality.append(self.quality)
             self._add_tick(samples, rejected, last)
@@ -142,13 +145,17 @@ class Pipeline:
 
     # both ----------------------------------------------------------------------------------
 
-    def _close(self, row: Sequence[float], snapshots: list[Snapshot]) -> None:
+    def snapshots_due(self, first: int) -> int:
+        """How many snapshots fell due while tick `first` and those up to now were open."""
+        return self.k // self.status_ticks - first // self.status_ticks
+
+    def _close(self, row: Sequence[float], snapshots: list[Snapshot] | None) -> None:
         estimator = self.estimator
         estimator.step(row)
         self.correction = estimator.correction
         self._judge()
         self.k += 1
-        if self.k % self._status_ticks == 0:
+        if snapshots is not None and self.k % self.status_ticks == 0:
             snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0))
 
     def _judge(self) -> None:
