@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError
 
 from imucald.config.base import Model
 from imucald.config.calibration import Calibration
+from imucald.config.described import described_schema
 from imucald.config.explain import explain
 from imucald.config.network import Bus, Database, Databases, MessageProtection, Output, Vehicle
 from imucald.config.signals import Signals
@@ -109,4 +110,4 @@ def json_schema() -> str:
 @cache
 def _schema() -> dict[str, Any]:
     """The schema as data; it is asked for again with every unknown key of a file."""
-    return Config.model_json_schema()
+    return described_schema(Config)
