@@ -17,7 +17,7 @@ from imucald.simulation.driver import Driving, drive_route
 from imucald.simulation.filters import Array, generator
 from imucald.simulation.imu import accel_series, gyro_series, mounts
 from imucald.simulation.model import Model
-from imucald.simulation.road import Attitude, road_attitude, road_roughness
+from imucald.simulation.road import Attitude, road_attitude, road_roughness, slope_distance
 from imucald.simulation.section import ZERO
 from imucald.simulation.single_track import Handling, handle, steer_for
 from imucald.simulation.vehicle_signals import VehicleSignals
@@ -132,7 +132,8 @@ def simulate(model: Model, seed: int, minutes: float) -> Drive:
     rate = model.grid_hz
     driving = drive_route(model.route, seed, duration_s, rate, model.chassis.friction)
     banked = driving.speed * driving.speed * driving.banked_curvature
-    road = road_attitude(model.road, model.route, seed, driving.distance, banked, rate)
+    passed = slope_distance(driving.speed, rate)
+    road = road_attitude(model.road, model.route, seed, passed, banked, rate)
     steer = steer_for(model.chassis, driving.speed, driving.curvature, road.roll)
     handling = handle(model.chassis, driving.speed, steer, road.roll, rate)
     leaning, body = _body(model, seed, driving, handling, road)

@@ -25,8 +25,6 @@ MAX_TILT_DEG = 30.0
 UPSIDE_DOWN_SHARE = 0.1
 STYLE = (0.65, 1.05)
 """Drivers from gentle to lively: factor on all their accelerations."""
-MOTORWAY_LENGTHS = 2.5
-"""Slopes and cross falls of motorways change over longer distances."""
 
 
 def random_model(
@@ -61,7 +59,6 @@ def random_model(
     if upside if upside_down is None else upside_down:
         roll += 180.0 if roll < 0.0 else -180.0
     style = float(generator(seed, "style").uniform(*STYLE))
-    smooth = MOTORWAY_LENGTHS if route == "motorway" else 1.0
     if standing_first is not None:
         standing = standing_first
     data: dict[str, Any] = {
@@ -88,10 +85,10 @@ def random_model(
         },
         "road": {
             "grade_rms": SLOPE_RMS,
-            "grade_length_m": smooth * uniform(60.0, 180.0),
+            "grade_length_m": uniform(40.0, 140.0),
             "crown_mean": crown,
             "bank_rms": wander,
-            "bank_length_m": smooth * uniform(30.0, 100.0),
+            "bank_length_m": uniform(25.0, 80.0),
             "superelevation": uniform(0.0, 0.5),
             "roughness_n0": 16e-6 * 2.0 ** uniform(0.0, 3.0),
         },

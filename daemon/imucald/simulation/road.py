@@ -20,7 +20,8 @@ LONGEST_ROUGHNESS_M = 100.0
 LONGEST_TILT_M = 20.0
 """Longer waves lift both tracks alike."""
 SMOOTHER_FROM_MPS = 15.0
-"""Faster roads are smoother: the density falls by 1 + (v / this)^2."""
+"""Faster roads are smoother: the density of roughness falls by 1 + (v / this)^2, and the lengths of
+slopes grow by the root of that."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,21 @@ class Roughness:
     """Vertical acceleration of the body [m/s^2]."""
 
 
+def slope_distance(speed: Array, rate: float) -> Array:
+    """Distance (N,) by which slopes pass [m]: less than driven where roads are fast.
+
+    Their waves are longer, so the vertical acceleration (v^2 times the change of slope) stays what
+    roads are built for.
+    """
+    step = np.abs(speed) / (rate * np.sqrt(1.0 + (speed / SMOOTHER_FROM_MPS) ** 2))
+    passed: Array = np.cumsum(step)
+    return passed
+
+
 def road_attitude(
     road: Road, route: Route, seed: int, distance: Array, curve_accel: Array, rate: float
 ) -> Attitude:
-    """Slope and cross fall along the distance driven [m].
+    """Slope and cross fall along a distance [m], see `slope_distance`.
 
     curve_accel: (N,) speed^2 * curvature of superelevated road [m/s^2]; 0 elsewhere.
     """

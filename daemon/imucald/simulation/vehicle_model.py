@@ -109,7 +109,8 @@ class Road(Section):
     grade_mean: float = 0.0
     """Mean slope (tangent), positive uphill."""
     grade_length_m: RoadLength = 110.0
-    """Distance over which the slope forgets itself (second-order Gauss-Markov)."""
+    """Distance over which the slope forgets itself (second-order Gauss-Markov); longer waves on
+    fast roads."""
     bank: bool = True
     crown_mean: float = 0.012
     """Mean cross fall towards the kerb (tangent)."""
