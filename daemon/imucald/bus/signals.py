@@ -6,7 +6,6 @@ A `Router` takes single frames (live) or columns of frames (replay) and gives sa
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,12 +15,11 @@ from numpy.typing import NDArray
 
 from imucald.bus.arbitration import Arbiter
 from imucald.bus.columns import FrameColumns, IdMatch
+from imucald.bus.parts import Assembler, Part, in_row_order
 from imucald.bus.quantities import REASONS
 from imucald.bus.routes import Physical, Raw, Route, Tap
 from imucald.samples import CHANNEL_WIDTH, Series
 
-MAX_SKEW = 0.1
-"""Parts of a triad from different frames belong together within this [s]: one tick."""
 MAX_KNOWN_IDS = 4096
 """Identifiers remembered by the dispatcher; J1939 sources are few, an attacker's are many."""
 
@@ -74,8 +72,8 @@ class Router:
         for tap in self._taps():
             ranks[tap.channel] = max(ranks.get(tap.channel, 0), tap.rank + 1)
         self._arbiters = {c: Arbiter(n) for c, n in ranks.items() if n > 1}
-        self._assemblers: dict[tuple[str, int], _Assembler] = {
-            (tap.channel, tap.rank): _Assembler(_width(tap.channel))
+        self._assemblers: dict[tuple[str, int], Assembler] = {
+            (tap.channel, tap.rank): Assembler(_width(tap.channel))
             for tap in self._taps()
             if not tap.complete
         }
@@ -189,7 +187,7 @@ class Router:
     def columns(self, t: NDArray[np.float64], frames: FrameColumns) -> Routed:
         """Samples of a chunk of frames; t: (N,) stream times of the frames."""
         used = np.zeros(len(frames), dtype=bool)
-        parts: dict[str, list[_Part]] = {}
+        parts: dict[str, list[Part]] = {}
         refused: list[tuple[Tap, Rows]] = []
         events: list[Rows] = []
         for arbiter in self._arbiters.values():
@@ -238,7 +236,7 @@ class Router:
         t: NDArray[np.float64],
         rows: Rows,
         frames: FrameColumns,
-        parts: dict[str, list[_Part]],
+        parts: dict[str, list[Part]],
         refused: list[tuple[Tap, Rows]],
         events: list[Rows],
     ) -> None:
@@ -253,17 +251,17 @@ class Router:
                 if tap.complete:
                     refused.append((tap, rows[bad]))
             keep = codes == 0 if tap.complete else codes >= 0
-            part = _Part(tap, t[rows], rows, values, codes)
+            part = Part(tap, t[rows], rows, values, codes)
             if not keep.all():
                 part = part.take(keep)
             parts.setdefault(tap.channel, []).append(part)
 
-    def _joined(self, channel: str, found: list[_Part]) -> ColumnSamples:
+    def _joined(self, channel: str, found: list[Part]) -> ColumnSamples:
         """Whole samples of a channel, by preference; parts of triads are left to `_assemble`."""
         whole = sorted((p for p in found if p.tap.complete), key=lambda p: p.tap.rank)
         arbiter = self._arbiters.get(channel)
         if arbiter is not None and not any(not p.tap.complete for p in found):
-            by_rank: dict[int, _Part] = {}
+            by_rank: dict[int, Part] = {}
             for part in whole:
                 known = by_rank.get(part.tap.rank)
                 by_rank[part.tap.rank] = part if known is None else known.merged(part)
@@ -285,7 +283,7 @@ class Router:
 
     def _assemble(
         self,
-        parts: Mapping[str, list[_Part]],
+        parts: Mapping[str, list[Part]],
         samples: dict[str, ColumnSamples],
         refused: list[tuple[Tap, Rows]],
     ) -> None:
@@ -297,7 +295,7 @@ class Router:
             t_out: list[float] = []
             rows_out: list[int] = []
             values_out: list[Sequence[float]] = []
-            for row, tap, t, value, code in _in_row_order(found):
+            for row, tap, t, value, code in in_row_order(found):
                 values: Sequence[float] | None = value
                 if not tap.complete:
                     values, bad = self._assemblers[channel, tap.rank].add(
@@ -337,78 +335,6 @@ class Router:
             middle = 0.5 * (ordered[:, 1] + ordered[:, 2])
             samples["speed"] = ColumnSamples(wheels.t, middle, wheels.row)
             self.sample_counts["speed"] += len(middle)
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """What one tap gave on a chunk: times, rows, values (N, k) or (N,), codes."""
-
-    tap: Tap
-    t: NDArray[np.float64]
-    row: NDArray[np.int64]
-    values: NDArray[np.float64]
-    codes: NDArray[np.int8]
-
-    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> _Part:
-        return _Part(self.tap, self.t[keep], self.row[keep], self.values[keep], self.codes[keep])
-
-    def merged(self, other: _Part) -> _Part:
-        row = np.concatenate([self.row, other.row])
-        order = np.argsort(row, kind="stable")
-        return _Part(
-            self.tap,
-            np.concatenate([self.t, other.t])[order],
-            row[order],
-            np.concatenate([self.values, other.values])[order],
-            np.concatenate([self.codes, other.codes])[order],
-        )
-
-
-class _Assembler:
-    """Puts a triad together whose axes come in different frames."""
-
-    def __init__(self, width: int) -> None:
-        self._values: list[float | None] = [None] * width
-        self._times = [-math.inf] * width
-
-    def add(
-        self, t: float, slots: Sequence[int], values: Sequence[float] | None
-    ) -> tuple[Sequence[float] | None, bool]:
-        """Return (the whole triad or None, whether a sample was spoilt by a rejected part)."""
-        if values is None:
-            self._values = [None] * len(self._values)
-            return None, True
-        for slot, value in zip(slots, values, strict=True):
-            self._values[slot] = value
-            self._times[slot] = t
-        for slot, time in enumerate(self._times):
-            if t - time > MAX_SKEW:
-                self._values[slot] = None
-        whole = [v for v in self._values if v is not None]
-        if len(whole) < len(self._values):
-            return None, False
-        self._values = [None] * len(self._values)
-        return whole, False
-
-
-def _in_row_order(
-    found: Iterable[_Part],
-) -> list[tuple[int, Tap, float, Sequence[float], int]]:
-    events: list[tuple[int, Tap, float, Sequence[float], int]] = []
-    for part in sorted(found, key=lambda p: p.tap.rank):
-        values = part.values if part.values.ndim == 2 else part.values[:, None]
-        events.extend(
-            (row, part.tap, t, value, code)
-            for row, t, value, code in zip(
-                part.row.tolist(),
-                part.t.tolist(),
-                values.tolist(),
-                part.codes.tolist(),
-                strict=True,
-            )
-        )
-    events.sort(key=lambda event: event[0])
-    return events
 
 
 def _rows_of(match: IdMatch, frames: FrameColumns) -> NDArray[np.int64]:
