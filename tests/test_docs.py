@@ -59,6 +59,7 @@ SECTIONS = {
     "StaticTest": "static",
     "StraightMotion": "straight",
     "TargetAngle": "target_angle",
+    "TravelDirection": "travel_direction",
     "Wheels": "wheel_speeds",
 }
 """Where a model's heading is not its name."""

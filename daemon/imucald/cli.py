@@ -28,6 +28,7 @@ COMMANDS = {
     "replay": "the same from recorded logs, as fast as it goes",
     "check": "say what a configuration would decode, from a log or a live bus",
     "simulate": "write a simulated drive as a log, with its truth",
+    "walk": "direction of travel of a carried terminal, from recorded logs",
     "demo": "see a calibration converge, without hardware",
     "schema": "print the JSON schema of the configuration",
 }

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.bus.columns import FrameColumns
-from imucald.bus.signals import Routed, Router
+from imucald.bus.signals import Routed, Router, Sample
+from imucald.companions import Companion, events_of, in_order
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
-from imucald.output import STATUS_FRAMES, Health, OutFrame, OutputFrames
+from imucald.output import STATUS_FRAMES, Health, OutputFrames
 from imucald.pipeline import Pipeline, Snapshot, TickCorrections
+from imucald.sender import OutFrame
 from imucald.timebase import Piece, TimeBase
 
 MISSING_TICKS = 10
@@ -42,6 +44,7 @@ class Engine:
 
     on_snapshot: called with every snapshot of the estimate (for terminals and state files).
     link_health: asked whenever a health frame is made.
+    companions: run beside, on the same samples.
     """
 
     def __init__(
@@ -52,11 +55,14 @@ class Engine:
         status_rate: int = 1,
         on_snapshot: Callable[[Snapshot], None] | None = None,
         link_health: Callable[[], LinkHealth] = LinkHealth,
+        companions: Sequence[Companion] = (),
     ) -> None:
         self.router = router
         self.output = output
         self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate))
         self.timebase = TimeBase()
+        self.companions = tuple(companions)
+        self._accompanied = frozenset(c for one in self.companions for c in one.channels)
         self.sent = 0
         """Frames given out."""
         self._on_snapshot = on_snapshot
@@ -75,14 +81,13 @@ class Engine:
         t, gap = self.timebase.one(stamp)
         out: list[OutFrame] = []
         k = tick_index(t)
-        if gap:
-            out += self._statuses(self.pipeline.gap(k))
-        elif k > self.pipeline.k:
-            out += self._statuses(self.pipeline.advance(k))
+        if k > self.pipeline.k or gap:
+            out += self._advance(k, gap)
         samples, rejected = self.router.frame(t, can_id, data)
         for channel in rejected:
             self.pipeline.reject(channel)
         self._count_rejections(k)
+        self._accompany(t, samples)
         corrected: dict[str, OutFrame] = {}
         for channel, values in samples:
             self.pipeline.add(t, channel, values)
@@ -103,9 +108,35 @@ class Engine:
     def idle(self, elapsed: float) -> list[OutFrame]:
         """No frame of ours came for `elapsed` seconds: close the ticks that have passed."""
         k = tick_index(self.timebase.idle(elapsed))
-        out = self._statuses(self.pipeline.advance(k))
+        out = self._advance(k, False)
         self.sent += len(out)
         return out
+
+    def _advance(self, k: int, gap: bool) -> list[OutFrame]:
+        """Close all ticks before k: status frames, then those of the companions."""
+        pipeline = self.pipeline
+        first = pipeline.k
+        out = self._statuses(pipeline.gap(k) if gap else pipeline.advance(k))
+        if self.companions:
+            out += self._companion_ticks(first, k)
+            if gap:
+                for companion in self.companions:
+                    companion.gap()
+        return out
+
+    def _companion_ticks(self, first: int, stop: int) -> list[OutFrame]:
+        return [
+            frame for k in range(first, stop) for one in self.companions for frame in one.tick(k)
+        ]
+
+    def _accompany(self, t: float, samples: Sequence[Sample]) -> None:
+        if not self.companions:
+            return
+        correction = self.pipeline.correction
+        for channel, values in in_order(samples):
+            for companion in self.companions:
+                if channel in companion.channels:
+                    companion.sample(t, channel, values, correction)
 
     def heartbeat(self) -> list[OutFrame]:
         """Status frames while no stream time passes: nothing was heard yet, or not for long."""
@@ -141,8 +172,14 @@ class Engine:
     def _piece(self, piece: Piece, frames: FrameColumns, keep: bool) -> Iterator[_OutPart]:
         base = piece.start
         if piece.gap:
+            first = self.pipeline.k
             snapshots = self.pipeline.gap(tick_index(float(piece.t[0])))
             yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
+            out = self._companion_ticks(first, self.pipeline.k)
+            yield from self._frame_parts(out, base)
+            for companion in self.companions:
+                companion.gap()
+        first = self.pipeline.k
         whole = base == 0 and piece.stop == len(frames)
         chunk = frames if whole else frames.take(slice(base, piece.stop))
         routed = self.router.columns(piece.t, chunk)
@@ -167,6 +204,8 @@ class Engine:
             if channel in routed.samples:
                 last = float(routed.samples[channel].t[-1])
                 self._watched[channel] = tick_index(last)
+        if self.companions:
+            yield from self._companion_parts(routed, corrections, ticks, base, first)
         if keep:
             yield from self._corrected_parts(routed, corrections, ticks, base)
         else:
@@ -198,6 +237,47 @@ class Engine:
             rank = np.where(missing, len(self.output.triads), 0) + order + 1
             yield _OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
             self.sent += len(row)
+
+    def _companion_parts(
+        self,
+        routed: Routed,
+        corrections: TickCorrections,
+        ticks: NDArray[np.int64],
+        base: int,
+        first: int,
+    ) -> Iterator[_OutPart]:
+        """Companions take samples one by one here too; their frames stand as status frames do."""
+        rotations: list[Correction | None] = [
+            None if row[0] != row[0] else tuple(row) for row in corrections.rotations.tolist()
+        ]
+        k = first
+        for row, t, channel, values in events_of(routed.samples, self._accompanied):
+            tick = int(ticks[row])
+            while k < tick:
+                yield from self._companion_tick(k, ticks, base)
+                k += 1
+            for companion in self.companions:
+                if channel in companion.channels:
+                    companion.sample(t, channel, values, rotations[tick - first])
+        while k < int(ticks[-1]):
+            yield from self._companion_tick(k, ticks, base)
+            k += 1
+
+    def _companion_tick(self, k: int, ticks: NDArray[np.int64], base: int) -> Iterator[_OutPart]:
+        out = self._companion_ticks(k, k + 1)
+        if out:
+            yield from self._frame_parts(out, base + int(np.searchsorted(ticks, k, side="right")))
+
+    def _frame_parts(self, out: list[OutFrame], row: int) -> Iterator[_OutPart]:
+        """Frames that come before those of a row's samples."""
+        if out:
+            yield _OutPart(
+                np.full(len(out), row),
+                np.zeros(len(out), np.int64),
+                np.array([can_id for can_id, _ in out], dtype=np.uint32),
+                np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
+            )
+            self.sent += len(out)
 
     def _status_parts(
         self,

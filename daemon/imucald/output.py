@@ -15,19 +15,13 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.bus.checksums import ChecksumSpec, crc8_j1850, xor_checksum
-from imucald.bus.columns import CAN_EFF_FLAG
-from imucald.bus.database import Database, Message, load_database_text
-from imucald.bus.encode import EncodePlan, compile_encode
-from imucald.bus.protection import OutputProtector, ProtectionSpec, counter_of
-from imucald.config import STANDARD_ID_MAX, Config
+from imucald.bus.database import Database, load_database_text
+from imucald.config import Config
 from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
+from imucald.output_attitude import AttitudeFrames
+from imucald.output_travel import TravelFrames
+from imucald.sender import NOT_AVAILABLE_SIGNED, NOT_AVAILABLE_UNSIGNED, OutFrame, Sender
 
-OutFrame = tuple[int, bytes]
-"""CAN id (with the flag for 29 bits) and payload."""
-
-NOT_AVAILABLE_SIGNED = -32768
-NOT_AVAILABLE_UNSIGNED = 65535
 STATUS_FRAMES = 3
 """Frames that each snapshot is sent in: mount, deviation, health."""
 REJECTED_MAX = 65534
@@ -86,44 +80,6 @@ def output_database() -> Database:
     return load_database_text(text, "dbc", "imucald_out.dbc")
 
 
-class _Sender:
-    """One output message: encode, then protect."""
-
-    def __init__(
-        self,
-        message: Message,
-        signals: Sequence[str],
-        can_id: int,
-        checksum: str,
-        not_available: Mapping[str, int],
-    ) -> None:
-        self.can_id = can_id | (CAN_EFF_FLAG if can_id > STANDARD_ID_MAX else 0)
-        self._plan: EncodePlan = compile_encode(message, signals, not_available)
-        self._protector = OutputProtector(
-            ProtectionSpec(
-                size=message.length,
-                counter=counter_of(message.signal("Counter")),
-                checksum=_checksum(checksum, can_id, message),
-            )
-        )
-
-    def frame(self, values: Sequence[float | None]) -> OutFrame:
-        return self.can_id, self._protector.protect(self._plan.encode(values))
-
-    def columns(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.uint8]:
-        return self._protector.protect_columns(self._plan.encode_columns(columns))
-
-
-def _checksum(kind: str, can_id: int, message: Message) -> ChecksumSpec | None:
-    position = message.length - 1
-    id_bytes = can_id.to_bytes(4 if can_id > STANDARD_ID_MAX else 2, "big")
-    if kind == "crc8_j1850":
-        return crc8_j1850(message.length, position, id_bytes)
-    if kind == "xor":
-        return xor_checksum(message.length, position, id_bytes)
-    return None
-
-
 class OutputFrames:
     """Encodes everything that imucald sends for one configuration.
 
@@ -146,14 +102,14 @@ class OutputFrames:
         self._senders = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
         self._factors = {c: _LAYOUTS[kind][2] for c, (kind, _) in kinds.items()}
         self._mount = self._signed("IMUCALD_Mount", ids.mount, "Mount{}", ANGLES)
-        self._deviation = _Sender(
+        self._deviation = Sender(
             self._database.message("IMUCALD_MountDeviation"),
             ("DeviationX", "DeviationY", "DeviationZ", "State"),
             ids.mount_deviation,
             output.checksum,
             {f"Deviation{a}": NOT_AVAILABLE_UNSIGNED for a in "XYZ"},
         )
-        self._health = _Sender(
+        self._health = Sender(
             self._database.message("IMUCALD_Health"),
             (
                 "State",
@@ -167,15 +123,26 @@ class OutputFrames:
             {},
         )
 
+        self.attitude = AttitudeFrames(config, self._database) if config.attitude.enabled else None
+        """Frames of methods B and C, where they are configured."""
+        self.travel = (
+            TravelFrames(config, self._database) if config.travel_direction.enabled else None
+        )
+        """Frame of method D, where it is configured."""
+
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""
         status = (self._mount, self._deviation, self._health)
-        return frozenset(s.can_id for s in (*self._senders.values(), *status))
+        ids = {s.can_id for s in (*self._senders.values(), *status)}
+        for more in (self.attitude, self.travel):
+            if more is not None:
+                ids |= more.can_ids
+        return frozenset(ids)
 
-    def _triad(self, kind: str, can_id: int) -> _Sender:
+    def _triad(self, kind: str, can_id: int) -> Sender:
         name, signals, _ = _LAYOUTS[kind]
-        return _Sender(
+        return Sender(
             self._database.message(name),
             (*signals, "Quality"),
             can_id,
@@ -183,9 +150,9 @@ class OutputFrames:
             dict.fromkeys(signals, NOT_AVAILABLE_SIGNED),
         )
 
-    def _signed(self, name: str, can_id: int, pattern: str, parts: Sequence[str]) -> _Sender:
+    def _signed(self, name: str, can_id: int, pattern: str, parts: Sequence[str]) -> Sender:
         signals = [pattern.format(part.capitalize()) for part in parts]
-        return _Sender(
+        return Sender(
             self._database.message(name),
             (*signals, "State"),
             can_id,

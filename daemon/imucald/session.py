@@ -7,6 +7,7 @@ from pathlib import Path
 
 from imucald.bus.columns import CAN_EFF_MASK, IdMatch
 from imucald.bus.wiring import compile_router
+from imucald.companions import companions_for
 from imucald.config import LoadedConfig, load_config
 from imucald.engine import Engine, LinkHealth
 from imucald.errors import ConfigError
@@ -48,6 +49,7 @@ def make_engine(
         config.output.status_rate,
         on_snapshot,
         link_health,
+        companions_for(loaded, output),
     )
 
 

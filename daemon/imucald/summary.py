@@ -30,6 +30,7 @@ def summary(engine: Engine, counts: Counts, duration: float, lead: float = 0.0) 
     """
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline
+    more = dict(companion.summary() for companion in engine.companions)
     return {
         "mount": mount_dict(estimate),
         "state": estimate.state.name.lower(),
@@ -47,6 +48,7 @@ def summary(engine: Engine, counts: Counts, duration: float, lead: float = 0.0) 
             for channel, n in sorted(engine.router.sample_counts.items())
         },
         "details": _plain(estimate.details),
+        **more,
     }
 
 

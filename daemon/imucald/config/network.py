@@ -87,6 +87,11 @@ class OutputIds(Model):
     mount: CanId = 0x643
     mount_deviation: CanId = 0x644
     health: CanId = 0x645
+    attitude: CanId = 0x646
+    attitude_deviation: CanId = 0x647
+    rates: CanId = 0x648
+    grade: CanId = 0x649
+    travel_direction: CanId = 0x64A
 
     @model_validator(mode="after")
     def _distinct(self) -> OutputIds:

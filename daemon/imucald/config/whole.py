@@ -9,6 +9,7 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
+from imucald.config.attitude import Attitude, TravelDirection
 from imucald.config.base import Model
 from imucald.config.calibration import Calibration
 from imucald.config.described import described_schema
@@ -36,6 +37,8 @@ class Config(Model):
     bus: Bus = Bus()
     calibration: Calibration = Calibration()
     output: Output = Output()
+    attitude: Attitude = Attitude()
+    travel_direction: TravelDirection = TravelDirection()
 
 
 class LoadedConfig:

@@ -93,6 +93,18 @@ class TravelDirection:
         self._heard = -math.inf
         self.last = None
 
+    def sample(self, t: float, channel: str, values: Sequence[float]) -> Step | None:
+        """Take a sample of a channel (see `samples`); return the step that it completes, if any."""
+        if channel == "accel":
+            return self.accel(t, values)
+        if channel == "gyro":
+            self.gyro(t, values)
+        elif channel == "mag":
+            self.mag(t, values)
+        elif channel == "heading":
+            self.heading(t, values[0])
+        return None
+
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
         self._has_gyro = True
@@ -142,7 +154,7 @@ class TravelDirection:
         modern = self._modern(cycle)
         by_published = None if published is None else published.heading
         heading = by_published
-        if self.settings.method == "modern" and modern is not None:
+        if self.settings.method == "alternative" and modern is not None:
             heading = modern
         return Step(
             t=cycle.t1,

@@ -64,7 +64,7 @@ class ModernSettings:
 class TravelSettings:
     """All of it."""
 
-    method: Literal["modern", "published"] = "modern"
+    method: Literal["alternative", "published"] = "alternative"
     """Which one is sent; both are computed where their sensors are there."""
     convention: AxisConvention = "force"
     declination: float = 0.0

@@ -1,0 +1,80 @@
+"""The frames of the vehicle's attitude: angles, deviations, rates, grade."""
+
+from __future__ import annotations
+
+import math
+
+from imucald.attitude.filter import AttitudeEstimate, AttitudeState
+from imucald.bus.database import Database
+from imucald.config import Config
+from imucald.sender import NOT_AVAILABLE_SIGNED, NOT_AVAILABLE_UNSIGNED, OutFrame, Sender
+
+_TO_DEG = 180.0 / math.pi
+DEVIATION_MAX = 327.67
+"""Largest deviation that its signals hold [deg]."""
+GRADE_DEVIATION_MAX = 655.34
+"""[%]"""
+RATE_DEVIATION_MAX = 6.5534
+"""[deg/s]"""
+HEADING_LSB = 0.01
+
+
+class AttitudeFrames:
+    """Encodes attitude estimates for one configuration."""
+
+    def __init__(self, config: Config, database: Database) -> None:
+        ids, checksum = config.output.ids, config.output.checksum
+
+        def sender(name: str, can_id: int, signals: dict[str, int]) -> Sender:
+            return Sender(database.message(name), (*signals, "State"), can_id, checksum, signals)
+
+        low, high = NOT_AVAILABLE_SIGNED, NOT_AVAILABLE_UNSIGNED
+        self._angles = sender(
+            "IMUCALD_Attitude", ids.attitude, {"Roll": low, "Pitch": low, "Heading": high}
+        )
+        self._deviation = sender(
+            "IMUCALD_AttitudeDeviation",
+            ids.attitude_deviation,
+            dict.fromkeys(("DeviationRoll", "DeviationPitch", "DeviationHeading"), high),
+        )
+        self._rates = sender(
+            "IMUCALD_Rates", ids.rates, dict.fromkeys((f"FreeRate{a}" for a in "XYZ"), low)
+        )
+        self._grade = sender(
+            "IMUCALD_Grade",
+            ids.grade,
+            {"Grade": low, "DeviationGrade": high, "DeviationRate": high},
+        )
+
+    @property
+    def can_ids(self) -> frozenset[int]:
+        """Every id that is sent, with the flag for 29 bits."""
+        senders = (self._angles, self._deviation, self._rates, self._grade)
+        return frozenset(s.can_id for s in senders)
+
+    def frames(self, estimate: AttitudeEstimate | None) -> list[OutFrame]:
+        """The four frames; None: nothing is known. Angles are there from *settling* on."""
+        if estimate is None or estimate.state < AttitudeState.SETTLING:
+            state = 0 if estimate is None else int(estimate.state)
+            nothing = (None, None, None, state)
+            senders = (self._angles, self._deviation, self._rates, self._grade)
+            return [s.frame(nothing) for s in senders]
+        e, state = estimate, int(estimate.state)
+        x, y, z = (rate * _TO_DEG for rate in e.rate)
+        roll, pitch, heading = (min(std * _TO_DEG, DEVIATION_MAX) for std in e.std)
+        # the slope needs an interval of its own after the start
+        grade = None if math.isnan(e.grade) else 100.0 * e.grade
+        spread = min(100.0 * e.grade_std, GRADE_DEVIATION_MAX) if grade is not None else None
+        worst = min(max(e.rate_std) * _TO_DEG, RATE_DEVIATION_MAX)
+        return [
+            self._angles.frame((e.roll * _TO_DEG, e.pitch * _TO_DEG, bearing(e.heading), state)),
+            self._deviation.frame((roll, pitch, heading, state)),
+            self._rates.frame((x, y, z, state)),
+            self._grade.frame((grade, spread, worst, state)),
+        ]
+
+
+def bearing(heading: float) -> float:
+    """A heading [rad] in degrees, such that it does not round up to 360."""
+    degrees = (heading * _TO_DEG) % 360.0
+    return degrees if degrees < 360.0 - 0.5 * HEADING_LSB else 0.0

@@ -1,0 +1,64 @@
+"""One output message: encode, then protect with counter and checksum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.bus.checksums import ChecksumSpec, crc8_j1850, xor_checksum
+from imucald.bus.columns import CAN_EFF_FLAG
+from imucald.bus.database import Message
+from imucald.bus.encode import EncodePlan, compile_encode
+from imucald.bus.protection import OutputProtector, ProtectionSpec, counter_of
+from imucald.config import STANDARD_ID_MAX
+
+OutFrame = tuple[int, bytes]
+"""CAN id (with the flag for 29 bits) and payload."""
+
+NOT_AVAILABLE_SIGNED = -32768
+NOT_AVAILABLE_UNSIGNED = 65535
+
+
+class Sender:
+    """Makes the frames of one message; a value that does not fit is sent as not available.
+
+    not_available: raw value by signal name.
+    """
+
+    def __init__(
+        self,
+        message: Message,
+        signals: Sequence[str],
+        can_id: int,
+        checksum: str,
+        not_available: Mapping[str, int],
+    ) -> None:
+        self.can_id = can_id | (CAN_EFF_FLAG if can_id > STANDARD_ID_MAX else 0)
+        self._plan: EncodePlan = compile_encode(message, signals, not_available)
+        self._protector = OutputProtector(
+            ProtectionSpec(
+                size=message.length,
+                counter=counter_of(message.signal("Counter")),
+                checksum=_checksum(checksum, can_id, message),
+            )
+        )
+
+    def frame(self, values: Sequence[float | None]) -> OutFrame:
+        """Frame of one set of values, in the message's units; None is not available."""
+        return self.can_id, self._protector.protect(self._plan.encode(values))
+
+    def columns(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.uint8]:
+        """Payloads (N, length) of columns (N,); NaN is not available."""
+        return self._protector.protect_columns(self._plan.encode_columns(columns))
+
+
+def _checksum(kind: str, can_id: int, message: Message) -> ChecksumSpec | None:
+    position = message.length - 1
+    id_bytes = can_id.to_bytes(4 if can_id > STANDARD_ID_MAX else 2, "big")
+    if kind == "crc8_j1850":
+        return crc8_j1850(message.length, position, id_bytes)
+    if kind == "xor":
+        return xor_checksum(message.length, position, id_bytes)
+    return None
