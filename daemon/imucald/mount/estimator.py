@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.frames import rotation_from_vector
-from imucald.motion.ticks import TickRow
-from imucald.mount.estimate import Correction, MountEstimate, MountState
+from imucald.motion.ticks import TICK_S, TickRow
+from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.evidence_signals import Prepared, SignalPreparer
+from imucald.mount.evidence_signals import HOP, Prepared, SignalPreparer
+from imucald.mount.rebuild import KEPT_HOPS, Rebuild
+from imucald.mount.shift import Shift
 from imucald.mount.slewing import SlewedRotation
 from imucald.mount.solution import Solution
 from imucald.mount.supervision import Knowledge, Manoeuvres, judged, waiting_for
@@ -23,6 +26,11 @@ EAGER_HOPS = 100
 LAZY_HOPS = 4
 SLEW_RATE = math.radians(0.5)
 """The applied rotation turns no faster than this [rad/s]."""
+KNOWN_REST_TICKS = 25.0
+"""Ticks at rest from which the gyro bias counts as known."""
+FIRST_LOOK_HOPS = 28
+"""The second look takes at least that many hops (90 s)."""
+HOPS_PER_PIECE = 8
 FROZEN_TICKS = 20
 """Learning counts as frozen when so many of a hop's ticks were not to be trusted."""
 
@@ -38,6 +46,11 @@ class FullEstimator:
         self._served = SlewedRotation(SLEW_RATE)
         self._state = MountState.WAITING
         self._hops = 0
+        self._kept: deque[Prepared] = deque(maxlen=KEPT_HOPS)
+        self._rebuild: Rebuild | None = None
+        self._looked_again = False
+        self._moved = False
+        self._shifts: list[tuple[int, Shift]] = []
         self._known = Knowledge(accelerometer=False)
 
     @property
@@ -53,6 +66,8 @@ class FullEstimator:
     def step(self, tick: TickRow) -> None:
         """Take one tick."""
         self._served.step()
+        if self._rebuild is not None:
+            self._go_on_rebuilding(self._rebuild)
         if self._signals.push(tick):
             self._hop(self._signals.hop())
 
@@ -60,13 +75,57 @@ class FullEstimator:
         """Time jumped: signals before it are not joined with those after it."""
         self._signals.restart()
         self._solution.gap()
+        self._rebuild = None
+        self._kept.clear()
 
     def _hop(self, p: Prepared) -> None:
         self._hops += 1
+        self._kept.append(p)
         self._driven.add(*self._solution.add(p))
-        if self._hops <= EAGER_HOPS or self._hops % LAZY_HOPS == 0:
+        if self._rebuild is not None:
+            self._rebuild.push(p)
+        lazy = self._hops % LAZY_HOPS == 0
+        if self._solution.hops <= EAGER_HOPS or lazy:
             self._solution.fit()
+        if self._rebuild is None:
+            if not self._looked_again:
+                self._look_again()
+            elif lazy:
+                self._look_for_shift()
         self._judge(p)
+
+    def _look_again(self) -> None:
+        """Once gyro bias and rotation are known, go through the first minutes again."""
+        known = self._signals.gyro_bias_weight >= KNOWN_REST_TICKS
+        if len(self._kept) < FIRST_LOOK_HOPS or not self._solution.sure():
+            return
+        if known or len(self._kept) == KEPT_HOPS:
+            self._looked_again = True
+            self._begin_rebuild(list(self._kept))
+
+    def _begin_rebuild(self, hops: list[Prepared]) -> None:
+        fresh = Solution(self._settings)
+        fresh.start_from(self._solution)
+        self._rebuild = Rebuild(fresh, hops, self._signals.gyro_bias.copy())
+
+    def _go_on_rebuilding(self, rebuild: Rebuild) -> None:
+        done = rebuild.step()
+        if done is not None:
+            if self._moved:
+                self._driven.add(*done)
+            return
+        self._solution, self._rebuild = rebuild.fresh, None
+
+    def _look_for_shift(self) -> None:
+        """Test the last minutes against all before; on a shift keep only what came after it."""
+        change = self._solution.largest_change()
+        if change is None or change.excess < 1.0:
+            return
+        self._shifts.append((self._hops, change))
+        self._moved = True
+        self._driven = Manoeuvres()
+        after = min(change.pieces * HOPS_PER_PIECE, len(self._kept))
+        self._begin_rebuild(list(self._kept)[-after:])
 
     def _judge(self, p: Prepared) -> None:
         solution = self._solution
@@ -86,11 +145,20 @@ class FullEstimator:
             speed=bool(p.ok_speed.any()),
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
         )
-        self._state = judged(self._known, self._state, self._settings)
-        if self._state in {MountState.USABLE, MountState.FINE}:
+        state = judged(self._known, self._state, self._settings)
+        good = state in {MountState.USABLE, MountState.FINE}
+        if self._moved and (self._rebuild is not None or not good):
+            ready = self._rebuild is None and state == MountState.LEVELLED
+            self._state = MountState.RECALIBRATING if ready else MountState.SUSPECT
+            return
+        self._moved = False
+        if good:
+            self._state = state
             self._served.aim(self._answer()[0])
+        elif self._served.correction is not None:
+            self._state = MountState.SUSPECT
         else:
-            self._served.clear()
+            self._state = state
 
     def _answer(self) -> tuple[Array, Array]:
         """R_vehicle_from_sensor with the crown taken out, and its covariance."""
@@ -138,5 +206,14 @@ class FullEstimator:
             "right_turns": known.rights,
             "stops": known.stops,
             "distance": solution.gravity.metres,
+            "shifts": [
+                {
+                    "t": hop * HOP * TICK_S,
+                    "angle": ANGLES[shift.axis],
+                    "size_deg": math.degrees(shift.size),
+                    "deviations": shift.deviations,
+                }
+                for hop, shift in self._shifts
+            ],
             "frozen_ticks": dict(signals.frozen),
         }

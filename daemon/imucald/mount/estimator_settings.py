@@ -35,7 +35,7 @@ class EstimatorSettings:
     """"right" or "left": the kerb, towards which roads lean; "none": no mean lean."""
     crown_mean: float = 0.012
     """Mean lean of the road towards the kerb (tangent)."""
-    crown_std: float = 0.006
+    crown_std: float = 0.0075
     """Spread of that mean from drive to drive; no drive can tell it from mount roll."""
     accel_cross_axis_std: float = 0.0
     """Cross-axis error of the accelerometer (part); bounds what the accelerometer can say."""

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from imucald.frames import Matrix3
 from imucald.mount.evidence_signals import Prepared
+from imucald.mount.shift import Flow
 from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 STOP_METRES = 12.0
 """A stop counts as much as that much road at most: no motion, but one place."""
 REST_METRES_PER_TICK = 0.5
+LEAST_WEIGHT = 20.0
+"""A piece of road shorter than this [m] says nothing of gravity."""
 SHARE = 0.1
 """Share of the motion that may be missed; weighs ticks of hard driving down."""
 STILL = 0.15
@@ -43,6 +46,30 @@ class GravityEvidence:
         self.stops = 0
         self._stop_used = 0.0
         self._resting = False
+        self._pieces: list[Array] = []  # weight, force (3), motion (2), metres, at their ends
+
+    def close_piece(self) -> None:
+        """End a piece of road, for `piece_tilts`."""
+        sums = np.array([self._weight, *self._force, *self._motion, self.metres])
+        self._pieces.append(sums)
+
+    def flows(
+        self, R: Matrix3, bias: Array, gains: tuple[float, float], std: float, length: float
+    ) -> list[Flow]:
+        """e_x and e_y about R from gravity, piece of road by piece of road, the open one too."""
+        now = np.array([self._weight, *self._force, *self._motion, self.metres])
+        ends = np.array([np.zeros(7), *self._pieces, now])
+        each = np.diff(ends, axis=0)
+        w = np.maximum(each[:, 0], 1e-9)[:, None]
+        F = (each[:, 1:4] / w - bias) @ R.T
+        motion = each[:, 4:6] / w
+        q = np.maximum(each[:, 6] / length, 1e-3)
+        slope = std * std * 2.0 / q * (1.0 - (1.0 - np.exp(-q)) / q)
+        missed = (SHARE / GRAVITY) ** 2 * (motion * motion).sum(axis=1)
+        information = np.where(each[:, 0] > LEAST_WEIGHT, 1.0 / (slope + missed), 0.0)
+        e_x = (F[:, 1] - gains[1] * motion[:, 1]) / GRAVITY
+        e_y = -(F[:, 0] - gains[0] * motion[:, 0]) / GRAVITY
+        return [Flow(0, information * e_x, information), Flow(1, information * e_y, information)]
 
     def add(self, p: Prepared, turn: Array) -> None:
         """Take a hop; turn: (N,) v r [m/s^2]."""

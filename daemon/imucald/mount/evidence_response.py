@@ -36,6 +36,7 @@ from imucald.mount.evidence_spectra import (
     PAIR,
     PRODUCTS,
 )
+from imucald.mount.shift import Flow
 
 Array = NDArray[np.float64]
 
@@ -51,14 +52,19 @@ AFRESH = 16
 """All kept windows are weighed afresh every so many hops."""
 NU = 8.0
 """Degrees of freedom of a window's usual noise level."""
-FORCE_FLOOR, RATE_FLOOR = 0.015**2, 0.0015**2
+FORCE_FLOOR, RATE_FLOOR = 0.01**2, 0.001**2
 """No band is trusted beyond this noise per tick [(m/s^2)^2], [(rad/s)^2]."""
-FORCE_PRIOR, RATE_PRIOR = 0.3**2, 0.03**2
+FORCE_PRIOR, RATE_PRIOR = 0.2**2, 0.02**2
 """Noise per tick until the first windows speak."""
 MODEL_GROUPS = 6.0
 """The model's variance counts like that many pieces of road in the sandwich."""
 MODEL_SHARE = 1.5
 """The model's variance is taken that much larger: correlated noise is the rule."""
+
+FEW_GROUPS = 5.0
+"""Few pieces of road hide their own spread: the variance grows by this over their number."""
+AXIS_SHARE = 1.6
+"""Roll and rotation axes of a drive share roads and bends: their variance is so much larger."""
 
 X_ROW, Y_ROW, PITCH_ROW, ROLL_ROW, P_ROW, Q_ROW = range(6)
 
@@ -77,7 +83,7 @@ class Row:
 ROWS = (
     Row("yaw_turn", 2, (sp.FV, sp.FR2, sp.FV2), (1.5, 0.01)),
     Row("yaw_dvdt", 2, (sp.FA, sp.FR2), (0.8,)),
-    Row("pitch_dvdt", 1, (sp.FA, sp.FA, sp.FA2), (0.005, 0.005), 7),
+    Row("pitch_dvdt", 1, (sp.FA, sp.FA, sp.FA2, sp.FAA), (0.005, 0.005, 0.0008), 7),
     Row("roll_turn", 0, (sp.FV, sp.FV, sp.FV2), (0.005, 0.01), 7),
     Row("pitch_axis", 1, (sp.R, sp.FAR, sp.FV), (0.015, 0.0015), 6),
     Row("roll_axis", 0, (sp.R, sp.FVR), (0.01,), 6),
@@ -95,7 +101,7 @@ GAINS = (
     (Q_ROW, sp.Q, sp.FAI, 0.0, -0.2, 0.2),
 )
 """Gains per band: row, target, signal, expected, least, most."""
-_M = 3
+_M = 4
 
 
 @dataclass
@@ -127,11 +133,22 @@ class ResponseEvidence:
         self._old_normal = np.zeros((len(ROWS), 0, _M, _M))
         self._R = np.eye(3)
         self.delays = (0.0, 0.0)
+        self.flows: list[Flow] = []
+
+    @property
+    def piece(self) -> int:
+        """Number of the piece of road (sandwich group) that is being driven."""
+        return self.hops // GROUP
 
     @property
     def windows(self) -> int:
         """Windows kept whole."""
         return self._n
+
+    def start_from(self, other: ResponseEvidence) -> None:
+        """Begin with another's gains, noise levels and delays."""
+        self.gains, self.noise = other.gains.copy(), other.noise.copy()
+        self.delays = other.delays
 
     def add(self, s: sp.Spectra) -> None:
         """Take a window's spectra (BINS, MEASURED)."""
@@ -233,7 +250,7 @@ class ResponseEvidence:
         return [
             [gy, one, one],
             [-gx, one],
-            [gx, gx * BAND_OMEGA2, one],
+            [gx, gx * BAND_OMEGA2, one, one],
             [-gy, gy * BAND_OMEGA2, one],
             [-one, one, BAND_OMEGA2],
             [one, one],
@@ -294,7 +311,7 @@ class ResponseEvidence:
         tells = power * weight * weight
         total = np.maximum(tells.sum(axis=1), 1e-12)
         fresh = 4.0 * (tells * left).sum(axis=1) / total / BAND_WIDTH
-        trust = self._n / (self._n + 8.0)
+        trust = 1.0 - (8.0 / (self._n + 8.0)) ** 2
         prior = np.full((6, 1), FORCE_PRIOR)
         prior[4:] = RATE_PRIOR
         low = np.full((6, 1), FORCE_FLOOR)
@@ -309,6 +326,7 @@ class ResponseEvidence:
         s_all = np.concatenate([self._old_score, s_all], axis=1)
         n_all = np.concatenate([self._old_normal, n_all], axis=1)
         out = {}
+        self.flows = []
         for i, row in enumerate(ROWS):
             m = len(row.regressors)
             s, n = s_all[i, :, :m], n_all[i, :, :m, :m]
@@ -324,10 +342,16 @@ class ResponseEvidence:
             if len(u) > 1:
                 spread = max(spread + 2.0 * float(u[1:] @ u[:-1]), 0.6 * spread)
             each = n[:, 0, 0]
+            share = 1.0 / (normal[0, 0] * inverse[0, 0])  # what the nuisance leaves
+            own = each * share
+            self.flows.append(Flow(row.axis, u / inverse[0, 0] + own * value[0], own))
             groups = float(normal[0, 0] ** 2 / max(float(each @ each), 1e-12))
             model = float(inverse[0, 0])
             variance = (MODEL_GROUPS * model * MODEL_SHARE + groups * spread) / (
                 MODEL_GROUPS + groups
             )
+            variance *= 1.0 + FEW_GROUPS / groups
+            if row.axis == 0 or row.name.endswith("axis"):
+                variance *= AXIS_SHARE
             out[row.name] = Piece(float(value[0]), variance, groups)
         return out

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ FORCE_LOW, FORCE_HIGH = 0.5 * GRAVITY, 1.7 * GRAVITY
 """Mean specific force outside is no road vehicle on a road."""
 SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03
 """Wheel speeds may differ by this [m/s] and this share of the speed, beyond the curve."""
+REST_MEMORY = 250.0
+"""Ticks at rest after which a gyro bias is forgotten: it wanders with temperature."""
 GUESS_TICKS = 250
 """Ticks of driving from which a gyro bias can be guessed without a rest."""
 HOLD_TICKS = 10
@@ -66,6 +68,13 @@ class Prepared:
     rest: Flags
     learn: Flags  # nothing forbids to learn
     brake: Array  # (N,) 0, 1 or NaN
+    had_rate: Flags  # as ok_rate, but also while the bias was not known
+    gyro_bias: Array  # (3,) what was taken off the rate
+
+    def with_gyro_bias(self, gyro_bias: Array) -> Prepared:
+        """The same hop as if that gyro bias [rad/s] (3,) had been known."""
+        rate = self.rate + (self.gyro_bias - gyro_bias)
+        return replace(self, rate=rate, ok_rate=self.had_rate, gyro_bias=gyro_bias)
 
 
 def empty_rows(n: int) -> Array:
@@ -168,10 +177,13 @@ class SignalPreparer:
             rest=rest,
             learn=~bad[mid] & ok_force[mid],
             brake=rows[part, tk.BRAKE][mid],
+            had_rate=ok_rate[mid],
+            gyro_bias=self.gyro_bias,
         )
         self._learn_offsets(prepared)
         if self.gyro_bias_weight == 0.0:
             self._guess_gyro_bias(prepared)
+        prepared.gyro_bias = self.gyro_bias.copy()
         prepared.rate -= self.gyro_bias
         prepared.yaw_rate -= self.yaw_offset
         rows[:KEEP] = rows[HOP:].copy()
@@ -300,6 +312,7 @@ class SignalPreparer:
             self._moving_turns.append(float(np.median(p.rate[use] @ up)))
             mean = self._moving_rate / self._moving_n
             self.gyro_bias = mean + up * (float(np.median(self._moving_turns)) - mean @ up)
+        p.had_rate = p.ok_rate
         if self._moving_n < GUESS_TICKS:
             p.ok_rate = np.zeros_like(p.ok_rate)
 
@@ -310,13 +323,13 @@ class SignalPreparer:
         if n >= 8:
             mean = p.rate[use].mean(axis=0)
             if np.abs(p.rate[use] - mean).max() < 0.05:
-                self.gyro_bias_weight = min(self.gyro_bias_weight + n, 600.0)
+                self.gyro_bias_weight = min(self.gyro_bias_weight + n, REST_MEMORY)
                 self.gyro_bias = self.gyro_bias + (mean - self.gyro_bias) * (
                     n / self.gyro_bias_weight
                 )
         use = p.rest & p.ok_yaw
         n = float(use.sum())
         if n >= 8 and "yaw_rate" in self.seen:
-            self.yaw_offset_weight = min(self.yaw_offset_weight + n, 600.0)
+            self.yaw_offset_weight = min(self.yaw_offset_weight + n, REST_MEMORY)
             gain = n / self.yaw_offset_weight
             self.yaw_offset += (float(p.yaw_rate[use].mean()) - self.yaw_offset) * gain

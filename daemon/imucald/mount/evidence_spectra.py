@@ -32,17 +32,17 @@ TURNED = slice(5, 8)
 """Speed times rate [m/s^2], sensor axes."""
 RATE = slice(8, 11)
 """Rate [rad/s], sensor axes."""
-A2, V2, R2, AR, VR = 11, 12, 13, 14, 15
-"""Even terms: A^2, V^2, r^2, A r, V r."""
-MEASURED = 16
+A2, V2, R2, AR, VR, AA = 11, 12, 13, 14, 15, 16
+"""Second-order terms: A^2, V^2, r^2, A r, V r, A |A|."""
+MEASURED = 17
 """Columns that come from time; two more are their quarter turns in frequency."""
-AI, VI = 16, 17
+AI, VI = 17, 18
 """A and V a quarter period ahead: lags, tyres and lever arms answer with these."""
-SIGNALS = 18
-_LATE = (A, A2, AR)
+SIGNALS = 19
+_LATE = (A, A2, AR, AA)
 """Columns that come with the speed's delay."""
 
-FX, FY, FZ, FA, FV, FQ, P, Q, R, FA2, FV2, FR2, FAR, FVR, FAI, FVI = range(16)
+FX, FY, FZ, FA, FV, FQ, P, Q, R, FA2, FV2, FR2, FAR, FVR, FAI, FVI, FAA = range(17)
 """Order of signals after `in_vehicle_axes`: force (3), A, V, v q, rate (3), even terms."""
 
 _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
@@ -75,13 +75,13 @@ def spectra(signals: Array, mask: NDArray[np.bool_]) -> Spectra:
     return s
 
 
-_ALONE = ((FA2, A2), (FV2, V2), (FR2, R2), (FAR, AR), (FVR, VR), (FAI, AI), (FVI, VI))
+_ALONE = ((FA2, A2), (FV2, V2), (FR2, R2), (FAR, AR), (FVR, VR), (FAI, AI), (FVI, VI), (FAA, AA))
 
 
 def _turning(R_vehicle_from_sensor: Matrix3) -> Array:
-    """Matrix (16, SIGNALS) that takes the signals to vehicle axes."""
+    """Matrix (17, SIGNALS) that takes the signals to vehicle axes."""
     R_vs = R_vehicle_from_sensor
-    turn = np.zeros((16, SIGNALS))
+    turn = np.zeros((17, SIGNALS))
     turn[FX : FZ + 1, 0:3] = R_vs
     turn[FA, A] = turn[FV, V] = 1.0
     turn[FQ, TURNED] = R_vs[1]
@@ -100,6 +100,7 @@ PAIRS = (
     (FAR, FAR), (FVR, FVR), (P, FV), (R, FV), (FAR, FV),
     (FX, FAI), (FY, FVI), (P, FVI), (Q, FAI), (FAI, FAI), (FVI, FVI), (FVI, FA), (FVI, FR2),
     (FAI, FV), (FAI, FR2), (FAI, FV2), (FVI, R), (FVI, FAR), (FVI, FV), (FAI, R), (FAI, FVR),
+    (FZ, FAA), (FAA, FAA), (FA, FAA), (FA2, FAA), (FQ, FAA),
 )  # fmt: skip
 """Products in vehicle axes that the fit needs."""
 PAIR = {pair: i for i, pair in enumerate(PAIRS)} | {(j, i): k for k, (i, j) in enumerate(PAIRS)}

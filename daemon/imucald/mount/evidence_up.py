@@ -24,12 +24,18 @@ from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
 
-PULL_S = 25.0
+PULL_S = 16.0
 """Time constant of the pull to the accelerometer [s]."""
 PULL_NO_GYRO_S = 12.0
 """The same where no gyroscope carries the vertical."""
+FORCE_LARGE = 0.25
+"""An innovation beyond counts less [m/s^2] (Huber)."""
+COLOUR, COLOUR_PIECES = 25.0, 4.0
+"""The innovation is not white: the bias's variance is so much larger, until pieces of road tell."""
 SETTLE_TICKS = 25
 """The first ticks take the mean."""
+DRIFT_S = 150.0
+"""Time constant with which a drifting gyro bias is followed while driving [s]."""
 FORCE_NOISE = 0.06
 """Innovation of a tick while nothing happens [m/s^2], rms."""
 FORCE_SHARE = 0.12
@@ -47,6 +53,7 @@ class UpTracker:
         self._open_information = np.zeros((3, 3))
         self._open_score = np.zeros(3)
         self._open_ticks = 0
+        self.drift = np.zeros(3)
         self._closed: list[tuple[Array, Array]] = []
 
     def restart(self) -> None:
@@ -59,14 +66,15 @@ class UpTracker:
         """The vertical in sensor axes, about unit length; (3,) or None."""
         return None if self._state is None else self._state[:, 0]
 
-    def advance(self, p: Prepared, motion: Array | None, bias: Array | None) -> Array:
+    def advance(self, p: Prepared, motion: Array | None, bias: Array | None, sure: bool) -> Array:
         """Carry the vertical through a hop; return f_s - g u (N, 3), motion still in it.
 
         motion: (N, 3) expected motion force in sensor axes, or None while R is not known.
+        sure: R is known well enough to learn the bias from what it leaves over.
         bias: what is known of the accelerometer's bias (3,) [m/s^2]; its answer is taken off.
         """
         n = len(p.t)
-        step = -TICK_S * p.rate * p.ok_rate[:, None]
+        step = -TICK_S * (p.rate - self.drift) * p.ok_rate[:, None]
         turn = np.zeros((n, 3, 3))
         x, y, z = step[:, 0], step[:, 1], step[:, 2]
         turn[:, 0, 1], turn[:, 0, 2], turn[:, 1, 2] = -z, y, -x
@@ -97,11 +105,33 @@ class UpTracker:
                 state += gain * (target[i] - state)
         self._state = state
         if motion is not None and p.ok_rate.any():
-            self._learn_bias(p, states, force, motion)
+            if sure:
+                self._learn_bias(p, states, force, motion)
+            self._follow_drift(p, states, force, bias, pull)
         lone: Array = p.force - GRAVITY * states[:, :, 0]
         if bias is not None:
             lone -= (np.eye(3) - states[:, :, 1:]) @ bias
         return lone
+
+    def _follow_drift(
+        self, p: Prepared, states: Array, force: Array, bias: Array | None, pull: float
+    ) -> None:
+        """Gyro bias about the level axes, from the innovation that it keeps up (Mahony's integral).
+
+        Held against the pull k, a rate error d leaves the innovation e / g with k u x e / g = d.
+        """
+        if p.rest.any():
+            self.drift *= 0.5  # at rest it is measured
+            return
+        use = p.learn & p.ok_speed
+        if self._n < 300 or use.sum() < 0.8 * len(use):
+            return
+        innovation = force - GRAVITY * states[:, :, 0]
+        if bias is not None:
+            innovation = innovation - (np.eye(3) - states[:, :, 1:]) @ bias
+        mean = np.clip(innovation.mean(axis=0), -FORCE_LARGE, FORCE_LARGE) / GRAVITY
+        rate = np.cross(states[-1, :, 0], mean) * (pull / TICK_S)
+        self.drift += rate * (len(p.t) * TICK_S / DRIFT_S)
 
     def _learn_bias(self, p: Prepared, states: Array, force: Array, motion: Array) -> None:
         use = p.learn & p.ok_speed & ~p.rest
@@ -113,8 +143,10 @@ class UpTracker:
             return
         share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
         weight = use / (FORCE_NOISE * FORCE_NOISE + share2)
-        weighted = answer * weight[:, None, None]
         innovation = force - GRAVITY * states[:, :, 0]
+        size = np.sqrt((innovation * innovation).sum(axis=1))
+        weight /= np.maximum(size / FORCE_LARGE, 1.0)
+        weighted = answer * weight[:, None, None]
         self._open_information += np.einsum("nki,nkj->ij", weighted, answer)
         self._open_score += np.einsum("nki,nk->i", weighted, innovation)
         self._open_ticks += len(p.t)
@@ -136,10 +168,10 @@ class UpTracker:
         for a, b in self._closed:
             information += a
             score += b
-        covariance = np.linalg.inv(information + prior)
+        covariance = np.asarray(np.linalg.inv(information + prior), dtype=np.float64)
         value = covariance @ score
         if len(self._closed) < 2:
-            scale = 6.0
+            scale = COLOUR
         else:
             a = np.array([c[0] for c in self._closed])
             b = np.array([c[1] for c in self._closed])
@@ -147,7 +179,9 @@ class UpTracker:
             model = np.trace(a.sum(axis=0) @ covariance)
             spread = np.einsum("ni,ij,nj->", left, covariance, left)
             k = len(a)
-            scale = (6.0 * 4.0 + k * spread / max(model, 0.05)) / (4.0 + k)
+            seen = k * spread / max(model, 0.05)
+            scale = (COLOUR * COLOUR_PIECES + seen) / (COLOUR_PIECES + k)
         scale = max(scale, 1.0)
         covariance = np.asarray(np.linalg.inv(information / scale + prior), dtype=np.float64)
-        return covariance @ (score / scale), covariance
+        value = covariance @ (score / scale)
+        return value, covariance

@@ -12,6 +12,8 @@ from imucald.mount.evidence_response import Piece
 
 Array = NDArray[np.float64]
 
+MOST_WIDENED = 25.0
+"""Pieces that disagree widen the variance by chi^2 per degree of freedom (Birge), at most this."""
 AXES = ("roll", "pitch", "yaw")
 
 
@@ -51,6 +53,8 @@ def fuse(pieces: Mapping[str, Piece], shared: Sequence[Shared]) -> Fused:
         weight = np.maximum(np.linalg.solve(V, np.ones(len(names))), 0.0)
         weight /= weight.sum()
         error[i] = float(weight @ np.array([pieces[name].value for name in names]))
-        variance[i] = float(weight @ V @ weight)
+        left = np.array([pieces[name].value for name in names]) - error[i]
+        disagreement = float(left @ np.linalg.solve(V, left)) / max(len(names) - 1, 1)
+        variance[i] = float(weight @ V @ weight) * min(max(disagreement, 1.0), MOST_WIDENED)
         shares[axis] = {name: float(w) for name, w in zip(names, weight, strict=True)}
     return Fused(error, variance, shares)

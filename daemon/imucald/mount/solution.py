@@ -22,6 +22,7 @@ from imucald.mount.evidence_signals import HOP, Prepared
 from imucald.mount.evidence_spectra import MEASURED, WINDOW, spectra
 from imucald.mount.evidence_up import UpTracker
 from imucald.mount.fusion import Fused, Shared, fuse
+from imucald.mount.shift import Shift, largest_change
 from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
@@ -30,10 +31,20 @@ LEAST_POWER = 1e-3
 """A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
 
 
+SIDESLIP_STD = 0.0024
+"""What sideslip and body roll leave in the yaw from turns [rad], in simulated drives."""
 PITCHING_STD = 0.0012
 """Squat and dive differ (gradients by 0.0014 rad/(m/s^2)): that much pitch stays in dv/dt [rad]."""
 BIAS_FLOOR_STD = 0.0015
 """The bias wanders with temperature (4 mg in a drive): that much stays in gravity [rad]."""
+
+
+CROSS_FALL_SHARE = 1.7
+"""Superelevation and leaning of the body widen the spread of cross falls."""
+WARMING_STD = 0.04
+"""The bias moves by that much with temperature [m/s^2]."""
+SURE_STD = 0.035
+"""Yaw this well known [rad] leaves little of the motion over."""
 
 
 class Solution:
@@ -60,6 +71,12 @@ class Solution:
         self._shared = self._shared_errors()
         self.response.delays = (self.delay_speed.value, 0.0)
 
+    def start_from(self, other: Solution) -> None:
+        """Begin with another's rotation, gains and delay, but without its evidence."""
+        self.R, self.yaw_known = other.R, other.yaw_known
+        self.response.start_from(other.response)
+        self.delay_speed = other.delay_speed
+
     def gap(self) -> None:
         """Time jumped."""
         self.up.restart()
@@ -78,6 +95,7 @@ class Solution:
         cross = s.accel_cross_axis_std
         return (
             Shared(scale, {"yaw_dvdt": 1.0, "yaw_turn": -1.0}),
+            Shared(SIDESLIP_STD, {"yaw_turn": 1.0}),
             Shared(scale, {"pitch_dvdt": 1.0}),
             Shared(scale, {"roll_turn": 1.0}),
             Shared(cross, {"yaw_dvdt": 1.0}),
@@ -104,14 +122,19 @@ class Solution:
             planned = np.zeros((HOP, 3))
             planned[:, 0] = gains[0] * p.accel * p.ok_speed
             planned[:, 1] = gains[1] * turn * p.ok_speed
-            if p.ok_rate.any():
-                planned[:, 2] = -(p.speed * (p.rate @ R[1])) * p.ok_speed
             motion = planned @ R
-        lone = self.up.advance(p, motion, self.bias)
+        lone = self.up.advance(p, motion, self.bias, self.sure())
         self.gravity.add(p, turn)
+        piece = self.response.piece
         self._slide(p, lone, turn, r)
+        if self.response.piece != piece:
+            self.gravity.close_piece()
         use = p.learn & p.ok_speed
         return p.accel * use, turn * use
+
+    def sure(self) -> bool:
+        """Whether yaw is known well enough for what is left over to speak of the bias."""
+        return self.fused is not None and self.yaw_known and self.fused.variance[2] < SURE_STD**2
 
     def _turn_rate(self, p: Prepared, up: Array | None) -> Array:
         if up is not None and p.ok_rate.mean() > 0.5:
@@ -138,6 +161,7 @@ class Solution:
         w[-HOP:, 13] = r * r
         w[-HOP:, 14] = p.accel * r
         w[-HOP:, 15] = turn * r
+        w[-HOP:, 16] = p.accel * np.abs(p.accel)
         m[-HOP:] = p.learn & p.ok_speed
         if m.sum() < 64:
             return
@@ -159,7 +183,8 @@ class Solution:
             return
         s = self._settings
         cross = s.accel_cross_axis_std
-        bias, bias_cov = self.up.bias(math.hypot(s.accel_bias_std, GRAVITY * cross))
+        spread = math.sqrt(s.accel_bias_std**2 + WARMING_STD**2 + (GRAVITY * cross) ** 2)
+        bias, bias_cov = self.up.bias(spread)
         if not self.yaw_known:
             self._start()
         for _ in range(2 if self.hops < 100 else 1):
@@ -176,12 +201,20 @@ class Solution:
                 # both see the same noise, the pitch rate of the road: the better one speaks
                 worse = max(("roll_axis", "roll_turn"), key=lambda k: pieces[k].variance)
                 pieces[worse] = Piece(pieces[worse].value, pieces[worse].variance * 1e4, 0.0)
-            pieces["roll_gravity"] = Piece(ex, slope + b[1, 1], 0.0)
+            pieces["roll_gravity"] = Piece(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
             pieces["pitch_gravity"] = Piece(ey, slope + b[0, 0], 0.0)
             fused = fuse(pieces, self._shared)
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
             self.pieces, self.fused = pieces, fused
         self.bias, self.bias_cov = bias, bias_cov
+
+    def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
+        """The change of the mount that the last minutes' evidence speaks for most."""
+        if self.R is None or self.bias is None or not self.yaw_known:
+            return None
+        s = self._settings
+        flows = self.gravity.flows(self.R, self.bias, self.gains(), s.slope_std, s.slope_length)
+        return largest_change(self.response.flows + flows, axes)
 
     def _start(self) -> None:
         """Find a first rotation: level by gravity, yaw from the direction of the responses."""
