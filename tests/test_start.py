@@ -1,0 +1,75 @@
+"""The start of a process: quick because it loads nothing that it does not need."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+from imucald.bus.log import CandumpWriter
+from imucald.cli import PROCESS_SETTINGS
+from simulated_bus import CONFIG, drive_frames
+
+HEAVY = ("can", "scipy", "asammdf", "pandas", "matplotlib", "asyncio", "rich", "cantools.tester")
+"""Each costs 20 ms to a second, or tens of megabytes."""
+PROBE = """
+import json, os, sys
+from imucald.cli import main
+status = main(sys.argv[1:])
+settings = {k: os.environ.get(k) for k in %r}
+print(json.dumps([status, sorted(set(sys.modules) & set(%r)), settings]), file=sys.stderr)
+"""
+
+
+def run(*arguments: str) -> tuple[int, list[str], dict[str, str]]:
+    """Run a command in a process of its own: status, heavy modules loaded, process settings."""
+    probe = PROBE % (tuple(PROCESS_SETTINGS), HEAVY)
+    environment = {k: v for k, v in os.environ.items() if k not in PROCESS_SETTINGS}
+    process = subprocess.run(
+        [sys.executable, "-c", probe, *arguments],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+    status, loaded, settings = json.loads(process.stderr.splitlines()[-1])
+    return status, loaded, settings
+
+
+def test_a_replay_loads_no_heavy_module_and_runs_linear_algebra_on_one_thread(tmp_path):
+    log = tmp_path / "short.log"
+    with CandumpWriter(log) as writer:
+        writer.write_columns(drive_frames().take(slice(0, 2000)))
+    out = tmp_path / "out.log"
+    status, loaded, settings = run(
+        "replay", str(log), "--config", str(CONFIG), "--quiet", "--out", str(out)
+    )
+    assert status == 0
+    assert loaded == []
+    assert settings == PROCESS_SETTINGS
+    assert out.stat().st_size > 1000
+
+
+def test_help_loads_no_numpy_even():
+    process = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "imucald", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    loaded = {line.rpartition("|")[2].strip() for line in process.stderr.splitlines()}
+    assert "imucald.cli" in loaded
+    assert not loaded & {"numpy", "pydantic", "yaml", "cantools", *HEAVY}
+
+
+def test_cantools_can_be_had_whole_after_a_database_was_read():
+    code = (
+        "from imucald.output import output_database\n"
+        "output_database()\n"
+        "import sys\n"
+        "assert 'can' not in sys.modules and 'cantools' not in sys.modules\n"
+        "import cantools\n"
+        "assert cantools.database.load_file and cantools.tester.Tester\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
