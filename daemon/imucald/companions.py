@@ -10,7 +10,9 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Protocol
 
-from imucald.attitude.filter import AttitudeFilter, AttitudeState
+from imucald.attitude.compensated import CompensatedAttitude
+from imucald.attitude.estimate import AttitudeState
+from imucald.attitude.filter import AttitudeFilter
 from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
 from imucald.bus.signals import ColumnSamples, Sample
 from imucald.config import Config, LoadedConfig
@@ -115,7 +117,12 @@ class AttitudeCompanion:
     channels = frozenset(ORDER)
 
     def __init__(self, config: Config, frames: AttitudeFrames) -> None:
-        self.filter = AttitudeFilter(attitude_settings(config))
+        settings = attitude_settings(config)
+        self.filter = (
+            CompensatedAttitude(settings)
+            if config.attitude.method == "compensation"
+            else AttitudeFilter(settings)
+        )
         self._frames = frames
         self._every = round(TICK_RATE / config.attitude.rate)
         self._correction: Correction | None = None
@@ -166,15 +173,18 @@ class AttitudeCompanion:
         if self._correction is None or not self.filter.running:
             return "attitude", {"state": AttitudeState.NOT_AVAILABLE.name.lower()}
         e = self.filter.estimate()
-        deg = 180.0 / math.pi
+
+        def number(value: float, factor: float = 180.0 / math.pi) -> float | None:
+            return None if math.isnan(value) else round(value * factor, 5)
+
         return "attitude", {
             "state": e.state.name.lower(),
-            "roll_deg": round(e.roll * deg, 4),
-            "pitch_deg": round(e.pitch * deg, 4),
-            "heading_deg": round(e.heading * deg, 4),
-            "std_deg": [round(std * deg, 4) for std in e.std],
-            "gyro_bias_deg_s": [round(b * deg, 5) for b in e.bias],
-            "grade_percent": None if math.isnan(e.grade) else round(100.0 * e.grade, 3),
+            "roll_deg": number(e.roll),
+            "pitch_deg": number(e.pitch),
+            "heading_deg": number(e.heading),
+            "std_deg": [number(std) for std in e.std],
+            "gyro_bias_deg_s": [number(b) for b in e.bias],
+            "grade_percent": number(e.grade, 100.0),
             "sensor_check": self.filter.checked,
         }
 

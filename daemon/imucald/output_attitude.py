@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from imucald.attitude.filter import AttitudeEstimate, AttitudeState
+from imucald.attitude.estimate import AttitudeEstimate, AttitudeState
 from imucald.bus.database import Database
 from imucald.config import Config
 from imucald.sender import NOT_AVAILABLE_SIGNED, NOT_AVAILABLE_UNSIGNED, OutFrame, Sender
@@ -60,21 +60,29 @@ class AttitudeFrames:
             senders = (self._angles, self._deviation, self._rates, self._grade)
             return [s.frame(nothing) for s in senders]
         e, state = estimate, int(estimate.state)
-        x, y, z = (rate * _TO_DEG for rate in e.rate)
-        roll, pitch, heading = (min(std * _TO_DEG, DEVIATION_MAX) for std in e.std)
-        # the slope needs an interval of its own after the start
-        grade = None if math.isnan(e.grade) else 100.0 * e.grade
-        spread = min(100.0 * e.grade_std, GRADE_DEVIATION_MAX) if grade is not None else None
-        worst = min(max(e.rate_std) * _TO_DEG, RATE_DEVIATION_MAX)
+        angles = (e.roll * _TO_DEG, e.pitch * _TO_DEG, bearing(e.heading), state)
+        std = (*(min(s * _TO_DEG, DEVIATION_MAX) for s in e.std), state)
+        rates = (*(rate * _TO_DEG for rate in e.rate), state)
+        grade = (
+            100.0 * e.grade,
+            min(100.0 * e.grade_std, GRADE_DEVIATION_MAX),
+            min(max(e.rate_std) * _TO_DEG, RATE_DEVIATION_MAX),
+            state,
+        )
         return [
-            self._angles.frame((e.roll * _TO_DEG, e.pitch * _TO_DEG, bearing(e.heading), state)),
-            self._deviation.frame((roll, pitch, heading, state)),
-            self._rates.frame((x, y, z, state)),
-            self._grade.frame((grade, spread, worst, state)),
+            sender.frame([None if math.isnan(v) else v for v in values])
+            for sender, values in (
+                (self._angles, angles),
+                (self._deviation, std),
+                (self._rates, rates),
+                (self._grade, grade),
+            )
         ]
 
 
 def bearing(heading: float) -> float:
     """A heading [rad] in degrees, such that it does not round up to 360."""
+    if math.isnan(heading):
+        return heading
     degrees = (heading * _TO_DEG) % 360.0
     return degrees if degrees < 360.0 - 0.5 * HEADING_LSB else 0.0

@@ -7,11 +7,9 @@ filter; after 30 s of rest, once, the sensor check. Pure: no I/O, no clock; samp
 
 from __future__ import annotations
 
-import enum
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,8 +28,9 @@ from imucald.attitude.axes import (
     vehicle_from_text,
     wrapped,
 )
+from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.grade import RoadGrade
-from imucald.attitude.interval import Interval, Knot, interval
+from imucald.attitude.interval import Interval, Knot, along_body, interval
 from imucald.attitude.kalman import STATES, Measurement, NineStateFilter
 from imucald.attitude.motion_compensation import AverageSpeed, SpeedAverager
 from imucald.attitude.propagation import Propagator
@@ -44,42 +43,8 @@ START_REST_STD = math.radians(2.0)
 START_MOVING_STD = math.radians(6.0)
 """Tilt error taken for granted at the start; the first intervals say it better."""
 MAX_KNOTS = 64
-STALE_S = 1.0
-"""Without gyroscope or accelerometer for so long the attitude is not available [s]."""
 LEAST_UP = 0.3 * GRAVITY
 """Less than this is not gravity: falling, or a broken sensor [m/s^2]."""
-
-
-class AttitudeState(enum.IntEnum):
-    """State of the attitude; the numbers are those on the bus."""
-
-    NOT_AVAILABLE = 0
-    STARTING = 1
-    SETTLING = 2
-    RELATIVE_HEADING = 3
-    FULL = 4
-
-
-@dataclass(frozen=True)
-class AttitudeEstimate:
-    """The attitude at the newest gyroscope sample; vehicle axes, radians.
-
-    roll (left side up), pitch (nose down), heading (clockwise from north, or from the start where
-    `state` says so); std of the three; rate: (x, y, z) free of bias [rad/s], rate_std likewise;
-    grade: slope of the road, tangent, positive uphill; bias: found so far [rad/s].
-    """
-
-    state: AttitudeState
-    t: float
-    roll: float
-    pitch: float
-    heading: float
-    std: Vector
-    rate: Vector
-    rate_std: Vector
-    grade: float
-    grade_std: float
-    bias: Vector
 
 
 class AttitudeFilter:
@@ -283,7 +248,11 @@ class AttitudeFilter:
 
     def _interval(self, first: Knot, last: Knot) -> Interval:
         s = self.settings
-        return interval(first, last, s.compensation, s.filter.accel_noise, s.filter.unknown_motion)
+        c = s.compensation
+        if c.speed_is == "horizontal":
+            up = transposed_times(rows(self._correction), (0.0, 0.0, 1.0))
+            first, last = along_body(first, up), along_body(last, up)
+        return interval(first, last, c, s.filter.accel_noise, s.filter.unknown_motion)
 
     def _is_rest(self, first: Knot, last: Knot, found: Interval) -> bool:
         s = self.settings.filter

@@ -17,6 +17,9 @@ from imucald.attitude.axes import Vector
 from imucald.attitude.propagation import Moment
 from imucald.attitude.settings import CompensationSettings
 
+LEAST_LEVEL = 0.5
+"""Cosine of the steepest slope that a horizontal speed is turned to."""
+
 
 class Interval(NamedTuple):
     """Gravity in P over an interval, and what its uncertainty depends on.
@@ -53,6 +56,13 @@ class Knot(NamedTuple):
 
     moment: Moment
     speed: float
+
+
+def along_body(knot: Knot, up: Vector) -> Knot:
+    """A knot whose speed is horizontal, with the speed along the body; up: unit vector in P."""
+    rise = sum(a * b for a, b in zip(knot.moment.forward, up, strict=True))
+    level = math.sqrt(max(1.0 - rise * rise, LEAST_LEVEL**2))
+    return Knot(knot.moment, knot.speed / level)
 
 
 def interval(

@@ -135,6 +135,11 @@ class MotionCompensation:
             first, last = knots[0], knots[-1]
             self._a_fwd = (last.speed - first.speed) / (last.t - first.t)
 
+    def is_standing(self, t: float) -> bool:
+        """Whether speed is known at t [s], and zero since the last knots."""
+        known = t - self._heard <= self.settings.timeout and len(self._knots) > 1
+        return known and all(knot.speed == 0.0 for knot in self._knots)
+
     def take(self, t: float, force: Vector, rate: Vector) -> Compensated:
         """Correct one sample of accelerometer [m/s^2] and gyroscope [rad/s] at t [s]."""
         bx, by, bz = self.zero_error

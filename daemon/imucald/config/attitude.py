@@ -99,6 +99,8 @@ class Attitude(Model):
 
     enabled: bool = False
     """Whether it is computed and sent; needs a gyroscope."""
+    method: Literal["filter", "compensation"] = "filter"
+    """Methods B and C together, or B alone: roll and pitch of each sample, unfiltered."""
     rate: Literal[1, 2, 5, 10] = 10
     """Attitude frames per second."""
     squat: float = _ATTITUDE.squat
