@@ -9,11 +9,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 from imucald.bus.columns import FrameColumns, IdMatch
 from imucald.bus.link import Link, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.engine import Engine, LinkHealth
+from imucald.sender import OutFrame
 from imucald.timebase import FORWARD_STEP
 
 WAIT_S = 0.05
@@ -73,19 +75,47 @@ class _Recent:
         return now < self._until
 
 
+class Extra(Protocol):
+    """Something that talks on the same bus beside the calibration; it never waits for anything."""
+
+    @property
+    def ids(self) -> frozenset[int]:
+        """The ids whose frames it takes, with the flag for 29 bits; the engine never sees them."""
+        ...
+
+    @property
+    def wait(self) -> float:
+        """How long it can do without `poll` [s]."""
+        ...
+
+    def frame(self, can_id: int, data: bytes) -> list[OutFrame]:
+        """Take one of its frames; return what is to be sent."""
+        ...
+
+    def poll(self) -> list[OutFrame]:
+        """Time has passed: return what is to be sent."""
+        ...
+
+
 class Daemon:
     """Runs an engine on a link until told to stop.
 
-    clock: monotonic [s].
+    clock: monotonic [s]. extra: also served, frames of its ids are not the engine's.
     """
 
     def __init__(
-        self, engine: Engine, link: Link, clock: Callable[[], float] = time.monotonic
+        self,
+        engine: Engine,
+        link: Link,
+        clock: Callable[[], float] = time.monotonic,
+        extra: Extra | None = None,
     ) -> None:
         self.engine = engine
         self.link = link
         self.stopping = False
         self._clock = clock
+        self._extra = extra
+        self._extra_ids = frozenset[int]() if extra is None else extra.ids
         self._lost = _Recent(RECENT_S)
         self._conflict = _Recent(CONFLICT_S)
         self._unsent = _Recent(RECENT_S)
@@ -113,13 +143,22 @@ class Daemon:
 
     def step(self, wait: float = WAIT_S) -> int:
         """Receive once and handle what came; return the number of frames."""
-        frames = self.link.receive(wait)
+        extra, extra_ids, ours = self._extra, self._extra_ids, 0
+        frames = self.link.receive(wait if extra is None else min(wait, extra.wait))
         send, handle = self.link.send, self.engine.frame
         for t, can_id, data in frames:
-            for out_id, out in handle(t, can_id, data):
+            if extra is not None and can_id in extra_ids:
+                answer = extra.frame(can_id, data)
+            else:
+                answer = handle(t, can_id, data)
+                ours += 1
+            for out_id, out in answer:
+                send(out_id, out)
+        if extra is not None:
+            for out_id, out in extra.poll():
                 send(out_id, out)
         now = self._clock()
-        if frames:
+        if ours:
             self._last_frame = now
         elif now - self._last_frame > IDLE_S:
             self._idle(now)
