@@ -25,6 +25,7 @@ _QUALITY = {
     MountState.FINE: 3,
     MountState.SUSPECT: 4,
     MountState.RECALIBRATING: 4,
+    MountState.RESTORED: 1,
 }
 
 

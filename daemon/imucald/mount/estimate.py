@@ -26,6 +26,7 @@ class MountState(enum.IntEnum):
     FINE = 3
     SUSPECT = 4
     RECALIBRATING = 5
+    RESTORED = 6
 
 
 class Missing(enum.IntEnum):

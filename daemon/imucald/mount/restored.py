@@ -1,0 +1,165 @@
+"""Warm start: the mount of an earlier drive serves until this drive's own estimate takes over.
+
+It wraps any estimator. The stored rotation is usable at once, as *restored*. The estimator inside
+begins anew, so that what it says is new evidence: where that agrees, the stored one is confirmed
+and goes on until the new one is as certain. Where it contradicts, the stored one is *suspect*
+until the new one can be used, and then gives way to it, slowly.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import Matrix3, vector_from_rotation
+from imucald.motion.ticks import TickRow
+from imucald.mount.estimate import Correction, MountEstimate, MountEstimator, MountState
+from imucald.mount.slewing import SlewedRotation
+
+COMPARE_TICKS = 10
+"""The two are compared so often: once a second."""
+BETWEEN_DRIVES_STD = math.radians(0.3)
+"""Load and springs turn a vehicle's body by that much from drive to drive [rad]."""
+AGREEMENT = 11.3
+"""Chi-square with 3 degrees of freedom, 99 %: less is agreement."""
+CONTRADICTION = 16.3
+"""The same for 99.9 %: more is contradiction ..."""
+CONTRADICTIONS = 15
+"""... when it is found so many times in a row, 15 s: one bad road is no remount."""
+HAND_OVER_RATE = math.radians(1.0)
+"""The applied rotation turns to the new estimate at this rate [rad/s]."""
+
+_GOOD = frozenset({MountState.USABLE, MountState.FINE})
+_BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
+
+
+@dataclass(frozen=True)
+class StoredMount:
+    """What an earlier drive found.
+
+    R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`.
+    state: the state it had, USABLE or FINE. doubted: it was suspect when it was stored.
+    """
+
+    R_vehicle_from_sensor: Matrix3
+    covariance: NDArray[np.float64]
+    state: MountState = MountState.USABLE
+    doubted: bool = False
+
+
+class Phase(enum.StrEnum):
+    """Who serves, and why."""
+
+    RESTORED = "restored"  # the stored mount; nothing known against or for it
+    CONFIRMED = "confirmed"  # the stored mount; new evidence agrees
+    DOUBTED = "doubted"  # the stored mount; new evidence contradicts
+    HANDING_OVER = "handing_over"  # on the way to the new estimate
+    NEW = "new"  # the new estimate
+
+
+class RestoredEstimator:
+    """An estimator with the mount of an earlier drive in front; a `MountEstimator` itself."""
+
+    def __init__(self, inner: MountEstimator, stored: StoredMount) -> None:
+        self.inner = inner
+        self.stored = stored
+        self.phase = Phase.DOUBTED if stored.doubted else Phase.RESTORED
+        self.distance = math.nan
+        """Of the last comparison, as a chi-square with 3 degrees of freedom."""
+        self._prior = stored.covariance + BETWEEN_DRIVES_STD**2 * np.eye(3)
+        self._served = SlewedRotation(HAND_OVER_RATE)
+        self._served.aim(stored.R_vehicle_from_sensor)
+        self._contradictions = 0
+        self._ticks = 0
+
+    @property
+    def correction(self) -> Correction | None:
+        """The rotation to apply now."""
+        return self.inner.correction if self.phase is Phase.NEW else self._served.correction
+
+    @property
+    def state(self) -> MountState:
+        """RESTORED until there is new evidence, then what that says."""
+        if self.phase is Phase.NEW:
+            return self.inner.state
+        if self.phase is Phase.RESTORED:
+            return MountState.RESTORED
+        if self.phase is Phase.DOUBTED:
+            return MountState.SUSPECT
+        if self.phase is Phase.HANDING_OVER:
+            return MountState.SUSPECT if self._contradictions else self.inner.state
+        known = (self.stored.state, self.inner.state)
+        return MountState.FINE if MountState.FINE in known else MountState.USABLE
+
+    def step(self, tick: TickRow) -> None:
+        """Take one tick."""
+        self.inner.step(tick)
+        if self.phase is Phase.NEW:
+            return
+        if self.phase is Phase.HANDING_OVER:
+            self._follow()
+            return
+        self._ticks += 1
+        if self._ticks % COMPARE_TICKS == 0:
+            self._compare()
+
+    def gap(self) -> None:
+        """Time jumped: nothing before this may be differenced with what follows."""
+        self.inner.gap()
+
+    def estimate(self) -> MountEstimate:
+        """Return the present state of knowledge."""
+        new = self.inner.estimate()
+        details = {**new.details, "restored": self._details()}
+        if self.phase is Phase.NEW:
+            return replace(new, details=details)
+        if self.phase is Phase.HANDING_OVER:
+            return replace(new, state=self.state, details=details)
+        return replace(
+            new,
+            state=self.state,
+            R_vehicle_from_sensor=self.stored.R_vehicle_from_sensor,
+            covariance=self._prior,
+            details=details,
+        )
+
+    def _details(self) -> dict[str, object]:
+        return {"phase": str(self.phase), "chi_square": self.distance}
+
+    def _compare(self) -> None:
+        """Hold the new estimate against the stored one."""
+        new = self.inner.estimate()
+        if new.R_vehicle_from_sensor is None or new.covariance is None:
+            return
+        R_stored = self.stored.R_vehicle_from_sensor
+        e = vector_from_rotation(new.R_vehicle_from_sensor @ R_stored.T)
+        self.distance = float(e @ np.linalg.solve(new.covariance + self._prior, e))
+        usable = self.inner.state in _GOOD
+        if self.distance > CONTRADICTION:
+            self._contradictions += 1
+        elif self.distance < AGREEMENT:
+            self._contradictions = 0
+            if usable:
+                self.phase = Phase.CONFIRMED
+        if self.inner.state in _BAD or self._contradictions >= CONTRADICTIONS:
+            self.phase = Phase.DOUBTED
+        if not usable:
+            return
+        certain = float(np.trace(new.covariance)) <= float(np.trace(self._prior))
+        if self.phase is Phase.DOUBTED or (self.phase is Phase.CONFIRMED and certain):
+            self.phase = Phase.HANDING_OVER
+
+    def _follow(self) -> None:
+        """Turn towards the new estimate until it is reached."""
+        target = self.inner.correction
+        if target is None:  # it was not to be relied upon after all
+            self.phase = Phase.DOUBTED
+            return
+        self._served.aim(np.array(target).reshape(3, 3))
+        self._served.step()
+        if self._served.correction == target:
+            self.phase = Phase.NEW

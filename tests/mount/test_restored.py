@@ -1,0 +1,187 @@
+"""A stored mount serves at once, as restored, and gives way to new evidence as it should."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.published import PublishedEstimator
+from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
+from published_drive import Drive
+
+STORED = Rotation.from_euler("ZYX", [30.0, -5.0, 2.0], degrees=True)
+TICK = (0.0,) * 64
+
+
+def turned(yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> Rotation:
+    """The stored mount turned about the vehicle's axes."""
+    return Rotation.from_rotvec([0.0, math.radians(pitch_deg), math.radians(yaw_deg)]) * STORED
+
+
+class Scripted:
+    """An estimator that says what it is told to."""
+
+    def __init__(self) -> None:
+        self.gaps = 0
+        self.say(MountState.WAITING, None, 0.0)
+
+    def say(self, state: MountState, mount: Rotation | None, std_deg: float) -> None:
+        self.state = state
+        R = None if mount is None else mount.as_matrix()
+        covariance = None if mount is None else np.eye(3) * math.radians(std_deg) ** 2
+        self.answer = MountEstimate(state, R, covariance)
+        good = state in {MountState.USABLE, MountState.FINE}
+        self.correction = tuple(R.ravel().tolist()) if good and R is not None else None
+
+    def step(self, tick) -> None:
+        pass
+
+    def gap(self) -> None:
+        self.gaps += 1
+
+    def estimate(self) -> MountEstimate:
+        return self.answer
+
+
+def restored(std_deg: float = 0.3, doubted: bool = False) -> tuple[RestoredEstimator, Scripted]:
+    inner = Scripted()
+    covariance = np.eye(3) * math.radians(std_deg) ** 2
+    stored = StoredMount(STORED.as_matrix(), covariance, MountState.FINE, doubted)
+    return RestoredEstimator(inner, stored), inner
+
+
+def run(estimator: RestoredEstimator, seconds: float) -> None:
+    for _ in range(round(seconds * 10)):
+        estimator.step(TICK)
+
+
+def degrees_from(estimator: RestoredEstimator, mount: Rotation) -> float:
+    assert estimator.correction is not None
+    now = Rotation.from_matrix(np.array(estimator.correction).reshape(3, 3))
+    return math.degrees((now * mount.inv()).magnitude())
+
+
+def test_it_is_usable_at_once_and_says_that_it_is_restored():
+    estimator, _ = restored()
+    assert degrees_from(estimator, STORED) < 1e-9
+    assert estimator.state is MountState.RESTORED
+    estimate = estimator.estimate()
+    assert estimate.state is MountState.RESTORED
+    assert np.allclose(estimate.R_vehicle_from_sensor, STORED.as_matrix())
+    assert all(math.degrees(s) >= 0.3 for s in estimate.std)
+    run(estimator, 3600.0)  # a drive without evidence confirms nothing
+    assert estimator.state is MountState.RESTORED
+
+
+def test_agreement_confirms_it_only_when_the_new_estimate_can_be_used():
+    estimator, inner = restored()
+    inner.say(MountState.LEVELLED, turned(0.2), 1.0)
+    run(estimator, 60.0)
+    assert estimator.phase is Phase.RESTORED
+    inner.say(MountState.USABLE, turned(0.2), 1.0)
+    run(estimator, 2.0)
+    assert estimator.phase is Phase.CONFIRMED
+    assert estimator.state is MountState.FINE  # as it was when it was stored
+    assert degrees_from(estimator, STORED) < 1e-9
+
+
+def test_the_new_estimate_takes_over_when_it_is_as_certain_and_without_a_jump():
+    estimator, inner = restored()
+    inner.say(MountState.FINE, turned(0.5), 0.1)
+    before, angles = STORED, []
+    for _ in range(40):
+        estimator.step(TICK)
+        angles.append(math.radians(degrees_from(estimator, before)))
+        before = Rotation.from_matrix(np.array(estimator.correction).reshape(3, 3))
+    assert max(angles) <= HAND_OVER_RATE * 0.1 + 1e-9
+    assert estimator.phase is Phase.NEW
+    assert estimator.correction == inner.correction
+    assert estimator.state is MountState.FINE
+
+
+def test_contradiction_makes_it_suspect_and_the_new_estimate_replaces_it():
+    estimator, inner = restored()
+    inner.say(MountState.LEVELLED, turned(pitch_deg=8.0), 1.0)
+    run(estimator, 10.0)
+    assert estimator.state is MountState.RESTORED  # one bad road is no remount
+    run(estimator, 10.0)
+    assert estimator.state is MountState.SUSPECT
+    assert degrees_from(estimator, STORED) < 1e-9  # the last good one
+    inner.say(MountState.USABLE, turned(pitch_deg=8.0), 1.0)
+    run(estimator, 3.0)
+    assert estimator.state is MountState.SUSPECT
+    assert 0.5 < degrees_from(estimator, STORED) < 3.0  # on its way
+    run(estimator, 10.0)
+    assert estimator.state is MountState.USABLE
+    assert degrees_from(estimator, turned(pitch_deg=8.0)) < 1e-9
+
+
+def test_what_was_suspect_when_it_was_stored_is_suspect_until_confirmed():
+    estimator, inner = restored(doubted=True)
+    assert estimator.state is MountState.SUSPECT
+    inner.say(MountState.USABLE, turned(0.1), 1.0)
+    run(estimator, 2.0)
+    assert estimator.phase is Phase.CONFIRMED
+
+
+def test_an_estimate_with_open_yaw_neither_confirms_nor_contradicts_yaw():
+    estimator, inner = restored()
+    inner.say(MountState.LEVELLED, turned(120.0), 1.0)
+    wide = np.diag([math.radians(1.0) ** 2, math.radians(1.0) ** 2, (math.pi / 2) ** 2])
+    inner.answer = MountEstimate(MountState.LEVELLED, turned(120.0).as_matrix(), wide)
+    run(estimator, 100.0)
+    assert estimator.phase is Phase.RESTORED
+
+
+def test_a_new_estimate_that_fails_while_taking_over_is_left_again():
+    estimator, inner = restored()
+    inner.say(MountState.FINE, turned(0.9), 0.1)
+    run(estimator, 1.2)
+    assert estimator.phase is Phase.HANDING_OVER
+    inner.say(MountState.WAITING, None, 0.0)
+    run(estimator, 1.0)
+    assert estimator.state is MountState.SUSPECT
+    assert estimator.correction is not None
+
+
+def test_a_gap_is_passed_on():
+    estimator, inner = restored()
+    estimator.gap()
+    assert inner.gaps == 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from(list(MountState)[:6]), st.floats(-170, 170)), max_size=8))
+def test_there_is_always_a_correction_and_it_is_a_rotation(script):
+    estimator, inner = restored()
+    for state, yaw in script:
+        inner.say(state, None if state is MountState.WAITING else turned(yaw), 0.5)
+        run(estimator, 4.0)
+        if estimator.phase is Phase.NEW:
+            break
+        R = np.array(estimator.correction).reshape(3, 3)
+        assert np.allclose(R @ R.T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(R) > 0
+
+
+@pytest.mark.parametrize(("moved_deg", "states"), [(0.0, {0}), (25.0, {0, 4})])
+def test_on_a_drive_with_the_published_solver(moved_deg: float, states: set[int]):
+    true = Rotation.from_euler("ZYX", [40.0, 3.0, -4.0], degrees=True)
+    before = Rotation.from_rotvec([0.0, 0.0, math.radians(moved_deg)]) * true
+    stored = StoredMount(before.as_matrix(), np.eye(3) * math.radians(0.7) ** 2)
+    estimator = RestoredEstimator(PublishedEstimator(), stored)
+    seen = set()
+    for row in Drive(minutes=12.0, mount=true).ticks():
+        estimator.step(row)
+        assert estimator.correction is not None
+        seen.add(estimator.state)
+    assert (MountState.SUSPECT in seen) == (4 in states)
+    assert MountState.RESTORED in seen
+    assert estimator.state in {MountState.USABLE, MountState.FINE}
+    assert degrees_from(estimator, true) < 2.5
