@@ -111,6 +111,8 @@ class TerminalAttitude:
         if self._signal_yaw is None:
             self._signal_yaw, self._signal_age = yaw, 0.0
             return
+        if dt <= 0.0:  # of the same moment: it weighs nothing
+            return
         self._signal_age += dt
         part = dt / (min(self.settings.compass_time, self._signal_age) + dt)
         self._signal_yaw += part * math.remainder(yaw - self._signal_yaw, TWO_PI)
