@@ -1,0 +1,274 @@
+"""The saved state: what a drive found, kept so that no power cut can spoil it.
+
+Two files take turns (``.0`` and ``.1``), each with a generation number; a save replaces the older
+one: written beside it, forced to the disk, renamed, the folder forced too. So the newest or the one
+before it is whole at every instant. A file is believed only when its length and SHA-256 fit, its
+version is known, it was made for this vehicle and this sensor, and its numbers make sense. What is
+not believed is set aside under another name with the reason in it, never deleted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+MAGIC = "imucald-state"
+VERSION = 1
+MAX_BYTES = 1 << 20
+"""A longer file is not ours."""
+SLOTS = (0, 1)
+ROTATION_TOLERANCE = 1e-6
+"""How far a stored matrix may be from a rotation."""
+LARGEST_VARIANCE = 4.0
+"""Variance of an angle [rad^2]; more than of one that is wholly unknown is nonsense."""
+STATES = ("usable", "fine")
+
+
+@dataclass(frozen=True)
+class StateKey:
+    """Whose state it is: the vehicle's identity, and a hash of what defines the sensor."""
+
+    vehicle: str
+    sensor: str
+
+    @property
+    def file_name(self) -> str:
+        """A file name that is safe for any identity, and distinct for distinct keys."""
+        readable = re.sub(r"[^A-Za-z0-9_-]+", "_", self.vehicle)[:24]
+        digest = hashlib.sha256(f"{self.vehicle}\0{self.sensor}".encode()).hexdigest()[:16]
+        return f"{readable}-{digest}.state"
+
+
+@dataclass(frozen=True)
+class SavedState:
+    """The content.
+
+    rotation: R_vehicle_from_sensor, nine numbers row by row. covariance: nine [rad^2].
+    state: "usable" or "fine". doubted: it was suspect when it was saved. saved_at: wall clock [s],
+    for people only. driven_s: seconds of driving behind it. offsets: of sensors and signals, SI.
+    shifts: history of remounts, newest last. evidence: what the estimator wants to keep.
+    """
+
+    rotation: tuple[float, ...]
+    covariance: tuple[float, ...]
+    state: str
+    doubted: bool = False
+    saved_at: float = 0.0
+    driven_s: float = 0.0
+    offsets: Mapping[str, Any] = field(default_factory=dict)
+    shifts: tuple[Mapping[str, Any], ...] = ()
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Result of `StateStore.load`: the state, or None; and one line for each file not believed."""
+
+    state: SavedState | None
+    generation: int
+    problems: tuple[str, ...]
+
+
+class _NotBelievedError(Exception):
+    """Why a file is not believed: one word for its new name, and a text."""
+
+    def __init__(self, word: str, text: str) -> None:
+        super().__init__(text)
+        self.word = word
+
+
+class StateStore:
+    """Saves and loads the state of one vehicle and sensor in a folder of its own."""
+
+    def __init__(self, folder: Path, key: StateKey) -> None:
+        self.folder = folder
+        self.key = key
+        self.generation = 0
+        """Of the newest one saved or loaded."""
+
+    def path(self, slot: int) -> Path:
+        """The file of a slot."""
+        return self.folder / f"{self.key.file_name}.{slot}"
+
+    def load(self) -> Loaded:
+        """Return the newest state that can be believed; set aside what cannot. Never raises."""
+        best: SavedState | None = None
+        generation, highest, problems = 0, 0, []
+        for slot in SLOTS:
+            try:
+                number, state = self._read(self.path(slot))
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                problems.append(f"{self.path(slot)}: cannot be read: {error.strerror}; left there")
+                continue
+            except _NotBelievedError as reason:
+                problems.append(self._set_aside(self.path(slot), reason))
+                continue
+            highest = max(highest, number)
+            if best is None or number > generation:
+                best, generation = state, number
+        self.generation = highest
+        return Loaded(best, generation, tuple(problems))
+
+    def save(self, state: SavedState) -> None:
+        """Write a new generation; OSError when the disk does not take it (nothing is lost then)."""
+        generation = self.generation + 1
+        target = self.path(generation % 2)
+        temporary = target.with_name(target.name + ".tmp")
+        data = encoded(self.key, generation, state)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with temporary.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(target)
+        except OSError:
+            with contextlib.suppress(OSError):
+                temporary.unlink()  # ours, and unfinished; on a full disk it would stay in the way
+            raise
+        self.generation = generation
+        _force_folder(self.folder)
+
+    def _read(self, path: Path) -> tuple[int, SavedState]:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        generation, key, state = decoded(data)
+        if key != self.key:
+            word = "vehicle" if key.vehicle != self.key.vehicle else "sensor"
+            raise _NotBelievedError(f"other-{word}", f"it is of another {word}")
+        return generation, state
+
+    def _set_aside(self, path: Path, reason: _NotBelievedError) -> str:
+        """Rename the file, keeping those set aside before."""
+        number = 1
+        while (target := path.with_name(f"{path.name}.{reason.word}.{number}")).exists():
+            number += 1
+        try:
+            path.rename(target)
+        except OSError as error:
+            return f"{path}: {reason}; not used (it could not be renamed: {error.strerror})"
+        return f"{path}: {reason}; set aside as {target.name}"
+
+
+def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:
+    """The bytes of a file: one line with version, length and checksum, then JSON."""
+    content = {
+        "vehicle": key.vehicle,
+        "sensor": key.sensor,
+        "generation": generation,
+        "rotation": list(state.rotation),
+        "covariance": list(state.covariance),
+        "state": state.state,
+        "doubted": state.doubted,
+        "saved_at": state.saved_at,
+        "driven_s": state.driven_s,
+        "offsets": dict(state.offsets),
+        "shifts": [dict(shift) for shift in state.shifts],
+        "evidence": dict(state.evidence),
+    }
+    body = json.dumps(content, allow_nan=False, indent=1).encode()
+    head = f"{MAGIC} {VERSION} {len(body)} {hashlib.sha256(body).hexdigest()}\n"
+    return head.encode() + body
+
+
+def decoded(data: bytes) -> tuple[int, StateKey, SavedState]:
+    """Return generation, key and content of a file's bytes; raises when they are not believed."""
+    head, _, body = data.partition(b"\n")
+    words = head.split(b" ")
+    if words[0] != MAGIC.encode() or len(words) != 4 or len(data) > MAX_BYTES:
+        raise _NotBelievedError("corrupt", "this is no state file")
+    if words[1] != str(VERSION).encode():
+        version = words[1][:12].decode("ascii", "replace")
+        raise _NotBelievedError("other-version", f"its version is {version}, not {VERSION}")
+    if words[2] != str(len(body)).encode():
+        raise _NotBelievedError("corrupt", "it is cut off, or longer than it says")
+    if words[3] != hashlib.sha256(body).hexdigest().encode():
+        raise _NotBelievedError("corrupt", "its checksum is wrong")
+    try:
+        content = json.loads(body)
+        generation = content["generation"]
+        key = StateKey(str(content["vehicle"]), str(content["sensor"]))
+        if type(generation) is not int or generation < 1:
+            raise ValueError("generation")
+        return generation, key, _state_from(content)
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        text = f"its content makes no sense ({type(error).__name__}: {error})"
+        raise _NotBelievedError("corrupt", text) from None
+
+
+def _state_from(content: Mapping[str, Any]) -> SavedState:
+    rotation, covariance = _nine(content["rotation"]), _nine(content["covariance"])
+    if not _is_rotation(rotation):
+        raise ValueError("rotation")
+    if not _is_covariance(covariance):
+        raise ValueError("covariance")
+    if content["state"] not in STATES:
+        raise ValueError("state")
+    if not isinstance(content["doubted"], bool) or not isinstance(content["shifts"], list):
+        raise ValueError("doubted, shifts")
+    return SavedState(
+        rotation=rotation,
+        covariance=covariance,
+        state=content["state"],
+        doubted=content["doubted"],
+        saved_at=_finite(content["saved_at"]),
+        driven_s=_finite(content["driven_s"]),
+        offsets=dict(content["offsets"]),
+        shifts=tuple(dict(shift) for shift in content["shifts"]),
+        evidence=dict(content["evidence"]),
+    )
+
+
+def _finite(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError("a number is missing")
+    return float(value)
+
+
+def _nine(values: Any) -> tuple[float, ...]:
+    if not isinstance(values, list) or len(values) != 9:
+        raise ValueError("nine numbers are needed")
+    return tuple(_finite(v) for v in values)
+
+
+def _is_rotation(r: tuple[float, ...]) -> bool:
+    rows = (r[0:3], r[3:6], r[6:9])
+    for i in range(3):
+        for j in range(3):
+            product = sum(a * b for a, b in zip(rows[i], rows[j], strict=True))
+            if abs(product - (i == j)) > ROTATION_TOLERANCE:
+                return False
+    a, b, c, d, e, f, g, h, i9 = r
+    return a * (e * i9 - f * h) - b * (d * i9 - f * g) + c * (d * h - e * g) > 0.0
+
+
+def _is_covariance(c: tuple[float, ...]) -> bool:
+    """Symmetric, positive definite (leading minors), and no larger than makes sense."""
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = c
+    symmetric = all(abs(a - b) <= 1e-12 for a, b in ((xy, yx), (xz, zx), (yz, zy)))
+    minors = (
+        xx,
+        xx * yy - xy * yx,
+        xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx),
+    )
+    return symmetric and all(m > 0.0 for m in minors) and max(xx, yy, zz) <= LARGEST_VARIANCE
+
+
+def _force_folder(folder: Path) -> None:
+    """Force the rename to the disk, where the file system knows how."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,217 @@
+"""The saved state survives kills, full disks and damage, and is never another car's."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import math
+import os
+import random
+import signal
+import struct
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from imucald.service.state import MAX_BYTES, StateKey, StateStore, encoded
+from service_files import IDENTITY, KEY, SMALL, state
+
+KILLS = 300
+
+
+def saved_twice(folder: Path) -> StateStore:
+    store = StateStore(folder, KEY)
+    store.save(state(1.0))
+    store.save(state(2.0))
+    return store
+
+
+def load(folder: Path, key: StateKey = KEY):
+    return StateStore(folder, key).load()
+
+
+def with_body(body: bytes, version: str = "1") -> bytes:
+    head = f"imucald-state {version} {len(body)} {hashlib.sha256(body).hexdigest()}\n"
+    return head.encode() + body
+
+
+def test_the_newest_of_two_generations_is_loaded(tmp_path):
+    for number in range(1, 6):
+        StateStore(tmp_path, KEY)
+        store = StateStore(tmp_path, KEY)
+        store.load()
+        store.save(state(float(number)))
+        assert load(tmp_path).state == state(float(number))
+    assert load(tmp_path).generation == 5
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_all_fields_come_back(tmp_path):
+    full = state(
+        3.5,
+        state="usable",
+        doubted=True,
+        saved_at=1.7e9,
+        offsets={"gyro_bias": [0.1, 0.2, 0.3]},
+        shifts=({"at": 1.0, "angle_deg": 8.0},),
+        evidence={"sums": [1.0, 2.0]},
+    )
+    StateStore(tmp_path, KEY).save(full)
+    assert load(tmp_path).state == full
+
+
+def test_nothing_saved_is_no_state_and_no_problem(tmp_path):
+    assert load(tmp_path / "none") == load(tmp_path)
+    assert load(tmp_path).problems == ()
+
+
+def test_300_kills_at_random_instants_lose_nothing(tmp_path):
+    """What was acknowledged is there, or something newer: in either generation."""
+    random.seed(4)
+    generation = 0
+    for _ in range(KILLS):
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.close(reading)
+            save_for_ever(tmp_path, writing)
+        os.close(writing)
+        time.sleep(random.uniform(0.0, 0.04))
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        acknowledged = b""
+        while part := os.read(reading, 65536):
+            acknowledged += part
+        os.close(reading)
+        told = struct.unpack(f"<{len(acknowledged) // 8}q", acknowledged)
+        generation = max(generation, *told, 0)
+        loaded = load(tmp_path)
+        assert loaded.problems == ()
+        assert loaded.generation >= generation
+        if loaded.state is not None:
+            assert loaded.state.driven_s == loaded.generation
+        assert loaded.state is not None or generation == 0
+        generation = loaded.generation
+    assert generation > KILLS // 2, "the kills came before anything was written"
+
+
+def save_for_ever(folder: Path, writing: int) -> None:
+    try:
+        store = StateStore(folder, KEY)
+        store.load()
+        while True:
+            store.save(state(float(store.generation + 1)))
+            os.write(writing, struct.pack("<q", store.generation))
+    finally:
+        os._exit(1)
+
+
+@pytest.mark.parametrize(
+    ("damage", "word"),
+    [
+        (lambda data: data[: len(data) // 2], "corrupt"),
+        (lambda _: b"", "corrupt"),
+        (lambda data: data[:-40] + bytes([data[-40] ^ 1]) + data[-39:], "corrupt"),
+        (lambda data: data.replace(b"imucald-state 1", b"imucald-state 0", 1), "other-version"),
+        (lambda data: data.replace(b"imucald-state 1", b"imucald-state 2", 1), "other-version"),
+        (lambda _: os.urandom(500), "corrupt"),
+        (lambda data: bytes(len(data)), "corrupt"),  # what some file systems leave
+        (lambda data: data + b" " * MAX_BYTES, "corrupt"),
+        (lambda _: with_body(b"[" * 100_000), "corrupt"),
+        (lambda _: with_body(b"{}"), "corrupt"),
+        (lambda _: encoded(StateKey("car-18", KEY.sensor), 9, state(9.0)), "other-vehicle"),
+        (lambda _: encoded(StateKey("car-17", "b" * 64), 9, state(9.0)), "other-sensor"),
+    ],
+)
+def test_a_bad_newest_is_set_aside_and_the_one_before_is_used(tmp_path, damage, word):
+    store = saved_twice(tmp_path)
+    newest = store.path(0)
+    bad = damage(newest.read_bytes())
+    newest.write_bytes(bad)
+    loaded = load(tmp_path)
+    assert loaded.state == state(1.0)
+    assert len(loaded.problems) == 1
+    assert "set aside" in loaded.problems[0]
+    aside = newest.with_name(f"{newest.name}.{word}.1")
+    assert aside.read_bytes() == bad
+    assert load(tmp_path).problems == ()  # told once
+    newest.write_bytes(bad)
+    load(tmp_path)
+    assert aside.with_name(f"{newest.name}.{word}.2").read_bytes() == bad
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"rotation": (2.0, *IDENTITY[1:])},
+        {"rotation": (-1.0, *IDENTITY[1:])},  # a mirror
+        {"covariance": (-1e-4, *SMALL[1:])},
+        {"covariance": (math.nextafter(4.0, 5.0), *SMALL[1:])},
+        {"covariance": (1e-4, 1e-5, *SMALL[2:])},
+        {"state": "levelled"},
+    ],
+)
+def test_numbers_that_make_no_sense_are_not_believed_whatever_the_checksum(tmp_path, changes):
+    store = StateStore(tmp_path, KEY)
+    tmp_path.joinpath(store.path(0)).write_bytes(encoded(KEY, 2, state(2.0, **changes)))
+    loaded = load(tmp_path)
+    assert loaded.state is None
+    assert "makes no sense" in loaded.problems[0]
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_no_bit_flip_or_cut_is_ever_believed(tmp_path, data):
+    store = StateStore(tmp_path, KEY)
+    good = encoded(KEY, 1, state(1.0))
+    bit = data.draw(st.integers(0, len(good) * 8 - 1))
+    cut = data.draw(st.integers(0, len(good)))
+    flipped = bytearray(good)
+    flipped[bit // 8] ^= 1 << bit % 8
+    bad = bytes(flipped[:cut]) if data.draw(st.booleans()) else bytes(flipped)
+    store.path(1).write_bytes(bad)
+    assert load(tmp_path).state is None
+
+
+def test_states_of_other_vehicles_stay_where_they_are(tmp_path):
+    saved_twice(tmp_path)
+    other = StateKey("car-18", KEY.sensor)
+    assert load(tmp_path, other) == load(tmp_path / "none", other)
+    StateStore(tmp_path, other).save(state(7.0))
+    assert load(tmp_path).state == state(2.0)
+    assert load(tmp_path, other).state == state(7.0)
+
+
+@given(st.text(max_size=64), st.text(max_size=64))
+def test_file_names_are_plain_and_distinct(one, two):
+    names = [StateKey(v, "s").file_name for v in (one, two)]
+    assert all("/" not in n and n.isascii() and len(n) < 60 for n in names)
+    assert (names[0] == names[1]) == (one == two)
+
+
+def test_a_full_disk_costs_neither_generation(tmp_path, monkeypatch):
+    store = saved_twice(tmp_path)
+
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        store.save(state(3.0))
+    monkeypatch.undo()
+    assert load(tmp_path).state == state(2.0)
+    assert len(list(tmp_path.iterdir())) == 2  # nothing half-written is left
+    store.save(state(4.0))
+    assert load(tmp_path).state == state(4.0)
+
+
+def test_what_cannot_be_read_is_told_and_left(tmp_path):
+    store = saved_twice(tmp_path)
+    store.path(0).unlink()
+    store.path(0).mkdir()  # reading it fails, for root too
+    loaded = load(tmp_path)
+    assert loaded.state == state(1.0)
+    assert "cannot be read" in loaded.problems[0]
