@@ -16,6 +16,7 @@ from imucald.bus.encode import compile_encode
 from imucald.bus.guards import guard_for
 from imucald.bus.protection import OutputProtector
 from imucald.bus.wiring import compile_router
+from imucald.companions import companions_for
 from imucald.config import LoadedConfig, parse_config
 from imucald.engine import Engine
 from imucald.frames import rotation_from_angles
@@ -178,7 +179,19 @@ messages:
   ACC: {counter: {signal: ACNT}, checksum: {kind: xor, signal: ACRC}, recover_after: 2}
 """
 
-CONFIGS = {"clash": CLASH, "rich": RICH, "planar": PLANAR, "split": SPLIT}
+AIDED = """
+database: bus.dbc
+signals:
+  accelerometer: {x: ACC.AX, y: ACC.AY, z: ACC.AZ}
+  gyroscope: {x: GYR.GX, y: GYR.GY, z: GYR.GZ}
+  magnetometer: {x: MAG.MX, y: MAG.MY, z: MAG.MZ}
+  speed: [SPD.V, SPD2.V2]
+  heading: {signal: MUX.STEER}
+attitude: {enabled: true, filter: {heading: signal}}
+travel_direction: {enabled: true}
+"""
+
+CONFIGS = {"aided": AIDED, "clash": CLASH, "rich": RICH, "planar": PLANAR, "split": SPLIT}
 
 
 def load(text: str, folder: Path, dbc: str = DBC) -> LoadedConfig:
@@ -225,11 +238,13 @@ class ScriptedEstimator:
 
 def engine_of(loaded: LoadedConfig, estimator: object | None = None, **options: object) -> Engine:
     """An engine with a scripted estimator."""
+    output = OutputFrames(loaded.config)
     return Engine(
         compile_router(loaded),
         ScriptedEstimator() if estimator is None else estimator,
-        OutputFrames(loaded.config),
+        output,
         loaded.config.output.status_rate,
+        companions=companions_for(loaded, output),
         **options,
     )
 

@@ -8,7 +8,17 @@ import random
 import numpy as np
 import pytest
 
-from engine_bus import MESSAGES, OBD_ANSWER, RICH, Sender, columns_of, engine_of, frames_of, load
+from engine_bus import (
+    AIDED,
+    MESSAGES,
+    OBD_ANSWER,
+    RICH,
+    Sender,
+    columns_of,
+    engine_of,
+    frames_of,
+    load,
+)
 from imucald.bus.columns import CAN_EFF_FLAG, FrameColumns
 from imucald.bus.log import CandumpWriter, LogReader
 from imucald.bus.protection import REASONS as FRAME_REASONS
@@ -314,3 +324,13 @@ def test_every_reason_of_a_refused_sample_is_told(tmp_path):
     by_columns = engine_of(config)
     by_columns.columns(columns_of(spoilt.values()))
     assert by_columns.router.rejected == engine.router.rejected
+
+
+def test_attitude_and_travel_direction_stand_random_frames(tmp_path):
+    rng = np.random.default_rng(11)
+    config = load(AIDED, tmp_path)
+    engine = engine_of(config)
+    for _ in range(4):
+        frames = random_frames(rng, 15_000, 8)
+        assert_well_formed(engine.columns(frames))
+    assert {"accel", "gyro", "mag", "speed"} <= set(engine.router.sample_counts)
