@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from imucald.bus.columns import FrameColumns
 from imucald.bus.signals import Routed, Router, Sample
 from imucald.companions import Companion, events_of, in_order
+from imucald.errors import EstimateError
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
 from imucald.output import STATUS_FRAMES, Health, OutputFrames
@@ -45,6 +46,7 @@ class Engine:
     on_snapshot: called with every snapshot of the estimate (for terminals and state files).
     link_health: asked whenever a health frame is made.
     companions: run beside, on the same samples.
+    new_estimator: makes the estimator of `restart_calibration`.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class Engine:
         on_snapshot: Callable[[Snapshot], None] | None = None,
         link_health: Callable[[], LinkHealth] = LinkHealth,
         companions: Sequence[Companion] = (),
+        new_estimator: Callable[[], MountEstimator] | None = None,
     ) -> None:
         self.router = router
         self.output = output
@@ -67,6 +70,7 @@ class Engine:
         """Frames given out."""
         self._on_snapshot = on_snapshot
         self._link_health = link_health
+        self._new_estimator = new_estimator
         self._watched = {c: 0 for c in _SENSORS if c in router.channels}  # tick of last sample
         self._rejected_total = 0
         self._rejections: deque[int] = deque()  # ticks of the last second's rejections
@@ -155,6 +159,22 @@ class Engine:
         if total > self._rejected_total:
             self._rejections.append(k)
             self._rejected_total = total
+
+    # starting again ------------------------------------------------------------------------
+
+    def restart_calibration(self) -> MountEstimator:
+        """Forget the estimate and begin anew; all counters go on. Return the former estimator.
+
+        Raises EstimateError where the engine was made without `new_estimator`.
+        """
+        if self._new_estimator is None:
+            raise EstimateError("this engine cannot make a new estimator")
+        return self.pipeline.replace(self._new_estimator())
+
+    def resume_calibration(self, former: MountEstimator) -> None:
+        """Take back an estimator that `restart_calibration` returned, as it was then."""
+        former.gap()
+        self.pipeline.replace(former)
 
     # columns -------------------------------------------------------------------------------
 
@@ -310,6 +330,12 @@ class Engine:
         return tick_index(float(series.t[n - 1])) if n else self._watched[channel]
 
     # status --------------------------------------------------------------------------------
+
+    def health(self) -> Health:
+        """What a health frame would say now; before the first frame of ours all is missing."""
+        k, silent = self.pipeline.k, not self.timebase.started
+        missing = {c: silent or k - last >= MISSING_TICKS for c, last in self._watched.items()}
+        return self._health(missing, self._recent(k), self._rejected_total, self._link_health())
 
     def _statuses(self, snapshots: list[Snapshot]) -> list[OutFrame]:
         out: list[OutFrame] = []

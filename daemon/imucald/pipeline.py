@@ -13,7 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.motion.ticks import TICK_RATE, TickAccumulator, tick_index, ticks_from_samples
+from imucald.motion.ticks import (
+    SPEED,
+    SPEED_N,
+    TICK_RATE,
+    TickAccumulator,
+    tick_index,
+    ticks_from_samples,
+)
 from imucald.mount.estimate import Correction, MountEstimate, MountEstimator, MountState
 from imucald.samples import Samples, Series
 
@@ -71,6 +78,8 @@ class Pipeline:
         self.first_fine: float | None = None
         self.k = 0
         """The open tick."""
+        self.speed: tuple[int, float] | None = None
+        """The last tick in which speed was known, and its mean [m/s]."""
         self.status_ticks = status_ticks
         self._ticks = TickAccumulator()
         self._judge()
@@ -97,6 +106,14 @@ class Pipeline:
         snapshots = self.advance(k)
         self.estimator.gap()
         return snapshots
+
+    def replace(self, estimator: MountEstimator) -> MountEstimator:
+        """Go on with another estimator from the open tick on; return the one so far."""
+        former, self.estimator = self.estimator, estimator
+        self.correction = estimator.correction
+        self.first_usable = self.first_fine = None
+        self._judge()
+        return former
 
     # columns -------------------------------------------------------------------------------
 
@@ -152,6 +169,8 @@ class Pipeline:
 
     def _close(self, row: Sequence[float], snapshots: list[Snapshot] | None) -> None:
         estimator = self.estimator
+        if row[SPEED_N]:
+            self.speed = self.k, row[SPEED]
         estimator.step(row)
         self.correction = estimator.correction
         self._judge()

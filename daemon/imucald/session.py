@@ -50,6 +50,7 @@ def make_engine(
         on_snapshot,
         link_health,
         companions_for(loaded, output),
+        lambda: estimator_for(config),
     )
 
 
