@@ -18,17 +18,17 @@ Array = NDArray[np.float64]
 
 SPANS = (2, 3, 4, 6, 8, 12)
 """Pieces of road that are held against all before."""
-LEAST_BEFORE = 6
-"""Pieces that must have been before."""
+LEAST_BEFORE = (12, 6, 6)
+"""Pieces that must have been before, for roll, pitch and yaw."""
 CLIP = 4.5
 """No single piece counts for more standard deviations: one bad road moves no sensor."""
-UNEVEN_STD = 0.0026
+UNEVEN_STD = (0.0045, 0.0026, 0.0015)
 """Town and motorway differ by that much [rad] without a shift."""
 SHORT_SPAN = 6
-"""Below, a stretch of leaning road passes for a roll of the sensor."""
-THRESHOLD = (5.0, 4.5, 3.7)
+"""Below, a stretch of leaning road or a windy one passes for a turn of the sensor."""
+THRESHOLD = (4.6, 4.1, 3.5)
 """For roll, pitch and yaw, in standard deviations: under one false alarm in 100 h simulated."""
-THRESHOLD_SHORT = (6.8, 4.8, 3.7)
+THRESHOLD_SHORT = (6.2, 4.6, 4.2)
 """The same for spans below `SHORT_SPAN`."""
 PRIOR_PIECES = 6.0
 """The spread before is taken as 1.5 times the model's with that weight."""
@@ -66,9 +66,9 @@ def largest_change(flows: list[Flow], axes: tuple[int, ...] = (0, 1, 2)) -> Shif
             continue
         n = max(len(flow.score) for flow in mine)
         for span in SPANS:
-            if n - span < LEAST_BEFORE:
+            if n - span < LEAST_BEFORE[axis]:
                 break
-            found = _change(mine, span)
+            found = _change(mine, span, axis)
             if found is None:
                 continue
             size, deviations = found
@@ -79,7 +79,7 @@ def largest_change(flows: list[Flow], axes: tuple[int, ...] = (0, 1, 2)) -> Shif
     return best
 
 
-def _change(flows: list[Flow], span: int) -> tuple[float, float] | None:
+def _change(flows: list[Flow], span: int, axis: int) -> tuple[float, float] | None:
     score_old = info_old = score_new = info_new = 0.0
     for flow in flows:
         s, n = flow.score, flow.information
@@ -103,5 +103,5 @@ def _change(flows: list[Flow], span: int) -> tuple[float, float] | None:
     if info_old <= 0.0 or info_new <= 0.0:
         return None
     size = score_new / info_new - score_old / info_old
-    variance = 1.0 / info_new + 1.0 / info_old + UNEVEN_STD**2
+    variance = 1.0 / info_new + 1.0 / info_old + UNEVEN_STD[axis] ** 2
     return size, size / variance**0.5
