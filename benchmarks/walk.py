@@ -125,7 +125,7 @@ def simulated() -> bool:
         print(row(carrying.name, found, f"{100.0 * count:.1f} %"))
     print(row("all", total, f"{100.0 * worst_count:.1f} %"))
     is_better = np.median(total["alternative"]) <= np.median(total["published"])
-    print("\nsteps: largest error of the count in any walk; bar 3 %: " + verdict(worst_count <= 0.03))
+    print("\nsteps: largest error of any walk; bar 3 %: " + verdict(worst_count <= 0.03))
     print(f"alternative at least as good: {verdict(bool(is_better))}")
     return bool(is_better) and worst_count <= 0.03
 

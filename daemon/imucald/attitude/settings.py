@@ -66,7 +66,7 @@ class FilterSettings:
     """Gyroscope noise density [rad/s/sqrt(Hz)]."""
     gyro_start: float = 0.5 * _DEG
     """Zero error before any check [rad/s], standard deviation."""
-    gyro_random: float = 0.02 * _DEG
+    gyro_random: float = 0.01 * _DEG
     """Random gyroscope error [rad/s]: by sqrt(2) of this it walks in `gyro_random_time`."""
     gyro_random_time: float = 600.0
     """[s]"""
