@@ -10,17 +10,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.bus.database import Database, load_database_text
 from imucald.config import Config
 from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
 from imucald.output_attitude import AttitudeFrames
 from imucald.output_travel import TravelFrames
-from imucald.sender import NOT_AVAILABLE_SIGNED, NOT_AVAILABLE_UNSIGNED, OutFrame, Sender
+from imucald.sender import (
+    NOT_AVAILABLE_SIGNED,
+    NOT_AVAILABLE_UNSIGNED,
+    OutFrame,
+    Sender,
+    output_database,
+)
+
+__all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
 
 STATUS_FRAMES = 3
 """Frames that each snapshot is sent in: mount, deviation, health."""
@@ -74,12 +80,6 @@ class Health:
         )
 
 
-def output_database() -> Database:
-    """The database of what imucald sends."""
-    text = (resources.files("imucald") / "data" / "imucald_out.dbc").read_text("utf-8")
-    return load_database_text(text, "dbc", "imucald_out.dbc")
-
-
 class OutputFrames:
     """Encodes everything that imucald sends for one configuration.
 
@@ -87,7 +87,6 @@ class OutputFrames:
     """
 
     def __init__(self, config: Config) -> None:
-        self._database = output_database()
         output, signals = config.output, config.signals
         ids = output.ids
         kinds: dict[str, tuple[str, int]] = {"accel": ("acceleration", ids.acceleration)}
@@ -103,14 +102,14 @@ class OutputFrames:
         self._factors = {c: _LAYOUTS[kind][2] for c, (kind, _) in kinds.items()}
         self._mount = self._signed("IMUCALD_Mount", ids.mount, "Mount{}", ANGLES)
         self._deviation = Sender(
-            self._database.message("IMUCALD_MountDeviation"),
+            "IMUCALD_MountDeviation",
             ("DeviationX", "DeviationY", "DeviationZ", "State"),
             ids.mount_deviation,
             output.checksum,
             {f"Deviation{a}": NOT_AVAILABLE_UNSIGNED for a in "XYZ"},
         )
         self._health = Sender(
-            self._database.message("IMUCALD_Health"),
+            "IMUCALD_Health",
             (
                 "State",
                 *(f"Waiting{a.capitalize()}" for a in ANGLES),
@@ -123,27 +122,32 @@ class OutputFrames:
             {},
         )
 
-        self.attitude = AttitudeFrames(config, self._database) if config.attitude.enabled else None
+        self.attitude = AttitudeFrames(config) if config.attitude.enabled else None
         """Frames of methods B and C, where they are configured."""
-        self.travel = (
-            TravelFrames(config, self._database) if config.travel_direction.enabled else None
-        )
+        self.travel = TravelFrames(config) if config.travel_direction.enabled else None
         """Frame of method D, where it is configured."""
 
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""
-        status = (self._mount, self._deviation, self._health)
-        ids = {s.can_id for s in (*self._senders.values(), *status)}
+        ids = {s.can_id for s in self._all_senders()}
         for more in (self.attitude, self.travel):
             if more is not None:
                 ids |= more.can_ids
         return frozenset(ids)
 
+    def _all_senders(self) -> list[Sender]:
+        return [*self._senders.values(), self._mount, self._deviation, self._health]
+
+    def prepare(self) -> None:
+        """Compile all messages now, so that the first frame is as quick as the others."""
+        for sender in self._all_senders():
+            sender.prepare()
+
     def _triad(self, kind: str, can_id: int) -> Sender:
         name, signals, _ = _LAYOUTS[kind]
         return Sender(
-            self._database.message(name),
+            name,
             (*signals, "Quality"),
             can_id,
             self._checksum,
@@ -153,7 +157,7 @@ class OutputFrames:
     def _signed(self, name: str, can_id: int, pattern: str, parts: Sequence[str]) -> Sender:
         signals = [pattern.format(part.capitalize()) for part in parts]
         return Sender(
-            self._database.message(name),
+            name,
             (*signals, "State"),
             can_id,
             self._checksum,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from imucald.attitude.estimate import AttitudeEstimate, AttitudeState
-from imucald.bus.database import Database
 from imucald.config import Config
 from imucald.sender import NOT_AVAILABLE_SIGNED, NOT_AVAILABLE_UNSIGNED, OutFrame, Sender
 
@@ -22,11 +21,11 @@ HEADING_LSB = 0.01
 class AttitudeFrames:
     """Encodes attitude estimates for one configuration."""
 
-    def __init__(self, config: Config, database: Database) -> None:
+    def __init__(self, config: Config) -> None:
         ids, checksum = config.output.ids, config.output.checksum
 
         def sender(name: str, can_id: int, signals: dict[str, int]) -> Sender:
-            return Sender(database.message(name), (*signals, "State"), can_id, checksum, signals)
+            return Sender(name, (*signals, "State"), can_id, checksum, signals)
 
         low, high = NOT_AVAILABLE_SIGNED, NOT_AVAILABLE_UNSIGNED
         self._angles = sender(

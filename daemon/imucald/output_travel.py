@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from imucald.bus.database import Database
 from imucald.config import Config
 from imucald.output_attitude import bearing
 from imucald.sender import NOT_AVAILABLE_UNSIGNED, OutFrame, Sender
@@ -14,9 +13,9 @@ STEPS_MAX = 65534
 class TravelFrames:
     """Encodes directions of travel for one configuration."""
 
-    def __init__(self, config: Config, database: Database) -> None:
+    def __init__(self, config: Config) -> None:
         self._sender = Sender(
-            database.message("IMUCALD_TravelDirection"),
+            "IMUCALD_TravelDirection",
             ("TravelHeading", "CompassHeading", "StepCount", "State"),
             config.output.ids.travel_direction,
             config.output.checksum,

@@ -1,15 +1,21 @@
-"""One output message: encode, then protect with counter and checksum."""
+"""One output message: encode, then protect with counter and checksum.
+
+Messages are compiled when their first frame is made, or by `prepare`: a replay that keeps no frames
+never reads the database of what is sent.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache, cached_property
+from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.bus.checksums import ChecksumSpec, crc8_j1850, xor_checksum
 from imucald.bus.columns import CAN_EFF_FLAG
-from imucald.bus.database import Message
+from imucald.bus.database import Database, Message, load_database_text
 from imucald.bus.encode import EncodePlan, compile_encode
 from imucald.bus.protection import OutputProtector, ProtectionSpec, counter_of
 from imucald.config import STANDARD_ID_MAX
@@ -21,29 +27,53 @@ NOT_AVAILABLE_SIGNED = -32768
 NOT_AVAILABLE_UNSIGNED = 65535
 
 
+@cache
+def output_database() -> Database:
+    """The database of what imucald sends."""
+    text = (resources.files("imucald") / "data" / "imucald_out.dbc").read_text("utf-8")
+    return load_database_text(text, "dbc", "imucald_out.dbc")
+
+
 class Sender:
     """Makes the frames of one message; a value that does not fit is sent as not available.
 
-    not_available: raw value by signal name.
+    message: its name in `output_database`. not_available: raw value by signal name.
     """
 
     def __init__(
         self,
-        message: Message,
+        message: str,
         signals: Sequence[str],
         can_id: int,
         checksum: str,
         not_available: Mapping[str, int],
     ) -> None:
         self.can_id = can_id | (CAN_EFF_FLAG if can_id > STANDARD_ID_MAX else 0)
-        self._plan: EncodePlan = compile_encode(message, signals, not_available)
-        self._protector = OutputProtector(
+        self._message = message
+        self._signals = tuple(signals)
+        self._not_available = not_available
+        self._kind = checksum
+        self._bare_id = can_id
+
+    @cached_property
+    def _plan(self) -> EncodePlan:
+        message = output_database().message(self._message)
+        return compile_encode(message, self._signals, self._not_available)
+
+    @cached_property
+    def _protector(self) -> OutputProtector:
+        message = output_database().message(self._message)
+        return OutputProtector(
             ProtectionSpec(
                 size=message.length,
                 counter=counter_of(message.signal("Counter")),
-                checksum=_checksum(checksum, can_id, message),
+                checksum=_checksum(self._kind, self._bare_id, message),
             )
         )
+
+    def prepare(self) -> None:
+        """Compile now, so that the first frame is as quick as the others."""
+        _ = self._plan, self._protector
 
     def frame(self, values: Sequence[float | None]) -> OutFrame:
         """Frame of one set of values, in the message's units; None is not available."""

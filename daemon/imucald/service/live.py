@@ -111,6 +111,7 @@ class Daemon:
         extra: Extra | None = None,
     ) -> None:
         self.engine = engine
+        engine.output.prepare()
         self.link = link
         self.stopping = False
         self._clock = clock
