@@ -17,6 +17,7 @@ from imucald.mount.rebuild import KEPT_HOPS, Rebuild
 from imucald.mount.shift import Shift
 from imucald.mount.slewing import SlewedRotation
 from imucald.mount.solution import Solution
+from imucald.mount.steering import SteeringOffset
 from imucald.mount.supervision import Knowledge, Manoeuvres, judged, waiting_for
 
 Array = NDArray[np.float64]
@@ -43,6 +44,7 @@ class FullEstimator:
         self._signals = SignalPreparer(self._settings)
         self._solution = Solution(self._settings)
         self._driven = Manoeuvres()
+        self._steering = SteeringOffset()
         self._served = SlewedRotation(SLEW_RATE)
         self._state = MountState.WAITING
         self._hops = 0
@@ -81,7 +83,11 @@ class FullEstimator:
     def _hop(self, p: Prepared) -> None:
         self._hops += 1
         self._kept.append(p)
+        if self._signals.without_speed != self._solution.response.without_speed:
+            self._solution = Solution(self._settings)  # speed has come, or will not
+            self._solution.response.without_speed = self._signals.without_speed
         self._driven.add(*self._solution.add(p))
+        self._follow_steering(p)
         if self._rebuild is not None:
             self._rebuild.push(p)
         lazy = self._hops % LAZY_HOPS == 0
@@ -93,6 +99,21 @@ class FullEstimator:
             elif lazy:
                 self._look_for_shift()
         self._judge(p)
+
+    def _follow_steering(self, p: Prepared) -> None:
+        """Steering offset against the measured yaw rate; steering alone knows no offset."""
+        measured = self._solution.own_gyro or "yaw_rate" in self._signals.seen
+        if not measured or not p.ok_steering.any() or self._signals.without_speed:
+            return
+        use = p.ok_steering & p.ok_speed & p.learn
+        self._steering.add(p.steering, p.speed, self._solution.turn_rate, use)
+        fitted = self._steering_fitted()
+        if fitted is not None:
+            self._signals.steering_offset = fitted[0]
+
+    def _steering_fitted(self) -> tuple[float, float] | None:
+        s = self._settings
+        return self._steering.fitted(s.crown, 1.5 * s.crown_std)
 
     def _look_again(self) -> None:
         """Once gyro bias and rotation are known, go through the first minutes again."""
@@ -142,7 +163,7 @@ class FullEstimator:
             rights=self._driven.rights,
             stops=solution.gravity.stops,
             accelerometer=bool(p.ok_force.any()),
-            speed=bool(p.ok_speed.any()),
+            speed=not self._signals.without_speed and bool(p.ok_speed.any()),
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
         )
         state = judged(self._known, self._state, self._settings)
@@ -187,6 +208,7 @@ class FullEstimator:
         solution, signals, known = self._solution, self._signals, self._known
         fused = solution.fused
         bias = solution.bias
+        steering = self._steering_fitted()
         return {
             "evidence_share": {} if fused is None else fused.shares,
             "evidence_std_deg": {
@@ -196,7 +218,8 @@ class FullEstimator:
             "accel_bias": [] if bias is None else bias.tolist(),
             "gyro_bias": signals.gyro_bias.tolist(),
             "yaw_rate_offset": signals.yaw_offset,
-            "steering_offset": signals.steering_offset,
+            "steering_offset": None if steering is None else steering[0],
+            "steering_offset_std": None if steering is None else steering[1],
             "speed_delay": solution.delay_speed.value,
             "speed_delay_std": solution.delay_speed.std,
             "gain_dvdt": solution.gains()[0],

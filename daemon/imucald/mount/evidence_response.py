@@ -89,6 +89,8 @@ ROWS = (
     Row("roll_axis", 0, (sp.R, sp.FVR), (0.01,), 6),
 )
 """In the order of X_ROW .. Q_ROW."""
+WITHOUT_SPEED = (Y_ROW, P_ROW, Q_ROW)
+"""What can be said without speed: the principal axis, and the axis of rotation."""
 TARGETS = (sp.FX, sp.FY, sp.FZ, sp.FZ, sp.P, sp.Q)
 GX, GY, GQ, GX_QUARTER, GY_QUARTER, GP_QUARTER, GQ_QUARTER = range(7)
 GAINS = (
@@ -134,6 +136,7 @@ class ResponseEvidence:
         self._R = np.eye(3)
         self.delays = (0.0, 0.0)
         self.flows: list[Flow] = []
+        self.without_speed = False
 
     @property
     def piece(self) -> int:
@@ -174,6 +177,25 @@ class ResponseEvidence:
         to_a = np.array([p[sp.place(i, sp.A)] for i in range(3)])
         to_v = np.array([p[sp.place(i, sp.V)] for i in range(3)])
         return to_a, to_v, float(p[sp.place(sp.A, sp.A)]), float(p[sp.place(sp.V, sp.V)])
+
+    def principal_direction(self, level: Matrix3) -> tuple[float, float]:
+        """Direction of forward in level axes [rad], without speed, and how sure its sign is.
+
+        The principal axis of the level force, what turning explains taken off; forward is where
+        the force to the left goes with turning to the left. The sign's sureness is a correlation.
+        """
+        p = self._products[: self._n].sum(axis=(0, 1))
+        C = np.array([[p[sp.place(i, j)] for j in range(3)] for i in range(3)])
+        C = level @ C @ level.T
+        to_v = level @ np.array([p[sp.place(i, sp.V)] for i in range(3)])
+        power = max(float(p[sp.place(sp.V, sp.V)]), 1e-9)
+        left = C[:2, :2] - np.outer(to_v[:2], to_v[:2]) / power
+        _, vectors = np.linalg.eigh(left)
+        x, y = (float(c) for c in vectors[:, 1])
+        across = x * to_v[1] - y * to_v[0]
+        sign = 1.0 if across > 0.0 else -1.0
+        share = abs(across) / float(np.sqrt(power * max(C[0, 0] + C[1, 1], 1e-9)))
+        return float(np.arctan2(sign * y, sign * x)), share
 
     def fit(self, R: Matrix3) -> dict[str, Piece]:
         """Fit gains, noise levels and the pieces of e about R; old sums included."""
@@ -223,7 +245,7 @@ class ResponseEvidence:
     def _weigh(self, R: Matrix3) -> None:
         """Score the windows that are not scored yet; all of them also renew levels and gains."""
         first = self._scored
-        P = sp.in_vehicle_axes(self._products[first : self._n], R)
+        P = sp.in_vehicle_axes(self._products[first : self._n], R, self.without_speed)
         weight = self._weights(self._left_over(P))
         if first == 0:
             self._renew(P, weight)
@@ -328,6 +350,8 @@ class ResponseEvidence:
         out = {}
         self.flows = []
         for i, row in enumerate(ROWS):
+            if self.without_speed and i not in WITHOUT_SPEED:
+                continue
             m = len(row.regressors)
             s, n = s_all[i, :, :m], n_all[i, :, :m, :m]
             normal = n.sum(axis=0)
@@ -352,6 +376,6 @@ class ResponseEvidence:
             )
             variance *= 1.0 + FEW_GROUPS / groups
             if row.axis == 0 or row.name.endswith("axis"):
-                variance *= AXIS_SHARE
+                variance *= AXIS_SHARE * (3.0 if self.without_speed else 1.0)
             out[row.name] = Piece(float(value[0]), variance, groups)
         return out

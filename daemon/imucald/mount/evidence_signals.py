@@ -47,6 +47,10 @@ REST_MEMORY = 250.0
 """Ticks at rest after which a gyro bias is forgotten: it wanders with temperature."""
 GUESS_TICKS = 250
 """Ticks of driving from which a gyro bias can be guessed without a rest."""
+NOMINAL_SPEED = 12.0
+"""Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""
+HOPS_WITHOUT_SPEED = 8
+"""Hops without any speed after which the estimator does without (26 s)."""
 HOLD_TICKS = 10
 """Ticks around a wheel-slip or saturation event that are not learnt from either."""
 
@@ -67,7 +71,8 @@ class Prepared:
     ok_yaw: Flags
     rest: Flags
     learn: Flags  # nothing forbids to learn
-    brake: Array  # (N,) 0, 1 or NaN
+    steering: Array  # (N,) steering-wheel angle as it comes [rad]
+    ok_steering: Flags
     had_rate: Flags  # as ok_rate, but also while the bias was not known
     gyro_bias: Array  # (3,) what was taken off the rate
 
@@ -135,6 +140,12 @@ class SignalPreparer:
         self._moving_force = np.zeros(3)
         self._moving_turns: list[float] = []
         self.seen: set[str] = set()
+        self.hops = 0
+
+    @property
+    def without_speed(self) -> bool:
+        """Whether there has been no speed signal, for long enough to do without."""
+        return self.hops > HOPS_WITHOUT_SPEED and "speed" not in self.seen
 
     def push(self, tick: TickRow) -> bool:
         """Take a tick; True when a hop is complete and `hop` is to be called."""
@@ -158,6 +169,7 @@ class SignalPreparer:
         mid = slice(1, HOP + 1)
         force, ok_force = self._vector(t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, ACCEL_GAP)
         rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, ACCEL_GAP)
+        self.hops += 1
         speed, ok_speed = self._speed(t, at)
         yaw_rate, ok_yaw = self._yaw_rate(t, at, speed)
         accel = (speed[2:] - speed[:-2]) / (2.0 * TICK_S)
@@ -176,10 +188,15 @@ class SignalPreparer:
             ok_yaw=ok_yaw[mid],
             rest=rest,
             learn=~bad[mid] & ok_force[mid],
-            brake=rows[part, tk.BRAKE][mid],
+            steering=self._steering[0][mid],
+            ok_steering=self._steering[1][mid],
             had_rate=ok_rate[mid],
             gyro_bias=self.gyro_bias,
         )
+        if self.without_speed:
+            prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
+            prepared.accel = np.zeros(HOP)
+            prepared.ok_speed = prepared.ok_force
         self._learn_offsets(prepared)
         if self.gyro_bias_weight == 0.0:
             self._guess_gyro_bias(prepared)
@@ -206,6 +223,8 @@ class SignalPreparer:
     def _speed(self, t: Array, at: Array) -> tuple[Array, Flags]:
         rows = self._rows
         has = rows[:, tk.SPEED_N] > 0
+        if has.any():
+            self.seen.add("speed")
         speed, ok = bridged(at, t[has] - rows[has, tk.SPEED_AGE], rows[has, tk.SPEED], SPEED_GAP)
         known = rows[:, tk.REVERSE]
         if not np.isnan(known).all():
@@ -229,19 +248,21 @@ class SignalPreparer:
 
     def _yaw_rate(self, t: Array, at: Array, speed: Array) -> tuple[Array, Flags]:
         rows = self._rows
+        has = rows[:, tk.STEERING_N] > 0
+        angle, ok_angle = np.zeros(len(at)), np.zeros(len(at), dtype=bool)
+        if has.any():
+            self.seen.add("steering")
+            angle, ok_angle = bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING], YAW_GAP)
+        self._steering = angle, ok_angle
         has = rows[:, tk.YAW_RATE_N] > 0
         if has.any():
             self.seen.add("yaw_rate")
             return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE], YAW_GAP)
         s = self._settings
-        has = rows[:, tk.STEERING_N] > 0
-        if s.steering_ratio is None or not has.any():
+        if s.steering_ratio is None or not ok_angle.any():
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
-        self.seen.add("steering")
-        angle, ok = bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING], YAW_GAP)
-        angle = angle - self.steering_offset
         bend = s.steering_ratio * s.wheelbase * (1.0 + s.understeer / s.wheelbase * speed * speed)
-        return speed * angle / bend, ok
+        return speed * (angle - self.steering_offset) / bend, ok_angle
 
     def _rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
         """At rest: speed zero (where there is one) and the force still."""

@@ -78,12 +78,20 @@ def spectra(signals: Array, mask: NDArray[np.bool_]) -> Spectra:
 _ALONE = ((FA2, A2), (FV2, V2), (FR2, R2), (FAR, AR), (FVR, VR), (FAI, AI), (FVI, VI), (FAA, AA))
 
 
-def _turning(R_vehicle_from_sensor: Matrix3) -> Array:
-    """Matrix (17, SIGNALS) that takes the signals to vehicle axes."""
+def _turning(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
+    """Matrix (17, SIGNALS) that takes the signals to vehicle axes.
+
+    Without speed the force along the vehicle stands in for dv/dt: least squares on it turns the
+    x axis into the principal axis of the horizontal force.
+    """
     R_vs = R_vehicle_from_sensor
     turn = np.zeros((17, SIGNALS))
     turn[FX : FZ + 1, 0:3] = R_vs
-    turn[FA, A] = turn[FV, V] = 1.0
+    turn[FV, V] = 1.0
+    if without_speed:
+        turn[FA, 0:3] = R_vs[0]
+    else:
+        turn[FA, A] = 1.0
     turn[FQ, TURNED] = R_vs[1]
     turn[P : R + 1, RATE] = R_vs
     for row, column in _ALONE:
@@ -107,15 +115,17 @@ PAIR = {pair: i for i, pair in enumerate(PAIRS)} | {(j, i): k for k, (i, j) in e
 """Place of a product in the last dimension of `in_vehicle_axes`."""
 
 
-def _pair_map(R_vehicle_from_sensor: Matrix3) -> Array:
+def _pair_map(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
     """Matrix (len(PAIRS), SIGNALS^2): products in vehicle axes from those of the signals."""
-    turn = _turning(R_vehicle_from_sensor)
+    turn = _turning(R_vehicle_from_sensor, without_speed)
     left = turn[[i for i, _ in PAIRS]]
     right = turn[[j for _, j in PAIRS]]
     return (left[:, :, None] * right[:, None, :]).reshape(len(PAIRS), SIGNALS * SIGNALS)
 
 
-_NEEDED = np.flatnonzero(np.abs(_pair_map(np.full((3, 3), 1.0))).sum(axis=0))
+_NEEDED = np.flatnonzero(
+    sum(np.abs(_pair_map(np.ones((3, 3)), without)).sum(axis=0) for without in (False, True))
+)
 PRODUCTS = len(_NEEDED)
 _PLACE = {int(k): i for i, k in enumerate(_NEEDED)}
 
@@ -147,9 +157,11 @@ def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
     return out
 
 
-def in_vehicle_axes(products: Array, R_vehicle_from_sensor: Matrix3) -> Array:
+def in_vehicle_axes(
+    products: Array, R_vehicle_from_sensor: Matrix3, without_speed: bool = False
+) -> Array:
     """Turn products (n, BANDS, PRODUCTS) into vehicle axes: (len(PAIRS), n, BANDS)."""
-    matrix = np.ascontiguousarray(_pair_map(R_vehicle_from_sensor)[:, _NEEDED])
+    matrix = np.ascontiguousarray(_pair_map(R_vehicle_from_sensor, without_speed)[:, _NEEDED])
     n = len(products)
     out: Array = (matrix @ products.reshape(n * BANDS, PRODUCTS).T).reshape(-1, n, BANDS)
     return out

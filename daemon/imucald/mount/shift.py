@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 SPANS = (2, 3, 4, 6, 8, 12)
 """Pieces of road that are held against all before."""
-LEAST_BEFORE = (12, 6, 6)
+LEAST_BEFORE = (16, 6, 6)
 """Pieces that must have been before, for roll, pitch and yaw."""
 CLIP = 4.5
 """No single piece counts for more standard deviations: one bad road moves no sensor."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,12 @@ CROSS_FALL_SHARE = 1.7
 """Superelevation and leaning of the body widen the spread of cross falls."""
 WARMING_STD = 0.04
 """The bias moves by that much with temperature [m/s^2]."""
+SIGN_SURE = 0.3
+"""Correlation of lateral force and turning from which forward is told from backward."""
+NO_GYRO_SHARE = 2.0
+"""Without a gyroscope slopes stay in the force: variances are so much larger."""
+PRINCIPAL_STD = 0.008
+"""What the principal axis may be off [rad]: the force across the vehicle is not only noise."""
 SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
@@ -60,6 +67,9 @@ class Solution:
         self.gravity = GravityEvidence()
         self.response = ResponseEvidence()
         self.delay_speed = DelaySearch(s.delays.get("speed", DelayPrior()))
+        self.delay_turn = DelaySearch(s.delays.get("yaw_rate", DelayPrior(0.05, 0.1)))
+        self.own_gyro = True
+        self.turn_rate: Array = np.zeros(HOP)
         self._window = np.zeros((WINDOW, MEASURED))
         self._mask = np.zeros(WINDOW, dtype=bool)
         self.R: Matrix3 | None = None
@@ -75,7 +85,8 @@ class Solution:
         """Begin with another's rotation, gains and delay, but without its evidence."""
         self.R, self.yaw_known = other.R, other.yaw_known
         self.response.start_from(other.response)
-        self.delay_speed = other.delay_speed
+        self.delay_speed, self.delay_turn = other.delay_speed, other.delay_turn
+        self.response.without_speed = other.response.without_speed
 
     def gap(self) -> None:
         """Time jumped."""
@@ -118,7 +129,7 @@ class Solution:
         turn = p.speed * r
         gains = self.gains()
         motion = None
-        if R is not None:
+        if R is not None and not self.response.without_speed:
             planned = np.zeros((HOP, 3))
             planned[:, 0] = gains[0] * p.accel * p.ok_speed
             planned[:, 1] = gains[1] * turn * p.ok_speed
@@ -130,6 +141,9 @@ class Solution:
         if self.response.piece != piece:
             self.gravity.close_piece()
         use = p.learn & p.ok_speed
+        self.turn_rate = r
+        if self.response.without_speed and R is not None:
+            return lone @ R[0] * use, turn * use
         return p.accel * use, turn * use
 
     def sure(self) -> bool:
@@ -138,8 +152,10 @@ class Solution:
 
     def _turn_rate(self, p: Prepared, up: Array | None) -> Array:
         if up is not None and p.ok_rate.mean() > 0.5:
+            self.own_gyro = True
             return np.asarray(p.rate @ up)
-        return p.yaw_rate
+        self.own_gyro = False
+        return p.yaw_rate * p.ok_yaw
 
     def gains(self) -> tuple[float, float]:
         """Mean gains of dv/dt and v r in the low bands."""
@@ -167,15 +183,19 @@ class Solution:
             return
         s = spectra(w, m)
         power = s[:, 3:5].real ** 2 + s[:, 3:5].imag ** 2
-        if power.sum() < LEAST_POWER * HOP:
+        if not self.response.without_speed and power.sum() < LEAST_POWER * HOP:
             return
         self.response.add(s)
         self.delay_speed.add(s[:, 3], s[:, :3])
+        if not self.own_gyro:
+            self.delay_turn.add(s[:, 4], s[:, :3])
         n = self.delay_speed.windows
         if n in (8, 12, 16, 24, 32) or n % 64 == 0:
             tau = self.delay_speed.search()
-            if abs(tau - self.response.delays[0]) > 0.02:
-                self.response.set_delays(tau, 0.0)
+            late = 0.0 if self.own_gyro else self.delay_turn.search()
+            was = self.response.delays
+            if abs(tau - was[0]) > 0.02 or abs(late - was[1]) > 0.02:
+                self.response.set_delays(tau, late)
 
     def fit(self) -> None:
         """Fit the rotation to all evidence so far."""
@@ -194,15 +214,22 @@ class Solution:
             gains = self.gains() if self.yaw_known else (0.0, 0.0)
             ex, ey = self.gravity.tilt(self.R, bias, gains)
             b = self.R @ bias_cov @ self.R.T / GRAVITY**2
-            slope = self.gravity.variance(
-                s.slope_std, s.slope_length, 0.1 if self.yaw_known else 1.0
-            )
+            known = self.yaw_known and not self.response.without_speed
+            slope = self.gravity.variance(s.slope_std, s.slope_length, 0.1 if known else 1.0)
             if "roll_axis" in pieces and "roll_turn" in pieces:
                 # both see the same noise, the pitch rate of the road: the better one speaks
                 worse = max(("roll_axis", "roll_turn"), key=lambda k: pieces[k].variance)
                 pieces[worse] = Piece(pieces[worse].value, pieces[worse].variance * 1e4, 0.0)
             pieces["roll_gravity"] = Piece(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
             pieces["pitch_gravity"] = Piece(ey, slope + b[0, 0], 0.0)
+            if not self.own_gyro:
+                for name in ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn"):
+                    if name in pieces:
+                        wide = NO_GYRO_SHARE * pieces[name].variance
+                        pieces[name] = replace(pieces[name], variance=wide)
+            if self.response.without_speed and "yaw_dvdt" in pieces:
+                piece = pieces["yaw_dvdt"]
+                pieces["yaw_dvdt"] = replace(piece, variance=piece.variance + PRINCIPAL_STD**2)
             fused = fuse(pieces, self._shared)
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
             self.pieces, self.fused = pieces, fused
@@ -213,6 +240,8 @@ class Solution:
         if self.R is None or self.bias is None or not self.yaw_known:
             return None
         s = self._settings
+        if self.response.without_speed:
+            return largest_change(self.response.flows, (2,))
         flows = self.gravity.flows(self.R, self.bias, self.gains(), s.slope_std, s.slope_length)
         return largest_change(self.response.flows + flows, axes)
 
@@ -220,6 +249,12 @@ class Solution:
         """Find a first rotation: level by gravity, yaw from the direction of the responses."""
         level = levelling_rotation(self.gravity.mean_force())
         self.R = level
+        if self.response.without_speed:
+            direction, sureness = self.response.principal_direction(level)
+            if self.response.windows >= 12 and sureness > SIGN_SURE:
+                self.R = rotation_from_angles(0.0, 0.0, -direction) @ level
+                self.yaw_known = True
+            return
         to_a, to_v, power_a, power_v = self.response.direction_sums()
         a, v = level @ to_a, level @ to_v
         forward = complex(a[0], a[1]) + complex(v[1], -v[0])

@@ -1,0 +1,67 @@
+"""Zero offset of the steering angle, beside the mount: it gates straight-line detection.
+
+Steady cornering: delta = n (L + K v^2) r / v + offset. With delta the steering-wheel angle, r the
+yaw rate and v the speed this is linear in (1, r / v, r v), so three coefficients are fitted by
+least squares with slow forgetting; the steering need not be calibrated for that. On a leaning
+road the driver steers against the lean, by n K g per radian of it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.samples import GRAVITY
+
+Array = NDArray[np.float64]
+
+LEAST_SPEED = 4.0
+"""Below, tyres scrub and r / v is noisy [m/s]."""
+MOST_LATERAL = 3.0
+"""Beyond, tyres are not linear [m/s^2]."""
+KEEP = 0.9995
+"""Forgetting per hop of 3.2 s: half an hour's memory and more."""
+NOISE = 0.03
+"""Residual of the steering-wheel angle [rad]: play, transients, camber."""
+CORRELATION_TICKS = 10.0
+"""Neighbouring ticks say the same for a second."""
+BUMPS = 0.004
+"""Offset that hysteresis and side wind leave [rad]."""
+PRIOR_STD = (0.15, 60.0, 2.0)
+"""Offset [rad], n L [m], n K [rad/(m/s^2)] before data speak."""
+
+
+class SteeringOffset:
+    """Running least squares; `offset` and `std` [rad]."""
+
+    def __init__(self) -> None:
+        self._normal = np.diag([1.0 / (s * s) for s in PRIOR_STD])
+        self._right = np.zeros(3)
+        self.seen = False
+
+    def add(self, angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> None:
+        """Take a hop: steering-wheel angle [rad], speed [m/s], yaw rate [rad/s], all (N,)."""
+        use = use & (speed > LEAST_SPEED) & (np.abs(speed * yaw_rate) < MOST_LATERAL)
+        if not use.any():
+            return
+        self.seen = True
+        v, r = speed[use], yaw_rate[use]
+        rows = np.stack([np.ones(len(v)), r / v, r * v], axis=1)
+        weight = 1.0 / (NOISE * NOISE * CORRELATION_TICKS)
+        self._normal = KEEP * self._normal + weight * (rows.T @ rows)
+        self._right = KEEP * self._right + weight * (rows.T @ angle[use])
+
+    def fitted(self, crown: float, crown_std: float) -> tuple[float, float] | None:
+        """Offset and its standard deviation [rad], or None without data.
+
+        crown: mean lean of the roads [rad], left side up; the driver steers n K g crown against it.
+        """
+        if not self.seen:
+            return None
+        inverse = np.linalg.inv(self._normal)
+        offset, _, per_lateral = (float(x) for x in inverse @ self._right)
+        against = max(per_lateral, 0.0) * GRAVITY
+        std = math.hypot(math.sqrt(float(inverse[0, 0])), against * crown_std, BUMPS)
+        return offset - against * crown, std
