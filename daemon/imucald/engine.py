@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.bus.columns import FrameColumns
 from imucald.bus.signals import Routed, Router, Sample
-from imucald.companions import Companion, events_of, in_order
+from imucald.companion import Companion, events_of, in_order
 from imucald.errors import EstimateError
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator

@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config import Config
 from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
-from imucald.output_attitude import AttitudeFrames
-from imucald.output_travel import TravelFrames
 from imucald.sender import (
     NOT_AVAILABLE_SIGNED,
     NOT_AVAILABLE_UNSIGNED,
@@ -25,6 +24,10 @@ from imucald.sender import (
     Sender,
     output_database,
 )
+
+if TYPE_CHECKING:
+    from imucald.output_attitude import AttitudeFrames
+    from imucald.output_travel import TravelFrames
 
 __all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
 
@@ -84,6 +87,7 @@ class OutputFrames:
     """Encodes everything that imucald sends for one configuration.
 
     triads: the channels that get a corrected frame, in the order they are sent in.
+    attitude, travel: frames of methods B and C, and of D, where they are configured.
     """
 
     def __init__(self, config: Config) -> None:
@@ -122,10 +126,8 @@ class OutputFrames:
             {},
         )
 
-        self.attitude = AttitudeFrames(config) if config.attitude.enabled else None
-        """Frames of methods B and C, where they are configured."""
-        self.travel = TravelFrames(config) if config.travel_direction.enabled else None
-        """Frame of method D, where it is configured."""
+        self.attitude = _attitude_frames(config)
+        self.travel = _travel_frames(config)
 
     @property
     def can_ids(self) -> frozenset[int]:
@@ -197,6 +199,22 @@ class OutputFrames:
             self._deviation.frame((*std_values, state)),
             self._health.frame((state, *waiting, *map(float, health.flags), *counts)),
         ]
+
+
+def _attitude_frames(config: Config) -> AttitudeFrames | None:
+    if not config.attitude.enabled:
+        return None
+    from imucald.output_attitude import AttitudeFrames  # noqa: PLC0415 - a lighter start without
+
+    return AttitudeFrames(config)
+
+
+def _travel_frames(config: Config) -> TravelFrames | None:
+    if not config.travel_direction.enabled:
+        return None
+    from imucald.output_travel import TravelFrames  # noqa: PLC0415 - a lighter start without
+
+    return TravelFrames(config)
 
 
 def _default(estimate: MountEstimate, angle: str) -> Missing:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from imucald.bus.columns import CAN_EFF_MASK, IdMatch
 from imucald.bus.wiring import compile_router
-from imucald.companions import companions_for
+from imucald.companion import Companion
 from imucald.config import LoadedConfig, load_config
 from imucald.engine import Engine, LinkHealth
 from imucald.errors import ConfigError
@@ -49,9 +49,17 @@ def make_engine(
         config.output.status_rate,
         on_snapshot,
         link_health,
-        companions_for(loaded, output),
+        _companions(loaded, output),
         lambda: estimator_for(config),
     )
+
+
+def _companions(loaded: LoadedConfig, output: OutputFrames) -> Sequence[Companion]:
+    if not (loaded.config.attitude.enabled or loaded.config.travel_direction.enabled):
+        return ()
+    from imucald.companions import companions_for  # noqa: PLC0415 - a lighter start without them
+
+    return companions_for(loaded, output)
 
 
 def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, inputs: list[IdMatch]) -> None:

@@ -81,7 +81,8 @@ def _need_compass(loaded: LoadedConfig) -> None:
 
 
 def _steps(reader: LogReader, router: Router, travel: TravelDirection) -> list[Step]:
-    from imucald.companions import TravelCompanion, events_of
+    from imucald.companion import events_of
+    from imucald.companions import TravelCompanion
     from imucald.timebase import TimeBase
 
     timebase = TimeBase()
