@@ -25,6 +25,8 @@ PROCESS_SETTINGS = {
 
 COMMANDS = {
     "run": "calibrate on a live bus and send corrected frames",
+    "status": "ask a running daemon how it is",
+    "monitor": "watch a running daemon",
     "replay": "the same from recorded logs, as fast as it goes",
     "check": "say what a configuration would decode, from a log or a live bus",
     "simulate": "write a simulated drive as a log, with its truth",

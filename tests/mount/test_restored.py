@@ -108,9 +108,9 @@ def test_the_new_estimate_takes_over_when_it_is_as_certain_and_without_a_jump():
 def test_contradiction_makes_it_suspect_and_the_new_estimate_replaces_it():
     estimator, inner = restored()
     inner.say(MountState.LEVELLED, turned(pitch_deg=8.0), 1.0)
-    run(estimator, 10.0)
+    run(estimator, 4.0)
     assert estimator.state is MountState.RESTORED  # one bad road is no remount
-    run(estimator, 10.0)
+    run(estimator, 20.0)
     assert estimator.state is MountState.SUSPECT
     assert degrees_from(estimator, STORED) < 1e-9  # the last good one
     inner.say(MountState.USABLE, turned(pitch_deg=8.0), 1.0)

@@ -215,3 +215,10 @@ def test_what_cannot_be_read_is_told_and_left(tmp_path):
     loaded = load(tmp_path)
     assert loaded.state == state(1.0)
     assert "cannot be read" in loaded.problems[0]
+
+
+def test_what_is_forgotten_is_set_aside_and_not_loaded_again(tmp_path):
+    store = saved_twice(tmp_path)
+    store.forget()
+    assert load(tmp_path).state is None
+    assert len(list(tmp_path.glob("*.forgotten.1"))) == 2

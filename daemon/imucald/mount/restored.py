@@ -27,9 +27,11 @@ BETWEEN_DRIVES_STD = math.radians(0.3)
 AGREEMENT = 11.3
 """Chi-square with 3 degrees of freedom, 99 %: less is agreement."""
 CONTRADICTION = 16.3
-"""The same for 99.9 %: more is contradiction ..."""
+"""The same for 99.9 %: more is contradiction."""
+DOUBTS = 5
+"""So many contradictions in a row, 5 s, make the stored mount suspect; one makes none ..."""
 CONTRADICTIONS = 15
-"""... when it is found so many times in a row, 15 s: one bad road is no remount."""
+"""... and so many end it: one bad road is no remount."""
 HAND_OVER_RATE = math.radians(1.0)
 """The applied rotation turns to the new estimate at this rate [rad/s]."""
 
@@ -145,12 +147,13 @@ class RestoredEstimator:
             self._contradictions = 0
             if usable:
                 self.phase = Phase.CONFIRMED
-        if self.inner.state in _BAD or self._contradictions >= CONTRADICTIONS:
+        if self.inner.state in _BAD or self._contradictions >= DOUBTS:
             self.phase = Phase.DOUBTED
         if not usable:
             return
         certain = float(np.trace(new.covariance)) <= float(np.trace(self._prior))
-        if self.phase is Phase.DOUBTED or (self.phase is Phase.CONFIRMED and certain):
+        over = self._contradictions >= CONTRADICTIONS
+        if over or (self.phase is Phase.CONFIRMED and certain):
             self.phase = Phase.HANDING_OVER
 
     def _follow(self) -> None:

@@ -139,6 +139,14 @@ class StateStore:
         self.generation = generation
         _force_folder(self.folder)
 
+    def forget(self) -> None:
+        """Set both generations aside: nothing is loaded any more. OSError where that fails."""
+        for slot in SLOTS:
+            path = self.path(slot)
+            if path.exists():
+                path.rename(_free_name(path, "forgotten"))
+        _force_folder(self.folder)
+
     def _read(self, path: Path) -> tuple[int, SavedState]:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
@@ -150,14 +158,20 @@ class StateStore:
 
     def _set_aside(self, path: Path, reason: _NotBelievedError) -> str:
         """Rename the file, keeping those set aside before."""
-        number = 1
-        while (target := path.with_name(f"{path.name}.{reason.word}.{number}")).exists():
-            number += 1
+        target = _free_name(path, reason.word)
         try:
             path.rename(target)
         except OSError as error:
             return f"{path}: {reason}; not used (it could not be renamed: {error.strerror})"
         return f"{path}: {reason}; set aside as {target.name}"
+
+
+def _free_name(path: Path, word: str) -> Path:
+    """A name beside the file that none has yet."""
+    number = 1
+    while (target := path.with_name(f"{path.name}.{word}.{number}")).exists():
+        number += 1
+    return target
 
 
 def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:

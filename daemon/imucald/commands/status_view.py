@@ -1,0 +1,130 @@
+"""A daemon's status as a picture on a terminal, for `status` and `monitor`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+STYLES = {
+    "usable": "green",
+    "fine": "bold green",
+    "restored": "cyan",
+    "suspect": "bold red",
+    "recalibrating": "red",
+}
+QUALITIES = ("not available", "restored", "usable", "fine", "suspect")
+FLAGS = {
+    "accelerometer_missing": "no accelerometer",
+    "gyroscope_missing": "no gyroscope",
+    "speed_missing": "no speed",
+    "input_rejected": "inputs rejected",
+    "frames_lost": "frames lost",
+    "id_conflict": "another node sends our ids",
+    "send_failed": "frames not sent",
+}
+EVIDENCE = {
+    "launches_and_brakings": "launches and brakings",
+    "manoeuvres": "manoeuvres",
+    "left_turns": "left turns",
+    "right_turns": "right turns",
+    "stops": "stops",
+}
+
+
+def picture(status: Mapping[str, Any], steady: bool = False) -> Group:
+    """Return the picture; steady: of the same height always."""
+    parts: list[RenderableType] = [
+        _headline(status),
+        Padding(_angles(status, steady), (1, 0)),
+        _facts(status),
+    ]
+    return Group(*parts)
+
+
+def _headline(status: Mapping[str, Any]) -> Text:
+    link, state = status["link"], status["state"]
+    text = Text("imucald ", style="bold")
+    text.append(f"{status['version']} on {link['channel']}", style="not bold")
+    text.append(f" ({link['state']})", style="green" if link["state"] == "up" else "bold red")
+    text.append(f", {status['vehicle']}, up {_time(status['uptime_s'])}\n", style="not bold")
+    text.append("state  ", style="not bold")
+    text.append(state, style=STYLES.get(state, "yellow"))
+    quality = QUALITIES[min(status["quality"], 4)]
+    text.append(f"   corrected frames: {quality}", style="not bold")
+    for name in ("usable", "fine"):
+        if (after := status[f"first_{name}_s"]) is not None:
+            text.append(f"   {name} after {_time(after)}", style="not bold")
+    return text
+
+
+def _angles(status: Mapping[str, Any], steady: bool) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for name, justify in (("mount", "left"), ("angle", "right"), ("± 2 sd", "right")):
+        table.add_column(name, justify=justify, min_width=8)  # type: ignore[arg-type]
+    table.add_column("waiting for", overflow="ellipsis", no_wrap=steady)
+    mount = status["mount"]
+    for angle, axis in zip(("roll", "pitch", "yaw"), "xyz", strict=True):
+        value, std = mount[f"{angle}_deg"], mount["std_deg"][axis]
+        waiting = Text(status["waiting_for"].get(angle, ""), style="yellow")
+        table.add_row(angle, _deg(value, "+.2f"), _deg(std and 2.0 * std, ".2f"), waiting)
+    return table
+
+
+def _facts(status: Mapping[str, Any]) -> Table:
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(style="dim", no_wrap=True)
+    grid.add_column(overflow="fold")
+    link, frames, saved = status["link"], status["frames"], status["saved_state"]
+    rates = [f"{c} {row['rate_hz']:.4g}/s" for c, row in status["signals"].items()]
+    grid.add_row("signals", ", ".join(rates) or "none yet")
+    grid.add_row("evidence", _evidence(status["details"]))
+    grid.add_row("frames", f"{frames['used']} used, {status['frames_given_out']} given out")
+    alarms = [text for flag, text in FLAGS.items() if status["health"][flag]]
+    grid.add_row("now", Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""))
+    errors = sum(link["send_errors"].values())
+    grid.add_row(
+        "losses",
+        f"{link['lost']} lost, {errors} not sent, {link['conflicts']} in conflict, "
+        f"{link['went_down']} times down, {link['reopened']} times reopened",
+    )
+    rejected = [f"{reason} {n}" for reason, n in frames["rejected"].items()]
+    grid.add_row("rejected", ", ".join(rejected) or "none")
+    grid.add_row("saved", _saved(saved))
+    process = status["process"]
+    rss = "?" if process["rss_bytes"] is None else f"{process['rss_bytes'] / 2**20:.0f} MiB"
+    share = 100.0 * process["cpu_s"] / max(status["uptime_s"], 1.0)
+    grid.add_row("process", f"pid {process['pid']}, {rss}, {share:.1f} % of a core since the start")
+    return grid
+
+
+def _evidence(details: Mapping[str, Any]) -> str:
+    parts = [f"{details[key]} {text}" for key, text in EVIDENCE.items() if key in details]
+    if "restored" in details:
+        parts.append(f"mount of an earlier drive: {details['restored']['phase'].replace('_', ' ')}")
+    return ", ".join(parts) or "none yet"
+
+
+def _saved(saved: Mapping[str, Any]) -> Text:
+    if saved["folder"] is None:
+        return Text("nowhere (no --state-dir)")
+    text = Text(f"generation {saved['generation']} in {saved['folder']}")
+    for problem in saved["problems"]:
+        text.append(f"\n{problem}", style="yellow")
+    if saved["last_error"]:
+        text.append(f"\ncannot be saved: {saved['last_error']}", style="bold red")
+    return text
+
+
+def _time(seconds: float) -> str:
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def _deg(value: float | None, form: str) -> str:
+    return "-" if value is None else f"{value:{form}}°"

@@ -1,0 +1,48 @@
+"""Whose state it is: the vehicle as configured, and the sensor as its numbers are made."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Any
+
+from imucald.bus.routes import MessageRoute
+from imucald.bus.signals import Router
+from imucald.config import LoadedConfig, Source
+from imucald.service.state import StateKey
+
+
+def state_key(loaded: LoadedConfig, router: Router) -> StateKey:
+    """Return the key of a configuration's state.
+
+    Only what turns the accelerometer's axes or takes another sensor counts: its sources with
+    identifiers, layout, units and signs. Ids of outputs, speed sources or limits do not.
+    """
+    triads = loaded.config.signals.accelerometer
+    described = [
+        [_described(source, router) for source in (triad.x, triad.y, triad.z) if source is not None]
+        for triad in triads
+    ]
+    text = json.dumps(described, sort_keys=True, default=str)
+    return StateKey(loaded.config.vehicle.id, hashlib.sha256(text.encode()).hexdigest())
+
+
+def _described(source: Source, router: Router) -> dict[str, Any]:
+    """Everything that decides which number a source gives."""
+    found: dict[str, Any] = {
+        "configured": source.model_dump(
+            mode="json", include={"signal", "raw", "unit", "sign", "offset"}
+        )
+    }
+    if source.signal is None:
+        return found
+    name, _, signal_name = source.signal.partition(".")
+    for route in router.routes:
+        if isinstance(route, MessageRoute) and route.name == name:
+            message = route.plan.message
+            signal = message.signals[signal_name]
+            found["id"] = message.can_id
+            found["layout"] = [signal.start, signal.length, signal.byte_order]
+            found["number"] = [signal.is_signed, signal.is_float, signal.scale, signal.offset]
+            found["unit"] = signal.unit
+    return found

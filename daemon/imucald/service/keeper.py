@@ -1,0 +1,254 @@
+"""Keeps the calibration across restarts: decides when it is saved, writes it beside the loop.
+
+A disk may take seconds to confirm; the loop must not wait for it. One thread does nothing but
+write the newest state that it was given.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from imucald.mount.estimate import MountEstimate, MountEstimator, MountState
+from imucald.mount.restored import RestoredEstimator, StoredMount
+from imucald.service.journal import INFO, NOTICE, WARNING
+from imucald.service.state import SavedState, StateStore
+
+SAVE_PERIOD_S = 10.0
+"""A changing estimate is saved so often [s]: what a cut of power may cost."""
+SHIFTS_KEPT = 32
+"""Remounts that are remembered."""
+STOP_WAIT_S = 0.6
+"""How long a stop waits for the disk [s]; it has a second in all."""
+
+_GOOD = frozenset({MountState.USABLE, MountState.FINE})
+_BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
+_OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
+_EVIDENCE: tuple[str, ...] = (
+    "evidence_std_deg",
+    "evidence_share",
+    "launches_and_brakings",
+    "left_turns",
+)
+_EVIDENCE += ("right_turns", "stops", "distance", "manoeuvres")
+
+Say = Callable[[str, int], None]
+
+
+class Writer:
+    """A thread that saves the newest state it was given; started with the first."""
+
+    def __init__(self, store: StateStore) -> None:
+        self.saves = 0
+        self.failures = 0
+        self.last_error = ""
+        self._store = store
+        self._next: SavedState | None = None
+        self._busy = False
+        self._ended = False
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+
+    def put(self, state: SavedState) -> None:
+        """Have a state saved soon; one that still waits is replaced. Never blocks for the disk."""
+        with self._changed:
+            self._next = state
+            self._changed.notify_all()
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="state", daemon=True)
+            self._thread.start()
+
+    def flush(self, limit: float) -> bool:
+        """Wait until all is written, at most `limit` [s]; whether it is."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._next is None and not self._busy, limit)
+
+    def close(self, limit: float) -> bool:
+        """Write what waits and end the thread, within `limit` [s]; whether all is written."""
+        done = self.flush(limit)
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        return done
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._next is not None or self._ended)
+                state, self._next = self._next, None
+                if state is None:
+                    return
+                self._busy = True
+            try:
+                self._store.save(state)
+                self.saves += 1
+                self.last_error = ""
+            except OSError as error:
+                self.failures += 1
+                self.last_error = error.strerror or str(error)
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+
+
+class StateKeeper:
+    """Restores an estimator from the store, and saves what it finds.
+
+    say: takes a line for the log and its priority. clock: monotonic [s]. wall: wall clock [s].
+    """
+
+    def __init__(
+        self,
+        store: StateStore,
+        say: Say,
+        period: float = SAVE_PERIOD_S,
+        clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self.store = store
+        self.writer = Writer(store)
+        self.problems: tuple[str, ...] = ()
+        """What of the state could not be believed at the start."""
+        self.restored = False
+        self._say = say
+        self._period = period
+        self._clock, self._wall = clock, wall
+        self._last = SavedState((), (), "usable")
+        self._known = False  # whether `_last` is a state
+        self._last_put = -math.inf
+        self._before = MountState.WAITING
+        self._driven_before = 0.0
+        self._told_error = ""
+
+    def restore(self, estimator: MountEstimator) -> MountEstimator:
+        """Return the estimator with the saved mount in front, or as it is."""
+        loaded = self.store.load()
+        self.problems = loaded.problems
+        for problem in loaded.problems:
+            self._say(f"saved state: {problem}", WARNING)
+        saved = loaded.state
+        if saved is None:
+            self._say(f"no saved state in {self.store.folder}; starting from nothing", INFO)
+            return estimator
+        self._last, self._known, self.restored = saved, True, True
+        self._driven_before = saved.driven_s
+        text = f"mount restored from generation {loaded.generation}"
+        self._say(text + (", doubted when it was saved" if saved.doubted else ""), NOTICE)
+        return RestoredEstimator(estimator, stored_mount(saved))
+
+    def update(self, estimate: MountEstimate, driven_s: float) -> None:
+        """Take the present estimate; save it if it is due. driven_s: since the start [s]."""
+        state, changed = estimate.state, estimate.state is not self._before
+        if self._wanted(estimate, changed):
+            self._save(estimate, self._driven_before + driven_s)
+        self._before = state
+        self._tell_errors()
+
+    def _wanted(self, estimate: MountEstimate, changed: bool) -> bool:
+        if estimate.state in _BAD:  # once; what was good before is kept, as doubted
+            return changed and self._known
+        if estimate.state not in _GOOD or estimate.covariance is None:
+            return False
+        return changed or self._clock() - self._last_put >= self._period
+
+    def _save(self, estimate: MountEstimate, driven_s: float) -> None:
+        self._last_put = self._clock()
+        if estimate.state in _BAD:
+            shift = {"at": round(self._wall(), 1), "driven_s": round(driven_s, 1)}
+            shifts = (*self._last.shifts, shift)[-SHIFTS_KEPT:]
+            self._last = replace(self._last, doubted=True, shifts=shifts)
+        else:
+            saved = saved_state(estimate, driven_s, self._wall(), self._last.shifts)
+            if saved is None:
+                return
+            self._last, self._known = saved, True
+        self.writer.put(self._last)
+
+    def forget(self) -> None:
+        """Keep nothing of what was saved: it is set aside, and not loaded again."""
+        self.writer.flush(STOP_WAIT_S)
+        self._known = False
+        try:
+            self.store.forget()
+        except OSError as error:
+            self._say(f"the saved state could not be set aside: {error}", WARNING)
+
+    def close(self, estimate: MountEstimate, driven_s: float) -> None:
+        """Save the last estimate; wait for the disk, but not for long."""
+        if estimate.state in _GOOD:
+            self._save(estimate, self._driven_before + driven_s)
+        if not self.writer.close(STOP_WAIT_S):
+            self._say("the disk did not take the state in time; the one before stands", WARNING)
+        self._tell_errors()
+
+    def _tell_errors(self) -> None:
+        error = self.writer.last_error
+        if error != self._told_error:
+            self._told_error = error
+            text = f"the state cannot be saved in {self.store.folder}: {error}; going on without"
+            self._say(text if error else "the state can be saved again", WARNING)
+
+    def status(self) -> dict[str, Any]:
+        """What `imucald status` tells of it."""
+        return {
+            "folder": str(self.store.folder),
+            "generation": self.store.generation,
+            "restored_at_start": self.restored,
+            "saves": self.writer.saves,
+            "failures": self.writer.failures,
+            "last_error": self.writer.last_error,
+            "problems": list(self.problems),
+            "remounts": len(self._last.shifts) if self._known else 0,
+        }
+
+
+def stored_mount(saved: SavedState) -> StoredMount:
+    """A saved state as the estimator takes it."""
+    return StoredMount(
+        np.array(saved.rotation).reshape(3, 3),
+        np.array(saved.covariance).reshape(3, 3),
+        MountState[saved.state.upper()],
+        saved.doubted,
+    )
+
+
+def saved_state(
+    estimate: MountEstimate,
+    driven_s: float,
+    wall: float,
+    shifts: Sequence[Mapping[str, Any]] = (),
+) -> SavedState | None:
+    """An estimate as it is saved; None where it cannot be."""
+    R, C = estimate.R_vehicle_from_sensor, estimate.covariance
+    if R is None or C is None or not (np.isfinite(R).all() and np.isfinite(C).all()):
+        return None
+    details = estimate.details
+    symmetric = 0.5 * (C + C.T)
+    return SavedState(
+        rotation=tuple(R.ravel().tolist()),
+        covariance=tuple(symmetric.ravel().tolist()),
+        state=estimate.state.name.lower(),
+        saved_at=round(wall, 1),
+        driven_s=round(driven_s, 1),
+        offsets={k: _plain(details[k]) for k in _OFFSETS if k in details},
+        shifts=tuple(shifts),
+        evidence={k: _plain(details[k]) for k in _EVIDENCE if k in details},
+    )
+
+
+def _plain(value: object) -> Any:
+    """Numbers, lists and mappings as JSON takes them; what is not finite is null."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    number = float(value)  # type: ignore[arg-type]
+    return number if math.isfinite(number) else None

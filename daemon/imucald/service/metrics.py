@@ -1,0 +1,71 @@
+"""A status as Prometheus text (exposition format 0.0.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from imucald.mount.estimate import MountState
+
+_Sample = tuple[Mapping[str, str], float | int | None]
+
+_LINK_COUNTERS = {
+    "received": "Frames received.",
+    "lost": "Frames that the kernel dropped before they were read.",
+    "sent": "Frames that the interface took.",
+    "conflicts": "Frames of other nodes under our identifiers.",
+    "error_frames": "Error frames.",
+    "bus_off": "Times the controller left the bus.",
+    "went_down": "Times the interface was set down.",
+    "reopened": "Times the interface was opened again.",
+}
+
+
+def metrics_text(status: Mapping[str, Any]) -> str:
+    """Return the text; a value that is not known has no line."""
+    return "".join(
+        f"# HELP imucald_{name} {text}\n# TYPE imucald_{name} {kind}\n{lines}"
+        for name, kind, text, samples in _families(status)
+        if (lines := "".join(_line(name, *sample) for sample in samples))
+    )
+
+
+def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_Sample]]]:
+    none: Mapping[str, str] = {}
+    mount, link, saved = status["mount"], status["link"], status["saved_state"]
+    process = status["process"]
+    states = [
+        ({"state": s.name.lower()}, int(status["state"] == s.name.lower())) for s in MountState
+    ]
+    yield "state", "gauge", "1 for the present state of the mount calibration.", list(states)
+    yield "quality", "gauge", "Quality of the corrected frames.", [(none, status["quality"])]
+    angles = [({"angle": a}, mount[f"{a}_deg"]) for a in ("roll", "pitch", "yaw")]
+    yield "mount_angle_degrees", "gauge", "Mount angles.", list(angles)
+    std = [({"axis": a}, mount["std_deg"][a]) for a in "xyz"]
+    yield "mount_deviation_degrees", "gauge", "Standard deviation about vehicle axes.", list(std)
+    samples = [({"channel": c}, row["samples"]) for c, row in status["signals"].items()]
+    yield "samples_total", "counter", "Accepted samples.", list(samples)
+    rejected = [({"reason": r}, n) for r, n in status["frames"]["rejected"].items()]
+    yield "rejected_total", "counter", "Rejected frames and samples.", list(rejected)
+    for name, text in _LINK_COUNTERS.items():
+        yield f"link_{name}_total", "counter", text, [(none, link[name])]
+    errors = [({"reason": r}, n) for r, n in link["send_errors"].items()]
+    yield "link_send_errors_total", "counter", "Frames not sent.", list(errors)
+    yield "link_up", "gauge", "1 while the interface is up.", [(none, int(link["state"] == "up"))]
+    yield "state_saves_total", "counter", "Times the state was saved.", [(none, saved["saves"])]
+    failures = [(none, saved["failures"])]
+    yield "state_save_failures_total", "counter", "Times the state could not be saved.", failures
+    yield "uptime_seconds", "gauge", "Time since the start.", [(none, status["uptime_s"])]
+    yield "cpu_seconds_total", "counter", "Processor time.", [(none, process["cpu_s"])]
+    yield "resident_memory_bytes", "gauge", "Memory in use.", [(none, process["rss_bytes"])]
+
+
+def _line(name: str, labels: Mapping[str, str], value: float | int | None) -> str:
+    if value is None:
+        return ""
+    named = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
+    return f"imucald_{name}{'{' + named + '}' if named else ''} {value}\n"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")

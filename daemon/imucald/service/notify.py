@@ -1,0 +1,80 @@
+"""What systemd is told: ready, reloading, stopping, a status line, and that the loop still turns.
+
+The protocol of sd_notify(3): datagrams of NAME=value lines to the socket that systemd names in the
+environment. Without that name nothing is sent. Sending never blocks and never fails: a service
+manager that does not listen is no reason to stop.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import time
+from collections.abc import Callable, Mapping
+
+FEEDS_PER_TIMEOUT = 4
+"""The watchdog is fed so often within its time-out."""
+
+
+class Notifier:
+    """Talks to the service manager. environment: where its names are (default: the process's)."""
+
+    def __init__(
+        self,
+        environment: Mapping[str, str] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        environment = os.environ if environment is None else environment
+        self._address = environment.get("NOTIFY_SOCKET", "")
+        if self._address.startswith("@"):  # an abstract one
+            self._address = "\0" + self._address[1:]
+        self._clock = clock
+        self._socket: socket.socket | None = None
+        if self._address:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            self._socket.setblocking(False)
+        self._period = _watchdog_period(environment)
+        self._next_feed = clock()
+        self._status = ""
+
+    def ready(self) -> None:
+        """Starting, or reloading, is over."""
+        self._send("READY=1")
+
+    def reloading(self) -> None:
+        """The configuration is being read again; `ready` ends it."""
+        self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
+
+    def stopping(self) -> None:
+        """The service ends."""
+        self._send("STOPPING=1")
+
+    def status(self, text: str) -> None:
+        """One line that `systemctl status` shows; sent when it changes."""
+        line = " ".join(text.split())
+        if line != self._status:
+            self._status = line
+            self._send(f"STATUS={line}")
+
+    def feed(self) -> None:
+        """To be called by the loop that matters; tells systemd now and then that it turns."""
+        now = self._clock()
+        if self._period and now >= self._next_feed:
+            self._next_feed = now + self._period
+            self._send("WATCHDOG=1")
+
+    def _send(self, text: str) -> None:
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(text.encode(), self._address)
+
+
+def _watchdog_period(environment: Mapping[str, str]) -> float:
+    """Seconds between feeds; 0 where no watchdog waits for this process."""
+    try:
+        timeout = int(environment.get("WATCHDOG_USEC", "0")) / 1e6
+        pid = int(environment.get("WATCHDOG_PID", os.getpid()))
+    except ValueError:
+        return 0.0
+    return timeout / FEEDS_PER_TIMEOUT if timeout > 0 and pid == os.getpid() else 0.0

@@ -1,0 +1,353 @@
+"""The service around the loop: saved state, systemd, status, reload. All of it in the loop's turns.
+
+The loop comes by `CHORE_S` after the last time at the latest (bus traffic or not), so that what
+systemd's watchdog hears comes from the loop that corrects frames and from nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from imucald import __version__
+from imucald.bus.link import Link, LinkEvent
+from imucald.config import LoadedConfig
+from imucald.engine import Engine, LinkHealth
+from imucald.errors import ImucaldError
+from imucald.mount.estimate import MountEstimate, MountEstimator
+from imucald.mount.restored import RestoredEstimator
+from imucald.pipeline import Snapshot
+from imucald.service.identity import state_key
+from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
+from imucald.service.keeper import SAVE_PERIOD_S, StateKeeper, saved_state, stored_mount
+from imucald.service.live import Daemon, open_link
+from imucald.service.notify import Notifier
+from imucald.service.state import StateStore
+from imucald.service.status import StatusServer
+from imucald.session import make_engine, open_config
+from imucald.summary import Counts, summary
+
+CHORE_S = 0.1
+"""The loop turns to everything but frames so often [s]."""
+SECOND_S = 1.0
+"""Rates and the status line are made so often [s]."""
+_QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full"})
+"""Kinds of link events that are no warnings, or that the link tells seldom by itself."""
+
+
+@dataclass(frozen=True)
+class ServiceOptions:
+    """What the command line says.
+
+    state_folder, status_socket: None for none. save_period: [s].
+    """
+
+    config: Path
+    databases: Sequence[Path] = ()
+    interface: str | None = None
+    channel: str | None = None
+    state_folder: Path | None = None
+    status_socket: Path | None = None
+    save_period: float = SAVE_PERIOD_S
+
+
+class Service:
+    """Runs the daemon of one configuration. Raises ConfigError, LinkError at the start."""
+
+    def __init__(
+        self,
+        options: ServiceOptions,
+        journal: Journal | None = None,
+        notifier: Notifier | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.options = options
+        self.journal = journal or Journal()
+        self.notifier = notifier or Notifier()
+        self._clock = clock
+        self._began = self._next_second = clock()
+        self._next_chore = clock()
+        self._reload_wanted = False
+        self._announced: object = None
+        self._rejected = 0
+        self._rates: dict[str, float] = {}
+        self._counted: dict[str, int] = {}
+        self._counted_at = clock()
+        self.loaded = open_config(options.config, options.databases)
+        engine = self._new_engine(self.loaded)
+        self.keeper = self._new_keeper(self.loaded, engine)
+        if self.keeper is not None:
+            engine.pipeline.replace(self.keeper.restore(engine.pipeline.estimator))
+        self.link = self._new_link(self.loaded, engine)
+        try:
+            self.daemon = Daemon(engine, self.link, clock)
+            socket = options.status_socket
+            self.server = None if socket is None else StatusServer(socket, self.status)
+        except ImucaldError:
+            self.link.close()
+            raise
+
+    # starting ------------------------------------------------------------------------------
+
+    def _new_engine(self, loaded: LoadedConfig) -> Engine:
+        return make_engine(loaded, self._snapshot, self._link_health)
+
+    def _new_keeper(self, loaded: LoadedConfig, engine: Engine) -> StateKeeper | None:
+        folder = self.options.state_folder
+        if folder is None:
+            return None
+        store = StateStore(folder, state_key(loaded, engine.router))
+        return StateKeeper(store, self.journal.say, self.options.save_period, self._clock)
+
+    def _new_link(self, loaded: LoadedConfig, engine: Engine) -> Link:
+        options = self.options
+        return open_link(
+            loaded,
+            engine.router.matches,
+            engine.output.can_ids,
+            options.interface,
+            options.channel,
+            self._link_event,
+        )
+
+    # running -------------------------------------------------------------------------------
+
+    @property
+    def engine(self) -> Engine:
+        """The engine that runs now (another one after a reload)."""
+        return self.daemon.engine
+
+    def run(self, seconds: float = float("inf")) -> None:
+        """Loop until `stop`, or for so many seconds."""
+        self.journal.say(f"listening on {self.link.interface} {self.link.channel}")
+        self.notifier.ready()
+        end = self._clock() + seconds
+        daemon, clock = self.daemon, self._clock
+        while not daemon.stopping:
+            daemon.step()
+            now = clock()
+            if now >= self._next_chore:
+                self._next_chore = now + CHORE_S
+                self._chores(now)
+                if now >= end:
+                    break
+
+    def stop(self) -> None:
+        """End the loop soon; safe in a signal handler."""
+        self.daemon.stop()
+
+    def ask_reload(self) -> None:
+        """Read the configuration again soon; safe in a signal handler."""
+        self._reload_wanted = True
+
+    def close(self) -> None:
+        """Save the state, let go of bus and socket."""
+        self.notifier.stopping()
+        if self.server is not None:
+            self.server.close()
+        self.link.close()  # first: nothing stale is sent while the disk takes its time
+        if self.keeper is not None:
+            self.keeper.close(self._estimate(), self.engine.timebase.now)
+
+    def _chores(self, now: float) -> None:
+        self.notifier.feed()
+        if self._reload_wanted:
+            self._reload_wanted = False
+            self.reload()
+        if self.server is not None:
+            self.server.poll()
+        if now >= self._next_second:
+            self._next_second = now + SECOND_S
+            self._every_second(now)
+
+    def _every_second(self, now: float) -> None:
+        estimate = self._estimate()
+        if self.keeper is not None:
+            self.keeper.update(estimate, self.engine.timebase.now)
+        self.notifier.status(status_line(estimate, str(self.link.state)))
+        counts = self.engine.router.sample_counts
+        span = max(now - self._counted_at, 1e-9)
+        self._rates = {c: (n - self._counted.get(c, 0)) / span for c, n in counts.items()}
+        self._counted, self._counted_at = dict(counts), now
+        rejected = self.engine.router.rejected
+        if (total := rejected.total()) > self._rejected:
+            self._rejected = total
+            text = ", ".join(f"{reason} {n}" for reason, n in sorted(rejected.items()))
+            self.journal.seldom("rejected", f"rejected so far: {text}", WARNING)
+
+    # reloading -----------------------------------------------------------------------------
+
+    def reload(self) -> None:
+        """Read the configuration again; the estimate goes on. A wrong one changes nothing."""
+        self.notifier.reloading()
+        try:
+            self._reload()
+            self.journal.say(f"{self.options.config} was read again", NOTICE)
+        except ImucaldError as error:
+            for line in str(error).splitlines():
+                self.journal.say(f"not reloaded: {line}", ERROR)
+        self.notifier.ready()
+
+    def _reload(self) -> None:
+        loaded = open_config(self.options.config, self.options.databases)
+        engine, old = self._new_engine(loaded), self.engine
+        link = self.link
+        if _listens_otherwise(self.loaded, loaded, old, engine):
+            link = self._new_link(loaded, engine)
+        engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
+        engine.pipeline.replace(self._estimator_after(loaded, engine))
+        self.loaded = loaded
+        self.daemon.engine = engine
+        self._counted, self._rejected = {}, 0
+        if link is not self.link:
+            self.link.close()
+            self.link = self.daemon.link = link
+
+    def _estimator_after(self, loaded: LoadedConfig, engine: Engine) -> MountEstimator:
+        """The running estimator where it can stay; else a new one behind what is known."""
+        old, new = self.engine.pipeline.estimator, engine.pipeline.estimator
+        key, before = state_key(loaded, engine.router), state_key(self.loaded, self.engine.router)
+        if key != before:  # another sensor or vehicle: what was found is not of it
+            self._save_now()
+            self.keeper = self._new_keeper(loaded, engine)
+            return new if self.keeper is None else self.keeper.restore(new)
+        if _estimates_alike(self.loaded, loaded):
+            old.gap()
+            return old
+        saved = saved_state(old.estimate(), 0.0, 0.0) if old.correction is not None else None
+        if saved is None:
+            return new
+        good = (
+            saved
+            if saved.state in ("usable", "fine")
+            else dataclasses.replace(saved, state="usable", doubted=saved.state != "restored")
+        )
+        return RestoredEstimator(new, stored_mount(good))
+
+    def _save_now(self) -> None:
+        if self.keeper is not None:
+            self.keeper.close(self._estimate(), self.engine.timebase.now)
+
+    # telling -------------------------------------------------------------------------------
+
+    def _estimate(self) -> MountEstimate:
+        return self.engine.pipeline.estimator.estimate()
+
+    def _link_health(self) -> LinkHealth:
+        return self.daemon.link_health() if hasattr(self, "daemon") else LinkHealth()
+
+    def _link_event(self, event: LinkEvent) -> None:
+        self.journal.say(event.text, INFO if event.kind in _QUIET_EVENTS else WARNING)
+
+    def _snapshot(self, snapshot: Snapshot) -> None:
+        """Say each change of state in one line."""
+        estimate = snapshot.estimate
+        if estimate.state is self._announced:
+            return
+        self._announced = estimate.state
+        waiting = "; ".join(estimate.waiting_for.values())
+        text = f"{estimate.state.name.lower()} at {snapshot.t:.1f} s"
+        self.journal.say(text + (waiting and f" ({waiting})"), NOTICE)
+
+    def result(self) -> dict[str, Any]:
+        """Summary of the run (see docs/json.md), with the link's counters."""
+        engine, counters = self.engine, self.link.counters
+        counts = Counts(counters.received, engine.router.used, engine.router.rejected)
+        found = summary(engine, counts, engine.timebase.now)
+        found["link"] = dataclasses.asdict(counters)
+        return found
+
+    def status(self) -> dict[str, Any]:
+        """What `imucald status` shows; keys in docs/service.md."""
+        found = self.result()
+        for channel, row in found["signals"].items():
+            row["rate_hz"] = round(self._rates.get(channel, 0.0), 3)
+        link = self.link
+        found["link"] |= {
+            "state": str(link.state),
+            "interface": link.interface,
+            "channel": link.channel,
+        }
+        keeper = self.keeper
+        found |= {
+            "version": __version__,
+            "config": str(self.options.config),
+            "vehicle": self.loaded.config.vehicle.id,
+            "sensor": state_key(self.loaded, self.engine.router).sensor,
+            "uptime_s": round(self._clock() - self._began, 3),
+            "quality": self.engine.pipeline.quality,
+            "health": dataclasses.asdict(self.engine.health()),
+            "frames_given_out": self.engine.sent,
+            "saved_state": _NOT_SAVED if keeper is None else keeper.status(),
+            "process": process_figures(),
+        }
+        return found
+
+
+_NOT_SAVED: dict[str, Any] = {
+    "folder": None,
+    "generation": 0,
+    "restored_at_start": False,
+    "saves": 0,
+    "failures": 0,
+    "last_error": "",
+    "problems": [],
+    "remounts": 0,
+}
+
+
+def status_line(estimate: MountEstimate, link: str) -> str:
+    """One line for `systemctl status`."""
+    parts = [estimate.state.name.lower()]
+    angles, std = estimate.angles, estimate.std
+    if angles is not None and std is not None:
+        names = ("roll", "pitch", "yaw")
+        degrees = 57.29577951308232
+        parts += [
+            f"{name} {angle * degrees:+.2f} +-{2.0 * min(s * degrees, 180.0):.2f}"
+            for name, angle, s in zip(names, angles, std, strict=True)
+        ]
+    parts += [f"{name}: {text}" for name, text in list(estimate.waiting_for.items())[-1:]]
+    if link != "up":
+        parts.insert(0, f"bus {link}")
+    return "; ".join(parts)
+
+
+def process_figures() -> dict[str, Any]:
+    """Memory, processor time, threads and open files of this process."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        files: int | None = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
+        rss: int | None = pages * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        rss, files = None, None
+    return {
+        "pid": os.getpid(),
+        "rss_bytes": rss,
+        "cpu_s": round(time.process_time(), 3),
+        "threads": threading.active_count(),
+        "open_files": files,
+    }
+
+
+def _listens_otherwise(
+    old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
+) -> bool:
+    """Whether another bus, other inputs or other outputs are configured."""
+    return (
+        old.config.bus != new.config.bus
+        or set(old_engine.router.matches) != set(new_engine.router.matches)
+        or old_engine.output.can_ids != new_engine.output.can_ids
+    )
+
+
+def _estimates_alike(old: LoadedConfig, new: LoadedConfig) -> bool:
+    """Whether the running estimator is the one that the new configuration would make."""
+    a, b = old.config, new.config
+    return (a.calibration, a.vehicle, a.signals) == (b.calibration, b.vehicle, b.signals)
