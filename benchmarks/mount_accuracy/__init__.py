@@ -1,0 +1,1 @@
+"""How well the mount is found on simulated drives; run with python -m benchmarks.mount_accuracy."""

@@ -1,0 +1,323 @@
+"""Mount accuracy on simulated drives: the figures of docs/mount-accuracy.md.
+
+    python -m benchmarks.mount_accuracy [--quick] [--only PART ...] [--write]
+
+Every drive has crown and grade (2 % rms), squat and body roll, accelerometer bias 10 mg, gyro
+bias 0.3 deg/s, speed scale 1 %, vibration, time jitter, delays of 0-0.3 s and any mount, with or
+without standing first (`imucald.simulation.random_model`). The seeds are not those that the
+estimator was tuned on. --quick: a few short drives, to see that it runs.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.measured import ROOT, verdict
+from benchmarks.mount_accuracy.bound import error_and_bound
+from benchmarks.mount_accuracy.drives import Trace, drive, estimators, run
+from imucald.mount.estimator import FullEstimator
+
+FIRST_SEED = 5000
+"""Far from the seeds of tuning (0 .. 400)."""
+BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
+PAGE = ROOT / "docs" / "mount-accuracy.md"
+TIMES = (2.0, 5.0, 10.0, 40.0)
+AXES = ("roll", "pitch", "yaw")
+SHIFTS = (
+    ("yaw", 1.0, 300.0, 0.90),
+    ("yaw", 2.0, 180.0, 0.99),
+    ("yaw", 5.0, 120.0, 1.00),
+    ("pitch", 2.0, 300.0, 0.90),
+    ("pitch", 5.0, 120.0, 1.00),
+    ("roll", 2.0, 300.0, 0.90),
+    ("roll", 5.0, 120.0, 1.00),
+)
+"""Angle, size [deg], to be found within [s], in that share of drives."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is simulated."""
+
+    drives: int = 40
+    long_drives: int = 10
+    long_minutes: float = 240.0
+    shift_drives: int = 20
+    quiet_drives: int = 40
+    quiet_minutes: float = 60.0
+    times: tuple[float, ...] = TIMES
+    first: int = FIRST_SEED
+
+
+QUICK = Size(2, 1, 12.0, 1, 1, 10.0, (2.0, 5.0))
+
+
+def quantiles(values: np.ndarray) -> tuple[float, float]:
+    """Median and 90th percentile of sizes."""
+    sizes = np.abs(values)
+    return float(np.median(sizes)), float(np.quantile(sizes, 0.9))
+
+
+def traces(size: Size, cross_axis: float) -> dict[str, list[Trace]]:
+    """Both estimators over the same drives."""
+    out: dict[str, list[Trace]] = {"full": [], "published": []}
+    for seed in range(size.first, size.first + size.drives):
+        made = drive(seed, max(size.times), cross_axis=cross_axis)
+        for name, estimator in estimators(cross_axis).items():
+            out[name].append(run(estimator, made, size.times))
+        progress(f"drive {seed - size.first + 1} of {size.drives}")
+    return out
+
+
+def accuracy(size: Size) -> list[str]:
+    """Errors, coverage, evidence, time to usable and cost."""
+    lines: list[str] = []
+    for title, cross in (("", 0.0), (", 0.5 % accelerometer cross-axis error", 0.005)):
+        found = traces(size, cross)
+        lines += ["", f"### Errors on {size.drives} mixed drives{title}", ""]
+        lines += table(found, size)
+        if not cross:
+            lines += bars(found["full"], size)
+    return lines
+
+
+def table(found: dict[str, list[Trace]], size: Size) -> list[str]:
+    """Median and 90th percentile of the errors, and how often the interval holds the truth."""
+    lines = [
+        "| estimator | after | roll p50 / p90 | roll beyond the crown p50 / p90 | pitch p50 / p90"
+        " | yaw p50 / p90 | 95 % interval holds roll, pitch, yaw |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, runs in found.items():
+        for minutes in size.times:
+            said = [trace.said[minutes] for trace in runs if minutes in trace.said]
+            if not said:
+                continue
+            error = np.array([s.error for s in said])
+            std = np.array([s.std for s in said])
+            beyond = np.array([s.beyond_crown for s in said])
+            held = 100.0 * (np.abs(error) <= 1.96 * std).mean(axis=0)
+            cells = [quantiles(error[:, 0]), quantiles(beyond)]
+            cells += [quantiles(error[:, 1]), quantiles(error[:, 2])]
+            middle = " | ".join(f"{a:.2f} / {b:.2f}" for a, b in cells)
+            less = "" if len(said) == len(runs) else f" ({len(said)} of {len(runs)})"
+            lines.append(
+                f"| {name}{less} | {minutes:g} min | {middle} |"
+                f" {held[0]:.0f}, {held[1]:.0f}, {held[2]:.0f} % |"
+            )
+    return lines
+
+
+def bars(runs: list[Trace], size: Size) -> list[str]:
+    """The bars on the full estimator's errors, and what carried each angle."""
+    lines = [""]
+    last = max(size.times)
+
+    def column(minutes: float, axis: int) -> np.ndarray:
+        return np.array([t.said[minutes].error[axis] for t in runs if minutes in t.said])
+
+    p50, p90 = quantiles(column(5.0, 2))
+    lines.append(
+        f"- Yaw after 5 min: median {p50:.2f} (bar 0.2: {verdict(p50 <= 0.2)}),"
+        f" 90th percentile {p90:.2f} deg (bar 0.5: {verdict(p90 <= 0.5)})."
+    )
+    p50, _ = quantiles(column(last, 2))
+    lines.append(
+        f"- Yaw after {last:g} min: median {p50:.3f} deg (bar 0.08: {verdict(p50 <= 0.08)})."
+    )
+    _, p90 = quantiles(column(last, 1))
+    lines.append(
+        f"- Pitch after {last:g} min: 90th percentile {p90:.2f} deg"
+        f" (bar 0.35: {verdict(p90 <= 0.35)})."
+    )
+    beyond = np.array([t.said[last].beyond_crown for t in runs if last in t.said])
+    _, p90 = quantiles(beyond)
+    lines.append(
+        f"- Roll beyond the drive's mean crown after {last:g} min: 90th percentile {p90:.2f} deg"
+        f" (bar 0.4: {verdict(p90 <= 0.4)})."
+    )
+    held = []
+    for minutes in size.times:
+        said = [t.said[minutes] for t in runs if minutes in t.said]
+        inside = [np.abs(s.error) <= 1.96 * s.std for s in said]
+        held += (100.0 * np.mean(inside, axis=0)).tolist()
+    share = float(np.mean(held))
+    within = all(90.0 <= h <= 98.0 for h in held)
+    lines.append(
+        f"- Coverage: {min(held):.0f} to {max(held):.0f} %, mean {share:.0f} %"
+        f" (bar 90-98 % of each: {verdict(within)})."
+    )
+    for axis in AXES:
+        totals: dict[str, float] = {}
+        for trace in runs:
+            if last not in trace.said:
+                continue
+            for name, weight in trace.said[last].shares.get(axis, {}).items():
+                totals[name] = totals.get(name, 0.0) + weight / len(runs)
+        text = ", ".join(
+            f"{100.0 * w:.0f} % {name.split('_', 1)[1]}"
+            for name, w in sorted(totals.items(), key=lambda item: -item[1])
+        )
+        lines.append(f"- {axis.capitalize()} after {last:g} min is carried by: {text}.")
+    usable = [
+        t.usable_after if not np.isnan(t.usable_after) else np.inf
+        for t in runs
+        if t.manoeuvres_after <= 90.0
+    ]
+    if usable:
+        median = float(np.median(usable))
+        lines.append(
+            f"- Driving until usable, where 90 s hold three launches or brakings: median"
+            f" {median:.0f} s in {len(usable)} drives (bar 90 s: {verdict(median <= 90.0)})."
+        )
+    cost = float(np.median([t.microseconds for t in runs]))
+    lines.append(
+        f"- Cost: {cost:.0f} us per tick on average, an hour of driving in"
+        f" {cost * 36000e-6:.1f} s (bar 8 s: {verdict(cost * 36000e-6 <= 8.0)})."
+    )
+    return lines
+
+
+def step_cost(size: Size) -> list[str]:
+    """Median and largest processor time of one step."""
+    made = drive(size.first, max(size.times))
+    estimator = FullEstimator()
+    times = []
+    for row in made.rows.tolist():
+        began = time.perf_counter_ns()
+        estimator.step(row)
+        times.append((time.perf_counter_ns() - began) / 1000.0)
+    median, high = float(np.median(times)), float(np.quantile(times, 0.99))
+    return [
+        "",
+        f"- One step (100 ms of data): median {median:.1f} us (bar 150: {verdict(median <= 150)}),"
+        f" 99th percentile {high:.0f} us.",
+    ]
+
+
+def long_drives(size: Size) -> list[str]:
+    """Pitch after four hours."""
+    errors = []
+    for seed in range(size.first + 100, size.first + 100 + size.long_drives):
+        made = drive(seed, size.long_minutes)
+        trace = run(FullEstimator(), made, [size.long_minutes])
+        errors.append(trace.said[size.long_minutes].error)
+        progress(f"long drive {seed - size.first - 99} of {size.long_drives}")
+    _, p90 = quantiles(np.array(errors)[:, 1])
+    yaw, _ = quantiles(np.array(errors)[:, 2])
+    hours = size.long_minutes / 60.0
+    return [
+        "",
+        f"- Pitch after {hours:g} h, {size.long_drives} drives: 90th percentile {p90:.2f} deg"
+        f" (bar 0.15: {verdict(p90 <= 0.15)}); yaw median {yaw:.3f} deg.",
+    ]
+
+
+def efficiency(size: Size) -> list[str]:
+    """Yaw against the Cramer-Rao bound."""
+    minutes = 10.0
+    pairs = []
+    for seed in range(size.first + 200, size.first + 200 + size.drives):
+        pairs.append(error_and_bound(seed, minutes))
+        progress(f"bound {len(pairs)} of {size.drives}")
+    error, bound = np.array(pairs).T
+    ratio = float(np.mean((error / bound) ** 2))
+    return [
+        "",
+        f"- Efficiency, white noise only, {minutes:g} min, {size.drives} drives: yaw mean square"
+        f" error {ratio:.2f} times the Cramer-Rao bound (bar 1.5: {verdict(ratio <= 1.5)};"
+        f" bound {np.median(bound):.2f} deg in the median).",
+    ]
+
+
+def shifts(size: Size) -> list[str]:
+    """Shifts of the sensor in mid-drive: how many are found, and when."""
+    lines = ["", "### Shift in mid-drive", ""]
+    lines += ["| shift | found in time | bar | median after |", "|---|---|---|---|"]
+    for number, (axis, degrees, limit, bar) in enumerate(SHIFTS):
+        after, n = [], size.shift_drives
+        for k in range(n):
+            seed = size.first + 300 + number * 100 + k
+            rng = np.random.default_rng(seed)
+            start = float(rng.uniform(900.0, 1200.0))
+            change = {"t_s": start, f"{axis}_deg": degrees * float(rng.choice([-1.0, 1.0]))}
+            made = drive(seed, 26.0, {"mount.shifts": [change]})
+            bad = [t - start for t in run(FullEstimator(), made, []).bad_at if t > start]
+            after.append(bad[0] if bad else np.inf)
+            progress(f"shift {axis} {degrees:g} deg: {k + 1} of {n}")
+        share = float(np.mean(np.array(after) <= limit))
+        lines.append(
+            f"| {axis} {degrees:g} deg | {100 * share:.0f} % of {n} within {limit / 60:g} min |"
+            f" {100 * bar:.0f} %: {verdict(share >= bar)} | {np.median(after):.0f} s |"
+        )
+    return lines
+
+
+def false_alarms(size: Size) -> list[str]:
+    """Shifts reported where there is none."""
+    alarms = 0
+    for k in range(size.quiet_drives):
+        made = drive(size.first + 2000 + k, size.quiet_minutes)
+        alarms += len(run(FullEstimator(), made, []).bad_at)
+        progress(f"quiet drive {k + 1} of {size.quiet_drives}: {alarms} alarms")
+    hours = size.quiet_drives * size.quiet_minutes / 60.0
+    rate = alarms / hours * 100.0
+    return [
+        "",
+        f"- False alarms: {alarms} in {hours:g} h, {rate:.1f} per 100 h"
+        f" (bar 1: {verdict(rate < 1.0)}).",
+    ]
+
+
+PARTS: dict[str, Callable[[Size], list[str]]] = {
+    "accuracy": accuracy,
+    "long": long_drives,
+    "bound": efficiency,
+    "cost": step_cost,
+    "shifts": shifts,
+    "alarms": false_alarms,
+}
+
+
+def progress(text: str) -> None:
+    """Say on a terminal how far it is."""
+    if sys.stderr.isatty():
+        print(f"\r{text:60s}", end="", file=sys.stderr)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="a few short drives")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--write", action="store_true", help="put the figures into the docs")
+    parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
+    options = parser.parse_args()
+    size = replace(QUICK if options.quick else Size(), first=options.first)
+    lines: list[str] = []
+    for name in options.only:
+        part = PARTS[name](size)
+        print("\n".join(part), flush=True)
+        lines += part
+    if options.write:
+        page = PAGE.read_text(encoding="utf-8")
+        head, rest = page.split(BEGIN)
+        _, tail = rest.split(END)
+        figures = "\n".join(lines)
+        PAGE.write_text(f"{head}{BEGIN}\n{figures}\n\n{END}{tail}", encoding="utf-8")
+    return 1 if any("NOT MET" in line for line in lines) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,131 @@
+"""Simulated drives as ticks, and what an estimator says of them at given times."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.frames import Matrix3, rotation_from_vector, vector_from_rotation
+from imucald.motion import ticks as tk
+from imucald.motion.ticks import ticks_from_samples
+from imucald.mount.estimate import MountEstimator, MountState
+from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.published import PublishedEstimator
+from imucald.simulation import random_model, simulate
+
+Array = NDArray[np.float64]
+
+MOVING = 0.3
+"""Driving is counted above this speed [m/s]."""
+BAD_STATES = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Ticks of a drive and its truth."""
+
+    seed: int
+    rows: Array
+    R_vehicle_from_sensor: Matrix3
+    crown: float  # mean roll of the roads driven [rad]
+
+
+def drive(
+    seed: int, minutes: float, changes: Mapping[str, Any] | None = None, **drawn: Any
+) -> Drive:
+    """A drive whose nuisances are all drawn from the seed, with some of them then changed."""
+    model = random_model(seed, **drawn)
+    if changes:
+        model = model.with_changes(changes)
+    made = simulate(model, seed, minutes)
+    rows = ticks_from_samples(made.samples, 0, int(minutes * 600))
+    return Drive(seed, rows, made.truth.R_vehicle_from_sensor(), made.truth.mean_crown())
+
+
+@dataclass
+class Said:
+    """What was said at a time: errors and standard deviations about x, y, z [deg].
+
+    beyond_crown: the error about x when the drive's mean crown is taken as known [deg].
+    """
+
+    error: Array
+    std: Array
+    beyond_crown: float
+    shares: Mapping[str, Mapping[str, float]]
+
+
+@dataclass
+class Trace:
+    """A run over a drive: what was said at the asked times, and when it became usable."""
+
+    said: dict[float, Said] = field(default_factory=dict)
+    usable_after: float = math.nan  # seconds of driving
+    manoeuvres_after: float = math.nan  # seconds of driving until three launches or brakings
+    bad_at: list[float] = field(default_factory=list)  # stream time of each shift reported
+    microseconds: float = math.nan  # processor time per tick
+
+
+def estimators(cross_axis: float = 0.0) -> dict[str, MountEstimator]:
+    """Both estimators, new."""
+    settings = EstimatorSettings(accel_cross_axis_std=cross_axis)
+    return {"full": FullEstimator(settings), "published": PublishedEstimator()}
+
+
+def run(estimator: MountEstimator, made: Drive, minutes: Sequence[float]) -> Trace:
+    """Run an estimator over a drive; asks it at the given times [min]."""
+    trace = Trace()
+    asked = {int(m * 600): m for m in minutes}
+    moving = np.cumsum(np.nan_to_num(made.rows[:, tk.SPEED]) > MOVING) * 0.1
+    hard = _manoeuvres(made.rows)
+    if (hard >= 3).any():
+        trace.manoeuvres_after = float(moving[int(np.argmax(hard >= 3))])
+    before, usable = MountState.WAITING, False
+    rows = made.rows.tolist()
+    began = time.process_time()
+    for k, row in enumerate(rows, start=1):
+        estimator.step(row)
+        state = estimator.state
+        if state is not before:
+            if state == MountState.SUSPECT and before not in BAD_STATES:
+                trace.bad_at.append(row[tk.T])
+            if not usable and state in {MountState.USABLE, MountState.FINE}:
+                usable, trace.usable_after = True, float(moving[k - 1])
+            before = state
+        if k in asked:
+            said = _said(estimator, made)
+            if said is not None:
+                trace.said[asked[k]] = said
+    trace.microseconds = (time.process_time() - began) / len(rows) * 1e6
+    return trace
+
+
+def _manoeuvres(rows: Array) -> Array:
+    """Launches and brakings above 1 m/s^2 for half a second, counted (N,)."""
+    speed = np.nan_to_num(rows[:, tk.SPEED])
+    change = (speed[5:] - speed[:-5]) / 0.5
+    hard = np.abs(change) > 1.0
+    starts = hard & ~np.roll(hard, 1)
+    return np.concatenate([np.zeros(5), np.cumsum(starts)])
+
+
+def _said(estimator: MountEstimator, made: Drive) -> Said | None:
+    estimate = estimator.estimate()
+    R, std = estimate.R_vehicle_from_sensor, estimate.std
+    if R is None or std is None:
+        return None
+    error = np.degrees(vector_from_rotation(made.R_vehicle_from_sensor @ R.T))
+    expected = EstimatorSettings().crown if isinstance(estimator, FullEstimator) else 0.0
+    turned = rotation_from_vector([made.crown - expected, 0.0, 0.0]) @ made.R_vehicle_from_sensor
+    beyond = float(np.degrees(vector_from_rotation(turned @ R.T))[0])
+    shares = estimate.details.get("evidence_share", {})
+    return Said(
+        error, np.degrees(np.array(std)), beyond, shares if isinstance(shares, dict) else {}
+    )
