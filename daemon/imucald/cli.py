@@ -1,8 +1,8 @@
 """The command line: `imucald COMMAND`. Thin: every command lives in a module of its own.
 
 Modules are imported when their command is asked for, so that `imucald run` starts without what it
-does not need. Exit status: 0 done, 1 an error that the text on stderr explains, 2 wrong usage, 130
-Ctrl-C.
+does not need. Exit status: 0 done, 1 an error that the text on stderr explains, 2 wrong usage, 78 a
+wrong configuration of `run`, 130 Ctrl-C.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 
 from imucald import __version__
 from imucald.errors import ImucaldError
@@ -32,6 +33,7 @@ COMMANDS = {
     "simulate": "write a simulated drive as a log, with its truth",
     "walk": "direction of travel of a carried terminal, from recorded logs",
     "demo": "see a calibration converge, without hardware",
+    "install-service": "put the systemd unit and its companions in place",
     "schema": "print the JSON schema of the configuration",
 }
 
@@ -49,8 +51,12 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     for name, text in COMMANDS.items():
         sub = subparsers.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
         if command is None or name == command:
-            importlib.import_module(f"imucald.commands.{name}").add_arguments(sub)
+            _command(name).add_arguments(sub)
     return parser
+
+
+def _command(name: str) -> ModuleType:
+    return importlib.import_module(f"imucald.commands.{name.replace('-', '_')}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -61,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     named = next((a for a in arguments if a in COMMANDS), "")
     parser = build_parser(named)
     options = parser.parse_args(arguments)
-    module = importlib.import_module(f"imucald.commands.{options.command}")
+    module = _command(options.command)
     try:
         return int(module.run(options))
     except ImucaldError as error:

@@ -6,6 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
+WRONG_CONFIGURATION = 78
+"""Exit status (EX_CONFIG of sysexits.h) by which systemd knows that another start is no use."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `run`."""
@@ -44,25 +47,29 @@ def run(options: argparse.Namespace) -> int:
     import os
     import signal
 
-    from imucald.service.journal import Journal
+    from imucald.errors import ConfigError
+    from imucald.service.journal import ERROR, Journal
     from imucald.service.service import Service, ServiceOptions
     from imucald.service.status import default_socket
     from imucald.summary import as_json
 
     journal = Journal()
     folder = options.state_dir or os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    service = Service(
-        ServiceOptions(
-            config=options.config,
-            databases=options.database,
-            interface=options.interface,
-            channel=options.channel,
-            state_folder=Path(folder) if folder else None,
-            status_socket=options.status_socket or default_socket(options.channel or "bus"),
-            save_period=options.save_every,
-        ),
-        journal,
+    settings = ServiceOptions(
+        config=options.config,
+        databases=options.database,
+        interface=options.interface,
+        channel=options.channel,
+        state_folder=Path(folder) if folder else None,
+        status_socket=options.status_socket or default_socket(options.channel or "bus"),
+        save_period=options.save_every,
     )
+    try:
+        service = Service(settings, journal)
+    except ConfigError as error:
+        for line in str(error).splitlines():
+            journal.say(line, ERROR)
+        return WRONG_CONFIGURATION
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
     signal.signal(signal.SIGHUP, lambda *_: service.ask_reload())

@@ -1,0 +1,66 @@
+"""The unit as installed: systemd's own checks of it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXPOSURE_LIMIT = 1.5
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> Path:
+    """The folder of units that `install-service` fills, as for a system."""
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("not installed: systemd")
+    command = [sys.executable, "-m", "imucald", "install-service", "--root", str(tmp_path)]
+    done = subprocess.run(
+        [*command, "--exec", "/bin/true"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    units = tmp_path / "usr/local/lib/systemd/system"
+    # an instance, as the checks look at one
+    shutil.copy(units / "imucald@.service", units / "imucald@can0.service")
+    return units
+
+
+def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["systemd-analyze", *arguments], capture_output=True, text=True, check=False
+    )
+
+
+def test_the_exposure_is_small(installed):
+    unit = str(installed / "imucald@can0.service")
+    limit = f"--threshold={EXPOSURE_LIMIT * 10:.0f}"
+    done = analyze("security", "--offline=true", limit, unit)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Overall exposure level" in done.stdout
+    hopeless = analyze("security", "--offline=true", "--threshold=1", unit)
+    assert hopeless.returncode != 0, "the threshold is not obeyed here: the test proves nothing"
+
+
+def test_systemd_finds_no_mistake(installed):
+    done = analyze("verify", str(installed / "imucald@can0.service"))
+    assert (done.returncode, done.stderr) == (0, "")
+    unit = installed / "imucald@can0.service"
+    unit.write_text(unit.read_text().replace("WatchdogSec", "WatchdogSecs"))
+    assert "WatchdogSecs" in analyze("verify", str(unit)).stderr
+
+
+def test_all_that_is_named_is_installed(installed):
+    prefix = installed.parents[2]
+    names = {str(path.relative_to(prefix)) for path in prefix.rglob("*") if path.is_file()}
+    assert names >= {
+        "lib/sysctl.d/60-imucald.conf",
+        "lib/udev/rules.d/70-imucald.rules",
+        "share/imucald/80-can0-classic.network.example",
+        "share/imucald/80-can0-fd.network.example",
+        "share/imucald/imucald_out.dbc",
+    }
+    start = "ExecStart=/bin/true run --config /etc/imucald/%i.yaml"
+    assert start in (installed / "imucald@.service").read_text()
