@@ -1,0 +1,101 @@
+"""What the server asks of the calibration it speaks for, and has done to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from imucald.mount.estimate import MountEstimate
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What does not change while the daemon runs.
+
+    configuration: 32 bytes that differ when the configuration does.
+    """
+
+    version: str
+    vehicle: str
+    configuration: bytes
+
+
+@dataclass(frozen=True)
+class Counts:
+    """What has happened since the start.
+
+    faults: rejected frames and samples by reason. conflicts: frames of others under our ids.
+    """
+
+    received: int = 0
+    used: int = 0
+    sent: int = 0
+    rejected: int = 0
+    lost: int = 0
+    conflicts: int = 0
+    faults: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Symptoms:
+    """What the trouble codes are made from; None where it cannot be told.
+
+    usable: a correction is in force. moved: the sensor seems to have been moved. missing: inputs
+    by name ("accelerometer", "gyroscope", "speed") that are configured: whether they are missing.
+    state_corrupt: a saved state was found and could not be used.
+    """
+
+    usable: bool
+    moved: bool
+    missing: Mapping[str, bool]
+    counts: Counts
+    state_corrupt: bool | None = None
+
+
+class Subject(Protocol):
+    """One calibration on one bus."""
+
+    @property
+    def identity(self) -> Identity:
+        """Who it is."""
+        ...
+
+    @property
+    def quality(self) -> int:
+        """Quality of the correction in force, as in the corrected frames."""
+        ...
+
+    @property
+    def standing(self) -> bool | None:
+        """Whether the vehicle stands; None where its speed is not known."""
+        ...
+
+    @property
+    def uptime(self) -> float:
+        """Seconds since the start."""
+        ...
+
+    def estimate(self) -> MountEstimate:
+        """The present state of knowledge about the mount."""
+        ...
+
+    def counts(self) -> Counts:
+        """What has happened since the start."""
+        ...
+
+    def begin_calibration(self) -> None:
+        """Begin anew; what was known is kept aside for `return_to_former`."""
+        ...
+
+    def return_to_former(self) -> None:
+        """Take back what was kept aside."""
+        ...
+
+    def accept_calibration(self) -> None:
+        """Let go of what was kept aside."""
+        ...
+
+    def forget(self) -> None:
+        """Begin anew and keep nothing, a saved state neither."""
+        ...

@@ -1,0 +1,59 @@
+"""The trouble codes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+NOT_CALIBRATED_S: Final = 1200.0
+"""A calibration takes minutes of driving; without one for so long the code is confirmed [s]."""
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """One trouble code.
+
+    number: three bytes, the last is the kind of failure (SAE J2012-DA). confirm_after: seconds
+    of failing until it is confirmed.
+    """
+
+    number: int
+    name: str
+    meaning: str
+    confirm_after: float = 0.0
+
+    @property
+    def display(self) -> str:
+        """The code as a tester shows it, such as "C1A10-54"."""
+        kind = "PCBU"[self.number >> 22]
+        return f"{kind}{self.number >> 8 & 0x3FFF:04X}-{self.number & 0xFF:02X}"
+
+
+NOT_CALIBRATED = Trouble(0x5A1054, "not_calibrated", "no correction is in force", NOT_CALIBRATED_S)
+SENSOR_MOVED = Trouble(0x5A1176, "sensor_moved", "the sensor seems to have been moved")
+ACCELEROMETER_MISSING = Trouble(0x5A1287, "accelerometer_missing", "no good sample for a second")
+GYROSCOPE_MISSING = Trouble(0x5A1387, "gyroscope_missing", "no good sample for a second")
+SPEED_MISSING = Trouble(0x5A1487, "speed_missing", "no good sample for a second")
+CHECKSUM_FAILING = Trouble(
+    0xDA1083, "checksum_failing", "three frames with a wrong checksum within ten seconds"
+)
+COUNTER_FAILING = Trouble(
+    0xDA1082,
+    "counter_failing",
+    "three frames with a repeated, reversed, jumping or invalid counter within ten seconds",
+)
+ID_CONFLICT = Trouble(0xDA1181, "id_conflict", "another node sends our identifiers")
+STATE_CORRUPT = Trouble(0x5A1546, "state_corrupt", "the saved state could not be used")
+
+TROUBLES: Final = (
+    NOT_CALIBRATED,
+    SENSOR_MOVED,
+    ACCELEROMETER_MISSING,
+    GYROSCOPE_MISSING,
+    SPEED_MISSING,
+    STATE_CORRUPT,
+    COUNTER_FAILING,
+    CHECKSUM_FAILING,
+    ID_CONFLICT,
+)
+"""All, in the order in which they are reported."""
