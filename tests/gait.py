@@ -107,8 +107,8 @@ def walk(
     rng = np.random.default_rng(seed)
     n = int(seconds * GRID_HZ)
     t = np.arange(n) / GRID_HZ
-    course = _course(rng, t, seconds, turns_deg)
     going = _smooth(((t > 4.0) & (t < seconds - 4.0)).astype(float), 1.0)
+    course = _course(rng, t, seconds, turns_deg, going)
     rate = (1.15 + 0.52 * speed) * (1.0 + 0.025 * _wander(rng, n, 1.5))
     stepping = going > 0.5
     phase = 2.0 * np.pi * np.cumsum(np.where(stepping, rate, 0.0)) / GRID_HZ
@@ -127,12 +127,14 @@ def walk(
     )  # fmt: skip
 
 
-def _course(rng: np.random.Generator, t: Array, seconds: float, turns: tuple[float, ...]) -> Array:
+def _course(
+    rng: np.random.Generator, t: Array, seconds: float, turns: tuple[float, ...], going: Array
+) -> Array:
     course = np.full(len(t), float(rng.uniform(0.0, 360.0)))
     for i, turn in enumerate(turns):
         at = 4.0 + (seconds - 8.0) * (i + 1) / (len(turns) + 1)
         course += np.where(t > at, turn, 0.0)
-    return np.radians(_smooth(course, 2.0) + 3.0 * _wander(rng, len(t), 4.0))
+    return np.radians(_smooth(course, 2.0) + 3.0 * going * _wander(rng, len(t), 4.0))
 
 
 def _trunk(

@@ -42,6 +42,8 @@ from imucald.samples import GRAVITY
 START_REST_STD = math.radians(2.0)
 START_MOVING_STD = math.radians(6.0)
 """Tilt error taken for granted at the start; the first intervals say it better."""
+LARGEST_ZERO_ERROR = 6.0
+"""In standard deviations: what turns faster than any zero error is not at rest."""
 MAX_KNOTS = 64
 LEAST_UP = 0.3 * GRAVITY
 """Less than this is not gravity: falling, or a broken sensor [m/s^2]."""
@@ -256,9 +258,11 @@ class AttitudeFilter:
 
     def _is_rest(self, first: Knot, last: Knot, found: Interval) -> bool:
         s = self.settings.filter
+        turn = math.dist(found.rate, self.constant_bias)
         quiet = (
             found.force_variance < s.rest_accel_spread**2
             and found.rate_variance < s.rest_gyro_spread**2
+            and turn < LARGEST_ZERO_ERROR * s.gyro_start
         )
         if math.isnan(found.speed):
             # without a speed only what is as still as a parked vehicle is taken for rest

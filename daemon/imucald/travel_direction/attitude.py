@@ -30,8 +30,8 @@ GAP_S = 0.5
 REST_S = 1.0
 REST_RATE = math.radians(2.0)
 """At rest no axis of the gyroscope moves by more within `REST_S` [rad/s]."""
-REST_RATE_MEAN = math.radians(5.0)
-"""A larger mean is no zero error [rad/s]."""
+REST_RATE_MEAN = math.radians(1.5)
+"""A larger mean is a slow turn, no zero error [rad/s]."""
 
 
 class TerminalAttitude:
@@ -55,7 +55,8 @@ class TerminalAttitude:
         self.north.restart()
         self._signal_yaw: float | None = None
         self._t_gyro = self._t_accel = self._t_signal = -math.inf
-        self._rate: Vector = (0.0, 0.0, 0.0)
+        self.rate: Vector = (0.0, 0.0, 0.0)
+        """Newest angular rate less the zero error, terminal axes [rad/s]."""
         self._age = self._signal_age = 0.0
         self._rest_begin()
 
@@ -70,11 +71,11 @@ class TerminalAttitude:
                 self.restart()
         elif dt > 0.0:
             k = 0.5 * dt
-            last = self._rate
+            last = self.rate
             v = (k * (rate[0] + last[0]), k * (rate[1] + last[1]), k * (rate[2] + last[2]))
             self.turned -= times(self.level, v)[2]
             self._set(rotated(self.q, *v))
-        self._t_gyro, self._rate = t, rate
+        self._t_gyro, self.rate = t, rate
 
     def accel(self, t: float, force: Vector) -> None:
         """Level by a specific force [m/s^2]."""

@@ -19,6 +19,8 @@ MAX_SAMPLES = 4096
 """Samples of one cycle that are kept at most."""
 GAP_S = 0.25
 """Samples further apart than this do not belong to one cycle [s]."""
+SOFT_SHARE = 0.4
+"""While walking, the threshold is this part of the vertical acceleration's rms, or lower."""
 LEAST_SAMPLES = 6
 """A sine needs so many samples."""
 
@@ -27,13 +29,15 @@ LEAST_SAMPLES = 6
 class Cycle:
     """One step: its time [s], and the acceleration (POINTS, 3) on equal parts of it [m/s^2].
 
-    Terminal axes; level: the same in the level frame that was handed in.
+    Terminal axes; level: the same in the level frame that was handed in; turning: (POINTS, 2)
+    angular rate about that frame's horizontal axes [rad/s].
     """
 
     t0: float
     t1: float
     accel: Array
     level: Array
+    turning: Array
 
     @property
     def duration(self) -> float:
@@ -59,6 +63,7 @@ class StepCycles:
         self._t = -math.inf
         self._g = (0.0, 0.0, 0.0)
         self._warm = 0.0
+        self._square = 0.0
         self._mean = 0.0
         self._slow = [0.0, 0.0]
         self._before = 0.0
@@ -68,11 +73,16 @@ class StepCycles:
         self._samples: list[tuple[float, ...]] = []
 
     def add(
-        self, t: float, accel: Vector, level: Vector = (0.0, 0.0, 0.0), up: float | None = None
+        self,
+        t: float,
+        accel: Vector,
+        level: Vector = (0.0, 0.0, 0.0),
+        turning: tuple[float, float] = (0.0, 0.0),
+        up: float | None = None,
     ) -> Cycle | None:
         """Take a sample [m/s^2] at t [s]; return the cycle that it ends, if any.
 
-        level: the same in a level frame, kept with the cycle. up: its part along the vertical,
+        level, turning: in a level frame, kept with the cycle. up: the part along the vertical,
         where an attitude is known; the low-passed acceleration is the vertical where none is.
         """
         dt = t - self._t
@@ -86,12 +96,13 @@ class StepCycles:
         self._t = t
         vertical = self._vertical(dt, accel, up)
         if len(self._samples) < MAX_SAMPLES:
-            self._samples.append((t, *accel, *level))
+            self._samples.append((t, *accel, *level, *turning))
         before, self._before = self._before, vertical
         s = self.settings
-        if vertical < -s.threshold:
+        threshold = self._threshold(dt, vertical)
+        if vertical < -threshold:
             self._armed = True
-        elif vertical > s.threshold:
+        elif vertical > threshold:
             self._high = True
         if not self._armed or not before < 0.0 <= vertical:
             if t - self._start > s.longest:
@@ -121,7 +132,15 @@ class StepCycles:
         columns = np.array(self._samples)
         grid = t0 + (t1 - t0) * (np.arange(POINTS) / POINTS)
         made = np.column_stack([np.interp(grid, columns[:, 0], c) for c in columns.T[1:]])
-        return Cycle(t0, t1, made[:, :3], made[:, 3:])
+        return Cycle(t0, t1, made[:, :3], made[:, 3:6], made[:, 6:])
+
+    def _threshold(self, dt: float, vertical: float) -> float:
+        """Lower while somebody walks softly: an arm that swings takes from every other step."""
+        top = self.settings.threshold
+        part = 1.0 - math.exp(-dt / self.settings.gravity_time)
+        self._square += part * (vertical * vertical - self._square)
+        rms = math.sqrt(self._square)
+        return top if rms < 0.8 * top else min(top, max(SOFT_SHARE * rms, 0.5 * top))
 
     def _vertical(self, dt: float, accel: Vector, up: float | None) -> float:
         """Vertical acceleration, low-passed twice [m/s^2]."""

@@ -129,7 +129,9 @@ class TravelDirection:
         self._heard = t
         self.attitude.accel(t, force)
         level = times(self.attitude.level, force)
-        cycle = self.cycles.add(t, force, level, level[2] if self._has_gyro else None)
+        x, y, _ = times(self.attitude.level, self.attitude.rate)
+        up = level[2] if self._has_gyro else None
+        cycle = self.cycles.add(t, force, level, (x, y), up)
         if cycle is None:
             return None
         self.last = self._step(cycle)

@@ -12,11 +12,16 @@ import cmath
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucald.attitude.axes import Vector
 from imucald.travel_direction.cycles import POINTS, Cycle
 from imucald.travel_direction.settings import ModernSettings
 
+Array = NDArray[np.complex128]
+
+SWING_POWER = 0.5
+"""Mean square of the angular rate from which on a terminal swings [(rad/s)^2]: a leg has 0.7."""
 TWO_PI = 2.0 * math.pi
 
 
@@ -37,6 +42,7 @@ class ModernDirection:
         self._power = 0.0
         self._turned = math.nan
         self._up: Vector | None = None
+        self._before: tuple[float, Array] | None = None
 
     def take(self, cycle: Cycle, turned: float, up_in_terminal: Vector) -> float | None:
         """Return the direction after this cycle [0, 2 pi); None: not known.
@@ -48,14 +54,15 @@ class ModernDirection:
         self._turned = turned
         turn = cmath.exp(1j * change)
         keep = math.exp(-1.0 / self.settings.memory_steps)
-        waves = cycle.level - cycle.level.mean(axis=0)
-        first = np.fft.fft(waves, axis=0)[1] / POINTS
-        east, north, up = (complex(c) for c in first)
+        east, north, up = self._swing(cycle)
         vertical = abs(up)
         if vertical == 0.0:
             return None
         power = abs(east) ** 2 + abs(north) ** 2
         axis = complex(abs(north) ** 2 - abs(east) ** 2, 2.0 * (north * east.conjugate()).real)
+        swung, swing_axis = self._pendulum(cycle)
+        power += swung
+        axis -= swing_axis  # legs and arms swing about an axis across the direction of travel
         # the part that leads the vertical by so much, signed
         lead = up.conjugate() / vertical * cmath.exp(-1j * self.settings.lead)
         sign = complex((north * lead).real, (east * lead).real)
@@ -68,6 +75,31 @@ class ModernDirection:
         if math.cos(angle - cmath.phase(self._sign)) < 0.0:
             angle += math.pi
         return angle % TWO_PI
+
+    def _swing(self, cycle: Cycle) -> tuple[complex, complex, complex]:
+        """Amplitudes at the step's frequency, in x, y, up.
+
+        Mean of this step and the one before it: sway at half the frequency leaks into both with
+        opposite signs, one being the left foot's and the other the right one's.
+        """
+        first = np.fft.fft(cycle.level, axis=0)[1] / POINTS
+        before, self._before = self._before, (cycle.t1, first)
+        if before is not None and abs(cycle.t0 - before[0]) < 0.1 * cycle.duration:
+            first = 0.5 * (first + before[1])
+        east, north, up = (complex(c) for c in first)
+        return east, north, up
+
+    @staticmethod
+    def _pendulum(cycle: Cycle) -> tuple[float, complex]:
+        """Power of turns about horizontal axes, and the same with their doubled angle.
+
+        It counts from the swing of a leg or an arm on; a terminal held still only trembles.
+        """
+        x, y = cycle.turning[:, 0], cycle.turning[:, 1]
+        xx, yy, xy = (float(np.mean(c)) for c in (x * x, y * y, x * y))
+        power = xx + yy
+        part = power / (power + SWING_POWER)
+        return part * power, part * complex(yy - xx, 2.0 * xy)
 
     @property
     def trust(self) -> float:

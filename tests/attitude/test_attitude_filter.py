@@ -1,0 +1,322 @@
+"""Methods B and C together on motions whose attitude is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from imucald.attitude.compensated import CompensatedAttitude
+from imucald.attitude.estimate import AttitudeState
+from imucald.attitude.filter import AttitudeFilter
+from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
+from imucald.frames import rotation_from_angles
+
+G = 9.80665
+RATE = 50.0
+DEG = math.pi / 180.0
+
+
+def settings(compensation=None, **of_filter) -> AttitudeSettings:
+    return AttitudeSettings(
+        CompensationSettings(**(compensation or {})), FilterSettings(**of_filter)
+    )
+
+
+class Motion:
+    """A vehicle as a rigid body: R_earth_from_vehicle and speed as functions of time.
+
+    Samples by numbers: rate from successive attitudes, force from successive velocities along the
+    vehicle's x axis, all in vehicle axes (x forward, y left, z up; earth north, west, up).
+    """
+
+    def __init__(self, attitude, speed, seconds, seed=0):
+        self.t = np.arange(0.0, seconds, 1.0 / RATE)
+        h = 1e-4
+        R, ahead = attitude(self.t), attitude(self.t + h)
+        self.R = R
+        turn = (R.inv() * ahead).as_rotvec() / h
+        forward = [1.0, 0.0, 0.0]
+        v0 = R.apply(forward) * speed(self.t)[:, None]
+        v1 = ahead.apply(forward) * speed(self.t + h)[:, None]
+        force = R.inv().apply((v1 - v0) / h + [0.0, 0.0, G])
+        rng = np.random.default_rng(seed)
+        self.gyro = turn + rng.normal(0.0, 0.0005, turn.shape)
+        self.accel = force + rng.normal(0.0, 0.03, force.shape)
+        self.v = speed(self.t)
+
+    def feed(self, attitude, gyro_bias=(0.0, 0.0, 0.0), speed_every=5, until=None, extra=None):
+        """Give all samples; returns the estimates at each."""
+        found = []
+        gyro = self.gyro + np.array(gyro_bias)
+        for i, t in enumerate(self.t.tolist()):
+            if until is not None and t > until:
+                break
+            if speed_every and i % speed_every == 0:
+                attitude.reverse(self.v[i] < 0.0)
+                attitude.speed(t, abs(float(self.v[i])))
+            attitude.gyro(t, gyro[i].tolist())
+            if extra is not None:
+                extra(attitude, i, t)
+            attitude.accel(t, self.accel[i].tolist())
+            found.append(attitude.estimate(t) if attitude.running else None)
+        return found
+
+    def angles(self, i):
+        R = self.R[i].as_matrix()
+        return math.atan2(R[2, 1], R[2, 2]), -math.asin(R[2, 0])
+
+
+def lying(roll=0.0, pitch=0.0, yaw=0.0):
+    def attitude(t):
+        return Rotation.from_euler("ZYX", np.tile([yaw, pitch, roll], (len(t), 1)))
+
+    return attitude
+
+
+def standing(t):
+    return np.zeros(len(t))
+
+
+def hilly(t):
+    """Bends both ways, grades and banks, after ten seconds without a turn."""
+    t = np.clip(t - 12.0, 0.0, None)
+    t = t * t / (t + 4.0)
+    yaw = 0.8 * np.sin(0.11 * t) + 0.02 * t
+    pitch = 0.06 * np.sin(0.05 * t)
+    roll = 0.04 * np.sin(0.07 * t + 1.0)
+    return Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll]))
+
+
+def driving(t):
+    """Standing for ten seconds, then between 5 and 17 m/s."""
+    moving = np.clip(t - 10.0, 0.0, None)
+    return np.where(t < 10.0, 0.0, 11.0 - 11.0 * np.exp(-moving / 4.0) + 6.0 * np.sin(0.2 * moving)
+                    * (1.0 - np.exp(-moving / 10.0)))  # fmt: skip
+
+
+def test_it_starts_after_five_seconds_of_rest():
+    motion = Motion(lying(0.05, -0.08), standing, 8.0)
+    attitude = AttitudeFilter(settings())
+    found = motion.feed(attitude)
+    began = next(i for i, e in enumerate(found) if e is not None)
+    assert 5.0 <= motion.t[began] < 6.3
+    e = found[-1]
+    assert e.state is AttitudeState.RELATIVE_HEADING
+    assert (e.roll, e.pitch) == pytest.approx((0.05, -0.08), abs=0.1 * DEG)
+    assert math.remainder(e.heading, 2.0 * math.pi) == pytest.approx(0.0, abs=0.1 * DEG)
+
+
+def test_it_starts_in_motion_too():
+    motion = Motion(hilly, lambda t: driving(t + 20.0), 30.0)
+    found = motion.feed(AttitudeFilter(settings()))
+    assert found[-1] is not None
+    assert (found[-1].roll, found[-1].pitch) == pytest.approx(motion.angles(-1), abs=0.5 * DEG)
+
+
+def test_driving_is_followed_within_its_own_deviation():
+    motion = Motion(hilly, driving, 240.0)
+    bias = (0.3 * DEG, -0.4 * DEG, 0.5 * DEG)
+    found = motion.feed(AttitudeFilter(settings()), bias)
+    errors, stds = [], []
+    for i in range(int(30 * RATE), len(found), 25):
+        roll, pitch = motion.angles(i)
+        errors.append((found[i].roll - roll, found[i].pitch - pitch))
+        stds.append(found[i].std[:2])
+    errors, stds = np.array(errors), np.array(stds)
+    assert np.sqrt((errors**2).mean(axis=0)).max() < 0.1 * DEG
+    assert np.mean(np.abs(errors) < 1.96 * stds) > 0.9
+    assert found[-1].bias == pytest.approx(bias, abs=0.02 * DEG)
+    assert found[-1].rate == pytest.approx(motion.gyro[-1], abs=0.02 * DEG)
+
+
+def test_grade_is_that_of_the_road():
+    motion = Motion(lying(pitch=-math.atan(0.08)), driving, 60.0)
+    e = motion.feed(AttitudeFilter(settings()))[-1]
+    assert e.grade == pytest.approx(0.08, abs=0.004)
+    assert e.grade_std > 0.0
+
+
+def test_reversing_is_the_other_way_round():
+    speed = lambda t: -0.4 * np.clip(t - 10.0, 0.0, 8.0)  # noqa: E731
+    e = Motion(lying(pitch=0.05), speed, 17.0).feed(AttitudeFilter(settings()))[-1]
+    assert e.pitch == pytest.approx(0.05, abs=0.3 * DEG)
+
+
+def test_a_late_slow_speed_does_no_harm():
+    """Once a second and 0.4 s late: the interval is moved, the attitude goes on by gyroscope."""
+    motion = Motion(hilly, driving, 120.0)
+    late = Motion(hilly, lambda t: driving(t - 0.4), 120.0)
+    motion.v = late.v
+    attitude = AttitudeFilter(settings({"delay": 0.4}))
+    found = motion.feed(attitude, speed_every=50)
+    errors = [np.subtract((found[i].roll, found[i].pitch), motion.angles(i))
+              for i in range(2000, len(found), 50)]  # fmt: skip
+    assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 0.15 * DEG
+
+
+def test_a_lever_arm_is_allowed_for():
+    arm = np.array([1.5, 0.3, 0.4])
+    motion = Motion(hilly, driving, 90.0)
+    h = 1e-4
+    R0, R1 = hilly(motion.t), hilly(motion.t + h)
+    R2 = hilly(motion.t + 2 * h)
+    swing = (R2.apply(arm) - 2 * R1.apply(arm) + R0.apply(arm)) / h**2
+    motion.accel = motion.accel + R0.inv().apply(swing)
+    with_arm = AttitudeFilter(settings({"lever_arm": tuple(arm)}))
+    found = motion.feed(with_arm)
+    errors = [np.subtract((found[i].roll, found[i].pitch), motion.angles(i))
+              for i in range(1500, len(found), 50)]  # fmt: skip
+    assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 0.1 * DEG
+
+
+def test_speed_over_the_map_is_turned_along_the_slope():
+    slope = 0.2
+    along = lambda t: np.clip(t - 10.0, 0.0, 12.0) * 3.0  # noqa: E731
+    motion = Motion(lying(pitch=-slope), along, 21.0)
+    motion.v = motion.v * math.cos(slope)
+    errors = {}
+    for kind in ("horizontal", "along_road"):
+        e = motion.feed(AttitudeFilter(settings({"speed_is": kind})))[-1]
+        errors[kind] = abs(e.pitch + slope)
+    assert errors["horizontal"] < 0.1 * DEG
+    assert errors["along_road"] > errors["horizontal"]
+
+
+def test_a_turntable_is_no_zero_error():
+    """Speed says zero, the vehicle turns by 6 deg/s (a ferry, a lift, a dead band)."""
+    motion = Motion(lambda t: Rotation.from_euler("Z", 0.1 * t[:, None]), standing, 50.0)
+    attitude = AttitudeFilter(settings())
+    e = motion.feed(attitude)[-1]
+    assert not attitude.checked
+    assert e.bias == pytest.approx((0.0, 0.0, 0.0), abs=0.05 * DEG)
+
+
+def test_without_speed_the_noise_is_widened():
+    """A long bend: the force leans; without speed the filter hardly follows, and says so."""
+    yaw = lambda t: 0.25 * np.clip(t - 20.0, 0.0, None)  # noqa: E731
+
+    def bend(t):
+        return Rotation.from_euler("Z", yaw(t)[:, None])
+
+    motion = Motion(bend, lambda t: np.full(len(t), 12.0), 50.0)
+    motion.v = np.where(motion.t < 20.0, 12.0, np.nan)
+    attitude = AttitudeFilter(settings({"timeout": 1.5}))
+
+    for i, t in enumerate(motion.t.tolist()):
+        if i % 5 == 0 and t < 20.0:
+            attitude.speed(t, 12.0)
+        attitude.gyro(t, motion.gyro[i].tolist())
+        attitude.accel(t, motion.accel[i].tolist())
+    e = attitude.estimate()
+    assert math.isnan(attitude.last_interval.speed)
+    leaning = math.atan2(12.0 * 0.25, G)  # 17 deg: what the accelerometer says
+    assert abs(e.roll) < 0.1 * leaning
+    assert abs(e.roll) < 3.0 * e.std[0] + 0.3 * DEG
+
+
+def test_the_sensor_check_is_made_once_after_thirty_seconds():
+    motion = Motion(lying(0.02, 0.01), standing, 60.0)
+    motion.accel = motion.accel * (1.0 + 0.15 / G)
+    attitude = AttitudeFilter(settings())
+    motion.feed(attitude, (0.01, -0.02, 0.03), until=29.0)
+    assert not attitude.checked
+    attitude = AttitudeFilter(settings())
+    motion.feed(attitude, (0.01, -0.02, 0.03))
+    assert attitude.checked
+    right, forward, up = attitude.constant_bias
+    assert (forward, -right, up) == pytest.approx((0.01, -0.02, 0.03), abs=2e-4)
+    size = math.hypot(*attitude.constant_accel_error)
+    assert size == pytest.approx(0.15, abs=0.01)
+    attitude.check_again()
+    assert not attitude.checked
+
+
+def test_a_check_on_level_ground_takes_the_whole_mean():
+    motion = Motion(lying(0.02, 0.0), standing, 45.0)
+    attitude = AttitudeFilter(settings(check_level=True))
+    motion.feed(attitude)
+    right, forward, _ = attitude.constant_accel_error
+    assert (-right, forward) == pytest.approx((G * math.sin(0.02), 0.0), abs=0.01)
+
+
+def test_heading_follows_a_signal():
+    motion = Motion(lying(), standing, 20.0)
+
+    def heading(attitude, i, t):
+        if i % 10 == 0:
+            attitude.heading(t, 2.0 + 0.02 * math.sin(i))
+
+    e = motion.feed(AttitudeFilter(settings(heading="signal")), extra=heading)[-1]
+    assert e.state is AttitudeState.FULL
+    assert e.heading == pytest.approx(2.0, abs=1.0 * DEG)
+    assert e.std[2] < 2.0 * DEG
+
+
+def test_heading_follows_the_magnetometer_on_a_slope():
+    yaw = -math.radians(70.0)  # 70 deg clockwise from north
+    motion = Motion(lying(0.1, -0.15, yaw), standing, 25.0)
+    field = motion.R[0].inv().apply([20e-6, 0.0, -45e-6])  # north, west, up
+    declination = math.radians(3.0)
+
+    def mag(attitude, i, t):
+        attitude.mag(t, field.tolist())
+
+    use = settings(heading="magnetometer", declination=declination)
+    e = motion.feed(AttitudeFilter(use), extra=mag)[-1]
+    assert e.heading == pytest.approx(math.radians(73.0), abs=0.5 * DEG)
+
+
+def test_a_better_mount_turns_the_vehicle_not_the_sensor():
+    motion = Motion(lying(0.05, -0.08), standing, 20.0)
+    old = rotation_from_angles(0.0, 0.0, 0.0)
+    new = rotation_from_angles(0.03, -0.02, 0.4)
+    attitude = AttitudeFilter(settings())
+    motion.feed(attitude, (0.01, 0.0, 0.0))
+    before = attitude.kalman.P.copy()
+    attitude.turned(old.ravel().tolist(), new.ravel().tolist())
+    e = attitude.estimate()
+    R = motion.R[0].as_matrix() @ old @ new.T  # of the new vehicle axes
+    expected = math.atan2(R[2, 1], R[2, 2]), -math.asin(R[2, 0])
+    assert (e.roll, e.pitch) == pytest.approx(expected, abs=0.1 * DEG)
+    assert e.bias == pytest.approx(new @ old.T @ [0.01, 0.0, 0.0], abs=0.01 * DEG)
+    assert np.trace(attitude.kalman.P) == pytest.approx(np.trace(before))
+
+
+def test_silence_is_not_available_and_a_gap_starts_anew():
+    motion = Motion(lying(), standing, 10.0)
+    attitude = AttitudeFilter(settings())
+    motion.feed(attitude)
+    assert attitude.estimate(10.5).state is AttitudeState.RELATIVE_HEADING
+    assert attitude.estimate(11.5).state is AttitudeState.NOT_AVAILABLE
+    attitude.reset()
+    assert not attitude.running
+
+
+def test_no_gravity_is_not_levelled_by():
+    attitude = AttitudeFilter(settings())
+    for k in range(600):
+        t = k / RATE
+        attitude.speed(t, 0.0)
+        attitude.gyro(t, (0.0, 0.0, 0.0))
+        attitude.accel(t, (0.0, 0.0, 0.0))
+    assert not attitude.running
+
+
+def test_method_b_alone_has_the_same_verbs():
+    motion = Motion(lying(0.03, -0.05), driving, 60.0)
+    found = motion.feed(CompensatedAttitude(settings()))
+    e = found[-1]
+    assert e.state is AttitudeState.UNFILTERED
+    assert (e.roll, e.pitch) == pytest.approx((0.03, -0.05), abs=1.5 * DEG)
+    assert math.isnan(e.heading)
+
+
+def test_method_b_alone_finds_the_zero_error_at_rest():
+    motion = Motion(lying(), standing, 40.0)
+    attitude = CompensatedAttitude(settings())
+    e = motion.feed(attitude, (0.01, -0.02, 0.03))[-1]
+    assert attitude.checked
+    assert e.bias == pytest.approx((0.01, -0.02, 0.03), abs=2e-4)
