@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,60 +54,73 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Replay, then say what came of it."""
     from imucald.bus.log import LogReader
+    from imucald.commands.files import STANDARD, write_text
     from imucald.commands.terminal import progress_bar
-    from imucald.errors import ConfigError
+    from imucald.errors import LogError
     from imucald.replay import Replay
     from imucald.session import make_engine, open_config
     from imucald.summary import as_json
 
-    if options.speed is not None and options.speed <= 0:
-        raise ConfigError("--speed must be positive")
+    _check(options)
     loaded = open_config(options.config, options.database)
     engine = make_engine(loaded)
-    with progress_bar("replay", options.quiet) as progress:
+    with progress_bar("replay", options.quiet) as progress, _sink(options, loaded) as sink:
         reader = LogReader(options.logs, engine.router.matches, options.strict, progress)
-        sink, close = _sink(options, loaded)
-        try:
-            result = Replay(engine, reader, sink, options.speed).run()
-        finally:
-            close()
+        result = Replay(engine, reader, sink, options.speed).run()
     for text in reader.problems:
         print(f"imucald: {text}", file=sys.stderr)
-    if options.json == "-":
-        sys.stdout.write(as_json(result))
-    elif options.json:
-        Path(options.json).write_text(as_json(result), encoding="utf-8")
-    if options.json != "-" and not options.quiet:
+    if options.json:
+        write_text(options.json, as_json(result))
+    if reader.frames_read == 0:
+        raise LogError(f"{', '.join(options.logs)}: holds no CAN frame")
+    if engine.router.used == 0:
+        text = "the log has no usable frame of this configuration; 'imucald check' tells more"
+        print(f"imucald: {text}", file=sys.stderr)
+    if STANDARD not in (options.json, options.out) and not options.quiet:
         from imucald.commands.terminal import print_summary
 
         print_summary(result)
     return 0
 
 
-def _sink(
-    options: argparse.Namespace, loaded: LoadedConfig
-) -> tuple[Sink | None, Callable[[], None]]:
-    """Where the frames go: a file, a bus, both, or nowhere; and how to close it."""
+def _check(options: argparse.Namespace) -> None:
+    """Raise ImucaldError for options that do not go together, before any work."""
+    from imucald.commands.files import check_files
+    from imucald.errors import ConfigError
+
+    if options.speed is None:
+        if options.interface or options.channel:
+            raise ConfigError("--interface and --channel need --speed (1 is real time)")
+    elif not (options.speed > 0 and math.isfinite(options.speed)):
+        raise ConfigError("--speed must be positive")
+    inputs = (options.config, *options.database, *options.logs)
+    check_files(inputs, (options.out, options.json))
+
+
+@contextmanager
+def _sink(options: argparse.Namespace, loaded: LoadedConfig) -> Iterator[Sink | None]:
+    """Where the frames go: a file, a bus, both, or nowhere (None)."""
     from contextlib import ExitStack
 
     from imucald.bus.log import CandumpWriter
+    from imucald.commands.files import told_when_cut
 
-    stack = ExitStack()
-    sinks: list[Sink] = []
-    if options.out:
-        sinks.append(stack.enter_context(CandumpWriter(options.out)).write_columns)
-    if options.speed is not None:
-        from imucald.service.live import open_link, send_columns
+    with ExitStack() as stack:
+        sinks: list[Sink] = []
+        if options.out:
+            writer = stack.enter_context(CandumpWriter(options.out))
+            stack.enter_context(told_when_cut(options.out))
+            sinks.append(writer.write_columns)
+        if options.speed is not None:
+            from imucald.service.live import open_link, send_columns
 
-        link = stack.enter_context(
-            open_link(loaded, [], frozenset(), options.interface, options.channel)
-        )
-        sinks.append(lambda frames: send_columns(link, frames))
-    if not sinks:
-        return None, stack.close
+            link = stack.enter_context(
+                open_link(loaded, [], frozenset(), options.interface, options.channel)
+            )
+            sinks.append(lambda frames: send_columns(link, frames))
 
-    def everywhere(frames: FrameColumns) -> None:
-        for sink in sinks:
-            sink(frames)
+        def everywhere(frames: FrameColumns) -> None:
+            for sink in sinks:
+                sink(frames)
 
-    return everywhere, stack.close
+        yield everywhere if sinks else None

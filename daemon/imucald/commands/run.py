@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 WRONG_CONFIGURATION = 78
@@ -47,12 +46,15 @@ def run(options: argparse.Namespace) -> int:
     import os
     import signal
 
+    from imucald.commands.files import check_files, write_text
     from imucald.errors import ConfigError
     from imucald.service.journal import ERROR, Journal
     from imucald.service.service import Service, ServiceOptions
     from imucald.service.status import default_socket
     from imucald.summary import as_json
 
+    described = [path for path in (options.config, *options.database) if path.exists()]
+    check_files(described, (options.json,))  # a missing one has its own exit status below
     journal = Journal()
     folder = options.state_dir or os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     settings = ServiceOptions(
@@ -78,9 +80,7 @@ def run(options: argparse.Namespace) -> int:
     finally:
         service.close()
     result = service.result()
-    if options.json == "-":
-        sys.stdout.write(as_json(result))
-    elif options.json:
-        Path(options.json).write_text(as_json(result), encoding="utf-8")
+    if options.json:
+        write_text(options.json, as_json(result))
     journal.say(f"stopped; state {result['state']}, {service.engine.sent} frames given out")
     return 0

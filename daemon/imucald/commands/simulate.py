@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from imucald.errors import ConfigError, ImucaldError
+from imucald.errors import ConfigError
 
 if TYPE_CHECKING:
     from imucald.simulation.bus_frames import BusEncoder
@@ -90,6 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, write log, truth and perhaps the model; say what was written."""
+    from imucald.commands.files import check_files, write_text
     from imucald.config import load_config
     from imucald.simulation.bus_frames import BusEncoder, example_config
     from imucald.simulation.drive import simulate
@@ -102,13 +103,15 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("--interface and --channel belong together")
     if not 0.0 < options.speed < 1e6:
         raise ConfigError("--speed must be positive")
+    inputs = [name for name in (options.config, options.model) if name]
+    check_files(inputs, (options.out, _truth_beside(options.out), options.write_model))
     model = chosen_model(options)
     encoder = BusEncoder(load_config(options.config) if options.config else example_config())
     drive = simulate(model, options.seed, options.minutes)
     if options.out is not None:
         _write_log(options, drive, encoder)
     if options.write_model:
-        _write(options.write_model, model.to_yaml())
+        write_text(options.write_model, model.to_yaml())
     for name in encoder.left_out:
         print(f"not written, as it comes by an expression: {name}", file=sys.stderr)
     if options.interface is not None:
@@ -117,16 +120,21 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write_log(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
+    from imucald.commands.files import told_when_cut, write_text
     from imucald.commands.terminal import countdown
     from imucald.simulation.can_log import write_log
 
-    with countdown("writing", drive.duration_s) as progress:
+    with countdown("writing", drive.duration_s) as progress, told_when_cut(options.out):
         frames = write_log(drive, options.out, encoder, options.background, progress)
-    if str(options.out) == "-":
+    truth = _truth_beside(options.out)
+    if truth is None:
         return
-    truth = options.out.parent / "truth.json"
-    _write(truth, json.dumps(drive.summary(), indent=2) + "\n")
+    write_text(truth, json.dumps(drive.summary(), indent=2) + "\n")
     print(_report(options.out, truth, drive, frames))
+
+
+def _truth_beside(log: Path | None) -> Path | None:
+    return None if log is None or str(log) == "-" else log.parent / "truth.json"
 
 
 def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
@@ -188,13 +196,6 @@ def _change(text: str) -> tuple[str, Any]:
     if not equals:
         raise ConfigError(f"--set {text!r}: the form is KEY=VALUE")
     return key.strip(), read_yaml(value, f"--set {key}")[0]
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ImucaldError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def _report(log: Path, truth: Path, drive: Drive, frames: int) -> str:

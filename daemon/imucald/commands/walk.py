@@ -49,12 +49,14 @@ def run(options: argparse.Namespace) -> int:
     """Read the log, step by step."""
     from imucald.bus.log import LogReader
     from imucald.bus.wiring import compile_router
+    from imucald.commands.files import STANDARD, check_files, write_text
     from imucald.commands.terminal import progress_bar
     from imucald.companions import travel_settings
     from imucald.session import open_config
     from imucald.summary import as_json
     from imucald.travel_direction.direction import TravelDirection
 
+    check_files((options.config, *options.database, *options.logs), (options.json,))
     loaded = open_config(options.config, options.database)
     _need_compass(loaded)
     router = compile_router(loaded)
@@ -65,11 +67,9 @@ def run(options: argparse.Namespace) -> int:
     for text in reader.problems:
         print(f"imucald: {text}", file=sys.stderr)
     result = _result(steps, travel, reader, router)
-    if options.json == "-":
-        sys.stdout.write(as_json(result))
-    elif options.json:
-        Path(options.json).write_text(as_json(result), encoding="utf-8")
-    if options.json != "-" and not options.quiet:
+    if options.json:
+        write_text(options.json, as_json(result))
+    if options.json != STANDARD and not options.quiet:
         _table(steps, result)
     return 0
 

@@ -1,0 +1,78 @@
+"""The files that commands read and write: mistakes are told before the work, not after it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from imucald.errors import ImucaldError, LogError
+
+STANDARD = "-"
+"""Stands for standard input or output."""
+
+Name = Path | str
+
+
+def check_files(inputs: Iterable[Name], outputs: Sequence[Name | None]) -> None:
+    """Raise ImucaldError where an input is missing, or an output cannot be or would destroy one.
+
+    Nothing is opened: an input may be a pipe, and an output keeps its content if a later step
+    fails.
+    """
+    read = [Path(name) for name in inputs if str(name) != STANDARD]
+    for path in read:
+        try:
+            path.stat()
+        except OSError as error:
+            raise LogError(f"{path}: cannot be opened: {error.strerror or error}") from None
+    wanted = [str(name) for name in outputs if name is not None]
+    if wanted.count(STANDARD) > 1:
+        raise ImucaldError("standard output can be asked for once only")
+    written: list[Path] = []
+    for path in (Path(name) for name in wanted if name != STANDARD):
+        _check_output(path)
+        for other in (*read, *written):
+            if path.resolve() == other.resolve() or (path.exists() and _same(path, other)):
+                raise ImucaldError(f"{path}: would overwrite {other}; choose another name")
+        written.append(path)
+
+
+def _same(path: Path, other: Path) -> bool:
+    return other.exists() and path.is_file() and path.samefile(other)
+
+
+def _check_output(path: Path) -> None:
+    reason = ""
+    if path.is_dir():
+        reason = "Is a directory"
+    elif not path.parent.is_dir():
+        reason = f"no directory {path.parent}"
+    elif not os.access(path if path.exists() else path.parent, os.W_OK):
+        reason = "Permission denied"
+    if reason:
+        raise ImucaldError(f"{path}: cannot be written: {reason}")
+
+
+def write_text(name: Name, text: str) -> None:
+    """Write UTF-8 text to a file ('-': standard output). Raises ImucaldError where it cannot."""
+    if str(name) == STANDARD:
+        sys.stdout.write(text)
+        return
+    try:
+        Path(name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ImucaldError(f"{name}: cannot be written: {error.strerror or error}") from None
+
+
+@contextmanager
+def told_when_cut(name: Name) -> Iterator[None]:
+    """Say on stderr that a file is not complete, when the body ends by an error or Ctrl-C."""
+    try:
+        yield
+    except BaseException:
+        if str(name) != STANDARD:
+            print(f"imucald: {name} is not complete", file=sys.stderr)
+        raise
