@@ -26,12 +26,12 @@ from imucald.attitude.axes import (
     transposed_times,
     vehicle_angles,
     vehicle_from_text,
-    wrapped,
 )
 from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.grade import RoadGrade
 from imucald.attitude.interval import Interval, Knot, along_body, interval
-from imucald.attitude.kalman import STATES, Measurement, NineStateFilter
+from imucald.attitude.kalman import NineStateFilter
+from imucald.attitude.measurements import LEAST_UP, heading_difference, rest_rates, tilt
 from imucald.attitude.motion_compensation import AverageSpeed, SpeedAverager
 from imucald.attitude.propagation import Propagator
 from imucald.attitude.sensor_check import rest_errors
@@ -45,8 +45,6 @@ START_MOVING_STD = math.radians(6.0)
 LARGEST_ZERO_ERROR = 6.0
 """In standard deviations: what turns faster than any zero error is not at rest."""
 MAX_KNOTS = 64
-LEAST_UP = 0.3 * GRAVITY
-"""Less than this is not gravity: falling, or a broken sensor [m/s^2]."""
 
 
 class AttitudeFilter:
@@ -299,62 +297,20 @@ class AttitudeFilter:
         self._predicted = found.t1
         C = self._C()
         self.kalman.predict(C, dt, found.angle)
-        measurements = self._tilt(found, C)
+        gravity = times(rows(self._correction), found.up)
+        lag = max(self._propagator.t - 0.5 * (found.t0 + found.t1), 0.0)
+        measurements = tilt(found, gravity, C, self.kalman.accel_error, lag)
         if resting and self.settings.filter.rest_update:
-            measurements += self._rates(found)
+            p, b = self.constant_bias, self.kalman.bias
+            bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
+            measurements += rest_rates(found, bias, self.settings.filter.gyro_noise)
         self._apply(self.kalman.update(measurements))
         self._grade.take(found, -vehicle_angles(self._C())[1])
 
-    def _tilt(self, found: Interval, C: Rows) -> list[Measurement]:
-        """z of the text: pitch and roll of the propagated matrix less those of the accelerometer.
-
-        Written about the level axes right and forward of the vehicle, where it has no singular
-        place; for small errors it equals the difference of the angles.
-        """
-        d = times(C, self.kalman.accel_error)
-        m = times(rows(self._correction), found.up)
-        east, north, up = m[0] - d[0], m[1] - d[1], m[2] - d[2]
-        if math.sqrt(east * east + north * north + up * up) < LEAST_UP:
-            return []
-        heading = vehicle_angles(C)[2]
-        s, c = math.sin(heading), math.cos(heading)
-        right, forward = (c, -s, 0.0), (s, c, 0.0)
-        lag = max(self._propagator.t - 0.5 * (found.t0 + found.t1), 0.0)
-        in_body = {axis: transposed_times(C, axis) for axis in (right, forward)}
-        h_pitch, h_roll = np.zeros(STATES), np.zeros(STATES)
-        for h, axis, other, sign in (
-            (h_pitch, right, forward, -1.0),
-            (h_roll, forward, right, 1.0),
-        ):
-            h[0:3] = [-a for a in axis]
-            h[3:6] = [-lag * a for a in in_body[axis]]
-            h[6:9] = [sign * a / GRAVITY for a in in_body[other]]
-        z_pitch = -math.atan2(forward[0] * east + forward[1] * north, up)
-        z_roll = math.atan2(right[0] * east + right[1] * north, up)
-        return [
-            (h_pitch, z_pitch, (found.sigma_forward / GRAVITY) ** 2, True),
-            (h_roll, z_roll, (found.sigma_lateral / GRAVITY) ** 2, True),
-        ]
-
-    def _rates(self, found: Interval) -> list[Measurement]:
-        """At rest the gyroscope reads its own error."""
-        s = self.settings.filter
-        variance = s.gyro_noise**2 / found.duration + found.rate_variance / (3.0 * found.n)
-        measurements: list[Measurement] = []
-        for i in range(3):
-            h = np.zeros(STATES)
-            h[3 + i] = 1.0
-            z = found.rate[i] - self.constant_bias[i] - self.kalman.bias[i]
-            measurements.append((h, z, variance + REST_RATE_STD**2, True))
-        return measurements
-
     def _take_heading(self, heading: float, noise: float) -> None:
-        C = self._C()
-        z = wrapped(heading - vehicle_angles(C)[2])  # the text's angle is the other way round
-        h = np.zeros(STATES)
-        h[2] = -1.0
-        known = self._heading_std() < 1.0
-        self._apply(self.kalman.update([(h, z, noise * noise, known)]))
+        is_known = self._heading_std() < 1.0
+        measurement = heading_difference(heading, self._C(), noise, is_known)
+        self._apply(self.kalman.update([measurement]))
 
     def _apply(self, error: Vector) -> None:
         self._correction = product(from_vector(*error), self._correction)
@@ -378,8 +334,6 @@ SETTLED_STD = math.radians(1.5)
 """Tilt is published as settled below this [rad]."""
 HEADING_KNOWN_STD = math.radians(20.0)
 """A heading less sure than this is not called a heading [rad]."""
-REST_RATE_STD = math.radians(0.003)
-"""What a standing vehicle still turns, people getting in [rad/s]."""
 
 
 def _times(D: np.ndarray[tuple[int, ...], np.dtype[np.float64]], v: Vector) -> Vector:

@@ -1,0 +1,80 @@
+"""The measurements z of method C and how the nine states show in them.
+
+z is the attitude of the propagated matrix less that of the accelerometer (pitch, roll) and of the
+heading input; a gyroscope at rest is a further one, beyond the text.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imucald.attitude.axes import (
+    Rows,
+    Vector,
+    times,
+    transposed_times,
+    vehicle_angles,
+    wrapped,
+)
+from imucald.attitude.interval import Interval
+from imucald.attitude.kalman import STATES, Measurement
+from imucald.samples import GRAVITY
+
+LEAST_UP = 0.3 * GRAVITY
+"""Less than this is not gravity: falling, or a broken sensor [m/s^2]."""
+REST_RATE_STD = math.radians(0.003)
+"""What a standing vehicle still turns, people getting in [rad/s]."""
+
+
+def tilt(
+    interval: Interval, gravity: Vector, C: Rows, accel_error: Vector, lag: float
+) -> list[Measurement]:
+    """Pitch and roll of the propagated matrix less those of the accelerometer; noise by `interval`.
+
+    gravity: what the interval left of the specific force, by the propagated matrix in east, north,
+    up [m/s^2]; were the matrix right, it would point up. The differences are written about the level
+    axes right and forward of the vehicle, where they have no singular place; for small errors
+    they are the differences of the angles. C: C_nav_from_body now; accel_error: in body axes; lag:
+    age of the interval's middle [s], in which the gyroscope's error turned the attitude on.
+    """
+    d = times(C, accel_error)
+    east, north, up = gravity[0] - d[0], gravity[1] - d[1], gravity[2] - d[2]
+    if math.sqrt(east * east + north * north + up * up) < LEAST_UP:
+        return []
+    heading = vehicle_angles(C)[2]
+    s, c = math.sin(heading), math.cos(heading)
+    right, forward = (c, -s, 0.0), (s, c, 0.0)
+    h_pitch, h_roll = np.zeros(STATES), np.zeros(STATES)
+    for h, axis, other, sign in ((h_pitch, right, forward, -1.0), (h_roll, forward, right, 1.0)):
+        h[0:3] = [-a for a in axis]
+        h[3:6] = [-lag * a for a in transposed_times(C, axis)]
+        h[6:9] = [sign * a / GRAVITY for a in transposed_times(C, other)]
+    z_pitch = -math.atan2(forward[0] * east + forward[1] * north, up)
+    z_roll = math.atan2(right[0] * east + right[1] * north, up)
+    return [
+        (h_pitch, z_pitch, (interval.sigma_forward / GRAVITY) ** 2, True),
+        (h_roll, z_roll, (interval.sigma_lateral / GRAVITY) ** 2, True),
+    ]
+
+
+def rest_rates(interval: Interval, bias: Vector, noise: float) -> list[Measurement]:
+    """At rest the gyroscope reads its own error; bias: known part [rad/s]; noise: its density."""
+    variance = noise * noise / interval.duration + interval.rate_variance / (3.0 * interval.n)
+    measurements: list[Measurement] = []
+    for i in range(3):
+        h = np.zeros(STATES)
+        h[3 + i] = 1.0
+        measurements.append((h, interval.rate[i] - bias[i], variance + REST_RATE_STD**2, True))
+    return measurements
+
+
+def heading_difference(heading: float, C: Rows, noise: float, is_known: bool) -> Measurement:
+    """A heading input [rad] against the propagated matrix; gated once a heading is known.
+
+    The text's angle is counter-clockwise, a heading clockwise: hence the order.
+    """
+    h = np.zeros(STATES)
+    h[2] = -1.0
+    return h, wrapped(heading - vehicle_angles(C)[2]), noise * noise, is_known

@@ -1,0 +1,99 @@
+"""z and H of the nine-state filter: the text's differences, and derivatives taken by numbers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from imucald.attitude.axes import rows, text_rotation, vehicle_angles
+from imucald.attitude.interval import Interval
+from imucald.attitude.measurements import heading_difference, rest_rates, tilt
+
+G = 9.80665
+SMALL = st.floats(-0.003, 0.003)
+ANGLES = st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(0.0, 6.28))
+
+
+def interval(**changes):
+    values = {
+        "up": (0.0, 0.0, G), "t0": 0.0, "t1": 1.0, "speed": 10.0, "forward_acceleration": 0.0,
+        "lateral_acceleration": 0.0, "force_variance": 0.0, "n": 50.0, "rate": (0.0, 0.0, 0.0),
+        "rate_variance": 0.0, "angle": 0.0, "sigma_forward": 0.1, "sigma_lateral": 0.2,
+    }  # fmt: skip
+    return Interval(**{**values, **changes})
+
+
+def matrix(q):
+    return np.array(rows(q)).reshape(3, 3)
+
+
+@given(ANGLES, st.tuples(SMALL, SMALL, SMALL))
+def test_z_is_propagated_less_accelerometer(angles, error):
+    """Pitch (nose up) and roll (right side down) as the text takes them, for small errors."""
+    roll, pitch, heading = angles
+    true = matrix(text_rotation(roll, pitch, heading))
+    estimated = Rotation.from_rotvec(error).as_matrix().T @ true
+    force = true.T @ [0.0, 0.0, G]  # in body axes: x right, y forward, z up
+    by_accel = (
+        math.atan2(force[1], math.hypot(force[0], force[2])), math.atan2(-force[0], force[2])
+    )  # fmt: skip
+    C = tuple(estimated.ravel().tolist())
+    mine = vehicle_angles(C)
+    (_, z_pitch, *_), (_, z_roll, *_) = tilt(
+        interval(), tuple(estimated @ force), C, (0.0, 0.0, 0.0), 0.0
+    )
+    assert z_pitch == pytest.approx(-mine[1] - by_accel[0], abs=1e-4)
+    # about the level forward axis: less than the Z-Y-X roll by the cosine of the pitch
+    assert z_roll == pytest.approx((mine[0] - by_accel[1]) * math.cos(pitch), abs=1e-4)
+
+
+@given(ANGLES, st.tuples(SMALL, SMALL, SMALL), st.tuples(SMALL, SMALL, SMALL))
+def test_h_is_the_derivative_of_z(angles, error, bias):
+    """Attitude errors, and accelerometer errors in body axes, from the geometry."""
+    true = matrix(text_rotation(*angles))
+    estimated = Rotation.from_rotvec(error).as_matrix().T @ true
+    accel_error = 10.0 * np.array(bias)
+    force = true.T @ [0.0, 0.0, G] + accel_error
+    C = tuple(estimated.ravel().tolist())
+    for h, z, _, _ in tilt(interval(), tuple(estimated @ force), C, (0.0, 0.0, 0.0), 0.0):
+        x = np.concatenate([error, np.zeros(3), accel_error])
+        assert z == pytest.approx(float(h @ x), abs=2e-4)
+
+
+def test_a_late_interval_shows_the_gyroscopes_error():
+    C = rows(text_rotation(0.0, 0.0, 0.0))
+    (h, *_), _ = tilt(interval(), (0.0, 0.0, G), C, (0.0, 0.0, 0.0), 0.7)
+    # the error now is that of the middle less what the zero error has turned since
+    assert h[3:6] == pytest.approx([-0.7, 0.0, 0.0])
+
+
+def test_noise_is_that_of_the_interval():
+    C = rows(text_rotation(0.0, 0.0, 1.0))
+    pitch, roll = tilt(interval(), (0.0, 0.0, G), C, (0.0, 0.0, 0.0), 0.0)
+    assert (pitch[2], roll[2]) == pytest.approx(((0.1 / G) ** 2, (0.2 / G) ** 2))
+
+
+def test_falling_tells_nothing():
+    C = rows(text_rotation(0.0, 0.0, 0.0))
+    assert tilt(interval(), (0.1, 0.0, 0.2), C, (0.0, 0.0, 0.0), 0.0) == []
+
+
+def test_rates_at_rest_are_the_error():
+    found = rest_rates(interval(rate=(0.01, 0.02, 0.03)), (0.0, 0.02, 0.0), 1e-4)
+    assert [z for _, z, _, _ in found] == pytest.approx([0.01, 0.0, 0.03])
+    assert [int(np.flatnonzero(h)[0]) for h, *_ in found] == [3, 4, 5]
+
+
+@given(st.floats(0.0, 6.28), st.floats(-0.5, 0.5))
+def test_a_heading_is_compared_the_short_way_round(heading, error):
+    C = rows(text_rotation(0.1, -0.1, heading))
+    h, z, variance, gated = heading_difference(heading + error + 4 * math.pi, C, 0.1, True)
+    assert z == pytest.approx(error, abs=1e-9)
+    assert h[2] == -1.0
+    assert variance == pytest.approx(0.01)
+    assert gated
