@@ -117,7 +117,7 @@ class FullEstimator:
 
     def _look_again(self) -> None:
         """Once gyro bias and rotation are known, go through the first minutes again."""
-        known = self._signals.gyro_bias_weight >= KNOWN_REST_TICKS
+        known = self._signals.offsets.gyro_ticks >= KNOWN_REST_TICKS
         if len(self._kept) < FIRST_LOOK_HOPS or not self._solution.sure():
             return
         if known or len(self._kept) == KEPT_HOPS:
@@ -127,7 +127,7 @@ class FullEstimator:
     def _begin_rebuild(self, hops: list[Prepared]) -> None:
         fresh = Solution(self._settings)
         fresh.start_from(self._solution)
-        self._rebuild = Rebuild(fresh, hops, self._signals.gyro_bias.copy())
+        self._rebuild = Rebuild(fresh, hops, self._signals.offsets.gyro_bias.copy())
 
     def _go_on_rebuilding(self, rebuild: Rebuild) -> None:
         done = rebuild.step()
@@ -216,8 +216,8 @@ class FullEstimator:
                 for name, piece in solution.pieces.items()
             },
             "accel_bias": [] if bias is None else bias.tolist(),
-            "gyro_bias": signals.gyro_bias.tolist(),
-            "yaw_rate_offset": signals.yaw_offset,
+            "gyro_bias": signals.offsets.gyro_bias.tolist(),
+            "yaw_rate_offset": signals.offsets.yaw_rate,
             "steering_offset": None if steering is None else steering[0],
             "steering_offset_std": None if steering is None else steering[1],
             "speed_delay": solution.delay_speed.value,

@@ -8,7 +8,7 @@ With e the rotation-vector error of R (R_true = exp([e]) R), A = dv/dt, V = v r,
 
 so noise in A itself costs gain but turns nothing. Small terms go along as nuisance with priors:
 lever arm (r^2; heave of a pitching body, w^2 A), squat and body roll to second order (A^2, V^2,
-A r, V r), sideslip (r^2, V^2). That gives six pieces: e_z and e_y from A, e_z and e_x from V,
+A r, V r), sideslip (r^2, V^2, A V). That gives six pieces: e_z and e_y from A, e_z and e_x from V,
 e_x and e_y from the axis of rotation in turns.
 
 Noise has another colour on each axis: slopes are red, rough roads and the rounding of a speed are
@@ -27,6 +27,26 @@ from numpy.typing import NDArray
 
 from imucald.frames import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
+from imucald.mount.evidence_rows import (
+    GAINS,
+    GP_QUARTER,
+    GQ,
+    GQ_QUARTER,
+    GX,
+    GX_QUARTER,
+    GY,
+    GY_QUARTER,
+    MOST_REGRESSORS,
+    P_ROW,
+    PITCH_ROW,
+    Q_ROW,
+    ROLL_ROW,
+    ROWS,
+    TARGETS,
+    WITHOUT_SPEED,
+    X_ROW,
+    Y_ROW,
+)
 from imucald.mount.evidence_spectra import (
     BAND_OMEGA2,
     BAND_WIDTH,
@@ -61,49 +81,10 @@ MODEL_GROUPS = 6.0
 MODEL_SHARE = 1.5
 """The model's variance is taken that much larger: correlated noise is the rule."""
 
-FEW_GROUPS = 5.0
+FEW_GROUPS = 7.0
 """Few pieces of road hide their own spread: the variance grows by this over their number."""
 AXIS_SHARE = 1.6
 """Roll and rotation axes of a drive share roads and bends: their variance is so much larger."""
-
-X_ROW, Y_ROW, PITCH_ROW, ROLL_ROW, P_ROW, Q_ROW = range(6)
-
-
-@dataclass(frozen=True)
-class Row:
-    """One regression: which row answers to what; the first regressor carries the angle."""
-
-    name: str
-    axis: int  # of e
-    regressors: tuple[int, ...]
-    prior_std: tuple[float, ...]  # of the nuisance coefficients
-    bands: int = BANDS  # only so many: above, the suspension's resonance answers
-
-
-ROWS = (
-    Row("yaw_turn", 2, (sp.FV, sp.FR2, sp.FV2), (1.5, 0.01)),
-    Row("yaw_dvdt", 2, (sp.FA, sp.FR2), (0.8,)),
-    Row("pitch_dvdt", 1, (sp.FA, sp.FA, sp.FA2, sp.FAA), (0.005, 0.005, 0.0008), 7),
-    Row("roll_turn", 0, (sp.FV, sp.FV, sp.FV2), (0.005, 0.01), 7),
-    Row("pitch_axis", 1, (sp.R, sp.FAR, sp.FV), (0.015, 0.0015), 6),
-    Row("roll_axis", 0, (sp.R, sp.FVR), (0.01,), 6),
-)
-"""In the order of X_ROW .. Q_ROW."""
-WITHOUT_SPEED = (Y_ROW, P_ROW, Q_ROW)
-"""What can be said without speed: the principal axis, and the axis of rotation."""
-TARGETS = (sp.FX, sp.FY, sp.FZ, sp.FZ, sp.P, sp.Q)
-GX, GY, GQ, GX_QUARTER, GY_QUARTER, GP_QUARTER, GQ_QUARTER = range(7)
-GAINS = (
-    (X_ROW, sp.FX, sp.FA, 1.0, 0.02, 1.3),
-    (Y_ROW, sp.FY, sp.FV, 1.0, 0.02, 1.4),
-    (PITCH_ROW, sp.FZ, sp.FQ, 0.0, -1.3, 0.3),
-    (X_ROW, sp.FX, sp.FAI, 0.0, -0.7, 0.7),
-    (Y_ROW, sp.FY, sp.FVI, 0.0, -0.7, 0.7),
-    (P_ROW, sp.P, sp.FVI, 0.0, -0.2, 0.2),
-    (Q_ROW, sp.Q, sp.FAI, 0.0, -0.2, 0.2),
-)
-"""Gains per band: row, target, signal, expected, least, most."""
-_M = 4
 
 
 @dataclass
@@ -129,10 +110,10 @@ class ResponseEvidence:
         self.noise[4:] = RATE_PRIOR
         self.gains = np.zeros((len(GAINS), BANDS))
         self.gains[:2] = 1.0
-        self._score = np.zeros((len(ROWS), KEPT, _M))
-        self._normal = np.zeros((len(ROWS), KEPT, _M, _M))
-        self._old_score = np.zeros((len(ROWS), 0, _M))
-        self._old_normal = np.zeros((len(ROWS), 0, _M, _M))
+        self._score = np.zeros((len(ROWS), KEPT, MOST_REGRESSORS))
+        self._normal = np.zeros((len(ROWS), KEPT, MOST_REGRESSORS, MOST_REGRESSORS))
+        self._old_score = np.zeros((len(ROWS), 0, MOST_REGRESSORS))
+        self._old_normal = np.zeros((len(ROWS), 0, MOST_REGRESSORS, MOST_REGRESSORS))
         self._R = np.eye(3)
         self.delays = (0.0, 0.0)
         self.flows: list[Flow] = []
@@ -271,7 +252,7 @@ class ResponseEvidence:
         gx, gy, one = self.gains[GX], self.gains[GY], np.ones(BANDS)
         return [
             [gy, one, one],
-            [-gx, one],
+            [-gx, one, one],
             [gx, gx * BAND_OMEGA2, one, one],
             [-gy, gy * BAND_OMEGA2, one],
             [-one, one, BAND_OMEGA2],
@@ -374,7 +355,7 @@ class ResponseEvidence:
             variance = (MODEL_GROUPS * model * MODEL_SHARE + groups * spread) / (
                 MODEL_GROUPS + groups
             )
-            variance *= 1.0 + FEW_GROUPS / groups
+            variance *= 1.0 + FEW_GROUPS / (groups + 3.0)
             if row.axis == 0 or row.name.endswith("axis"):
                 variance *= AXIS_SHARE * (3.0 if self.without_speed else 1.0)
             out[row.name] = Piece(float(value[0]), variance, groups)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_S, TickRow
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.samples import GRAVITY
+from imucald.mount.offsets import Offsets
+from imucald.mount.plausible import forbidden
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -37,22 +38,10 @@ REST_SPEED = 0.05
 """A speed below is standstill [m/s]."""
 REST_TICKS = 12
 """Speed must have been zero that long before it counts as rest: braking jerk dies out."""
-STUCK_TICKS = 12
-"""Identical accelerometer means for that long are a stuck signal: noise always moves."""
-FORCE_LOW, FORCE_HIGH = 0.5 * GRAVITY, 1.7 * GRAVITY
-"""Mean specific force outside is no road vehicle on a road."""
-SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03
-"""Wheel speeds may differ by this [m/s] and this share of the speed, beyond the curve."""
-REST_MEMORY = 250.0
-"""Ticks at rest after which a gyro bias is forgotten: it wanders with temperature."""
-GUESS_TICKS = 250
-"""Ticks of driving from which a gyro bias can be guessed without a rest."""
 NOMINAL_SPEED = 12.0
 """Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""
 HOPS_WITHOUT_SPEED = 8
 """Hops without any speed after which the estimator does without (26 s)."""
-HOLD_TICKS = 10
-"""Ticks around a wheel-slip or saturation event that are not learnt from either."""
 
 
 @dataclass
@@ -88,6 +77,14 @@ def empty_rows(n: int) -> Array:
     return np.tile(np.array(accumulator.close(0)), (n, 1))
 
 
+_SENSORS = (
+    (tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE + 1),
+    (tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE + 1),
+    (tk.SPEED_N, tk.SPEED, tk.SPEED_AGE + 1),
+    (tk.STEERING_N, tk.STEERING, tk.STEERING + 1),
+    (tk.YAW_RATE_N, tk.YAW_RATE, tk.YAW_RATE + 1),
+)
+"""Count and first and last number of each sensor in a tick."""
 _EMPTY = empty_rows(1)[0]
 
 
@@ -110,16 +107,6 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
     return out, ok
 
 
-def spread_out(flags: Flags, ticks: int) -> Flags:
-    """Flags widened by that many ticks to both sides."""
-    if not flags.any():
-        return flags
-    out = flags.copy()
-    for i in np.flatnonzero(flags):
-        out[max(0, i - ticks) : i + ticks + 1] = True
-    return out
-
-
 class SignalPreparer:
     """Keeps the last ticks and cuts them into hops."""
 
@@ -127,18 +114,11 @@ class SignalPreparer:
         self._settings = settings
         self._rows = np.tile(_EMPTY, (KEEP + HOP, 1))
         self._n = KEEP
-        self.gyro_bias = np.zeros(3)
-        self.gyro_bias_weight = 0.0
-        self.yaw_offset = 0.0
-        self.yaw_offset_weight = 0.0
+        self.offsets = Offsets()
         self.steering_offset = 0.0
         self.frozen: Counter[str] = Counter()
         self._reverse = 0.0
         self._rest_run = 0
-        self._moving_n = 0
-        self._moving_rate = np.zeros(3)
-        self._moving_force = np.zeros(3)
-        self._moving_turns: list[float] = []
         self.seen: set[str] = set()
         self.hops = 0
 
@@ -162,6 +142,7 @@ class SignalPreparer:
     def hop(self) -> Prepared:
         """Return the signals of the next hop."""
         rows = self._rows
+        self._drop_not_finite(rows[KEEP:])
         part = slice(BEFORE - 1, BEFORE + HOP + 1)  # one more at both ends, for dv/dt
         end = rows[-1, tk.T]
         t = end + (np.arange(len(rows)) - (len(rows) - 1)) * TICK_S
@@ -174,7 +155,10 @@ class SignalPreparer:
         yaw_rate, ok_yaw = self._yaw_rate(t, at, speed)
         accel = (speed[2:] - speed[:-2]) / (2.0 * TICK_S)
         rest = self._rest(speed[mid], ok_speed[mid], force[mid], rate[mid], ok_rate[mid])
-        bad = self._forbidden(force, ok_force, speed, ok_speed, yaw_rate)
+        curve = np.maximum(np.abs(yaw_rate), np.sqrt((rate * rate).sum(axis=1)) * ok_rate)
+        bad = forbidden(
+            rows[part], force, ok_force, speed, ok_speed, curve, self._settings, self.frozen
+        )
         prepared = Prepared(
             t=t[part][mid],
             force=force[mid],
@@ -191,21 +175,24 @@ class SignalPreparer:
             steering=self._steering[0][mid],
             ok_steering=self._steering[1][mid],
             had_rate=ok_rate[mid],
-            gyro_bias=self.gyro_bias,
+            gyro_bias=self.offsets.gyro_bias,
         )
         if self.without_speed:
             prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
             prepared.accel = np.zeros(HOP)
             prepared.ok_speed = prepared.ok_force
-        self._learn_offsets(prepared)
-        if self.gyro_bias_weight == 0.0:
-            self._guess_gyro_bias(prepared)
-        prepared.gyro_bias = self.gyro_bias.copy()
-        prepared.rate -= self.gyro_bias
-        prepared.yaw_rate -= self.yaw_offset
+        self._take_offsets(prepared)
         rows[:KEEP] = rows[HOP:].copy()
         self._n = KEEP
         return prepared
+
+    def _drop_not_finite(self, new: Array) -> None:
+        """A sensor's tick with a number that is none counts as empty."""
+        for count, first, stop in _SENSORS:
+            bad = (new[:, count] > 0) & ~np.isfinite(new[:, first:stop].sum(axis=1))
+            if bad.any():
+                new[bad, count] = 0.0
+                self.frozen["not_finite"] += int(bad.sum())
 
     def _vector(
         self, t: Array, at: Array, n: int, first: int, age: int, longest: float
@@ -281,76 +268,19 @@ class SignalPreparer:
         self._rest_run = run
         return rest
 
-    def _forbidden(
-        self, force: Array, ok_force: Flags, speed: Array, ok_speed: Flags, yaw_rate: Array
-    ) -> Flags:
-        """Ticks that nothing may be learnt from, each reason counted."""
-        rows = self._rows[BEFORE - 1 : BEFORE + HOP + 1]
-        s = self._settings
-        size2 = (force * force).sum(axis=1)
-        bad: Flags = ok_force & ((size2 < FORCE_LOW**2) | (size2 > FORCE_HIGH**2))
-        if bad.any():
-            self.frozen["implausible"] += int(bad.sum())
-        high = 0.98 * s.accel_range
-        peak = np.maximum(
-            rows[:, tk.ACCEL_MAX_X : tk.ACCEL_MAX_X + 3],
-            -rows[:, tk.ACCEL_MIN_X : tk.ACCEL_MIN_X + 3],
-        )
-        clipped = (peak > high).any(axis=1) | (rows[:, tk.ACCEL_BAD] > 0)
-        if clipped.any():
-            self.frozen["saturated"] += int(clipped.sum())
-            bad = bad | spread_out(clipped, 3)
-        same = (np.diff(force, axis=0) == 0.0).all(axis=1)
-        if same.sum() >= STUCK_TICKS:
-            self.frozen["stuck"] += int(same.sum())
-            bad = bad | np.append(same, same[-1])
-        slip = rows[:, tk.WHEELS_N] > 0
-        if slip.any():
-            allowed = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(speed) + 1.5 * s.track * np.abs(yaw_rate)
-            slip &= np.nan_to_num(rows[:, tk.WHEEL_SPREAD]) > allowed
-            if slip.any():
-                self.frozen["wheel_slip"] += int(slip.sum())
-                bad = bad | spread_out(slip, HOLD_TICKS)
-        wild = ok_speed & (np.abs(np.gradient(speed, TICK_S)) > 12.0)
-        if wild.any():
-            self.frozen["speed_jump"] += int(wild.sum())
-            bad = bad | spread_out(wild, HOLD_TICKS)
-        return bad
-
-    def _guess_gyro_bias(self, p: Prepared) -> None:
-        """Before the first rest: about the level axes the mean rate, about the vertical the median.
-
-        A road vehicle neither pitches nor rolls on and on, and drives straight most of the time.
-        Until that holds the gyroscope is not used.
-        """
-        use = p.ok_rate & p.learn
-        n = int(use.sum())
-        if n:
-            self._moving_n += n
-            self._moving_rate += p.rate[use].sum(axis=0)
-            self._moving_force += p.force[use].sum(axis=0)
-            up = self._moving_force / np.sqrt(self._moving_force @ self._moving_force)
-            self._moving_turns.append(float(np.median(p.rate[use] @ up)))
-            mean = self._moving_rate / self._moving_n
-            self.gyro_bias = mean + up * (float(np.median(self._moving_turns)) - mean @ up)
-        p.had_rate = p.ok_rate
-        if self._moving_n < GUESS_TICKS:
-            p.ok_rate = np.zeros_like(p.ok_rate)
-
-    def _learn_offsets(self, p: Prepared) -> None:
-        """Gyro bias and yaw-rate offset at rest: means, slowly forgetting."""
+    def _take_offsets(self, p: Prepared) -> None:
+        """Learn the offsets at rest and take them off."""
+        offsets = self.offsets
         use = p.rest & p.ok_rate & p.learn
-        n = float(use.sum())
-        if n >= 8:
-            mean = p.rate[use].mean(axis=0)
-            if np.abs(p.rate[use] - mean).max() < 0.05:
-                self.gyro_bias_weight = min(self.gyro_bias_weight + n, REST_MEMORY)
-                self.gyro_bias = self.gyro_bias + (mean - self.gyro_bias) * (
-                    n / self.gyro_bias_weight
-                )
+        if use.any():
+            offsets.learn_gyro(p.rate[use], p.force[use])
         use = p.rest & p.ok_yaw
-        n = float(use.sum())
-        if n >= 8 and "yaw_rate" in self.seen:
-            self.yaw_offset_weight = min(self.yaw_offset_weight + n, REST_MEMORY)
-            gain = n / self.yaw_offset_weight
-            self.yaw_offset += (float(p.yaw_rate[use].mean()) - self.yaw_offset) * gain
+        if use.any() and "yaw_rate" in self.seen:
+            offsets.learn_yaw_rate(p.yaw_rate[use])
+        if offsets.gyro_ticks == 0.0:
+            use = p.ok_rate & p.learn
+            if not offsets.guess_gyro(p.rate[use], p.force[use]):
+                p.ok_rate = np.zeros_like(p.ok_rate)
+        p.gyro_bias = offsets.gyro_bias.copy()
+        p.rate -= p.gyro_bias
+        p.yaw_rate -= offsets.yaw_rate

@@ -32,17 +32,17 @@ TURNED = slice(5, 8)
 """Speed times rate [m/s^2], sensor axes."""
 RATE = slice(8, 11)
 """Rate [rad/s], sensor axes."""
-A2, V2, R2, AR, VR, AA = 11, 12, 13, 14, 15, 16
-"""Second-order terms: A^2, V^2, r^2, A r, V r, A |A|."""
-MEASURED = 17
+A2, V2, R2, AR, VR, AA, AV = 11, 12, 13, 14, 15, 16, 17
+"""Second-order terms: A^2, V^2, r^2, A r, V r, A |A|, A V."""
+MEASURED = 18
 """Columns that come from time; two more are their quarter turns in frequency."""
-AI, VI = 17, 18
+AI, VI = 18, 19
 """A and V a quarter period ahead: lags, tyres and lever arms answer with these."""
-SIGNALS = 19
-_LATE = (A, A2, AR, AA)
+SIGNALS = 20
+_LATE = (A, A2, AR, AA, AV)
 """Columns that come with the speed's delay."""
 
-FX, FY, FZ, FA, FV, FQ, P, Q, R, FA2, FV2, FR2, FAR, FVR, FAI, FVI, FAA = range(17)
+FX, FY, FZ, FA, FV, FQ, P, Q, R, FA2, FV2, FR2, FAR, FVR, FAI, FVI, FAA, FAV = range(18)
 """Order of signals after `in_vehicle_axes`: force (3), A, V, v q, rate (3), even terms."""
 
 _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
@@ -75,17 +75,27 @@ def spectra(signals: Array, mask: NDArray[np.bool_]) -> Spectra:
     return s
 
 
-_ALONE = ((FA2, A2), (FV2, V2), (FR2, R2), (FAR, AR), (FVR, VR), (FAI, AI), (FVI, VI), (FAA, AA))
+_ALONE = (
+    (FA2, A2),
+    (FV2, V2),
+    (FR2, R2),
+    (FAR, AR),
+    (FVR, VR),
+    (FAI, AI),
+    (FVI, VI),
+    (FAA, AA),
+    (FAV, AV),
+)
 
 
 def _turning(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
-    """Matrix (17, SIGNALS) that takes the signals to vehicle axes.
+    """Matrix (18, SIGNALS) that takes the signals to vehicle axes.
 
     Without speed the force along the vehicle stands in for dv/dt: least squares on it turns the
     x axis into the principal axis of the horizontal force.
     """
     R_vs = R_vehicle_from_sensor
-    turn = np.zeros((17, SIGNALS))
+    turn = np.zeros((18, SIGNALS))
     turn[FX : FZ + 1, 0:3] = R_vs
     turn[FV, V] = 1.0
     if without_speed:
@@ -108,6 +118,7 @@ PAIRS = (
     (FAR, FAR), (FVR, FVR), (P, FV), (R, FV), (FAR, FV),
     (FX, FAI), (FY, FVI), (P, FVI), (Q, FAI), (FAI, FAI), (FVI, FVI), (FVI, FA), (FVI, FR2),
     (FAI, FV), (FAI, FR2), (FAI, FV2), (FVI, R), (FVI, FAR), (FVI, FV), (FAI, R), (FAI, FVR),
+    (FY, FAV), (FAV, FAV), (FA, FAV), (FR2, FAV), (FV, FAV), (FVI, FAV),
     (FZ, FAA), (FAA, FAA), (FA, FAA), (FA2, FAA), (FQ, FAA),
 )  # fmt: skip
 """Products in vehicle axes that the fit needs."""

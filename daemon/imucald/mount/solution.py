@@ -46,7 +46,7 @@ WARMING_STD = 0.04
 """The bias moves by that much with temperature [m/s^2]."""
 SIGN_SURE = 0.3
 """Correlation of lateral force and turning from which forward is told from backward."""
-NO_GYRO_SHARE = 2.0
+NO_GYRO_SHARE = 1.5
 """Without a gyroscope slopes stay in the force: variances are so much larger."""
 PRINCIPAL_STD = 0.008
 """What the principal axis may be off [rad]: the force across the vehicle is not only noise."""
@@ -177,6 +177,7 @@ class Solution:
         w[-HOP:, 13] = r * r
         w[-HOP:, 14] = p.accel * r
         w[-HOP:, 15] = turn * r
+        w[-HOP:, 17] = p.accel * turn
         w[-HOP:, 16] = p.accel * np.abs(p.accel)
         m[-HOP:] = p.learn & p.ok_speed
         if m.sum() < 64:

@@ -31,13 +31,14 @@ BUMPS = 0.004
 """Offset that hysteresis and side wind leave [rad]."""
 PRIOR_STD = (0.15, 60.0, 2.0)
 """Offset [rad], n L [m], n K [rad/(m/s^2)] before data speak."""
+_PRIOR = np.diag([1.0 / (s * s) for s in PRIOR_STD])
 
 
 class SteeringOffset:
     """Running least squares; `offset` and `std` [rad]."""
 
     def __init__(self) -> None:
-        self._normal = np.diag([1.0 / (s * s) for s in PRIOR_STD])
+        self._normal = np.zeros((3, 3))
         self._right = np.zeros(3)
         self.seen = False
 
@@ -60,7 +61,7 @@ class SteeringOffset:
         """
         if not self.seen:
             return None
-        inverse = np.linalg.inv(self._normal)
+        inverse = np.linalg.inv(self._normal + _PRIOR)
         offset, _, per_lateral = (float(x) for x in inverse @ self._right)
         against = max(per_lateral, 0.0) * GRAVITY
         std = math.hypot(math.sqrt(float(inverse[0, 0])), against * crown_std, BUMPS)

@@ -1,0 +1,78 @@
+"""Zero offsets of the gyroscope and of the vehicle's yaw rate: at rest both should say zero."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+LEAST_TICKS = 8
+"""A hop with less rest says nothing."""
+REST_MEMORY = 250.0
+"""Ticks at rest after which an offset is forgotten: it wanders with temperature."""
+STILL_RATE, STILL_FORCE = 0.05, 0.25
+"""At rest rates [rad/s] and forces [m/s^2] stay that close to their mean."""
+MOST_BIAS = 0.1
+"""A gyroscope with a larger bias [rad/s] is turning: a speed stuck at zero is no rest."""
+MOST_STEP = 0.02
+"""Nor does a known bias jump by more [rad/s]."""
+GUESS_TICKS = 250
+"""Ticks of driving from which a gyro bias can be guessed without a rest."""
+
+
+class Offsets:
+    """Gyro bias (3,) and yaw-rate offset [rad/s], with the ticks at rest behind them."""
+
+    def __init__(self) -> None:
+        self.gyro_bias: Array = np.zeros(3)
+        self.gyro_ticks = 0.0
+        self.yaw_rate = 0.0
+        self._yaw_ticks = 0.0
+        self._moving = 0
+        self._moving_rate = np.zeros(3)
+        self._moving_force = np.zeros(3)
+        self._turns: list[float] = []
+
+    def learn_gyro(self, rate: Array, force: Array) -> None:
+        """Take raw rates (n, 3) and forces (n, 3) at rest."""
+        n = len(rate)
+        if n < LEAST_TICKS:
+            return
+        mean = rate.mean(axis=0)
+        still = np.abs(rate - mean).max() < STILL_RATE
+        still &= np.abs(force - force.mean(axis=0)).max() < STILL_FORCE
+        if not still or np.abs(mean).max() > MOST_BIAS:
+            return
+        if self.gyro_ticks > 50.0 and np.abs(mean - self.gyro_bias).max() > MOST_STEP:
+            return
+        self.gyro_ticks = min(self.gyro_ticks + n, REST_MEMORY)
+        self.gyro_bias = self.gyro_bias + (mean - self.gyro_bias) * (n / self.gyro_ticks)
+
+    def learn_yaw_rate(self, yaw_rate: Array) -> None:
+        """Take raw yaw rates of the vehicle (n,) at rest."""
+        n = len(yaw_rate)
+        if n < LEAST_TICKS:
+            return
+        mean = float(yaw_rate.mean())
+        if abs(mean) > MOST_BIAS or float(np.abs(yaw_rate - mean).max()) > STILL_RATE:
+            return
+        self._yaw_ticks = min(self._yaw_ticks + n, REST_MEMORY)
+        self.yaw_rate += (mean - self.yaw_rate) * (n / self._yaw_ticks)
+
+    def guess_gyro(self, rate: Array, force: Array) -> bool:
+        """Before the first rest: about the level axes the mean rate, about the vertical the median.
+
+        A road vehicle neither pitches nor rolls on and on, and drives straight most of the time.
+        rate, force: raw, (n, 3). Returns whether there has been enough driving to use the guess.
+        """
+        if len(rate):
+            self._moving += len(rate)
+            self._moving_rate += rate.sum(axis=0)
+            self._moving_force += force.sum(axis=0)
+            up = self._moving_force / np.sqrt(self._moving_force @ self._moving_force)
+            self._turns.append(float(np.median(rate @ up)))
+            mean = self._moving_rate / self._moving
+            self.gyro_bias = mean + up * (float(np.median(self._turns)) - mean @ up)
+        return self._moving >= GUESS_TICKS
