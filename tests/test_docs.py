@@ -56,6 +56,7 @@ SECTIONS = {
     "ParallelSensor": "parallel",
     "MessageProtection": "messages",
     "OutputIds": "ids",
+    "SecurityAccess": "security",
     "StaticTest": "static",
     "StraightMotion": "straight",
     "TargetAngle": "target_angle",

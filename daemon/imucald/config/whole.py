@@ -13,6 +13,7 @@ from imucald.config.attitude import Attitude, TravelDirection
 from imucald.config.base import Model
 from imucald.config.calibration import Calibration
 from imucald.config.described import described_schema
+from imucald.config.diagnostics import Diagnostics
 from imucald.config.explain import explain
 from imucald.config.network import Bus, Database, Databases, MessageProtection, Output, Vehicle
 from imucald.config.signals import Signals
@@ -39,6 +40,7 @@ class Config(Model):
     output: Output = Output()
     attitude: Attitude = Attitude()
     travel_direction: TravelDirection = TravelDirection()
+    diagnostics: Diagnostics = Diagnostics()
 
 
 class LoadedConfig:

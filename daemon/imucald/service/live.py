@@ -115,13 +115,17 @@ class Daemon:
         self.link = link
         self.stopping = False
         self._clock = clock
-        self._extra = extra
-        self._extra_ids = frozenset[int]() if extra is None else extra.ids
+        self.serve(extra)
         self._lost = _Recent(RECENT_S)
         self._conflict = _Recent(CONFLICT_S)
         self._unsent = _Recent(RECENT_S)
         self._last_frame = clock()
         self._next_heartbeat = clock()
+
+    def serve(self, extra: Extra | None) -> None:
+        """Serve this beside the engine from now on, in place of what was served before."""
+        self._extra = extra
+        self._extra_ids = frozenset[int]() if extra is None else extra.ids
 
     def link_health(self) -> LinkHealth:
         """What the link says, for the health frame."""

@@ -16,13 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from imucald import __version__
-from imucald.bus.link import Link, LinkEvent
+from imucald.bus.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.engine import Engine, LinkHealth
 from imucald.errors import ImucaldError
 from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.restored import RestoredEstimator
 from imucald.pipeline import Snapshot
+from imucald.service.diagnostics import BusDiagnostics, check_identifiers, diagnostics_for
 from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
 from imucald.service.keeper import SAVE_PERIOD_S, StateKeeper, saved_state, stored_mount
@@ -84,9 +85,10 @@ class Service:
         self.keeper = self._new_keeper(self.loaded, engine)
         if self.keeper is not None:
             engine.pipeline.replace(self.keeper.restore(engine.pipeline.estimator))
-        self.link = self._new_link(self.loaded, engine)
+        self.diagnostics = diagnostics_for(self, self.loaded, engine, clock)
+        self.link = self._new_link(self.loaded, engine, self.diagnostics)
         try:
-            self.daemon = Daemon(engine, self.link, clock)
+            self.daemon = Daemon(engine, self.link, clock, self.diagnostics)
             socket = options.status_socket
             self.server = None if socket is None else StatusServer(socket, self.status)
         except ImucaldError:
@@ -105,12 +107,17 @@ class Service:
         store = StateStore(folder, state_key(loaded, engine.router))
         return StateKeeper(store, self.journal.say, self.options.save_period, self._clock)
 
-    def _new_link(self, loaded: LoadedConfig, engine: Engine) -> Link:
+    def _new_link(
+        self, loaded: LoadedConfig, engine: Engine, diagnostics: BusDiagnostics | None
+    ) -> Link:
         options = self.options
+        matches, own_ids = engine.router.matches, engine.output.can_ids
+        if diagnostics is not None:
+            matches, own_ids = matches + diagnostics.matches, own_ids | diagnostics.own_ids
         return open_link(
             loaded,
-            engine.router.matches,
-            engine.output.can_ids,
+            matches,
+            own_ids,
             options.interface,
             options.channel,
             self._link_event,
@@ -197,13 +204,19 @@ class Service:
     def _reload(self) -> None:
         loaded = open_config(self.options.config, self.options.databases)
         engine, old = self._new_engine(loaded), self.engine
-        link = self.link
+        link, diagnostics = self.link, self.diagnostics
+        if loaded.config.diagnostics != self.loaded.config.diagnostics:
+            diagnostics = diagnostics_for(self, loaded, engine, self._clock)
+        elif diagnostics is not None:
+            check_identifiers(loaded, engine)
         if _listens_otherwise(self.loaded, loaded, old, engine):
-            link = self._new_link(loaded, engine)
+            link = self._new_link(loaded, engine, diagnostics)
         engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
         engine.pipeline.replace(self._estimator_after(loaded, engine))
         self.loaded = loaded
         self.daemon.engine = engine
+        self.diagnostics = diagnostics
+        self.daemon.serve(diagnostics)
         self._counted, self._rejected = {}, 0
         if link is not self.link:
             self.link.close()
@@ -233,6 +246,24 @@ class Service:
     def _save_now(self) -> None:
         if self.keeper is not None:
             self.keeper.close(self._estimate(), self.engine.timebase.now)
+
+    # what diagnostics ask for ----------------------------------------------------------------
+
+    @property
+    def link_counters(self) -> LinkCounters:
+        """What the bus link counts."""
+        return self.link.counters
+
+    @property
+    def state_corrupt(self) -> bool | None:
+        """Whether a state was found that could not be believed, and none was saved since."""
+        keeper = self.keeper
+        return None if keeper is None else bool(keeper.problems) and not keeper.writer.saves
+
+    def forget_state(self) -> None:
+        """Keep nothing of what was saved."""
+        if self.keeper is not None:
+            self.keeper.forget()
 
     # telling -------------------------------------------------------------------------------
 
@@ -342,6 +373,7 @@ def _listens_otherwise(
     """Whether another bus, other inputs or other outputs are configured."""
     return (
         old.config.bus != new.config.bus
+        or old.config.diagnostics != new.config.diagnostics
         or set(old_engine.router.matches) != set(new_engine.router.matches)
         or old_engine.output.can_ids != new_engine.output.can_ids
     )
