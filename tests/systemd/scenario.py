@@ -1,0 +1,317 @@
+"""Runs inside the machine: faults on a real systemd and vcan, what came of each as one JSON line.
+
+Plain Python of the machine, nothing else: it is copied there as it stands.
+"""
+
+import contextlib
+import json
+import os
+import pathlib
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+
+UNIT = "imucald@vcan0.service"
+FRAME = struct.Struct("=IB3x8s")
+LEVEL = bytes.fromhex("0000000027130000")  # an accelerometer frame: 1 g up
+CORRECTED = 0x640
+STATE = pathlib.Path("/var/lib/imucald/vcan0")
+
+
+def shell(*command, check=True):
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if check and done.returncode:
+        raise RuntimeError(f"{command}: {done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def show(name):
+    return shell("systemctl", "show", UNIT, f"--property={name}", "--value").strip()
+
+
+def status():
+    return json.loads(shell("imucald", "status", "vcan0", "--json"))
+
+
+def wait(condition, limit=30.0):
+    """Seconds until the condition holds."""
+    began = time.monotonic()
+    while not condition():
+        if time.monotonic() - began > limit:
+            print(shell("systemctl", "status", UNIT, check=False))
+            print(shell("journalctl", "-u", UNIT, "-n", "40", check=False))
+            raise TimeoutError(condition)
+        time.sleep(0.02)
+    return time.monotonic() - began
+
+
+class Sensor:
+    """A node that sends accelerometer frames without end, and hears the corrected ones.
+
+    quality, heard: of the last corrected frame, and when. worst_gap: longest silence [s].
+    """
+
+    def __init__(self):
+        self.quality, self.heard, self.values = -1, 0.0, None
+        self.on = True
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def run(self):
+        while self.on:
+            try:
+                with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus:
+                    option = struct.pack("=II", CORRECTED, 0x7FF)
+                    bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, option)
+                    bus.bind(("vcan0",))
+                    bus.setblocking(False)
+                    self.exchange(bus)
+            except OSError:
+                time.sleep(0.01)
+
+    def exchange(self, bus):
+        socket.if_nametoindex("vcan0")
+        checked = time.monotonic()
+        while self.on:
+            bus.send(FRAME.pack(0x200, 8, LEVEL))
+            time.sleep(0.01)
+            with contextlib.suppress(BlockingIOError):
+                while True:  # the newest counts
+                    _, _, data = FRAME.unpack(bus.recv(16))
+                    self.quality, self.heard = data[6] & 0xF, time.monotonic()
+                    self.values = struct.unpack("<3h", data[:6])
+            if time.monotonic() - checked > 0.2:
+                checked = time.monotonic()
+                if socket.if_nametoindex("vcan0") != self.index(bus):
+                    raise OSError("another interface")
+
+    @staticmethod
+    def index(bus):
+        return socket.if_nametoindex(bus.getsockname()[0])
+
+    def good_since(self, t):
+        return self.heard > t and self.quality >= 1
+
+    def stop(self):
+        self.on = False
+        self.thread.join()
+
+
+def begin():
+    pathlib.Path("/usr/bin/imucald").chmod(0o755)
+    shell("imucald", "install-service", "--prefix", "/usr", "--exec", "/usr/bin/imucald")
+    shell("modprobe", "vcan")
+    make_interface()
+    shell("systemctl", "daemon-reload")
+    shell("systemctl", "enable", "--now", UNIT)
+    exposure = shell("systemd-analyze", "security", UNIT).splitlines()[-1]
+    return {
+        "active": show("ActiveState"),
+        "status": show("StatusText"),
+        "exposure": exposure,
+        "user": shell("stat", "-c", "%U", f"/proc/{show('MainPID')}").strip(),
+        "mode": oct(STATE.stat().st_mode & 0o777),
+    }
+
+
+def make_interface():
+    shell("ip", "link", "add", "dev", "vcan0", "type", "vcan")
+    shell("ip", "link", "set", "up", "dev", "vcan0")
+
+
+def calibrate():
+    shell("canplayer", "-I", "/etc/imucald/shuttle.log", "vcan0=can0")
+    time.sleep(1.5)
+    said = status()
+    return {
+        "state": said["state"],
+        "yaw": said["mount"]["yaw_deg"],
+        "generation": said["saved_state"]["generation"],
+        "status": show("StatusText"),
+    }
+
+
+def killed():
+    times = []
+    sensor = Sensor()
+    wait(lambda: sensor.good_since(0.0))
+    for _ in range(3):
+        pid = int(show("MainPID"))
+        os.kill(pid, signal.SIGKILL)
+        began = time.monotonic()
+        time.sleep(0.05)  # what was on its way before
+        after = time.monotonic()
+        wait(lambda after=after: sensor.good_since(after))
+        times.append(time.monotonic() - began)
+        quality = sensor.quality
+        wait(lambda old=pid: show("MainPID") not in ("0", str(old)) and is_active())
+    sensor.stop()
+    return {"times": times, "quality": quality, "restarts": int(show("NRestarts"))}
+
+
+def is_active():
+    return show("ActiveState") == "active"
+
+
+def hung():
+    """The loop hangs (in a daemon whose loop can be made to); nothing else is wrong with it."""
+    folder = pathlib.Path(f"/run/systemd/system/{UNIT}.d")
+    folder.mkdir(parents=True)
+    (folder / "hang.conf").write_text(
+        "[Service]\nExecStart=\nExecStart=/usr/bin/imucald-hanging run"
+        " --config /etc/imucald/vcan0.yaml --interface socketcan --channel vcan0\n"
+    )
+    pathlib.Path("/usr/bin/imucald-hanging").chmod(0o755)
+    shell("systemctl", "daemon-reload")
+    shell("systemctl", "restart", UNIT)
+    restarts = int(show("NRestarts"))
+    pid = show("MainPID")
+    pathlib.Path("/run/imucald/vcan0/hang").touch()
+    took = wait(lambda: show("MainPID") not in ("0", pid) and is_active(), 20.0)
+    result = {
+        "took": took,
+        "restarts": int(show("NRestarts")) - restarts,
+        "said": "watchdog" in shell("journalctl", "-u", UNIT, "-n", "60").lower(),
+    }
+    (folder / "hang.conf").unlink()
+    folder.rmdir()
+    shell("systemctl", "daemon-reload")
+    shell("systemctl", "restart", UNIT)
+    return result
+
+
+def reloaded():
+    pid, before = show("MainPID"), status()
+    config = pathlib.Path("/etc/imucald/vcan0.yaml")
+    good = config.read_text()
+    config.write_text(good.replace("status_rate: 10", "status_rate: 5"))
+    shell("systemctl", "reload", UNIT)
+    time.sleep(0.5)
+    after = status()
+    config.write_text(good + "nonsense: 1\n")
+    shell("systemctl", "reload", UNIT)
+    time.sleep(0.5)
+    still = status()
+    config.write_text(good)
+    return {
+        "same_process": show("MainPID") == pid,
+        "yaw": [s["mount"]["yaw_deg"] for s in (before, after, still)],
+        "told": "not reloaded" in shell("journalctl", "-u", UNIT, "-n", "20"),
+        "active": show("ActiveState"),
+    }
+
+
+def stopped():
+    before = status()
+    began = time.monotonic()
+    os.kill(int(show("MainPID")), signal.SIGTERM)
+    wait(lambda: show("ActiveState") == "inactive")
+    took = time.monotonic() - began
+    files = sorted(path.name.rsplit(".", 1)[1] for path in STATE.iterdir())
+    shell("systemctl", "start", UNIT)
+    after = status()
+    return {
+        "took": took,
+        "files": files,
+        "result": show("Result"),
+        "yaw": [before["mount"]["yaw_deg"], after["mount"]["yaw_deg"]],
+        "state": after["state"],
+    }
+
+
+def interface_lost():
+    sensor = Sensor()
+    wait(lambda: sensor.good_since(0.0))
+    times = []
+    for _ in range(3):
+        shell("ip", "link", "del", "dev", "vcan0")
+        wait(lambda: show("ActiveState") == "inactive")
+        make_interface()
+        began = time.monotonic()
+        wait(lambda after=began: sensor.good_since(after))
+        times.append(time.monotonic() - began)
+        wait(is_active)
+    down = []
+    pid = show("MainPID")
+    for _ in range(3):
+        shell("ip", "link", "set", "down", "dev", "vcan0")
+        time.sleep(0.3)
+        shell("ip", "link", "set", "up", "dev", "vcan0")
+        began = time.monotonic()
+        wait(lambda after=began: sensor.good_since(after))
+        down.append(time.monotonic() - began)
+    sensor.stop()
+    return {"times": times, "down": down, "same_process": show("MainPID") == pid}
+
+
+def clock_stepped():
+    sensor = Sensor()
+    wait(lambda: sensor.good_since(0.0))
+    found = []
+    for hours in (0, 1, -1, -1, 1):
+        now = time.time() + 3600 * hours
+        time.clock_settime(time.CLOCK_REALTIME, now)
+        after = time.monotonic() + 0.1
+        wait(lambda after=after: sensor.good_since(after))
+        time.sleep(0.5)
+        said = status()
+        found.append([said["mount"][f"{a}_deg"] for a in ("roll", "pitch", "yaw")])
+        found[-1] += [*sensor.values, said["quality"]]
+    sensor.stop()
+    return {"found": found}
+
+
+def corrupted():
+    shell("systemctl", "stop", UNIT)
+    for path in list(STATE.iterdir()):
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 4
+        path.write_bytes(data)
+    shell("systemctl", "start", UNIT)
+    said = status()
+    aside = [path.name for path in STATE.iterdir() if ".corrupt." in path.name]
+    return {
+        "state": said["state"],
+        "quality": said["quality"],
+        "problems": said["saved_state"]["problems"],
+        "aside": aside,
+        "told": "checksum is wrong" in shell("journalctl", "-u", UNIT, "-n", "20"),
+    }
+
+
+def misconfigured():
+    config = pathlib.Path("/etc/imucald/vcan0.yaml")
+    config.write_text(config.read_text().replace("speed: SPEED.V", "sped: SPEED.V"))
+    shell("systemctl", "restart", UNIT, check=False)
+    time.sleep(1.5)
+    return {
+        "active": show("ActiveState"),
+        "code": show("ExecMainStatus"),
+        "told": "vcan0.yaml:" in shell("journalctl", "-u", UNIT, "-n", "20"),
+    }
+
+
+SCENES = (
+    begin,
+    calibrate,
+    killed,
+    hung,
+    reloaded,
+    stopped,
+    interface_lost,
+    clock_stepped,
+    corrupted,
+    misconfigured,
+)
+
+if __name__ == "__main__":
+    for scene in SCENES:
+        start = time.monotonic()
+        outcome = scene()
+        outcome["seconds"] = round(time.monotonic() - start, 2)
+        print("RESULT", json.dumps({scene.__name__: outcome}), flush=True)
+    sys.exit(0)

@@ -1,0 +1,163 @@
+"""The installed service under real faults: systemd is process 1, frames pass a kernel's CAN.
+
+All scenes (see scenario.py) play on one machine, one after the other: a boot costs more than they.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from machine import Outcome, run_machine
+
+import shuttle
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+LIMIT_S = 300.0
+USABLE_AGAIN_S = 2.0
+"""For the quickest of some restarts: the machine is emulated, on a host that is busy with tests."""
+SURELY_AGAIN_S = 8.0
+RESUME_S = 1.0
+
+STARTER = """#!/bin/sh
+export PYTHONPATH=/opt/source/daemon:/opt/packages PYTHONDONTWRITEBYTECODE=1
+exec /usr/bin/python3 -m imucald "$@"
+"""
+HANGING = """#!/usr/bin/python3
+import pathlib, sys, time
+sys.path[:0] = ["/opt/source/daemon", "/opt/packages"]
+sys.dont_write_bytecode = True
+from imucald.cli import main
+from imucald.service.live import Daemon
+step = Daemon.step
+def hanging(self, *arguments):
+    if pathlib.Path("/run/imucald/vcan0/hang").exists():
+        pathlib.Path("/run/imucald/vcan0/hang").unlink()
+        time.sleep(1000)
+    return step(self, *arguments)
+Daemon.step = hanging
+sys.exit(main(sys.argv[1:]))
+"""
+SCRIPT = """
+mkdir -p /opt/source /opt/packages
+mount --bind {source} /opt/source && mount --bind {packages} /opt/packages || exit 3
+mkdir -p /etc/imucald && cp {drive}/shuttle.* /etc/imucald/ && cd /etc/imucald || exit 4
+mv shuttle.yaml vcan0.yaml && chmod 755 . && chmod 644 * || exit 5
+chmod 755 /usr/bin/imucald
+exec python3 -u /opt/scenario.py
+"""
+
+
+@pytest.fixture(scope="module")
+def outcome(systemd_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    if sys.version_info[:2] != (3, 11):
+        pytest.skip("the machine's Python is 3.11, and runs this environment's packages")
+    folder = tmp_path_factory.mktemp("machine")
+    drive = tmp_path_factory.mktemp("drive")
+    shuttle.write(drive, cycles=3)
+    numpy = importlib.util.find_spec("numpy")
+    assert numpy is not None
+    assert numpy.origin is not None
+    packages = Path(numpy.origin).parents[1]
+    files = {
+        "/opt/scenario.py": (HERE / "scenario.py").read_text(),
+        "/usr/bin/imucald": STARTER,
+        "/usr/bin/imucald-hanging": HANGING,
+    }
+    script = SCRIPT.format(source=ROOT, packages=packages, drive=drive)
+    shared = [ROOT, packages, drive]
+    return run_machine(systemd_root, folder, script, files=files, shared=shared, limit=LIMIT_S)
+
+
+def scene(outcome: Outcome, name: str) -> dict[str, Any]:
+    for line in outcome.output.splitlines():
+        if line.startswith("RESULT "):
+            found = json.loads(line.removeprefix("RESULT "))
+            if name in found:
+                return dict(found[name])
+    text = f"{outcome.output[-6000:]}\n{outcome.console[-1500:]}"
+    pytest.fail(f"no result of {name} (status {outcome.status}):\n{text}")
+
+
+def test_it_starts_with_the_interface_as_nobody_in_particular(outcome):
+    found = scene(outcome, "begin")
+    assert found["active"] == "active"
+    assert "waiting" in found["status"]
+    assert found["user"] != "root"
+    assert found["mode"] == "0o700"
+    assert float(found["exposure"].split(": ")[1].split()[0]) <= 1.5
+
+
+def test_it_calibrates_from_the_bus_and_says_so_in_its_status_line(outcome):
+    found = scene(outcome, "calibrate")
+    assert found["state"] in {"usable", "fine"}
+    assert abs(found["yaw"] - 25.0) < 3.0
+    assert found["generation"] >= 1
+    assert found["status"].startswith(found["state"])
+    assert "yaw +2" in found["status"]
+
+
+def test_after_a_kill_it_is_usable_again_within_two_seconds_from_its_state(outcome):
+    found = scene(outcome, "killed")
+    assert min(found["times"]) < USABLE_AGAIN_S
+    assert max(found["times"]) < SURELY_AGAIN_S
+    assert found["quality"] == 1
+    assert found["restarts"] == len(found["times"])
+
+
+def test_a_hung_loop_is_killed_by_the_watchdog_and_restarted(outcome):
+    found = scene(outcome, "hung")
+    assert found["restarts"] == 1
+    assert found["said"]
+    assert found["took"] < 8.0
+
+
+def test_reloading_keeps_process_and_estimate_and_refuses_nonsense(outcome):
+    found = scene(outcome, "reloaded")
+    assert found["same_process"]
+    assert found["told"]
+    assert found["active"] == "active"
+    assert len(set(found["yaw"])) == 1
+    assert found["yaw"][0] is not None
+
+
+def test_it_stops_within_a_second_with_its_state_saved(outcome):
+    found = scene(outcome, "stopped")
+    assert found["took"] < 1.0
+    assert found["files"] == ["0", "1"]
+    assert found["result"] == "success"
+    assert found["yaw"][0] == pytest.approx(found["yaw"][1], abs=1e-6)
+    assert found["state"] == "restored"
+
+
+def test_it_comes_and_goes_with_its_interface(outcome):
+    found = scene(outcome, "interface_lost")
+    assert max(found["down"]) < RESUME_S
+    assert min(found["times"]) < USABLE_AGAIN_S
+    assert max(found["times"]) < SURELY_AGAIN_S
+    assert found["same_process"]
+
+
+def test_a_stepped_wall_clock_moves_nothing(outcome):
+    found = scene(outcome, "clock_stepped")["found"]
+    for other in found[1:]:
+        assert other == pytest.approx(found[0], abs=0.01)
+
+
+def test_a_corrupt_state_is_set_aside_and_told(outcome):
+    found = scene(outcome, "corrupted")
+    assert (found["state"], found["quality"]) == ("waiting", 0)
+    assert len(found["problems"]) == len(found["aside"]) == 2
+    assert found["told"]
+
+
+def test_a_wrong_configuration_is_told_and_not_tried_again_and_again(outcome):
+    found = scene(outcome, "misconfigured")
+    assert found["active"] == "failed"
+    assert found["code"] == "78"
+    assert found["told"]
