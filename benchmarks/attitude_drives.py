@@ -32,6 +32,8 @@ class Truth:
     t: Array
     up: Array
     speed: Array
+    grade: Array | None = None
+    """Slope of the road, tangent, positive uphill."""
 
     @property
     def roll_pitch(self) -> Array:
@@ -82,7 +84,9 @@ def simulated(drive: Drive) -> tuple[list[Event], Truth]:
     sr, cr = np.sin(truth.body_roll), np.cos(truth.body_roll)
     x, z = cp * x - sp * z, sp * x + cp * z
     up = np.column_stack([x, cr * y + sr * z, cr * z - sr * y])
-    return in_order(samples, truth.R_vehicle_from_sensor()), Truth(truth.t, up, truth.speed)
+    return in_order(samples, truth.R_vehicle_from_sensor()), Truth(
+        truth.t, up, truth.speed, -np.tan(truth.road_pitch)
+    )
 
 
 def kingston() -> tuple[list[Event], Truth, Array]:

@@ -34,10 +34,10 @@ def tilt(
     """Pitch and roll of the propagated matrix less those of the accelerometer; noise by `interval`.
 
     gravity: what the interval left of the specific force, by the propagated matrix in east, north,
-    up [m/s^2]; were the matrix right, it would point up. The differences are written about the level
-    axes right and forward of the vehicle, where they have no singular place; for small errors
-    they are the differences of the angles. C: C_nav_from_body now; accel_error: in body axes; lag:
-    age of the interval's middle [s], in which the gyroscope's error turned the attitude on.
+    up [m/s^2]; were the matrix right, it would point up. The differences are written about the
+    level axes right and forward of the vehicle, where they have no singular place; for small
+    errors they are the differences of the angles. C: C_nav_from_body now; accel_error: in body
+    axes; lag: age of the interval's middle [s], in which the gyroscope's error turned on.
     """
     d = times(C, accel_error)
     east, north, up = gravity[0] - d[0], gravity[1] - d[1], gravity[2] - d[2]
