@@ -227,6 +227,17 @@ def test_a_state_that_cannot_be_written_is_told_once_and_stops_nothing(bench):
     service.close()
 
 
+def test_an_estimate_that_does_not_change_is_saved_once(bench):
+    service = bench.service()
+    bench.drive(service)
+    for _ in range(3):
+        service._every_second(time.monotonic())
+        assert service.keeper.writer.flush(2.0)
+    assert service.status()["saved_state"]["saves"] == 1
+    service.close()
+    assert service.keeper.writer.saves == 1
+
+
 def test_a_disk_that_hangs_does_not_hold_the_loop_or_the_stop(bench, monkeypatch):
     service = bench.service()
     bench.drive(service)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import time
 
@@ -35,7 +36,8 @@ def run(options: argparse.Namespace) -> int:
     end = time.monotonic() + (options.seconds or float("inf"))
     console = Console(highlight=False, markup=False)
     foot = Text(f"{path}   Ctrl-C ends", style="dim")
-    with Live(console=console, auto_refresh=False, screen=console.is_terminal) as live:
+    view = Live(console=console, auto_refresh=False, screen=console.is_terminal)
+    with contextlib.suppress(KeyboardInterrupt), view as live:
         while time.monotonic() < end:
             try:
                 status = json.loads(ask(path, "status"))

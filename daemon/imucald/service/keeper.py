@@ -165,10 +165,17 @@ class StateKeeper:
             self._last = replace(self._last, doubted=True, shifts=shifts)
         else:
             saved = saved_state(estimate, driven_s, self._wall(), self._last.shifts)
-            if saved is None:
+            if saved is None or self._is_saved(saved):
                 return
             self._last, self._known = saved, True
         self.writer.put(self._last)
+
+    def _is_saved(self, state: SavedState) -> bool:
+        """Whether the same was saved before: a vehicle that stands wears out no memory."""
+        if not self._known or self.writer.last_error:
+            return False
+        then = self._last
+        return replace(state, saved_at=then.saved_at, driven_s=then.driven_s) == then
 
     def forget(self) -> None:
         """Keep nothing of what was saved: it is set aside, and not loaded again."""
