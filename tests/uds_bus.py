@@ -100,10 +100,24 @@ def asking(bus: Any, extended_ids: bool = False, **config: Any) -> Iterator[Clie
         yield client
 
 
+def frames_of(log: Path) -> list[tuple[float, int, bytes]]:
+    """The drive's frames of ours."""
+    return [
+        (t, can_id, data[:n].tobytes())
+        for chunk in LogReader([log])
+        for t, can_id, n, data in zip(
+            chunk.t.tolist(), chunk.can_id.tolist(), chunk.length.tolist(), chunk.data, strict=True
+        )
+        if 0x200 <= can_id <= 0x202
+    ]
+
+
 class UdsBench:
     """A service in a thread, and the bus it is on."""
 
-    def __init__(self, folder: Path, config: Path) -> None:
+    def __init__(
+        self, folder: Path, config: Path, frames: list[tuple[float, int, bytes]] | None = None
+    ) -> None:
         self.folder = folder
         self.log = io.StringIO()
         channel = f"uds-{next(CHANNELS)}"
@@ -114,26 +128,14 @@ class UdsBench:
         self.bus = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
         self.tester_bus = can.Bus(interface="virtual", channel=channel)
         self._thread = threading.Thread(target=self.service.run)
-        self._log: list[tuple[float, int, bytes]] = []
-        for chunk in LogReader([folder / "shuttle.log"]):
-            self._log += [
-                (t, i, data[:n].tobytes())
-                for t, i, n, data in zip(
-                    chunk.t.tolist(),
-                    chunk.can_id.tolist(),
-                    chunk.length.tolist(),
-                    chunk.data,
-                    strict=True,
-                )
-                if 0x200 <= i <= 0x202
-            ]
-        self.start = self._log[0][0]
+        self.frames = frames or frames_of(folder / "shuttle.log")
+        self.start = self.frames[0][0]
         self._played = 0
 
     def play(self, until: float, change: Callable[[int, bytes], bytes] | None = None) -> None:
         """Send the drive up to this time from its start [s], as fast as it is taken in."""
-        while self._played < len(self._log):
-            t, can_id, data = self._log[self._played]
+        while self._played < len(self.frames):
+            t, can_id, data = self.frames[self._played]
             if t - self.start >= until:
                 break
             self.send(can_id, data if change is None else change(can_id, data), t)
