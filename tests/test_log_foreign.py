@@ -67,6 +67,19 @@ def test_other_formats_give_the_same_columns(tmp_path: Path, name: str) -> None:
     assert reader.rejected == {}
 
 
+@pytest.mark.parametrize("name", ["a.asc", "a.blf", "a.csv"])
+def test_the_first_frame_counts_for_the_start_though_it_is_not_wanted(
+    tmp_path: Path, name: str
+) -> None:
+    with can.Logger(tmp_path / name) as writer:
+        for k, can_id in enumerate((0x700, 0x123)):
+            writer(can.Message(START + k, can_id, False, data=b"1"))
+    reader = LogReader([tmp_path / name], [IdMatch(0x123, 0x7FF)])
+    (frames,) = reader
+    assert reader.first_stamp is not None
+    assert frames.t[0] - reader.first_stamp == pytest.approx(1.0, abs=1e-3)
+
+
 def test_mf4_is_read_where_asammdf_is_installed(tmp_path: Path) -> None:
     pytest.importorskip("asammdf")
     from imucald.bus.pythoncan import with_mf4

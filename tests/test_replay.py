@@ -98,6 +98,21 @@ def test_paced_replay_takes_its_time_and_gives_the_same(log, tmp_path):
     assert taken >= fast["duration_s"] / 8.0 * 0.95
 
 
+@pytest.mark.parametrize("strange", ["7F0#00", "7F0#R", "7F0##000"])
+def test_first_times_count_from_the_first_frame_of_the_log(tmp_path, strange):
+    drive = tmp_path / "drive.log"
+    with CandumpWriter(drive) as writer:
+        writer.write_columns(drive_frames())
+    start = float(drive_frames().t[0])
+    path = tmp_path / "later.log"
+    early = f"no frame\n({start - 50.0:.6f}) can1 {strange}\n"
+    path.write_bytes(early.encode() + drive.read_bytes())
+    plain, later = replayed([drive])[0], replayed([path])[0]
+    assert plain["first_usable_s"] is not None
+    assert later["first_usable_s"] == pytest.approx(plain["first_usable_s"] + 50.0, abs=1e-3)
+    assert later["duration_s"] == plain["duration_s"]
+
+
 def test_an_empty_log_is_no_error(tmp_path):
     path = tmp_path / "empty.log"
     path.write_bytes(b"")

@@ -50,7 +50,9 @@ class Replay:
             else:
                 self._feed_paced(chunk, began - first / self.speed)
         duration = last - first if first is not None and last is not None else 0.0
-        return summary(self.engine, self.counts(), max(duration, 0.0))
+        start = self.reader.first_stamp
+        lead = first - start if first is not None and start is not None else 0.0
+        return summary(self.engine, self.counts(), max(duration, 0.0), max(lead, 0.0))
 
     def _feed(self, chunk: FrameColumns) -> None:
         out = self.engine.columns(chunk, keep=self.sink is not None)

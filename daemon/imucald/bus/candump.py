@@ -61,6 +61,8 @@ class CandumpParser:
         if wrong is not None:
             hits = [h.only(~wrong[h.line]) for h in hits]
         self._tally.frames_read += len(block) - len(odd)
+        if self._tally.first_stamp is None:
+            self._stamp_first(block)
         singles: list[tuple[int, Line]] = []
         for number in odd.tolist():
             line = self.judge(block.text(number), (place[0], place[1] + number))
@@ -81,6 +83,8 @@ class CandumpParser:
         line: Line | str | None = parse_line(text)
         if line is None:
             return None
+        if isinstance(line, Line):
+            self._tally.stamp(line.t)
         if isinstance(line, Line) and line.kind != "data":
             self._tally.ignore(line.kind)
             return None
@@ -93,6 +97,14 @@ class CandumpParser:
             return None
         self._tally.frames_read += 1
         return line if self._filters.of(line.channel).wanted(line.can_id) else None
+
+    def _stamp_first(self, block: Block) -> None:
+        """Find the log's first frame, wanted or not."""
+        for number in range(len(block)):
+            line = parse_line(block.text(number))
+            if isinstance(line, Line):
+                self._tally.stamp(line.t)
+                return
 
     def _find(self, block: Block) -> list[Hits]:
         """Hold every known shape against the lines, then learn new ones from what is left."""

@@ -110,6 +110,8 @@ class ForeignReader:
 
     def _judge(self, message: Any, path: Path, number: int) -> Frame | None:
         """Count one message; return it if it is a wanted data frame."""
+        if math.isfinite(message.timestamp):
+            self._tally.stamp(message.timestamp)
         if message.is_error_frame:
             self._tally.ignore("error_frame")
             return None

@@ -76,6 +76,11 @@ class LogReader:
         return self._tally.frames_read
 
     @property
+    def first_stamp(self) -> float | None:
+        """Return the time stamp of the first valid frame so far [s], wanted or not."""
+        return self._tally.first_stamp
+
+    @property
     def ignored(self) -> dict[str, int]:
         """Return how many of them are remote_frame, error_frame, xl_frame: never passed on."""
         return dict(self._tally.ignored)

@@ -18,6 +18,8 @@ class Tally:
         """strict: raise LogError at the first rejection instead of counting it."""
         self.strict = strict
         self.frames_read = 0
+        self.first_stamp: float | None = None
+        """Time stamp of the first valid frame [s]."""
         self.ignored: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
         self.problems: list[str] = []
@@ -29,6 +31,11 @@ class Tally:
         self.rejected[reason] += 1
         if len(self.problems) < MAX_PROBLEMS:
             self.problems.append(text)
+
+    def stamp(self, t: float) -> None:
+        """Take note of a valid frame's time stamp [s]: the first one is kept."""
+        if self.first_stamp is None:
+            self.first_stamp = t
 
     def ignore(self, kind: str) -> None:
         """Count one valid frame that carries no data (remote, error) or is not for us (XL)."""
