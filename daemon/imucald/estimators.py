@@ -16,6 +16,13 @@ CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""
 _KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
 """Sign of the roll that a road's crown gives a vehicle that keeps to this side."""
+_LIMITS = {
+    "usable_yaw_deg": "usable_yaw_std",
+    "usable_tilt_deg": "usable_tilt_std",
+    "fine_yaw_deg": "fine_yaw_std",
+    "fine_tilt_deg": "fine_tilt_std",
+}
+"""Key of `states` -> setting of method A, whose presets are wider than the configuration's."""
 
 
 def estimator_for(config: Config) -> MountEstimator:
@@ -35,7 +42,13 @@ def published_settings(config: Config) -> PublishedSettings:
     static, straight, target = calibration.static, calibration.straight, calibration.target_angle
     vehicle = config.vehicle
     side_known = vehicle.driving_side != "unknown"
-    presets = PublishedSettings()
+    given = calibration.states.model_fields_set
+    limits = {
+        setting: math.radians(getattr(calibration.states, key))
+        for key, setting in _LIMITS.items()
+        if key in given
+    }
+    presets = replace(PublishedSettings(), **limits)
     return replace(
         presets,
         static=replace(
