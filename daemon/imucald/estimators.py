@@ -16,13 +16,6 @@ CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""
 _KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
 """Sign of the roll that a road's crown gives a vehicle that keeps to this side."""
-_LIMITS = {
-    "usable_yaw_deg": "usable_yaw_std",
-    "usable_tilt_deg": "usable_tilt_std",
-    "fine_yaw_deg": "fine_yaw_std",
-    "fine_tilt_deg": "fine_tilt_std",
-}
-"""Key of `states` -> setting of method A, whose presets are wider than the configuration's."""
 
 
 def estimator_for(config: Config) -> MountEstimator:
@@ -42,13 +35,13 @@ def published_settings(config: Config) -> PublishedSettings:
     static, straight, target = calibration.static, calibration.straight, calibration.target_angle
     vehicle = config.vehicle
     side_known = vehicle.driving_side != "unknown"
-    given = calibration.states.model_fields_set
-    limits = {
-        setting: math.radians(getattr(calibration.states, key))
-        for key, setting in _LIMITS.items()
-        if key in given
-    }
-    presets = replace(PublishedSettings(), **limits)
+    presets = PublishedSettings()
+    states, given = calibration.states, calibration.states.model_fields_set
+
+    def limit(key: str, preset: float) -> float:
+        # The presets of method A are wider than those that the configuration states.
+        return math.radians(getattr(states, key)) if key in given else preset
+
     return replace(
         presets,
         static=replace(
@@ -81,6 +74,10 @@ def published_settings(config: Config) -> PublishedSettings:
         subtract_lateral=target.subtract_lateral,
         remove_offset_after=target.remove_offset_after,
         speed_delay=calibration.speed_delay or 0.0,
+        usable_yaw_std=limit("usable_yaw_deg", presets.usable_yaw_std),
+        usable_tilt_std=limit("usable_tilt_deg", presets.usable_tilt_std),
+        fine_yaw_std=limit("fine_yaw_deg", presets.fine_yaw_std),
+        fine_tilt_std=limit("fine_tilt_deg", presets.fine_tilt_std),
     )
 
 
