@@ -9,6 +9,7 @@ from typing import Any
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import AttitudeState
 from imucald.attitude.filter import AttitudeFilter
+from imucald.attitude.plausible import is_plausible
 from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
 from imucald.companion import ORDER, Companion
 from imucald.config import Config, LoadedConfig
@@ -33,6 +34,9 @@ def companions_for(loaded: LoadedConfig, output: OutputFrames) -> list[Companion
     config = loaded.config
     signals = config.signals
     found: list[Companion] = []
+    for key, frames in (("attitude", output.attitude), ("travel_direction", output.travel)):
+        if frames is not None and any(triad.z is None for triad in signals.accelerometer):
+            raise loaded.error((key, "enabled"), "needs all three axes of the accelerometer")
     if output.attitude is not None:
         place = ("attitude", "enabled")
         if signals.gyroscope is None:
@@ -67,11 +71,16 @@ class AttitudeCompanion:
         self._frames = frames
         self._every = round(TICK_RATE / config.attitude.rate)
         self._correction: Correction | None = None
+        self.rejected = 0
+        """Samples that were left out because they cannot be."""
 
     def sample(
         self, t: float, channel: str, values: Sequence[float], correction: Correction | None
     ) -> None:
         """Take a sample; those of the sensor are turned into vehicle axes first."""
+        if not is_plausible(channel, values):
+            self.rejected += 1
+            return
         if correction != self._correction:
             self._turn(correction)
         if channel == "speed":
@@ -127,6 +136,7 @@ class AttitudeCompanion:
             "gyro_bias_deg_s": [number(b) for b in e.bias],
             "grade_percent": number(e.grade, 100.0),
             "sensor_check": self.filter.checked,
+            "rejected_samples": self.rejected,
         }
 
 
@@ -165,6 +175,7 @@ class TravelCompanion:
         heading = None if last is None or last.heading is None else math.degrees(last.heading)
         return "travel_direction", {
             "steps": self.travel.steps,
+            "rejected_samples": self.travel.rejected,
             "heading_deg": None if heading is None else round(heading, 2),
         }
 

@@ -320,3 +320,26 @@ def test_method_b_alone_finds_the_zero_error_at_rest():
     e = motion.feed(attitude, (0.01, -0.02, 0.03))[-1]
     assert attitude.checked
     assert e.bias == pytest.approx((0.01, -0.02, 0.03), abs=2e-4)
+
+
+def test_a_day_of_stops_and_drives():
+    """Twenty-four hours at one sample a second: no blow-up, angles where they were."""
+    attitude = AttitudeFilter(settings({"interval": 4.0, "average": 0.5}, longest_step=2.0))
+    rng = np.random.default_rng(9)
+    n = 86_400
+    gyro = rng.normal((0.002, -0.001, 0.001), 2e-4, (n, 3))
+    accel = rng.normal(0.0, 0.02, (n, 3))
+    for t in range(n):
+        drives = t % 1200 > 300
+        attitude.speed(float(t), 15.0 if drives else 0.0)
+        attitude.gyro(float(t), gyro[t].tolist())
+        x, y, z = accel[t].tolist()
+        attitude.accel(float(t), (x - G * math.sin(0.02), y, z + G * math.cos(0.02)))
+    e = attitude.estimate()
+    assert (e.roll, e.pitch) == pytest.approx((0.0, 0.02), abs=0.2 * DEG)
+    assert max(e.std[:2]) < 0.3 * DEG
+    assert e.bias == pytest.approx((0.002, -0.001, 0.001), abs=0.03 * DEG)
+    P = attitude.kalman.P
+    assert np.array_equal(P, P.T)
+    assert np.linalg.eigvalsh(P).min() > 0.0
+    assert sum(c * c for c in attitude._propagator.q) == pytest.approx(1.0, abs=1e-12)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import math
+import tempfile
 from collections import defaultdict
 from importlib import resources
 from pathlib import Path
@@ -12,12 +13,14 @@ from pathlib import Path
 import cantools.database
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from engine_bus import columns_of, frames_of, load
 from gait import CARRYINGS, walk
 from imucald.bus.wiring import compile_router
 from imucald.cli import main
-from imucald.companions import companions_for
+from imucald.companions import ORDER, companions_for
 from imucald.engine import Engine
 from imucald.errors import ConfigError
 from imucald.frames import rotation_from_angles
@@ -240,6 +243,7 @@ def test_a_walk_comes_out_step_by_step(tmp_path, bus, out_dbc):
         (CAR.replace("  gyroscope: {x: GYR.GX, y: GYR.GY, z: GYR.GZ}\n", ""), "signals.gyroscope"),
         (CAR.replace("rate: 5", "filter: {heading: magnetometer}"), "signals.magnetometer"),
         (CAR.replace("rate: 5", "filter: {heading: signal}"), "signals.heading"),
+        (CAR.replace(", z: ACC.Z}", "}"), "all three axes"),
         (CAR + "travel_direction: {enabled: true}\n", "signals.magnetometer or signals.heading"),
     ],
 )
@@ -247,6 +251,52 @@ def test_a_missing_input_is_one_clear_line(tmp_path, text, reason):
     with pytest.raises(ConfigError, match=reason) as error:
         make_engine(load(text, tmp_path, DBC))
     assert "config.yaml:" in str(error.value)
+
+
+def test_what_cannot_be_is_left_out_and_counted(tmp_path):
+    loaded = load(CAR + "travel_direction: {enabled: false}\n", tmp_path, DBC)
+    engine = engine_for(loaded)
+    (companion,) = engine.companions
+    rotation = tuple(MOUNT.ravel().tolist())
+    rng = np.random.default_rng(2)
+    for k in range(2000):
+        t = 0.02 * k
+        companion.sample(t, "speed", (0.0,), rotation)
+        companion.sample(t, "gyro", tuple(rng.normal(0.0, 0.001, 3).tolist()), rotation)
+        companion.sample(t, "accel", tuple((MOUNT.T @ [0.0, 0.0, G]).tolist()), rotation)
+        if k % 100 == 50:
+            for bad in (1e30, math.inf, -math.inf, math.nan):
+                companion.sample(t, "gyro", (0.0, bad, 0.0), rotation)
+                companion.sample(t, "accel", (bad, 0.0, 0.0), rotation)
+                companion.sample(t, "speed", (bad,), rotation)
+                companion.sample(t, "heading", (bad,), rotation)
+                companion.sample(t, "mag", (bad, 0.0, 0.0), rotation)
+    assert companion.rejected == 20 * 20
+    _, content = companion.summary()
+    assert content["state"] == "relative_heading"
+    assert content["roll_deg"] == pytest.approx(0.0, abs=0.05)
+
+
+@given(st.lists(st.tuples(
+    st.sampled_from(ORDER), st.floats(0.0, 3.0),
+    st.tuples(*[st.floats(allow_nan=True, allow_infinity=True) | st.floats(-20, 20)] * 3),
+), max_size=300))  # fmt: skip
+@settings(max_examples=60, deadline=None)
+def test_nothing_from_a_bus_breaks_a_companion(samples):
+    with tempfile.TemporaryDirectory() as name:
+        text = PHONE.replace("enabled: true", "enabled: true}\nattitude: {enabled: true")
+        engine = engine_for(load(text, Path(name), DBC))
+    t = 0.0
+    for k, (channel, pause, values) in enumerate(samples):
+        t += pause * pause * 0.1
+        rotation = tuple(rotation_from_angles(0.1, 0.2, 0.001 * k).ravel().tolist())
+        wide = values if channel in ("gyro", "mag", "accel") else values[:1]
+        for companion in engine.companions:
+            if channel in companion.channels:
+                companion.sample(t, channel, wide, rotation)
+            companion.tick(k)
+    for companion in engine.companions:
+        json.dumps(companion.summary(), allow_nan=False)
 
 
 def test_off_by_default(tmp_path):

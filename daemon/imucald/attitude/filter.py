@@ -44,6 +44,8 @@ START_MOVING_STD = math.radians(6.0)
 """Tilt error taken for granted at the start; the first intervals say it better."""
 LARGEST_ZERO_ERROR = 6.0
 """In standard deviations: what turns faster than any zero error is not at rest."""
+HEADING_SPACING_S = 0.5
+"""Headings are taken so far apart: their errors last longer than a sample [s]."""
 MAX_KNOTS = 64
 
 
@@ -87,7 +89,7 @@ class AttitudeFilter:
         self._speed_seen = -math.inf
         self._last_knot = -math.inf
         self._sign = 1.0
-        self._accel_seen = -math.inf
+        self._accel_seen = self._heading_seen = -math.inf
         self._predicted = -math.inf
         self._grade.restart()
 
@@ -121,7 +123,7 @@ class AttitudeFilter:
     def heading(self, t: float, heading: float) -> None:
         """Take a heading, clockwise from north [rad]."""
         if self.settings.filter.heading == "signal" and self.running:
-            self._take_heading(heading, self.settings.filter.heading_noise)
+            self._take_heading(t, heading, self.settings.filter.heading_noise)
 
     def mag(self, t: float, values: Sequence[float]) -> None:
         """Take a magnetic field in vehicle axes [T]; its level part points north."""
@@ -133,7 +135,7 @@ class AttitudeFilter:
             # the field seems turned by as much as the estimate is turned the other way
             estimated = vehicle_angles(self._C())[2]
             measured = estimated - math.atan2(east, north) + self.settings.filter.declination
-            self._take_heading(measured, self.settings.filter.magnetometer_noise)
+            self._take_heading(t, measured, self.settings.filter.magnetometer_noise)
 
     def turned(self, old: Sequence[float], new: Sequence[float]) -> None:
         """The mount's rotation (9 numbers, row by row) is another one from here on.
@@ -307,7 +309,10 @@ class AttitudeFilter:
         self._apply(self.kalman.update(measurements))
         self._grade.take(found, -vehicle_angles(self._C())[1])
 
-    def _take_heading(self, heading: float, noise: float) -> None:
+    def _take_heading(self, t: float, heading: float, noise: float) -> None:
+        if t - self._heading_seen < HEADING_SPACING_S:
+            return
+        self._heading_seen = t
         is_known = self._heading_std() < 1.0
         measurement = heading_difference(heading, self._C(), noise, is_known)
         self._apply(self.kalman.update([measurement]))

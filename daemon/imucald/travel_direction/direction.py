@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.attitude.axes import Vector, times, transposed_times
+from imucald.attitude.plausible import is_plausible
 from imucald.travel_direction.attitude import TerminalAttitude
 from imucald.travel_direction.cycles import Cycle, StepCycles
 from imucald.travel_direction.modern import ModernDirection
@@ -73,6 +74,8 @@ class TravelDirection:
         self.attitude = TerminalAttitude(s.modern)
         self.last: Step | None = None
         """The newest step."""
+        self.rejected = 0
+        """Samples that were left out because they cannot be."""
         self.gap()
 
     @property
@@ -94,7 +97,13 @@ class TravelDirection:
         self.last = None
 
     def sample(self, t: float, channel: str, values: Sequence[float]) -> Step | None:
-        """Take a sample of a channel (see `samples`); return the step that it completes, if any."""
+        """Take a sample of a channel (see `samples`); return the step that it completes, if any.
+
+        What cannot be is left out, and counted.
+        """
+        if not is_plausible(channel, values):
+            self.rejected += 1
+            return None
         if channel == "accel":
             return self.accel(t, values)
         if channel == "gyro":
