@@ -8,7 +8,6 @@ filter; after 30 s of rest, once, the sensor check. Pure: no I/O, no clock; samp
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,8 +30,8 @@ from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.grade import RoadGrade
 from imucald.attitude.interval import Interval, Knot, along_body, interval
 from imucald.attitude.kalman import NineStateFilter
+from imucald.attitude.knots import KnotMaker
 from imucald.attitude.measurements import LEAST_UP, heading_difference, rest_rates, tilt
-from imucald.attitude.motion_compensation import AverageSpeed, SpeedAverager
 from imucald.attitude.propagation import Propagator
 from imucald.attitude.sensor_check import rest_errors
 from imucald.attitude.settings import AttitudeSettings
@@ -46,7 +45,6 @@ LARGEST_ZERO_ERROR = 6.0
 """In standard deviations: what turns faster than any zero error is not at rest."""
 HEADING_SPACING_S = 0.5
 """Headings are taken so far apart: their errors last longer than a sample [s]."""
-MAX_KNOTS = 64
 
 
 class AttitudeFilter:
@@ -66,6 +64,7 @@ class AttitudeFilter:
         self._propagator = Propagator(
             of_filter.longest_step, text_from_vehicle(*compensation.lever_arm)
         )
+        self._knots = KnotMaker(compensation, self._propagator)
         self._grade = RoadGrade(self.settings.squat, self.settings.grade_time)
         self.reset()
 
@@ -81,14 +80,9 @@ class AttitudeFilter:
     def gap(self) -> None:
         """Time jumped: nothing before this may be differenced with what follows."""
         self._propagator.restart()
-        self._average = SpeedAverager(self.settings.compensation)
-        self._knots: deque[AverageSpeed] = deque(maxlen=MAX_KNOTS)
-        self._open: Knot | None = None
+        self._knots.restart()
         self._start: Knot | None = None
         self._rest: Knot | None = None
-        self._speed_seen = -math.inf
-        self._last_knot = -math.inf
-        self._sign = 1.0
         self._accel_seen = self._heading_seen = -math.inf
         self._predicted = -math.inf
         self._grade.restart()
@@ -98,7 +92,8 @@ class AttitudeFilter:
         p, b = self.constant_bias, self.kalman.bias
         bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
         self._propagator.gyro(t, text_from_vehicle(values[0], values[1], values[2]), bias)
-        self._advance()
+        for first, last in self._knots.complete():
+            self._close(first, last)
 
     def accel(self, t: float, values: Sequence[float]) -> None:
         """Take a specific force [m/s^2]."""
@@ -109,16 +104,11 @@ class AttitudeFilter:
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""
-        self._speed_seen = t
-        knot = self._average.add(t, self._sign * speed)
-        spacing = self.settings.compensation.interval
-        if knot.t - self._last_knot >= spacing - 1e-6 or knot.t < self._last_knot - spacing:
-            self._last_knot = knot.t
-            self._knots.append(knot)
+        self._knots.speed(t, speed)
 
     def reverse(self, is_reverse: bool) -> None:
         """Say whether the vehicle drives backwards."""
-        self._sign = -1.0 if is_reverse else 1.0
+        self._knots.reverse(is_reverse)
 
     def heading(self, t: float, heading: float) -> None:
         """Take a heading, clockwise from north [rad]."""
@@ -205,33 +195,8 @@ class AttitudeFilter:
 
     # intervals -------------------------------------------------------------------------------
 
-    def _advance(self) -> None:
-        """Make the intervals that are complete by now."""
-        newest = self._propagator.newest
-        if newest is None:
-            return
-        if self._open is not None and self._open.moment.t < self._propagator.segment_start:
-            self._open = self._start = self._rest = None
-        if newest.t - self._speed_seen > self.settings.compensation.timeout:
-            self._knots.clear()
-            if self._open is None or newest.t - self._open.moment.t >= self._spacing:
-                self._close(Knot(newest, math.nan))
-            return
-        while self._knots and self._knots[0].t <= newest.t:
-            at = self._knots.popleft()
-            moment = self._propagator.at(at.t)
-            if moment is None:
-                self._open = None
-            else:
-                self._close(Knot(moment, at.speed))
-
-    @property
-    def _spacing(self) -> float:
-        return self.settings.compensation.interval
-
-    def _close(self, knot: Knot) -> None:
-        first, self._open = self._open, knot
-        if first is None or knot.moment.t - first.moment.t <= 0.0:
+    def _close(self, first: Knot | None, knot: Knot) -> None:
+        if first is None:
             self._start = self._rest = None
             return
         found = self._interval(first, knot)

@@ -1,0 +1,74 @@
+"""Where intervals begin and end: at averaged speeds, or by time where there is no speed."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+
+from imucald.attitude.interval import Knot
+from imucald.attitude.motion_compensation import AverageSpeed, SpeedAverager
+from imucald.attitude.propagation import Propagator
+from imucald.attitude.settings import CompensationSettings
+
+MAX_KNOTS = 64
+"""Averaged speeds that wait for the accelerometer: a leading speed is ahead by a second."""
+SLACK_S = 1e-6
+"""Times a second apart differ by this much less in their rounding [s]."""
+
+
+class KnotMaker:
+    """Pairs of knots, each the interval between two averaged speeds, from samples as they come."""
+
+    def __init__(self, settings: CompensationSettings, propagator: Propagator) -> None:
+        self._settings = settings
+        self._propagator = propagator
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: time has jumped."""
+        self._average = SpeedAverager(self._settings)
+        self._waiting: deque[AverageSpeed] = deque(maxlen=MAX_KNOTS)
+        self._open: Knot | None = None
+        self._heard = -math.inf
+        self._last = -math.inf
+        self._sign = 1.0
+
+    def speed(self, t: float, speed: float) -> None:
+        """Take a speed [m/s], not negative, that came at t [s]."""
+        self._heard = t
+        average = self._average.add(t, self._sign * speed)
+        spacing = self._settings.interval
+        if not self._last - spacing <= average.t < self._last + spacing - SLACK_S:
+            self._last = average.t
+            self._waiting.append(average)
+
+    def reverse(self, is_reverse: bool) -> None:
+        """Say whether the vehicle drives backwards."""
+        self._sign = -1.0 if is_reverse else 1.0
+
+    def complete(self) -> Iterator[tuple[Knot | None, Knot]]:
+        """Beginning and end of the intervals complete by now; no beginning: it begins there."""
+        newest = self._propagator.newest
+        if newest is None:
+            return
+        if self._open is not None and self._open.moment.t < self._propagator.segment_start:
+            self._open = None
+        if newest.t - self._heard > self._settings.timeout:
+            self._waiting.clear()
+            if self._open is None or newest.t - self._open.moment.t >= self._settings.interval:
+                yield self._next(Knot(newest, math.nan))
+            return
+        while self._waiting and self._waiting[0].t <= newest.t:
+            average = self._waiting.popleft()
+            moment = self._propagator.at(average.t)
+            if moment is None:
+                self._open = None
+            else:
+                yield self._next(Knot(moment, average.speed))
+
+    def _next(self, knot: Knot) -> tuple[Knot | None, Knot]:
+        first, self._open = self._open, knot
+        if first is not None and knot.moment.t <= first.moment.t:
+            first = None
+        return first, knot
