@@ -67,6 +67,11 @@ def test_shorthands_and_long_forms_are_the_same():
         ("", "dir/car.yaml:1:"),
         ("[1, 2]\n", "dir/car.yaml:1: a configuration is a mapping"),
         ("a: [1\n", "not valid YAML"),
+        (
+            "a:\n\tb: 1\n",
+            "dir/car.yaml:2: not valid YAML: found character that cannot start any token"
+            "; indent with spaces, not tabs",
+        ),
         ("a: 1\nb: 2\na: 3\n", "dir/car.yaml:3: the key 'a' stands here a second time"),
         ("a: &x [1]\nb: *x\n", "dir/car.yaml:2: YAML aliases"),
         ("? [1, 2]\n: 3\n", "a key must be a plain word"),

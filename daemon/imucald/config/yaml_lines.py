@@ -40,10 +40,17 @@ def read_yaml(text: str, name: str) -> tuple[Any, Marks]:
         mark = getattr(error, "problem_mark", None)
         line = mark.line + 1 if mark is not None else 1
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        if _has_tab(text, line):
+            problem += "; indent with spaces, not tabs"
         raise ConfigError(f"{name}:{line}: not valid YAML: {problem}") from None
     except (RecursionError, ValueError, OverflowError) as error:
         raise ConfigError(f"{name}:1: not usable YAML: {error}") from None
     return data, marks
+
+
+def _has_tab(text: str, line: int) -> bool:
+    lines = text.splitlines()
+    return line <= len(lines) and "\t" in lines[line - 1]
 
 
 def _build(loader: Any, node: yaml.Node, place: Place, marks: Marks, name: str) -> Any:
