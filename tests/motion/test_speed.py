@@ -1,13 +1,12 @@
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
 import pytest
 
 from imucald.errors import EstimateError
-from imucald.motion.speed import Block, BlockMaker, speed_slope
+from imucald.motion.speed import Block, BlockMaker
 
 TICK = 0.1
 
@@ -45,14 +44,6 @@ def blocks(
         if block is not None:
             out.append(block)
     return out
-
-
-def test_speed_slope_is_the_mean_acceleration_between_samples() -> None:
-    t = np.array([0.0, 0.7, 1.1, 3.0])
-    expected = [mean_accel(a, b) for a, b in itertools.pairwise(t)]
-    assert speed_slope(t, speed(t)) == pytest.approx(expected)
-    with pytest.raises(EstimateError):
-        speed_slope([0.0, 0.0], [1.0, 2.0])
 
 
 @pytest.mark.parametrize("interval", [0.05, 0.3, 1.0, 1.7])

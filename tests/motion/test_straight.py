@@ -12,7 +12,6 @@ from imucald.motion.straight import (
     LONGEST_HOLD_TICKS,
     YawRateSource,
     angles_agree,
-    lateral_is_small,
     steering_is_small,
     windows_agree,
     yaw_rate_from_steering,
@@ -29,10 +28,6 @@ def test_small_steering_and_yaw_rate_are_straight_either_way() -> None:
     expected = [False, True, True, True, False]
     assert steering_is_small(x, 2.0 * DEG).tolist() == expected
     assert yaw_rate_is_small(x, 2.0 * DEG).tolist() == expected
-
-
-def test_the_same_yaw_rate_is_straight_in_town_and_a_curve_on_the_motorway() -> None:
-    assert lateral_is_small([5.0, 30.0], [2.0 * DEG, 2.0 * DEG], 0.5).tolist() == [True, False]
 
 
 @given(

@@ -12,9 +12,6 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from imucald.errors import EstimateError
 from imucald.motion.ticks import TICK_S
 
@@ -41,16 +38,6 @@ class Block(NamedTuple):
     dvdt: float
     yaw_rate: float
     clean: bool
-
-
-def speed_slope(t: ArrayLike, speed: ArrayLike) -> NDArray[np.float64]:
-    """dv/dt between successive speed samples: t (N,) [s], speed (N,) [m/s] -> (N - 1,) [m/s^2]."""
-    times = np.asarray(t, dtype=float)
-    step = np.diff(times)
-    if np.any(step <= 0.0):
-        raise EstimateError("speed samples must be in time order, each later than the last")
-    result: NDArray[np.float64] = np.diff(np.asarray(speed, dtype=float)) / step
-    return result
 
 
 class _Sums(NamedTuple):

@@ -47,13 +47,6 @@ def yaw_rate_is_small(yaw_rate: ArrayLike, limit: float) -> NDArray[np.bool_]:
     return result
 
 
-def lateral_is_small(speed: ArrayLike, yaw_rate: ArrayLike, limit: float) -> NDArray[np.bool_]:
-    """Beyond the publication: |v r| at most limit [m/s^2]; speed [m/s], yaw rate [rad/s], (N,)."""
-    lateral = np.asarray(speed, dtype=float) * np.asarray(yaw_rate, dtype=float)
-    result: NDArray[np.bool_] = np.abs(lateral) <= limit
-    return result
-
-
 def angles_agree(angles: ArrayLike, spread: float) -> bool:
     """Whether angles (N,) [rad] lie in an arc of `spread` [rad], wherever on the circle it is."""
     a = np.sort(np.mod(np.asarray(angles, dtype=float), 2.0 * math.pi))

@@ -74,14 +74,6 @@ class Truth:
         """Mean pitch of the road while driving [rad], positive downhill."""
         return self._driving_mean(self.road_pitch, start_s, stop_s)
 
-    def mean_lean(self) -> tuple[float, float]:
-        """Mean roll and pitch of the body against the horizontal while driving [rad].
-
-        On a road that leans the springs give way downhill: a little more than the road's mean.
-        """
-        roll, pitch = self.road_roll + self.body_roll, self.road_pitch + self.body_pitch
-        return self._driving_mean(roll, 0.0, math.inf), self._driving_mean(pitch, 0.0, math.inf)
-
     def _driving_mean(self, x: Array, start_s: float, stop_s: float) -> float:
         use = (np.abs(self.speed) > MOVING_MPS) & (self.t >= start_s) & (self.t < stop_s)
         return float(np.mean(x[use])) if use.any() else 0.0
