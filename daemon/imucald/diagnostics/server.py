@@ -83,7 +83,8 @@ class Server:
     """Answers requests about one subject.
 
     clock: monotonic [s]. random: so many unpredictable bytes. more: identifiers that can be read
-    beside those of the subject. See `Security` for the rest.
+    beside those of the subject. troubles: a memory that is there already. See `Security` for the
+    rest.
     """
 
     def __init__(
@@ -95,9 +96,10 @@ class Server:
         delay: float = 10.0,
         random: Callable[[int], bytes] = secrets.token_bytes,
         more: Mapping[int, Identifier] | None = None,
+        troubles: TroubleMemory | None = None,
     ) -> None:
         self.session = Session.DEFAULT
-        self.troubles = TroubleMemory()
+        self.troubles = TroubleMemory() if troubles is None else troubles
         self.counters = ServerCounters()
         self.security = Security(key_function, random, clock, attempts, delay)
         self._clock = clock

@@ -18,6 +18,7 @@ from imucald.config.diagnostics import Diagnostics
 from imucald.diagnostics.identifiers import Identifier
 from imucald.diagnostics.security import KeyFunction
 from imucald.diagnostics.server import Server
+from imucald.diagnostics.troubles import TroubleMemory
 from imucald.engine import Engine
 from imucald.errors import ConfigError
 from imucald.sender import OutFrame
@@ -45,6 +46,7 @@ class BusDiagnostics:
         config: Diagnostics,
         key_function: KeyFunction | None = None,
         clock: Callable[[], float] = time.monotonic,
+        troubles: TroubleMemory | None = None,
     ) -> None:
         self.subject = LiveSubject(host, clock)
         self.server = Server(
@@ -58,6 +60,7 @@ class BusDiagnostics:
                     "transport counters", lambda _: self._transport_counted()
                 )
             },
+            troubles=troubles,
         )
         self.channel = IsoTpChannel(
             config.request_id,
@@ -104,6 +107,11 @@ class BusDiagnostics:
             self.server.troubles.update(now, self.subject.symptoms())
         return self.channel.poll()
 
+    @staticmethod
+    def check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
+        """Raise ConfigError where a diagnostic id is one of an engine's inputs or outputs."""
+        _check_identifiers(loaded, engine)
+
     def _transport_counted(self) -> bytes:
         counters = self.channel.counters
         known = [counters[name] for name in TRANSPORT_COUNTERS]
@@ -116,27 +124,26 @@ def diagnostics_for(
     loaded: LoadedConfig,
     engine: Engine,
     clock: Callable[[], float] = time.monotonic,
-) -> BusDiagnostics | None:
-    """The diagnostics that a configuration asks for, None where it does not.
+    troubles: TroubleMemory | None = None,
+) -> BusDiagnostics:
+    """The diagnostics of a configuration.
 
-    host: asked only later, when it runs. Raises ConfigError with the place of a mistake.
+    host: asked only later, when it runs. troubles: a memory that is there already. Raises
+    ConfigError with the place of a mistake.
     """
     config = loaded.config.diagnostics
-    if not config.enabled:
-        return None
-    check_identifiers(loaded, engine)
+    _check_identifiers(loaded, engine)
     key_function = None
     if config.security.key_function is not None:
         key_function = _load_key_function(loaded, config.security.key_function)
     try:
-        return BusDiagnostics(host, config, key_function, clock)
+        return BusDiagnostics(host, config, key_function, clock, troubles)
     except ImportError:
         text = "needs the package can-isotp: pip install 'imucald[diagnostics]'"
         raise loaded.error(("diagnostics", "enabled"), text) from None
 
 
-def check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
-    """Raise ConfigError where a diagnostic id is one of an engine's inputs or outputs."""
+def _check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
     config = loaded.config.diagnostics
     for key in ("request_id", "response_id", "functional_id"):
         can_id = getattr(config, key)

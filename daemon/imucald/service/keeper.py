@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -39,26 +39,30 @@ _EVIDENCE: tuple[str, ...] = (
 _EVIDENCE += ("right_turns", "stops", "distance", "manoeuvres")
 
 Say = Callable[[str, int], None]
+Content = TypeVar("Content")
 
 
-class Writer:
-    """A thread that saves the newest state it was given; started with the first."""
+class Writer(Generic[Content]):
+    """A thread that saves the newest content it was given; started with the first.
 
-    def __init__(self, store: StateStore) -> None:
+    save: writes it; OSError where the disk does not take it.
+    """
+
+    def __init__(self, save: Callable[[Content], object]) -> None:
         self.saves = 0
         self.failures = 0
         self.last_error = ""
-        self._store = store
-        self._next: SavedState | None = None
+        self._save = save
+        self._next: Content | None = None
         self._busy = False
         self._ended = False
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
 
-    def put(self, state: SavedState) -> None:
-        """Have a state saved soon; one that still waits is replaced. Never blocks for the disk."""
+    def put(self, content: Content) -> None:
+        """Have this saved soon; what still waits is replaced. Never blocks for the disk."""
         with self._changed:
-            self._next = state
+            self._next = content
             self._changed.notify_all()
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="state", daemon=True)
@@ -81,12 +85,12 @@ class Writer:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._next is not None or self._ended)
-                state, self._next = self._next, None
-                if state is None:
+                content, self._next = self._next, None
+                if content is None:
                     return
                 self._busy = True
             try:
-                self._store.save(state)
+                self._save(content)
                 self.saves += 1
                 self.last_error = ""
             except OSError as error:
@@ -112,7 +116,7 @@ class StateKeeper:
         wall: Callable[[], float] = time.time,
     ) -> None:
         self.store = store
-        self.writer = Writer(store)
+        self.writer = Writer[SavedState](self._write)
         self.problems: tuple[str, ...] = ()
         """What of the state could not be believed at the start."""
         self.restored = False
@@ -125,6 +129,9 @@ class StateKeeper:
         self._before = MountState.WAITING
         self._driven_before = 0.0
         self._told_error = ""
+
+    def _write(self, state: SavedState) -> None:
+        self.store.save(state)
 
     def restore(self, estimator: MountEstimator) -> MountEstimator:
         """Return the estimator with the saved mount in front, or as it is."""

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from imucald import __version__
 from imucald.bus.link import Link, LinkCounters, LinkEvent
@@ -23,7 +23,6 @@ from imucald.errors import ImucaldError
 from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.restored import RestoredEstimator
 from imucald.pipeline import Snapshot
-from imucald.service.diagnostics import BusDiagnostics, check_identifiers, diagnostics_for
 from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
 from imucald.service.keeper import SAVE_PERIOD_S, StateKeeper, saved_state, stored_mount
@@ -33,6 +32,10 @@ from imucald.service.state import StateStore
 from imucald.service.status import StatusServer
 from imucald.session import make_engine, open_config
 from imucald.summary import Counts, summary
+
+if TYPE_CHECKING:
+    from imucald.service.diagnostics import BusDiagnostics
+    from imucald.service.trouble_keeper import TroubleKeeper
 
 CHORE_S = 0.1
 """The loop turns to everything but frames so often [s]."""
@@ -85,7 +88,8 @@ class Service:
         self.keeper = self._new_keeper(self.loaded, engine)
         if self.keeper is not None:
             engine.pipeline.replace(self.keeper.restore(engine.pipeline.estimator))
-        self.diagnostics = diagnostics_for(self, self.loaded, engine, clock)
+        self.troubles: TroubleKeeper | None = None
+        self.diagnostics = self._new_diagnostics(self.loaded, engine)
         self.link = self._new_link(self.loaded, engine, self.diagnostics)
         try:
             self.daemon = Daemon(engine, self.link, clock, self.diagnostics)
@@ -106,6 +110,19 @@ class Service:
             return None
         store = StateStore(folder, state_key(loaded, engine.router))
         return StateKeeper(store, self.journal.say, self.options.save_period, self._clock)
+
+    def _new_diagnostics(self, loaded: LoadedConfig, engine: Engine) -> BusDiagnostics | None:
+        if not loaded.config.diagnostics.enabled:
+            return None
+        # imported only where it is wanted: the start is quicker without
+        from imucald.service.diagnostics import diagnostics_for  # noqa: PLC0415
+        from imucald.service.trouble_keeper import TroubleKeeper  # noqa: PLC0415
+
+        if self.troubles is None:
+            folder, key = self.options.state_folder, state_key(loaded, engine.router)
+            path = None if folder is None else folder / f"{key.file_name}.troubles"
+            self.troubles = TroubleKeeper(path, self.journal.say, self._clock)
+        return diagnostics_for(self, loaded, engine, self._clock, self.troubles.memory)
 
     def _new_link(
         self, loaded: LoadedConfig, engine: Engine, diagnostics: BusDiagnostics | None
@@ -161,6 +178,8 @@ class Service:
         self.link.close()  # first: nothing stale is sent while the disk takes its time
         if self.keeper is not None:
             self.keeper.close(self._estimate(), self.engine.timebase.now)
+        if self.troubles is not None:
+            self.troubles.close()
 
     def _chores(self, now: float) -> None:
         self.notifier.feed()
@@ -177,6 +196,8 @@ class Service:
         estimate = self._estimate()
         if self.keeper is not None:
             self.keeper.update(estimate, self.engine.timebase.now)
+        if self.troubles is not None:
+            self.troubles.update()
         self.notifier.status(status_line(estimate, str(self.link.state)))
         counts = self.engine.router.sample_counts
         span = max(now - self._counted_at, 1e-9)
@@ -205,10 +226,10 @@ class Service:
         loaded = open_config(self.options.config, self.options.databases)
         engine, old = self._new_engine(loaded), self.engine
         link, diagnostics = self.link, self.diagnostics
-        if loaded.config.diagnostics != self.loaded.config.diagnostics:
-            diagnostics = diagnostics_for(self, loaded, engine, self._clock)
-        elif diagnostics is not None:
-            check_identifiers(loaded, engine)
+        if diagnostics is None or loaded.config.diagnostics != self.loaded.config.diagnostics:
+            diagnostics = self._new_diagnostics(loaded, engine)
+        else:
+            diagnostics.check_identifiers(loaded, engine)
         if _listens_otherwise(self.loaded, loaded, old, engine):
             link = self._new_link(loaded, engine, diagnostics)
         engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
