@@ -6,8 +6,9 @@ import argparse
 import json
 import sys
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from imucald.commands.options import LOG_HELP, add_bus, add_config
 
 if TYPE_CHECKING:
     from imucald.bus.link import Frame
@@ -27,19 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="*",
         metavar="LOG",
-        help="candump log (.log, .gz, '-' for standard input), or .asc .blf .trc .csv .mf4",
+        help=LOG_HELP,
     )
-    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="configuration")
-    parser.add_argument(
-        "--database",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="FILE",
-        help="database to use in place of the configuration's (repeat for several)",
-    )
-    parser.add_argument("--interface", help="python-can interface (default: the configuration's)")
-    parser.add_argument("--channel", help="its channel, such as can0")
+    add_config(parser)
+    add_bus(parser)
     parser.add_argument(
         "--seconds",
         type=float,
@@ -53,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Look, then tell."""
     from imucald.check import Check
+    from imucald.commands.files import check_files
     from imucald.errors import ConfigError
     from imucald.session import open_config
 
@@ -60,6 +53,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("either LOG or --interface and --channel: not both")
     if not options.seconds > 0:
         raise ConfigError("--seconds must be positive")
+    check_files((options.config, *options.database, *options.logs), ())
     loaded = open_config(options.config, options.database)
     check = Check(loaded)
     if options.logs:

@@ -7,8 +7,9 @@ import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from imucald.commands.options import LOG_HELP, add_config
 
 if TYPE_CHECKING:
     from imucald.bus.columns import FrameColumns
@@ -22,17 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help="candump log (.log, .gz, '-' for standard input), or .asc .blf .trc .csv .mf4",
+        help=LOG_HELP,
     )
-    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="configuration")
-    parser.add_argument(
-        "--database",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="FILE",
-        help="database to use in place of the configuration's (repeat for several)",
-    )
+    add_config(parser)
     parser.add_argument(
         "--out", metavar="FILE", help="write the frames that imucald would send (candump log)"
     )

@@ -5,23 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from imucald.commands.options import add_bus, add_config
+
 WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h) by which systemd knows that another start is no use."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `run`."""
-    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="configuration")
-    parser.add_argument(
-        "--database",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="FILE",
-        help="database to use in place of the configuration's (repeat for several)",
-    )
-    parser.add_argument("--interface", help="python-can interface (default: the configuration's)")
-    parser.add_argument("--channel", help="its channel, such as can0")
+    add_config(parser)
+    add_bus(parser)
     parser.add_argument("--seconds", type=float, metavar="S", help="stop by itself after this time")
     parser.add_argument(
         "--state-dir",
@@ -76,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         signal.signal(number, lambda *_: service.stop())
     signal.signal(signal.SIGHUP, lambda *_: service.ask_reload())
     try:
-        service.run(options.seconds or float("inf"))
+        service.run(float("inf") if options.seconds is None else options.seconds)
     finally:
         service.close()
     result = service.result()

@@ -7,8 +7,9 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from imucald.commands.options import add_config
 
 if TYPE_CHECKING:
     from imucald.bus.log import LogReader
@@ -25,15 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "logs", nargs="+", metavar="LOG", help="as for replay; '-' is standard input"
     )
-    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="configuration")
-    parser.add_argument(
-        "--database",
-        action="append",
-        default=[],
-        type=Path,
-        metavar="FILE",
-        help="database to use in place of the configuration's (repeat for several)",
-    )
+    add_config(parser)
     parser.add_argument(
         "--json",
         nargs="?",

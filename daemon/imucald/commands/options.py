@@ -1,0 +1,27 @@
+"""Options that several commands have in common."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+LOG_HELP = "candump log (.log, .gz, '-' for standard input), or .asc .blf .trc .csv .mf4"
+
+
+def add_config(parser: argparse.ArgumentParser) -> None:
+    """Which configuration, and databases in place of those that it names."""
+    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="configuration")
+    parser.add_argument(
+        "--database",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="database to use in place of the configuration's (repeat for several)",
+    )
+
+
+def add_bus(parser: argparse.ArgumentParser) -> None:
+    """Which bus, in place of the configuration's."""
+    parser.add_argument("--interface", help="python-can interface (default: the configuration's)")
+    parser.add_argument("--channel", help="its channel, such as can0")
