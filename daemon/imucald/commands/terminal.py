@@ -90,6 +90,24 @@ def print_summary(result: Mapping[str, Any]) -> None:
     if frames["rejected"]:
         rejected = ", ".join(f"{reason} {n}" for reason, n in frames["rejected"].items())
         console.print(f"rejected: {rejected}")
+    for text in _beside(result):
+        console.print(text)
+
+
+def _beside(result: Mapping[str, Any]) -> Iterator[str]:
+    """What runs beside the calibration, where it was switched on."""
+    attitude = result.get("attitude")
+    if attitude is not None:
+        angles = ", ".join(
+            f"{name} {_number(attitude.get(f'{name}_deg'), '.2f', ' deg')}"
+            for name in ("roll", "pitch", "heading")
+        )
+        grade = _number(attitude.get("grade_percent"), ".1f", " %")
+        yield f"attitude at the end: {angles}, grade {grade} ({attitude['state']})"
+    travel = result.get("travel_direction")
+    if travel is not None:
+        heading = _number(travel["heading_deg"], ".0f", " deg")
+        yield f"travel direction: {travel['steps']} steps, the last towards {heading}"
 
 
 def _since(result: Mapping[str, Any]) -> str:
