@@ -1,0 +1,68 @@
+"""The .deb, built here, installed on a fresh Debian 12, run, upgraded and removed there."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import shuttle
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = """
+set -e
+dpkg -i {package}
+test -d /etc/imucald
+cp {drive}/shuttle.dbc /etc/imucald/
+cp {drive}/shuttle.yaml /etc/imucald/vcan0.yaml
+chmod 644 /etc/imucald/*
+imucald --version
+modprobe vcan
+ip link add dev vcan0 type vcan
+ip link set up dev vcan0
+systemctl enable --now imucald@vcan0
+echo "ACTIVE $(systemctl is-active imucald@vcan0)"
+sleep 1
+echo "STATUS $(imucald status vcan0 --json | tr -d '\\n')"
+echo "RECEIVE $(cat /proc/sys/net/core/rmem_max)"
+old=$(systemctl show imucald@vcan0 --property=MainPID --value)
+dpkg -i {package}
+new=$(systemctl show imucald@vcan0 --property=MainPID --value)
+[ "$old" != "$new" ] && echo "UPGRADED $(systemctl is-active imucald@vcan0)"
+dpkg -r imucald
+echo "REMOVED $(systemctl is-active imucald@vcan0)"
+[ -e /usr/lib/imucald ] || echo "NOTHING LEFT"
+[ -e /etc/imucald/vcan0.yaml ] && echo "CONFIGURATION KEPT"
+"""
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if sys.version_info[:2] != (3, 11) or shutil.which("dpkg-deb") is None:
+        pytest.skip("the package is built on Debian, with the Python of Debian 12")
+    folder = tmp_path_factory.mktemp("deb")
+    build = [sys.executable, str(ROOT / "deb/build_deb.py"), "--out", str(folder)]
+    subprocess.run(build, check=True, capture_output=True)
+    (made,) = folder.glob("*.deb")
+    return made
+
+
+def test_it_installs_runs_upgrades_and_goes_without_a_trace(package, run_under_systemd, tmp_path):
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    shuttle.write(drive, cycles=1)
+    script = SCRIPT.format(package=package, drive=drive)
+    outcome = run_under_systemd(script, shared=[package.parent, drive])
+    text = outcome.output
+    assert outcome.status == 0, text + outcome.console[-1500:]
+    said = dict(line.split(" ", 1) for line in text.splitlines() if line[:3].isupper())
+    assert said["ACTIVE"] == said["UPGRADED"] == "active"
+    assert json.loads(said["STATUS"])["state"] == "waiting"
+    assert int(said["RECEIVE"]) == 8388608
+    assert said["REMOVED"] == "inactive"
+    assert "NOTHING LEFT" in text
+    assert "CONFIGURATION KEPT" in text
