@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Iterator
 
@@ -99,6 +100,7 @@ def test_wrong_keys_are_refused_and_the_right_one_has_to_wait(bench):
     with asking(bench.tester_bus) as client:
         unlocked(client)
         assert read(client, 0xFD0B)[2] == 4
+    assert "keys of a tester refused so far" in bench.log.getvalue()
 
 
 def test_a_moving_vehicle_or_one_whose_speed_is_not_known_is_not_reset(bench, client):
@@ -189,11 +191,29 @@ def test_a_session_that_is_kept_alive_stays_and_requests_to_all_are_heard(bench,
     assert found[-1].data == bytes.fromhex("027E00CCCCCCCCCC")
 
 
+def test_what_a_tester_did_is_in_the_log_and_the_status(bench, client):
+    bench.play(STANDING_S)
+    unlocked(client)
+    client.start_routine(CALIBRATE)
+    client.stop_routine(CALIBRATE)
+    client.start_routine(RESET)
+    said = bench.log.getvalue()
+    for text in ("began the calibration anew", "took the former", "reset the calibration"):
+        assert f"a tester {text}" in said
+    told = bench.service.status()["diagnostics"]
+    assert (told["session"], told["unlocked"], told["refused"]) == ("extended", True, 0)
+    assert told["requests"] == 6
+    assert told["transport"]["frames"] > 6
+    assert told["trouble_codes"] == {"C1A10-54": "27"}
+    json.dumps(told)
+
+
 def test_off_it_is_not_there(tmp_path):
     config = with_diagnostics(tmp_path)
     config.write_text(config.read_text().replace("enabled: true", "enabled: false"))
     with UdsBench(tmp_path, config) as bench, asking(bench.tester_bus, request_timeout=0.5) as ask:
         assert bench.service.diagnostics is None
+        assert bench.service.status()["diagnostics"] is None
         with pytest.raises(TimeoutException):
             ask.tester_present()
 

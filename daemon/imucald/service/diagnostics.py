@@ -10,7 +10,7 @@ import importlib
 import struct
 import time
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 from imucald.bus.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
 from imucald.config import LoadedConfig
@@ -18,7 +18,7 @@ from imucald.config.diagnostics import Diagnostics
 from imucald.diagnostics.identifiers import Identifier
 from imucald.diagnostics.security import KeyFunction
 from imucald.diagnostics.server import Server
-from imucald.diagnostics.troubles import TroubleMemory
+from imucald.diagnostics.troubles import Status, TroubleMemory
 from imucald.engine import Engine
 from imucald.errors import ConfigError
 from imucald.sender import OutFrame
@@ -69,8 +69,10 @@ class BusDiagnostics:
             self.server.handle,
             clock,
         )
+        self._host = host
         self._clock = clock
         self._next_judgement = clock()
+        self._keys_refused = 0
 
     @property
     def ids(self) -> frozenset[int]:
@@ -105,7 +107,30 @@ class BusDiagnostics:
             self._next_judgement = now + JUDGE_S
             self.server.poll()
             self.server.troubles.update(now, self.subject.symptoms())
+            self._tell_refused_keys()
         return self.channel.poll()
+
+    def status(self) -> dict[str, Any]:
+        """What `imucald status` tells of it."""
+        server, counters = self.server, self.server.counters
+        return {
+            "session": server.session.name.lower(),
+            "unlocked": server.security.unlocked,
+            "requests": counters.requests,
+            "refused": counters.refused,
+            "keys_refused": server.security.refused,
+            "transport": dict(sorted(self.channel.counters.items())),
+            "trouble_codes": {
+                trouble.display: f"{record.status:02X}"
+                for trouble, record in server.troubles
+                if record.status & (Status.TEST_FAILED | Status.PENDING | Status.CONFIRMED)
+            },
+        }
+
+    def _tell_refused_keys(self) -> None:
+        if self.server.security.refused != self._keys_refused:
+            self._keys_refused = self.server.security.refused
+            self._host.tell_tester(f"keys of a tester refused so far: {self._keys_refused}")
 
     @staticmethod
     def check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:

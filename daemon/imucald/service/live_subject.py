@@ -51,6 +51,10 @@ class Host(Protocol):
         """Keep nothing of what was saved."""
         ...
 
+    def tell_tester(self, text: str) -> None:
+        """Write what a tester did into the log; those lines may come without end."""
+        ...
+
 
 class LiveSubject:
     """The running calibration, as the server asks for it. See `diagnostics.subject.Subject`."""
@@ -132,11 +136,13 @@ class LiveSubject:
         """Begin anew and keep the former estimator aside."""
         engine = self._host.engine
         self._former = engine, engine.restart_calibration()
+        self._host.tell_tester("a tester began the calibration anew")
 
     def return_to_former(self) -> None:
         """Take the former estimator back, unless another engine runs by now."""
         if self._former is not None and self._former[0] is self._host.engine:
             self._former[0].resume_calibration(self._former[1])
+            self._host.tell_tester("a tester took the former calibration back")
         self._former = None
 
     def accept_calibration(self) -> None:
@@ -148,6 +154,7 @@ class LiveSubject:
         self._former = None
         self._host.engine.restart_calibration()
         self._host.forget_state()
+        self._host.tell_tester("a tester reset the calibration")
 
 
 def configuration_identity(loaded: LoadedConfig) -> bytes:

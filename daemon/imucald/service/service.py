@@ -286,6 +286,10 @@ class Service:
         if self.keeper is not None:
             self.keeper.forget()
 
+    def tell_tester(self, text: str) -> None:
+        """Write what a tester did into the log."""
+        self.journal.seldom(text.partition(":")[0], text, WARNING)
+
     # telling -------------------------------------------------------------------------------
 
     def _estimate(self) -> MountEstimate:
@@ -337,6 +341,7 @@ class Service:
             "health": dataclasses.asdict(self.engine.health()),
             "frames_given_out": self.engine.sent,
             "saved_state": _NOT_SAVED if keeper is None else keeper.status(),
+            "diagnostics": None if self.diagnostics is None else self.diagnostics.status(),
             "process": process_figures(),
         }
         return found
