@@ -191,6 +191,17 @@ def test_a_session_that_is_kept_alive_stays_and_requests_to_all_are_heard(bench,
     assert found[-1].data == bytes.fromhex("027E00CCCCCCCCCC")
 
 
+def test_however_often_it_is_asked_the_estimate_is_worked_out_once_a_tick(bench, client):
+    bench.play(STANDING_S)
+    pipeline = bench.service.engine.pipeline
+    calls = []
+    worked_out = pipeline.estimator.estimate
+    pipeline.estimator.estimate = lambda: (calls.append(pipeline.k), worked_out())[1]
+    for _ in range(20):
+        client.read_data_by_identifier([0xFD00, 0xFD01, 0xFD03, 0xFD05])
+    assert len(calls) <= 3 * len(set(calls)), "status frames and the log ask for it too"
+
+
 def test_what_a_tester_did_is_in_the_log_and_the_status(bench, client):
     bench.play(STANDING_S)
     unlocked(client)

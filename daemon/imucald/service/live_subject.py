@@ -64,6 +64,7 @@ class LiveSubject:
         self._clock = clock
         self._began = clock()
         self._former: tuple[Engine, MountEstimator] | None = None
+        self._estimate: tuple[MountEstimator, int, MountEstimate] | None = None
         self._known_as: tuple[LoadedConfig, Identity] | None = None
 
     @property
@@ -95,8 +96,13 @@ class LiveSubject:
         return self._clock() - self._began
 
     def estimate(self) -> MountEstimate:
-        """The present state of knowledge."""
-        return self._host.engine.pipeline.estimator.estimate()
+        """The present state of knowledge; worked out once a tick, however often it is asked."""
+        pipeline = self._host.engine.pipeline
+        known = self._estimate
+        if known is None or known[0] is not pipeline.estimator or known[1] != pipeline.k:
+            known = pipeline.estimator, pipeline.k, pipeline.estimator.estimate()
+            self._estimate = known
+        return known[2]
 
     def counts(self) -> Counts:
         """Counters of engine and link."""
