@@ -22,8 +22,9 @@ from imucald.mount.supervision import Knowledge, Manoeuvres, judged, waiting_for
 
 Array = NDArray[np.float64]
 
-EAGER_HOPS = 100
-"""So many hops (320 s) every hop is fitted at once; later every `LAZY_HOPS`."""
+EAGER_HOPS = 40
+"""So many hops (128 s) every hop is fitted at once; later every `LAZY_HOPS` (13 s): by then a hop
+adds little, and fits are what costs."""
 LAZY_HOPS = 4
 SLEW_RATE = math.radians(0.5)
 """The applied rotation turns no faster than this [rad/s]."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,8 @@ MOST_STEP = 0.02
 """Nor does a known bias jump by more [rad/s]."""
 GUESS_TICKS = 250
 """Ticks of driving from which a gyro bias can be guessed without a rest."""
+MOST_TURNS = 500
+"""Hops that such a guess rests on: half an hour."""
 
 
 class Offsets:
@@ -33,7 +37,7 @@ class Offsets:
         self._moving = 0
         self._moving_rate = np.zeros(3)
         self._moving_force = np.zeros(3)
-        self._turns: list[float] = []
+        self._turns: deque[float] = deque(maxlen=MOST_TURNS)
 
     def learn_gyro(self, rate: Array, force: Array) -> None:
         """Take raw rates (n, 3) and forces (n, 3) at rest."""
@@ -72,7 +76,13 @@ class Offsets:
             self._moving_rate += rate.sum(axis=0)
             self._moving_force += force.sum(axis=0)
             up = self._moving_force / np.sqrt(self._moving_force @ self._moving_force)
-            self._turns.append(float(np.median(rate @ up)))
+            self._turns.append(_middle(rate @ up))
             mean = self._moving_rate / self._moving
-            self.gyro_bias = mean + up * (float(np.median(self._turns)) - mean @ up)
+            self.gyro_bias = mean + up * (_middle(np.array(self._turns)) - mean @ up)
         return self._moving >= GUESS_TICKS
+
+
+def _middle(x: Array) -> float:
+    """Median of (n,), n > 0; numpy's own imports its masked arrays first, a tenth of the start."""
+    ordered = np.sort(x)
+    return 0.5 * float(ordered[(len(x) - 1) // 2] + ordered[len(x) // 2])
