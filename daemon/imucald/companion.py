@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Protocol
 
 from imucald.bus.signals import ColumnSamples, Sample
-from imucald.mount.estimate import Correction
+from imucald.mount.estimate import Correction, MountEstimate
 from imucald.sender import OutFrame
 
 ORDER = ("reverse", "speed", "heading", "gyro", "mag", "accel")
@@ -30,6 +30,10 @@ class Companion(Protocol):
         self, t: float, channel: str, values: Sequence[float], correction: Correction | None
     ) -> None:
         """Take a sample at stream time t [s], as the sensor gave it, and the rotation in force."""
+        ...
+
+    def mounted(self, estimate: MountEstimate) -> None:
+        """Take a snapshot of the mount, before the tick that it was taken at the end of."""
         ...
 
     def tick(self, k: int) -> list[OutFrame]:

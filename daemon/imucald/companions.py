@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from imucald.attitude.compensated import CompensatedAttitude
-from imucald.attitude.estimate import AttitudeState
+from imucald.attitude.estimate import SETTLED_STD, AttitudeEstimate, AttitudeState
 from imucald.attitude.filter import AttitudeFilter
 from imucald.attitude.plausible import is_plausible
 from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
@@ -15,7 +16,7 @@ from imucald.companion import ORDER, Companion
 from imucald.config import Config, LoadedConfig
 from imucald.config.attitude import Attitude
 from imucald.motion.ticks import TICK_RATE
-from imucald.mount.estimate import Correction
+from imucald.mount.estimate import Correction, MountEstimate
 from imucald.output import OutputFrames
 from imucald.output_attitude import AttitudeFrames
 from imucald.output_travel import TravelFrames
@@ -71,6 +72,7 @@ class AttitudeCompanion:
         self._frames = frames
         self._every = round(TICK_RATE / config.attitude.rate)
         self._correction: Correction | None = None
+        self._mount_std: tuple[float, float, float] | None = None
         self.rejected = 0
         """Samples that were left out because they cannot be."""
 
@@ -107,12 +109,32 @@ class AttitudeCompanion:
             self.filter.turned(self._correction, correction)
         self._correction = correction
 
+    def mounted(self, estimate: MountEstimate) -> None:
+        """Take what the mount's angles are worth: the vehicle's axes are known no better."""
+        self._mount_std = estimate.std
+
     def tick(self, k: int) -> list[OutFrame]:
         """Attitude frames at their rate."""
         if (k + 1) % self._every:
             return []
-        known = self._correction is not None
-        return self._frames.frames(self.filter.estimate((k + 1) / TICK_RATE) if known else None)
+        known = self._correction is not None and self._mount_std is not None
+        return self._frames.frames(self._estimate((k + 1) / TICK_RATE) if known else None)
+
+    def _estimate(self, now: float | None = None) -> AttitudeEstimate:
+        """The attitude of the vehicle: that of the corrected axes, with the doubt about them."""
+        e = self.filter.estimate(now)
+        if self._mount_std is None:
+            return e
+        x, y, z = self._mount_std
+        roll, pitch, heading = math.hypot(e.std[0], x), math.hypot(e.std[1], y), e.std[2]
+        state = e.state
+        if state is AttitudeState.FULL:
+            heading = math.hypot(heading, z)
+        if state > AttitudeState.SETTLING and max(roll, pitch) > SETTLED_STD:
+            state = AttitudeState.SETTLING
+        return replace(
+            e, state=state, std=(roll, pitch, heading), grade_std=math.hypot(e.grade_std, y)
+        )
 
     def gap(self) -> None:
         """Time jumped: the attitude starts anew."""
@@ -122,7 +144,7 @@ class AttitudeCompanion:
         """The attitude at the end."""
         if self._correction is None or not self.filter.running:
             return "attitude", {"state": AttitudeState.NOT_AVAILABLE.name.lower()}
-        e = self.filter.estimate()
+        e = self._estimate()
 
         def number(value: float, factor: float = 180.0 / math.pi) -> float | None:
             return None if math.isnan(value) else round(value * factor, 5)
@@ -156,6 +178,9 @@ class TravelCompanion:
     ) -> None:
         """Take a sample."""
         self.travel.sample(t, channel, values)
+
+    def mounted(self, estimate: MountEstimate) -> None:
+        """Ignore the mount: a carried terminal has none."""
 
     def tick(self, k: int) -> list[OutFrame]:
         """A frame after each tick with a new step, and one a second."""

@@ -120,18 +120,26 @@ class Engine:
         """Close all ticks before k: status frames, then those of the companions."""
         pipeline = self.pipeline
         first = pipeline.k
-        out = self._statuses(pipeline.gap(k) if gap else pipeline.advance(k))
+        snapshots = pipeline.gap(k) if gap else pipeline.advance(k)
+        out = self._statuses(snapshots)
         if self.companions:
-            out += self._companion_ticks(first, k)
+            out += self._companion_ticks(first, k, snapshots)
             if gap:
                 for companion in self.companions:
                     companion.gap()
         return out
 
-    def _companion_ticks(self, first: int, stop: int) -> list[OutFrame]:
-        return [
-            frame for k in range(first, stop) for one in self.companions for frame in one.tick(k)
-        ]
+    def _companion_ticks(
+        self, first: int, stop: int, snapshots: Sequence[Snapshot]
+    ) -> list[OutFrame]:
+        taken = {snapshot.k: snapshot.estimate for snapshot in snapshots}
+        out: list[OutFrame] = []
+        for k in range(first, stop):
+            for companion in self.companions:
+                if k in taken:
+                    companion.mounted(taken[k])
+                out += companion.tick(k)
+        return out
 
     def _accompany(self, t: float, samples: Sequence[Sample]) -> None:
         if not self.companions:
@@ -195,17 +203,17 @@ class Engine:
             first = self.pipeline.k
             snapshots = self.pipeline.gap(tick_index(float(piece.t[0])))
             yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
-            out = self._companion_ticks(first, self.pipeline.k)
+            out = self._companion_ticks(first, self.pipeline.k, snapshots)
             yield from self._frame_parts(out, base)
             for companion in self.companions:
                 companion.gap()
-        first = self.pipeline.k
         whole = base == 0 and piece.stop == len(frames)
         chunk = frames if whole else frames.take(slice(base, piece.stop))
         routed = self.router.columns(piece.t, chunk)
         ticks = np.floor(piece.t * TICK_RATE).astype(np.int64)
         times = {c: piece.t[rows] for c, rows in routed.rejected.items()}
-        first, wanted = self.pipeline.k, keep or self._on_snapshot is not None
+        first = self.pipeline.k
+        wanted = keep or bool(self.companions) or self._on_snapshot is not None
         corrections, snapshots = self.pipeline.run(
             routed.samples, times, float(piece.t[-1]), wanted
         )
@@ -225,7 +233,7 @@ class Engine:
                 last = float(routed.samples[channel].t[-1])
                 self._watched[channel] = tick_index(last)
         if self.companions:
-            yield from self._companion_parts(routed, corrections, ticks, base, first)
+            yield from self._companion_parts(routed, corrections, snapshots, ticks, base)
         if keep:
             yield from self._corrected_parts(routed, corrections, ticks, base)
         else:
@@ -262,31 +270,33 @@ class Engine:
         self,
         routed: Routed,
         corrections: TickCorrections,
+        snapshots: Sequence[Snapshot],
         ticks: NDArray[np.int64],
         base: int,
-        first: int,
     ) -> Iterator[_OutPart]:
         """Companions take samples one by one here too; their frames stand as status frames do."""
         rotations: list[Correction | None] = [
             None if row[0] != row[0] else tuple(row) for row in corrections.rotations.tolist()
         ]
-        k = first
+        k = first = corrections.first
+        due = {snapshot.k: snapshot for snapshot in snapshots}
+
+        def close(k: int) -> Iterator[_OutPart]:
+            out = self._companion_ticks(k, k + 1, [due[k]] if k in due else ())
+            row = base + int(np.searchsorted(ticks, k, side="right"))
+            return self._frame_parts(out, row)
+
         for row, t, channel, values in events_of(routed.samples, self._accompanied):
             tick = int(ticks[row])
             while k < tick:
-                yield from self._companion_tick(k, ticks, base)
+                yield from close(k)
                 k += 1
             for companion in self.companions:
                 if channel in companion.channels:
                     companion.sample(t, channel, values, rotations[tick - first])
         while k < int(ticks[-1]):
-            yield from self._companion_tick(k, ticks, base)
+            yield from close(k)
             k += 1
-
-    def _companion_tick(self, k: int, ticks: NDArray[np.int64], base: int) -> Iterator[_OutPart]:
-        out = self._companion_ticks(k, k + 1)
-        if out:
-            yield from self._frame_parts(out, base + int(np.searchsorted(ticks, k, side="right")))
 
     def _frame_parts(self, out: list[OutFrame], row: int) -> Iterator[_OutPart]:
         """Frames that come before those of a row's samples."""

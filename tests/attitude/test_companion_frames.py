@@ -191,6 +191,20 @@ def test_a_drive_up_a_slope_comes_out_as_one(tmp_path, bus, out_dbc):
     assert json.dumps(content, allow_nan=False)
 
 
+def test_deviations_are_no_smaller_than_the_mounts(tmp_path, bus, out_dbc):
+    engine = engine_for(load(CAR, tmp_path, DBC))
+    tilt = math.radians(0.8)
+    known = engine.pipeline.estimator.estimate()
+    unsure = MountEstimate(known.state, MOUNT, np.diag([tilt**2, 4 * tilt**2, 1e-6]))
+    engine.pipeline.estimator.estimate = lambda: unsure
+    found = by_name(out_dbc, live(engine, car_frames(bus)))
+    deviation = found["IMUCALD_AttitudeDeviation"][-1]
+    assert 0.8 <= deviation["DeviationRoll"] < 0.85
+    assert 1.6 <= deviation["DeviationPitch"] < 1.65
+    assert deviation["State"] == 2  # settling: 1.6 deg is too much
+    assert found["IMUCALD_Grade"][-1]["DeviationGrade"] > 100.0 * math.tan(2 * tilt)
+
+
 @pytest.mark.parametrize("method", ["filter", "compensation"])
 def test_live_is_replay_bit_for_bit(tmp_path, bus, method):
     text = CAR.replace("rate: 5", f"rate: 10, method: {method}")

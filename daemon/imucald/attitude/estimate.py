@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 
 from imucald.attitude.axes import Vector
 
+SETTLED_STD = math.radians(1.5)
+"""Tilt is published as settled below this [rad]."""
 STALE_S = 1.0
 """Without gyroscope or accelerometer for so long the attitude is not available [s]."""
 

@@ -26,7 +26,7 @@ from imucald.attitude.axes import (
     vehicle_angles,
     vehicle_from_text,
 )
-from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
+from imucald.attitude.estimate import SETTLED_STD, STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.grade import RoadGrade
 from imucald.attitude.interval import Interval, Knot, along_body, interval
 from imucald.attitude.kalman import NineStateFilter
@@ -43,6 +43,8 @@ START_MOVING_STD = math.radians(6.0)
 """Tilt error taken for granted at the start; the first intervals say it better."""
 LARGEST_ZERO_ERROR = 6.0
 """In standard deviations: what turns faster than any zero error is not at rest."""
+HEADING_KNOWN_STD = math.radians(20.0)
+"""A heading less sure than this is not called a heading [rad]."""
 HEADING_SPACING_S = 0.5
 """Headings are taken so far apart: their errors last longer than a sample [s]."""
 
@@ -298,12 +300,6 @@ class AttitudeFilter:
         self.constant_accel_error = (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2])
         self.kalman.forget_bias(s.gyro_random)
         self.checked = True
-
-
-SETTLED_STD = math.radians(1.5)
-"""Tilt is published as settled below this [rad]."""
-HEADING_KNOWN_STD = math.radians(20.0)
-"""A heading less sure than this is not called a heading [rad]."""
 
 
 def _times(D: np.ndarray[tuple[int, ...], np.dtype[np.float64]], v: Vector) -> Vector:
