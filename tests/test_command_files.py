@@ -13,9 +13,20 @@ from pathlib import Path
 import pytest
 
 from imucald import cli
+from imucald.bus.log import LogReader
+from imucald.bus.pythoncan import can
 
 ROOT = Path(__file__).parent.parent
 START = str(ROOT / "config" / "imucald.yaml")
+
+
+HEARS_CTRL_C = """
+import signal, sys
+from imucald import cli
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(cli.main())
+"""
+"""A shell ignores the signal in what it runs in the background, and children inherit that."""
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +131,26 @@ def test_a_speed_that_is_none_is_refused(told, log, speed):
     assert "--speed must be positive" in text
 
 
+def test_with_speed_the_frames_go_out_on_the_bus_at_that_pace(told, log, tmp_path):
+    out = tmp_path / "out.log"
+    bus = ("--interface", "virtual", "--channel", "paced")
+    with can.Bus(interface="virtual", channel="paced") as listener:
+        began = time.monotonic()
+        assert told(*replay(log, "--speed", "20", *bus, "--out", out, "--quiet")) == (0, "")
+        assert time.monotonic() - began > 12.0 / 20.0 * 0.9
+        heard = []
+        while (message := listener.recv(0.0)) is not None:
+            heard.append((message.arbitration_id, bytes(message.data)))
+    (written,) = LogReader([out])
+    assert len(heard) > 1000
+    assert heard == [
+        (can_id, row[:length].tobytes())
+        for can_id, row, length in zip(
+            written.can_id.tolist(), written.data, written.length.tolist(), strict=True
+        )
+    ]
+
+
 def test_a_bus_without_speed_is_refused_rather_than_ignored(told, log):
     status, text = told(*replay(log, "--interface", "virtual", "--channel", "x"))
     assert status == 1
@@ -161,7 +192,7 @@ def test_ctrl_c_says_that_the_output_is_cut(log, tmp_path):
     out = tmp_path / "out.log"
     paced = ("--speed", "0.5", "--interface", "virtual", "--channel", "ctrl-c", "--out", out)
     process = subprocess.Popen(
-        [sys.executable, "-m", "imucald", *map(str, replay(log, *paced))],
+        [sys.executable, "-c", HEARS_CTRL_C, *map(str, replay(log, *paced))],
         stderr=subprocess.PIPE,
         text=True,
     )

@@ -107,8 +107,13 @@ def test_first_times_count_from_the_first_frame_of_the_log(tmp_path, strange):
     path = tmp_path / "later.log"
     early = f"no frame\n({start - 50.0:.6f}) can1 {strange}\n"
     path.write_bytes(early.encode() + drive.read_bytes())
-    plain, later = replayed([drive])[0], replayed([path])[0]
-    assert plain["first_usable_s"] is not None
+    plain, _, engine = replayed([drive])
+    later = replayed([path])[0]
+    pipeline = engine.pipeline
+    assert plain["first_usable_s"] == pytest.approx(pipeline.first_usable, abs=1e-3)
+    assert plain["first_fine_s"] == (pipeline.first_fine and pytest.approx(pipeline.first_fine))
+    assert later["frames"]["read"] == plain["frames"]["read"] + 1
+    assert later["frames"]["used"] == plain["frames"]["used"]
     assert later["first_usable_s"] == pytest.approx(plain["first_usable_s"] + 50.0, abs=1e-3)
     assert later["duration_s"] == plain["duration_s"]
 
