@@ -126,7 +126,7 @@ def test_faults_of_frames_set_their_code_when_three_come_together(trouble, reaso
 
 def test_faults_before_the_first_look_count():
     run = Run()
-    run.faults["checksum"] = 5
+    run.faults["checksum"] = 3
     run.go()
     assert run.status(CHECKSUM_FAILING) == FAILING
 
@@ -205,6 +205,7 @@ def test_a_confirmed_code_is_let_go_after_forty_good_runs():
         later.go(moved=False)
         memory = later.memory
     assert not memory.find(SENSOR_MOVED.number).status & 0x08
+    assert memory.find(SENSOR_MOVED.number).aged == 0
 
 
 @pytest.mark.parametrize(

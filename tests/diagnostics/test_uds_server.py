@@ -187,8 +187,10 @@ def test_counters(bench):
     faults = struct.pack(">12I", 0, 3, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0).hex(" ").upper()
     assert bench.ask("22 FD 09") == f"62 FD 09 {faults}"
     assert bench.ask("22 FD 0A") == "62 FD 0A 00 00 00 0C"
+    bench.subject.uptime = 2.0**40
+    assert bench.ask("22 FD 0A") == "62 FD 0A FF FF FF FF", "no more than fits"
     assert bench.ask("11 01") == "7F 11 11"
-    assert bench.ask("22 FD 0B") == "62 FD 0B " + struct.pack(">4I", 5, 1, 0, 0).hex(" ").upper()
+    assert bench.ask("22 FD 0B") == "62 FD 0B " + struct.pack(">4I", 6, 1, 0, 0).hex(" ").upper()
 
 
 def test_several_identifiers_at_once(bench):
@@ -241,6 +243,15 @@ def test_wrong_keys_cost_time_over_all_sessions(bench):
     bench.clock.now += 10.1
     bench.unlock()
     assert bench.server.security.refused == 10
+
+
+def test_the_right_key_forgives_the_wrong_ones_before_it(bench):
+    for _ in range(2):
+        bench.ask("10 03")
+        for _ in range(2):
+            bench.ask("27 01")
+            assert bench.ask("27 02 00") == "7F 27 35"
+        bench.unlock()
 
 
 def test_the_time_between_attempts_bounds_a_search(bench):

@@ -46,7 +46,7 @@ class Routines:
         self._begin = {CALIBRATE: self._calibrate, RESET: self._reset}
 
     def poll(self) -> None:
-        """See whether the calibration is there."""
+        """See whether the calibration is there; called before each request too."""
         if self._runs(CALIBRATE) and self._subject.quality >= USABLE_QUALITY:
             self._status[CALIBRATE] = RoutineStatus.COMPLETED
             self._subject.accept_calibration()
@@ -73,7 +73,6 @@ class Routines:
         return self._echo(START, routine)
 
     def _stop(self, routine: int) -> Answer:
-        self.poll()
         if not self._runs(routine):
             return Nrc.REQUEST_SEQUENCE_ERROR
         if not self._subject.standing:
@@ -83,7 +82,6 @@ class Routines:
         return self._echo(STOP, routine)
 
     def _results(self, routine: int) -> Answer:
-        self.poll()
         if routine not in self._status:
             return Nrc.REQUEST_SEQUENCE_ERROR
         parts = [IDENTIFIERS[number].read(self._subject) or b"" for number in RESULT_IDENTIFIERS]
