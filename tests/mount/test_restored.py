@@ -10,10 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from imucald.estimators import estimator_for
+from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.published import PublishedEstimator
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
 from published_drive import Drive
+from simulated_bus import drive, loaded
 
 STORED = Rotation.from_euler("ZYX", [30.0, -5.0, 2.0], degrees=True)
 TICK = (0.0,) * 64
@@ -185,3 +188,19 @@ def test_on_a_drive_with_the_published_solver(moved_deg: float, states: set[int]
     assert MountState.RESTORED in seen
     assert estimator.state in {MountState.USABLE, MountState.FINE}
     assert degrees_from(estimator, true) < 2.5
+
+
+@pytest.mark.parametrize("moved_deg", [0.0, 8.0])
+def test_on_a_drive_with_the_full_estimator(moved_deg: float):
+    made = drive()
+    true = made.truth.mounts[0][1]
+    R = Rotation.from_rotvec([0.0, 0.0, math.radians(moved_deg)]).as_matrix() @ true
+    stored = StoredMount(R, np.eye(3) * math.radians(0.25) ** 2, MountState.FINE)
+    estimator = RestoredEstimator(estimator_for(loaded().config), stored)
+    phases = set()
+    for row in ticks_from_samples(made.samples, 0, 2400).tolist():
+        estimator.step(row)
+        phases.add(estimator.phase)
+    assert (Phase.DOUBTED in phases) == (moved_deg > 0.0)
+    assert (Phase.CONFIRMED in phases) == (moved_deg == 0.0)
+    assert degrees_from(estimator, Rotation.from_matrix(true)) < 2.0

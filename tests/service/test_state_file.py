@@ -7,8 +7,10 @@ import hashlib
 import math
 import os
 import random
+import resource
 import signal
 import struct
+import tempfile
 import time
 from pathlib import Path
 
@@ -222,3 +224,53 @@ def test_what_is_forgotten_is_set_aside_and_not_loaded_again(tmp_path):
     store.forget()
     assert load(tmp_path).state is None
     assert len(list(tmp_path.glob("*.forgotten.1"))) == 2
+
+
+def in_a_child(work) -> int:
+    """Exit status of a forked process that did the work."""
+    child = os.fork()
+    if child == 0:
+        status = 99
+        try:
+            status = work()
+        finally:
+            os._exit(status)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def test_a_write_that_stops_half_way_costs_neither_generation(tmp_path):
+    store = saved_twice(tmp_path)
+
+    def work() -> int:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))
+        try:
+            store.save(state(3.0))
+        except OSError as error:
+            return 7 if error.errno == errno.EFBIG else 8
+        return 9
+
+    assert in_a_child(work) == 7
+    assert load(tmp_path).state == state(2.0)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
+def test_a_folder_that_is_read_only_is_read_and_told():
+    with tempfile.TemporaryDirectory() as name:  # pytest's own cannot be reached by others
+        folder = Path(name)
+        store = saved_twice(folder)
+        store.path(0).write_bytes(b"damaged")
+        folder.chmod(0o555)
+
+        def work() -> int:
+            os.setgid(65534)
+            os.setuid(65534)
+            loaded = load(folder)
+            try:
+                store.save(state(3.0))
+            except PermissionError:
+                good = loaded.state == state(1.0) and "could not be renamed" in loaded.problems[0]
+                return 7 if good else 8
+            return 9
+
+        assert in_a_child(work) == 7
