@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
+import jsonschema
 import pytest
 import yaml
 from pydantic import BaseModel
@@ -112,6 +113,27 @@ def test_the_schema_carries_descriptions() -> None:
     schema = json.loads(json_schema())
     source = schema["$defs"]["Source"]["properties"]
     assert "unit in the database" in source["unit"]["description"]
+
+
+def test_editors_find_no_fault_in_what_is_right_and_faults_in_what_is_not() -> None:
+    """With the exported schema and an independent validator."""
+    jsonschema.Draft202012Validator.check_schema(json.loads(json_schema()))
+    schema = jsonschema.Draft202012Validator(json.loads(json_schema()))
+    for path in CONFIGURATIONS:
+        assert [e.message for e in schema.iter_errors(yaml.safe_load(path.read_text()))] == [], path
+    for page in PAGES:
+        for text in blocks(page, "yaml"):
+            data = yaml.safe_load(text)
+            if "signals" in data:
+                assert schema.is_valid(data), page
+    axes = "{x: A.X, y: A.Y, z: A.Z}"
+    right = f"database: a.dbc\nsignals:\n  accelerometer: {axes}\n  speed: S.V\n"
+    assert schema.is_valid(yaml.safe_load(right))
+    for old, new in (
+        ("a.dbc", "[]"), ("a.dbc", "7"), ("S.V", "[]"), ("S.V", "V"), ("S.V", "{unit: g, sign: 3}"),
+        ("speed:", "sped:"), (axes, "{x: A.X}"), (axes, "[]"),
+    ):  # fmt: skip
+        assert not schema.is_valid(yaml.safe_load(right.replace(old, new))), new
 
 
 CONFIGURATIONS = [ROOT / "config" / "imucald.yaml", *sorted((ROOT / "config/examples").glob("*"))]

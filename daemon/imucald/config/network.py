@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from imucald.config.base import CanId, Model, Positive, as_list
+from imucald.config.base import OR_ONE, OR_TEXT, CanId, Model, Positive, as_list
 
 
 class Database(Model):
@@ -24,9 +24,10 @@ def _path_shorthand(value: Any) -> Any:
 
 
 Databases = Annotated[
-    tuple[Annotated[Database, BeforeValidator(_path_shorthand)], ...],
+    tuple[Annotated[Database, BeforeValidator(_path_shorthand), OR_TEXT], ...],
     BeforeValidator(as_list),
     Field(min_length=1),
+    OR_ONE,
 ]
 
 

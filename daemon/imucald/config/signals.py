@@ -6,7 +6,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from imucald.config.base import STANDARD_ID_MAX, CanId, Model, as_list
+from imucald.config.base import OR_ONE, STANDARD_ID_MAX, CanId, Model, ShortForm, as_list
+
+MESSAGE_SIGNAL = r"^[^.\s]+\.[^.\s]+$"
+OR_SIGNAL = ShortForm(lambda _: {"type": "string", "pattern": MESSAGE_SIGNAL})
 
 
 class RawSource(Model):
@@ -33,7 +36,7 @@ def _signal_shorthand(value: Any) -> Any:
 class Source(Model):
     """Where one number comes from: ``MESSAGE.SIGNAL`` alone, or a mapping with more."""
 
-    signal: str | None = Field(None, pattern=r"^[^.\s]+\.[^.\s]+$")
+    signal: str | None = Field(None, pattern=MESSAGE_SIGNAL)
     """``MESSAGE.SIGNAL`` in the database."""
     raw: RawSource | None = None
     """Instead of `signal`: bytes and an expression."""
@@ -62,10 +65,10 @@ class Source(Model):
         return self
 
 
-OneSource = Annotated[Source, BeforeValidator(_signal_shorthand)]
+OneSource = Annotated[Source, BeforeValidator(_signal_shorthand), OR_SIGNAL]
 
 
-Sources = Annotated[tuple[OneSource, ...], BeforeValidator(as_list), Field(min_length=1)]
+Sources = Annotated[tuple[OneSource, ...], BeforeValidator(as_list), Field(min_length=1), OR_ONE]
 """One source, or several in order of preference."""
 
 
@@ -77,7 +80,7 @@ class Triad(Model):
     z: OneSource | None = None
 
 
-Triads = Annotated[tuple[Triad, ...], BeforeValidator(as_list), Field(min_length=1)]
+Triads = Annotated[tuple[Triad, ...], BeforeValidator(as_list), Field(min_length=1), OR_ONE]
 
 
 class Wheels(Model):
