@@ -136,6 +136,18 @@ def test_editors_find_no_fault_in_what_is_right_and_faults_in_what_is_not() -> N
         assert not schema.is_valid(yaml.safe_load(right.replace(old, new))), new
 
 
+def test_the_readme_leads_to_every_page_and_every_link_to_something() -> None:
+    assert set(PAGES) - links(ROOT / "README.md") == {ROOT / "README.md"}
+    for page in PAGES:
+        assert [target for target in links(page) if not target.exists()] == [], page
+
+
+def links(page: Path) -> set[Path]:
+    """Files here that a page has links to."""
+    found = re.findall(r"\]\(([\w./-]+)(?:#[\w-]*)?\)", page.read_text())
+    return {page.parent / target for target in found}
+
+
 CONFIGURATIONS = [ROOT / "config" / "imucald.yaml", *sorted((ROOT / "config/examples").glob("*"))]
 
 
