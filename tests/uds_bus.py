@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 import shuttle
 from imucald.bus.log import LogReader
 from imucald.bus.pythoncan import can  # before isotp, which would import all of it
@@ -28,6 +30,7 @@ from uds_subject import key_of
 
 REQUEST, RESPONSE, TO_ALL = 0x7B0, 0x7B8, 0x7DF
 CHANNELS = itertools.count()
+SIMULATED = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
 SECTION = f"""
 vehicle: {{id: WVWZZZ1JZXW000001}}
 diagnostics:
@@ -76,6 +79,16 @@ def with_diagnostics(folder: Path, cycles: int = 3) -> Path:
     """A drive and its configuration, diagnostics switched on; return the configuration's path."""
     config = shuttle.write(folder, cycles=cycles)
     config.write_text(config.read_text() + SECTION)
+    return config
+
+
+def guarded_config(folder: Path) -> Path:
+    """The simulated bus, whose IMU frames have counters and checksums, with diagnostics."""
+    settings = yaml.safe_load(SIMULATED.read_text())
+    settings["database"] = str((SIMULATED.parent / settings["database"]).resolve())
+    settings |= yaml.safe_load(SECTION)
+    config = folder / "guarded.yaml"
+    config.write_text(yaml.safe_dump(settings))
     return config
 
 

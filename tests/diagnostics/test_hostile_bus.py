@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
-from simulated_bus import CONFIG, drive_frames
-from uds_bus import REQUEST, RESPONSE, SECTION, UdsBench, asking, with_diagnostics
+from simulated_bus import drive_frames
+from uds_bus import REQUEST, RESPONSE, UdsBench, asking, guarded_config, with_diagnostics
 
 ACCEL_ID = 0x200
 CHECKSUM, COUNTER, CONFLICT = 0xDA1083, 0xDA1082, 0xDA1181
@@ -31,11 +30,7 @@ def codes(bench: UdsBench) -> set[int]:
 
 def guarded_bench(folder: Path) -> UdsBench:
     """On the simulated bus, whose IMU frames have counters and checksums."""
-    settings = yaml.safe_load(CONFIG.read_text())
-    settings["database"] = str((CONFIG.parent / settings["database"]).resolve())
-    settings |= yaml.safe_load(SECTION)
-    config = folder / "guarded.yaml"
-    config.write_text(yaml.safe_dump(settings))
+    config = guarded_config(folder)
     columns = drive_frames().take(slice(0, 6000))
     frames = [
         (t, i, data[:n].tobytes())

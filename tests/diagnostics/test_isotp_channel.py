@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 import tracemalloc
 
@@ -271,3 +273,12 @@ def test_the_clock_of_a_channel_is_its_own():
     assert channel.frame(0x18DA55F1 | 0x8000_0000, b"\x01\x3e") == [
         (0x18DAF155 | 0x8000_0000, b"\x01\x3e" + b"\xcc" * 6)
     ]
+
+
+def test_python_can_is_not_loaded_for_it():
+    code = (
+        "import sys; from imucald.service.isotp_channel import import_isotp; import_isotp();"
+        "assert 'isotp' in sys.modules; assert 'can' not in sys.modules;"
+        "from imucald.bus.pythoncan import can; can.Message"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

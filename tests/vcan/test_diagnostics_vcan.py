@@ -16,16 +16,18 @@ from udsoncan.client import Client
 from udsoncan.exceptions import NegativeResponseException
 
 from imucald.bus.pythoncan import can
-from uds_bus import REQUEST, RESPONSE, asking, with_diagnostics
+from uds_bus import REQUEST, RESPONSE, asking, guarded_config, with_diagnostics
 
 CALIBRATE, RESET = 0xF010, 0xF011
 TESTS = Path(__file__).parent.parent
 
 
 @contextmanager
-def running_daemon(folder: Path, channel: str, cycles: int = 1) -> Iterator[subprocess.Popen[str]]:
+def running_daemon(
+    folder: Path, channel: str, config: Path | None = None
+) -> Iterator[subprocess.Popen[str]]:
     """`imucald run` with diagnostics; the key function is in the folder of the tests."""
-    config = with_diagnostics(folder, cycles)
+    config = config or with_diagnostics(folder, cycles=1)
     options = ["--config", str(config), "--interface", "socketcan", "--channel", channel]
     state = ["--state-dir", str(folder / "state"), "--status-socket", str(folder / "status.sock")]
     process = subprocess.Popen(
@@ -165,3 +167,29 @@ def test_hostile_testers_at_the_pace_of_the_bus(vcan, tmp_path):
             with pytest.raises(NegativeResponseException, match="0x33"):
                 client.start_routine(RESET)
         assert sizes[-1] - sizes[0] < 1024, sizes
+
+
+def test_a_recording_beside_the_real_sensor_and_forged_frames_set_their_codes(vcan, tmp_path):
+    command = [sys.executable, "-m", "imucald", "simulate", "--minutes", "0.2", "--seed", "3"]
+    log = tmp_path / "drive.log"
+    subprocess.run([*command, "--out", str(log)], check=True, capture_output=True)
+    lines = [line for line in log.read_text().splitlines() if " 200#" in line]
+    real, old = tmp_path / "real.log", tmp_path / "old.log"
+    real.write_text("\n".join(lines[300:700]) + "\n")
+    old.write_text("\n".join(lines[:200]) + "\n")
+    play = ["canplayer", f"{vcan.name}=can0", "-I"]
+    config = guarded_config(tmp_path)
+    with running_daemon(tmp_path, vcan.name, config), asking_on(vcan.name) as client:
+        sensor = subprocess.Popen([*play, str(real)])
+        time.sleep(1.0)
+        client.clear_dtc()
+        assert not codes(client) & {0xDA1082, 0xDA1083}
+        subprocess.run([*play, str(old)], check=True)
+        time.sleep(0.3)
+        assert codes(client) & {0xDA1082, 0xDA1083} == {0xDA1082}
+        for _ in range(4):
+            vcan.send("200#" + "7F" * 6 + "0000")
+        time.sleep(0.5)
+        assert codes(client) >= {0xDA1082, 0xDA1083}
+        assert client.read_data_by_identifier_first(0xFD09)[1] >= 4
+        assert sensor.wait(20) == 0
