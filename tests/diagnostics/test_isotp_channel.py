@@ -259,10 +259,13 @@ def test_what_the_package_may_throw_does_not_end_us(wire, monkeypatch):
     def explode(*_: object, **__: object) -> None:
         raise ZeroDivisionError
 
+    wire.send(first(100))
     with monkeypatch.context() as broken:
         broken.setattr(wire.channel._stack, "_process_rx", explode)
-        assert wire.send(READ_SESSION) == []
+        assert wire.send(more(1)) == []
         assert wire.counted("transport_failed") == 1
+    wire.send(more(1))
+    assert wire.counted("UnexpectedConsecutiveFrameError") == 1, "what was begun is forgotten"
     wire.lives()
 
 
