@@ -13,6 +13,7 @@ from imucald.bus.protection import (
     counter_of,
     e2e_counter,
 )
+from imucald.bus.protection_spec import E2E_COUNTER_MODULUS
 from imucald.config import Checksum, MessageProtection
 from imucald.errors import ConfigError
 
@@ -49,7 +50,10 @@ def _counter(
     counter = protection.counter
     if counter is not None:
         signal = message.signal(counter.signal)
-        return counter_of(signal, counter.modulus, counter.max_step)
+        modulus = counter.modulus
+        if modulus is None and profile is not None:  # profiles 1 and 11 wrap at 14
+            modulus = E2E_COUNTER_MODULUS[profile]
+        return counter_of(signal, modulus, counter.max_step)
     if profile is None or protection.checksum is None:
         return None
     bit = 8 * protection.checksum.offset + _COUNTER_BIT[profile]
