@@ -50,6 +50,7 @@ class FakeSubject:
     uptime: float = 12.7
     known: MountEstimate = field(default_factory=estimate_of)
     counted: Counts = COUNTED
+    former_fits: bool = True
     done: list[str] = field(default_factory=list)
 
     def estimate(self) -> MountEstimate:
@@ -62,9 +63,12 @@ class FakeSubject:
         self.done.append("begin")
         self.quality = 0
 
-    def return_to_former(self) -> None:
+    def return_to_former(self) -> bool:
+        if not self.former_fits:
+            return False
         self.done.append("return")
         self.quality = 3
+        return True
 
     def accept_calibration(self) -> None:
         self.done.append("accept")

@@ -255,3 +255,30 @@ def test_a_reload_changes_the_identifiers_and_keeps_the_rest(tmp_path):
         config.write_text(text.replace("enabled: true", "enabled: false"))
         bench.service.ask_reload()
         bench.wait_for(lambda: bench.service.diagnostics is None)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fits"),
+    [
+        ("status_rate: 10", "status_rate: 5", True),
+        ("accelerometer_bias: 0.02", "accelerometer_bias: 0.03", False),
+    ],
+)
+def test_after_a_reload_the_former_is_taken_back_only_where_it_still_fits(
+    bench, client, old, new, fits
+):
+    bench.play(STANDING_S)
+    unlocked(client)
+    former = bench.service.engine.pipeline.estimator
+    client.start_routine(CALIBRATE)
+    config = bench.service.options.config
+    config.write_text(config.read_text().replace(old, new))
+    bench.service.ask_reload()
+    bench.wait_for(lambda: "was read again" in bench.log.getvalue())
+    bench.play(2 * STANDING_S)
+    if fits:
+        client.stop_routine(CALIBRATE)
+    else:
+        with refused(NOT_CORRECT):
+            client.stop_routine(CALIBRATE)
+    assert (bench.service.engine.pipeline.estimator is former) == fits

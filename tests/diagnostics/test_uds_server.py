@@ -316,7 +316,9 @@ def test_a_calibration_that_is_stopped_gives_the_former_one_back(bench):
     bench.ask("31 01 F0 10")
     bench.subject.standing = False
     assert bench.ask("31 02 F0 10") == "7F 31 22"
-    bench.subject.standing = True
+    bench.subject.standing, bench.subject.former_fits = True, False
+    assert bench.ask("31 02 F0 10") == "7F 31 22"
+    bench.subject.former_fits = True
     assert bench.ask("31 02 F0 10") == "71 02 F0 10 03"
     assert bench.ask("31 02 F0 10") == "7F 31 24"
     assert bench.subject.done == ["begin", "return"]

@@ -75,9 +75,8 @@ class Routines:
     def _stop(self, routine: int) -> Answer:
         if not self._runs(routine):
             return Nrc.REQUEST_SEQUENCE_ERROR
-        if not self._subject.standing:
+        if not self._subject.standing or not self._subject.return_to_former():
             return Nrc.CONDITIONS_NOT_CORRECT
-        self._subject.return_to_former()
         self._status[routine] = RoutineStatus.STOPPED
         return self._echo(STOP, routine)
 

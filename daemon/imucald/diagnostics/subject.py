@@ -88,8 +88,8 @@ class Subject(Protocol):
         """Begin anew; what was known is kept aside for `return_to_former`."""
         ...
 
-    def return_to_former(self) -> None:
-        """Take back what was kept aside."""
+    def return_to_former(self) -> bool:
+        """Take back what was kept aside; whether it still fits."""
         ...
 
     def accept_calibration(self) -> None:

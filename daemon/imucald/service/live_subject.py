@@ -63,7 +63,7 @@ class LiveSubject:
         self._host = host
         self._clock = clock
         self._began = clock()
-        self._former: tuple[Engine, MountEstimator] | None = None
+        self._former: tuple[object, MountEstimator] | None = None
         self._estimate: tuple[MountEstimator, int, MountEstimate] | None = None
         self._known_as: tuple[LoadedConfig, Identity] | None = None
 
@@ -140,20 +140,26 @@ class LiveSubject:
 
     def begin_calibration(self) -> None:
         """Begin anew and keep the former estimator aside."""
-        engine = self._host.engine
-        self._former = engine, engine.restart_calibration()
+        self._former = self._settings(), self._host.engine.restart_calibration()
         self._host.tell_tester("a tester began the calibration anew")
 
-    def return_to_former(self) -> None:
-        """Take the former estimator back, unless another engine runs by now."""
-        if self._former is not None and self._former[0] is self._host.engine:
-            self._former[0].resume_calibration(self._former[1])
-            self._host.tell_tester("a tester took the former calibration back")
+    def return_to_former(self) -> bool:
+        """Take the former estimator back, unless it was made for other settings."""
+        if self._former is None or self._former[0] != self._settings():
+            return False
+        self._host.engine.resume_calibration(self._former[1])
         self._former = None
+        self._host.tell_tester("a tester took the former calibration back")
+        return True
 
     def accept_calibration(self) -> None:
         """Let go of the former estimator."""
         self._former = None
+
+    def _settings(self) -> object:
+        """All that an estimator depends on; the file may be read again meanwhile."""
+        config = self._host.loaded.config
+        return config.signals, config.calibration, config.vehicle
 
     def forget(self) -> None:
         """Begin anew and keep nothing."""
