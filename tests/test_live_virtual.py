@@ -110,6 +110,7 @@ class ListReader:
 
     def __init__(self, chunks):
         self.chunks, self.frames_read, self.rejected = chunks, sum(map(len, chunks)), {}
+        self.first_stamp = float(chunks[0].t[0])
 
     def __iter__(self):
         return iter(self.chunks)
