@@ -108,6 +108,8 @@ MISTAKES = {
         "too little"),
     "speed in another unit": (
         ("ESC_Speed.VehicleSpeed", "unit: m/s"), "speed", "km/h against m/s"),
+    "miles for kilometres": (
+        ("ESC_Speed.VehicleSpeed", "unit: mph"), "speed", "mph against km/h"),
     "brake inverted": (("ESC_Brake.BrakePressed", "equals: 0"), "brake", "accelerates"),
     "reverse inverted": (("TCU_Gear.GearPosition", "equals: 0"), "reverse", "18 km/h"),
     "one axis of the accelerometer inverted": (

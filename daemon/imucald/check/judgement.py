@@ -2,6 +2,7 @@
 
 Every judgement needs enough motion and a clear correlation, and stays silent without. Thresholds
 are wide: squat, superelevation and offsets change a gain by a third, a wrong unit by over 2.5.
+Miles for kilometres are less: speed is held against a narrower one.
 """
 
 from __future__ import annotations
