@@ -35,6 +35,10 @@ EVIDENCE = {
     "stops": "stops",
 }
 
+SOURCES = {"turn": "turns", "dvdt": "acceleration", "axis": "axis of turning", "gravity": "gravity"}
+"""What the last part of an evidence's name means."""
+SHARE_SHOWN = 0.05
+
 
 def picture(status: Mapping[str, Any], steady: bool = False) -> Group:
     """Return the picture; steady: of the same height always."""
@@ -83,6 +87,8 @@ def _facts(status: Mapping[str, Any]) -> Table:
     rates = [f"{c} {row['rate_hz']:.4g}/s" for c, row in status["signals"].items()]
     grid.add_row("signals", ", ".join(rates) or "none yet")
     grid.add_row("evidence", _evidence(status["details"]))
+    grid.add_row("weights", _weights(status["details"]))
+    grid.add_row("gates", _gates(status["details"]))
     grid.add_row("frames", f"{frames['used']} used, {status['frames_given_out']} given out")
     alarms = [text for flag, text in FLAGS.items() if status["health"][flag]]
     grid.add_row("now", Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""))
@@ -107,6 +113,27 @@ def _evidence(details: Mapping[str, Any]) -> str:
     if "restored" in details:
         parts.append(f"mount of an earlier drive: {details['restored']['phase'].replace('_', ' ')}")
     return ", ".join(parts) or "none yet"
+
+
+def _weights(details: Mapping[str, Any]) -> str:
+    """Which evidence decides each angle."""
+    parts = []
+    for angle, shares in details.get("evidence_share", {}).items():
+        largest = sorted(shares.items(), key=lambda item: -item[1])
+        named = [
+            f"{SOURCES.get(name.rpartition('_')[2], name)} {100 * share:.0f} %"
+            for name, share in largest
+            if share >= SHARE_SHOWN
+        ]
+        parts.append(f"{angle}: {', '.join(named)}")
+    return "; ".join(parts) or "-"
+
+
+def _gates(details: Mapping[str, Any]) -> str:
+    """For how long nothing was learnt, and why."""
+    frozen = {k: v for k, v in details.get("frozen_ticks", {}).items() if v}
+    parts = [f"{reason.replace('_', ' ')} {ticks / 10:.0f} s" for reason, ticks in frozen.items()]
+    return "not learnt from: " + ", ".join(parts) if parts else "all open so far"
 
 
 def _saved(saved: Mapping[str, Any]) -> Text:
