@@ -47,6 +47,8 @@ RUNS = 12
 MINUTES = 10.0
 ACCEL_WALK = 0.001
 """Walk of the accelerometer's zero error [m/s^2/sqrt(s)]: 0.017 in five minutes."""
+RESOLUTION = 0.01
+"""Of angles on the bus [deg]."""
 DRIFT = 0.005
 """Walk of the gyroscope's zero error in five minutes, standard deviation [deg/s]."""
 
@@ -238,8 +240,8 @@ def parked() -> bool:
         f"drift in 50 minutes, roll and pitch: filter {ours.round(4)} deg, accelerometer "
         f"{own.round(4)} deg; largest error of the filter at any sample {error:.3f} deg"
     )
-    met = bool(np.abs(ours - own).max() < 0.005)
-    print(f"no drift beyond the sensor's own (0.005 deg): {verdict(met)}")
+    met = bool(np.abs(ours - own).max() < RESOLUTION)
+    print(f"no drift beyond the sensor's own by the frames' resolution (0.01 deg): {verdict(met)}")
     return met
 
 
