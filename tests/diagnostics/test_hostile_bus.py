@@ -87,7 +87,7 @@ def test_recorded_frames_played_again_are_refused_and_told(guarded):
     settled(guarded)
     assert router.sample_counts["accel"] == before, "nothing was taken in"
     assert guarded.service.engine.pipeline.correction == estimate
-    assert router.rejected["counter_repeated"] >= 20
+    assert router.rejected["counter_repeated"] >= 19, "the first may be a time-out as well"
     assert COUNTER in codes(guarded)
     assert CHECKSUM not in codes(guarded)
 
