@@ -114,7 +114,7 @@ class ResponseEvidence:
         self._normal = np.zeros((len(ROWS), KEPT, MOST_REGRESSORS, MOST_REGRESSORS))
         self._old_score = np.zeros((len(ROWS), 0, MOST_REGRESSORS))
         self._old_normal = np.zeros((len(ROWS), 0, MOST_REGRESSORS, MOST_REGRESSORS))
-        self._R = np.eye(3)
+        self._R, self._fitted = np.eye(3), False
         self.delays = (0.0, 0.0)
         self.flows: list[Flow] = []
         self.without_speed = False
@@ -188,7 +188,7 @@ class ResponseEvidence:
             self._scored = 0
             self._last_afresh = self.hops
         self._turn_scores(turned)
-        self._R = R.copy()
+        self._R, self._fitted = R.copy(), True
         if self._scored < self._n:
             self._weigh(R)
         return self._pieces()
@@ -203,6 +203,8 @@ class ResponseEvidence:
 
     def _fold(self) -> None:
         """Sum the oldest windows up, in whole groups, and let them go."""
+        if self._fitted and self._scored < self._n:
+            self._weigh(self._R)
         group = self._hop_number[: self._n] // GROUP
         starts = np.flatnonzero(np.diff(group, prepend=-1))
         cut = int(starts[np.searchsorted(starts, FOLD)])
@@ -238,6 +240,7 @@ class ResponseEvidence:
         for i, row in enumerate(ROWS):
             m = len(row.regressors)
             weight[i][:, row.bands :] = 0.0
+            weight[i][:, : row.first] = 0.0
             for a in range(m):
                 wa = weight[i] * factors[i][a]
                 target = self._target(P, i, row.regressors[a])

@@ -19,15 +19,16 @@ class Row:
     regressors: tuple[int, ...]
     prior_std: tuple[float, ...]  # of the nuisance coefficients
     bands: int = BANDS  # only so many: above, the suspension's resonance answers
+    first: int = 0  # not the bands below: there the tracked vertical takes part of f_z
 
 
 ROWS = (
-    Row("yaw_turn", 2, (sp.FV, sp.FR2, sp.FV2), (1.5, 0.01)),
-    Row("yaw_dvdt", 2, (sp.FA, sp.FR2, sp.FAV), (0.8, 0.02)),
-    Row("pitch_dvdt", 1, (sp.FA, sp.FA, sp.FA2, sp.FAA), (0.005, 0.005, 0.0008), 7),
-    Row("roll_turn", 0, (sp.FV, sp.FV, sp.FV2), (0.005, 0.01), 7),
-    Row("pitch_axis", 1, (sp.R, sp.FAR, sp.FV), (0.015, 0.0015), 6),
-    Row("roll_axis", 0, (sp.R, sp.FVR), (0.01,), 6),
+    Row("yaw_turn", 2, (sp.FVH, sp.FR2, sp.FV2), (1.5, 0.01)),
+    Row("yaw_dvdt", 2, (sp.FAH, sp.FR2, sp.FAV), (0.8, 0.02)),
+    Row("pitch_dvdt", 1, (sp.FAH, sp.FA, sp.FA2, sp.FAA), (0.005, 0.005, 0.0008), 8, 1),
+    Row("roll_turn", 0, (sp.FVH, sp.FV, sp.FV2), (0.005, 0.01), 8, 1),
+    Row("pitch_axis", 1, (sp.R, sp.FAR, sp.FV), (0.015, 0.0015), 7),
+    Row("roll_axis", 0, (sp.R, sp.FVR), (0.01,), 7),
 )
 """In the order of X_ROW .. Q_ROW."""
 WITHOUT_SPEED = (Y_ROW, P_ROW, Q_ROW)

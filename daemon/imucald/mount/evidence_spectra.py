@@ -8,6 +8,8 @@ the rotation, the gains and the noise of each band turn out to be.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +22,8 @@ Spectra = NDArray[np.complex128]
 
 WINDOW = 256
 """Ticks per window; with HOP = 32 an eighth of it."""
-FIRST_BIN = 1
-BAND_EDGES = (1, 2, 3, 4, 6, 9, 13, 19, 28, 52)
+FIRST_BIN = 0
+BAND_EDGES = (0, 1, 2, 3, 4, 6, 9, 13, 19, 28, 52)
 """Bins of 0.039 Hz; the last ends at 2 Hz, above which dv/dt says nothing."""
 BINS = BAND_EDGES[-1] - FIRST_BIN
 BANDS = len(BAND_EDGES) - 1
@@ -34,19 +36,22 @@ RATE = slice(8, 11)
 """Rate [rad/s], sensor axes."""
 A2, V2, R2, AR, VR, AA, AV = 11, 12, 13, 14, 15, 16, 17
 """Second-order terms: A^2, V^2, r^2, A r, V r, A |A|, A V."""
-MEASURED = 18
+AH, VH = 18, 19
+"""A and V less what the tracked vertical takes up of them; see `evidence_up`."""
+MEASURED = 20
 """Columns that come from time; two more are their quarter turns in frequency."""
-AI, VI = 18, 19
+AI, VI = 20, 21
 """A and V a quarter period ahead: lags, tyres and lever arms answer with these."""
-SIGNALS = 20
-_LATE = (A, A2, AR, AA, AV)
+SIGNALS = 22
+_LATE = (A, A2, AR, AA, AV, AH)
 """Columns that come with the speed's delay."""
 
-FX, FY, FZ, FA, FV, FQ, P, Q, R, FA2, FV2, FR2, FAR, FVR, FAI, FVI, FAA, FAV = range(18)
+FX, FY, FZ, FA, FV, FQ, P, Q, R, FA2, FV2, FR2, FAR, FVR, FAI, FVI, FAA, FAV, FAH, FVH = range(20)
 """Order of signals after `in_vehicle_axes`: force (3), A, V, v q, rate (3), even terms."""
 
 _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
 _TAPER_SCALE = float(np.sqrt(2.0 / WINDOW / ((_TAPER**2).sum() / HOP)))
+_HALF = math.sqrt(0.5)
 _TAPER_COLUMN = (_TAPER_SCALE * _TAPER)[:, None]
 _STARTS = np.array(BAND_EDGES[:-1]) - FIRST_BIN
 BAND_WIDTH = np.diff(BAND_EDGES).astype(float)
@@ -57,13 +62,15 @@ BAND_OMEGA2 = np.add.reduceat(OMEGA**2, _STARTS) / BAND_WIDTH
 """Mean square angular frequency of the bands [(rad/s)^2]."""
 
 
-def spectra(signals: Array, mask: NDArray[np.bool_]) -> Spectra:
+def spectra(signals: Array, mask: NDArray[np.bool_], keep_mean: bool = False) -> Spectra:
     """Spectra (BINS, k) of signals (WINDOW, k), masked ticks taken out.
 
     Scaled so that overlapping windows add up: the sum over windows and bins of |x|^2 is the sum
-    over ticks of x^2 (in band).
+    over ticks of x^2 (in band). keep_mean: the mean is a signal as well; else it is taken off.
     """
-    if mask.all():
+    if keep_mean:
+        x = signals * mask[:, None]
+    elif mask.all():
         x = signals - signals.mean(axis=0)
     else:
         n = max(float(mask.sum()), 1.0)
@@ -72,40 +79,35 @@ def spectra(signals: Array, mask: NDArray[np.bool_]) -> Spectra:
         x *= mask[:, None]
     x *= _TAPER_COLUMN
     s: Spectra = np.fft.rfft(x, axis=0)[FIRST_BIN : FIRST_BIN + BINS]
+    s[0] *= _HALF  # the only bin without a mirror image
     return s
 
 
 _ALONE = (
-    (FA2, A2),
-    (FV2, V2),
-    (FR2, R2),
-    (FAR, AR),
-    (FVR, VR),
-    (FAI, AI),
-    (FVI, VI),
-    (FAA, AA),
-    (FAV, AV),
-)
+    (FA2, A2), (FV2, V2), (FR2, R2), (FAR, AR), (FVR, VR), (FAI, AI), (FVI, VI), (FAA, AA),
+    (FAV, AV), (FAH, AH), (FVH, VH),
+)  # fmt: skip
 
 
 def _turning(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
-    """Matrix (18, SIGNALS) that takes the signals to vehicle axes.
+    """Matrix (20, SIGNALS) that takes the signals to vehicle axes.
 
     Without speed the force along the vehicle stands in for dv/dt: least squares on it turns the
     x axis into the principal axis of the horizontal force.
     """
     R_vs = R_vehicle_from_sensor
-    turn = np.zeros((18, SIGNALS))
+    turn = np.zeros((20, SIGNALS))
     turn[FX : FZ + 1, 0:3] = R_vs
     turn[FV, V] = 1.0
     if without_speed:
-        turn[FA, 0:3] = R_vs[0]
+        turn[FA, 0:3] = turn[FAH, 0:3] = R_vs[0]
     else:
         turn[FA, A] = 1.0
     turn[FQ, TURNED] = R_vs[1]
     turn[P : R + 1, RATE] = R_vs
     for row, column in _ALONE:
-        turn[row, column] = 1.0
+        if not (without_speed and row == FAH):
+            turn[row, column] = 1.0
     return turn
 
 
@@ -120,6 +122,9 @@ PAIRS = (
     (FAI, FV), (FAI, FR2), (FAI, FV2), (FVI, R), (FVI, FAR), (FVI, FV), (FAI, R), (FAI, FVR),
     (FY, FAV), (FAV, FAV), (FA, FAV), (FR2, FAV), (FV, FAV), (FVI, FAV),
     (FZ, FAA), (FAA, FAA), (FA, FAA), (FA2, FAA), (FQ, FAA),
+    (FY, FAH), (FV, FAH), (FVI, FAH), (FAH, FAH), (FAH, FR2), (FAH, FAV), (FA, FAH),
+    (FZ, FAH), (FQ, FAH), (FAH, FA2), (FAH, FAA), (FX, FVH), (FA, FVH), (FAI, FVH), (FVH, FVH),
+    (FVH, FR2), (FVH, FV2), (FZ, FVH), (FV, FVH),
 )  # fmt: skip
 """Products in vehicle axes that the fit needs."""
 PAIR = {pair: i for i, pair in enumerate(PAIRS)} | {(j, i): k for k, (i, j) in enumerate(PAIRS)}

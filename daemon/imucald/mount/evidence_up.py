@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion.ticks import TICK_S
-from imucald.mount.evidence_signals import Prepared
+from imucald.mount.evidence_signals import HOP, Prepared
 from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
@@ -40,6 +40,18 @@ FORCE_NOISE = 0.06
 """Innovation of a tick while nothing happens [m/s^2], rms."""
 FORCE_SHARE = 0.12
 """Share of the motion that the model may miss (gains, squat, sideslip)."""
+_PULL = {True: TICK_S / PULL_S, False: TICK_S / PULL_NO_GYRO_S}
+
+
+def _followed(pull: float) -> tuple[Array, Array]:
+    """What a first-order lag leaves of a hop: (HOP, HOP) of its values, (HOP,) of its state."""
+    decay = (1.0 - pull) ** np.arange(HOP)
+    lag = np.arange(HOP)[:, None] - np.arange(HOP)[None, :] - 1
+    taken = np.where(lag >= 0, pull * (1.0 - pull) ** np.maximum(lag, 0), 0.0)
+    return np.eye(HOP) - taken, decay
+
+
+_REMAINING = {with_gyro: _followed(pull) for with_gyro, pull in _PULL.items()}
 
 
 class UpTracker:
@@ -54,6 +66,7 @@ class UpTracker:
         self._open_score = np.zeros(3)
         self._open_ticks = 0
         self.drift = np.zeros(3)
+        self._taken: Array | None = None
         self._closed: list[tuple[Array, Array]] = []
 
     def restart(self) -> None:
@@ -87,7 +100,7 @@ class UpTracker:
         target[:, :, 1:] = np.eye(3)
         force = p.force if motion is None else p.force - motion
         target[:, :, 0] = force / GRAVITY
-        pull = TICK_S / (PULL_S if p.ok_rate.any() else PULL_NO_GYRO_S)
+        pull = _PULL[bool(p.ok_rate.any())]
         states = np.empty((n, 3, 4))
         state = self._state
         use = p.learn.tolist()
@@ -112,6 +125,30 @@ class UpTracker:
         if bias is not None:
             lone -= (np.eye(3) - states[:, :, 1:]) @ bias
         return lone
+
+    def remaining(self, motion: Array, p: Prepared) -> Array:
+        """What a wrong R leaves of motion (N, k) in the force, after the vertical took its part.
+
+        The vertical follows the force less the expected motion, so an error e of R shows as
+        e x (m - G), with G the motion as the vertical follows it (turning while it does so left
+        out).
+        """
+        with_gyro = bool(p.ok_rate.any())
+        state = self._taken
+        if state is None:
+            state = np.zeros(motion.shape[1])
+        keep, decay = _REMAINING[with_gyro]
+        if p.learn.all() and len(motion) == len(decay):
+            out: Array = keep @ motion - decay[:, None] * state
+            self._taken = motion[-1] - (1.0 - _PULL[with_gyro]) * out[-1]
+            return out
+        out = np.empty_like(motion)
+        for i, use in enumerate(p.learn.tolist()):
+            out[i] = motion[i] - state
+            if use:
+                state = state + _PULL[with_gyro] * out[i]
+        self._taken = state
+        return out
 
     def _follow_drift(
         self, p: Prepared, states: Array, force: Array, bias: Array | None, pull: float

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 SPANS = (2, 3, 4, 6, 8, 12)
 """Pieces of road that are held against all before."""
-LEAST_BEFORE = (16, 6, 6)
+LEAST_BEFORE = (16, 10, 10)
 """Pieces that must have been before, for roll, pitch and yaw."""
 CLIP = 4.5
 """No single piece counts for more standard deviations: one bad road moves no sensor."""
@@ -26,9 +26,9 @@ UNEVEN_STD = (0.0045, 0.0026, 0.0015)
 """Town and motorway differ by that much [rad] without a shift."""
 SHORT_SPAN = 6
 """Below, a stretch of leaning road or a windy one passes for a turn of the sensor."""
-THRESHOLD = (4.6, 4.1, 3.5)
+THRESHOLD = (5.0, 4.5, 3.8)
 """For roll, pitch and yaw, in standard deviations: under one false alarm in 100 h simulated."""
-THRESHOLD_SHORT = (6.2, 4.6, 4.2)
+THRESHOLD_SHORT = (6.4, 5.0, 4.6)
 """The same for spans below `SHORT_SPAN`."""
 PRIOR_PIECES = 6.0
 """The spread before is taken as 1.5 times the model's with that weight."""

@@ -15,6 +15,7 @@ from imucald.frames import (
     rotation_from_angles,
     rotation_from_vector,
 )
+from imucald.mount import evidence_spectra as sp
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
@@ -28,11 +29,13 @@ from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
 
+_TAKEN = [sp.A2, sp.V2, sp.R2, sp.AA, sp.AV, sp.AH, sp.VH]
+"""Terms that are not taken off the force before the vertical follows it."""
 LEAST_POWER = 1e-3
 """A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
 
 
-SIDESLIP_STD = 0.0024
+SIDESLIP_STD = 0.0014
 """What sideslip and body roll leave in the yaw from turns [rad], in simulated drives."""
 PITCHING_STD = 0.0012
 """Squat and dive differ (gradients by 0.0014 rad/(m/s^2)): that much pitch stays in dv/dt [rad]."""
@@ -50,6 +53,8 @@ NO_GYRO_SHARE = 1.5
 """Without a gyroscope slopes stay in the force: variances are so much larger."""
 PRINCIPAL_STD = 0.008
 """What the principal axis may be off [rad]: the force across the vehicle is not only noise."""
+SETTLED_HOPS = 40
+"""Until then (128 s) each fit goes round twice: the rotation still moves much."""
 SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
@@ -160,7 +165,7 @@ class Solution:
     def gains(self) -> tuple[float, float]:
         """Mean gains of dv/dt and v r in the low bands."""
         g = self.response.gains
-        return float(g[0, 1:5].mean()), float(g[1, 1:5].mean())
+        return float(g[0, 2:6].mean()), float(g[1, 2:6].mean())
 
     def _slide(self, p: Prepared, lone: Array, turn: Array, r: Array) -> None:
         w, m = self._window, self._mask
@@ -172,17 +177,15 @@ class Solution:
         rate = p.rate * p.ok_rate[:, None]
         w[-HOP:, 5:8] = rate * p.speed[:, None]
         w[-HOP:, 8:11] = rate
-        w[-HOP:, 11] = p.accel * p.accel
-        w[-HOP:, 12] = turn * turn
-        w[-HOP:, 13] = r * r
-        w[-HOP:, 14] = p.accel * r
-        w[-HOP:, 15] = turn * r
-        w[-HOP:, 17] = p.accel * turn
-        w[-HOP:, 16] = p.accel * np.abs(p.accel)
+        a = p.accel
+        terms = np.stack([a * a, turn * turn, r * r, a * np.abs(a), a * turn, a, turn], axis=1)
+        w[-HOP:, _TAKEN] = self.up.remaining(terms, p)
+        w[-HOP:, sp.AR] = a * r
+        w[-HOP:, sp.VR] = turn * r
         m[-HOP:] = p.learn & p.ok_speed
         if m.sum() < 64:
             return
-        s = spectra(w, m)
+        s = spectra(w, m, keep_mean=self.own_gyro and self.yaw_known)
         power = s[:, 3:5].real ** 2 + s[:, 3:5].imag ** 2
         if not self.response.without_speed and power.sum() < LEAST_POWER * HOP:
             return
@@ -208,7 +211,7 @@ class Solution:
         bias, bias_cov = self.up.bias(spread)
         if not self.yaw_known:
             self._start()
-        for _ in range(2 if self.hops < 100 else 1):
+        for _ in range(2 if self.hops < SETTLED_HOPS else 1):
             if self.R is None:
                 return
             pieces = self.response.fit(self.R) if self.yaw_known else {}

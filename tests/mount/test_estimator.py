@@ -1,0 +1,319 @@
+"""The full estimator on simulated drives, whose truth it does not know."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucald.frames import rotation_from_angles, vector_from_rotation
+from imucald.motion import ticks as tk
+from imucald.motion.ticks import ticks_from_samples
+from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.estimator import SLEW_RATE, FullEstimator
+from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.samples import Series
+from imucald.simulation import random_model, simulate
+from imucald.simulation.drive import Drive
+
+SEED = 41
+MINUTES = 8.0
+GOOD = {MountState.USABLE, MountState.FINE}
+
+
+@cache
+def drive(seed: int = SEED, minutes: float = MINUTES, upside_down: bool = False) -> Drive:
+    model = random_model(seed, standing_first=True, upside_down=upside_down)
+    return simulate(model, seed, minutes)
+
+
+@cache
+def rows(seed: int = SEED, minutes: float = MINUTES) -> NDArray[np.float64]:
+    return ticks_from_samples(drive(seed, minutes).samples, 0, int(minutes * 600))
+
+
+def after(ticks: NDArray[np.float64], settings: EstimatorSettings | None = None) -> FullEstimator:
+    estimator = FullEstimator(settings)
+    for row in ticks.tolist():
+        estimator.step(row)
+    return estimator
+
+
+@cache
+def usual() -> FullEstimator:
+    return after(rows())
+
+
+def error(estimate: MountEstimate, made: Drive) -> NDArray[np.float64]:
+    """Rotation-vector error about the vehicle's axes [deg]."""
+    assert estimate.R_vehicle_from_sensor is not None
+    truth = made.truth.R_vehicle_from_sensor()
+    return np.degrees(vector_from_rotation(truth @ estimate.R_vehicle_from_sensor.T))
+
+
+def within(estimate: MountEstimate, made: Drive, deviations: float = 3.5) -> bool:
+    assert estimate.std is not None
+    return bool((np.abs(error(estimate, made)) < deviations * np.degrees(estimate.std)).all())
+
+
+def without(ticks: NDArray[np.float64], count: int, first: int, last: int) -> NDArray[np.float64]:
+    out = ticks.copy()
+    out[:, count] = 0.0
+    out[:, first : last + 1] = np.nan
+    return out
+
+
+def without_gyro(ticks: NDArray[np.float64]) -> NDArray[np.float64]:
+    return without(ticks, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE)
+
+
+def test_eight_minutes_give_the_mount():
+    estimate = usual().estimate()
+    roll, pitch, yaw = np.abs(error(estimate, drive()))
+    assert yaw < 0.6
+    assert pitch < 0.8
+    assert roll < 2.0
+    assert within(estimate, drive())
+    assert estimate.state in GOOD
+
+
+def test_a_sensor_upside_down_is_found():
+    made = drive(seed=43, minutes=6.0, upside_down=True)
+    ticks = ticks_from_samples(made.samples, 0, 3600)
+    estimate = after(ticks).estimate()
+    assert abs(error(estimate, made)[2]) < 1.0
+    assert within(estimate, made)
+
+
+def test_turning_the_sensor_turns_the_answer_and_nothing_else():
+    turn = rotation_from_angles(0.4, -0.3, 2.0)
+    samples = dict(drive().samples)
+    for channel in ("accel", "gyro"):
+        series = samples[channel]
+        samples[channel] = Series(series.t, series.values @ turn)
+    turned = after(ticks_from_samples(samples, 0, int(MINUTES * 600))).estimate()
+    plain = usual().estimate()
+    assert turned.R_vehicle_from_sensor is not None
+    assert plain.R_vehicle_from_sensor is not None
+    apart = vector_from_rotation(
+        turned.R_vehicle_from_sensor @ turn.T @ plain.R_vehicle_from_sensor.T
+    )
+    assert np.abs(np.degrees(apart)).max() < 0.02
+
+
+def test_the_same_ticks_give_the_same_bits():
+    again = after(rows()).estimate()
+    first = usual().estimate()
+    assert np.array_equal(again.R_vehicle_from_sensor, first.R_vehicle_from_sensor)
+    assert np.array_equal(again.covariance, first.covariance)
+
+
+def test_nothing_is_applied_before_usable_and_then_it_turns_slowly():
+    estimator = FullEstimator()
+    last = None
+    changed = 0
+    for row in rows(minutes=5.0).tolist():
+        estimator.step(row)
+        now = estimator.correction
+        if estimator.state in {MountState.WAITING, MountState.LEVELLED}:
+            assert now is None
+        if now is not None and last is not None and now != last:
+            a, b = np.array(now).reshape(3, 3), np.array(last).reshape(3, 3)
+            assert np.linalg.norm(vector_from_rotation(a @ b.T)) <= SLEW_RATE * 0.1 * 1.001
+            changed += 1
+        last = now
+    assert last is not None
+    assert changed > 5
+
+
+def test_the_states_come_in_order_and_say_what_is_missing():
+    estimator = FullEstimator()
+    seen: list[MountState] = []
+    reasons: list[str] = []
+    for k, row in enumerate(rows().tolist()):
+        estimator.step(row)
+        if not seen or estimator.state != seen[-1]:
+            seen.append(estimator.state)
+        if k % 32 == 0:
+            text = estimator.estimate().waiting_for.get("yaw", "")
+            if not reasons or reasons[-1] != text:
+                reasons.append(text)
+    assert seen[:3] == [MountState.WAITING, MountState.LEVELLED, MountState.USABLE]
+    assert "waiting for acceleration or braking above 1 m/s2 (0 of 3 seen)" in reasons
+    assert any("(2 of 3 seen)" in text for text in reasons)
+
+
+def test_a_parked_vehicle_is_levelled_and_waits_for_driving():
+    ticks = rows()[:40]
+    parked = np.tile(ticks[20], (1200, 1))
+    rng = np.random.default_rng(0)
+    parked[:, tk.T] = (np.arange(1200) + 1) / 10
+    parked[:, tk.ACCEL_X : tk.ACCEL_Z + 1] += 0.01 * rng.standard_normal((1200, 3))
+    estimate = after(parked).estimate()
+    assert estimate.state == MountState.LEVELLED
+    assert estimate.std is not None
+    assert math.degrees(estimate.std[2]) > 90.0
+    assert "no turns yet" in estimate.waiting_for["roll"]
+    assert estimate.waiting_for["yaw"].startswith("waiting for acceleration or braking")
+
+
+def test_the_delay_of_the_speed_is_found():
+    samples = dict(drive().samples)
+    series = samples["speed"]
+    before = float(str(usual().estimate().details["speed_delay"]))
+    samples["speed"] = Series(series.t + 0.3, series.values)
+    late = after(ticks_from_samples(samples, 0, int(MINUTES * 600)))
+    after_shift = float(str(late.estimate().details["speed_delay"]))
+    assert after_shift - before == pytest.approx(0.3, abs=0.03)
+    assert within(late.estimate(), drive())
+
+
+def test_a_configured_delay_is_taken():
+    settings = EstimatorSettings(delays={"speed": DelayPrior(0.4, 0.0)})
+    estimate = after(rows(minutes=5.0), settings).estimate()
+    assert estimate.details["speed_delay"] == 0.4
+
+
+def test_without_gyro_the_yaw_rate_of_the_vehicle_serves():
+    estimate = after(without_gyro(rows())).estimate()
+    assert abs(error(estimate, drive())[2]) < 2.0
+    assert within(estimate, drive())
+
+
+def test_without_any_yaw_rate_the_steering_stands_in():
+    ticks = without(without_gyro(rows()), tk.YAW_RATE_N, tk.YAW_RATE, tk.YAW_RATE)
+    chassis = drive().model.chassis
+    settings = EstimatorSettings(
+        steering_ratio=chassis.steering_ratio,
+        wheelbase=chassis.wheelbase_m,
+        understeer=chassis.understeer_gradient,
+    )
+    estimator = after(ticks, settings)
+    assert abs(error(estimator.estimate(), drive())[2]) < 2.0
+    shares = estimator.estimate().details["evidence_share"]
+    assert isinstance(shares, dict)
+    assert "roll_turn" in shares["roll"]
+
+
+def test_without_speed_turning_tells_forward_from_backward():
+    ticks = without(rows(), tk.SPEED_N, tk.SPEED, tk.SPEED_AGE)
+    estimate = after(ticks).estimate()
+    assert abs(error(estimate, drive())[2]) < 2.5
+    assert within(estimate, drive())
+    assert estimate.waiting_for["yaw"].startswith("no speed")
+
+
+def test_without_speed_and_any_yaw_rate_there_is_no_yaw():
+    ticks = without(without_gyro(rows()), tk.SPEED_N, tk.SPEED, tk.SPEED_AGE)
+    ticks = without(ticks, tk.YAW_RATE_N, tk.YAW_RATE, tk.YAW_RATE)
+    estimate = after(ticks).estimate()
+    assert estimate.state in {MountState.WAITING, MountState.LEVELLED}
+
+
+def test_offsets_of_yaw_rate_and_steering_are_published():
+    details = usual().estimate().details
+    model = drive().model
+    assert float(str(details["yaw_rate_offset"])) == pytest.approx(model.yaw_rate.offset, abs=0.002)
+    offset = float(str(details["steering_offset"]))
+    std = float(str(details["steering_offset_std"]))
+    assert std < math.radians(1.0)
+    assert abs(offset - model.steering.offset) < 3.0 * std
+
+
+@pytest.mark.parametrize(
+    ("reason", "change"),
+    [
+        ("saturated", {tk.ACCEL_BAD: 3.0}),
+        ("wheel_slip", {tk.WHEELS_N: 10.0, tk.WHEEL_SPREAD: 9.0}),
+    ],
+)
+def test_what_is_not_to_be_trusted_is_not_learnt(reason, change):
+    stretch = slice(2400, 3600)
+    harmful = rows().copy()
+    turn = rotation_from_angles(0.0, 0.0, 0.3)
+    for first in (tk.ACCEL_X, tk.GYRO_X):
+        harmful[stretch, first : first + 3] = harmful[stretch, first : first + 3] @ turn
+    marked = harmful.copy()
+    for column, value in change.items():
+        marked[stretch, column] = value
+    estimator = after(marked)
+    counted = estimator.estimate().details["frozen_ticks"]
+    assert isinstance(counted, dict)
+    assert counted[reason] >= 1200
+    assert within(estimator.estimate(), drive())
+    spoilt = np.abs(error(after(harmful).estimate(), drive())).max()
+    assert np.abs(error(estimator.estimate(), drive())).max() < 0.75 * spoilt
+
+
+def test_frozen_learning_is_said():
+    bad = rows(minutes=5.0).copy()
+    bad[-200:, tk.ACCEL_BAD] = 5.0
+    estimate = after(bad).estimate()
+    assert estimate.waiting_for["yaw"].startswith("learning is frozen")
+
+
+def test_a_stuck_accelerometer_is_not_learnt_from():
+    bad = rows(minutes=5.0).copy()
+    bad[2000:2600, tk.ACCEL_X : tk.ACCEL_Z + 1] = bad[2000, tk.ACCEL_X : tk.ACCEL_Z + 1]
+    estimator = after(bad)
+    counted = estimator.estimate().details["frozen_ticks"]
+    assert isinstance(counted, dict)
+    assert counted["stuck"] > 500
+    assert within(estimator.estimate(), drive())
+
+
+def test_numbers_that_are_none_do_no_harm():
+    bad = rows(minutes=5.0).copy()
+    bad[1000, tk.ACCEL_X] = np.nan
+    bad[1100, tk.GYRO_Y] = np.inf
+    bad[1200, tk.SPEED] = np.nan
+    estimator = after(bad)
+    counted = estimator.estimate().details["frozen_ticks"]
+    assert isinstance(counted, dict)
+    assert counted["not_finite"] == 3
+    assert within(estimator.estimate(), drive())
+
+
+def test_a_gap_joins_nothing():
+    estimator = FullEstimator()
+    ticks = rows()
+    for row in ticks[:2400].tolist():
+        estimator.step(row)
+    estimator.gap()
+    later = ticks[2400:].copy()
+    later[:, tk.T] += 500.0
+    for row in later.tolist():
+        estimator.step(row)
+    assert estimator.state in GOOD
+    assert within(estimator.estimate(), drive())
+
+
+def test_speed_stuck_at_zero_does_not_teach_a_gyro_bias():
+    bad = rows(minutes=5.0).copy()
+    bad[600:1500, tk.SPEED] = 0.0
+    bias = np.array(after(bad).estimate().details["gyro_bias"])
+    plain = np.array(after(rows(minutes=5.0)).estimate().details["gyro_bias"])
+    assert np.abs(bias - plain).max() < math.radians(0.5)
+
+
+def test_two_times_the_cross_axis_error_widens_the_interval():
+    wide = after(rows(minutes=5.0), EstimatorSettings(accel_cross_axis_std=0.01)).estimate()
+    plain = after(rows(minutes=5.0)).estimate()
+    assert wide.std is not None
+    assert plain.std is not None
+    assert wide.std[2] > max(0.006, plain.std[2])
+    assert wide.std[1] > plain.std[1]
+
+
+def test_the_crown_is_prior_and_in_the_interval():
+    right = usual().estimate()
+    left = after(rows(), EstimatorSettings(driving_side="left")).estimate()
+    assert right.R_vehicle_from_sensor is not None
+    assert left.R_vehicle_from_sensor is not None
+    apart = vector_from_rotation(left.R_vehicle_from_sensor @ right.R_vehicle_from_sensor.T)
+    assert apart[0] == pytest.approx(2 * EstimatorSettings().crown, abs=1e-6)
+    assert right.std is not None
+    assert right.std[0] > EstimatorSettings().crown_std

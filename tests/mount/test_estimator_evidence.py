@@ -1,0 +1,242 @@
+"""Each kind of evidence by itself, on signals made from closed formulas."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from imucald.frames import rotation_from_angles, rotation_from_vector
+from imucald.mount import evidence_spectra as sp
+from imucald.mount.delay import DelaySearch
+from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.mount.evidence_gravity import GravityEvidence
+from imucald.mount.evidence_response import Piece, ResponseEvidence
+from imucald.mount.evidence_signals import HOP, Prepared, SignalPreparer, empty_rows
+from imucald.mount.evidence_up import UpTracker
+from imucald.mount.fusion import Shared, fuse
+from imucald.mount.offsets import Offsets
+from imucald.mount.steering import SteeringOffset
+from imucald.samples import GRAVITY
+
+DEG = math.radians(1.0)
+
+
+def hop(t0: float = 0.0, **given: np.ndarray) -> Prepared:
+    yes, no = np.ones(HOP, dtype=bool), np.zeros(HOP, dtype=bool)
+    values = {
+        "t": t0 + 0.1 * np.arange(HOP),
+        "force": np.tile([0.0, 0.0, GRAVITY], (HOP, 1)),
+        "rate": np.zeros((HOP, 3)),
+        "speed": np.full(HOP, 10.0),
+        "accel": np.zeros(HOP),
+        "yaw_rate": np.zeros(HOP),
+        "ok_force": yes,
+        "ok_rate": yes,
+        "ok_speed": yes,
+        "ok_yaw": yes,
+        "rest": no,
+        "learn": yes,
+        "steering": np.zeros(HOP),
+        "ok_steering": no,
+        "had_rate": yes,
+        "gyro_bias": np.zeros(3),
+    }
+    return Prepared(**(values | given))  # type: ignore[arg-type]
+
+
+def smooth(rng: np.random.Generator, n: int, seconds: float) -> np.ndarray:
+    window = np.hanning(int(seconds * 10))
+    noise = np.convolve(rng.standard_normal(n + len(window)), window, "same")[:n]
+    return noise / noise.std()
+
+
+def test_overlapping_windows_keep_the_power_of_a_signal():
+    n = 12000
+    x = np.sin(0.2 * np.arange(n))[:, None] * np.ones((1, sp.MEASURED))  # 0.3 Hz
+    mask = np.ones(sp.WINDOW, dtype=bool)
+    total = sum(
+        float((np.abs(sp.spectra(x[i : i + sp.WINDOW], mask)[:, sp.A]) ** 2).sum())
+        for i in range(0, n - sp.WINDOW, HOP)
+    )
+    used = x[sp.WINDOW // 2 : -sp.WINDOW // 2, 0]
+    assert total == pytest.approx(float((used**2).sum()), rel=0.02)
+
+
+def test_products_turn_like_the_signals():
+    rng = np.random.default_rng(4)
+    R = rotation_from_angles(0.3, -0.2, 1.1)
+    s = rng.standard_normal((sp.BINS, sp.MEASURED)) + 1j * rng.standard_normal(
+        (sp.BINS, sp.MEASURED)
+    )
+    turned = s.copy()
+    for first in (0, 5, 8):
+        turned[:, first : first + 3] = s[:, first : first + 3] @ R.T
+    here = sp.in_vehicle_axes(sp.band_products(s, 0.1, 0.0)[None], R)
+    there = sp.in_vehicle_axes(sp.band_products(turned, 0.1, 0.0)[None], np.eye(3))
+    assert np.allclose(here, there)
+
+
+@pytest.mark.parametrize("late", [-0.2, 0.0, 0.35, 0.8])
+def test_delay_from_the_phase(late):
+    rng = np.random.default_rng(5)
+    fine = smooth(rng, 60000, 15.0)  # 100 Hz
+    search = DelaySearch(DelayPrior(0.1, 0.3))
+    signals = np.zeros((5000, sp.MEASURED))
+    at = 200 + 10 * np.arange(5000)
+    signals[:, 0] = 0.8 * fine[at]
+    signals[:, 1] = 0.6 * fine[at]
+    signals[:, :3] += 0.3 * rng.standard_normal((5000, 3))
+    signals[:, sp.A] = fine[at - round(100 * late)]
+    mask = np.ones(sp.WINDOW, dtype=bool)
+    for i in range(0, 4500, HOP):
+        s = sp.spectra(signals[i : i + sp.WINDOW], mask)
+        search.add(s[:, sp.A], s[:, :3])
+    assert search.search() == pytest.approx(late, abs=0.03)
+    assert search.std < 0.05
+
+
+def response(error: np.ndarray, noise: float, seed: int, windows: int = 100) -> dict[str, Piece]:
+    """Pieces about a rotation that is wrong by `error`, from pure dv/dt and v r."""
+    rng = np.random.default_rng(seed)
+    n = windows * HOP + sp.WINDOW
+    a, v = smooth(rng, n, 8.0), 0.8 * smooth(rng, n, 6.0)
+    F = np.stack([a, v, np.zeros(n)], axis=1)
+    truth = rotation_from_angles(0.2, -0.1, 2.0)
+    signals = np.zeros((n, sp.MEASURED))
+    signals[:, :3] = F @ truth + noise * rng.standard_normal((n, 3))
+    signals[:, sp.A], signals[:, sp.V] = a, v
+    signals[:, sp.AH], signals[:, sp.VH] = a, v
+    evidence = ResponseEvidence()
+    mask = np.ones(sp.WINDOW, dtype=bool)
+    for i in range(0, n - sp.WINDOW, HOP):
+        evidence.add(sp.spectra(signals[i : i + sp.WINDOW], mask))
+        if i % (64 * HOP) == 0:
+            evidence.fit(truth)
+    return evidence.fit(rotation_from_vector(-error) @ truth)
+
+
+def test_response_finds_yaw_pitch_and_roll():
+    error = np.array([0.6, -0.4, 0.5]) * DEG
+    pieces = response(error, 0.05, 6)
+    assert pieces["yaw_dvdt"].value == pytest.approx(error[2], abs=0.15 * DEG)
+    assert pieces["yaw_turn"].value == pytest.approx(error[2], abs=0.2 * DEG)
+    assert pieces["pitch_dvdt"].value == pytest.approx(error[1], abs=0.3 * DEG)
+    assert pieces["roll_turn"].value == pytest.approx(error[0], abs=0.4 * DEG)
+
+
+def test_old_windows_stay_in_the_sums():
+    error = np.array([0.0, 0.0, 1.0]) * DEG
+    few = response(error, 0.3, 7, windows=110)["yaw_dvdt"]
+    many = response(error, 0.3, 7, windows=600)["yaw_dvdt"]
+    assert many.variance < 0.5 * few.variance
+    assert many.value == pytest.approx(error[2], abs=4 * math.sqrt(many.variance))
+
+
+def test_intervals_of_the_response_hold_the_truth():
+    inside = []
+    for seed in range(30):
+        piece = response(np.zeros(3), 0.3, 100 + seed, windows=60)["yaw_dvdt"]
+        inside.append(abs(piece.value) < 1.96 * math.sqrt(piece.variance))
+    assert np.mean(inside) >= 0.85
+
+
+def test_a_turn_tells_bias_from_slope():
+    """On a slope the vertical turns against the sensor; a bias does not."""
+    bias = np.array([0.08, -0.05, 0.0])
+    slope = 0.03
+    tracker = UpTracker()
+    heading, rng = 0.0, np.random.default_rng(8)
+    for k in range(120):
+        turning = (k // 6) % 3 == 1
+        side = 1.0 if (k // 18) % 2 else -1.0
+        r = np.full(HOP, side * 0.3 if turning else 0.0)
+        angle = heading + np.cumsum(r) * 0.1
+        heading = float(angle[-1])
+        up = np.stack([slope * np.cos(angle), -slope * np.sin(angle), np.ones(HOP)], axis=1)
+        force = GRAVITY * up + bias + 0.02 * rng.standard_normal((HOP, 3))
+        rate = np.stack([np.zeros(HOP), np.zeros(HOP), r], axis=1)
+        p = hop(3.2 * k, force=force, rate=rate)
+        tracker.advance(p, np.zeros((HOP, 3)), None, sure=True)
+    found, covariance = tracker.bias(0.1)
+    assert found[:2] == pytest.approx(bias[:2], abs=0.02)
+    assert math.sqrt(covariance[0, 0]) < 0.05
+
+
+def test_places_are_counted_not_samples():
+    gravity = GravityEvidence()
+    rest = np.ones(HOP, dtype=bool)
+    for _ in range(100):
+        gravity.add(hop(rest=rest, speed=np.zeros(HOP)), np.zeros(HOP))
+    assert gravity.stops == 1
+    assert gravity.variance(0.02, 200.0, 0.0) == pytest.approx(0.02**2)
+    for _ in range(1000):  # 32 km
+        gravity.add(hop(), np.zeros(HOP))
+    assert gravity.metres == pytest.approx(32000.0)
+    assert gravity.variance(0.02, 200.0, 0.0) == pytest.approx(0.02**2 * 400 / 32000, rel=0.05)
+
+
+def test_gravity_gives_the_tilt():
+    gravity = GravityEvidence()
+    true = rotation_from_vector([0.02, -0.03, 0.0])
+    force = np.tile([0.0, 0.0, GRAVITY], (HOP, 1)) @ true
+    for _ in range(10):
+        gravity.add(hop(force=force), np.zeros(HOP))
+    e_x, e_y = gravity.tilt(np.eye(3), np.zeros(3), (1.0, 1.0))
+    assert (e_x, e_y) == pytest.approx((0.02, -0.03), abs=1e-3)
+
+
+def test_fusion_weighs_by_variance_and_shared_errors_do_not_average_out():
+    pieces = {"yaw_a": Piece(1.0, 1.0, 9.0), "yaw_b": Piece(2.0, 4.0, 9.0)}
+    fused = fuse(pieces, ())
+    assert fused.error[2] == pytest.approx(1.2)
+    assert fused.variance[2] == pytest.approx(0.8)
+    assert fused.shares["yaw"] == pytest.approx({"yaw_a": 0.8, "yaw_b": 0.2})
+    common = fuse(pieces, (Shared(3.0, {"yaw_a": 1.0, "yaw_b": 1.0}),))
+    assert common.variance[2] > 9.0
+    opposite = fuse(
+        {"yaw_a": Piece(3.0, 1.0, 9.0), "yaw_b": Piece(-3.0, 1.0, 9.0)},
+        (Shared(3.0, {"yaw_a": 1.0, "yaw_b": -1.0}),),
+    )
+    assert opposite.error[2] == pytest.approx(0.0)
+    assert opposite.variance[2] == pytest.approx(0.5)
+
+
+def test_pieces_that_disagree_widen_the_interval():
+    agree = fuse({"yaw_a": Piece(0.0, 1.0, 9.0), "yaw_b": Piece(0.5, 1.0, 9.0)}, ())
+    apart = fuse({"yaw_a": Piece(0.0, 1.0, 9.0), "yaw_b": Piece(6.0, 1.0, 9.0)}, ())
+    assert agree.variance[2] == pytest.approx(0.5)
+    assert apart.variance[2] == pytest.approx(0.5 * 18.0)
+
+
+def test_steering_offset_in_curves_of_both_sides():
+    rng = np.random.default_rng(9)
+    steering = SteeringOffset()
+    for _ in range(200):
+        v = np.full(HOP, rng.uniform(6.0, 25.0))
+        r = np.full(HOP, rng.normal() * 1.5 / v[0])
+        angle = 15.0 * (2.7 + 0.003 * v * v) * r / v + 0.03 + 0.01 * rng.standard_normal(HOP)
+        steering.add(angle, v, r, np.ones(HOP, dtype=bool))
+    fitted = steering.fitted(0.0, 0.0)
+    assert fitted is not None
+    assert fitted[0] == pytest.approx(0.03, abs=0.003)
+
+
+def test_a_moving_vehicle_teaches_no_rest_offset():
+    offsets = Offsets()
+    force = np.tile([0.0, 0.0, GRAVITY], (HOP, 1))
+    offsets.learn_gyro(np.tile([0.0, 0.0, 0.3], (HOP, 1)), force)
+    assert offsets.gyro_ticks == 0.0
+    offsets.learn_gyro(np.tile([0.001, 0.0, 0.005], (HOP, 1)), force)
+    assert offsets.gyro_bias == pytest.approx([0.001, 0.0, 0.005])
+
+
+def test_empty_ticks_prepare_to_nothing_learnt():
+    preparer = SignalPreparer(EstimatorSettings())
+    for row in empty_rows(HOP):
+        complete = preparer.push(row)
+    assert complete
+    prepared = preparer.hop()
+    assert not prepared.learn.any()
+    assert not prepared.ok_speed.any()

@@ -1,0 +1,168 @@
+"""States, reasons, and the test for a moved sensor."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from imucald.motion.ticks import ticks_from_samples
+from imucald.mount.estimate import Missing, MountState
+from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.shift import Flow, largest_change
+from imucald.mount.supervision import SLACK, Knowledge, Manoeuvres, judged, waiting_for
+from imucald.simulation import random_model, simulate
+
+SETTINGS = EstimatorSettings()
+DEG = math.radians(1.0)
+
+
+def known(yaw_deg: float, tilt_deg: float = 0.3, straight: int = 5) -> Knowledge:
+    std = (tilt_deg * DEG, tilt_deg * DEG, yaw_deg * DEG)
+    return Knowledge(gravity=True, std=std, straight=straight, lefts=2, rights=2)
+
+
+def test_states_by_standard_deviation():
+    waiting = MountState.WAITING
+    assert judged(Knowledge(), waiting, SETTINGS) == MountState.WAITING
+    assert judged(known(5.0), waiting, SETTINGS) == MountState.LEVELLED
+    assert judged(known(0.9), waiting, SETTINGS) == MountState.USABLE
+    assert judged(known(0.2), waiting, SETTINGS) == MountState.FINE
+    assert judged(known(0.2, tilt_deg=5.0), waiting, SETTINGS) == MountState.LEVELLED
+
+
+def test_a_small_standard_deviation_without_manoeuvres_is_not_believed():
+    assert judged(known(0.2, straight=2), MountState.LEVELLED, SETTINGS) == MountState.LEVELLED
+
+
+@pytest.mark.parametrize(
+    ("state", "limit"),
+    [(MountState.USABLE, SETTINGS.usable_std), (MountState.FINE, SETTINGS.fine_std)],
+)
+def test_a_state_is_left_only_well_beyond_its_limit(state, limit):
+    just_over = known(math.degrees(limit) * (SLACK - 0.05))
+    assert judged(just_over, MountState.LEVELLED, SETTINGS) != state
+    assert judged(just_over, state, SETTINGS) == state
+    assert judged(known(math.degrees(limit) * (SLACK + 0.05)), state, SETTINGS) != state
+
+
+def test_one_reason_per_angle():
+    reasons = waiting_for(known(3.0, tilt_deg=1.0, straight=1), SETTINGS)
+    assert reasons["yaw"] == (
+        "waiting for acceleration or braking above 1 m/s2 (1 of 3 seen)",
+        Missing.ACCELERATION,
+    )
+    assert reasons["pitch"][1] == Missing.ACCELERATION
+    assert reasons["roll"][1] == Missing.TURNS
+    assert waiting_for(known(0.1), SETTINGS) == {}
+
+
+def test_the_missing_side_of_turns_is_named():
+    base = known(3.0, tilt_deg=1.0)
+    only_right = Knowledge(True, base.std, 5, lefts=0, rights=3)
+    only_left = Knowledge(True, base.std, 5, lefts=3, rights=0)
+    assert waiting_for(only_right, SETTINGS)["roll"] == ("no left turns yet", Missing.LEFT_TURN)
+    assert waiting_for(only_left, SETTINGS)["roll"] == ("no right turns yet", Missing.RIGHT_TURN)
+
+
+def test_what_is_absent_comes_first():
+    assert waiting_for(Knowledge(accelerometer=False), SETTINGS)["yaw"][1] == Missing.ACCELEROMETER
+    assert waiting_for(Knowledge(frozen=True), SETTINGS)["roll"][1] == Missing.LEARNING_FROZEN
+    silent = Knowledge(True, (0.001, 0.001, math.inf), speed=False)
+    assert waiting_for(silent, SETTINGS)["yaw"][1] == Missing.SPEED
+
+
+def test_manoeuvres_are_counted_once_each():
+    driven = Manoeuvres()
+    push = np.zeros(100)
+    push[10:30] = 1.5  # a launch
+    push[15] = 0.9  # with a gear change in it
+    push[50:53] = 1.5  # a bump
+    push[60:80] = -2.0  # a braking
+    turn = np.zeros(100)
+    turn[40:60] = 1.0
+    driven.add(push, turn)
+    assert (driven.straight, driven.lefts, driven.rights) == (2, 1, 0)
+
+
+def test_a_manoeuvre_over_the_edge_of_two_hops_counts_once():
+    driven = Manoeuvres()
+    driven.add(np.concatenate([np.zeros(29), np.full(3, 1.5)]), np.zeros(32))
+    driven.add(np.concatenate([np.full(10, 1.5), np.zeros(22)]), np.zeros(32))
+    assert driven.straight == 1
+
+
+def flow(axis: int, values: np.ndarray, std: float) -> Flow:
+    information = np.full(len(values), 1.0 / std**2)
+    return Flow(axis, information * values, information)
+
+
+def test_a_step_is_found_on_its_axis_with_its_size():
+    rng = np.random.default_rng(1)
+    std = 0.4 * DEG
+    yaw = std * rng.standard_normal(40)
+    yaw[-6:] += 2.0 * DEG
+    flows = [flow(1, std * rng.standard_normal(40), std), flow(2, yaw, std)]
+    change = largest_change(flows)
+    assert change is not None
+    assert change.excess > 1.0
+    assert change.axis == 2
+    assert change.size == pytest.approx(2.0 * DEG, abs=0.6 * DEG)
+    assert 4 <= change.pieces <= 8
+
+
+def test_noise_alone_is_no_shift():
+    std = 0.4 * DEG
+    alarms = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        flows = [flow(axis, std * rng.standard_normal(40), std) for axis in range(3)]
+        change = largest_change(flows)
+        alarms += change is not None and change.excess >= 1.0
+    assert alarms <= 1
+
+
+def test_one_wild_piece_is_no_shift():
+    std = 0.4 * DEG
+    values = std * np.random.default_rng(2).standard_normal(40)
+    values[-1] += 20.0 * DEG
+    change = largest_change([flow(2, values, std)])
+    assert change is not None
+    assert change.excess < 1.0
+
+
+def test_too_little_before_says_nothing():
+    assert largest_change([flow(2, np.zeros(4), DEG)]) is None
+
+
+def test_a_moved_sensor_is_suspect_then_found_again():
+    seed, start = 77, 420.0
+    shift = {"t_s": start, "yaw_deg": 5.0}
+    model = random_model(seed, standing_first=True).with_changes({"mount.shifts": [shift]})
+    made = simulate(model, seed, 14.0)
+    estimator = FullEstimator()
+    states: list[tuple[float, MountState]] = []
+    served = None
+    for row in ticks_from_samples(made.samples, 0, 8400).tolist():
+        estimator.step(row)
+        if not states or estimator.state != states[-1][1]:
+            states.append((row[0], estimator.state))
+        if estimator.state in {MountState.SUSPECT, MountState.RECALIBRATING}:
+            assert estimator.correction is not None  # the last good one is still served
+            if served is not None:
+                R, last = (np.array(c).reshape(3, 3) for c in (estimator.correction, served))
+                assert np.abs(R - last).max() < 0.002
+        served = estimator.correction
+    suspect = [t for t, state in states if state == MountState.SUSPECT]
+    assert len(suspect) == 1
+    assert start < suspect[0] < start + 120.0
+    assert states[-1][1] in {MountState.USABLE, MountState.FINE}
+    (shift_found,) = estimator.estimate().details["shifts"]
+    assert shift_found["angle"] == "yaw"
+    assert abs(abs(shift_found["size_deg"]) - 5.0) < 2.0
+    R = estimator.estimate().R_vehicle_from_sensor
+    assert R is not None
+    apart = np.degrees(np.abs(made.truth.R_vehicle_from_sensor() - R).max())
+    assert apart < 1.5
