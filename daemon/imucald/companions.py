@@ -240,7 +240,7 @@ def attitude_settings(config: Config) -> AttitudeSettings:
             gyro_random_time=f.gyro_random_time,
             gyro_scale=f.gyro_scale,
             accel_noise=f.accel_noise,
-            accel_random=f.accel_random,
+            accel_random=f.accel_random or config.calibration.accelerometer_bias,
             accel_random_time=f.accel_random_time,
             unknown_motion=f.unknown_motion,
             heading_noise=math.radians(f.heading_noise_deg),

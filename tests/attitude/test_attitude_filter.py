@@ -280,7 +280,7 @@ def test_a_better_mount_turns_the_vehicle_not_the_sensor():
     e = attitude.estimate()
     R = motion.R[0].as_matrix() @ old @ new.T  # of the new vehicle axes
     expected = math.atan2(R[2, 1], R[2, 2]), -math.asin(R[2, 0])
-    assert (e.roll, e.pitch) == pytest.approx(expected, abs=0.1 * DEG)
+    assert (e.roll, e.pitch) == pytest.approx(expected, abs=0.2 * DEG)
     assert e.bias == pytest.approx(new @ old.T @ [0.01, 0.0, 0.0], abs=0.01 * DEG)
     assert np.trace(attitude.kalman.P) == pytest.approx(np.trace(before))
 
@@ -337,7 +337,7 @@ def test_a_day_of_stops_and_drives():
         attitude.accel(float(t), (x - G * math.sin(0.02), y, z + G * math.cos(0.02)))
     e = attitude.estimate()
     assert (e.roll, e.pitch) == pytest.approx((0.0, 0.02), abs=0.2 * DEG)
-    assert max(e.std[:2]) < 0.4 * DEG
+    assert max(e.std[:2]) < 0.7 * DEG
     assert e.bias == pytest.approx((0.002, -0.001, 0.001), abs=0.03 * DEG)
     P = attitude.kalman.P
     assert np.array_equal(P, P.T)

@@ -74,7 +74,7 @@ class FilterSettings:
     """Relative error of a turned angle that leaks into the other axes (scale, cross-axis)."""
     accel_noise: float = 0.02
     """Standard deviation of an interval's mean specific force [m/s^2]."""
-    accel_random: float = 0.05
+    accel_random: float = 0.098
     """Random accelerometer error [m/s^2], standard deviation of a Gauss-Markov process."""
     accel_random_time: float = 1800.0
     """Its correlation time [s]."""

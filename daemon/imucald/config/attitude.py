@@ -80,8 +80,8 @@ class Filter(Model):
     """Part of a turned angle that leaks into the other axes."""
     accel_noise: Positive = _C.accel_noise
     """Standard deviation of an interval's mean specific force [m/s^2]."""
-    accel_random: Positive = _C.accel_random
-    """Random accelerometer error (Gauss-Markov), standard deviation [m/s^2]."""
+    accel_random: Positive | None = None
+    """Accelerometer error (Gauss-Markov), standard deviation [m/s^2]; default: calibration's."""
     accel_random_time: Positive = _C.accel_random_time
     """Its correlation time [s]."""
     unknown_motion: Positive = _C.unknown_motion
