@@ -20,12 +20,13 @@ import pytest
 
 import shuttle
 from imucald.bus.log import LogReader
+from imucald.commands.status import find_socket
 from imucald.errors import LinkError
 from imucald.mount.restored import RestoredEstimator
 from imucald.service.journal import Journal
 from imucald.service.notify import Notifier
 from imucald.service.service import Service, ServiceOptions
-from imucald.service.status import StatusServer, ask
+from imucald.service.status import StatusServer, ask, default_socket
 
 CHANNELS = itertools.count()
 ACCEL = bytes.fromhex("0000000027130000")
@@ -440,3 +441,20 @@ def output_of(*command: str, status: int = 0) -> str:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == status, done.stderr
     return done.stdout + done.stderr
+
+
+def test_the_daemon_that_is_meant_is_found_or_the_choice_is_told(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(LinkError, match="no running daemon found"):
+        find_socket(None, "can7")
+    (tmp_path / "imucald-can7.sock").touch()
+    assert find_socket(None, "can7") == tmp_path / "imucald-can7.sock"
+    (tmp_path / "imucald-can8.sock").touch()
+    with pytest.raises(LinkError, match="several daemons run"):
+        find_socket(None, None)
+    assert find_socket(Path("x"), None) == Path("x")
+    assert default_socket("can7") == tmp_path / "imucald-can7.sock"
+    assert default_socket("can7", {"RUNTIME_DIRECTORY": "/run/a:/run/b"}) == Path(
+        "/run/a/status.sock"
+    )
+    assert default_socket("can7", {}) is None
