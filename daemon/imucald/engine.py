@@ -19,6 +19,7 @@ from imucald.companion import Companion, events_of, in_order
 from imucald.errors import EstimateError
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
+from imucald.out_parts import OutPart, corrected_count, merged, rotated, rotated_columns
 from imucald.output import STATUS_FRAMES, Health, OutputFrames
 from imucald.pipeline import Pipeline, Snapshot, TickCorrections
 from imucald.sender import OutFrame
@@ -98,7 +99,7 @@ class Engine:
             if channel in self._watched:
                 self._watched[channel] = k
             if channel in self.output.triads:
-                turned = _turned(self.pipeline.correction, values)
+                turned = rotated(self.pipeline.correction, values)
                 corrected[channel] = self.output.corrected(channel, turned, self.pipeline.quality)
         for channel in self.output.triads:
             if channel in corrected:
@@ -195,9 +196,9 @@ class Engine:
         ]
         if not keep:
             return None
-        return _in_order(parts, frames)
+        return merged(parts, frames)
 
-    def _piece(self, piece: Piece, frames: FrameColumns, keep: bool) -> Iterator[_OutPart]:
+    def _piece(self, piece: Piece, frames: FrameColumns, keep: bool) -> Iterator[OutPart]:
         base = piece.start
         if piece.gap:
             first = self.pipeline.k
@@ -237,11 +238,11 @@ class Engine:
         if keep:
             yield from self._corrected_parts(routed, corrections, ticks, base)
         else:
-            self.sent += sum(_corrected_count(routed, c) for c in self.output.triads)
+            self.sent += sum(corrected_count(routed, c) for c in self.output.triads)
 
     def _corrected_parts(
         self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64], base: int
-    ) -> Iterator[_OutPart]:
+    ) -> Iterator[OutPart]:
         for order, channel in enumerate(self.output.triads):
             series = routed.samples.get(channel)
             bad = routed.rejected.get(channel)
@@ -250,7 +251,7 @@ class Engine:
             row = np.zeros(0, np.int64) if series is None else series.row
             values = np.zeros((0, 3)) if series is None else series.values
             index = ticks[row] - corrections.first
-            turned = _turned_columns(corrections.rotations[index], values)
+            turned = rotated_columns(corrections.rotations[index], values)
             quality = corrections.quality[index]
             if bad is not None:
                 bad = np.setdiff1d(bad, row)
@@ -263,7 +264,7 @@ class Engine:
             # not-available frames of a row come after its corrected ones, as in `frame`
             missing = np.isin(row, bad) if bad is not None else np.zeros(len(row), bool)
             rank = np.where(missing, len(self.output.triads), 0) + order + 1
-            yield _OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
+            yield OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
             self.sent += len(row)
 
     def _companion_parts(
@@ -273,7 +274,7 @@ class Engine:
         snapshots: Sequence[Snapshot],
         ticks: NDArray[np.int64],
         base: int,
-    ) -> Iterator[_OutPart]:
+    ) -> Iterator[OutPart]:
         """Companions take samples one by one here too; their frames stand as status frames do."""
         rotations: list[Correction | None] = [
             None if row[0] != row[0] else tuple(row) for row in corrections.rotations.tolist()
@@ -281,7 +282,7 @@ class Engine:
         k = first = corrections.first
         due = {snapshot.k: snapshot for snapshot in snapshots}
 
-        def close(k: int) -> Iterator[_OutPart]:
+        def close(k: int) -> Iterator[OutPart]:
             out = self._companion_ticks(k, k + 1, [due[k]] if k in due else ())
             row = base + int(np.searchsorted(ticks, k, side="right"))
             return self._frame_parts(out, row)
@@ -298,10 +299,10 @@ class Engine:
             yield from close(k)
             k += 1
 
-    def _frame_parts(self, out: list[OutFrame], row: int) -> Iterator[_OutPart]:
+    def _frame_parts(self, out: list[OutFrame], row: int) -> Iterator[OutPart]:
         """Frames that come before those of a row's samples."""
         if out:
-            yield _OutPart(
+            yield OutPart(
                 np.full(len(out), row),
                 np.zeros(len(out), np.int64),
                 np.array([can_id for can_id, _ in out], dtype=np.uint32),
@@ -315,7 +316,7 @@ class Engine:
         row_of: Callable[[int], int],
         events: NDArray[np.float64],
         routed: Routed | None = None,
-    ) -> Iterator[_OutPart]:
+    ) -> Iterator[OutPart]:
         """Status frames with the health as it was at each snapshot, not at the chunk's end."""
         before = self._rejected_total
         for snapshot in snapshots:
@@ -323,7 +324,7 @@ class Engine:
             recent = bool(np.any(seen > snapshot.k - MISSING_TICKS)) or self._recent(snapshot.k)
             last = {c: self._last_sample(c, snapshot.k, routed) for c in self._watched}
             out = self._status(snapshot, before + len(seen), recent, last)
-            yield _OutPart(
+            yield OutPart(
                 np.full(len(out), row_of(snapshot.k)),
                 np.zeros(len(out), np.int64),  # one frame may close many ticks: as they come
                 np.array([can_id for can_id, _ in out], dtype=np.uint32),
@@ -381,58 +382,3 @@ class Engine:
             send_failed=link.send_failed,
             lost=link.lost,
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _OutPart:
-    """Frames to send with the input row they belong to and their rank within it.
-
-    Status frames have rank 0: they stand before the corrected frames of the row that brought them
-    about.
-    """
-
-    row: NDArray[np.int64]
-    rank: NDArray[np.int64]
-    can_id: NDArray[np.uint32]
-    data: NDArray[np.uint8]
-
-
-def _corrected_count(routed: Routed, channel: str) -> int:
-    """Corrected and not-available frames that a channel comes to."""
-    series, bad = routed.samples.get(channel), routed.rejected.get(channel)
-    rows = np.zeros(0, np.int64) if series is None else series.row
-    return len(rows) + (0 if bad is None else len(np.setdiff1d(bad, rows)))
-
-
-def _in_order(parts: list[_OutPart], frames: FrameColumns) -> FrameColumns:
-    if not parts:
-        return frames.take(slice(0, 0))
-    row = np.concatenate([p.row for p in parts])
-    rank = np.concatenate([p.rank for p in parts])
-    order = np.lexsort((rank, row))
-    row = row[order]
-    data = np.concatenate([p.data for p in parts])[order]
-    return FrameColumns(
-        t=frames.t[np.minimum(row, len(frames) - 1)],
-        can_id=np.concatenate([p.can_id for p in parts])[order],
-        length=np.full(len(row), data.shape[1], np.uint8),
-        data=data,
-        channel=np.zeros(len(row), np.uint8),
-        channels=frames.channels[:1] or ("can0",),
-    )
-
-
-def _turned(correction: Correction | None, v: Sequence[float]) -> tuple[float, float, float] | None:
-    if correction is None:
-        return None
-    x, y, z = v
-    a, b, c, d, e, f, g, h, i = correction
-    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-
-
-def _turned_columns(rotations: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotate (N, 3) by (N, 9); the same operations in the same order as `_turned`."""
-    x, y, z = v[:, 0], v[:, 1], v[:, 2]
-    r = rotations.T
-    rows = [r[3 * i] * x + r[3 * i + 1] * y + r[3 * i + 2] * z for i in range(3)]
-    return np.stack(rows, axis=1)
