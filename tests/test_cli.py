@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import yaml
 
+import shuttle
 from imucald import cli
 from imucald.bus import wiring
 from imucald.bus.database import Database, load_database
@@ -252,3 +253,17 @@ def test_damaged_configurations_give_an_error_with_place_or_work(
         outcomes["error" if problem else "works"] += 1
     assert outcomes["error"] > 300
     assert outcomes["works"] > 30
+
+
+@pytest.mark.parametrize("command", ["replay", "check"])
+def test_a_reader_that_has_had_enough_is_no_error(command: str, tmp_path: Path) -> None:
+    config = shuttle.write(tmp_path, cycles=1)
+    work = [sys.executable, "-m", "imucald", command, str(tmp_path / "shuttle.log")]
+    with subprocess.Popen(
+        [*work, "--config", str(config)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.wait(60) == 0
+        assert process.stderr is not None
+        assert b"Traceback" not in process.stderr.read()

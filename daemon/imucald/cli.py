@@ -77,7 +77,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print("imucald: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        sys.stderr.close()
+        # whoever read our output has had enough; what is still buffered must not fail again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+
+from imucald.commands.terminal import plain_console
 
 WIDE = 110
 """Columns from which long names stay on one line."""
@@ -17,7 +18,7 @@ _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "gree
 
 def print_report(report: Mapping[str, Any]) -> None:
     """Print messages, quantities, findings and output ids."""
-    console = Console(highlight=False, markup=False)  # names from databases are not markup
+    console = plain_console()
     frames = report["frames"]
     console.print(
         f"{frames['read']} frames in {report['duration_s']:.1f} s: {frames['used']} used, "

@@ -18,6 +18,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from imucald.commands.terminal import plain_console
 from imucald.demo import LAST_S, Angle, Demonstration, angles_beside
 from imucald.errors import ImucaldError
 from imucald.frames import angles_from_rotation
@@ -83,7 +84,7 @@ class LiveView:
     """A picture that moves."""
 
     def __init__(self, seed: int) -> None:
-        self._live = Live(console=Console(highlight=False, markup=False), auto_refresh=False)
+        self._live = Live(console=plain_console(), auto_refresh=False)
         self._picture = Picture()
         self._began = time.monotonic()
         self._drawn = -math.inf
@@ -228,7 +229,7 @@ def write_svg(demo: Demonstration, picture: Picture, waited: float, path: Path) 
 
 def print_result(demo: Demonstration, waited: float, console: Console | None = None) -> None:
     """Print estimate beside truth, the frames' proof, and what to do next."""
-    console = console or Console(highlight=False, markup=False)
+    console = console or plain_console()
     angles = angles_beside(demo.estimate(), demo.truth)
     console.print()
     if angles:

@@ -21,12 +21,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show the status until Ctrl-C; a daemon that goes away is waited for."""
-    from rich.console import Console, Group
+    from rich.console import Group
     from rich.live import Live
     from rich.text import Text
 
     from imucald.commands.status_view import picture
-    from imucald.commands.terminal import plain_where_needed
+    from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.errors import LinkError
     from imucald.service.status import ask
 
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     path = find_socket(options.socket, options.channel)
     status = json.loads(ask(path, "status"))  # nobody there at the start is an error
     end = time.monotonic() + (options.seconds or float("inf"))
-    console = Console(highlight=False, markup=False)
+    console = plain_console()
     foot = Text(f"{path}   Ctrl-C ends", style="dim")
     view = Live(console=console, auto_refresh=False, screen=console.is_terminal)
     with contextlib.suppress(KeyboardInterrupt), view as live:

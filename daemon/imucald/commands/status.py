@@ -39,13 +39,12 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(status, indent=2, ensure_ascii=False))
         return 0
-    from rich.console import Console
 
     from imucald.commands.status_view import picture
-    from imucald.commands.terminal import plain_where_needed
+    from imucald.commands.terminal import plain_console, plain_where_needed
 
     plain_where_needed()
-    Console(highlight=False, markup=False).print(picture(status))
+    plain_console().print(picture(status))
     return 0
 
 

@@ -6,11 +6,25 @@ import io
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from imucald.mount.estimate import ANGLES
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 Progress = Callable[[int, int | None], None]
+
+
+def plain_console() -> Console:
+    """Standard output for tables: names from databases are no markup, a closed pipe is no error."""
+    from rich.console import Console
+
+    class PlainConsole(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError
+
+    return PlainConsole(highlight=False, markup=False)
 
 
 @contextmanager
@@ -58,12 +72,11 @@ def plain_where_needed() -> None:
 
 def print_summary(result: Mapping[str, Any]) -> None:
     """Print the result of a replay as tables."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
     plain_where_needed()
-    console = Console(highlight=False, markup=False)
+    console = plain_console()
     console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
     table = Table(box=None, pad_edge=False)
     table.add_column("angle")

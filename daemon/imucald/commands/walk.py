@@ -142,10 +142,9 @@ def _step(step: Step) -> dict[str, Any]:
 
 
 def _table(steps: Sequence[Step], result: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
-    from imucald.commands.terminal import plain_where_needed
+    from imucald.commands.terminal import plain_console, plain_where_needed
 
     plain_where_needed()
     table = Table(box=None, pad_edge=False)
@@ -157,4 +156,4 @@ def _table(steps: Sequence[Step], result: dict[str, Any]) -> None:
         cells = ["-" if step[k] is None else f"{step[k]:.0f}" for k in keys]
         table.add_row(f"{step['t_s']:.1f}", *cells, str(step.get("chosen", "-")))
     print(f"{result['steps']} steps; heading [deg from north] by the {result['method']} method")
-    Console(highlight=False, markup=False).print(table)
+    plain_console().print(table)
