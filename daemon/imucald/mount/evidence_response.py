@@ -70,7 +70,7 @@ GROUP = 8
 """Hops per piece of the sandwich: 25.6 s, one window's length."""
 AFRESH = 16
 """All kept windows are weighed afresh every so many hops."""
-NU = 8.0
+NU = 4.0
 """Degrees of freedom of a window's usual noise level."""
 FORCE_FLOOR, RATE_FLOOR = 0.01**2, 0.001**2
 """No band is trusted beyond this noise per tick [(m/s^2)^2], [(rad/s)^2]."""

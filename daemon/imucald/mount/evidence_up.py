@@ -45,10 +45,11 @@ _PULL = {True: TICK_S / PULL_S, False: TICK_S / PULL_NO_GYRO_S}
 
 def _followed(pull: float) -> tuple[Array, Array]:
     """What a first-order lag leaves of a hop: (HOP, HOP) of its values, (HOP,) of its state."""
-    decay = (1.0 - pull) ** np.arange(HOP)
+    decay = np.asarray((1.0 - pull) ** np.arange(HOP), dtype=np.float64)
     lag = np.arange(HOP)[:, None] - np.arange(HOP)[None, :] - 1
     taken = np.where(lag >= 0, pull * (1.0 - pull) ** np.maximum(lag, 0), 0.0)
-    return np.eye(HOP) - taken, decay
+    left = np.asarray(np.eye(HOP) - taken, dtype=np.float64)
+    return left, decay
 
 
 _REMAINING = {with_gyro: _followed(pull) for with_gyro, pull in _PULL.items()}
