@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from imucald.bus.columns import FrameColumns, concatenate
-from imucald.service.service import Service, ServiceOptions, process_figures
+from imucald.service.figures import process_figures
+from imucald.service.service import Service, ServiceOptions
 from imucald.session import make_engine, open_config
 from imucald.simulation import random_model, simulate
 from imucald.simulation.bus_frames import BusEncoder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import itertools
 import json
@@ -458,3 +459,16 @@ def test_the_daemon_that_is_meant_is_found_or_the_choice_is_told(tmp_path, monke
         "/run/a/status.sock"
     )
     assert default_socket("can7", {}) is None
+
+
+def test_a_status_socket_that_nobody_asked_for_is_no_reason_not_to_start(bench):
+    blocked = bench.folder / "file" / "s"
+    (bench.folder / "file").write_text("")
+    options = ServiceOptions(
+        bench.config, interface="virtual", channel="nosocket", status_socket=blocked
+    )
+    with pytest.raises(LinkError, match="--status-socket"):
+        Service(options, Journal(bench.log))
+    service = Service(dataclasses.replace(options, socket_needed=False), Journal(bench.log))
+    assert "going on without" in bench.log.getvalue()
+    service.close()

@@ -14,7 +14,8 @@ from typing import Any
 
 import shuttle
 from imucald.bus.log import LogReader
-from imucald.service.service import Service, ServiceOptions, process_figures
+from imucald.service.figures import process_figures
+from imucald.service.service import Service, ServiceOptions
 
 WARM_UP_S, MEASURED_S = 1800.0, 1800.0
 GROWTH_LIMIT = 1 << 20

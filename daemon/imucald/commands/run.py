@@ -57,6 +57,7 @@ def run(options: argparse.Namespace) -> int:
         channel=options.channel,
         state_folder=Path(folder) if folder else None,
         status_socket=options.status_socket or default_socket(options.channel or "bus"),
+        socket_needed=options.status_socket is not None,
         save_period=options.save_every,
     )
     try:

@@ -7,8 +7,6 @@ systemd's watchdog hears comes from the loop that corrects frames and from nothi
 from __future__ import annotations
 
 import dataclasses
-import os
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,10 +17,11 @@ from imucald import __version__
 from imucald.bus.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.engine import Engine, LinkHealth
-from imucald.errors import ImucaldError
+from imucald.errors import ImucaldError, LinkError
 from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.restored import RestoredEstimator
 from imucald.pipeline import Snapshot
+from imucald.service.figures import NOT_SAVED, process_figures, status_line
 from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
 from imucald.service.keeper import SAVE_PERIOD_S, StateKeeper, saved_state, stored_mount
@@ -49,7 +48,8 @@ _QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full"})
 class ServiceOptions:
     """What the command line says.
 
-    state_folder, status_socket: None for none. save_period: [s].
+    state_folder, status_socket: None for none. socket_needed: without it nothing starts.
+    save_period: [s].
     """
 
     config: Path
@@ -58,6 +58,7 @@ class ServiceOptions:
     channel: str | None = None
     state_folder: Path | None = None
     status_socket: Path | None = None
+    socket_needed: bool = True
     save_period: float = SAVE_PERIOD_S
 
 
@@ -93,8 +94,7 @@ class Service:
         self.link = self._new_link(self.loaded, engine, self.diagnostics)
         try:
             self.daemon = Daemon(engine, self.link, clock, self.diagnostics)
-            socket = options.status_socket
-            self.server = None if socket is None else StatusServer(socket, self.status)
+            self.server = self._new_server()
         except ImucaldError:
             self.link.close()
             raise
@@ -139,6 +139,19 @@ class Service:
             options.channel,
             self._link_event,
         )
+
+    def _new_server(self) -> StatusServer | None:
+        """The status socket; only where one was asked for is it worth not starting."""
+        options = self.options
+        if options.status_socket is None:
+            return None
+        try:
+            return StatusServer(options.status_socket, self.status)
+        except LinkError as error:
+            if options.socket_needed:
+                raise
+            self.journal.say(f"{error}; going on without", WARNING)
+            return None
 
     # running -------------------------------------------------------------------------------
 
@@ -340,57 +353,11 @@ class Service:
             "quality": self.engine.pipeline.quality,
             "health": dataclasses.asdict(self.engine.health()),
             "frames_given_out": self.engine.sent,
-            "saved_state": _NOT_SAVED if keeper is None else keeper.status(),
+            "saved_state": NOT_SAVED if keeper is None else keeper.status(),
             "diagnostics": None if self.diagnostics is None else self.diagnostics.status(),
             "process": process_figures(),
         }
         return found
-
-
-_NOT_SAVED: dict[str, Any] = {
-    "folder": None,
-    "generation": 0,
-    "restored_at_start": False,
-    "saves": 0,
-    "failures": 0,
-    "last_error": "",
-    "problems": [],
-    "remounts": 0,
-}
-
-
-def status_line(estimate: MountEstimate, link: str) -> str:
-    """One line for `systemctl status`."""
-    parts = [estimate.state.name.lower()]
-    angles, std = estimate.angles, estimate.std
-    if angles is not None and std is not None:
-        names = ("roll", "pitch", "yaw")
-        degrees = 57.29577951308232
-        parts += [
-            f"{name} {angle * degrees:+.2f} +-{2.0 * min(s * degrees, 180.0):.2f}"
-            for name, angle, s in zip(names, angles, std, strict=True)
-        ]
-    parts += [f"{name}: {text}" for name, text in list(estimate.waiting_for.items())[-1:]]
-    if link != "up":
-        parts.insert(0, f"bus {link}")
-    return "; ".join(parts)
-
-
-def process_figures() -> dict[str, Any]:
-    """Memory, processor time, threads and open files of this process."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-        files: int | None = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
-        rss: int | None = pages * os.sysconf("SC_PAGE_SIZE")
-    except (OSError, ValueError, IndexError):
-        rss, files = None, None
-    return {
-        "pid": os.getpid(),
-        "rss_bytes": rss,
-        "cpu_s": round(time.process_time(), 3),
-        "threads": threading.active_count(),
-        "open_files": files,
-    }
 
 
 def _listens_otherwise(
