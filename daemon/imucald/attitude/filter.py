@@ -38,9 +38,10 @@ from imucald.attitude.settings import AttitudeSettings
 from imucald.frames import levelling_rotation, quaternion_from_rotation
 from imucald.samples import GRAVITY
 
-START_REST_STD = math.radians(2.0)
-START_MOVING_STD = math.radians(6.0)
-"""Tilt error taken for granted at the start; the first intervals say it better."""
+START_REST_STD = math.radians(10.0)
+START_MOVING_STD = math.radians(15.0)
+"""Tilt error taken for granted at the start: so large that what the first interval finds is tilt,
+and nothing of it an accelerometer error that would be forgotten slowly."""
 LARGEST_ZERO_ERROR = 6.0
 """In standard deviations: what turns faster than any zero error is not at rest."""
 HEADING_KNOWN_STD = math.radians(20.0)
