@@ -19,14 +19,14 @@ from imucald.config import LoadedConfig
 from imucald.engine import Engine, LinkHealth
 from imucald.errors import ImucaldError, LinkError
 from imucald.mount.estimate import MountEstimate, MountEstimator
-from imucald.mount.restored import RestoredEstimator
 from imucald.pipeline import Snapshot
 from imucald.service.figures import NOT_SAVED, process_figures, status_line
 from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
-from imucald.service.keeper import SAVE_PERIOD_S, StateKeeper, saved_state, stored_mount
+from imucald.service.keeper import SAVE_PERIOD_S, StateKeeper
 from imucald.service.live import Daemon, open_link
 from imucald.service.notify import Notifier
+from imucald.service.reload import behind_the_known, estimates_alike, listens_otherwise
 from imucald.service.state import StateStore
 from imucald.service.status import StatusServer
 from imucald.session import make_engine, open_config
@@ -243,7 +243,7 @@ class Service:
             diagnostics = self._new_diagnostics(loaded, engine)
         else:
             diagnostics.check_identifiers(loaded, engine)
-        if _listens_otherwise(self.loaded, loaded, old, engine):
+        if listens_otherwise(self.loaded, loaded, old, engine):
             link = self._new_link(loaded, engine, diagnostics)
         engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
         engine.pipeline.replace(self._estimator_after(loaded, engine))
@@ -264,18 +264,10 @@ class Service:
             self._save_now()
             self.keeper = self._new_keeper(loaded, engine)
             return new if self.keeper is None else self.keeper.restore(new)
-        if _estimates_alike(self.loaded, loaded):
+        if estimates_alike(self.loaded, loaded):
             old.gap()
             return old
-        saved = saved_state(old.estimate(), 0.0, 0.0) if old.correction is not None else None
-        if saved is None:
-            return new
-        good = (
-            saved
-            if saved.state in ("usable", "fine")
-            else dataclasses.replace(saved, state="usable", doubted=saved.state != "restored")
-        )
-        return RestoredEstimator(new, stored_mount(good))
+        return behind_the_known(old, new)
 
     def _save_now(self) -> None:
         if self.keeper is not None:
@@ -358,21 +350,3 @@ class Service:
             "process": process_figures(),
         }
         return found
-
-
-def _listens_otherwise(
-    old: LoadedConfig, new: LoadedConfig, old_engine: Engine, new_engine: Engine
-) -> bool:
-    """Whether another bus, other inputs or other outputs are configured."""
-    return (
-        old.config.bus != new.config.bus
-        or old.config.diagnostics != new.config.diagnostics
-        or set(old_engine.router.matches) != set(new_engine.router.matches)
-        or old_engine.output.can_ids != new_engine.output.can_ids
-    )
-
-
-def _estimates_alike(old: LoadedConfig, new: LoadedConfig) -> bool:
-    """Whether the running estimator is the one that the new configuration would make."""
-    a, b = old.config, new.config
-    return (a.calibration, a.vehicle, a.signals) == (b.calibration, b.vehicle, b.signals)
