@@ -12,7 +12,8 @@ from imucald.mount import evidence_spectra as sp
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
-from imucald.mount.evidence_response import Piece, ResponseEvidence
+from imucald.mount.evidence_pieces import Piece
+from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_signals import HOP, Prepared, SignalPreparer, empty_rows
 from imucald.mount.evidence_up import UpTracker
 from imucald.mount.fusion import Shared, fuse

@@ -20,13 +20,12 @@ road to piece of road (sandwich; White, Econometrica 48, 1980), because noise is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.frames import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
+from imucald.mount.evidence_pieces import Piece, pieces_of
 from imucald.mount.evidence_rows import (
     GAINS,
     GP_QUARTER,
@@ -43,7 +42,6 @@ from imucald.mount.evidence_rows import (
     ROLL_ROW,
     ROWS,
     TARGETS,
-    WITHOUT_SPEED,
     X_ROW,
     Y_ROW,
 )
@@ -76,24 +74,6 @@ FORCE_FLOOR, RATE_FLOOR = 0.01**2, 0.001**2
 """No band is trusted beyond this noise per tick [(m/s^2)^2], [(rad/s)^2]."""
 FORCE_PRIOR, RATE_PRIOR = 0.2**2, 0.02**2
 """Noise per tick until the first windows speak."""
-MODEL_GROUPS = 6.0
-"""The model's variance counts like that many pieces of road in the sandwich."""
-MODEL_SHARE = 1.5
-"""The model's variance is taken that much larger: correlated noise is the rule."""
-
-FEW_GROUPS = 7.0
-"""Few pieces of road hide their own spread: the variance grows by this over their number."""
-AXIS_SHARE = 1.6
-"""Roll and rotation axes of a drive share roads and bends: their variance is so much larger."""
-
-
-@dataclass
-class Piece:
-    """One piece of evidence about one angle: value [rad], variance, pieces of road in it."""
-
-    value: float
-    variance: float
-    groups: float
 
 
 class ResponseEvidence:
@@ -327,39 +307,9 @@ class ResponseEvidence:
     def _pieces(self) -> dict[str, Piece]:
         group = self._hop_number[: self._n] // GROUP
         starts = np.flatnonzero(np.diff(group, prepend=-1))
-        s_all = np.add.reduceat(self._score[:, : self._n], starts, axis=1)
-        n_all = np.add.reduceat(self._normal[:, : self._n], starts, axis=1)
-        s_all = np.concatenate([self._old_score, s_all], axis=1)
-        n_all = np.concatenate([self._old_normal, n_all], axis=1)
-        out = {}
-        self.flows = []
-        for i, row in enumerate(ROWS):
-            if self.without_speed and i not in WITHOUT_SPEED:
-                continue
-            m = len(row.regressors)
-            s, n = s_all[i, :, :m], n_all[i, :, :m, :m]
-            normal = n.sum(axis=0)
-            if normal[0, 0] < 50.0:
-                continue
-            prior = np.array([0.0, *(1.0 / x**2 for x in row.prior_std)])
-            inverse = np.linalg.inv(normal + np.diag(prior))
-            value = inverse @ s.sum(axis=0)
-            u = (s - n @ value) @ inverse[0]
-            # the nuisance's prior pulls as well: its part is in the model's variance
-            spread = float(u @ u)
-            if len(u) > 1:
-                spread = max(spread + 2.0 * float(u[1:] @ u[:-1]), 0.6 * spread)
-            each = n[:, 0, 0]
-            share = 1.0 / (normal[0, 0] * inverse[0, 0])  # what the nuisance leaves
-            own = each * share
-            self.flows.append(Flow(row.axis, u / inverse[0, 0] + own * value[0], own))
-            groups = float(normal[0, 0] ** 2 / max(float(each @ each), 1e-12))
-            model = float(inverse[0, 0])
-            variance = (MODEL_GROUPS * model * MODEL_SHARE + groups * spread) / (
-                MODEL_GROUPS + groups
-            )
-            variance *= 1.0 + FEW_GROUPS / (groups + 3.0)
-            if row.axis == 0 or row.name.endswith("axis"):
-                variance *= AXIS_SHARE * (3.0 if self.without_speed else 1.0)
-            out[row.name] = Piece(float(value[0]), variance, groups)
-        return out
+        score = np.add.reduceat(self._score[:, : self._n], starts, axis=1)
+        normal = np.add.reduceat(self._normal[:, : self._n], starts, axis=1)
+        score = np.concatenate([self._old_score, score], axis=1)
+        normal = np.concatenate([self._old_normal, normal], axis=1)
+        pieces, self.flows = pieces_of(score, normal, self.without_speed)
+        return pieces
