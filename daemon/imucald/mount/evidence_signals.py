@@ -78,13 +78,16 @@ def empty_rows(n: int) -> Array:
 
 
 _SENSORS = (
-    (tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE + 1),
-    (tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE + 1),
-    (tk.SPEED_N, tk.SPEED, tk.SPEED_AGE + 1),
-    (tk.STEERING_N, tk.STEERING, tk.STEERING + 1),
-    (tk.YAW_RATE_N, tk.YAW_RATE, tk.YAW_RATE + 1),
+    (tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_Z + 1, 400.0),
+    (tk.ACCEL_N, tk.ACCEL_AGE, tk.ACCEL_AGE + 1, 1.01 * TICK_S),
+    (tk.GYRO_N, tk.GYRO_X, tk.GYRO_Z + 1, 60.0),
+    (tk.GYRO_N, tk.GYRO_AGE, tk.GYRO_AGE + 1, 1.01 * TICK_S),
+    (tk.SPEED_N, tk.SPEED, tk.SPEED + 1, 150.0),
+    (tk.SPEED_N, tk.SPEED_AGE, tk.SPEED_AGE + 1, 1.01 * TICK_S),
+    (tk.STEERING_N, tk.STEERING, tk.STEERING + 1, 100.0),
+    (tk.YAW_RATE_N, tk.YAW_RATE, tk.YAW_RATE + 1, 20.0),
 )
-"""Count and first and last number of each sensor in a tick."""
+"""Count, first and last number of each sensor in a tick, and the largest size there can be."""
 _EMPTY = empty_rows(1)[0]
 
 
@@ -142,7 +145,7 @@ class SignalPreparer:
     def hop(self) -> Prepared:
         """Return the signals of the next hop."""
         rows = self._rows
-        self._drop_not_finite(rows[KEEP:])
+        self._drop_impossible(rows[KEEP:])
         part = slice(BEFORE - 1, BEFORE + HOP + 1)  # one more at both ends, for dv/dt
         end = rows[-1, tk.T]
         t = end + (np.arange(len(rows)) - (len(rows) - 1)) * TICK_S
@@ -186,13 +189,14 @@ class SignalPreparer:
         self._n = KEEP
         return prepared
 
-    def _drop_not_finite(self, new: Array) -> None:
-        """A sensor's tick with a number that is none counts as empty."""
-        for count, first, stop in _SENSORS:
-            bad = (new[:, count] > 0) & ~np.isfinite(new[:, first:stop].sum(axis=1))
+    def _drop_impossible(self, new: Array) -> None:
+        """A sensor's tick with a number that cannot be (or is none) counts as empty."""
+        for count, first, stop, largest in _SENSORS:
+            sound = np.abs(new[:, first:stop]).max(axis=1) <= largest  # False for NaN
+            bad = (new[:, count] > 0) & ~sound
             if bad.any():
                 new[bad, count] = 0.0
-                self.frozen["not_finite"] += int(bad.sum())
+                self.frozen["impossible"] += int(bad.sum())
 
     def _vector(
         self, t: Array, at: Array, n: int, first: int, age: int, longest: float

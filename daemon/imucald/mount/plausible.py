@@ -20,8 +20,12 @@ Flags = NDArray[np.bool_]
 
 STUCK_TICKS = 12
 """Identical accelerometer means for that long are a stuck signal: noise always moves."""
+STANDING = 0.05
+"""[m/s]"""
 FORCE_LOW, FORCE_HIGH = 0.5 * GRAVITY, 1.7 * GRAVITY
 """Mean specific force outside is no road vehicle on a road."""
+MOST_RATE = 4.0
+"""Nor does one turn faster [rad/s]."""
 NEAR_FULL_SCALE = 0.98
 SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03
 """Wheel speeds may differ by this [m/s] and this share of the speed, beyond the curve."""
@@ -59,6 +63,7 @@ def forbidden(
     """
     size2 = (force * force).sum(axis=1)
     bad: Flags = ok_force & ((size2 < FORCE_LOW**2) | (size2 > FORCE_HIGH**2))
+    bad |= curve > MOST_RATE
     _count(counts, "implausible", bad)
     high = NEAR_FULL_SCALE * settings.accel_range
     top, low = slice(tk.ACCEL_MAX_X, tk.ACCEL_MAX_X + 3), slice(tk.ACCEL_MIN_X, tk.ACCEL_MIN_X + 3)
@@ -67,6 +72,7 @@ def forbidden(
     if _count(counts, "saturated", clipped):
         bad |= spread_out(clipped, CLIP_TICKS)
     same = (np.diff(force, axis=0, append=force[-1:] + 1.0) == 0.0).all(axis=1) & ok_force
+    same &= ~ok_speed | (np.abs(speed) > STANDING)  # at rest a coarse sensor may well be still
     if same.sum() >= STUCK_TICKS:
         _count(counts, "stuck", same)
         bad |= same
