@@ -228,7 +228,8 @@ class Engine:
             routed,
         )
         self._rejected_total = self.router.rejected.total()
-        self._rejections.extend(int(k) for k in np.unique(events)[-2 * MISSING_TICKS :])
+        recent = sorted(set(events[events > ticks[-1] - 2 * MISSING_TICKS].tolist()))
+        self._rejections.extend(map(int, recent))
         for channel in self._watched:
             if channel in routed.samples:
                 last = float(routed.samples[channel].t[-1])
