@@ -185,7 +185,7 @@ def hung():
     restarts = int(show("NRestarts"))
     pid = show("MainPID")
     pathlib.Path("/run/imucald/vcan0/hang").touch()
-    took = wait(lambda: show("MainPID") not in ("0", pid) and is_active(), 20.0)
+    took = wait(lambda: show("MainPID") not in ("0", pid) and is_active(), 60.0)
     result = {
         "took": took,
         "restarts": int(show("NRestarts")) - restarts,

@@ -117,7 +117,7 @@ def test_a_hung_loop_is_killed_by_the_watchdog_and_restarted(outcome):
     found = scene(outcome, "hung")
     assert found["restarts"] == 1
     assert found["said"]
-    assert found["took"] < 20.0
+    assert found["took"] < 40.0, "3 s of the watchdog, the rest is a busy host"
 
 
 def test_reloading_keeps_process_and_estimate_and_refuses_nonsense(outcome):
