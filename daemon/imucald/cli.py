@@ -8,6 +8,7 @@ wrong configuration of `run`, 130 Ctrl-C.
 from __future__ import annotations
 
 import argparse
+import gc
 import importlib
 import os
 import sys
@@ -23,6 +24,9 @@ PROCESS_SETTINGS = {
     "PYDANTIC_DISABLE_PLUGINS": "__all__",  # none is used, and looking for them takes time
 }
 """Set for this process, where the user has not; read when numpy and pydantic are imported."""
+
+GC_THRESHOLD = 50_000
+"""Containers made before the collector looks for cycles: starting makes many that all stay."""
 
 COMMANDS = {
     "run": "calibrate on a live bus and send corrected frames",
@@ -61,6 +65,7 @@ def _command(name: str) -> ModuleType:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of the `imucald` command; returns the exit status."""
+    gc.set_threshold(GC_THRESHOLD)
     arguments = list(sys.argv[1:] if argv is None else argv)
     for name, value in PROCESS_SETTINGS.items():
         os.environ.setdefault(name, value)

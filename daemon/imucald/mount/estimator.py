@@ -22,10 +22,10 @@ from imucald.mount.supervision import Knowledge, Manoeuvres, judged, waiting_for
 
 Array = NDArray[np.float64]
 
-EAGER_HOPS = 40
-"""So many hops (128 s) every hop is fitted at once; later every `LAZY_HOPS` (13 s): by then a hop
-adds little, and fits are what costs."""
+FITS = ((20, 1), (40, 2))
+"""Up to so many hops (64 s, 128 s) every n-th is followed by a fit: (hops, n)."""
 LAZY_HOPS = 4
+"""Later every fourth (13 s): by then a hop adds little, and fits are what costs."""
 SLEW_RATE = math.radians(0.5)
 """The applied rotation turns no faster than this [rad/s]."""
 KNOWN_REST_TICKS = 25.0
@@ -92,7 +92,9 @@ class FullEstimator:
         if self._rebuild is not None:
             self._rebuild.push(p)
         lazy = self._hops % LAZY_HOPS == 0
-        if self._solution.hops <= EAGER_HOPS or lazy:
+        hops = self._solution.hops
+        every = next((n for end, n in FITS if hops <= end), LAZY_HOPS)
+        if self._hops % every == 0:
             self._solution.fit()
         if self._rebuild is None:
             if not self._looked_again:

@@ -48,8 +48,9 @@ def fuse(pieces: Mapping[str, Piece], shared: Sequence[Shared]) -> Fused:
             continue
         V = np.diag([pieces[name].variance for name in names])
         for s in shared:
-            sign = np.array([s.signs.get(name, 0.0) for name in names])
-            V += s.std * s.std * np.outer(sign, sign)
+            signs = [s.signs.get(name, 0.0) for name in names]
+            if any(signs):
+                V += s.std * s.std * np.outer(signs, signs)
         weight = np.maximum(np.linalg.solve(V, np.ones(len(names))), 0.0)
         weight /= weight.sum()
         error[i] = float(weight @ np.array([pieces[name].value for name in names]))
