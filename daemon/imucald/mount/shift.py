@@ -26,7 +26,7 @@ UNEVEN_STD = (0.0045, 0.0026, 0.0015)
 """Town and motorway differ by that much [rad] without a shift."""
 SHORT_SPAN = 6
 """Below, a stretch of leaning road or a windy one passes for a turn of the sensor."""
-THRESHOLD = (5.0, 4.5, 3.8)
+THRESHOLD = (5.3, 4.5, 3.8)
 """For roll, pitch and yaw, in standard deviations: under one false alarm in 100 h simulated."""
 THRESHOLD_SHORT = (6.4, 5.0, 4.6)
 """The same for spans below `SHORT_SPAN`."""

@@ -119,6 +119,8 @@ class Solution:
             Shared(cross, {"yaw_turn": 1.0}),
             Shared(cross, {"pitch_dvdt": 1.0}),
             Shared(cross, {"roll_turn": 1.0}),
+            Shared(0.5 * cross, {"pitch_gravity": 1.0}),
+            Shared(0.5 * cross, {"roll_gravity": 1.0}),
             Shared(PITCHING_STD, {"pitch_dvdt": 1.0}),
             Shared(s.gyro_misalignment_std, {"roll_axis": 1.0}),
             Shared(s.gyro_misalignment_std, {"pitch_axis": 1.0}),
