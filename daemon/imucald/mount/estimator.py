@@ -77,6 +77,8 @@ class FullEstimator:
     def gap(self) -> None:
         """Time jumped: signals before it are not joined with those after it."""
         self._signals.restart()
+        if self._rebuild is not None and self._moved:
+            self._solution = self._rebuild.fresh  # what came before the shift must not return
         self._solution.gap()
         self._rebuild = None
         self._kept.clear()
