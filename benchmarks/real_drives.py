@@ -134,8 +134,9 @@ def wrx(estimator: str) -> Iterator[str]:
         yield f"  yaw: none (bar 3 deg: {verdict(False)})"
     else:
         yaw = math.degrees(angles[2])
-        met = result.is_usable and abs(yaw) <= 3.0
-        yield f"  yaw {yaw:+.2f} deg of an aligned sensor (bar 3: {verdict(met)})"
+        usable = "usable" if result.is_usable else "never usable in these 90 s"
+        met = verdict(abs(yaw) <= 3.0)
+        yield f"  yaw {yaw:+.2f} deg of an aligned sensor (bar 3: {met}), {usable}"
     for text, correlation in wrx_signs():
         yield f"  {text}: correlation {correlation:+.2f} (bar > 0: {verdict(correlation > 0.0)})"
 
