@@ -26,9 +26,9 @@ UNEVEN_STD = (0.0045, 0.0026, 0.0015)
 """Town and motorway differ by that much [rad] without a shift."""
 SHORT_SPAN = 6
 """Below, a stretch of leaning road or a windy one passes for a turn of the sensor."""
-THRESHOLD = (5.2, 3.9, 3.75)
-"""For roll, pitch and yaw, in standard deviations: no false alarm in 80 h simulated."""
-THRESHOLD_SHORT = (5.1, 4.6, 4.5)
+THRESHOLD = (5.3, 4.5, 3.8)
+"""For roll, pitch and yaw, in standard deviations: one false alarm in 40 h simulated."""
+THRESHOLD_SHORT = (6.4, 5.0, 4.6)
 """The same for spans below `SHORT_SPAN`."""
 PRIOR_PIECES = 6.0
 """The spread before is taken as 1.5 times the model's with that weight."""
