@@ -27,7 +27,7 @@ UNEVEN_STD = (0.0045, 0.0026, 0.0015)
 SHORT_SPAN = 6
 """Below, a stretch of leaning road or a windy one passes for a turn of the sensor."""
 THRESHOLD = (5.3, 4.5, 3.8)
-"""For roll, pitch and yaw, in standard deviations; see docs/mount-accuracy.md for what they give."""
+"""For roll, pitch and yaw, in standard deviations; docs/mount-accuracy.md: what they give."""
 THRESHOLD_SHORT = (6.4, 5.0, 4.6)
 """The same for spans below `SHORT_SPAN`."""
 PRIOR_PIECES = 6.0
