@@ -120,7 +120,7 @@ class Vehicle(Model):
     """Side of the road it drives on: the road's crown leans the vehicle towards the kerb."""
     crown_percent: float = Field(1.2, ge=0, le=5)
     """Mean cross slope of the roads it uses, towards the kerb."""
-    crown_spread_percent: float = Field(0.6, gt=0, le=5)
+    crown_spread_percent: float = Field(0.75, gt=0, le=5)
     """Spread of that mean from drive to drive."""
     wheelbase: Positive = 2.7
     """[m]; turns the steering angle into a yaw rate where there is no other."""
