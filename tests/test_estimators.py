@@ -99,7 +99,11 @@ PUBLISHED: list[tuple[str, Any, dict[str, Any]]] = [
 ]
 FULL: list[tuple[str, Any, dict[str, Any]]] = [
     ("vehicle.driving_side", "left", {"driving_side": "left"}),
-    ("vehicle.driving_side", "unknown", {"driving_side": "none"}),
+    (
+        "vehicle.driving_side",
+        "unknown",
+        {"driving_side": "none", "crown_std": math.hypot(0.012, 0.0075)},
+    ),
     ("vehicle.crown_percent", 2.0, {"crown_mean": 0.02}),
     ("vehicle.crown_spread_percent", 2.0, {"crown_std": 0.02}),
     ("vehicle.wheelbase", 3.1, {"wheelbase": 3.1}),

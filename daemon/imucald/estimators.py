@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from imucald.config import Config
+from imucald.config import Config, Vehicle
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
@@ -34,7 +34,6 @@ def published_settings(config: Config) -> PublishedSettings:
     calibration = config.calibration
     static, straight, target = calibration.static, calibration.straight, calibration.target_angle
     vehicle = config.vehicle
-    side_known = vehicle.driving_side != "unknown"
     presets = PublishedSettings()
     states, given = calibration.states, calibration.states.model_fields_set
 
@@ -56,7 +55,7 @@ def published_settings(config: Config) -> PublishedSettings:
         accel_bias_std=calibration.accelerometer_bias,
         accel_range=calibration.accelerometer_range or math.inf,
         crown=_KERB[vehicle.driving_side] * vehicle.crown_percent / 100.0,
-        crown_std=vehicle.crown_spread_percent / 100.0 if side_known else presets.crown_std,
+        crown_std=_crown_std(vehicle),
         planar=_is_planar(config),
         recognisers=straight.recognise_by,
         yaw_rate_limit=math.radians(straight.yaw_rate_limit_deg_s),
@@ -94,7 +93,7 @@ def full_settings(config: Config) -> EstimatorSettings:
         accel_bias_std=calibration.accelerometer_bias,
         driving_side={"left": "left", "right": "right"}.get(vehicle.driving_side, "none"),
         crown_mean=vehicle.crown_percent / 100.0,
-        crown_std=vehicle.crown_spread_percent / 100.0,
+        crown_std=_crown_std(vehicle),
         accel_cross_axis_std=calibration.cross_axis,
         accel_range=calibration.accelerometer_range or math.inf,
         delays=delays,
@@ -106,3 +105,9 @@ def full_settings(config: Config) -> EstimatorSettings:
         fine_std=math.radians(states.fine_yaw_deg),
         fine_tilt_std=math.radians(states.fine_tilt_deg),
     )
+
+
+def _crown_std(vehicle: Vehicle) -> float:
+    """Spread of the road's lean (tangent): where the side is not known, its mean is in it too."""
+    mean, spread = vehicle.crown_percent / 100.0, vehicle.crown_spread_percent / 100.0
+    return spread if vehicle.driving_side != "unknown" else math.hypot(mean, spread)
