@@ -56,7 +56,7 @@ def flat(data: dict[str, Any], head: str = "") -> dict[str, Any]:
 
 PUBLISHED: list[tuple[str, Any, dict[str, Any]]] = [
     ("vehicle.driving_side", "left", {"crown": -0.012}),
-    ("vehicle.driving_side", "unknown", {"crown": 0.0, "crown_std": PublishedSettings().crown_std}),
+    ("vehicle.driving_side", "unknown", {"crown": 0.0, "crown_std": math.hypot(0.012, 0.0075)}),
     ("vehicle.crown_percent", 2.0, {"crown": 0.02}),
     ("vehicle.crown_spread_percent", 2.0, {"crown_std": 0.02}),
     ("vehicle.wheelbase", 3.1, {"wheelbase": 3.1}),
