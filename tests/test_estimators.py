@@ -16,7 +16,6 @@ from imucald.estimators import estimator_for, full_settings, published_settings
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.published import PublishedEstimator
-from imucald.mount.published_settings import PublishedSettings
 
 BASE: dict[str, Any] = {
     "database": "bus.dbc",
