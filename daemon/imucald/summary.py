@@ -47,7 +47,7 @@ def summary(engine: Engine, counts: Counts, duration: float, lead: float = 0.0) 
             channel: {"samples": n, "rate_hz": round(n / duration, 3) if duration > 0 else None}
             for channel, n in sorted(engine.router.sample_counts.items())
         },
-        "details": _plain(estimate.details),
+        "details": plain(estimate.details),
         **more,
     }
 
@@ -71,16 +71,21 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
     return result
 
 
-def _plain(value: object) -> Any:
-    """Details as JSON can carry them: plain numbers, text, lists, mappings."""
+def plain(value: object, digits: int | None = 6) -> Any:
+    """Details as JSON can carry them: plain numbers, text, lists, mappings; not finite is null.
+
+    digits: decimals that are kept; None for all.
+    """
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v, digits) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v, digits) for v in value]
     if isinstance(value, bool | int | str) or value is None:
         return value
     number = float(value)  # type: ignore[arg-type]
-    return round(number, 6) if math.isfinite(number) else None
+    if not math.isfinite(number):
+        return None
+    return number if digits is None else round(number, digits)
 
 
 def as_json(result: Mapping[str, Any]) -> str:

@@ -19,6 +19,7 @@ from imucald.mount.estimate import MountEstimate, MountEstimator, MountState
 from imucald.mount.restored import RestoredEstimator, StoredMount
 from imucald.service.journal import INFO, NOTICE, WARNING
 from imucald.service.state import SavedState, StateStore
+from imucald.summary import plain
 
 SAVE_PERIOD_S = 10.0
 """A changing estimate is saved so often [s]: what a cut of power may cost."""
@@ -250,19 +251,7 @@ def saved_state(
         state=estimate.state.name.lower(),
         saved_at=round(wall, 1),
         driven_s=round(driven_s, 1),
-        offsets={k: _plain(details[k]) for k in _OFFSETS if k in details},
+        offsets={k: plain(details[k], None) for k in _OFFSETS if k in details},
         shifts=tuple(shifts),
-        evidence={k: _plain(details[k]) for k in _EVIDENCE if k in details},
+        evidence={k: plain(details[k], None) for k in _EVIDENCE if k in details},
     )
-
-
-def _plain(value: object) -> Any:
-    """Numbers, lists and mappings as JSON takes them; what is not finite is null."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    if isinstance(value, bool | int | str) or value is None:
-        return value
-    number = float(value)  # type: ignore[arg-type]
-    return number if math.isfinite(number) else None
