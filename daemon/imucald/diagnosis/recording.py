@@ -1,0 +1,168 @@
+"""Recorded logs -> the samples of one drive, read as the daemon would read them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.bus.log import LogReader, Progress
+from imucald.bus.routes import MessageRoute, Route
+from imucald.bus.signals import Routed, Router
+from imucald.bus.wiring import compile_router, wanted_numbers
+from imucald.config import LoadedConfig
+from imucald.errors import LogError
+from imucald.samples import CHANNEL_WIDTH, Samples, Series
+from imucald.timebase import Piece, TimeBase
+
+Array = NDArray[np.float64]
+
+TRIADS = ("accelerometer", "gyroscope", "magnetometer")
+"""Keys of the configuration that may name several sensors, each in axes of its own."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One drive as a log holds it. Times are stream time: seconds from the first frame of ours."""
+
+    name: str
+    """The log's file name (the first one's, where several make the recording)."""
+    samples: Samples
+    """By channel (see `imucald.samples`), SI; a channel that never came is absent."""
+    duration_s: float
+    """Stream time of the last frame of ours [s]."""
+    frames_read: int
+    """All valid frames of the log, ours or not."""
+    frames_used: int
+    """Frames that gave samples."""
+    rejected: Mapping[str, int]
+    """Bad lines, frames and samples by reason."""
+    rejected_t: Mapping[str, Array] = field(default_factory=dict)
+    """By channel, when a sample of it was rejected [s]: a fault, where it would else look lost."""
+    gaps: tuple[float, ...] = ()
+    """Stream times at which a new piece begins after a hole or a step of the clock [s]."""
+    cycle_s: Mapping[str, float] = field(default_factory=dict)
+    """By channel, the message's cycle time as the database states it [s]; absent if it does not."""
+    planar: bool = False
+    """The accelerometer has no z axis: the third of its values is one g by declaration."""
+    problems: tuple[str, ...] = ()
+    """The first bad lines, as texts with file and line."""
+
+
+def read_samples(
+    loaded: LoadedConfig,
+    paths: Sequence[Path | str],
+    progress: Progress | None = None,
+    strict: bool = False,
+) -> Recording:
+    """Read one recording: guards, checksums, units and signs are those of the configuration.
+
+    paths: one log, or the pieces of one recording in their order. progress: called with bytes
+    done and in all. Of several accelerometers, gyroscopes or magnetometers only the first is read:
+    the others have axes of their own. Frames are read in chunks, only samples are kept.
+    Raises ConfigError, and LogError for logs without a usable frame (or, with `strict`, at the
+    first bad line).
+    """
+    router = _first_sensors(loaded)
+    reader = LogReader(paths, router.matches, strict, progress)
+    timebase = TimeBase()
+    kept = _Kept()
+    for chunk in reader:
+        for piece in timebase.columns(chunk.t):
+            whole = piece.stop - piece.start == len(chunk)
+            frames = chunk if whole else chunk.take(slice(piece.start, piece.stop))
+            kept.add(router.columns(piece.t, frames), piece)
+    _refuse_empty(paths, reader, router)
+    rejected = Counter(reader.rejected)
+    rejected.update(router.rejected)
+    return Recording(
+        name=Path(paths[0]).name,
+        samples=kept.samples(),
+        duration_s=timebase.now,
+        frames_read=reader.frames_read,
+        frames_used=router.used,
+        rejected=dict(sorted(rejected.items())),
+        rejected_t={c: np.concatenate(parts) for c, parts in sorted(kept.rejected.items())},
+        gaps=tuple(kept.gaps),
+        cycle_s=_cycles(router.routes, router.channels),
+        planar=loaded.config.signals.accelerometer[0].z is None,
+        problems=tuple(reader.problems),
+    )
+
+
+class _Kept:
+    """What chunks came to, until the log ends."""
+
+    def __init__(self) -> None:
+        self.rejected: dict[str, list[Array]] = {}
+        self.gaps: list[float] = []
+        self._t: dict[str, list[Array]] = {}
+        self._values: dict[str, list[Array]] = {}
+
+    def add(self, routed: Routed, piece: Piece) -> None:
+        """Take a piece's samples and when others were rejected."""
+        if piece.gap:
+            self.gaps.append(float(piece.t[0]))
+        for channel, series in routed.samples.items():
+            self._t.setdefault(channel, []).append(series.t)
+            self._values.setdefault(channel, []).append(series.values)
+        for channel, rows in routed.rejected.items():
+            self.rejected.setdefault(channel, []).append(piece.t[rows])
+
+    def samples(self) -> Samples:
+        """All of them, in the channels' documented order."""
+        return {
+            channel: Series(
+                np.concatenate(self._t.pop(channel)), np.concatenate(self._values.pop(channel))
+            )
+            for channel in CHANNEL_WIDTH
+            if channel in self._t
+        }
+
+
+def _first_sensors(loaded: LoadedConfig) -> Router:
+    """The configuration's router, without second choices and parallel sensors."""
+    router = compile_router(loaded)  # tells what is wrong in the whole of it
+    signals = loaded.config.signals
+    first = {key: triads[:1] for key in TRIADS if len(triads := getattr(signals, key) or ()) > 1}
+    if not first and not signals.parallel:
+        return router
+    signals = signals.model_copy(update={**first, "parallel": ()})
+    named = (wanted.source.signal or "" for wanted in wanted_numbers(signals))
+    used = {name.partition(".")[0] for name in named}
+    messages = {name: m for name, m in loaded.config.messages.items() if name in used}
+    reduced = loaded.with_databases(loaded.config.database)
+    reduced.config = loaded.config.model_copy(update={"signals": signals, "messages": messages})
+    return compile_router(reduced)
+
+
+def _refuse_empty(paths: Sequence[Path | str], reader: LogReader, router: Router) -> None:
+    names = ", ".join(map(str, paths))
+    if reader.frames_read == 0:
+        raise LogError(f"{names}: holds no CAN frame")
+    if router.used == 0:
+        why = ", ".join(f"{reason} {n}" for reason, n in router.rejected.items())
+        rejected = f" (rejected: {why})" if why else ""
+        raise LogError(
+            f"{names}: has no usable frame of this configuration{rejected}; "
+            "'imucald check' tells more"
+        )
+
+
+def _cycles(routes: Sequence[Route], channels: frozenset[str]) -> dict[str, float]:
+    """Cycle time by channel, of the preferred source."""
+    found: dict[str, tuple[int, float]] = {}
+    for route in routes:
+        cycle = route.plan.message.cycle_time if isinstance(route, MessageRoute) else None
+        for tap in route.taps:
+            if cycle is not None and tap.rank <= found.get(tap.channel, (tap.rank, 0.0))[0]:
+                found[tap.channel] = (tap.rank, cycle)
+    cycles = {channel: cycle for channel, (_, cycle) in sorted(found.items())}
+    for derived, source in (("speed", "wheel_speeds"), ("reverse", "speed")):
+        if derived in channels and source in cycles:
+            cycles.setdefault(derived, cycles[source])
+    return cycles
