@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from benchmarks.measured import DATA, EXAMPLES, FOLDER, verdict
@@ -59,8 +60,8 @@ class Result:
 
 def config_of(drive: str, estimator: str) -> LoadedConfig:
     loaded = open_config(EXAMPLES / f"{drive}.yaml")
-    calibration = loaded.config.calibration.model_copy(update={"estimator": estimator})
-    loaded.config = loaded.config.model_copy(update={"calibration": calibration})
+    calibration = replace(loaded.config.calibration, estimator=estimator)
+    loaded.config = replace(loaded.config, calibration=calibration)
     return loaded
 
 

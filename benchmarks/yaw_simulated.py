@@ -14,6 +14,7 @@ import sys
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 
 from benchmarks.measured import EXAMPLES, verdict
 from imucald.config import LoadedConfig
@@ -56,8 +57,8 @@ def outcome(config: LoadedConfig, samples: Samples, truth: np.ndarray) -> Outcom
 
 def configured(estimator: str) -> LoadedConfig:
     loaded = open_config(EXAMPLES / "simulated.yaml")
-    calibration = loaded.config.calibration.model_copy(update={"estimator": estimator})
-    loaded.config = loaded.config.model_copy(update={"calibration": calibration})
+    calibration = replace(loaded.config.calibration, estimator=estimator)
+    loaded.config = replace(loaded.config, calibration=calibration)
     return loaded
 
 

@@ -2,7 +2,7 @@
 
     python deb/build_deb.py [--out DIR]
 
-Debian's own numpy, python-can, cantools and pydantic are older than what imucald needs, so the
+Debian's own numpy, python-can, cantools and msgspec are older than what imucald needs, so the
 package brings those of the environment that builds it, in /usr/lib/imucald, where no other
 program finds them. They are compiled for one Python: run this with that of the target (3.11). The
 file is reproducible from one environment but for its time stamps.
@@ -26,7 +26,7 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
 LIBRARY = "usr/lib/imucald"
-LEFT_OUT = {"scipy"}
+LEFT_OUT = {"scipy", "pydantic"}
 """Needed by `simulate` and `demo` only; larger than all the rest."""
 EXTRAS = ("diagnostics",)
 UNWANTED = ("tests", "__pycache__", "include", "_pyinstaller")

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.bus.columns import FrameColumns, concatenate
@@ -25,8 +26,8 @@ EPOCH = 1.6e9
 def loaded(estimator: str = "full") -> LoadedConfig:
     """The configuration of the simulated bus, with an estimator."""
     found = open_config(CONFIG)
-    calibration = found.config.calibration.model_copy(update={"estimator": estimator})
-    found.config = found.config.model_copy(update={"calibration": calibration})
+    calibration = replace(found.config.calibration, estimator=estimator)
+    found.config = replace(found.config, calibration=calibration)
     return found
 
 

@@ -97,6 +97,32 @@ def test_examples_are_valid(path):
     assert loaded.database_path(loaded.config.database[0]).suffix == ".dbc"
 
 
+def test_numbers_with_an_exponent_are_numbers_unless_in_quotes():
+    text = HEAD + "calibration: {accelerometer_range: 2e1}\nvehicle: {track: '2e0'}\n"
+    (found,) = mistakes(text)
+    assert "vehicle.track: must be a number" in found
+    config = parse_config(text.replace("'2e0'", "2")).config
+    assert config.calibration.accelerometer_range == 20.0
+
+
+def test_mistakes_of_all_kinds_are_said_in_plain_words():
+    text = (
+        f"{HEAD}  speed: {{sign: 2}}\nvehicle: {{wheelbase: -1, id: 3}}\n"
+        "messages:\n  A: {counter: 3}\n  B: {timeout_cycles: 1}\n"
+        "calibration:\n  static: {threshold: [1, 2]}\n  straight: {recognise_by: [steering, x]}\n"
+    )
+    assert [line.removeprefix("dir/car.yaml:") for line in mistakes(text)] == [
+        "4: signals.speed.sign: must be one of -1, 1 (here: 2)",
+        "5: vehicle.wheelbase: must be a number greater than 0.0 (here: -1)",
+        "5: vehicle.id: must be a text, got a whole number (here: 3)",
+        "7: messages.A.counter: must be a mapping or nothing, got a whole number (here: 3)",
+        "8: messages.B.timeout_cycles: must be a number at least 1.5 (here: 1)",
+        "10: calibration.static.threshold: must be a list of length 3, got 2",
+        "11: calibration.straight.recognise_by[1]: must be one of 'yaw_rate', 'steering', "
+        "'consistency' (here: 'x')",
+    ]
+
+
 def test_databases_given_stand_in_for_those_named(tmp_path):
     path = tmp_path / "car.yaml"
     path.write_text(HEAD, encoding="utf-8")
@@ -122,7 +148,7 @@ def test_files_that_are_none_are_told(tmp_path):
 
 def test_the_schema_describes_every_key():
     schema = json.loads(json_schema())
-    assert set(schema["properties"]) == set(Config.model_fields)
+    assert set(schema["properties"]) == set(Config.__struct_fields__)
     assert "Source" in schema["$defs"]
 
 
@@ -140,13 +166,13 @@ YAML = st.recursive(
     st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8)),
     lambda inner: st.one_of(
         st.lists(inner, max_size=3),
-        st.dictionaries(st.sampled_from([*Config.model_fields, "x", "y", "speed"]), inner),
+        st.dictionaries(st.sampled_from([*Config.__struct_fields__, "x", "y", "speed"]), inner),
     ),
     max_leaves=8,
 )
 
 
-@given(st.dictionaries(st.sampled_from(sorted(Config.model_fields)), YAML))
+@given(st.dictionaries(st.sampled_from(sorted(Config.__struct_fields__)), YAML))
 def test_values_of_any_kind_are_a_configuration_or_an_error_of_ours(data):
     problem = None
     try:

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
 import jsonschema
+import msgspec
 import pytest
 import yaml
-from pydantic import BaseModel
 
 from imucald import cli
 from imucald.bus.wiring import compile_router
 from imucald.check import Check
 from imucald.config import Config, json_schema, load_config, parse_config
 from imucald.errors import ConfigError
+from imucald.estimators import full_settings
 from imucald.mount.estimate import MountState
 from imucald.output import OutputFrames, output_database
 from imucald.session import make_engine
@@ -67,15 +69,18 @@ SECTIONS = {
 """Where a model's heading is not its name."""
 
 
-def models(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+Model = msgspec.Struct
+
+
+def models(model: type[Model]) -> Iterator[type[Model]]:
     yield model
-    for field in model.model_fields.values():
-        for part in parts(field.annotation):
+    for field in msgspec.structs.fields(model):
+        for part in parts(field.type):
             yield from models(part)
 
 
-def parts(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+def parts(annotation: Any) -> Iterator[type[Model]]:
+    if isinstance(annotation, type) and issubclass(annotation, Model):
         yield annotation
     for argument in get_args(annotation):
         yield from parts(argument)
@@ -85,17 +90,19 @@ ALL_MODELS = sorted(set(models(Config)), key=lambda m: m.__name__)
 
 
 @pytest.mark.parametrize("model", ALL_MODELS, ids=lambda m: m.__name__)
-def test_every_key_is_documented_with_its_default(model: type[BaseModel]) -> None:
+def test_every_key_is_documented_with_its_default(model: type[Model]) -> None:
     heading = SECTIONS.get(model.__name__, model.__name__.lower())
     rows = tables(DOCS / "configuration.md")[heading]
-    assert list(rows) == list(model.model_fields), "the same keys in the same order"
-    for name, field in model.model_fields.items():
+    fields = msgspec.structs.fields(model)
+    assert list(rows) == [field.name for field in fields], "the same keys in the same order"
+    for field in fields:
+        name = field.name
         said = rows[name][0].strip("`")
-        if field.is_required():
+        if field.required:
             assert said == "required", name
-        elif isinstance(field.default, BaseModel):
+        elif isinstance(field.default, Model):
             assert said == "presets", name
-        elif field.default is not None and field.default != () and field.default_factory is None:
+        elif field.default not in (None, (), msgspec.NODEFAULT):
             value = yaml.safe_load(said)
             default = list(field.default) if isinstance(field.default, tuple) else field.default
             assert value == default, name
@@ -226,11 +233,12 @@ def test_value_tables_are_those_of_the_database() -> None:
 
 def test_the_limits_of_usable_and_fine_are_those_of_the_configuration() -> None:
     text = (DOCS / "output-frames.md").read_text()
-    states = load_config(ROOT / "config" / "imucald.yaml").config.calibration.states
-    for name, yaw, tilt in (
-        ("usable", states.usable_yaw_deg, states.usable_tilt_deg),
-        ("fine", states.fine_yaw_deg, states.fine_tilt_deg),
+    full = full_settings(load_config(ROOT / "config" / "imucald.yaml").config)
+    for name, yaw_std, tilt_std in (
+        ("usable", full.usable_std, full.usable_tilt_std),
+        ("fine", full.fine_std, full.fine_tilt_std),
     ):
+        yaw, tilt = (round(math.degrees(std), 6) for std in (yaw_std, tilt_std))
         assert f"for *{name}* (yaw {yaw} deg, tilt {tilt} deg" in text
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from pydantic import BaseModel
+from msgspec import Struct
 
 from imucald.config import Config, parse_config
 from imucald.estimators import estimator_for, full_settings, published_settings
@@ -148,11 +148,11 @@ def test_no_key_of_the_calibration_is_left_out() -> None:
     ) == tried - {"signals.accelerometer"}
 
 
-def leaves(model: BaseModel, head: str) -> list[str]:
+def leaves(model: Struct, head: str) -> list[str]:
     found: list[str] = []
-    for name in type(model).model_fields:
+    for name in model.__struct_fields__:
         value, path = getattr(model, name), f"{head}.{name}"
-        found += leaves(value, path) if isinstance(value, BaseModel) else [path]
+        found += leaves(value, path) if isinstance(value, Struct) else [path]
     return found
 
 

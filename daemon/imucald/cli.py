@@ -23,7 +23,8 @@ PROCESS_SETTINGS = {
     "OMP_NUM_THREADS": "1",
     "PYDANTIC_DISABLE_PLUGINS": "__all__",  # none is used, and looking for them takes time
 }
-"""Set for this process, where the user has not; read when numpy and pydantic are imported."""
+"""Set for this process, where the user has not; read when numpy and pydantic (which only the
+simulation uses) are imported."""
 
 GC_THRESHOLD = 50_000
 """Containers made before the collector looks for cycles: starting makes many that all stay."""

@@ -35,12 +35,7 @@ def published_settings(config: Config) -> PublishedSettings:
     static, straight, target = calibration.static, calibration.straight, calibration.target_angle
     vehicle = config.vehicle
     presets = PublishedSettings()
-    states, given = calibration.states, calibration.states.model_fields_set
-
-    def limit(key: str, preset: float) -> float:
-        # The presets of method A are wider than those that the configuration states.
-        return math.radians(getattr(states, key)) if key in given else preset
-
+    states = calibration.states
     return replace(
         presets,
         static=replace(
@@ -73,10 +68,10 @@ def published_settings(config: Config) -> PublishedSettings:
         subtract_lateral=target.subtract_lateral,
         remove_offset_after=target.remove_offset_after,
         speed_delay=calibration.speed_delay or 0.0,
-        usable_yaw_std=limit("usable_yaw_deg", presets.usable_yaw_std),
-        usable_tilt_std=limit("usable_tilt_deg", presets.usable_tilt_std),
-        fine_yaw_std=limit("fine_yaw_deg", presets.fine_yaw_std),
-        fine_tilt_std=limit("fine_tilt_deg", presets.fine_tilt_std),
+        usable_yaw_std=_limit(states.usable_yaw_deg, presets.usable_yaw_std),
+        usable_tilt_std=_limit(states.usable_tilt_deg, presets.usable_tilt_std),
+        fine_yaw_std=_limit(states.fine_yaw_deg, presets.fine_yaw_std),
+        fine_tilt_std=_limit(states.fine_tilt_deg, presets.fine_tilt_std),
     )
 
 
@@ -100,11 +95,16 @@ def full_settings(config: Config) -> EstimatorSettings:
         steering_ratio=vehicle.steering_ratio if config.signals.steering_wheel_angle else None,
         wheelbase=vehicle.wheelbase,
         track=vehicle.track,
-        usable_std=math.radians(states.usable_yaw_deg),
-        usable_tilt_std=math.radians(states.usable_tilt_deg),
-        fine_std=math.radians(states.fine_yaw_deg),
-        fine_tilt_std=math.radians(states.fine_tilt_deg),
+        usable_std=_limit(states.usable_yaw_deg, defaults.usable_std),
+        usable_tilt_std=_limit(states.usable_tilt_deg, defaults.usable_tilt_std),
+        fine_std=_limit(states.fine_yaw_deg, defaults.fine_std),
+        fine_tilt_std=_limit(states.fine_tilt_deg, defaults.fine_tilt_std),
     )
+
+
+def _limit(given_deg: float | None, preset: float) -> float:
+    """A standard deviation [rad]: the configured one, else the estimator's own."""
+    return preset if given_deg is None else math.radians(given_deg)
 
 
 def _crown_std(vehicle: Vehicle) -> float:

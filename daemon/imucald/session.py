@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from msgspec.structs import astuple, replace
+
 from imucald.bus.columns import CAN_EFF_MASK, IdMatch
 from imucald.bus.wiring import compile_router
 from imucald.companion import Companion
@@ -26,7 +28,7 @@ def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
             f"{path} names {len(loaded.config.database)} database(s), {len(databases)} given"
         )
     entries = tuple(
-        entry.model_copy(update={"path": str(database.resolve())})
+        replace(entry, path=str(database.resolve()))
         for entry, database in zip(loaded.config.database, databases, strict=True)
     )
     return loaded.with_databases(entries)
@@ -63,7 +65,7 @@ def _companions(loaded: LoadedConfig, output: OutputFrames) -> Sequence[Companio
 
 
 def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, inputs: list[IdMatch]) -> None:
-    taken = dict.fromkeys(loaded.config.output.ids.model_dump().values(), "an output frame")
+    taken = dict.fromkeys(astuple(loaded.config.output.ids), "an output frame")
     for index, sensor in enumerate(loaded.config.signals.parallel):
         if sensor.id in taken:
             text = f"0x{sensor.id:X} is already the id of {taken[sensor.id]}; choose another"

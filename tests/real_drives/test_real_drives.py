@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 import pytest
 
 from imucald.bus.log import LogReader
@@ -42,8 +43,8 @@ def log_of(drive: str) -> Path:
 @cache
 def replayed(drive: str, estimator: str, log: Path) -> tuple[dict[str, Any], MountEstimate]:
     loaded = open_config(EXAMPLES / f"{drive}.yaml")
-    calibration = loaded.config.calibration.model_copy(update={"estimator": estimator})
-    loaded.config = loaded.config.model_copy(update={"calibration": calibration})
+    calibration = replace(loaded.config.calibration, estimator=estimator)
+    loaded.config = replace(loaded.config, calibration=calibration)
     engine = make_engine(loaded)
     result = Replay(engine, LogReader([log], engine.router.matches)).run()
     return result, engine.pipeline.estimator.estimate()

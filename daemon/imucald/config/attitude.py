@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from msgspec import Meta
 
 from imucald.attitude.settings import AttitudeSettings
-from imucald.config.base import Model, Positive
+from imucald.config.base import Angle, Model, NotNegative, Positive, Share
 from imucald.travel_direction.settings import TravelSettings
 
 _ATTITUDE = AttitudeSettings()
@@ -20,16 +20,16 @@ def _deg(radians: float) -> float:
     return round(math.degrees(radians), 6)
 
 
-class Compensation(Model):
+class Compensation(Model, frozen=True):
     """Method B: how motion is taken out of the accelerometer."""
 
     average: Positive = _B.average
     """Time over which speed is averaged [s]."""
-    interval: Positive = Field(_B.interval, le=4.0)
+    interval: Annotated[float, Meta(gt=0, le=4.0)] = _B.interval
     """Shortest time between two averages that are differenced [s]."""
-    timeout: Positive = Field(_B.timeout, le=4.0)
+    timeout: Annotated[float, Meta(gt=0, le=4.0)] = _B.timeout
     """Speed older than this is not known [s]."""
-    delay: float | None = Field(None, ge=-0.5, le=1.2)
+    delay: Annotated[float, Meta(ge=-0.5, le=1.2)] | None = None
     """How late speed is against the accelerometer [s]; default: calibration.speed_delay, or 0."""
     lever_arm: tuple[float, float, float] = _B.lever_arm
     """Sensor from the middle of the axle that does not steer: forward, left, up [m]."""
@@ -39,20 +39,20 @@ class Compensation(Model):
     """omega x v in full, or rate times speed as one number (method B alone)."""
     speed_noise: Positive = _B.speed_noise
     """Standard deviation of an averaged speed [m/s]."""
-    speed_scale: float = Field(_B.speed_scale, ge=0, le=0.5)
+    speed_scale: Share = _B.speed_scale
     """Relative uncertainty of speed."""
-    creep_speed: float = Field(_B.creep_speed, ge=0)
+    creep_speed: NotNegative = _B.creep_speed
     """Below this a speed signal may still say zero [m/s]."""
-    lever_uncertainty: float = Field(_B.lever_uncertainty, ge=0)
+    lever_uncertainty: NotNegative = _B.lever_uncertainty
     """How well the lever arm is known, side-slip included [m]."""
 
 
-class Filter(Model):
+class Filter(Model, frozen=True):
     """Method C: the nine-state filter."""
 
     heading: Literal["free", "signal", "magnetometer"] = _C.heading
     """Where heading comes from; free: relative to the start."""
-    declination_deg: float = Field(_deg(_C.declination), ge=-180, le=180)
+    declination_deg: Angle = _deg(_C.declination)
     """Magnetic declination, east positive."""
     check: Positive = _C.check
     """Rest that the sensor check needs [s]."""
@@ -76,7 +76,7 @@ class Filter(Model):
     """Its random error: it walks by sqrt(2) of this in gyro_random_time."""
     gyro_random_time: Positive = _C.gyro_random_time
     """[s]"""
-    gyro_scale: float = Field(_C.gyro_scale, ge=0, le=0.5)
+    gyro_scale: Share = _C.gyro_scale
     """Part of a turned angle that leaks into the other axes."""
     accel_noise: Positive = _C.accel_noise
     """Standard deviation of an interval's mean specific force [m/s^2]."""
@@ -94,7 +94,7 @@ class Filter(Model):
     """Innovations beyond so many standard deviations widen their own noise."""
 
 
-class Attitude(Model):
+class Attitude(Model, frozen=True):
     """Attitude of the vehicle: methods B and C on the corrected samples."""
 
     enabled: bool = False
@@ -111,12 +111,12 @@ class Attitude(Model):
     filter: Filter = Filter()
 
 
-class Steps(Model):
+class Steps(Model, frozen=True):
     """Method D, step 1: step cycles."""
 
     shortest: Positive = _TRAVEL.step.shortest
     """Shortest step cycle [s]."""
-    longest: Positive = Field(_TRAVEL.step.longest, le=5.0)
+    longest: Annotated[float, Meta(gt=0, le=5.0)] = _TRAVEL.step.longest
     """Longest [s]."""
     threshold: Positive = _TRAVEL.step.threshold
     """The vertical acceleration must swing so far either side of its mean [m/s^2]."""
@@ -126,27 +126,27 @@ class Steps(Model):
     """Time constant of its mean [s]."""
 
 
-class Choice(Model):
+class Choice(Model, frozen=True):
     """Method D, steps 2 and 5: the presets of the choice."""
 
     turn_deg: Positive = _deg(_TRAVEL.choice.turn)
     """The compass differs from the last cycle's by more: a turn."""
-    tilt_on_turn_deg: float = Field(_deg(_TRAVEL.choice.tilt_on_turn), ge=0)
+    tilt_on_turn_deg: NotNegative = _deg(_TRAVEL.choice.tilt_on_turn)
     """On a turn: tilt heading from this pitch or roll on."""
-    differ_deg: float = Field(_deg(_TRAVEL.choice.differ), ge=0)
+    differ_deg: NotNegative = _deg(_TRAVEL.choice.differ)
     """The two headings contradict each other from this difference on."""
-    tilt_deg: float = Field(_deg(_TRAVEL.choice.tilt), ge=0)
+    tilt_deg: NotNegative = _deg(_TRAVEL.choice.tilt)
     """No turn, no contradiction: tilt heading from this pitch or roll on."""
 
 
-class Alternative(Model):
+class Alternative(Model, frozen=True):
     """The alternative beside method D."""
 
     gravity_time: Positive = _TRAVEL.modern.gravity_time
     """Time constant with which the accelerometer levels the attitude [s]."""
     compass_time: Positive = _TRAVEL.modern.compass_time
     """Time constant with which a heading signal turns it [s]."""
-    lead_deg: float = Field(_deg(_TRAVEL.modern.lead), ge=-180, le=180)
+    lead_deg: Angle = _deg(_TRAVEL.modern.lead)
     """By how much forward leads vertical acceleration at the step's frequency."""
     memory_steps: Positive = _TRAVEL.modern.memory_steps
     """Steps after which the direction within the terminal is forgotten to 1/e."""
@@ -154,7 +154,7 @@ class Alternative(Model):
     """The vertical moved so far in the terminal: carried otherwise, begin anew."""
 
 
-class TravelDirection(Model):
+class TravelDirection(Model, frozen=True):
     """Direction of travel of a carried terminal: method D, on samples in terminal axes."""
 
     enabled: bool = False
@@ -163,7 +163,7 @@ class TravelDirection(Model):
     """Whose heading is sent; without a gyroscope it is the published one's."""
     convention: Literal["force", "gravity"] = _TRAVEL.convention
     """Axis convention of the tilt heading: what the formulas read on an axis up, +g or -g."""
-    declination_deg: float = Field(_deg(_TRAVEL.declination), ge=-180, le=180)
+    declination_deg: Angle = _deg(_TRAVEL.declination)
     """Magnetic declination, east positive."""
     steps: Steps = Steps()
     choice: Choice = Choice()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from msgspec import Meta
 
-from imucald.config.base import Model, Positive
+from imucald.config.base import Model, NotNegative, Positive
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.published_settings import PublishedSettings
 
@@ -19,10 +19,10 @@ def _deg(radians: float) -> float:
     return round(math.degrees(radians), 6)
 
 
-class StaticTest(Model):
+class StaticTest(Model, frozen=True):
     """Method A, steps 1 to 3: when the vehicle stands, and its tilt from gravity."""
 
-    samples: int = Field(_METHOD_A.static.count, ge=2, le=100_000)
+    samples: Annotated[int, Meta(ge=2, le=100_000)] = _METHOD_A.static.count
     """Accelerometer samples that a window needs."""
     duration: Positive = _METHOD_A.static.seconds
     """Time that it must span [s]."""
@@ -38,17 +38,17 @@ class StaticTest(Model):
     """All stops count (beyond the publication); else the last one decides."""
 
 
-class StraightMotion(Model):
+class StraightMotion(Model, frozen=True):
     """Method A, step 4: which motion counts as straight and of variable speed."""
 
-    recognise_by: tuple[Literal["yaw_rate", "steering", "consistency"], ...] = Field(
-        ("yaw_rate", "steering", "consistency"), min_length=1
-    )
+    recognise_by: Annotated[
+        tuple[Literal["yaw_rate", "steering", "consistency"], ...], Meta(min_length=1)
+    ] = ("yaw_rate", "steering", "consistency")
     """In order of preference; the first whose signal is there decides."""
     yaw_rate_limit_deg_s: Positive = _deg(_METHOD_A.yaw_rate_limit)
     yaw_rate_limit_without_speed_deg_s: Positive = _deg(_METHOD_A.yaw_rate_limit_without_speed)
     steering_limit_deg: Positive = _deg(_METHOD_A.steering_limit)
-    lateral_limit: float = Field(_METHOD_A.lateral_limit, ge=0)
+    lateral_limit: NotNegative = _METHOD_A.lateral_limit
     """Largest |v r| [m/s^2]; 0 switches this gate off."""
     min_speed_change: Positive = _METHOD_A.min_speed_change
     """Smallest |dv/dt| [m/s^2]."""
@@ -56,34 +56,37 @@ class StraightMotion(Model):
     """|dv/dt| that a manoeuvre must reach to count [m/s^2]."""
     min_speed: Positive = _METHOD_A.min_speed
     """[m/s]"""
-    consistency_window: int = Field(_METHOD_A.consistency_window, ge=2, le=1000)
+    consistency_window: Annotated[int, Meta(ge=2, le=1000)] = _METHOD_A.consistency_window
     """Successive angles, ten a second, that must agree."""
     consistency_range_deg: Positive = _deg(_METHOD_A.consistency_spread)
 
 
-class TargetAngle(Model):
+class TargetAngle(Model, frozen=True):
     """Method A, step 5: the yaw angle and its sign."""
 
-    sign_from: tuple[Literal["speed", "brake", "turn", "first_motion"], ...] = Field(
-        ("speed", "brake", "turn", "first_motion"), min_length=1
-    )
+    sign_from: Annotated[
+        tuple[Literal["speed", "brake", "turn", "first_motion"], ...], Meta(min_length=1)
+    ] = ("speed", "brake", "turn", "first_motion")
     """What may tell accelerating from braking, in order of preference."""
     subtract_lateral: bool = _METHOD_A.subtract_lateral
     """Subtract v r where speed and yaw rate are known (beyond the publication)."""
-    remove_offset_after: float = Field(_METHOD_A.remove_offset_after, ge=0)
+    remove_offset_after: NotNegative = _METHOD_A.remove_offset_after
     """Time constant of the mean that is removed, since slope and bias wander [s]; 0: never."""
 
 
-class States(Model):
-    """From which standard deviations on the estimate is used; left again at 1.4 times."""
+class States(Model, frozen=True):
+    """From which standard deviations on the estimate is used; left again at 1.4 times.
 
-    usable_yaw_deg: Positive = _deg(_FULL.usable_std)
-    usable_tilt_deg: Positive = _deg(_FULL.usable_tilt_std)
-    fine_yaw_deg: Positive = _deg(_FULL.fine_std)
-    fine_tilt_deg: Positive = _deg(_FULL.fine_tilt_std)
+    Where they are not given, each estimator has its own.
+    """
+
+    usable_yaw_deg: Positive | None = None
+    usable_tilt_deg: Positive | None = None
+    fine_yaw_deg: Positive | None = None
+    fine_tilt_deg: Positive | None = None
 
 
-class Calibration(Model):
+class Calibration(Model, frozen=True):
     """How the mount is found."""
 
     estimator: Literal["full", "published"] = "full"
@@ -92,9 +95,9 @@ class Calibration(Model):
     """Standard deviation of the accelerometer's zero error [m/s^2]."""
     accelerometer_range: Positive | None = None
     """Full scale [m/s^2]; nothing is learnt close to it."""
-    cross_axis: float = Field(0.0, ge=0, le=0.05)
+    cross_axis: Annotated[float, Meta(ge=0, le=0.05)] = 0.0
     """Cross-axis error of the accelerometer (part): widens the intervals."""
-    speed_delay: float | None = Field(None, ge=-0.5, le=1.2)
+    speed_delay: Annotated[float, Meta(ge=-0.5, le=1.2)] | None = None
     """How late speed is against the accelerometer [s]; estimated when absent."""
     states: States = States()
     static: StaticTest = StaticTest()

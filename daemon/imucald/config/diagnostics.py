@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from msgspec import Meta
 
 from imucald.config.base import CanId, Model, Positive
 
-KeyFunctionName = Annotated[str, Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
+KeyFunctionName = Annotated[str, Meta(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
 
 
-class SecurityAccess(Model):
+class SecurityAccess(Model, frozen=True):
     """Who may start routines."""
 
     key_function: KeyFunctionName | None = None
     """`module:function` that turns a seed (bytes) into its key (bytes); none: nobody is let in."""
-    attempts: int = Field(3, ge=1, le=10)
+    attempts: Annotated[int, Meta(ge=1, le=10)] = 3
     """Wrong keys before the delay."""
     delay: Positive = 10.0
     """How long no key is taken then [s]."""
 
 
-class Diagnostics(Model):
+class Diagnostics(Model, frozen=True):
     """An ISO 14229 server over ISO-TP."""
 
     enabled: bool = False
@@ -35,11 +35,9 @@ class Diagnostics(Model):
     """Requests to all nodes; null: these are not listened to."""
     security: SecurityAccess = SecurityAccess()
 
-    @model_validator(mode="after")
-    def _distinct(self) -> Diagnostics:
+    def __post_init__(self) -> None:
         ids = [self.request_id, self.response_id, self.functional_id]
         if len(set(ids)) != len(ids):
             raise ValueError("request, response and functional id must differ")
         if (self.request_id > 0x7FF) != (self.response_id > 0x7FF):
             raise ValueError("request and response id must both have 11 bits, or both 29")
-        return self

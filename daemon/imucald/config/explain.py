@@ -1,35 +1,57 @@
-"""What validation found wrong, said to the one who wrote the file."""
+"""What validation found wrong, said to the one who wrote the file.
+
+msgspec stops at the first mistake. Here the data are gone through field by field, each checked by
+msgspec alone, so that all mistakes are told at once, each at its place.
+"""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterator
-from typing import Any
+import re
+from collections.abc import Iterator
+from functools import cache
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from pydantic import ValidationError
+import msgspec
 
+from imucald.config.base import Model
 from imucald.config.yaml_lines import Marks, Place, dotted, line_of
 
-Schema = Callable[[], dict[str, Any]]
-"""Gives the JSON schema; made only when a mistake has to be explained."""
+_NAMES = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "bool": "true or false",
+    "null": "nothing",
+    "array": "a list",
+    "object": "a mapping",
+}
+_BOUNDS = {">": "greater than", ">=": "at least", "<": "less than", "<=": "at most"}
+
+Mistake = tuple[Place, str]
 
 
-def explain(
-    error: ValidationError, schema: Schema, marks: Marks, name: str, data: Any
-) -> Iterator[str]:
-    """One line for each mistake: file, line, key, reason, remedy."""
-    for item in error.errors(include_url=False):
-        place = _real_place(item["loc"], data)
-        yield f"{name}:{line_of(marks, place)}: {dotted(place)}: {_reason(item, place, schema)}"
+def explain(data: Any, full: Any, model: type[Model], marks: Marks, name: str) -> Iterator[str]:
+    """One line for each mistake: file, line, key, reason, remedy.
+
+    full: the data as checked, with all short forms spelled out; data: as they were written.
+    """
+    told: set[Mistake] = set()
+    for long_place, reason in _mistakes(full, model, ()):
+        place = _real_place(long_place, data)
+        if (place, reason) not in told:
+            told.add((place, reason))
+            yield f"{name}:{line_of(marks, place)}: {dotted(place)}: {reason}"
 
 
-def _real_place(loc: Place, data: Any) -> Place:
-    """Drop what shorthands added to the path (the index of a single source, union branches)."""
+def _real_place(long_place: Place, data: Any) -> Place:
+    """Drop what spelling out added to the path (the index of a single source, its key)."""
     place: list[str | int] = []
     here = data
-    last = len(loc) - 1
-    for i, part in enumerate(loc):
-        if isinstance(here, dict) and isinstance(part, str) and (part in here or i == last):
+    last = len(long_place) - 1
+    for i, part in enumerate(long_place):
+        if isinstance(here, dict) and (part in here or (i == last and isinstance(part, str))):
             place.append(part)
             here = here.get(part)
         elif isinstance(here, list) and isinstance(part, int) and part < len(here):
@@ -38,45 +60,83 @@ def _real_place(loc: Place, data: Any) -> Place:
     return tuple(place)
 
 
-def _reason(item: Any, place: Place, schema: Schema) -> str:
-    kind = item["type"]
-    if kind == "extra_forbidden":
-        allowed = _allowed_keys(place[:-1], schema())
-        close = difflib.get_close_matches(str(place[-1]), allowed, n=1)
-        hint = f"did you mean '{close[0]}'?" if close else "allowed: " + ", ".join(allowed)
-        return f"unknown key; {hint}"
-    if kind == "missing":
-        return "is missing"
-    message = str(item["msg"]).removeprefix("Value error, ")
-    value = item.get("input")
-    if isinstance(value, str | int | float | bool) or value is None:
-        return f"{message[:1].lower()}{message[1:]} (here: {value!r})"
-    return f"{message[:1].lower()}{message[1:]}"
+def _mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
+    """Mistakes of a value that shall be of a kind (a type, with constraints)."""
+    bare = _bare(kind)
+    if value is None and NoneType in get_args(bare):
+        return
+    inner = list(_inner_mistakes(value, bare, place))
+    if inner:
+        yield from inner
+        return
+    try:
+        msgspec.convert(value, kind)
+    except (ValueError, OverflowError) as error:  # msgspec.ValidationError is a ValueError
+        yield place, _reason(value, bare, str(error))
 
 
-def _allowed_keys(place: Place, schema: dict[str, Any]) -> list[str]:
-    """Keys allowed at a place, by walking the models' JSON schema."""
-    definitions = schema.get("$defs", {})
-    here: list[dict[str, Any]] = [schema]
-    for part in place:
-        here = [branch for node in here for branch in _children(node, part, definitions)]
-    return sorted({key for node in here for key in node.get("properties", {})})
+def _inner_mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
+    """Mistakes of what a mapping or list holds."""
+    for part in map(_bare, get_args(kind) if _is_union(kind) else (kind,)):
+        arguments = get_args(part)
+        if isinstance(part, type) and issubclass(part, Model) and isinstance(value, dict):
+            yield from _of_fields(value, part, place)
+        elif get_origin(part) is tuple and arguments[1:] == (...,) and isinstance(value, list):
+            for index, one in enumerate(value):
+                yield from _mistakes(one, arguments[0], (*place, index))
+        elif get_origin(part) is dict and isinstance(value, dict):
+            for key, one in value.items():
+                yield from _mistakes(one, arguments[1], (*place, key))
 
 
-def _children(
-    node: dict[str, Any], part: str | int, definitions: dict[str, Any]
-) -> Iterator[dict[str, Any]]:
-    if isinstance(part, int):
-        step = node.get("items", {})
+def _of_fields(value: dict[Any, Any], model: type[Model], place: Place) -> Iterator[Mistake]:
+    hints = _hints(model)
+    for key, one in value.items():
+        if key in hints:
+            yield from _mistakes(one, hints[key], (*place, key))
+        else:
+            yield (*place, key), _unknown(str(key), list(hints))
+    for field in msgspec.structs.fields(model):
+        if field.required and field.name not in value:
+            yield (*place, field.name), "is missing"
+
+
+def _unknown(key: str, allowed: list[str]) -> str:
+    close = difflib.get_close_matches(key, allowed, n=1)
+    hint = f"did you mean '{close[0]}'?" if close else "allowed: " + ", ".join(sorted(allowed))
+    return f"unknown key; {hint}"
+
+
+def _reason(value: Any, kind: Any, text: str) -> str:
+    choices = get_args(kind) if get_origin(kind) is Literal else ()
+    if choices:
+        reason = "must be one of " + ", ".join(map(repr, choices))
     else:
-        step = node.get("properties", {}).get(part) or node.get("additionalProperties") or {}
-    pending = [step] if isinstance(step, dict) else []
-    while pending:
-        branch = pending.pop()
-        if "$ref" in branch:
-            branch = definitions.get(str(branch["$ref"]).rsplit("/", 1)[-1], {})
-        pending.extend(branch.get("anyOf", []))
-        # a single source may stand where a list of them is described
-        if "items" in branch and isinstance(branch["items"], dict):
-            pending.append(branch["items"])
-        yield branch
+        reason = _plain(text.partition(" - at `")[0])
+    is_plain = isinstance(value, str | int | float | bool) or value is None
+    return f"{reason} (here: {value!r})" if is_plain else reason
+
+
+def _plain(text: str) -> str:
+    """A message of msgspec, such as "Expected `float` > 0.0", in the words of YAML."""
+
+    def named(match: re.Match[str]) -> str:
+        return " or ".join(_NAMES.get(name, name) for name in match[1].split(" | "))
+
+    text = re.sub(r"`([^`]*)`", named, text.replace("Expected ", "must be ", 1))
+    text = re.sub(r" ([<>]=?) ", lambda match: f" {_BOUNDS[match[1]]} ", text)
+    return f"{text[:1].lower()}{text[1:]}"
+
+
+def _bare(kind: Any) -> Any:
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+
+
+def _is_union(kind: Any) -> bool:
+    return NoneType in get_args(kind)
+
+
+@cache
+def _hints(model: type[Model]) -> dict[str, Any]:
+    """Type of each key, constraints included."""
+    return get_type_hints(model, include_extras=True)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from msgspec import Meta, field, structs
 
-from imucald.config.base import OR_ONE, OR_TEXT, CanId, Model, Positive, as_list
+from imucald.config.base import CanId, Model, Positive
 
 
-class Database(Model):
+class Database(Model, frozen=True):
     """A CAN database file, relative to the configuration file."""
 
     path: str
@@ -19,29 +19,20 @@ class Database(Model):
     """Match 29-bit ids by PGN, whatever the source address; default: as the database says."""
 
 
-def _path_shorthand(value: Any) -> Any:
-    return {"path": value} if isinstance(value, str) else value
+Databases = Annotated[tuple[Database, ...], Meta(min_length=1)]
 
 
-Databases = Annotated[
-    tuple[Annotated[Database, BeforeValidator(_path_shorthand), OR_TEXT], ...],
-    BeforeValidator(as_list),
-    Field(min_length=1),
-    OR_ONE,
-]
-
-
-class Counter(Model):
+class Counter(Model, frozen=True):
     """Alive counter of a message."""
 
     signal: str
-    modulus: int | None = Field(None, ge=2, le=65536)
+    modulus: Annotated[int, Meta(ge=2, le=65536)] | None = None
     """Number of values before it wraps; default: all that its bits hold."""
-    max_step: int = Field(1, ge=1, le=255)
+    max_step: Annotated[int, Meta(ge=1, le=255)] = 1
     """Largest step that is still believed (frames lost in between)."""
 
 
-class Checksum(Model):
+class Checksum(Model, frozen=True):
     """Checksum of a message."""
 
     kind: Literal["none", "xor", "crc8_j1850", "e2e_p1", "e2e_p2", "e2e_p5", "e2e_p11"]
@@ -50,36 +41,36 @@ class Checksum(Model):
     data_id: int | tuple[int, ...] | None = None
     """E2E data id; profile 2: a list of sixteen."""
     data_id_mode: Literal["both", "alternating", "low", "nibble"] = "both"
-    id_bytes: int = Field(0, ge=0, le=4)
+    id_bytes: Annotated[int, Meta(ge=0, le=4)] = 0
     """For xor and crc8_j1850: bytes of the CAN identifier that go in first."""
-    offset: int = Field(0, ge=0, le=63)
+    offset: Annotated[int, Meta(ge=0, le=63)] = 0
     """E2E: first byte of the header in the frame."""
 
 
-class MessageProtection(Model):
+class MessageProtection(Model, frozen=True):
     """What is known about a message's cycle and protection."""
 
     cycle_time: Positive | None = None
     """[s]; default: GenMsgCycleTime of the database, else none is assumed."""
-    timeout_cycles: Annotated[float, Field(ge=1.5, le=1000)] = 10.0
+    timeout_cycles: Annotated[float, Meta(ge=1.5, le=1000)] = 10.0
     counter: Counter | None = None
     checksum: Checksum | None = None
-    recover_after: int = Field(3, ge=0, le=1000)
+    recover_after: Annotated[int, Meta(ge=0, le=1000)] = 3
     """Good frames in a row after a fault before the message is believed again."""
 
 
-class Bus(Model):
+class Bus(Model, frozen=True):
     """The bus that `imucald run` listens and sends on."""
 
     interface: str = "socketcan"
     channel: str = "can0"
-    bitrate: int | None = Field(None, gt=0)
+    bitrate: Annotated[int, Meta(gt=0)] | None = None
     fd: bool = False
-    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
+    options: dict[str, str | int | float | bool] = field(default_factory=dict)
     """Further arguments of python-can's bus."""
 
 
-class OutputIds(Model):
+class OutputIds(Model, frozen=True):
     """Identifiers of the frames that imucald sends (see dbc/imucald_out.dbc)."""
 
     acceleration: CanId = 0x640
@@ -94,15 +85,13 @@ class OutputIds(Model):
     grade: CanId = 0x649
     travel_direction: CanId = 0x64A
 
-    @model_validator(mode="after")
-    def _distinct(self) -> OutputIds:
-        ids = list(self.model_dump().values())
+    def __post_init__(self) -> None:
+        ids = structs.astuple(self)
         if len(set(ids)) != len(ids):
             raise ValueError("two output frames have the same id")
-        return self
 
 
-class Output(Model):
+class Output(Model, frozen=True):
     """What is sent."""
 
     ids: OutputIds = OutputIds()
@@ -111,16 +100,16 @@ class Output(Model):
     checksum: Literal["crc8_j1850", "xor", "none"] = "crc8_j1850"
 
 
-class Vehicle(Model):
+class Vehicle(Model, frozen=True):
     """What is known about the vehicle."""
 
-    id: str = Field("vehicle", max_length=64)
+    id: Annotated[str, Meta(max_length=64)] = "vehicle"
     """Identity; a saved state is used for the same vehicle only."""
     driving_side: Literal["left", "right", "unknown"] = "unknown"
     """Side of the road it drives on: the road's crown leans the vehicle towards the kerb."""
-    crown_percent: float = Field(1.2, ge=0, le=5)
+    crown_percent: Annotated[float, Meta(ge=0, le=5)] = 1.2
     """Mean cross slope of the roads it uses, towards the kerb."""
-    crown_spread_percent: float = Field(0.75, gt=0, le=5)
+    crown_spread_percent: Annotated[float, Meta(gt=0, le=5)] = 0.75
     """Spread of that mean from drive to drive."""
     wheelbase: Positive = 2.7
     """[m]; turns the steering angle into a yaw rate where there is no other."""

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from msgspec import Meta
 
-from imucald.config.base import OR_ONE, STANDARD_ID_MAX, CanId, Model, ShortForm, as_list
+from imucald.config.base import STANDARD_ID_MAX, CanId, Model
 
 MESSAGE_SIGNAL = r"^[^.\s]+\.[^.\s]+$"
-OR_SIGNAL = ShortForm(lambda _: {"type": "string", "pattern": MESSAGE_SIGNAL})
 
 
-class RawSource(Model):
+class RawSource(Model, frozen=True, kw_only=True):
     """A value computed from a frame's bytes, for frames that no database describes (OBD-II)."""
 
     id: CanId
@@ -29,14 +28,10 @@ class RawSource(Model):
         return self.extended or self.id > STANDARD_ID_MAX
 
 
-def _signal_shorthand(value: Any) -> Any:
-    return {"signal": value} if isinstance(value, str) else value
-
-
-class Source(Model):
+class Source(Model, frozen=True):
     """Where one number comes from: ``MESSAGE.SIGNAL`` alone, or a mapping with more."""
 
-    signal: str | None = Field(None, pattern=MESSAGE_SIGNAL)
+    signal: Annotated[str, Meta(pattern=MESSAGE_SIGNAL)] | None = None
     """``MESSAGE.SIGNAL`` in the database."""
     raw: RawSource | None = None
     """Instead of `signal`: bytes and an expression."""
@@ -56,55 +51,50 @@ class Source(Model):
     above: float | None = None
     """For on/off quantities: on when the physical value is larger."""
 
-    @model_validator(mode="after")
-    def _one_origin(self) -> Source:
+    def __post_init__(self) -> None:
         if (self.signal is None) == (self.raw is None):
             raise ValueError("give either 'signal: MESSAGE.SIGNAL' or 'raw: {id, value}'")
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError("range must be [low, high] with low < high")
-        return self
 
 
-OneSource = Annotated[Source, BeforeValidator(_signal_shorthand), OR_SIGNAL]
-
-
-Sources = Annotated[tuple[OneSource, ...], BeforeValidator(as_list), Field(min_length=1), OR_ONE]
+Sources = Annotated[tuple[Source, ...], Meta(min_length=1)]
 """One source, or several in order of preference."""
 
 
-class Triad(Model):
+class Triad(Model, frozen=True):
     """Three axes of one sensor, in its own axes; an accelerometer may lack z (planar)."""
 
-    x: OneSource
-    y: OneSource
-    z: OneSource | None = None
+    x: Source
+    y: Source
+    z: Source | None = None
 
 
-Triads = Annotated[tuple[Triad, ...], BeforeValidator(as_list), Field(min_length=1), OR_ONE]
+Triads = Annotated[tuple[Triad, ...], Meta(min_length=1)]
 
 
-class Wheels(Model):
+class Wheels(Model, frozen=True):
     """Wheel speeds."""
 
-    front_left: OneSource
-    front_right: OneSource
-    rear_left: OneSource
-    rear_right: OneSource
+    front_left: Source
+    front_right: Source
+    rear_left: Source
+    rear_right: Source
 
 
-class ParallelSensor(Model):
+class ParallelSensor(Model, frozen=True):
     """Another sensor whose axes are parallel to the accelerometer's; gets the same correction."""
 
-    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$(?!\n)")]
     kind: Literal["acceleration", "angular_rate", "magnetic_field"]
-    x: OneSource
-    y: OneSource
-    z: OneSource
+    x: Source
+    y: Source
+    z: Source
     id: CanId
     """Identifier of the frame with its corrected values."""
 
 
-class Signals(Model):
+class Signals(Model, frozen=True):
     """Which signal is which quantity."""
 
     accelerometer: Triads
@@ -120,18 +110,12 @@ class Signals(Model):
     brake: Sources | None = None
     temperature: Sources | None = None
     heading: Sources | None = None
-    parallel: tuple[ParallelSensor, ...] = Field((), max_length=8)
+    parallel: Annotated[tuple[ParallelSensor, ...], Meta(max_length=8)] = ()
 
-    @model_validator(mode="after")
-    def _planar_only_alone(self) -> Signals:
+    def __post_init__(self) -> None:
         for triads in (self.gyroscope, self.magnetometer):
             if triads and any(triad.z is None for triad in triads):
                 raise ValueError("only the accelerometer may lack its z axis")
-        return self
-
-    @model_validator(mode="after")
-    def _parallel_sensors_distinct(self) -> Signals:
         names = [sensor.name for sensor in self.parallel]
         if len(set(names)) != len(names):
             raise ValueError("two parallel sensors have the same name")
-        return self

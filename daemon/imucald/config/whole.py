@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-from functools import cache
 from pathlib import Path
-from typing import Any
 
-from pydantic import Field, ValidationError
+import msgspec
 
 from imucald.config.attitude import Attitude, TravelDirection
 from imucald.config.base import Model
 from imucald.config.calibration import Calibration
-from imucald.config.described import described_schema
 from imucald.config.diagnostics import Diagnostics
-from imucald.config.explain import explain
 from imucald.config.network import Bus, Database, Databases, MessageProtection, Output, Vehicle
+from imucald.config.short_forms import spelled_out
 from imucald.config.signals import Signals
 from imucald.config.yaml_lines import (
     MAX_FILE_BYTES,
@@ -28,13 +25,13 @@ from imucald.config.yaml_lines import (
 from imucald.errors import ConfigError
 
 
-class Config(Model):
+class Config(Model, frozen=True, kw_only=True):
     """A whole configuration file."""
 
     vehicle: Vehicle = Vehicle()
     database: Databases
     signals: Signals
-    messages: dict[str, MessageProtection] = Field(default_factory=dict)
+    messages: dict[str, MessageProtection] = msgspec.field(default_factory=dict)
     bus: Bus = Bus()
     calibration: Calibration = Calibration()
     output: Output = Output()
@@ -61,7 +58,7 @@ class LoadedConfig:
 
     def with_databases(self, entries: tuple[Database, ...]) -> LoadedConfig:
         """The same configuration with other database entries."""
-        config = self.config.model_copy(update={"database": entries})
+        config = msgspec.structs.replace(self.config, database=entries)
         return LoadedConfig(config, self.path, self._marks)
 
     def error(self, place: Place, text: str) -> ConfigError:
@@ -100,19 +97,19 @@ def parse_config(text: str, path: Path | None = None) -> LoadedConfig:
     data, marks = read_yaml(text, name)
     if not isinstance(data, dict):
         raise ConfigError(f"{name}:1: a configuration is a mapping with 'database' and 'signals'")
+    full = spelled_out(data)
     try:
-        config = Config.model_validate(data)
-    except ValidationError as error:
-        raise ConfigError("\n".join(explain(error, _schema, marks, name, data))) from None
+        config = msgspec.convert(full, Config)
+    except (ValueError, OverflowError) as error:  # msgspec.ValidationError is a ValueError
+        from imucald.config.explain import explain  # noqa: PLC0415 - a lighter start without
+
+        lines = list(explain(data, full, Config, marks, name)) or [f"{name}:1: {error}"]
+        raise ConfigError("\n".join(lines)) from None
     return LoadedConfig(config, path, marks)
 
 
 def json_schema() -> str:
     """JSON schema (draft 2020-12) of the configuration."""
-    return json.dumps(_schema(), indent=2)
+    from imucald.config.described import described_schema  # noqa: PLC0415 - only for this
 
-
-@cache
-def _schema() -> dict[str, Any]:
-    """The schema as data; it is asked for again with every unknown key of a file."""
-    return described_schema(Config)
+    return json.dumps(described_schema(Config), indent=2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from typing import Any
 
 import yaml
@@ -12,6 +14,9 @@ MAX_FILE_BYTES = 1_000_000
 """Largest accepted file: a thousand times a real one."""
 MAX_DEPTH = 30
 """Deepest accepted nesting."""
+
+_EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+")
+"""Numbers that YAML 1.1, unlike 1.2, takes for text: 1e-3."""
 
 Place = tuple[str | int, ...]
 Marks = dict[Place, int]
@@ -72,9 +77,19 @@ def _build(loader: Any, node: yaml.Node, place: Place, marks: Marks, name: str) 
             marks[(*place, key)] = key_line
             result[key] = _build(loader, value_node, (*place, key), marks, name)
         return result
-    value = loader.construct_object(node)
+    value = _scalar(loader, node)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{name}:{line}: {dotted(place)}: must be a finite number")
     if value is not None and not isinstance(value, str | int | float | bool):
         raise ConfigError(f"{name}:{line}: {node.value!r} is neither text nor number")
+    return value
+
+
+def _scalar(loader: Any, node: yaml.Node) -> Any:
+    value = loader.construct_object(node)
+    is_plain = isinstance(node, yaml.ScalarNode) and node.style not in ("'", '"', "|", ">")
+    if is_plain and isinstance(value, str) and _EXPONENT.fullmatch(value):
+        return float(value)
     return value
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.bus.log import LogReader, Progress
@@ -131,12 +132,12 @@ def _first_sensors(loaded: LoadedConfig) -> Router:
     first = {key: triads[:1] for key in TRIADS if len(triads := getattr(signals, key) or ()) > 1}
     if not first and not signals.parallel:
         return router
-    signals = signals.model_copy(update={**first, "parallel": ()})
+    signals = replace(signals, **first, parallel=())
     named = (wanted.source.signal or "" for wanted in wanted_numbers(signals))
     used = {name.partition(".")[0] for name in named}
     messages = {name: m for name, m in loaded.config.messages.items() if name in used}
     reduced = loaded.with_databases(loaded.config.database)
-    reduced.config = loaded.config.model_copy(update={"signals": signals, "messages": messages})
+    reduced.config = replace(loaded.config, signals=signals, messages=messages)
     return compile_router(reduced)
 
 

@@ -6,10 +6,15 @@ import hashlib
 import json
 from typing import Any
 
+from msgspec import to_builtins
+
 from imucald.bus.routes import MessageRoute
 from imucald.bus.signals import Router
 from imucald.config import LoadedConfig, Source
 from imucald.service.state import StateKey
+
+_DECISIVE = frozenset({"signal", "raw", "unit", "sign", "offset"})
+"""Keys of a source on which its numbers depend."""
 
 
 def state_key(loaded: LoadedConfig, router: Router) -> StateKey:
@@ -30,9 +35,7 @@ def state_key(loaded: LoadedConfig, router: Router) -> StateKey:
 def _described(source: Source, router: Router) -> dict[str, Any]:
     """Everything that decides which number a source gives."""
     found: dict[str, Any] = {
-        "configured": source.model_dump(
-            mode="json", include={"signal", "raw", "unit", "sign", "offset"}
-        )
+        "configured": {k: v for k, v in to_builtins(source).items() if k in _DECISIVE}
     }
     if source.signal is None:
         return found

@@ -7,6 +7,8 @@ import json
 from collections.abc import Callable
 from typing import Final, Protocol
 
+from msgspec import to_builtins
+
 from imucald import __version__
 from imucald.bus.link import LinkCounters
 from imucald.config import LoadedConfig
@@ -175,11 +177,12 @@ def configuration_identity(loaded: LoadedConfig) -> bytes:
     Defaults count as if they were written; comments and the order of keys do not.
     """
     digest = hashlib.sha256()
-    settings = loaded.config.model_dump(mode="json", exclude={"database"})
+    settings = {k: v for k, v in to_builtins(loaded.config).items() if k != "database"}
     digest.update(json.dumps(settings, sort_keys=True).encode())
     for database in loaded.config.database:
         path = loaded.database_path(database)
-        digest.update(json.dumps(database.model_dump(mode="json", exclude={"path"})).encode())
+        described = {k: v for k, v in to_builtins(database).items() if k != "path"}
+        digest.update(json.dumps(described).encode())
         try:
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         except OSError:  # it was there when it was loaded
