@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ from imucald.motion.ticks import (
 )
 from imucald.mount.estimate import Correction, MountEstimate, MountEstimator, MountState
 from imucald.samples import Samples, Series
+
+if TYPE_CHECKING:
+    from imucald.compensation.retiming import Retiming
 
 Quality = int
 """0 not available, 1 restored, 2 usable, 3 fine, 4 suspect: what the frames carry."""
@@ -67,10 +71,17 @@ class Pipeline:
     """Samples to ticks to estimator to corrections, for one sensor.
 
     status_ticks: a snapshot of the estimate is taken every so many ticks.
+    retiming: brings signals of known, different delays together before the estimator sees them.
     """
 
-    def __init__(self, estimator: MountEstimator, status_ticks: int = 10) -> None:
+    def __init__(
+        self,
+        estimator: MountEstimator,
+        status_ticks: int = 10,
+        retiming: Retiming | None = None,
+    ) -> None:
         self.estimator = estimator
+        self._retiming = retiming
         self.correction: Correction | None = estimator.correction
         self.quality: Quality = 0
         self.first_usable: float | None = None
@@ -105,6 +116,8 @@ class Pipeline:
         """Time was discontinuous: close all ticks before k, where a new segment begins."""
         snapshots = self.advance(k)
         self.estimator.gap()
+        if self._retiming is not None:
+            self._retiming.gap()
         return snapshots
 
     def replace(self, estimator: MountEstimator) -> MountEstimator:
@@ -171,6 +184,8 @@ class Pipeline:
         estimator = self.estimator
         if row[SPEED_N]:
             self.speed = self.k, row[SPEED]
+        if self._retiming is not None:
+            row = self._retiming.row(row)
         estimator.step(row)
         self.correction = estimator.correction
         self._judge()

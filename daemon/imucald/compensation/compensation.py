@@ -1,0 +1,167 @@
+"""What a model file is worth while driving: its terms, ready to be taken out of signals."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from imucald.compensation.reading import load_terms, read_terms
+from imucald.compensation.retiming import Retiming, shifts_of
+from imucald.compensation.sensors import SensorStage
+from imucald.compensation.terms import Terms, TriadTerms
+from imucald.compensation.vehicle import VehicleStage
+from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.mount.published_settings import PublishedSettings
+from imucald.samples import Samples, Series
+
+KNOWN_DELAY_STD = 0.03
+"""How well a model's delays are taken to be known [s], as those of the configuration."""
+_KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """The terms of one model file. Immutable; the stages made of it carry what changes.
+
+    name: of the file. notes: what of it is not used, a line each. suspension: whether the body's
+    leaning is taken out of the corrected signals.
+    """
+
+    terms: Terms
+    name: str = "model"
+    notes: tuple[str, ...] = ()
+    suspension: bool = True
+
+    # what is told ----------------------------------------------------------------------------
+
+    def notes_for(self, channels: Collection[str]) -> list[str]:
+        """`notes`, and what cannot be used for want of a signal; channels: those there are."""
+        found = list(self.notes)
+        terms = self.terms
+        for channel, triad in (("accel", terms.accel), ("gyro", terms.gyro)):
+            if any(triad.bias_temperature) and "temperature" not in channels:
+                found.append(
+                    f"{channel}.bias_temperature: needs signals.temperature; the bias is that at "
+                    "25 degC"
+                )
+        if any(terms.lever_arm) and "gyro" not in channels:
+            found.append("mount.lever_arm_m: needs signals.gyroscope, left in")
+        if not terms.lean.neutral and not self.suspension:
+            found.append("suspension: left in, as compensate_suspension is off")
+        return found
+
+    def compensated(self, channels: Collection[str]) -> list[str]:
+        """Names of the terms that are taken out; channels: those there are."""
+        return [name for name, channel in self._active() if channel in channels]
+
+    def _active(self) -> Iterator[tuple[str, str]]:
+        """Term and the channel that it is taken out of."""
+        terms, neutral = self.terms, TriadTerms()
+        for channel, triad in (("accel", terms.accel), ("gyro", terms.gyro), ("mag", terms.mag)):
+            if any(triad.bias):
+                yield f"{channel}.bias", channel
+            if any(triad.bias_temperature):
+                yield f"{channel}.bias_temperature", "temperature"
+            if triad.inverse != neutral.inverse:
+                yield f"{channel}.scale, {channel}.cross_axis", channel
+        if any(terms.g_sensitivity):
+            yield "gyro.g_sensitivity", "gyro"
+        if any(terms.wheel_scales):
+            yield "wheel_speeds.scale", "wheel_speeds"
+        for channel, scalar in terms.scalars.items():
+            if scalar.scale:
+                yield f"{channel}.scale", channel
+            if scalar.offset:
+                yield f"{channel}.offset", channel
+        if any(terms.lever_arm):
+            yield "mount.lever_arm_m", "gyro"
+        if self.suspension and not terms.lean.neutral:
+            yield "suspension", "accel"
+        if self.shifts():
+            yield "delays (for the mount)", "accel"
+
+    # stages ----------------------------------------------------------------------------------
+
+    def samples(self, samples: Samples) -> Samples:
+        """Columns of samples less the terms that need no mount; refused ones are left out."""
+        order = {channel: series.t for channel, series in samples.items()}
+        taken = self.sensor_stage(samples).columns(samples, order)
+        out = dict(samples)
+        for channel, one in taken.items():
+            good = ~one.refused
+            out[channel] = Series(samples[channel].t[good], one.values[good])
+        return out
+
+    def sensor_stage(self, channels: Collection[str]) -> SensorStage:
+        """Takes out the terms that need no mount."""
+        return SensorStage(self.terms)
+
+    def vehicle_stage(self, channels: Collection[str], rates: Collection[str]) -> VehicleStage:
+        """Takes out those that need it; rates: the channels that are angular rates."""
+        terms = self.terms if "gyro" in channels else replace(self.terms, lever_arm=(0.0,) * 3)
+        return VehicleStage(terms, self.suspension, rates)
+
+    def retiming(self) -> Retiming | None:
+        """Brings ticks of differently late channels together; None: there is nothing to do."""
+        shifts = self.shifts()
+        return Retiming(shifts) if shifts else None
+
+    def shifts(self) -> dict[str, float]:
+        """How long each channel is held back from the estimator [s]; empty: none is."""
+        return shifts_of(self.terms.lateness)
+
+    # what the estimator is told --------------------------------------------------------------
+
+    def full_settings(
+        self, settings: EstimatorSettings, stated: Collection[str] = ()
+    ) -> EstimatorSettings:
+        """Settings with what the model knows; stated: keys of `vehicle` that the user gave."""
+        terms, chassis = self.terms, self.terms.chassis
+        delays = dict(settings.delays)
+        for channel in ("speed", "yaw_rate"):
+            if channel in terms.lateness:
+                delays[channel] = DelayPrior(0.0, KNOWN_DELAY_STD)
+        known: dict[str, Any] = {"delays": delays}
+        if terms.crown_mean is not None and "crown_percent" not in stated:
+            known["crown_mean"] = terms.crown_mean
+        for key in ("wheelbase", "track", "steering_ratio", "understeer"):
+            value = getattr(chassis, key)
+            if value is not None and key not in stated and getattr(settings, key) is not None:
+                known[key] = value
+        return replace(settings, **known)
+
+    def published_settings(
+        self, settings: PublishedSettings, side: str, stated: Collection[str] = ()
+    ) -> PublishedSettings:
+        """The same for method A; side: the configuration's driving side."""
+        terms, chassis = self.terms, self.terms.chassis
+        known: dict[str, Any] = {}
+        if "speed" in terms.lateness:
+            known["speed_delay"] = 0.0
+        if terms.crown_mean is not None and "crown_percent" not in stated:
+            known["crown"] = _KERB[side] * terms.crown_mean
+        for key in ("wheelbase", "steering_ratio"):
+            value = getattr(chassis, key)
+            if value is not None and key not in stated:
+                known[key] = value
+        return replace(settings, **known)
+
+    @property
+    def estimate_key(self) -> str:
+        """Names what an estimate of the mount rests on: equal keys, equal estimates."""
+        estimated = replace(self.terms, lever_arm=(0.0,) * 3, lean=type(self.terms.lean)())
+        return hashlib.sha256(repr(estimated).encode()).hexdigest()
+
+
+def compensation_from_model(
+    model: Path | str | Mapping[str, Any], compensate_suspension: bool = True
+) -> Compensation:
+    """Read a model file, or a mapping of its content. Raises ConfigError with the place."""
+    if isinstance(model, Mapping):
+        terms, notes = read_terms(model, "model", {})
+        return Compensation(terms, "model", notes, compensate_suspension)
+    terms, notes = load_terms(Path(model))
+    return Compensation(terms, str(model), notes, compensate_suspension)

@@ -1,0 +1,115 @@
+"""Signals of different age brought together again, tick by tick, before the estimator sees them.
+
+Each channel is held back until the latest one has come: whole ticks by keeping rows, the rest by
+the age that a tick states for its samples. So a known delay need not be learnt, and hurts nothing
+that is not told of delays. Only the estimator waits; samples are corrected as they come.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from imucald.motion import ticks as tk
+from imucald.motion.ticks import TICK_RATE, TICK_S, TickAccumulator
+
+LEAST_S = 0.001
+"""Smaller differences are left."""
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Columns of one channel: all of them, its age (sensors), its mean and count (scalars)."""
+
+    columns: tuple[int, ...]
+    age: int | None = None
+    mean: tuple[int, int] | None = None
+
+
+_GROUPS: Mapping[str, _Group] = {
+    "accel": _Group((*range(tk.ACCEL_N, tk.ACCEL_AGE + 1), tk.ACCEL_BAD), tk.ACCEL_AGE),
+    "gyro": _Group((*range(tk.GYRO_N, tk.GYRO_AGE + 1), tk.GYRO_BAD), tk.GYRO_AGE),
+    "speed": _Group((tk.SPEED_N, tk.SPEED, tk.SPEED_AGE, tk.SPEED_BAD), tk.SPEED_AGE),
+    "steering": _Group((tk.STEERING_N, tk.STEERING), None, (tk.STEERING_N, tk.STEERING)),
+    "yaw_rate": _Group((tk.YAW_RATE_N, tk.YAW_RATE), None, (tk.YAW_RATE_N, tk.YAW_RATE)),
+    "lateral_accel": _Group((tk.LATERAL_N, tk.LATERAL), None, (tk.LATERAL_N, tk.LATERAL)),
+    "longitudinal_accel": _Group(
+        (tk.LONGITUDINAL_N, tk.LONGITUDINAL), None, (tk.LONGITUDINAL_N, tk.LONGITUDINAL)
+    ),
+    "wheel_speeds": _Group((tk.WHEELS_N, tk.WHEEL_SPREAD), None, (tk.WHEELS_N, tk.WHEEL_SPREAD)),
+    "reverse": _Group((tk.REVERSE,)),
+    "brake": _Group((tk.BRAKE,)),
+}
+
+
+@dataclass(frozen=True)
+class _Shift:
+    group: _Group
+    whole: int
+    rest: float  # part of a tick, 0 .. 1
+
+
+class Retiming:
+    """Rows of ticks in, rows in which all channels are of one time out.
+
+    shifts: by channel how long it is held back [s].
+    """
+
+    def __init__(self, shifts: Mapping[str, float]) -> None:
+        self._shifts: list[_Shift] = []
+        for channel, group in _GROUPS.items():
+            ticks = shifts.get(channel, 0.0) * TICK_RATE
+            whole = math.floor(ticks + 1e-9)
+            self._shifts.append(_Shift(group, whole, max(ticks - whole, 0.0)))
+        self._empty: list[float] = TickAccumulator().close(0)
+        self._rows: deque[Sequence[float]] = deque(
+            maxlen=max(shift.whole for shift in self._shifts) + 2
+        )
+
+    def gap(self) -> None:
+        """Time jumped: what is held back is not joined with what follows."""
+        self._rows.clear()
+
+    def row(self, row: Sequence[float]) -> list[float]:
+        """Take the row of a tick; return it with every channel held back as it must be."""
+        self._rows.appendleft(row)
+        out = list(self._empty)
+        out[tk.T] = row[tk.T]
+        out[tk.HEADING], out[tk.TEMPERATURE] = row[tk.HEADING], row[tk.TEMPERATURE]
+        for shift in self._shifts:
+            self._take(shift, out)
+        return out
+
+    def _take(self, shift: _Shift, out: list[float]) -> None:
+        group, rows = shift.group, self._rows
+        whole = shift.whole
+        if group.age is None and group.mean is None:
+            whole += shift.rest > 0.5
+        if whole >= len(rows):
+            return
+        row = rows[whole]
+        for column in group.columns:
+            out[column] = row[column]
+        if group.age is not None:
+            out[group.age] -= shift.rest * TICK_S
+        elif group.mean is not None and whole + 1 < len(rows):
+            count, mean = group.mean
+            earlier = rows[whole + 1]
+            if row[count] and earlier[count]:
+                out[mean] += shift.rest * (earlier[mean] - row[mean])
+
+
+def shifts_of(lateness: Mapping[str, float]) -> dict[str, float]:
+    """How long each channel is held back [s], so that all are as late as the latest.
+
+    lateness: by channel [s]; one not told of is as late as the accelerometer. The accelerometer is
+    held back by whole ticks, so that its ticks stay what they are. Empty: nothing to do.
+    """
+    accel = lateness.get("accel", 0.0)
+    most = max((late - accel for late in lateness.values()), default=0.0)
+    hold = math.ceil((most - LEAST_S) * TICK_RATE) / TICK_RATE if most > LEAST_S else 0.0
+    shifts = {channel: hold - (lateness.get(channel, accel) - accel) for channel in _GROUPS}
+    shifts = {channel: max(shift, 0.0) for channel, shift in shifts.items()}
+    return shifts if any(shift > LEAST_S for shift in shifts.values()) else {}

@@ -1,0 +1,126 @@
+"""The terms of a model file that can be taken out of signals while driving.
+
+Every term is the simulation's: the model says what a sensor makes of the truth, and here stands
+what the truth was. SI units, ISO 8855 axes; what is neutral changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+Vector3 = tuple[float, float, float]
+Matrix9 = tuple[float, float, float, float, float, float, float, float, float]
+"""(3, 3), row by row."""
+
+ZERO: Vector3 = (0.0, 0.0, 0.0)
+IDENTITY: Matrix9 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+NO_RAIL = (math.inf, math.inf)
+REFERENCE_DEGC = 25.0
+"""Temperature at which `bias` is stated."""
+BUTTERWORTH_DELAY = math.sqrt(2.0) / (2.0 * math.pi)
+"""Delay of a second-order Butterworth filter well below its corner, times the corner."""
+
+
+@dataclass(frozen=True)
+class TriadTerms:
+    """Three axes: measured = gain @ true + bias + bias_temperature * (T - 25 degC).
+
+    inverse: of the gain. rail: raw values of a size within these were clipped.
+    """
+
+    inverse: Matrix9 = IDENTITY
+    bias: Vector3 = ZERO
+    bias_temperature: Vector3 = ZERO
+    rail: tuple[float, float] = NO_RAIL
+
+    @property
+    def neutral(self) -> bool:
+        """Whether it changes nothing."""
+        return self == TriadTerms()
+
+
+@dataclass(frozen=True)
+class ScalarTerms:
+    """One number: measured = (1 + scale) * true + offset. rail: as of `TriadTerms`."""
+
+    scale: float = 0.0
+    offset: float = 0.0
+    rail: tuple[float, float] = NO_RAIL
+
+
+@dataclass(frozen=True)
+class LeanTerms:
+    """How the body leans on its springs: angle per specific force [rad/(m/s^2)], and how fast.
+
+    Each axis is a second-order system. squat: nose up per forward force. dive: nose down per
+    braking force. roll: out of the turn per lateral force.
+    """
+
+    squat: float = 0.0
+    dive: float = 0.0
+    pitch_hz: float = 1.7
+    pitch_damping: float = 0.35
+    roll: float = 0.0
+    roll_hz: float = 1.8
+    roll_damping: float = 0.35
+
+    @property
+    def neutral(self) -> bool:
+        """Whether the body does not lean."""
+        return self.squat == 0.0 and self.dive == 0.0 and self.roll == 0.0
+
+
+@dataclass(frozen=True)
+class ChassisTerms:
+    """What turns the steering angle into a yaw rate; None where the model does not say it."""
+
+    wheelbase: float | None = None
+    track: float | None = None
+    steering_ratio: float | None = None
+    understeer: float | None = None
+
+
+@dataclass(frozen=True)
+class Terms:
+    """All that is used of a model file.
+
+    g_sensitivity: rate per specific force on the same sensor axis [(rad/s)/(m/s^2)].
+    wheel_scales: of four wheels. scalars: by channel. lever_arm: of the sensor from the body's
+    centre of rotation, vehicle axes [m]. lateness: by channel, how old a value is when its frame
+    comes [s], filters included. crown_mean: cross fall towards the kerb (tangent), None: not said.
+    """
+
+    accel: TriadTerms = TriadTerms()
+    gyro: TriadTerms = TriadTerms()
+    g_sensitivity: Vector3 = ZERO
+    mag: TriadTerms = TriadTerms()
+    wheel_scales: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    scalars: Mapping[str, ScalarTerms] = field(default_factory=dict)
+    lever_arm: Vector3 = ZERO
+    lean: LeanTerms = LeanTerms()
+    lateness: Mapping[str, float] = field(default_factory=dict)
+    chassis: ChassisTerms = ChassisTerms()
+    crown_mean: float | None = None
+
+
+def inverse_gain(scale: Vector3, cross_axis: tuple[float, ...]) -> Matrix9 | None:
+    """Inverse of (1 + scale on the diagonal, xy xz yx yz zx zy beside it); None: singular."""
+    xy, xz, yx, yz, zx, zy = cross_axis
+    a, e, i = (1.0 + s for s in scale)
+    minors = (e * i - yz * zy, yz * zx - yx * i, yx * zy - e * zx)
+    determinant = a * minors[0] + xy * minors[1] + xz * minors[2]
+    if not abs(determinant) > SMALLEST_GAIN or min(a, e, i) <= SMALLEST_GAIN:
+        return None
+    cofactors = (
+        minors[0], xz * zy - xy * i, xy * yz - xz * e,
+        minors[1], a * i - xz * zx, xz * yx - a * yz,
+        minors[2], xy * zx - a * zy, a * e - xy * yx,
+    )  # fmt: skip
+    m = [c / determinant + 0.0 for c in cofactors]
+    return m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
+
+
+SMALLEST_GAIN = 0.2
+"""A sensor that says a fifth of the truth is not one to be corrected."""
