@@ -16,7 +16,7 @@ from imucald.mount.evidence_pieces import Piece
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_signals import HOP, Prepared, SignalPreparer, empty_rows
 from imucald.mount.evidence_up import UpTracker
-from imucald.mount.fusion import Shared, fuse
+from imucald.mount.fusion import Shared, Sharing, fuse
 from imucald.mount.offsets import Offsets
 from imucald.mount.steering import SteeringOffset
 from imucald.samples import GRAVITY
@@ -158,7 +158,7 @@ def test_a_turn_tells_bias_from_slope():
         up = np.stack([slope * np.cos(angle), -slope * np.sin(angle), np.ones(HOP)], axis=1)
         force = GRAVITY * up + bias + 0.02 * rng.standard_normal((HOP, 3))
         rate = np.stack([np.zeros(HOP), np.zeros(HOP), r], axis=1)
-        p = hop(3.2 * k, force=force, rate=rate)
+        p = hop(0.1 * HOP * k, force=force, rate=rate)
         tracker.advance(p, np.zeros((HOP, 3)), None, sure=True)
     found, covariance = tracker.bias(0.1)
     assert found[:2] == pytest.approx(bias[:2], abs=0.02)
@@ -172,7 +172,7 @@ def test_places_are_counted_not_samples():
         gravity.add(hop(rest=rest, speed=np.zeros(HOP)), np.zeros(HOP))
     assert gravity.stops == 1
     assert gravity.variance(0.02, 200.0, 0.0) == pytest.approx(0.02**2)
-    for _ in range(1000):  # 32 km
+    for _ in range(32000 // HOP):
         gravity.add(hop(), np.zeros(HOP))
     assert gravity.metres == pytest.approx(32000.0)
     assert gravity.variance(0.02, 200.0, 0.0) == pytest.approx(0.02**2 * 400 / 32000, rel=0.05)
@@ -190,23 +190,23 @@ def test_gravity_gives_the_tilt():
 
 def test_fusion_weighs_by_variance_and_shared_errors_do_not_average_out():
     pieces = {"yaw_a": Piece(1.0, 1.0, 9.0), "yaw_b": Piece(2.0, 4.0, 9.0)}
-    fused = fuse(pieces, ())
+    fused = fuse(pieces, Sharing(()))
     assert fused.error[2] == pytest.approx(1.2)
     assert fused.variance[2] == pytest.approx(0.8)
     assert fused.shares["yaw"] == pytest.approx({"yaw_a": 0.8, "yaw_b": 0.2})
-    common = fuse(pieces, (Shared(3.0, {"yaw_a": 1.0, "yaw_b": 1.0}),))
+    common = fuse(pieces, Sharing((Shared(3.0, {"yaw_a": 1.0, "yaw_b": 1.0}),)))
     assert common.variance[2] > 9.0
     opposite = fuse(
         {"yaw_a": Piece(3.0, 1.0, 9.0), "yaw_b": Piece(-3.0, 1.0, 9.0)},
-        (Shared(3.0, {"yaw_a": 1.0, "yaw_b": -1.0}),),
+        Sharing((Shared(3.0, {"yaw_a": 1.0, "yaw_b": -1.0}),)),
     )
     assert opposite.error[2] == pytest.approx(0.0)
     assert opposite.variance[2] == pytest.approx(0.5)
 
 
 def test_pieces_that_disagree_widen_the_interval():
-    agree = fuse({"yaw_a": Piece(0.0, 1.0, 9.0), "yaw_b": Piece(0.5, 1.0, 9.0)}, ())
-    apart = fuse({"yaw_a": Piece(0.0, 1.0, 9.0), "yaw_b": Piece(6.0, 1.0, 9.0)}, ())
+    agree = fuse({"yaw_a": Piece(0.0, 1.0, 9.0), "yaw_b": Piece(0.5, 1.0, 9.0)}, Sharing(()))
+    apart = fuse({"yaw_a": Piece(0.0, 1.0, 9.0), "yaw_b": Piece(6.0, 1.0, 9.0)}, Sharing(()))
     assert agree.variance[2] == pytest.approx(0.5)
     assert apart.variance[2] == pytest.approx(0.5 * 18.0)
 

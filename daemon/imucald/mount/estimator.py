@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.frames import rotation_from_vector
-from imucald.motion.ticks import TICK_S, TickRow
+from imucald.motion.ticks import TickRow
 from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.evidence_signals import HOP, Prepared, SignalPreparer
+from imucald.mount.evidence_response import GROUP
+from imucald.mount.evidence_signals import HOP_S, Prepared, SignalPreparer
 from imucald.mount.rebuild import KEPT_HOPS, Rebuild
 from imucald.mount.shift import Shift
 from imucald.mount.slewing import SlewedRotation
@@ -22,18 +23,19 @@ from imucald.mount.supervision import Knowledge, Manoeuvres, judged, waiting_for
 
 Array = NDArray[np.float64]
 
-FITS = ((20, 1), (40, 2))
-"""Up to so many hops (64 s, 128 s) every n-th is followed by a fit: (hops, n)."""
-LAZY_HOPS = 4
-"""Later every fourth (13 s): by then a hop adds little, and fits are what costs."""
+EAGER_HOPS = 20
+"""Up to so many hops (128 s) each is followed by a fit."""
+LAZY_HOPS = 2
+"""Later every second (13 s): by then a hop adds little, and fits are what costs."""
 SLEW_RATE = math.radians(0.5)
 """The applied rotation turns no faster than this [rad/s]."""
 KNOWN_REST_TICKS = 25.0
 """Ticks at rest from which the gyro bias counts as known."""
-FIRST_LOOK_HOPS = 28
+FIRST_LOOK_HOPS = 14
 """The second look takes at least that many hops (90 s)."""
-HOPS_PER_PIECE = 8
-FROZEN_TICKS = 20
+LAST_LOOK_HOPS = 28
+"""Without a rest to know the gyro bias from, it waits no longer than that (3 min)."""
+FROZEN_TICKS = 40
 """Learning counts as frozen when so many of a hop's ticks were not to be trusted."""
 
 
@@ -94,9 +96,7 @@ class FullEstimator:
         if self._rebuild is not None:
             self._rebuild.push(p)
         lazy = self._hops % LAZY_HOPS == 0
-        hops = self._solution.hops
-        every = next((n for end, n in FITS if hops <= end), LAZY_HOPS)
-        if self._hops % every == 0:
+        if lazy or self._solution.hops <= EAGER_HOPS:
             self._solution.fit()
         if self._rebuild is None:
             if not self._looked_again:
@@ -125,7 +125,7 @@ class FullEstimator:
         known = self._signals.offsets.gyro_ticks >= KNOWN_REST_TICKS
         if len(self._kept) < FIRST_LOOK_HOPS or not self._solution.sure():
             return
-        if known or len(self._kept) == KEPT_HOPS:
+        if known or len(self._kept) >= LAST_LOOK_HOPS:
             self._looked_again = True
             self._begin_rebuild(list(self._kept))
 
@@ -150,7 +150,7 @@ class FullEstimator:
         self._shifts.append((self._hops, change))
         self._moved = True
         self._driven = Manoeuvres()
-        after = min(change.pieces * HOPS_PER_PIECE, len(self._kept))
+        after = min(change.pieces * GROUP, len(self._kept))
         self._begin_rebuild(list(self._kept)[-after:])
 
     def _judge(self, p: Prepared) -> None:
@@ -236,7 +236,7 @@ class FullEstimator:
             "distance": solution.gravity.metres,
             "shifts": [
                 {
-                    "t": hop * HOP * TICK_S,
+                    "t": hop * HOP_S,
                     "angle": ANGLES[shift.axis],
                     "size_deg": math.degrees(shift.size),
                     "deviations": shift.deviations,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.mount.evidence_rows import ROWS, WITHOUT_SPEED
+from imucald.mount.evidence_rows import MOST_REGRESSORS, ROWS, WITHOUT_SPEED
 from imucald.mount.shift import Flow
 
 Array = NDArray[np.float64]
@@ -41,6 +41,18 @@ class Piece:
     groups: float
 
 
+def _priors() -> Array:
+    """Information of the nuisance priors (rows, most, most); unused places are held at zero."""
+    out = np.zeros((len(ROWS), MOST_REGRESSORS, MOST_REGRESSORS))
+    for i, row in enumerate(ROWS):
+        held = [1.0] * (MOST_REGRESSORS - len(row.regressors))
+        out[i] = np.diag([0.0, *(1.0 / x**2 for x in row.prior_std), *held])
+    return out
+
+
+_PRIORS = _priors()
+
+
 def pieces_of(
     score: Array, normal: Array, without_speed: bool
 ) -> tuple[dict[str, Piece], list[Flow]]:
@@ -48,36 +60,43 @@ def pieces_of(
 
     score: (rows, groups, regressors), normal: (rows, groups, regressors, regressors).
     """
+    known = normal[:, :, 0, 0]
+    total = normal.sum(axis=1)
+    use = [
+        i
+        for i, size in enumerate(total[:, 0, 0].tolist())
+        if size >= LEAST_INFORMATION and (not without_speed or i in WITHOUT_SPEED)
+    ]
+    if not use:
+        return {}, []
+    inverse = np.linalg.inv(total[use] + _PRIORS[use])
+    value = np.matmul(inverse, score[use].sum(axis=1)[:, :, None])  # (used, regressors, 1)
+    left = score[use] - np.matmul(normal[use], value[:, None])[:, :, :, 0]
+    u = np.matmul(left, inverse[:, 0, :, None])[:, :, 0]
+    model = inverse[:, 0, 0]
+    each = known[use]
+    sums = total[use, 0, 0]
+    own = each * (1.0 / (sums * model))[:, None]  # what the nuisance leaves
+    flow = u / model[:, None] + own * value[:, 0]
+    groups = sums * sums / np.maximum((each * each).sum(axis=1), 1e-12)
+    variances = _variances(u, model, groups)
     pieces: dict[str, Piece] = {}
     flows: list[Flow] = []
-    for i, row in enumerate(ROWS):
-        if without_speed and i not in WITHOUT_SPEED:
-            continue
-        m = len(row.regressors)
-        s, n = score[i, :, :m], normal[i, :, :m, :m]
-        total = n.sum(axis=0)
-        if total[0, 0] < LEAST_INFORMATION:
-            continue
-        prior = np.array([0.0, *(1.0 / x**2 for x in row.prior_std)])
-        inverse = np.linalg.inv(total + np.diag(prior))
-        value = inverse @ s.sum(axis=0)
-        u = (s - n @ value) @ inverse[0]
-        each = n[:, 0, 0]
-        share = 1.0 / (total[0, 0] * inverse[0, 0])  # what the nuisance leaves
-        own = each * share
-        flows.append(Flow(row.axis, u / inverse[0, 0] + own * value[0], own))
-        groups = float(total[0, 0] ** 2 / max(float(each @ each), 1e-12))
-        variance = _variance(u, float(inverse[0, 0]), groups)
+    for k, i in enumerate(use):
+        row = ROWS[i]
+        variance = float(variances[k])
         if row.axis == 0 or row.name.endswith("axis"):
             variance *= AXIS_SHARE * (WITHOUT_SPEED_SHARE if without_speed else 1.0)
-        pieces[row.name] = Piece(float(value[0]), variance, groups)
+        pieces[row.name] = Piece(float(value[k, 0, 0]), variance, float(groups[k]))
+        flows.append(Flow(row.axis, flow[k], own[k]))
     return pieces, flows
 
 
-def _variance(u: Array, model: float, groups: float) -> float:
-    """Variance from the groups' shares u (groups,) in the value, and from the model's."""
-    spread = float(u @ u)
-    if len(u) > 1:
-        spread = max(spread + 2.0 * float(u[1:] @ u[:-1]), 0.6 * spread)
+def _variances(u: Array, model: Array, groups: Array) -> Array:
+    """Variances from the groups' shares u (rows, groups) in the values, and from the model's."""
+    spread = (u * u).sum(axis=1)
+    beside = (u[:, 1:] * u[:, :-1]).sum(axis=1)
+    spread = np.maximum(spread + 2.0 * beside, 0.6 * spread)
     mixed = (MODEL_GROUPS * model * MODEL_SHARE + groups * spread) / (MODEL_GROUPS + groups)
-    return mixed * (1.0 + FEW_GROUPS / (groups + 3.0))
+    out: Array = mixed * (1.0 + FEW_GROUPS / (groups + 3.0))
+    return out

@@ -26,54 +26,46 @@ from numpy.typing import NDArray
 from imucald.frames import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
 from imucald.mount.evidence_pieces import Piece, pieces_of
-from imucald.mount.evidence_rows import (
-    GAINS,
-    GP_QUARTER,
-    GQ,
-    GQ_QUARTER,
-    GX,
-    GX_QUARTER,
-    GY,
-    GY_QUARTER,
-    MOST_REGRESSORS,
-    P_ROW,
-    PITCH_ROW,
-    Q_ROW,
-    ROLL_ROW,
-    ROWS,
-    TARGETS,
-    X_ROW,
-    Y_ROW,
-)
+from imucald.mount.evidence_rows import GAINS, MOST_REGRESSORS, P_ROW, ROLL_ROW, ROWS
+from imucald.mount.evidence_scores import left_over, renewed_gains, scores
+from imucald.mount.evidence_signals import HOP
 from imucald.mount.evidence_spectra import (
-    BAND_OMEGA2,
     BAND_WIDTH,
     BANDS,
     BINS,
     MEASURED,
     PAIR,
     PRODUCTS,
+    WINDOW,
 )
 from imucald.mount.shift import Flow
 
 Array = NDArray[np.float64]
 
-KEPT = 128
+KEPT = 64
 """Windows kept whole (7 min): those can be weighed afresh; older ones are only summed."""
-FOLD = 32
+FOLD = 16
 """So many windows, or a few more to whole groups, are summed up when the store is full."""
 MOST_GROUPS = 2000
 """Groups kept apart (14 h); then neighbours are joined."""
-GROUP = 8
+GROUP = WINDOW // HOP
 """Hops per piece of the sandwich: 25.6 s, one window's length."""
-AFRESH = 16
+AFRESH = 8
 """All kept windows are weighed afresh every so many hops."""
+YOUNG = 20
+"""Up to so many windows each fit weighs all of them afresh."""
+TRUST = 4.0
+"""Windows after which learnt noise levels count as much as their priors, roughly."""
 NU = 4.0
 """Degrees of freedom of a window's usual noise level."""
+PER_TICK = 0.5 * WINDOW / HOP
+"""From the power per bin of a window to that per tick."""
 FORCE_FLOOR, RATE_FLOOR = 0.01**2, 0.001**2
 """No band is trusted beyond this noise per tick [(m/s^2)^2], [(rad/s)^2]."""
 FORCE_PRIOR, RATE_PRIOR = 0.2**2, 0.02**2
 """Noise per tick until the first windows speak."""
+_PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
+_FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
 
 
 class ResponseEvidence:
@@ -164,7 +156,12 @@ class ResponseEvidence:
             return {}
         turned = vector_from_rotation(R @ self._R.T)
         large = float(np.abs(turned).max()) > 0.005
-        if self._scored == 0 or self._n <= 40 or large or self.hops - self._last_afresh >= AFRESH:
+        if (
+            self._scored == 0
+            or self._n <= YOUNG
+            or large
+            or self.hops - self._last_afresh >= AFRESH
+        ):
             self._scored = 0
             self._last_afresh = self.hops
         self._turn_scores(turned)
@@ -209,84 +206,21 @@ class ResponseEvidence:
         """Score the windows that are not scored yet; all of them also renew levels and gains."""
         first = self._scored
         P = sp.in_vehicle_axes(self._products[first : self._n], R, self.without_speed)
-        weight = self._weights(self._left_over(P))
+        weight = self._weights(left_over(P, self.gains))
         if first == 0:
-            self._renew(P, weight)
-            left = self._left_over(P)
+            self.gains = renewed_gains(P, weight)
+            left = left_over(P, self.gains)
             weight = self._weights(left)
             self._renew_levels(P, weight, left)
             weight = self._weights(left)
-        factors = self._factors()
-        for i, row in enumerate(ROWS):
-            m = len(row.regressors)
-            weight[i][:, row.bands :] = 0.0
-            weight[i][:, : row.first] = 0.0
-            for a in range(m):
-                wa = weight[i] * factors[i][a]
-                target = self._target(P, i, row.regressors[a])
-                self._score[i, first : self._n, a] = (wa * target).sum(axis=1)
-                for b in range(a, m):
-                    value = wa * factors[i][b] * P[PAIR[row.regressors[a], row.regressors[b]]]
-                    self._normal[i, first : self._n, a, b] = value.sum(axis=1)
-                    self._normal[i, first : self._n, b, a] = self._normal[i, first : self._n, a, b]
+        use = slice(first, self._n)
+        self._score[:, use], self._normal[:, use] = scores(P, weight, self.gains)
         self._scored = self._n
-
-    def _factors(self) -> list[list[Array]]:
-        gx, gy, one = self.gains[GX], self.gains[GY], np.ones(BANDS)
-        return [
-            [gy, one, one],
-            [-gx, one, one],
-            [gx, gx * BAND_OMEGA2, one, one],
-            [-gy, gy * BAND_OMEGA2, one],
-            [-one, one, BAND_OMEGA2],
-            [one, one],
-        ]
-
-    def _target(self, P: Array, row: int, with_: int) -> Array:
-        """Products of a row's target (known response taken off) with a signal (n, BANDS)."""
-        out: Array = P[PAIR[TARGETS[row], with_]]
-        for signal, gain in self._known(row):
-            out = out - gain * P[PAIR[signal, with_]]
-        return out
-
-    def _known(self, row: int) -> tuple[tuple[int, Array], ...]:
-        """Signals and gains per band that a row's target is freed from."""
-        g = self.gains
-        if row == X_ROW:
-            return ((sp.FA, g[GX]), (sp.FAI, g[GX_QUARTER]))
-        if row == Y_ROW:
-            return ((sp.FV, g[GY]), (sp.FVI, g[GY_QUARTER]))
-        if row == PITCH_ROW:
-            return ((sp.FQ, g[GQ]),)
-        if row == P_ROW:
-            return ((sp.FVI, g[GP_QUARTER]),)
-        if row == Q_ROW:
-            return ((sp.FAI, g[GQ_QUARTER]),)
-        return ()
-
-    def _left_over(self, P: Array) -> Array:
-        """Power per window and band that each row's known response leaves (6, n, BANDS)."""
-        out = np.empty((6, *P.shape[1:]))
-        for row, target in enumerate(TARGETS):
-            out[row] = P[PAIR[target, target]]
-            for signal, gain in self._known(row):
-                out[row] += gain * (gain * P[PAIR[signal, signal]] - 2.0 * P[PAIR[target, signal]])
-        np.maximum(out, 0.0, out=out)
-        return out
 
     def _weights(self, left: Array) -> Array:
         dof = 2.0 * BAND_WIDTH
-        out: Array = (NU + dof) / (NU * self.noise[:, None, :] + 8.0 * left)
+        out: Array = (NU + dof) / (NU * self.noise[:, None, :] + 2.0 * PER_TICK * left)
         return out
-
-    def _renew(self, P: Array, weight: Array) -> None:
-        """Gains per band: free, because squat, body roll and noise in dv/dt all change them."""
-        for k, (row, target, signal, expected, low, high) in enumerate(GAINS):
-            w = weight[row]
-            scale = 4.0 if row < P_ROW else 400.0
-            a = (w * P[PAIR[signal, signal]]).sum(axis=0) + scale
-            b = (w * P[PAIR[target, signal]]).sum(axis=0) + scale * expected
-            self.gains[k] = np.clip(b / a, low, high)
 
     def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
         """Noise per tick, band and axis, of windows weighted by what they tell."""
@@ -296,13 +230,9 @@ class ResponseEvidence:
         power[P_ROW:] = P[PAIR[sp.R, sp.R]]
         tells = power * weight * weight
         total = np.maximum(tells.sum(axis=1), 1e-12)
-        fresh = 4.0 * (tells * left).sum(axis=1) / total / BAND_WIDTH
-        trust = 1.0 - (8.0 / (self._n + 8.0)) ** 2
-        prior = np.full((6, 1), FORCE_PRIOR)
-        prior[4:] = RATE_PRIOR
-        low = np.full((6, 1), FORCE_FLOOR)
-        low[4:] = RATE_FLOOR
-        self.noise = np.maximum(trust * fresh + (1.0 - trust) * prior, low)
+        fresh = PER_TICK * (tells * left).sum(axis=1) / total / BAND_WIDTH
+        trust = 1.0 - (TRUST / (self._n + TRUST)) ** 2
+        self.noise = np.maximum(trust * fresh + (1.0 - trust) * _PRIOR, _FLOOR)
 
     def _pieces(self) -> dict[str, Piece]:
         group = self._hop_number[: self._n] // GROUP

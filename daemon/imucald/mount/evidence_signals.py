@@ -22,8 +22,9 @@ from imucald.mount.plausible import forbidden
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-HOP = 32
-"""Ticks per hop: 3.2 s between two looks at the data."""
+HOP = 64
+"""Ticks per hop: 6.4 s between two looks at the data, whose cost is per look."""
+HOP_S = HOP * TICK_S
 LAG = 16
 """Ticks the work runs behind: a speed of 1 Hz with jitter must have come."""
 BEFORE = 24
@@ -38,9 +39,11 @@ REST_SPEED = 0.05
 """A speed below is standstill [m/s]."""
 REST_TICKS = 12
 """Speed must have been zero that long before it counts as rest: braking jerk dies out."""
+STEADY_TICKS = 32
+"""Without speed, rest is judged over such parts of a hop."""
 NOMINAL_SPEED = 12.0
 """Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""
-HOPS_WITHOUT_SPEED = 8
+HOPS_WITHOUT_SPEED = 4
 """Hops without any speed after which the estimator does without (26 s)."""
 
 
@@ -97,17 +100,23 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
         return np.zeros((len(at), *values.shape[1:])), np.zeros(len(at), dtype=bool)
     after = np.searchsorted(times, at)
     m = len(times)
-    right = times[np.minimum(after, m - 1)]
-    left = times[np.maximum(after - 1, 0)]
+    low, high = np.maximum(after - 1, 0), np.minimum(after, m - 1)
+    right, left = times[high], times[low]
     hole = np.where(after == 0, right - at, np.where(after == m, at - left, right - left))
     ends = (after == 0) | (after == m)
     ok = hole <= np.where(ends, 0.3 * longest, longest)
     if values.ndim == 1:
         return np.interp(at, times, values), ok
-    out = np.empty((len(at), values.shape[1]))
-    for i in range(values.shape[1]):
-        out[:, i] = np.interp(at, times, values[:, i])
+    width = right - left
+    part = np.where(width > 0.0, (at - left) / np.where(width > 0.0, width, 1.0), 0.0)
+    out: Array = values[low] + part[:, None] * (values[high] - values[low])
     return out, ok
+
+
+def _steady(x: Array, limit: float) -> Flags:
+    """Where signals (N, 3) keep within a standard deviation, part by part."""
+    spread = x.reshape(-1, STEADY_TICKS, 3).std(axis=1).max(axis=1)
+    return np.repeat(spread < limit, STEADY_TICKS)
 
 
 class SignalPreparer:
@@ -262,9 +271,9 @@ class SignalPreparer:
             still = ok & (np.abs(speed) < REST_SPEED)
         else:
             move = np.abs(np.diff(force, axis=0, prepend=force[:1])).max(axis=1)
-            still = (move < 0.12) & (force.std(axis=0).max() < 0.06)
+            still = (move < 0.12) & _steady(force, 0.06)
             if ok_rate.any():
-                still &= rate.std(axis=0).max() < 0.01
+                still &= _steady(rate, 0.01)
         run = self._rest_run
         for i, s in enumerate(still.tolist()):
             run = run + 1 if s else 0

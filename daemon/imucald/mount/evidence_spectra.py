@@ -1,6 +1,6 @@
 """Windows of even signals in the frequency domain, and their products band by band.
 
-Windows of 25.6 s with a Hann taper, an eighth apart, go to the frequency domain. Kept of each are
+Windows of 25.6 s with a Hann taper, a quarter apart, go to the frequency domain. Kept of each are
 the real cross products of all signals per band, after the signals' delays were taken out as
 phases: what a least-squares fit of the force on dv/dt, v r and the small terms needs, whatever
 the rotation, the gains and the noise of each band turn out to be.
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Spectra = NDArray[np.complex128]
 
 WINDOW = 256
-"""Ticks per window; with HOP = 32 an eighth of it."""
+"""Ticks per window; with HOP = 64 a quarter of it."""
 FIRST_BIN = 0
 BAND_EDGES = (0, 1, 2, 3, 4, 6, 9, 13, 19, 28, 52)
 """Bins of 0.039 Hz; the last ends at 2 Hz, above which dv/dt says nothing."""
@@ -131,19 +131,31 @@ PAIR = {pair: i for i, pair in enumerate(PAIRS)} | {(j, i): k for k, (i, j) in e
 """Place of a product in the last dimension of `in_vehicle_axes`."""
 
 
-def _pair_map(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
-    """Matrix (len(PAIRS), SIGNALS^2): products in vehicle axes from those of the signals."""
-    turn = _turning(R_vehicle_from_sensor, without_speed)
-    left = turn[[i for i, _ in PAIRS]]
-    right = turn[[j for _, j in PAIRS]]
-    return (left[:, :, None] * right[:, None, :]).reshape(len(PAIRS), SIGNALS * SIGNALS)
+_LEFT_OF, _RIGHT_OF = np.array(PAIRS).T
 
 
-_NEEDED = np.flatnonzero(
-    sum(np.abs(_pair_map(np.ones((3, 3)), without)).sum(axis=0) for without in (False, True))
-)
+def _needed() -> NDArray[np.int64]:
+    """Products of signals (as row * SIGNALS + column) from which those in vehicle axes follow."""
+    used = np.zeros((SIGNALS, SIGNALS), dtype=bool)
+    for without_speed in (False, True):
+        turn = _turning(np.ones((3, 3)), without_speed) != 0.0
+        used |= (turn[_LEFT_OF].T.astype(int) @ turn[_RIGHT_OF].astype(int)) > 0
+    return np.flatnonzero(used)
+
+
+_NEEDED = _needed()
+_NEEDED_LEFT, _NEEDED_RIGHT = _NEEDED // SIGNALS, _NEEDED % SIGNALS
 PRODUCTS = len(_NEEDED)
 _PLACE = {int(k): i for i, k in enumerate(_NEEDED)}
+
+
+def _pair_map(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
+    """Matrix (len(PAIRS), PRODUCTS): products in vehicle axes from those of the signals."""
+    turn = _turning(R_vehicle_from_sensor, without_speed)
+    left = turn[:, _NEEDED_LEFT]
+    right = turn[:, _NEEDED_RIGHT]
+    out: Array = left[_LEFT_OF] * right[_RIGHT_OF]
+    return out
 
 
 def place(i: int, j: int) -> int:
@@ -177,7 +189,7 @@ def in_vehicle_axes(
     products: Array, R_vehicle_from_sensor: Matrix3, without_speed: bool = False
 ) -> Array:
     """Turn products (n, BANDS, PRODUCTS) into vehicle axes: (len(PAIRS), n, BANDS)."""
-    matrix = np.ascontiguousarray(_pair_map(R_vehicle_from_sensor, without_speed)[:, _NEEDED])
+    matrix = _pair_map(R_vehicle_from_sensor, without_speed)
     n = len(products)
     out: Array = (matrix @ products.reshape(n * BANDS, PRODUCTS).T).reshape(-1, n, BANDS)
     return out

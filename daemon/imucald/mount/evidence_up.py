@@ -23,6 +23,7 @@ from imucald.mount.evidence_signals import HOP, Prepared
 from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 PULL_S = 16.0
 """Time constant of the pull to the accelerometer [s]."""
@@ -40,6 +41,8 @@ FORCE_NOISE = 0.06
 """Innovation of a tick while nothing happens [m/s^2], rms."""
 FORCE_SHARE = 0.12
 """Share of the motion that the model may miss (gains, squat, sideslip)."""
+BLOCK = 8
+"""Ticks that are carried on as one; a hop holds a whole number of them."""
 _PULL = {True: TICK_S / PULL_S, False: TICK_S / PULL_NO_GYRO_S}
 
 
@@ -50,6 +53,23 @@ def _followed(pull: float) -> tuple[Array, Array]:
     taken = np.where(lag >= 0, pull * (1.0 - pull) ** np.maximum(lag, 0), 0.0)
     left = np.asarray(np.eye(HOP) - taken, dtype=np.float64)
     return left, decay
+
+
+def _turned(step: Array) -> Array:
+    """Rotations (n, 3, 3) by small rotation vectors (n, 3), to second order."""
+    turn: Array = 0.5 * step[:, :, None] * step[:, None, :]
+    x, y, z = step[:, 0], step[:, 1], step[:, 2]
+    rest = 1.0 - (turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2])
+    turn[:, 0, 0] += rest
+    turn[:, 1, 1] += rest
+    turn[:, 2, 2] += rest
+    turn[:, 0, 1] -= z
+    turn[:, 0, 2] += y
+    turn[:, 1, 2] -= x
+    turn[:, 1, 0] += z
+    turn[:, 2, 0] -= y
+    turn[:, 2, 1] += x
+    return turn
 
 
 _REMAINING = {with_gyro: _followed(pull) for with_gyro, pull in _PULL.items()}
@@ -87,37 +107,10 @@ class UpTracker:
         sure: R is known well enough to learn the bias from what it leaves over.
         bias: what is known of the accelerometer's bias (3,) [m/s^2]; its answer is taken off.
         """
-        n = len(p.t)
-        step = -TICK_S * (p.rate - self.drift) * p.ok_rate[:, None]
-        turn = np.zeros((n, 3, 3))
-        x, y, z = step[:, 0], step[:, 1], step[:, 2]
-        turn[:, 0, 1], turn[:, 0, 2], turn[:, 1, 2] = -z, y, -x
-        turn[:, 1, 0], turn[:, 2, 0], turn[:, 2, 1] = z, -y, x
-        turn += 0.5 * (turn @ turn)
-        turn[:, 0, 0] += 1.0
-        turn[:, 1, 1] += 1.0
-        turn[:, 2, 2] += 1.0
-        target = np.zeros((n, 3, 4))
-        target[:, :, 1:] = np.eye(3)
+        turn = _turned(-TICK_S * (p.rate - self.drift) * p.ok_rate[:, None])
         force = p.force if motion is None else p.force - motion
-        target[:, :, 0] = force / GRAVITY
         pull = _PULL[bool(p.ok_rate.any())]
-        states = np.empty((n, 3, 4))
-        state = self._state
-        use = p.learn.tolist()
-        for i in range(n):
-            if state is None:
-                if not use[i]:
-                    states[i] = 0.0
-                    continue
-                state = target[i].copy()
-            state = turn[i] @ state
-            states[i] = state
-            if use[i]:
-                self._n += 1
-                gain = pull if self._n > SETTLE_TICKS else max(pull, 1.0 / self._n)
-                state += gain * (target[i] - state)
-        self._state = state
+        states = self._carry(turn, force, p.learn, pull)
         if motion is not None and p.ok_rate.any():
             if sure:
                 self._learn_bias(p, states, force, motion)
@@ -126,6 +119,49 @@ class UpTracker:
         if bias is not None:
             lone -= (np.eye(3) - states[:, :, 1:]) @ bias
         return lone
+
+    def _carry(self, turn: Array, force: Array, use: Flags, pull: float) -> Array:
+        """Turn the state tick by tick and draw it to the force; return it as before each draw.
+
+        With T the turn and g the gain of a tick, y_i = (1 - g_i) T_i y_(i-1) + g_i target_i. That
+        is affine, so blocks of ticks are put together first, all at once, and then carried on.
+        """
+        n = len(turn)
+        states = np.zeros((n, 3, 4))
+        first = 0
+        if self._state is None:
+            if not use.any():
+                return states
+            first = int(np.argmax(use))
+            self._state = np.concatenate([force[first, :, None] / GRAVITY, np.eye(3)], axis=1)
+        count = self._n + np.cumsum(use)
+        gain = np.where(count > SETTLE_TICKS, pull, np.maximum(pull, 1.0 / np.maximum(count, 1)))
+        gain = np.where(use, gain, 0.0)[:, None, None]
+        self._n = int(count[-1])
+        whole = np.empty((n, 3, 7))  # turn, then target
+        whole[:, :, :3] = (1.0 - gain) * turn
+        if first:
+            whole[:first, :, :3] = np.eye(3)  # nothing to turn yet
+        whole[:, :, 3] = (gain[:, 0] / GRAVITY) * force
+        whole[:, :, 4:] = gain * np.eye(3)
+        blocks = whole.reshape(-1, BLOCK, 3, 7)
+        alone = blocks[:, :, :, :3].copy()
+        for j in range(1, BLOCK):
+            before = alone[:, j] @ blocks[:, j - 1]
+            before[:, :, 3:] += blocks[:, j, :, 3:]
+            blocks[:, j] = before
+        starts = np.empty((len(blocks), 1, 3, 4))
+        state = self._state
+        for block, end in enumerate(blocks[:, -1]):
+            starts[block, 0] = state
+            state = end[:, :3] @ state + end[:, 3:]
+        drawn = blocks[:, :, :, :3] @ starts
+        drawn += blocks[:, :, :, 3:]
+        np.matmul(turn[0], self._state, out=states[0])
+        np.matmul(turn[1:], drawn.reshape(n, 3, 4)[:-1], out=states[1:])
+        states[:first] = 0.0
+        self._state = state
+        return states
 
     def remaining(self, motion: Array, p: Prepared) -> Array:
         """What a wrong R leaves of motion (N, k) in the force, after the vertical took its part.
@@ -168,8 +204,9 @@ class UpTracker:
         if bias is not None:
             innovation = innovation - (np.eye(3) - states[:, :, 1:]) @ bias
         mean = np.clip(innovation.mean(axis=0), -FORCE_LARGE, FORCE_LARGE) / GRAVITY
-        rate = np.cross(states[-1, :, 0], mean) * (pull / TICK_S)
-        self.drift += rate * (len(p.t) * TICK_S / DRIFT_S)
+        (ux, uy, uz), (mx, my, mz) = states[-1, :, 0].tolist(), mean.tolist()
+        across = np.array([uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx])
+        self.drift += across * (pull / TICK_S * len(p.t) * TICK_S / DRIFT_S)
 
     def _learn_bias(self, p: Prepared, states: Array, force: Array, motion: Array) -> None:
         use = p.learn & p.ok_speed & ~p.rest

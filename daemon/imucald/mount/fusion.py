@@ -34,7 +34,29 @@ class Fused:
     shares: dict[str, dict[str, float]]
 
 
-def fuse(pieces: Mapping[str, Piece], shared: Sequence[Shared]) -> Fused:
+class Sharing:
+    """Covariance that pieces have with one another (and with themselves) from shared errors."""
+
+    def __init__(self, shared: Sequence[Shared]) -> None:
+        self._pairs: dict[tuple[str, str], float] = {}
+        for s in shared:
+            for one, sign in s.signs.items():
+                for other, other_sign in s.signs.items():
+                    sofar = self._pairs.get((one, other), 0.0)
+                    self._pairs[one, other] = sofar + s.std * s.std * sign * other_sign
+
+    def covariance(self, pieces: Mapping[str, Piece], names: Sequence[str]) -> Array:
+        """Covariance of the pieces of those names, their own variances included."""
+        get = self._pairs.get
+        return np.array(
+            [
+                [get((a, b), 0.0) + (pieces[a].variance if a == b else 0.0) for b in names]
+                for a in names
+            ]
+        )
+
+
+def fuse(pieces: Mapping[str, Piece], sharing: Sharing) -> Fused:
     """Best linear unbiased mean per angle; a piece's name begins with its angle.
 
     The weights are V^-1 1 / (1' V^-1 1), V being the pieces' variances plus what they share; a
@@ -46,16 +68,14 @@ def fuse(pieces: Mapping[str, Piece], shared: Sequence[Shared]) -> Fused:
         names = [name for name in pieces if name.startswith(axis)]
         if not names:
             continue
-        V = np.diag([pieces[name].variance for name in names])
-        for s in shared:
-            signs = [s.signs.get(name, 0.0) for name in names]
-            if any(signs):
-                V += s.std * s.std * np.outer(signs, signs)
-        weight = np.maximum(np.linalg.solve(V, np.ones(len(names))), 0.0)
+        V = sharing.covariance(pieces, names)
+        inverse = np.linalg.inv(V)
+        weight = np.maximum(inverse.sum(axis=1), 0.0)
         weight /= weight.sum()
-        error[i] = float(weight @ np.array([pieces[name].value for name in names]))
-        left = np.array([pieces[name].value for name in names]) - error[i]
-        disagreement = float(left @ np.linalg.solve(V, left)) / max(len(names) - 1, 1)
+        values = np.array([pieces[name].value for name in names])
+        error[i] = weight @ values
+        left = values - error[i]
+        disagreement = float(left @ inverse @ left) / max(len(names) - 1, 1)
         variance[i] = float(weight @ V @ weight) * min(max(disagreement, 1.0), MOST_WIDENED)
-        shares[axis] = {name: float(w) for name, w in zip(names, weight, strict=True)}
+        shares[axis] = dict(zip(names, weight.tolist(), strict=True))
     return Fused(error, variance, shares)

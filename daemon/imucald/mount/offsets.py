@@ -22,7 +22,7 @@ MOST_STEP = 0.02
 """Nor does a known bias jump by more [rad/s]."""
 GUESS_TICKS = 250
 """Ticks of driving from which a gyro bias can be guessed without a rest."""
-MOST_TURNS = 500
+MOST_TURNS = 250
 """Hops that such a guess rests on: half an hour."""
 
 

@@ -16,7 +16,7 @@ from imucald.mount.solution import Solution
 
 Array = NDArray[np.float64]
 
-KEPT_HOPS = 110
+KEPT_HOPS = 55
 """Hops that are kept: 350 s."""
 
 

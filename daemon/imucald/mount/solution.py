@@ -24,7 +24,7 @@ from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_signals import HOP, Prepared
 from imucald.mount.evidence_spectra import MEASURED, WINDOW, spectra
 from imucald.mount.evidence_up import UpTracker
-from imucald.mount.fusion import Fused, Shared, fuse
+from imucald.mount.fusion import Fused, Shared, Sharing, fuse
 from imucald.mount.shift import Shift, largest_change
 from imucald.samples import GRAVITY
 
@@ -54,8 +54,10 @@ NO_GYRO_SHARE = 1.5
 """Without a gyroscope slopes stay in the force: variances are so much larger."""
 PRINCIPAL_STD = 0.008
 """What the principal axis may be off [rad]: the force across the vehicle is not only noise."""
-SETTLED_HOPS = 40
+SETTLED_HOPS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
+DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
+"""Windows after which the delay is sought: first, and then every so many."""
 SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
@@ -84,7 +86,7 @@ class Solution:
         self.pieces: dict[str, Piece] = {}
         self.bias: Array | None = None
         self.hops = 0
-        self._shared = self._shared_errors()
+        self._sharing = Sharing(self._shared_errors())
         self.response.delays = (self.delay_speed.value, 0.0)
 
     def start_from(self, other: Solution) -> None:
@@ -197,7 +199,7 @@ class Solution:
         if not self.own_gyro:
             self.delay_turn.add(s[:, 4], s[:, :3])
         n = self.delay_speed.windows
-        if n in (8, 12, 16, 24, 32) or n % 64 == 0:
+        if n in DELAY_AFTER or n % DELAY_AGAIN == 0:
             tau = self.delay_speed.search()
             late = 0.0 if self.own_gyro else self.delay_turn.search()
             was = self.response.delays
@@ -237,7 +239,7 @@ class Solution:
             if self.response.without_speed and "yaw_dvdt" in pieces:
                 piece = pieces["yaw_dvdt"]
                 pieces["yaw_dvdt"] = replace(piece, variance=piece.variance + PRINCIPAL_STD**2)
-            fused = fuse(pieces, self._shared)
+            fused = fuse(pieces, self._sharing)
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
             self.pieces, self.fused = pieces, fused
         self.bias, self.bias_cov = bias, bias_cov
@@ -258,14 +260,14 @@ class Solution:
         self.R = level
         if self.response.without_speed:
             direction, sureness = self.response.principal_direction(level)
-            if self.response.windows >= 12 and sureness > SIGN_SURE:
+            if self.response.windows >= 6 and sureness > SIGN_SURE:
                 self.R = rotation_from_angles(0.0, 0.0, -direction) @ level
                 self.yaw_known = True
             return
         to_a, to_v, power_a, power_v = self.response.direction_sums()
         a, v = level @ to_a, level @ to_v
         forward = complex(a[0], a[1]) + complex(v[1], -v[0])
-        if self.response.windows < 4 or power_a + power_v < 20.0:
+        if self.response.windows < 2 or power_a + power_v < 20.0:
             return
         yaw = -math.atan2(forward.imag, forward.real)
         self.R = rotation_from_angles(0.0, 0.0, yaw) @ level

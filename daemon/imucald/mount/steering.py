@@ -21,8 +21,8 @@ LEAST_SPEED = 4.0
 """Below, tyres scrub and r / v is noisy [m/s]."""
 MOST_LATERAL = 3.0
 """Beyond, tyres are not linear [m/s^2]."""
-KEEP = 0.9995
-"""Forgetting per hop of 3.2 s: half an hour's memory and more."""
+KEEP = 0.999
+"""Forgetting per hop of 6.4 s: half an hour's memory and more."""
 NOISE = 0.03
 """Residual of the steering-wheel angle [rad]: play, transients, camber."""
 CORRELATION_TICKS = 10.0
