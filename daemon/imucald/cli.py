@@ -8,6 +8,7 @@ wrong configuration of `run`, 130 Ctrl-C.
 from __future__ import annotations
 
 import argparse
+import atexit
 import gc
 import importlib
 import os
@@ -36,6 +37,7 @@ COMMANDS = {
     "replay": "the same from recorded logs, as fast as it goes",
     "check": "say what a configuration would decode, from a log or a live bus",
     "simulate": "write a simulated drive as a log, with its truth",
+    "diagnose": "say what the simulation gets wrong beside measured drives, and why",
     "walk": "direction of travel of a carried terminal, from recorded logs",
     "demo": "see a calibration converge, without hardware",
     "install-service": "put the systemd unit and its companions in place",
@@ -67,6 +69,7 @@ def _command(name: str) -> ModuleType:
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of the `imucald` command; returns the exit status."""
     gc.set_threshold(GC_THRESHOLD)
+    atexit.register(gc.freeze)  # what ends with the process need not be searched for cycles
     arguments = list(sys.argv[1:] if argv is None else argv)
     for name, value in PROCESS_SETTINGS.items():
         os.environ.setdefault(name, value)

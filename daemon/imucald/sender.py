@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cache, cached_property
-from importlib import resources
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from imucald.config import STANDARD_ID_MAX
 OutFrame = tuple[int, bytes]
 """CAN id (with the flag for 29 bits) and payload."""
 
+OUTPUT_DATABASE = Path(__file__).parent / "data" / "imucald_out.dbc"
 NOT_AVAILABLE_SIGNED = -32768
 NOT_AVAILABLE_UNSIGNED = 65535
 
@@ -30,7 +31,7 @@ NOT_AVAILABLE_UNSIGNED = 65535
 @cache
 def output_database() -> Database:
     """The database of what imucald sends."""
-    text = (resources.files("imucald") / "data" / "imucald_out.dbc").read_text("utf-8")
+    text = OUTPUT_DATABASE.read_text("utf-8")
     return load_database_text(text, "dbc", "imucald_out.dbc")
 
 

@@ -32,10 +32,8 @@ def read_yaml(text: str, name: str) -> tuple[Any, Marks]:
     try:
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
         try:
-            for event in yaml.parse(text, Loader=type(loader)):
-                if isinstance(event, yaml.AliasEvent):
-                    line = event.start_mark.line + 1 if event.start_mark else 1
-                    raise ConfigError(f"{name}:{line}: YAML aliases (*name) are not accepted")
+            if "*" in text:
+                _refuse_aliases(text, type(loader), name)
             node = loader.get_single_node()
             marks: Marks = {}
             data = None if node is None else _build(loader, node, (), marks, name)
@@ -51,6 +49,13 @@ def read_yaml(text: str, name: str) -> tuple[Any, Marks]:
     except (RecursionError, ValueError, OverflowError) as error:
         raise ConfigError(f"{name}:1: not usable YAML: {error}") from None
     return data, marks
+
+
+def _refuse_aliases(text: str, loader: type, name: str) -> None:
+    for event in yaml.parse(text, Loader=loader):
+        if isinstance(event, yaml.AliasEvent):
+            line = event.start_mark.line + 1 if event.start_mark else 1
+            raise ConfigError(f"{name}:{line}: YAML aliases (*name) are not accepted")
 
 
 def _has_tab(text: str, line: int) -> bool:
