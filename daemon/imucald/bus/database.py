@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from imucald.bus import database_cache
 from imucald.bus.columns import CAN_EFF_FLAG
 from imucald.bus.database_limits import MAX_FILE_BYTES, refuse_heavy
 from imucald.errors import DatabaseError
@@ -150,6 +151,15 @@ def _load_file(path: Path) -> list[Message]:
 
 
 def _parse(text: str, database_format: str, source: str) -> list[Message]:
+    name = f"{database_format} {source}"
+    messages = database_cache.find(text, name, Message)
+    if messages is None:
+        messages = _parse_anew(text, database_format, source)
+        database_cache.keep(text, name, messages, Message)
+    return messages
+
+
+def _parse_anew(text: str, database_format: str, source: str) -> list[Message]:
     refuse_heavy(text, database_format, source)
     try:
         loaded: Any = _cantools().load_string(text, database_format, strict=False)

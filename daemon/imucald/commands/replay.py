@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay, then say what came of it."""
+    from imucald.bus.database_cache import keep_databases
     from imucald.bus.log import LogReader
     from imucald.commands.files import STANDARD, write_text
     from imucald.commands.terminal import progress_bar
@@ -55,6 +57,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.summary import as_json
 
     _check(options)
+    keep_databases(os.environ)
     loaded = open_config(options.config, options.database)
     engine = make_engine(loaded)
     with progress_bar("replay", options.quiet) as progress, _sink(options, loaded) as sink:

@@ -39,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
     import os
     import signal
 
+    from imucald.bus.database_cache import keep_databases
     from imucald.commands.files import check_files, write_text
     from imucald.errors import ConfigError
     from imucald.service.journal import ERROR, Journal
@@ -49,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
     described = [path for path in (options.config, *options.database) if path.exists()]
     check_files(described, (options.json,))  # a missing one has its own exit status below
     journal = Journal()
+    keep_databases(os.environ)
     folder = options.state_dir or os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     settings = ServiceOptions(
         config=options.config,

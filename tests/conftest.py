@@ -1,0 +1,22 @@
+"""What all tests share: nothing is kept in the user's folders, or from one test to another."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from imucald.bus import database_cache
+
+
+@pytest.fixture(autouse=True, scope="session")
+def own_cache_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+    os.environ.pop("CACHE_DIRECTORY", None)
+
+
+@pytest.fixture(autouse=True)
+def databases_are_parsed() -> Iterator[None]:
+    yield
+    database_cache._Cache.folder = None
