@@ -1,0 +1,75 @@
+"""What an extended model changes: keys, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from imucald.simulation.model import Model
+
+SHOWN_ITEMS = 8
+"""Longer lists (drop-outs, stretches) are told by their length: the full text has them."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One key of the model file; values as in JSON."""
+
+    key: str
+    before: Any
+    after: Any
+
+
+def model_changes(before: Model, after: Model) -> list[Change]:
+    """Return every key whose value differs, in the file's order. Lists count as one value."""
+    old = dict(_flat(before.model_dump(mode="json")))
+    new = dict(_flat(after.model_dump(mode="json")))
+    return [
+        Change(key, old.get(key), new.get(key))
+        for key in dict.fromkeys((*old, *new))
+        if old.get(key) != new.get(key)
+    ]
+
+
+def _flat(data: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{path}{key}.")
+        else:
+            yield f"{path}{key}", value
+
+
+def value_text(value: Any) -> str:
+    """Return a value as YAML would have it, numbers to six digits, long lists by their length."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        if len(value) > SHOWN_ITEMS:
+            return f"[{len(value)} entries]"
+        return f"[{', '.join(value_text(item) for item in value)}]"
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{k}: {value_text(v)}" for k, v in value.items()) + "}"
+    return str(value)
+
+
+def as_diff(changes: list[Change]) -> list[tuple[str, str]]:
+    """Return the changes as lines of a YAML file: (' ', '-' or '+', text)."""
+    lines: list[tuple[str, str]] = []
+    open_sections: list[str] = []
+    for change in changes:
+        *sections, last = change.key.split(".")
+        common = 0
+        while sections[: common + 1] == open_sections[: common + 1] and common < len(sections):
+            common += 1
+        for depth in range(common, len(sections)):
+            lines.append((" ", f"{'  ' * depth}{sections[depth]}:"))
+        open_sections = sections
+        indent = "  " * len(sections)
+        lines.append(("-", f"{indent}{last}: {value_text(change.before)}"))
+        lines.append(("+", f"{indent}{last}: {value_text(change.after)}"))
+    return lines

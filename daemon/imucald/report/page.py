@@ -1,0 +1,234 @@
+"""A diagnosis as one HTML page that needs nothing beside it."""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from imucald.diagnosis.result import Diagnosis, FoundCause, SignalPicture
+from imucald.errors import ImucaldError
+from imucald.report import words
+from imucald.report.model_changes import as_diff, model_changes
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+LIBRARIES = ("jinja2", "matplotlib")
+
+MAX_PICTURED = 14
+"""Signals with pictures: a page must stay small enough for a mail."""
+MAX_CANDIDATES = 400
+"""Rows of the table of what lost; the JSON has all."""
+OPEN_CANDIDATES = 12
+"""Rows that are seen without unfolding."""
+MAX_ROWS = 200
+"""Of any other table or list."""
+
+
+@dataclass(frozen=True)
+class About:
+    """What the page says of its own origin."""
+
+    logs: Sequence[str]
+    config: str
+    model: str
+    """Which model was put to the test: a file's name, or how it came about."""
+    made: str
+    """When, and by which version."""
+
+
+def require_libraries() -> None:
+    """Raise ImucaldError, with the remedy, where a library that pages need is missing."""
+    missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
+    if missing:
+        raise ImucaldError(
+            f"a report needs {words.in_series(missing)}: install the extra, "
+            "pip install 'imucald[report]'"
+        )
+
+
+def report_page(diagnosis: Diagnosis, about: About) -> str:
+    """Return the page as HTML text. Raises ImucaldError where a library is missing."""
+    require_libraries()
+    template = _environment().get_template("diagnosis.html")
+    changes = model_changes(diagnosis.model_before, diagnosis.model_after)
+    verdict = words.verdict(diagnosis)
+    return template.render(
+        d=diagnosis,
+        about=about,
+        verdict=verdict,
+        figures=_key_figures(diagnosis),
+        causes=[_card(cause) for cause in diagnosis.causes],
+        groups=[[words.cause_title(n) for n in g] for g in diagnosis.look_alikes[:MAX_ROWS]],
+        signals=_signal_rows(diagnosis),
+        pictures=_pictures(diagnosis),
+        unpictured=max(0, len(diagnosis.pictures) - MAX_PICTURED),
+        candidates=_candidates(diagnosis),
+        open_candidates=OPEN_CANDIDATES,
+        more_candidates=max(0, len(diagnosis.candidates) - MAX_CANDIDATES),
+        structure=sorted(diagnosis.structure, key=lambda s: -_size(s.size))[:MAX_ROWS],
+        gain_line=words.gain(diagnosis.gain),
+        mount=words.mount_errors(diagnosis.gain),
+        diff=as_diff(changes[:MAX_ROWS]),
+        more_changes=max(0, len(changes) - MAX_ROWS),
+        model_text=diagnosis.model_after.to_yaml(),
+        notes=diagnosis.notes[:MAX_ROWS],
+        more_notes=max(0, len(diagnosis.notes) - MAX_ROWS),
+        duration=words.duration(diagnosis.duration_s),
+    )
+
+
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - an extra
+
+    environment = Environment(
+        loader=PackageLoader("imucald.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "signal": words.signal_title,
+        "cause": words.cause_title,
+        "unit": words.unit_text,
+        "number": words.number,
+        "breakable": _breakable,
+    }
+    return environment
+
+
+def _breakable(key: str) -> str:
+    """A dotted key that may be broken after its dots."""
+    from markupsafe import Markup, escape  # noqa: PLC0415 - an extra
+
+    return Markup(".<wbr>").join(escape(part) for part in key.split("."))
+
+
+def _size(x: float) -> float:
+    return x if math.isfinite(x) else -math.inf
+
+
+def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
+    """Title, figure and what it means, of the few numbers that sum it up."""
+    found = diagnosis.gain
+    low, high = found.interval
+    figures = [(
+        "Gain on held-out data",
+        f"{words.number(found.held_out_log_likelihood, 3)} nats",
+        f"95 % interval {words.number(low, 3)} to {words.number(high, 3)}",
+    )]  # fmt: skip
+    rows = [(name, s) for name, s in diagnosis.signals.items() if s.noise_floor > 0.0]
+    if rows:
+        name, worst = max(rows, key=lambda row: _size(words.ratio(row[1], after=False)))
+        before, after = words.ratio(worst, after=False), words.ratio(worst, after=True)
+        figures.append((
+            "Largest residual over its noise floor",
+            f"{before:.2f} → {after:.2f}",
+            words.signal_title(name),
+        ))  # fmt: skip
+    errors = words.mount_errors(found)
+    if errors is not None:
+        figures.append(("Mount-angle error", " → ".join(errors), "before and after"))
+    figures.append(("Data", words.duration(diagnosis.duration_s), "diagnosed"))
+    return figures
+
+
+def _card(cause: FoundCause) -> dict[str, Any]:
+    rows = [
+        {
+            "name": name,
+            "value": words.with_spread(p.value, p.std),
+            "unit": words.unit_text(p.unit),
+            "human": words.unit_text(words.human(p.value, p.std, p.unit)),
+            "interval": words.interval(p.value, p.std),
+        }
+        for name, p in list(cause.parameters.items())[:MAX_ROWS]
+    ]
+    return {
+        "title": words.cause_title(cause.name),
+        "name": cause.name,
+        "text": cause.text,
+        "rows": rows,
+        "evidence": words.evidence(cause),
+        "signals": [words.signal_title(name) for name in cause.signals],
+    }
+
+
+def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    rows = []
+    for name, s in list(diagnosis.signals.items())[:MAX_ROWS]:
+        top = max(s.rms_before, s.rms_after, s.noise_floor)
+        share = 100.0 / top if top > 0.0 and math.isfinite(top) else 0.0
+        rows.append({
+            "name": name,
+            "unit": s.unit,
+            "before": words.number(s.rms_before),
+            "after": words.number(s.rms_after),
+            "floor": words.number(s.noise_floor),
+            "ratio_before": _two(words.ratio(s, after=False)),
+            "ratio_after": _two(words.ratio(s, after=True)),
+            "bar_before": _width(share * s.rms_before),
+            "bar_after": _width(share * s.rms_after),
+            "bar_floor": _width(share * s.noise_floor),
+        })  # fmt: skip
+    return rows
+
+
+def _two(x: float) -> str:
+    return f"{x:.2f}" if math.isfinite(x) else "-"
+
+
+def _width(share: float) -> str:
+    return f"{share:.1f}" if math.isfinite(share) else "0"
+
+
+def _candidates(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Least beaten first; bars on a logarithmic scale, since they lose by 1 to 100,000 nats."""
+    ordered = sorted(diagnosis.candidates, key=lambda c: -_size(c.log_evidence))
+    worst = max((abs(c.log_evidence) for c in ordered if math.isfinite(c.log_evidence)), default=0)
+    scale = 100.0 / math.log1p(worst) if worst > 0.0 else 0.0
+    return [
+        {
+            "title": " + ".join(words.cause_title(n) for n in c.names) or "nothing",
+            "lost_by": words.number(-c.log_evidence, 3),
+            "bar": _width(scale * math.log1p(abs(c.log_evidence))),
+            "reason": c.reason,
+        }
+        for c in ordered[:MAX_CANDIDATES]
+    ]
+
+
+def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Those that tell most first: touched by a cause or by what is left, then by size."""
+    from imucald.report import pictures as draw  # noqa: PLC0415 - loads matplotlib
+
+    touched = {name for cause in diagnosis.causes for name in cause.signals}
+    touched |= {s.signal for s in diagnosis.structure}
+
+    def rank(p: SignalPicture) -> tuple[bool, float]:
+        known = diagnosis.signals.get(p.signal)
+        return p.signal in touched, _size(words.ratio(known, after=False)) if known else -math.inf
+
+    chosen = sorted(diagnosis.pictures, key=rank, reverse=True)[:MAX_PICTURED]
+    return [
+        {
+            "signal": p.signal,
+            "driver": p.driver_name,
+            "touched": p.signal in touched,
+            "time": _address(draw.time_picture, p),
+            "stretch": _address(draw.stretch_picture, p),
+            "of_driver": _address(draw.driver_picture, p),
+            "spectrum": _address(draw.spectrum_picture, p),
+        }
+        for p in chosen
+    ]
+
+
+def _address(draw: Callable[[SignalPicture], str], p: SignalPicture) -> str:
+    """A picture as an address that holds the whole of it."""
+    return "data:image/svg+xml;base64," + base64.b64encode(draw(p).encode()).decode()

@@ -1,0 +1,389 @@
+"""The page of a diagnosis: whole, self-contained, safe, and small whatever the drive."""
+
+from __future__ import annotations
+
+import base64
+import builtins
+import importlib.util
+import math
+import re
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from functools import cache
+from html.parser import HTMLParser
+
+import made_diagnosis as made
+import numpy as np
+import pytest
+
+from imucald.diagnosis.result import Candidate, Estimated, Gain, SignalGain, Structure
+from imucald.errors import ImucaldError
+from imucald.report import About, report_page, require_libraries, words
+from imucald.report.model_changes import as_diff, model_changes, value_text
+from imucald.report.thinning import envelope, log_bins, telling_stretch, trend
+
+ABOUT = About(["a.log", "b.log"], "car.yaml", "car_model.yaml", "2026-01-02 03:04, imucald 9")
+VOID = {"meta", "img", "br", "hr", "link", "input", "wbr", "base"}
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+class Page(HTMLParser):
+    """What a page holds; raises where its tags do not match."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.texts: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self._open: list[str] = []
+        self.feed(text)
+        assert self._open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        if not self._open or self._open[-1] != "style":
+            self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.texts).split())
+
+    @property
+    def pictures(self) -> list[str]:
+        """The SVG texts."""
+        sources = [attrs["src"] for tag, attrs in self.tags if tag == "img"]
+        head = "data:image/svg+xml;base64,"
+        assert all(source.startswith(head) for source in sources)
+        return [base64.b64decode(source[len(head) :]).decode() for source in sources]
+
+
+def page(diagnosis) -> Page:
+    return Page(report_page(diagnosis, ABOUT))
+
+
+@cache
+def whole(verdict: str) -> str:
+    """The page of a diagnosis with this verdict."""
+    return report_page(made.ALL[verdict](), ABOUT)
+
+
+@pytest.fixture(scope="module")
+def found() -> Page:
+    return Page(whole("found"))
+
+
+def test_causes_come_with_values_intervals_and_evidence(found):
+    text = found.text
+    assert "Found: body roll and accelerometer bias" in text
+    assert "Two causes, each with a probability of at least 98.1 %." in text
+    assert "The body rolls otherwise than the model's." in text
+    assert "0.01712 ± 0.00031 rad/(m/s²)" in text
+    assert "9.62 ± 0.17 deg/g" in text  # 0.01712 rad/(m/s^2) * 57.296 * 9.80665
+    assert "0.01652 to 0.01773" in text  # +- 1.96 * 0.00031
+    assert "0.247 ± 0.011 m/s²" in text
+    assert "29 standard deviations" in text
+    assert "a.log, b.log (30 min)" in text
+    assert "no temperature signal" in text
+
+
+def test_gain_signals_and_what_lost_are_there(found):
+    text = found.text
+    assert "673 nats likelier (95 % interval 590 to 755)" in text
+    assert "0.62 deg before, 0.08 deg after" in text
+    assert "accelerometer y m/s² 0.312 0.101 0.0940 3.32 → 1.07" in text
+    lost = ["accelerometer scale + body roll 3.20", "road bank 12.3", "nothing 812"]
+    places = [text.index(one) for one in lost]
+    assert places == sorted(places), "the least beaten comes first"
+
+
+def test_the_extended_model_is_shown_as_a_diff_and_in_full(found):
+    text = found.text
+    assert "- roll_gradient: 0.008" in text
+    assert "+ roll_gradient: 0.0171235" in text
+    assert "+ bias: [0, 0.2471, 0]" in text
+    assert "roll_gradient: 0.01712345678" in text, "the whole file, folded"
+
+
+def test_ambiguous_says_what_it_may_be_and_how_to_tell():
+    text = Page(whole("ambiguous")).text
+    assert "Ambiguous: accelerometer bias, road bank or mount rotation" in text
+    assert "Drive the same road in both directions and corner both ways." in text
+    assert "What it may be" in text
+
+
+def test_unknown_says_where_the_structure_lives():
+    text = Page(whole("unknown")).text
+    assert "something is left in accelerometer y and vehicle yaw rate" in text
+    assert "spectral peak 41.0 at 0.62 Hz, while cornering" in text
+    assert "nothing to gain" not in Page(whole("found")).text
+    assert "nothing to gain" in text
+
+
+def test_nothing_found_claims_nothing():
+    text = Page(whole("nothing")).text
+    assert "Nothing found: the model fits" in text
+    assert "What was found" not in text
+    assert "Nothing in the model file changes." in text
+
+
+def test_every_signal_has_four_pictures_that_are_valid_svg(found):
+    assert len(found.pictures) == 4 * 3
+    for svg in found.pictures:
+        root = ET.fromstring(svg)
+        assert root.tag == f"{SVG}svg"
+        assert len(list(root.iter(f"{SVG}path"))) > 10
+        assert "nan" not in "".join(p.get("d", "") for p in root.iter(f"{SVG}path")).lower()
+
+
+def test_the_pictures_draw_the_residual_before_and_after():
+    """The line of means against the driver lies where the made-up truth puts it."""
+    from imucald.report.pictures import AFTER, BEFORE, driver_picture
+
+    root = ET.fromstring(driver_picture(made.picture(size=0.15)))
+    heights = {}
+    for path in root.iter(f"{SVG}path"):
+        style = path.get("style", "").lower()
+        for colour in (BEFORE, AFTER):
+            if f"stroke: {colour.lower()}" in style and "fill: none" in style:
+                points = re.findall(r"[ML] ([\d.]+) ([\d.]+)", path.get("d"))
+                if len(points) > 10:
+                    heights[colour] = [float(y) for _, y in points]
+    assert heights[BEFORE] == sorted(heights[BEFORE], reverse=True), "it rises with the driver"
+    assert np.ptp(heights[AFTER]) < 0.1 * np.ptp(heights[BEFORE])
+
+
+@pytest.mark.parametrize("verdict", list(made.ALL))
+def test_nothing_is_fetched_from_anywhere(verdict):
+    text = whole(verdict)
+    parsed = Page(text)
+    assert not {tag for tag, _ in parsed.tags} & {"script", "link", "iframe", "object", "base"}
+    for _, attrs in parsed.tags:
+        for name, value in attrs.items():
+            if name in ("src", "href", "srcset", "action", "data", "poster"):
+                assert value.startswith("data:image/svg+xml;base64,")
+    style = re.search(r"<style>(.*?)</style>", text, re.S)[1]
+    assert not re.search(r"url\(|@import", style)
+    for svg in parsed.pictures:
+        addresses = re.findall(r'(?:href|src)="([^"]*)"', svg)
+        assert all(address.startswith("#") for address in addresses)
+
+
+HOSTILE = "<script>alert('x')</script>\"'&{{7*7}}${\\bad}$"
+
+
+def test_hostile_names_are_text_and_nothing_else():
+    strange = made.picture(signal=HOSTILE, seconds=60.0)
+    strange = replace(strange, driver_name=HOSTILE, unit=HOSTILE)
+    cause = replace(
+        made.ROLL, name=HOSTILE, text=HOSTILE, signals=(HOSTILE,),
+        parameters={HOSTILE: Estimated(1.0, 0.1, HOSTILE)}, evidence={HOSTILE: 1.0},
+    )  # fmt: skip
+    diagnosis = made.found(
+        causes=(cause,),
+        look_alikes=((HOSTILE, HOSTILE),),
+        to_separate=HOSTILE,
+        signals={HOSTILE: SignalGain(1.0, 0.5, 0.4, HOSTILE)},
+        candidates=(Candidate((HOSTILE,), -1.0, HOSTILE),),
+        structure=(Structure(HOSTILE, HOSTILE, 1.0, HOSTILE),),
+        notes=(HOSTILE,),
+        pictures=(strange,),
+    )
+    text = report_page(diagnosis, About([HOSTILE], HOSTILE, HOSTILE, HOSTILE))
+    parsed = Page(text)
+    assert "script" not in {tag for tag, _ in parsed.tags}
+    assert "<script" not in text.lower()
+    assert parsed.text.count("alert('x')") >= 12
+    assert "{{7*7}}" in parsed.text
+    for svg in parsed.pictures:
+        assert "script" not in {e.tag.removeprefix(SVG) for e in ET.fromstring(svg).iter()}
+
+
+def test_a_long_drive_with_thousands_of_rows_makes_a_page_for_a_mail():
+    names = [f"accel_{i}" for i in range(40)]
+    picture = made.picture(seconds=6 * 3600.0)
+    diagnosis = made.found(
+        pictures=tuple(replace(picture, signal=name) for name in names[:18]),
+        signals={name: SignalGain(2.0, 1.0, 1.0, "m/s^2") for name in names},
+        candidates=tuple(Candidate((f"cause_{i}", f"cause_{i + 1}"), -float(i), "no better")
+                         for i in range(5000)),
+        structure=tuple(Structure("accel_1", "bursts", float(i), "here") for i in range(3000)),
+        notes=tuple(f"note {i}" for i in range(3000)),
+    )  # fmt: skip
+    text = report_page(diagnosis, ABOUT)
+    assert len(text) < 3_000_000
+    parsed = Page(text)
+    assert "4600 others are left out here" in parsed.text
+    assert "4 more signals have no pictures here" in parsed.text
+    assert "2800 more notes" in parsed.text
+
+
+def test_numbers_that_are_none_do_not_break_the_page():
+    short = made.picture(seconds=3.0)
+    empty = replace(
+        short, signal="gyro_x", t=np.zeros(0), measured=np.zeros(0), predicted_before=np.zeros(0),
+        predicted_after=np.zeros(0), driver=np.zeros(0), frequency=np.zeros(0),
+        spectrum_before=np.zeros(0), spectrum_after=np.zeros(0), spectrum_floor=np.zeros(0),
+    )  # fmt: skip
+    lost = np.full_like(short.t, np.nan)
+    absent = replace(short, signal="gyro_y", measured=lost, driver=lost)
+    still = replace(short, signal="gyro_z", driver=np.zeros_like(lost))
+    cause = replace(made.ROLL, parameters={"a": Estimated(math.nan, math.inf, "1")},
+                    evidence={"probability": math.nan})  # fmt: skip
+    parsed = page(made.found(
+        causes=(cause,),
+        gain=Gain(math.nan, (-math.inf, math.inf), None, 0.1),
+        signals={"accel_x": SignalGain(math.nan, 0.0, 0.0, "m/s^2")},
+        candidates=(Candidate((), -math.inf, ""),),
+        pictures=(empty, absent, still),
+    ))  # fmt: skip
+    assert len(parsed.pictures) == 12
+    assert "not known" in parsed.text
+    assert not re.search(r"\bnan\b|\binf\b", parsed.text)
+
+
+def test_the_same_diagnosis_gives_the_same_page():
+    assert report_page(made.nothing(), ABOUT) == whole("nothing")
+
+
+@pytest.mark.parametrize("name", ["jinja2", "matplotlib"])
+def test_a_missing_library_is_an_error_with_the_remedy(monkeypatch, name):
+    known = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda n, *more: None if n == name else known(n, *more)
+    )
+    with pytest.raises(ImucaldError, match=rf"needs {name}: .*pip install 'imucald\[report\]'"):
+        require_libraries()
+
+
+def test_words_need_neither_library(monkeypatch):
+    """The terminal speaks with the same words where the extra is not installed."""
+    real = builtins.__import__
+
+    def without(name, *more, **named):
+        assert name.partition(".")[0] not in ("jinja2", "matplotlib")
+        return real(name, *more, **named)
+
+    for name in [n for n in sys.modules if n.startswith("imucald.report")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(builtins, "__import__", without)
+    from imucald.report.words import verdict
+
+    assert verdict(made.found()).headline.startswith("Found")
+
+
+# words ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("value", "std", "text"), [
+    (0.0171234, 0.00031, "0.01712 ± 0.00031"),
+    (-3.0, 0.5, "-3.00 ± 0.50"),
+    (1234.5, 120.0, "1234 ± 120"),
+    (0.5, 0.0, "0.5000"),
+    (1e-9, 3e-9, "1.00e-09 ± 3.0e-09"),
+    (math.nan, 1.0, "-"),
+])  # fmt: skip
+def test_values_are_rounded_by_their_deviation(value, std, text):
+    assert words.with_spread(value, std) == text
+
+
+@pytest.mark.parametrize(("p", "text"), [
+    (0.9999999, "more than 99.9 %"), (0.981, "98.1 %"), (1e-9, "less than 0.1 %"),
+    (math.nan, "not known"),
+])  # fmt: skip
+def test_a_probability_is_never_certain(p, text):
+    assert words.percent(p) == text
+
+
+def test_a_cause_that_nobody_has_named_yet_has_a_title():
+    assert words.cause_title("trailer_sway") == "trailer sway"
+    assert words.signal_title("accel_z") == "accelerometer z"
+    assert words.signal_title("brake_torque") == "brake torque"
+
+
+# the model's changes ---------------------------------------------------------------------------
+
+
+def test_changes_are_those_of_the_keys_that_differ():
+    changes = model_changes(made.BEFORE, made.AFTER)
+    assert [(c.key, c.before, c.after) for c in changes] == [
+        ("suspension.roll_gradient", 0.008, 0.01712345678),
+        ("accel.bias", [0.0, 0.0, 0.0], [0.0, 0.2471, 0.0]),
+    ]
+    assert model_changes(made.AFTER, made.AFTER) == []
+
+
+def test_a_diff_opens_each_section_once():
+    after = made.BEFORE.with_changes(
+        {"suspension.squat_gradient": 0.01, "suspension.dive_gradient": 0.02,
+         "gyro.bias": [1.0, 0.0, 0.0],
+         "mount.shifts": [{"t_s": 5.0, "roll_deg": 1.0, "pitch_deg": 0.0, "yaw_deg": 0.0}]}
+    )  # fmt: skip
+    lines = [line for _, line in as_diff(model_changes(made.BEFORE, after))]
+    assert [line for line in lines if line.endswith(":")] == ["suspension:", "mount:", "gyro:"]
+    assert "  shifts: [{t_s: 5, roll_deg: 1, pitch_deg: 0, yaw_deg: 0}]" in lines
+
+
+@pytest.mark.parametrize(("value", "text"), [
+    (None, "null"), (True, "true"), (0.1 + 0.2, "0.3"), ([1.0, 2.5], "[1, 2.5]"),
+    ([0.0] * 50, "[50 entries]"),
+])  # fmt: skip
+def test_values_are_written_as_yaml_has_them(value, text):
+    assert value_text(value) == text
+
+
+# thinning --------------------------------------------------------------------------------------
+
+
+def test_an_envelope_keeps_every_spike():
+    t = np.arange(100_000) / 10.0
+    x = np.zeros(100_000)
+    x[77_777], x[12_345] = 9.0, -8.0
+    band = envelope(t, x, 400)
+    assert np.max(band.high) == 9.0
+    assert np.min(band.low) == -8.0
+    assert band.t[np.argmax(band.high)] == pytest.approx(7777.7, abs=25.0)
+
+
+def test_an_envelope_leaves_a_hole_where_nothing_was_measured():
+    t = np.arange(1000) / 10.0
+    x = np.ones(1000)
+    x[300:400] = np.nan
+    band = envelope(t, x, 100)
+    hole = (band.t > 31.0) & (band.t < 39.0)
+    assert np.isnan(band.mean[hole]).all()
+    assert (band.mean[(band.t < 29.0) | (band.t > 41.0)] == 1.0).all()
+
+
+def test_a_trend_finds_a_slope_and_leaves_out_thin_bins():
+    x = np.linspace(-2.0, 2.0, 5001)
+    found = trend(x, 3.0 * x + np.tile([0.5, -0.5], 2501)[:5001], 20, 12)
+    assert found.mean == pytest.approx(3.0 * found.x, abs=0.02)
+    assert found.high - found.mean == pytest.approx(0.5, abs=0.3)
+    assert len(trend(x[:30], x[:30], 20, 12).x) == 0
+
+
+def test_a_spectrum_keeps_its_level_in_logarithmic_bins():
+    f = np.linspace(0.0, 50.0, 20_001)
+    density = np.where(f > 0.0, 1.0 / np.maximum(f, 1e-9), 0.0)
+    middle, mean = log_bins(f, density, 100)
+    assert len(middle) <= 100
+    assert middle[0] > 0.0
+    assert mean * middle == pytest.approx(np.ones(len(middle)), rel=0.01)
+
+
+def test_the_telling_stretch_is_where_the_residual_falls():
+    t = np.arange(5000) / 10.0
+    before = np.ones(5000)
+    after = np.ones(5000)
+    after[3000:3400] = 0.0
+    rows = telling_stretch(t, before, after, 30.0)
+    assert rows.start >= 3000
+    assert rows.stop <= 3402
+    assert rows.stop - rows.start == pytest.approx(300, abs=2)
