@@ -1,0 +1,147 @@
+"""What people see of a diagnosis in the terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from imucald.commands.terminal import plain_console, plain_where_needed
+from imucald.report import words
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from imucald.diagnosis.result import Diagnosis, FoundCause
+
+SHOWN_CANDIDATES = 5
+SHOWN_STRUCTURE = 8
+SHOWN_NOTES = 12
+
+COLOURS = {"found": "bold blue", "ambiguous": "bold yellow", "unknown": "bold magenta",
+           "nothing": "bold green"}  # fmt: skip
+
+
+@contextmanager
+def share_bar(text: str, quiet: bool = False) -> Iterator[Callable[[float, str], None]]:
+    """Show how much is done and what is being done; yields what takes (share 0..1, text)."""
+    if quiet or not sys.stderr.isatty():
+        yield _nothing
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    words_now = TextColumn("{task.description}", markup=False)
+    columns = (words_now, BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=1.0)
+        yield lambda share, doing: bar.update(task, completed=share, description=doing or text)
+
+
+def _nothing(share: float, doing: str) -> None:
+    """Show nothing: this is no terminal."""
+
+
+def print_diagnosis(diagnosis: Diagnosis) -> None:
+    """Print verdict, causes, what they are worth, and what is left."""
+    from rich.text import Text
+
+    plain_where_needed()
+    console = plain_console()
+    verdict = words.verdict(diagnosis)
+    console.print(Text(verdict.headline, style=COLOURS[diagnosis.verdict]))
+    console.print(Text(verdict.explanation))
+    for cause in diagnosis.causes:
+        _print_cause(console, cause)
+    _print_open(console, diagnosis)
+    console.print()
+    _print_signals(console, diagnosis)
+    console.print()
+    _print_gain(console, diagnosis)
+    _print_candidates(console, diagnosis)
+    for note in diagnosis.notes[:SHOWN_NOTES]:
+        console.print(f"note: {note}")
+    if len(diagnosis.notes) > SHOWN_NOTES:
+        console.print(f"{len(diagnosis.notes) - SHOWN_NOTES} more notes are in the JSON")
+
+
+def _print_cause(console: Console, cause: FoundCause) -> None:
+    from rich.text import Text
+
+    console.print()
+    title = words.cause_title(cause.name)
+    console.print(Text.assemble((title, "bold"), f": {cause.text}" if cause.text else ""))
+    table = _table()
+    table.add_column("parameter", overflow="fold")
+    table.add_column("value", justify="right")
+    table.add_column("unit")
+    table.add_column("")
+    for name, p in cause.parameters.items():
+        value = words.with_spread(p.value, p.std)
+        other = words.human(p.value, p.std, p.unit)
+        table.add_row(f"  {name}", value, words.unit_text(p.unit), f"({other})" if other else "")
+    console.print(table)
+    if cause.signals:
+        console.print(
+            f"  seen in {words.in_series([words.signal_title(s) for s in cause.signals])}"
+        )
+    console.print(f"  {words.evidence(cause)}")
+
+
+def _print_open(console: Console, diagnosis: Diagnosis) -> None:
+    """What cannot be told apart, and what is left."""
+    if diagnosis.look_alikes or diagnosis.to_separate:
+        console.print()
+    for group in diagnosis.look_alikes:
+        titles = [words.cause_title(name) for name in group]
+        console.print(f"not to be told apart: {words.in_series(titles, 'or')}")
+    if diagnosis.to_separate:
+        console.print(f"to tell them apart: {diagnosis.to_separate}")
+    if not diagnosis.structure:
+        return
+    console.print()
+    console.print("left in the residuals, and explained by no cause:")
+    table = _table()
+    for title in ("signal", "what", "size", "where"):
+        table.add_column(title, overflow="fold", justify="right" if title == "size" else "left")
+    for s in diagnosis.structure[:SHOWN_STRUCTURE]:
+        signal = words.signal_title(s.signal)
+        table.add_row(f"  {signal}", s.kind, words.number(s.size, 2), s.text)
+    console.print(table)
+
+
+def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
+    table = _table()
+    table.add_column("residual of", overflow="fold")
+    for title in ("rms before", "after", "noise floor"):
+        table.add_column(title, justify="right")
+    table.add_column("unit")
+    for name, s in diagnosis.signals.items():
+        numbers = (words.number(x) for x in (s.rms_before, s.rms_after, s.noise_floor))
+        table.add_row(words.signal_title(name), *numbers, words.unit_text(s.unit))
+    console.print(table)
+
+
+def _print_gain(console: Console, diagnosis: Diagnosis) -> None:
+    console.print(words.gain(diagnosis.gain))
+    errors = words.mount_errors(diagnosis.gain)
+    if errors is not None:
+        console.print(f"mount-angle error {errors[0]} before, {errors[1]} after")
+
+
+def _print_candidates(console: Console, diagnosis: Diagnosis) -> None:
+    ordered = sorted(diagnosis.candidates, key=lambda c: -c.log_evidence)
+    for c in ordered[:SHOWN_CANDIDATES]:
+        name = " + ".join(words.cause_title(n) for n in c.names) or "nothing"
+        why = f" ({c.reason})" if c.reason else ""
+        console.print(f"lost: {name}, by {words.number(-c.log_evidence)} nats{why}")
+    if len(ordered) > SHOWN_CANDIDATES:
+        console.print(f"{len(ordered) - SHOWN_CANDIDATES} more lost; report and JSON have them")
+
+
+def _table() -> Table:
+    from rich.table import Table
+
+    return Table(box=None, pad_edge=False)
