@@ -71,7 +71,10 @@ fi
 POSTRM = """#!/bin/sh
 set -e
 if [ -d /run/systemd/system ]; then systemctl daemon-reload || true; fi
-if [ "$1" = purge ]; then rm -rf /var/lib/private/imucald /var/lib/imucald; rm -rf /var/cache/private/imucald /var/cache/imucald; fi
+if [ "$1" = purge ]; then
+  rm -rf /var/lib/private/imucald /var/lib/imucald
+  rm -rf /var/cache/private/imucald /var/cache/imucald
+fi
 """
 
 
