@@ -129,12 +129,13 @@ def _diagnosed(
     loaded: LoadedConfig, recordings: Sequence[Recording], model: Model | None, quiet: bool
 ) -> Diagnosis:
     from imucald.commands.diagnose_view import share_bar
-    from imucald.diagnosis.baseline import baseline_model
     from imucald.diagnosis.diagnose import diagnose
 
     drives = [recording.samples for recording in recordings]
     with share_bar("diagnosis", quiet) as progress:
         if model is None:
+            from imucald.diagnosis.baseline import baseline_model
+
             progress(0.0, "baseline model")
             model = baseline_model(loaded, recordings)
         diagnosis = diagnose(drives, model, progress)
