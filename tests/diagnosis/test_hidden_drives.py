@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hidden import CAUSES, OUTSIDE, SIZES, TOLERANCES, Effect, HiddenDrive, hidden_drive
 from numpy.typing import NDArray
 
+from hidden import CAUSES, OUTSIDE, SIZES, TOLERANCES, Effect, HiddenDrive, hidden_drive
 from imucald.samples import GRAVITY
 from imucald.simulation.model import model_from_mapping
 
