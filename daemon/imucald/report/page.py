@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import importlib.util
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,8 @@ MAX_CANDIDATES = 400
 """Rows of the table of what lost; the JSON has all."""
 OPEN_CANDIDATES = 12
 """Rows that are seen without unfolding."""
+SEPARATORS = (".", "_")
+"""After which a long key may be broken."""
 MAX_ROWS = 200
 """Of any other table or list."""
 
@@ -103,10 +106,13 @@ def _environment() -> Environment:
 
 
 def _breakable(key: str) -> str:
-    """A dotted key that may be broken after its dots."""
+    """A dotted key that may be broken after its dots and underscores."""
     from markupsafe import Markup, escape  # noqa: PLC0415 - an extra
 
-    return Markup(".<wbr>").join(escape(part) for part in key.split("."))
+    return Markup("").join(
+        escape(part) + (Markup("<wbr>") if part in SEPARATORS else "")
+        for part in re.split(r"([._])", key)
+    )
 
 
 def _size(x: float) -> float:

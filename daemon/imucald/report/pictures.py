@@ -226,5 +226,5 @@ def _clock_text(seconds: float, _: object) -> str:
 
 
 def _legend(axes: Axes, columns: int) -> None:
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.1,
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.1,
                 handlelength=2.2, columnspacing=1.4)  # fmt: skip
