@@ -126,8 +126,8 @@ def test_the_cache_stays_small(folder, monkeypatch):
             {"CACHE_DIRECTORY": "/var/cache/imucald/can0:/x", "HOME": "/root"},
             "/var/cache/imucald/can0",
         ),
-        ({"XDG_CACHE_HOME": "/c", "HOME": "/h"}, "/c/imucald"),
-        ({"HOME": "/h"}, "/h/.cache/imucald"),
+        ({"XDG_CACHE_HOME": "/c", "HOME": "/h"}, "/c/imucald/databases"),
+        ({"HOME": "/h"}, "/h/.cache/imucald/databases"),
         ({"XDG_CACHE_HOME": "relative"}, None),
         ({}, None),
     ],
@@ -146,7 +146,7 @@ def test_a_second_run_does_not_load_the_parser(tmp_path):
         f"main(['replay', {str(log)!r}, '--config', {str(config)!r}, '--quiet'])\n"
         "print(any(name.startswith(('cantools', 'textparser')) for name in sys.modules))\n"
     )
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    environment = {**os.environ, "CACHE_DIRECTORY": str(tmp_path / "cache")}
     said = [
         subprocess.run(
             [sys.executable, "-c", code],

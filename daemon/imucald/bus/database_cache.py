@@ -42,7 +42,7 @@ def keep_databases(environment: Mapping[str, str]) -> None:
     given = environment.get("CACHE_DIRECTORY", "").partition(":")[0]
     home = environment.get("HOME", "")
     user = environment.get("XDG_CACHE_HOME") or (f"{home}/.cache" if home else "")
-    text = given or (f"{user}/imucald" if user else "")
+    text = given or (f"{user}/imucald/databases" if user else "")
     _Cache.folder = Path(text) if text.startswith("/") else None
 
 
@@ -87,7 +87,7 @@ def _decoded(content: bytes, kind: type[Message]) -> tuple[str, str, str, list[M
 
 
 def _drop_oldest(folder: Path) -> None:
-    files = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime)
+    files = sorted(folder.glob(f"*{_SUFFIX}"), key=lambda path: path.stat().st_mtime)
     for path in files[: max(0, len(files) - MAX_FILES)]:
         path.unlink()
 
