@@ -137,9 +137,9 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
             f"{before:.2f} → {after:.2f}",
             words.signal_title(name),
         ))  # fmt: skip
-    errors = words.mount_errors(found)
+    errors = words.mount_errors(found, unit="")
     if errors is not None:
-        figures.append(("Mount-angle error", " → ".join(errors), "before and after"))
+        figures.append(("Mount-angle error [deg]", " → ".join(errors), "before and after"))
     figures.append(("Data", words.duration(diagnosis.duration_s), "diagnosed"))
     return figures
 

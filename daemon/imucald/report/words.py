@@ -157,16 +157,16 @@ def gain(found: Gain) -> str:
     )
 
 
-def mount_errors(found: Gain) -> tuple[str, str] | None:
+def mount_errors(found: Gain, unit: str = " deg") -> tuple[str, str] | None:
     """Return the mount error before and after [deg] as texts; None where it is not known."""
     before, after = found.mount_error_deg_before, found.mount_error_deg_after
     if before is None and after is None:
         return None
-    return _degrees(before), _degrees(after)
+    return _degrees(before, unit), _degrees(after, unit)
 
 
-def _degrees(x: float | None) -> str:
-    return "not known" if x is None or not math.isfinite(x) else f"{x:.2f} deg"
+def _degrees(x: float | None, unit: str) -> str:
+    return "not known" if x is None or not math.isfinite(x) else f"{x:.2f}{unit}"
 
 
 def ratio(signal: SignalGain, after: bool) -> float:
