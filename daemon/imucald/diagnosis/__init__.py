@@ -1,0 +1,1 @@
+"""Diagnosis of the simulation: what it gets wrong beside measured drives, why, and the gain."""

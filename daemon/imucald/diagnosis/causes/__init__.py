@@ -1,0 +1,1 @@
+"""The catalogue: one module per cause (see `imucald.diagnosis.cause`)."""

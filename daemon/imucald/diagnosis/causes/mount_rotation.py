@@ -1,0 +1,39 @@
+"""The sensor does not sit as the model file says."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imucald.diagnosis.cause import Cause, Parameter, Values
+from imucald.diagnosis.forward_mount import turned_mount
+from imucald.diagnosis.state import State
+from imucald.frames import rotation_from_vector
+from imucald.simulation.model import Model
+
+KEYS = ("_mount.x", "_mount.y", "_mount.z")
+DEG = 0.017453292519943295
+
+
+class MountRotation(Cause):
+    """R_vehicle_from_sensor = exp(rotation vector) * the model's; vector about vehicle axes."""
+
+    name = "mount_rotation"
+    parameters = tuple(
+        Parameter(key, "rad", 0.2 * DEG, 4.0 * DEG, 0.2 * DEG, label=f"mount.{label}_deg")
+        for key, label in zip(KEYS, ("roll", "pitch", "yaw"), strict=True)
+    )
+    signals = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
+    seen_by = "accelerate and brake in a straight line, and corner both ways"
+    sentence = "The sensor is turned against the mount in the model file."
+
+    def mount(self, s: State, p: Values) -> None:
+        """Turn the sensor."""
+        vector = [p[key] for key in KEYS]
+        if any(vector):
+            s.turns.append((-math.inf, rotation_from_vector(np.negative(vector))))
+
+    def extend(self, model: Model, p: Values) -> Model:
+        """Return the model with the mount turned."""
+        return turned_mount(model, [p[key] for key in KEYS])

@@ -1,0 +1,93 @@
+"""What is never quite as in any model file, and is not worth naming: it moves within tolerance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucald.diagnosis.cause import Cause, Parameter, Values
+from imucald.diagnosis.state import State
+from imucald.samples import GRAVITY
+
+
+class ControlUnitAcceleration(Cause):
+    """Offset and scale of the vehicle's own acceleration signals."""
+
+    name = "control_unit_acceleration"
+    nuisance = True
+    parameters = (
+        Parameter("lateral_accel.offset", "m/s^2", 0.08, 0.08, 0.02),
+        Parameter("lateral_accel.scale", "1", 0.015, 0.015, 0.005),
+        Parameter("longitudinal_accel.offset", "m/s^2", 0.08, 0.08, 0.02),
+        Parameter("longitudinal_accel.scale", "1", 0.015, 0.015, 0.005),
+    )
+
+    def gain(self, s: State, p: Values) -> None:
+        """Scale, then shift."""
+        for name in ("lateral_accel", "longitudinal_accel"):
+            s.signals[name] = s.signals[name] * (1.0 + p[f"{name}.scale"]) + p[f"{name}.offset"]
+
+
+class TyreLag(Cause):
+    """Lag of the yaw rate behind the steering, its geometry, its fall with lateral acceleration."""
+
+    name = "tyre_lag"
+    nuisance = True
+    parameters = (
+        Parameter("_tyre.lag", "s", 0.04, 0.04, 0.02),
+        Parameter("_tyre.tangent", "1", 1.0, 1.0, 0.2),
+        Parameter("_tyre.saturation", "1/(m/s^2)^2", 0.004, 0.004, 0.002),
+    )
+
+    def motion(self, s: State, p: Values) -> None:
+        """Lag, and lose with the square of the lateral acceleration."""
+        yaw = s.yaw_from_steering
+        if yaw is None:
+            return
+        loss = p["_tyre.saturation"] * (s.speed * yaw) ** 2
+        s.yaw_from_steering = yaw * (1.0 - loss) - p["_tyre.lag"] * s.spectrum.derivative(yaw)
+
+
+class WheelSlip(Cause):
+    """Speed that reads less under braking and more under drive, and its filter's lag."""
+
+    name = "wheel_slip"
+    nuisance = True
+    parameters = (Parameter("_slip.gain", "1/(m/s^2)", 0.003, 0.003, 0.002),)
+
+    def motion(self, s: State, p: Values) -> None:
+        """Change the acceleration by that of the slip speed."""
+        if p["_slip.gain"]:
+            s.ax = s.ax - s.spectrum.derivative(p["_slip.gain"] * s.speed * s.ax)
+
+
+class SuspensionModes(Cause):
+    """Frequencies of the body's modes; used where the body leans."""
+
+    name = "suspension_modes"
+    nuisance = True
+    parameters = (
+        Parameter("_pitch_frequency", "1", 0.15, 0.15, 0.05),
+        Parameter("_roll_frequency", "1", 0.15, 0.15, 0.05),
+    )
+
+
+class MeanRoad(Cause):
+    """Mean slope and cross fall of this drive, and banked curves."""
+
+    name = "mean_road"
+    nuisance = True
+    parameters = (
+        Parameter("road.grade_mean", "1", 0.002, 0.002, 0.002),
+        Parameter("road.crown_mean", "1", 0.004, 0.004, 0.002),
+        Parameter("_road.banked_curves", "1", 0.03, 0.03, 0.02),
+    )
+
+    def road(self, s: State, p: Values) -> None:
+        """Lean the road; crown falls towards the kerb."""
+        road = s.model.road
+        side = -1.0 if s.model.route.driving_side == "left" else 1.0
+        if road.grade:
+            s.road_pitch = s.road_pitch - np.sign(s.speed) * p["road.grade_mean"]
+        if road.bank:
+            s.road_roll = s.road_roll + side * p["road.crown_mean"]
+            s.road_roll = s.road_roll - p["_road.banked_curves"] * s.ay / GRAVITY

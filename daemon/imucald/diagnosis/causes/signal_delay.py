@@ -1,0 +1,43 @@
+"""A signal that comes later than the model file says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from imucald.diagnosis.cause import Cause, Parameter, Values, Variant
+from imucald.diagnosis.state import State
+
+INPUTS = ("speed", "steering", "yaw_rate")
+OUTPUTS = ("accel", "gyro", "lateral_accel", "longitudinal_accel", "yaw_rate")
+NAMES = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
+
+
+class SignalDelay(Cause):
+    """The frame carries the value of `delay_s` ago."""
+
+    name = "signal_delay"
+    parameters = tuple(
+        Parameter(f"{name}.delay_s", "s", 0.008, 0.2, 1e-4, -0.8, 2.0) for name in NAMES
+    )
+    signals = (
+        "accel_x", "accel_y", "gyro_x", "gyro_y", "gyro_z", "yaw_rate", "lateral_accel",
+        "longitudinal_accel",
+    )  # fmt: skip
+    seen_by = "brake and steer abruptly several times"
+    sentence = "A signal is late against the others."
+
+    def variants(self) -> Sequence[Variant]:
+        """One signal late, or both of the inertial sensor's."""
+        single = [Variant(self.name, name, (f"{name}.delay_s",)) for name in NAMES]
+        return (*single, Variant(self.name, "accel and gyro", ("accel.delay_s", "gyro.delay_s")))
+
+    def inputs(self, s: State, p: Values) -> None:
+        """Shift inputs to the time that they speak of."""
+        for name in (*INPUTS, "gyro"):
+            s.advance[name] = p[f"{name}.delay_s"]
+
+    def response(self, s: State, p: Values) -> None:
+        """Delay what is predicted."""
+        for name in OUTPUTS:
+            if p[f"{name}.delay_s"]:
+                s.filtered(name, s.spectrum.delay(p[f"{name}.delay_s"]))

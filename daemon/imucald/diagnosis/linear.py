@@ -1,0 +1,117 @@
+"""Linearises the forward models of all drives at one point, into whitened normal equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.diagnosis.cause import Parameter
+from imucald.diagnosis.evidence import Evidence
+from imucald.diagnosis.forward import Forward
+from imucald.diagnosis.grid import Array
+from imucald.diagnosis.spectra import (
+    Blocks,
+    Complex,
+    Normal,
+    bands,
+    cross_spectra,
+    loudness,
+    normal_equations,
+    transform,
+    weighted,
+)
+
+NOISE_ROUNDS = 2
+"""The noise is what the fit of all parameters leaves; it weighs that fit, so: twice."""
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """All drives at one point of the parameters."""
+
+    parameters: tuple[Parameter, ...]
+    values: dict[str, float]
+    """The point: total values."""
+    evidence: Evidence
+    noise: Complex
+    """(bands, C, C)"""
+    columns: Complex
+    """(B, F, C, P) derivatives, the drives' stretches one after another."""
+    residual: Complex
+    """(B, F, C) measured minus predicted."""
+
+    loud: Array
+    """(B, bands, C)"""
+    present: NDArray[np.bool_]
+    """(B, C)"""
+
+    @property
+    def flat(self) -> Complex:
+        """Columns as (B F C, P)."""
+        return self.columns.reshape(-1, self.columns.shape[-1])
+
+    def at(self, residuals: Sequence[Complex]) -> tuple[Array, float]:
+        """Score (P,) and square for other residuals (per drive), on the same columns and noise."""
+        whole = np.concatenate(residuals)
+        weighed = weighted(whole, self.present, self.noise, self.loud)
+        score = np.real(weighed.ravel().conj() @ self.flat)
+        square = float(np.real(np.vdot(weighed, whole)))
+        return np.asarray(score, dtype=float), square
+
+
+def residual_blocks(forward: Forward, values: Mapping[str, float]) -> Complex:
+    """Transformed residual (B, F, C) of a drive at some values."""
+    left = forward.measured - forward.predict(values)
+    return transform(left[None], forward.usable, forward.track.top_hz).values[..., 0]
+
+
+def linearise(
+    forwards: Sequence[Forward],
+    parameters: Sequence[Parameter],
+    values: dict[str, float],
+    base: Mapping[str, float],
+    tick: Callable[[], None] | None = None,
+) -> Linearised:
+    """Take derivatives at `values` and the noise that is left when all parameters are free."""
+    columns, residuals = [], []
+    for forward in forwards:
+        predicted = forward.predict(values)
+        stack = np.empty((len(parameters) + 1, *predicted.shape), dtype=np.float32)
+        stack[-1] = forward.measured - predicted
+        for i, p in enumerate(parameters):
+            moved = dict(values)
+            moved[p.key] += p.step
+            stack[i] = (forward.predict(moved) - predicted) / p.step
+        if tick is not None:
+            tick()
+        blocks = transform(stack, forward.usable, forward.track.top_hz)
+        columns.append(Blocks(blocks.values[..., :-1], blocks.present, blocks.start))
+        residuals.append(np.ascontiguousarray(blocks.values[..., -1]))
+    shift = np.array([values[p.key] - base[p.key] for p in parameters])
+    keys = [p.key for p in parameters]
+    present = np.concatenate([c.present for c in columns])
+    loud = np.ones((len(present), len(bands(residuals[0].shape[1])), present.shape[1]))
+    left = np.concatenate(residuals)
+    whole = Blocks(np.concatenate([c.values for c in columns]), present, np.zeros(len(present)))
+    together = left
+    for _ in range(NOISE_ROUNDS):
+        noise = cross_spectra(left, present, loud, taken=10.0)
+        normal = normal_equations(whole, together, noise, loud)
+        x = Evidence(parameters, normal, shift).fit(keys).x
+        left = together - whole.values @ x.astype(np.float32)
+        loud = loudness(left, present, noise)
+    noise = cross_spectra(left, present, loud, taken=10.0)
+    normal = normal_equations(whole, together, noise, loud)
+    return Linearised(
+        tuple(parameters),
+        dict(values),
+        Evidence(parameters, normal, shift),
+        noise,
+        whole.values,
+        together,
+        loud,
+        present,
+    )

@@ -1,0 +1,274 @@
+"""Forward selection of causes: each step asks which cause the drives speak for most.
+
+At each step all drives are linearised at the best point so far; every form of every cause is
+tried by its evidence. What is far from linear (delays, low-passes, a shift at an unknown time) is
+also tried at a few starting values. A cause that no longer pays is dropped again. At the end each
+cause is exchanged for every other: those that explain as much are its look-alikes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.diagnosis.cause import Cause, Parameter, Variant
+from imucald.diagnosis.causes import mount_shift
+from imucald.diagnosis.evidence import solve
+from imucald.diagnosis.forward import Forward
+from imucald.diagnosis.grid import Array
+from imucald.diagnosis.linear import Linearised, linearise, residual_blocks
+from imucald.diagnosis.spectra import HOP
+
+PRIOR = math.log(0.02)
+"""Log prior odds that a given cause is at work."""
+ACCEPT = 2.0
+"""Log posterior odds above which a cause is accepted in a step."""
+ALIKE = 3.0
+"""Explanations within this log evidence of the best are look-alikes: odds of 20 to 1."""
+MOST_CAUSES = 8
+REFITS = 2
+"""Gauss-Newton steps after each accepted cause."""
+STARTS: Mapping[str, tuple[float, ...]] = {
+    "signal_delay": (-0.35, -0.15, 0.15, 0.35),
+    "sensor_lowpass": (0.3, 0.8, 1.8),
+}
+"""Departures at which causes that are far from linear are tried as well."""
+FAR_FROM = -2.0
+"""Log posterior odds near the point from which on starting values far from it are tried."""
+SHIFT_MARGIN = 3
+"""Stretches at both ends of the drive within which a shift cannot be told."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One form of one cause, tried on top of the active ones."""
+
+    variant: Variant
+    score: float
+    """Log posterior odds against leaving it out."""
+    start: Mapping[str, float]
+    """Values to begin its fit from."""
+
+
+@dataclass
+class Found:
+    """Where the search stands."""
+
+    active: list[Variant]
+    scores: dict[str, float]
+    """Cause to the log posterior odds with which it was accepted."""
+    point: Linearised
+    tempers: Array
+    """(P,) dispersion of the stretches' scores."""
+
+    @property
+    def keys(self) -> list[str]:
+        """All parameters of the active causes."""
+        return [key for variant in self.active for key in variant.keys]
+
+
+class Search:
+    """Finds the causes that the drives show.
+
+    forwards: one per drive. candidates: causes that may be named. tick: told after each step.
+    """
+
+    def __init__(
+        self,
+        forwards: Sequence[Forward],
+        causes: Sequence[Cause],
+        candidates: Sequence[Cause],
+        tick: Callable[[str], None],
+    ) -> None:
+        self.forwards, self.tick = forwards, tick
+        self.parameters: tuple[Parameter, ...] = tuple(
+            p for cause in causes for p in cause.parameters
+        )
+        self.base = forwards[0].base() | {mount_shift.TIME: 0.0}
+        self.variants = [v for cause in candidates for v in _seen(cause.variants(), forwards[0])]
+        self.forms = {c.name: sum(v.cause == c.name for v in self.variants) for c in candidates}
+        self._index = {p.key: i for i, p in enumerate(self.parameters)}
+
+    def run(self) -> Found:
+        """Search until nothing more pays."""
+        found = self._at([], dict(self.base))
+        while len(found.active) < MOST_CAUSES:
+            trials = self.trials(found)
+            if not trials or trials[0].score < ACCEPT:
+                break
+            best = trials[0]
+            self.tick(best.variant.cause)
+            values = dict(found.point.values)
+            values.update(best.start)
+            found = self._refit([*found.active, best.variant], values, found.scores)
+            found.scores[best.variant.cause] = best.score
+            found = self._pruned(found)
+        return found
+
+    # one step --------------------------------------------------------------------------------
+
+    def trials(self, found: Found) -> list[Trial]:
+        """Try every form of every cause that is not active; best first."""
+        taken = {key for variant in found.active for key in variant.keys}
+        tried = [
+            self._linear(found, variant)
+            for variant in self.variants
+            if variant.cause != "mount_shift" and not taken & set(variant.keys)
+        ]
+        for trial in list(tried):
+            # What is far from the point in a parameter shows near it as well.
+            if trial.variant.cause in STARTS and trial.score > FAR_FROM:
+                tried += self._far(found, trial.variant)
+        if "mount_shift" in self.forms and not taken & set(mount_shift.KEYS):
+            tried += self._shifts(found)
+        return sorted(tried, key=lambda trial: -trial.score)
+
+    def _prior(self, variant: Variant) -> float:
+        return PRIOR - math.log(max(self.forms[variant.cause], 1))
+
+    def temper(self, found: Found, keys: Sequence[str]) -> float:
+        """How much fewer the data count for some parameters, from their stretches' scatter."""
+        return float(np.mean([found.tempers[self._index[key]] for key in keys])) if keys else 1.0
+
+    def _linear(self, found: Found, variant: Variant) -> Trial:
+        evidence, temper = found.point.evidence, self.temper(found, variant.keys)
+        without = evidence.fit(found.keys, temper=temper)
+        with_it = evidence.fit([*found.keys, *variant.keys], temper=temper)
+        return Trial(
+            variant, with_it.log_evidence - without.log_evidence + self._prior(variant), {}
+        )
+
+    def _far(self, found: Found, variant: Variant) -> list[Trial]:
+        """Try a cause at values far from the point, with the columns of the point."""
+        evidence, temper = found.point.evidence, self.temper(found, variant.keys)
+        without = evidence.fit(found.keys, temper=temper)
+        precision = evidence.precision([*found.keys, *variant.keys])
+        tried = []
+        for departure in STARTS[variant.cause]:
+            values = dict(found.point.values)
+            for key in variant.keys:
+                values[key] += departure
+            g, square = found.point.at([residual_blocks(f, values) for f in self.forwards])
+            A = evidence.A
+            shift = np.array([values[p.key] - self.base[p.key] for p in self.parameters])
+            fit = solve(A / temper, g / temper, square / temper, precision, shift)
+            score = fit.log_evidence - without.log_evidence + self._prior(variant)
+            start = {key: values[key] for key in variant.keys}
+            tried.append(Trial(variant, score, start))
+        return tried
+
+    def _shifts(self, found: Found) -> list[Trial]:
+        """Try a shift of the mount at every stretch's middle: columns of the mount, cut."""
+        normal, evidence = found.point.evidence.normal, found.point.evidence
+        variant = next(v for v in self.variants if v.cause == "mount_shift")
+        mount = [self._index[f"_mount.{axis}"] for axis in "xyz"]
+        shift = [self._index[key] for key in mount_shift.KEYS]
+        temper = self.temper(found, [f"_mount.{axis}" for axis in "xyz"])
+        without = evidence.fit(found.keys, temper=temper)
+        precision = evidence.precision([*found.keys, *mount_shift.KEYS])
+        after_A = np.cumsum(normal.information[::-1], axis=0)[::-1]
+        after_g = np.cumsum(normal.score[::-1], axis=0)[::-1]
+        count = len(normal.score)
+        tried = []
+        places = range(SHIFT_MARGIN, count - SHIFT_MARGIN)
+        for b in places:
+            A, g = evidence.A.copy(), evidence.g.copy()
+            A[shift, :] = after_A[b][mount, :]
+            A[:, shift] = after_A[b][:, mount]
+            A[np.ix_(shift, shift)] = after_A[b][np.ix_(mount, mount)]
+            g[shift] = after_g[b][mount]
+            fit = solve(A / temper, g / temper, evidence.square / temper, precision, evidence.shift)
+            score = fit.log_evidence - without.log_evidence + self._prior(variant)
+            start = {key: float(fit.x[i]) for key, i in zip(mount_shift.KEYS, shift, strict=True)}
+            start[mount_shift.TIME] = self._time(b)
+            tried.append(Trial(variant, score - math.log(len(places)), start))
+        return tried
+
+    def _time(self, block: int) -> float:
+        """Time [s] at which a stretch begins to be new."""
+        for forward in self.forwards:
+            starts = max(len(forward.track.t) - 2 * HOP, 0) // HOP + 1
+            if block < starts:
+                return float(forward.track.t[min(block * HOP + HOP // 2, len(forward.track.t) - 1)])
+            block -= starts
+        return 0.0
+
+    # fitting ---------------------------------------------------------------------------------
+
+    def _at(self, active: list[Variant], values: dict[str, float]) -> Found:
+        point = linearise(self.forwards, self.parameters, values, self.base)
+        evidence = point.evidence
+        all_free = evidence.fit(evidence.keys)
+        return Found(active, {}, point, evidence.dispersion(all_free.x))
+
+    def _refit(
+        self, active: list[Variant], values: dict[str, float], scores: dict[str, float]
+    ) -> Found:
+        """Move to the best point of a set of causes."""
+        found = self._at(active, values)
+        for _ in range(REFITS):
+            keys = found.keys
+            fit = found.point.evidence.fit(keys)
+            values = dict(found.point.values)
+            for i, p in enumerate(self.parameters):
+                if p.key in keys:
+                    values[p.key] = _within(p, values[p.key] + float(fit.x[i]))
+            if any(v.cause == "mount_shift" for v in active):
+                values = self._timed(found, values)
+            found = self._at(active, values)
+        found.scores = dict(scores)
+        return found
+
+    def _timed(self, found: Found, values: dict[str, float]) -> dict[str, float]:
+        """Move the time of the shift to where the residual is least."""
+        best, least = values, math.inf
+        for step in (-24.0, -12.0, -6.0, -3.0, 0.0, 3.0, 6.0, 12.0, 24.0):
+            moved = dict(values)
+            moved[mount_shift.TIME] = values[mount_shift.TIME] + step
+            _, square = found.point.at([residual_blocks(f, moved) for f in self.forwards])
+            if square < least:
+                best, least = moved, square
+        return best
+
+    def _pruned(self, found: Found) -> Found:
+        """Drop causes that no longer pay beside the others."""
+        for variant in list(found.active)[:-1]:
+            rest = [v for v in found.active if v is not variant]
+            if self.loss(found, variant) < ACCEPT:
+                values = dict(found.point.values)
+                for key in variant.keys:
+                    values[key] = self.base[key]
+                scores = {k: s for k, s in found.scores.items() if k != variant.cause}
+                found = self._refit(rest, values, scores)
+        return found
+
+    def loss(self, found: Found, variant: Variant) -> float:
+        """Log posterior odds that would be lost without an active cause."""
+        evidence, temper = found.point.evidence, self.temper(found, variant.keys)
+        rest = [key for v in found.active if v is not variant for key in v.keys]
+        full = evidence.fit(found.keys, temper=temper).log_evidence
+        return full - evidence.fit(rest, temper=temper).log_evidence + self._prior(variant)
+
+
+def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:
+    """Forms whose parameters change something in this drive."""
+    scalars = forward.track.scalars
+    absent = {name for name in ("steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
+              if name not in scalars}  # fmt: skip
+    if forward.track.gyro is None:
+        absent.add("gyro")
+    return [v for v in variants if not any(_signal_of(key) in absent for key in v.keys)]
+
+
+def _signal_of(key: str) -> str:
+    parts = key.split(".")
+    return parts[1] if parts[0] == "_lowpass" else parts[0]
+
+
+def _within(p: Parameter, value: float) -> float:
+    low = -math.inf if p.least is None else p.least
+    high = math.inf if p.most is None else p.most
+    return min(max(value, low), high)
