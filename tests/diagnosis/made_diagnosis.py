@@ -76,6 +76,10 @@ def picture(signal="accel_y", unit="m/s^2", seconds=1800.0, size=0.15, seed=1) -
     )
 
 
+def not_extended(p: SignalPicture) -> SignalPicture:
+    return replace(p, predicted_after=p.predicted_before, spectrum_after=p.spectrum_before)
+
+
 SIGNALS = {
     "accel_x": SignalGain(0.081, 0.080, 0.078, "m/s^2"),
     "accel_y": SignalGain(0.312, 0.101, 0.094, "m/s^2"),
@@ -124,7 +128,8 @@ def ambiguous() -> Diagnosis:
 def unknown() -> Diagnosis:
     return found(
         verdict="unknown",
-        pictures=(picture(),),
+        signals={name: replace(s, rms_after=s.rms_before) for name, s in SIGNALS.items()},
+        pictures=(not_extended(picture()),),
         causes=(),
         structure=(
             Structure("accel_y", "spectral peak", 41.0, "at 0.62 Hz, while cornering"),
@@ -139,6 +144,7 @@ def nothing() -> Diagnosis:
     return found(
         verdict="nothing",
         pictures=(picture(size=0.0),),
+        signals={name: replace(s, rms_before=s.rms_after) for name, s in SIGNALS.items()},
         causes=(),
         candidates=(Candidate(("gyro_bias",), -4.1, "within its tolerance"),),
         gain=Gain(0.0, (0.0, 0.0)),

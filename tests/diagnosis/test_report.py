@@ -159,6 +159,14 @@ def test_the_pictures_draw_the_residual_before_and_after():
     assert np.ptp(heights[AFTER]) < 0.1 * np.ptp(heights[BEFORE])
 
 
+def test_one_curve_is_drawn_where_nothing_was_extended():
+    from imucald.report.pictures import BEFORE
+
+    assert all(BEFORE.lower() in svg.lower() for svg in Page(whole("found")).pictures)
+    assert not any(BEFORE.lower() in svg.lower() for svg in Page(whole("unknown")).pictures)
+    assert "The stretch with the largest residual" in Page(whole("unknown")).text
+
+
 @pytest.mark.parametrize("verdict", list(made.ALL))
 def test_nothing_is_fetched_from_anywhere(verdict):
     text = whole(verdict)

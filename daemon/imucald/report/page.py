@@ -122,12 +122,11 @@ def _size(x: float) -> float:
 def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     """Title, figure and what it means, of the few numbers that sum it up."""
     found = diagnosis.gain
-    low, high = found.interval
-    figures = [(
-        "Gain on held-out data",
-        f"{words.number(found.held_out_log_likelihood, 3)} nats",
-        f"95 % interval {words.number(low, 3)} to {words.number(high, 3)}",
-    )]  # fmt: skip
+    figures = []
+    if diagnosis.causes or found.held_out_log_likelihood:
+        low, high = (words.number(x) for x in found.interval)
+        nats = f"{words.number(found.held_out_log_likelihood)} nats"
+        figures.append(("Gain on held-out data", nats, f"95 % interval {low} to {high}"))
     rows = [(name, s) for name, s in diagnosis.signals.items() if s.noise_floor > 0.0]
     if rows:
         name, worst = max(rows, key=lambda row: _size(words.ratio(row[1], after=False)))
@@ -226,6 +225,7 @@ def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
             "signal": p.signal,
             "driver": p.driver_name,
             "touched": p.signal in touched,
+            "extended": draw.is_extended(p),
             "time": _address(draw.time_picture, p),
             "stretch": _address(draw.stretch_picture, p),
             "of_driver": _address(draw.driver_picture, p),

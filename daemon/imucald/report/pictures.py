@@ -7,6 +7,7 @@ import math
 import re
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
+    Dashes = str | tuple[int, tuple[float, float]]
 
 BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
 """Vermilion, blue, near black, grey: told apart with any colour blindness (Okabe and Ito)."""
@@ -117,21 +119,46 @@ def _shortened(svg: str) -> str:
     )
 
 
+@dataclass(frozen=True)
+class _Curve:
+    """One model's prediction, and how it is drawn."""
+
+    name: str
+    predicted: Array
+    density: Array
+    colour: str
+    mark: str
+    dashes: Dashes
+    shade: float
+
+
+def _curves(p: SignalPicture) -> list[_Curve]:
+    """Before and after; one only where nothing was extended."""
+    before = _Curve("before", p.predicted_before, p.spectrum_before, BEFORE, "s", (0, (5, 2)), 0.28)
+    after = _Curve("after", p.predicted_after, p.spectrum_after, AFTER, "o", "solid", 0.4)
+    if not is_extended(p):
+        return [replace(after, name="")]
+    return [before, after]
+
+
+def is_extended(p: SignalPicture) -> bool:
+    """Return whether the extended model predicts anything else of this signal."""
+    return not np.array_equal(p.predicted_before, p.predicted_after, equal_nan=True)
+
+
 def _draw_time(axes: Axes, p: SignalPicture) -> None:
     factor = _time_axis(axes, p.t)
-    before, after = p.measured - p.predicted_before, p.measured - p.predicted_after
-    for residual, colour, name, order, shade in (
-        (before, BEFORE, "before", 1, 0.28), (after, AFTER, "after", 2, 0.4),
-    ):  # fmt: skip
-        band = envelope(p.t, residual, TIME_BINS)
-        t = factor * band.t
-        axes.fill_between(t, band.low, band.high, color=colour, alpha=shade, lw=0, zorder=order)
-        axes.plot(t, band.mean, color=colour, lw=1.1, zorder=order + 2, label=name)
+    for order, curve in enumerate(_curves(p), 1):
+        band = envelope(p.t, p.measured - curve.predicted, TIME_BINS)
+        t, colour = factor * band.t, curve.colour
+        axes.fill_between(t, band.low, band.high, color=colour, alpha=curve.shade, lw=0,
+                          zorder=order)  # fmt: skip
+        axes.plot(t, band.mean, color=colour, lw=1.1, zorder=order + 2, label=curve.name)
     axes.axhline(0.0, color=FLOOR, lw=0.7)
-    _limit(axes, before, after)
+    _limit(axes, [p.measured - curve.predicted for curve in _curves(p)])
     axes.margins(x=0.005)
     axes.set_ylabel(f"residual [{unit_text(p.unit)}]")
-    _legend(axes, 2)
+    _legend(axes)
 
 
 def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
@@ -139,37 +166,34 @@ def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
     rows = telling_stretch(p.t, before, after, STRETCH_S)
     t = p.t[rows]
     axes.plot(t, p.measured[rows], color=MEASURED, lw=1.0, label="measured")
-    axes.plot(t, p.predicted_before[rows], color=BEFORE, lw=1.2, ls=(0, (5, 2)),
-              label="predicted before")  # fmt: skip
-    axes.plot(t, p.predicted_after[rows], color=AFTER, lw=1.2, label="predicted after")
+    for curve in _curves(p):
+        axes.plot(t, curve.predicted[rows], color=curve.colour, lw=1.2, ls=curve.dashes,
+                  label=f"predicted {curve.name}".strip())  # fmt: skip
     axes.margins(x=0.005)
     axes.xaxis.set_major_formatter(FuncFormatter(_clock_text))
     axes.set_xlabel("time [min:s]")
     axes.set_ylabel(f"[{unit_text(p.unit)}]")
-    _legend(axes, 3)
+    _legend(axes)
 
 
 def _draw_driver(axes: Axes, p: SignalPicture) -> None:
-    for predicted, colour, name, mark in (
-        (p.predicted_before, BEFORE, "before", "s"), (p.predicted_after, AFTER, "after", "o"),
-    ):  # fmt: skip
-        line = trend(p.driver, p.measured - predicted, DRIVER_BINS, DRIVER_LEAST)
-        axes.fill_between(line.x, line.low, line.high, color=colour, alpha=0.2, lw=0)
-        axes.plot(line.x, line.mean, color=colour, lw=1.2, marker=mark, ms=3, label=name)
+    for curve in _curves(p):
+        line = trend(p.driver, p.measured - curve.predicted, DRIVER_BINS, DRIVER_LEAST)
+        axes.fill_between(line.x, line.low, line.high, color=curve.colour, alpha=0.2, lw=0)
+        axes.plot(line.x, line.mean, color=curve.colour, lw=1.2, marker=curve.mark, ms=3,
+                  label=curve.name)  # fmt: skip
     axes.axhline(0.0, color=FLOOR, lw=0.7)
     axes.set_xlabel(unit_text(p.driver_name))
     axes.set_ylabel(f"residual [{unit_text(p.unit)}]")
-    _legend(axes, 2)
+    _legend(axes)
 
 
 def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
-    for density, colour, name, dashes in (
-        (p.spectrum_before, BEFORE, "before", (0, (5, 2))),
-        (p.spectrum_after, AFTER, "after", "solid"),
-        (p.spectrum_floor, FLOOR, "noise floor", (0, (1, 1.5))),
-    ):
-        axes.plot(*log_bins(p.frequency, density, SPECTRUM_BINS), color=colour, lw=1.2,
-                  ls=dashes, label=name)  # fmt: skip
+    floor = _Curve("noise floor", p.measured, p.spectrum_floor, FLOOR, "", (0, (1, 1.5)), 0.0)
+    for curve in (*_curves(p), floor):
+        line = log_bins(p.frequency, curve.density, SPECTRUM_BINS)
+        axes.plot(*line, color=curve.colour, lw=1.2, ls=curve.dashes,
+                  label=curve.name or "residual")  # fmt: skip
     if any(len(line.get_xdata()) for line in axes.lines):  # type: ignore[arg-type]
         for axis, scale in ((axes.xaxis, axes.set_xscale), (axes.yaxis, axes.set_yscale)):
             scale("log")
@@ -178,7 +202,7 @@ def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
         _trim_depth(axes)
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"density [({unit_text(p.unit)})²/Hz]")
-    _legend(axes, 3)
+    _legend(axes)
 
 
 def _time_axis(axes: Axes, t: Array) -> float:
@@ -189,10 +213,10 @@ def _time_axis(axes: Axes, t: Array) -> float:
     return 1.0 / 60.0 if long else 1.0
 
 
-def _limit(axes: Axes, before: Array, after: Array) -> None:
-    both = np.abs(np.concatenate([before, after]))
-    both = both[np.isfinite(both)]
-    size = 1.15 * float(np.percentile(both, EXTREME)) if len(both) else 0.0
+def _limit(axes: Axes, residuals: list[Array]) -> None:
+    every = np.abs(np.concatenate(residuals))
+    every = every[np.isfinite(every)]
+    size = 1.15 * float(np.percentile(every, EXTREME)) if len(every) else 0.0
     if size > 0.0:
         axes.set_ylim(-size, size)
 
@@ -225,6 +249,9 @@ def _clock_text(seconds: float, _: object) -> str:
     )
 
 
-def _legend(axes: Axes, columns: int) -> None:
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.1,
-                handlelength=2.2, columnspacing=1.4)  # fmt: skip
+def _legend(axes: Axes) -> None:
+    """Above the axes, in one row; none for a single curve that needs no name."""
+    lines, _ = axes.get_legend_handles_labels()
+    if lines:
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(lines),
+                    borderaxespad=0.1, handlelength=2.2, columnspacing=1.4)  # fmt: skip
