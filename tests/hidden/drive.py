@@ -90,6 +90,8 @@ class HiddenDrive:
     """Specific force at the sensor, without vibration."""
     reference_force: Array
     """Specific force at the body's reference: what a sensor without a lever arm would feel."""
+    road_force: Array
+    """The same in the axes of the road's plane: what is felt when the body does not lean."""
     rate: Array
     slope: Array
     """[rad] positive uphill."""
@@ -141,6 +143,7 @@ def hidden_drive(seed: int, effects: Sequence[Effect] = (), minutes: float = 25.
         position=motion.position,
         force=motion.force,
         reference_force=motion.reference_force,
+        road_force=motion.road_force,
         rate=motion.rate,
         slope=road.slope,
         fall=road.fall,

@@ -29,6 +29,8 @@ class Motion:
     """Specific force at the sensor [m/s^2]."""
     reference_force: Array
     """At the body's reference, where the vehicle's own sensors sit."""
+    road_force: Array
+    """At the reference in the axes of the road's plane: as if the body did not lean."""
     rate: Array
     """Angular rate [rad/s]."""
     heading: Array
@@ -59,6 +61,7 @@ def move(world: World, speed: Array, road: Road, handling: Handling, rate: float
     return Motion(
         force=_back(R_earth_from_body, _second_difference(place, step) + UP),
         reference_force=_back(R_earth_from_body, _second_difference(reference, step) + UP),
+        road_force=felt,
         rate=_rate_of(R_earth_from_body, step),
         heading=heading,
         position=position,
