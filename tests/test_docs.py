@@ -58,6 +58,7 @@ SECTIONS = {
     "RawSource": "raw",
     "ParallelSensor": "parallel",
     "MessageProtection": "messages",
+    "ModelFile": "model",
     "OutputIds": "ids",
     "SecurityAccess": "security",
     "StaticTest": "static",

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,14 @@ from imucald.pipeline import Pipeline, Snapshot, TickCorrections
 from imucald.sender import OutFrame
 from imucald.timebase import Piece, TimeBase
 
+if TYPE_CHECKING:
+    from imucald.compensation.stages import Stages
+
 MISSING_TICKS = 10
 """An input that gave no sample for so many ticks is missing: one second."""
 
+Turned = tuple[float, float, float] | None
+"""A sample in vehicle axes; None: no correction yet."""
 _SENSORS = {"accel": "accelerometer_missing", "gyro": "gyroscope_missing", "speed": "speed_missing"}
 
 
@@ -48,6 +54,7 @@ class Engine:
     link_health: asked whenever a health frame is made.
     companions: run beside, on the same samples.
     new_estimator: makes the estimator of `restart_calibration`.
+    stages: take out of the signals what a model file knows of them.
     """
 
     def __init__(
@@ -60,10 +67,13 @@ class Engine:
         link_health: Callable[[], LinkHealth] = LinkHealth,
         companions: Sequence[Companion] = (),
         new_estimator: Callable[[], MountEstimator] | None = None,
+        stages: Stages | None = None,
     ) -> None:
         self.router = router
         self.output = output
-        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate))
+        self.stages = stages
+        evidence = None if stages is None else stages.evidence
+        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), evidence)
         self.timebase = TimeBase()
         self.companions = tuple(companions)
         self._accompanied = frozenset(c for one in self.companions for c in one.channels)
@@ -75,6 +85,11 @@ class Engine:
         self._watched = {c: 0 for c in _SENSORS if c in router.channels}  # tick of last sample
         self._rejected_total = 0
         self._rejections: deque[int] = deque()  # ticks of the last second's rejections
+
+    @property
+    def model_key(self) -> str:
+        """Names what a model changes of the estimate; "" without one."""
+        return "" if self.stages is None else self.stages.compensation.estimate_key
 
     # one frame -----------------------------------------------------------------------------
 
@@ -89,23 +104,28 @@ class Engine:
         if k > self.pipeline.k or gap:
             out += self._advance(k, gap)
         samples, rejected = self.router.frame(t, can_id, data)
+        if self.stages is not None:
+            samples, refused = self.stages.frame(t, samples, self.router.rejected)
+            rejected += refused
         for channel in rejected:
             self.pipeline.reject(channel)
         self._count_rejections(k)
         self._accompany(t, samples)
-        corrected: dict[str, OutFrame] = {}
+        pipeline = self.pipeline
+        turned: dict[str, Turned] = {}
         for channel, values in samples:
-            self.pipeline.add(t, channel, values)
+            pipeline.add(t, channel, values)
             if channel in self._watched:
                 self._watched[channel] = k
             if channel in self.output.triads:
-                turned = rotated(self.pipeline.correction, values)
-                corrected[channel] = self.output.corrected(channel, turned, self.pipeline.quality)
+                turned[channel] = rotated(pipeline.correction, values)
+        if self.stages is not None and turned:
+            turned = self.stages.corrected(t, turned)
         for channel in self.output.triads:
-            if channel in corrected:
-                out.append(corrected[channel])
+            if channel in turned:
+                out.append(self.output.corrected(channel, turned[channel], pipeline.quality))
         for channel in self.output.triads:
-            if channel in rejected and channel not in corrected:
+            if channel in rejected and channel not in turned:
                 out.append(self.output.corrected(channel, None, 0))
         self.sent += len(out)
         return out
@@ -122,6 +142,8 @@ class Engine:
         pipeline = self.pipeline
         first = pipeline.k
         snapshots = pipeline.gap(k) if gap else pipeline.advance(k)
+        if gap and self.stages is not None:
+            self.stages.gap()
         out = self._statuses(snapshots)
         if self.companions:
             out += self._companion_ticks(first, k, snapshots)
@@ -203,6 +225,8 @@ class Engine:
         if piece.gap:
             first = self.pipeline.k
             snapshots = self.pipeline.gap(tick_index(float(piece.t[0])))
+            if self.stages is not None:
+                self.stages.gap()
             yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
             out = self._companion_ticks(first, self.pipeline.k, snapshots)
             yield from self._frame_parts(out, base)
@@ -211,6 +235,8 @@ class Engine:
         whole = base == 0 and piece.stop == len(frames)
         chunk = frames if whole else frames.take(slice(base, piece.stop))
         routed = self.router.columns(piece.t, chunk)
+        if self.stages is not None:
+            routed = self.stages.columns(routed, piece.t, self.router.rejected)
         ticks = np.floor(piece.t * TICK_RATE).astype(np.int64)
         times = {c: piece.t[rows] for c, rows in routed.rejected.items()}
         first = self.pipeline.k
@@ -244,16 +270,15 @@ class Engine:
     def _corrected_parts(
         self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64], base: int
     ) -> Iterator[OutPart]:
+        corrected = self._corrected(routed, corrections, ticks)
         for order, channel in enumerate(self.output.triads):
             series = routed.samples.get(channel)
             bad = routed.rejected.get(channel)
             if series is None and bad is None:
                 continue
             row = np.zeros(0, np.int64) if series is None else series.row
-            values = np.zeros((0, 3)) if series is None else series.values
-            index = ticks[row] - corrections.first
-            turned = rotated_columns(corrections.rotations[index], values)
-            quality = corrections.quality[index]
+            turned = corrected.get(channel, np.zeros((0, 3)))
+            quality = corrections.quality[ticks[row] - corrections.first]
             if bad is not None:
                 bad = np.setdiff1d(bad, row)
                 row = np.concatenate([row, bad])
@@ -267,6 +292,19 @@ class Engine:
             rank = np.where(missing, len(self.output.triads), 0) + order + 1
             yield OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
             self.sent += len(row)
+
+    def _corrected(
+        self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64]
+    ) -> dict[str, NDArray[np.float64]]:
+        """Corrected samples (N, 3) by channel."""
+        found = {c: routed.samples[c] for c in self.output.triads if c in routed.samples}
+        turned = {
+            channel: rotated_columns(
+                corrections.rotations[ticks[series.row] - corrections.first], series.values
+            )
+            for channel, series in found.items()
+        }
+        return turned if self.stages is None else self.stages.corrected_columns(found, turned)
 
     def _companion_parts(
         self,

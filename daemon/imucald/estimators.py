@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from imucald.config import Config, Vehicle
 from imucald.mount.estimate import MountEstimator
@@ -12,17 +13,34 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.published import PublishedEstimator
 from imucald.mount.published_settings import PublishedSettings
 
+if TYPE_CHECKING:
+    from imucald.compensation import Compensation
+
 CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""
 _KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
 """Sign of the roll that a road's crown gives a vehicle that keeps to this side."""
 
 
-def estimator_for(config: Config) -> MountEstimator:
-    """Return the estimator that a configuration asks for."""
+def estimator_for(config: Config, compensation: Compensation | None = None) -> MountEstimator:
+    """Return the estimator that a configuration asks for, told what its model knows."""
     if config.calibration.estimator == "published":
-        return PublishedEstimator(published_settings(config))
-    return FullEstimator(full_settings(config))
+        published = published_settings(config)
+        if compensation is not None:
+            side = config.vehicle.driving_side
+            published = compensation.published_settings(published, side, _stated(config.vehicle))
+        return PublishedEstimator(published)
+    full = full_settings(config)
+    if compensation is not None:
+        full = compensation.full_settings(full, _stated(config.vehicle))
+    return FullEstimator(full)
+
+
+def _stated(vehicle: Vehicle) -> frozenset[str]:
+    """Keys that the configuration says otherwise than the presets: no model overrules them."""
+    presets = Vehicle()
+    keys = Vehicle.__struct_fields__
+    return frozenset(k for k in keys if getattr(vehicle, k) != getattr(presets, k))
 
 
 def _is_planar(config: Config) -> bool:

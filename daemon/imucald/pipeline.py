@@ -26,7 +26,7 @@ from imucald.mount.estimate import Correction, MountEstimate, MountEstimator, Mo
 from imucald.samples import Samples, Series
 
 if TYPE_CHECKING:
-    from imucald.compensation.retiming import Retiming
+    from imucald.compensation.evidence import EvidenceStage
 
 Quality = int
 """0 not available, 1 restored, 2 usable, 3 fine, 4 suspect: what the frames carry."""
@@ -71,17 +71,17 @@ class Pipeline:
     """Samples to ticks to estimator to corrections, for one sensor.
 
     status_ticks: a snapshot of the estimate is taken every so many ticks.
-    retiming: brings signals of known, different delays together before the estimator sees them.
+    evidence: what a model knows is taken out of ticks before the estimator sees them.
     """
 
     def __init__(
         self,
         estimator: MountEstimator,
         status_ticks: int = 10,
-        retiming: Retiming | None = None,
+        evidence: EvidenceStage | None = None,
     ) -> None:
         self.estimator = estimator
-        self._retiming = retiming
+        self._evidence = evidence
         self.correction: Correction | None = estimator.correction
         self.quality: Quality = 0
         self.first_usable: float | None = None
@@ -116,8 +116,8 @@ class Pipeline:
         """Time was discontinuous: close all ticks before k, where a new segment begins."""
         snapshots = self.advance(k)
         self.estimator.gap()
-        if self._retiming is not None:
-            self._retiming.gap()
+        if self._evidence is not None:
+            self._evidence.gap()
         return snapshots
 
     def replace(self, estimator: MountEstimator) -> MountEstimator:
@@ -184,8 +184,8 @@ class Pipeline:
         estimator = self.estimator
         if row[SPEED_N]:
             self.speed = self.k, row[SPEED]
-        if self._retiming is not None:
-            row = self._retiming.row(row)
+        if self._evidence is not None:
+            row = self._evidence.row(row, self.correction)
         estimator.step(row)
         self.correction = estimator.correction
         self._judge()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from msgspec.structs import astuple, replace
 
@@ -16,6 +17,9 @@ from imucald.errors import ConfigError
 from imucald.estimators import estimator_for
 from imucald.output import OutputFrames
 from imucald.pipeline import Snapshot
+
+if TYPE_CHECKING:
+    from imucald.compensation import Compensation
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
@@ -44,16 +48,33 @@ def make_engine(
     router = compile_router(loaded)
     output = OutputFrames(config)
     _refuse_shared_ids(loaded, output, router.matches)
+    compensation = open_compensation(loaded)
+    rates = [f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate"]
+    derived = config.signals.speed is None
     return Engine(
         router,
-        estimator_for(config),
+        estimator_for(config, compensation),
         output,
         config.output.status_rate,
         on_snapshot,
         link_health,
         _companions(loaded, output),
-        lambda: estimator_for(config),
+        lambda: estimator_for(config, compensation),
+        None if compensation is None else compensation.stages(router.channels, derived, rates),
     )
+
+
+def open_compensation(loaded: LoadedConfig) -> Compensation | None:
+    """Read the configuration's model file, where it names one. Raises ConfigError."""
+    path, model = loaded.model_path, loaded.config.model
+    if path is None or model is None:
+        return None
+    from imucald.compensation import compensation_from_model  # noqa: PLC0415 - not without a model
+
+    if not path.is_file():
+        raise loaded.error(("model",), f"{path}: there is no such file")
+    found = compensation_from_model(path, model.compensate_suspension)
+    return found.with_speed_delay(loaded.config.calibration.speed_delay)
 
 
 def _companions(loaded: LoadedConfig, output: OutputFrames) -> Sequence[Companion]:

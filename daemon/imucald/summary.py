@@ -31,6 +31,8 @@ def summary(engine: Engine, counts: Counts, duration: float, lead: float = 0.0) 
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline
     more = dict(companion.summary() for companion in engine.companions)
+    if engine.stages is not None:
+        more["model"] = engine.stages.summary()
     return {
         "mount": mount_dict(estimate),
         "state": estimate.state.name.lower(),

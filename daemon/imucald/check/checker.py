@@ -26,6 +26,7 @@ from imucald.check.source import id_text, message_row, quantity_row, sources
 from imucald.check.statistics import Probe
 from imucald.config import LoadedConfig
 from imucald.output import OutputFrames
+from imucald.session import open_compensation
 from imucald.timebase import TimeBase
 
 EVERY_FRAME = (IdMatch(0, 0), IdMatch(CAN_EFF_FLAG, 0))
@@ -44,6 +45,7 @@ class Check:
     def __init__(self, loaded: LoadedConfig) -> None:
         self.loaded = loaded
         self.router = compile_router(loaded)
+        self.compensation = open_compensation(loaded)
         self.probes = [Probe(route) for route in self.router.routes]
         self.router.routes = tuple(self.probes)
         self.output = OutputFrames(loaded.config)
@@ -91,7 +93,10 @@ class Check:
         vehicle = self.loaded.config.vehicle
         planar = self.loaded.config.signals.accelerometer[0].z is None
         motion = Motion(self._means.grid(), planar)
+        model = self.compensation
+        notes = () if model is None else model.notes_for(self.router.channels)
         found = [
+            *(Finding("note", "model", text) for text in notes),
             *decoding.findings(),
             *judge(motion, vehicle.track, vehicle.wheelbase, vehicle.steering_ratio),
         ]

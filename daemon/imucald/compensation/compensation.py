@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from imucald.compensation.evidence import EvidenceStage
 from imucald.compensation.reading import load_terms, read_terms
 from imucald.compensation.retiming import Retiming, shifts_of
 from imucald.compensation.sensors import SensorStage
-from imucald.compensation.terms import Terms, TriadTerms
+from imucald.compensation.stages import Stages
+from imucald.compensation.terms import ZERO, Terms, TriadTerms
 from imucald.compensation.vehicle import VehicleStage
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.published_settings import PublishedSettings
@@ -88,26 +90,58 @@ class Compensation:
     def samples(self, samples: Samples) -> Samples:
         """Columns of samples less the terms that need no mount; refused ones are left out."""
         order = {channel: series.t for channel, series in samples.items()}
-        taken = self.sensor_stage(samples).columns(samples, order)
+        taken = self.sensor_stage().columns(samples, order)
         out = dict(samples)
         for channel, one in taken.items():
             good = ~one.refused
             out[channel] = Series(samples[channel].t[good], one.values[good])
         return out
 
-    def sensor_stage(self, channels: Collection[str]) -> SensorStage:
-        """Takes out the terms that need no mount."""
-        return SensorStage(self.terms)
+    def stages(
+        self, channels: Collection[str], derived_speed: bool, parallel_rates: Collection[str] = ()
+    ) -> Stages:
+        """All stages of one engine.
 
-    def vehicle_stage(self, channels: Collection[str], rates: Collection[str]) -> VehicleStage:
+        channels: those that its router can give. parallel_rates: the parallel gyroscopes.
+        """
+        vehicle = self.vehicle_stage(channels, ("gyro", *parallel_rates))
+        return Stages(
+            self,
+            self.sensor_stage(derived_speed),
+            None if vehicle.neutral else vehicle,
+            self.evidence_stage(),
+            tuple(self.compensated(channels)),
+            tuple(self.notes_for(channels)),
+        )
+
+    def with_speed_delay(self, delay: float | None) -> Compensation:
+        """The same where the configuration says how late speed is against the accelerometer [s]."""
+        if delay is None:
+            return self
+        accel = self.terms.lateness.get("accel", 0.0)
+        lateness = {**self.terms.lateness, "accel": accel, "speed": accel + delay}
+        return replace(self, terms=replace(self.terms, lateness=lateness))
+
+    def sensor_stage(self, derived_speed: bool = False) -> SensorStage:
+        """Takes out the terms that need no mount; derived_speed: the wheels give the speed."""
+        return SensorStage(self.terms, derived_speed)
+
+    def vehicle_stage(
+        self, channels: Collection[str], rates: Collection[str] = ("gyro",)
+    ) -> VehicleStage:
         """Takes out those that need it; rates: the channels that are angular rates."""
-        terms = self.terms if "gyro" in channels else replace(self.terms, lever_arm=(0.0,) * 3)
+        terms = self.terms if "gyro" in channels else replace(self.terms, lever_arm=ZERO)
         return VehicleStage(terms, self.suspension, rates)
 
-    def retiming(self) -> Retiming | None:
-        """Brings ticks of differently late channels together; None: there is nothing to do."""
-        shifts = self.shifts()
-        return Retiming(shifts) if shifts else None
+    def evidence_stage(self) -> EvidenceStage | None:
+        """What is done to ticks before the estimator sees them; None: nothing."""
+        shifts, leans = self.shifts(), not self.terms.lean.neutral
+        if not shifts and not leans:
+            return None
+        return EvidenceStage(
+            Retiming(shifts) if shifts else None,
+            VehicleStage(replace(self.terms, lever_arm=ZERO)) if leans else None,
+        )
 
     def shifts(self) -> dict[str, float]:
         """How long each channel is held back from the estimator [s]; empty: none is."""
@@ -152,7 +186,7 @@ class Compensation:
     @property
     def estimate_key(self) -> str:
         """Names what an estimate of the mount rests on: equal keys, equal estimates."""
-        estimated = replace(self.terms, lever_arm=(0.0,) * 3, lean=type(self.terms.lean)())
+        estimated = replace(self.terms, lever_arm=ZERO)
         return hashlib.sha256(repr(estimated).encode()).hexdigest()
 
 

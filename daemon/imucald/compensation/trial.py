@@ -51,8 +51,8 @@ def corrected_drive(
     if compensation is not None:
         samples = compensation.samples(samples)
         settings = compensation.full_settings(settings)
-    retiming = None if compensation is None else compensation.retiming()
-    pipeline = Pipeline(FullEstimator(settings), retiming=retiming)
+    evidence = None if compensation is None else compensation.evidence_stage()
+    pipeline = Pipeline(FullEstimator(settings), evidence=evidence)
     t_last = max((float(s.t[-1]) for s in samples.values() if len(s.t)), default=0.0)
     corrections, snapshots = pipeline.run(samples, {}, t_last)
     turned: dict[str, Corrected] = {}
@@ -66,7 +66,7 @@ def corrected_drive(
             values = rotated_columns(rotations, series.values)
             turned[channel] = Corrected(series.t, series.t, values)
     if compensation is not None:
-        columns = compensation.vehicle_stage(channels, ("gyro",)).columns(turned)
+        columns = compensation.vehicle_stage(channels).columns(turned)
     else:
         columns = {channel: one.values for channel, one in turned.items()}
     out = {channel: Series(turned[channel].t, values) for channel, values in columns.items()}

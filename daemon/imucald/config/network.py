@@ -100,6 +100,15 @@ class Output(Model, frozen=True):
     checksum: Literal["crc8_j1850", "xor", "none"] = "crc8_j1850"
 
 
+class ModelFile(Model, frozen=True):
+    """The model file of the vehicle: what it knows is taken out of the signals."""
+
+    path: str
+    """Relative to the configuration file."""
+    compensate_suspension: bool = True
+    """The body's squat, dive and roll are taken out of the corrected signals."""
+
+
 class Vehicle(Model, frozen=True):
     """What is known about the vehicle."""
 

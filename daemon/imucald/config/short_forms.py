@@ -1,7 +1,7 @@
 """Short forms of the configuration, spelled out before it is checked.
 
-A text may stand for a source (``MESSAGE.SIGNAL``) or a database (its path), and one entry where a
-list is expected. What has neither form is left as it is for the check to refuse.
+A text may stand for a source (``MESSAGE.SIGNAL``), a database or a model file (its path), and one
+entry where a list is expected. What has neither form is left as it is for the check to refuse.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from imucald.config.signals import MESSAGE_SIGNAL
 SHORT_TEXTS: dict[str, dict[str, Any]] = {
     "Source": {"type": "string", "pattern": MESSAGE_SIGNAL},
     "Database": {"type": "string"},
+    "ModelFile": {"type": "string"},
 }
 """JSON schema of the text that may stand for a model of this name."""
 ONE_OF_LIST = frozenset({"Source", "Database", "Triad"})
@@ -27,6 +28,8 @@ def spelled_out(data: dict[Any, Any]) -> dict[Any, Any]:
     found = dict(data)
     if "database" in found:
         found["database"] = _each(found["database"], lambda one: _long(one, "path"))
+    if "model" in found:
+        found["model"] = _long(found["model"], "path")
     signals = found.get("signals")
     if isinstance(signals, dict):
         found["signals"] = {key: _signal(key, value) for key, value in signals.items()}

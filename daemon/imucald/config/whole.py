@@ -11,7 +11,15 @@ from imucald.config.attitude import Attitude, TravelDirection
 from imucald.config.base import Model
 from imucald.config.calibration import Calibration
 from imucald.config.diagnostics import Diagnostics
-from imucald.config.network import Bus, Database, Databases, MessageProtection, Output, Vehicle
+from imucald.config.network import (
+    Bus,
+    Database,
+    Databases,
+    MessageProtection,
+    ModelFile,
+    Output,
+    Vehicle,
+)
 from imucald.config.short_forms import spelled_out
 from imucald.config.signals import Signals
 from imucald.config.yaml_lines import (
@@ -29,6 +37,7 @@ class Config(Model, frozen=True, kw_only=True):
     """A whole configuration file."""
 
     vehicle: Vehicle = Vehicle()
+    model: ModelFile | None = None
     database: Databases
     signals: Signals
     messages: dict[str, MessageProtection] = msgspec.field(default_factory=dict)
@@ -53,8 +62,17 @@ class LoadedConfig:
 
     def database_path(self, database: Database) -> Path:
         """Return a database's absolute path: relative ones are relative to the configuration."""
+        return self._resolved(database.path)
+
+    @property
+    def model_path(self) -> Path | None:
+        """Absolute path of the model file, where there is one."""
+        model = self.config.model
+        return None if model is None else self._resolved(model.path)
+
+    def _resolved(self, path: str) -> Path:
         base = self.path.parent if self.path is not None else Path.cwd()
-        return (base / database.path).resolve()
+        return (base / path).resolve()
 
     def with_databases(self, entries: tuple[Database, ...]) -> LoadedConfig:
         """The same configuration with other database entries."""

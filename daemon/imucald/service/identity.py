@@ -17,18 +17,19 @@ _DECISIVE = frozenset({"signal", "raw", "unit", "sign", "offset"})
 """Keys of a source on which its numbers depend."""
 
 
-def state_key(loaded: LoadedConfig, router: Router) -> StateKey:
+def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey:
     """Return the key of a configuration's state.
 
     Only what turns the accelerometer's axes or takes another sensor counts: its sources with
-    identifiers, layout, units and signs. Ids of outputs, speed sources or limits do not.
+    identifiers, layout, units and signs, and what a model file takes out of the signals (`model`,
+    see `Engine.model_key`). Ids of outputs, speed sources or limits do not.
     """
     triads = loaded.config.signals.accelerometer
     described = [
         [_described(source, router) for source in (triad.x, triad.y, triad.z) if source is not None]
         for triad in triads
     ]
-    text = json.dumps(described, sort_keys=True, default=str)
+    text = json.dumps(described, sort_keys=True, default=str) + model
     return StateKey(loaded.config.vehicle.id, hashlib.sha256(text.encode()).hexdigest())
 
 

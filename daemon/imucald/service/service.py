@@ -108,7 +108,7 @@ class Service:
         folder = self.options.state_folder
         if folder is None:
             return None
-        store = StateStore(folder, state_key(loaded, engine.router))
+        store = StateStore(folder, state_key(loaded, engine.router, engine.model_key))
         return StateKeeper(store, self.journal.say, self.options.save_period, self._clock)
 
     def _new_diagnostics(self, loaded: LoadedConfig, engine: Engine) -> BusDiagnostics | None:
@@ -163,6 +163,7 @@ class Service:
     def run(self, seconds: float = float("inf")) -> None:
         """Loop until `stop`, or for so many seconds."""
         self.journal.say(f"listening on {self.link.interface} {self.link.channel}")
+        self._tell_model()
         self.notifier.ready()
         end = self._clock() + seconds
         daemon, clock = self.daemon, self._clock
@@ -230,6 +231,7 @@ class Service:
         try:
             self._reload()
             self.journal.say(f"{self.options.config} was read again", NOTICE)
+            self._tell_model()
         except ImucaldError as error:
             for line in str(error).splitlines():
                 self.journal.say(f"not reloaded: {line}", ERROR)
@@ -260,10 +262,14 @@ class Service:
         """The running estimator where it can stay; else a new one behind what is known."""
         old, new = self.engine.pipeline.estimator, engine.pipeline.estimator
         key, before = state_key(loaded, engine.router), state_key(self.loaded, self.engine.router)
-        if key != before:  # another sensor or vehicle: what was found is not of it
+        other_model = engine.model_key != self.engine.model_key
+        if key != before or other_model:
             self._save_now()
             self.keeper = self._new_keeper(loaded, engine)
-            return new if self.keeper is None else self.keeper.restore(new)
+            restored = new if self.keeper is None else self.keeper.restore(new)
+            if key != before or restored is not new:
+                return restored  # another sensor or vehicle: what was found is not of it
+            return behind_the_known(old, new)
         if estimates_alike(self.loaded, loaded):
             old.gap()
             return old
@@ -299,6 +305,14 @@ class Service:
 
     def _estimate(self) -> MountEstimate:
         return self.engine.pipeline.estimator.estimate()
+
+    def _tell_model(self) -> None:
+        """Say what of the model file is used, and what is not."""
+        stages = self.engine.stages
+        if stages is not None:
+            self.journal.say(stages.words())
+            for note in stages.notes:
+                self.journal.say(f"not used of the model: {note}", NOTICE)
 
     def _link_health(self) -> LinkHealth:
         return self.daemon.link_health() if hasattr(self, "daemon") else LinkHealth()
@@ -340,7 +354,7 @@ class Service:
             "version": __version__,
             "config": str(self.options.config),
             "vehicle": self.loaded.config.vehicle.id,
-            "sensor": state_key(self.loaded, self.engine.router).sensor,
+            "sensor": state_key(self.loaded, self.engine.router, self.engine.model_key).sensor,
             "uptime_s": round(self._clock() - self._began, 3),
             "quality": self.engine.pipeline.quality,
             "health": dataclasses.asdict(self.engine.health()),
