@@ -27,6 +27,9 @@ PROCESS_SETTINGS = {
 """Set for this process, where the user has not; read when numpy and pydantic (which only the
 simulation uses) are imported."""
 
+LARGE_LIBRARIES = ("scipy", "pydantic")
+"""Needed for simulation and diagnosis only: an installation on a vehicle may lack them."""
+
 GC_THRESHOLD = 50_000
 """Containers made before the collector looks for cycles: starting makes many that all stay."""
 
@@ -81,6 +84,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(module.run(options))
     except ImucaldError as error:
         print(f"imucald: {error}", file=sys.stderr)
+        return 1
+    except ModuleNotFoundError as error:
+        if error.name not in LARGE_LIBRARIES:
+            raise
+        text = f"needs {error.name}, which is not installed here (the .deb leaves it out)"
+        print(f"imucald: {options.command} {text}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("imucald: interrupted", file=sys.stderr)
