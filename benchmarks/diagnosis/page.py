@@ -36,11 +36,11 @@ BIASED_DEG = 0.3
 """A mount is taken as biased by an effect from this error on: twice what nulls have."""
 
 
-def written(page: str, text: str) -> str:
-    """Return the page with the figures replaced."""
-    head, rest = page.split(BEGIN)
-    _, tail = rest.split(END)
-    return f"{head}{BEGIN}\n{text}\n{END}{tail}"
+def written(page: str, text: str, begin: str = BEGIN, end: str = END) -> str:
+    """Return the page with the figures between two marks replaced."""
+    head, rest = page.split(begin)
+    _, tail = rest.split(end)
+    return f"{head}{begin}\n{text}\n{end}{tail}"
 
 
 def report(lines: Sequence[Line]) -> str:
