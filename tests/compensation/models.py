@@ -36,7 +36,7 @@ def random_terms(rng: random.Random) -> dict[str, Any]:
         "gyro": {**triad(0.05, 4.36), "g_sensitivity": three(0.004)},
         "mag": {"hard_iron_t": three(1e-5)},
         "speed": {"scale": rng.uniform(-0.1, 0.1), "delay_s": rng.choice([0.0, 0.1, 0.45])},
-        "wheel_speeds": {"scale": three(0.1) + [0.03], "delay_s": 0.05},
+        "wheel_speeds": {"scale": [*three(0.1), 0.03], "delay_s": 0.05},
         "steering": scalar(),
         "yaw_rate": scalar(),
         "lateral_accel": scalar(),
