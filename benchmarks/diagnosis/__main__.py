@@ -1,7 +1,8 @@
 """Hidden effects, found or not: the figures of docs/diagnosis-accuracy.md.
 
     python -m benchmarks.diagnosis [--only PART ...] [--drives N] [--first SEED] [--jobs N]
-                                   [--results FILE] [--no-gain] [--write]
+                                   [--results FILE] [--cause NAME ...] [--no-gain]
+                                   [--table] [--write]
 
 Parts: naming (each of 26 causes), nulls, pairs, outside (effects that the catalogue lacks). Each
 drive's outcome is kept as one line of JSON in the results file; a run that was broken off goes on
@@ -16,6 +17,7 @@ import json
 import sys
 import traceback
 from collections.abc import Iterator
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -37,7 +39,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=FIRST_SEED)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--results", type=Path, default=RESULTS)
-    parser.add_argument("--no-gain", action="store_true", help="without the daemon's estimator")
+    parser.add_argument("--no-gain", action="store_true", help="without the daemon's runs")
     parser.add_argument(
         "--table", action="store_true", help="only make the tables of what is there"
     )
@@ -46,9 +48,11 @@ def main() -> int:
     wanted = [case for part in options.only for case in cases(part, options.drives, options.first)]
     if options.cause:
         wanted = [c for c in wanted if any(e.cause in options.cause for e in c.effects)]
+    if options.no_gain:
+        wanted = [replace(c, with_gain=False) for c in wanted]
     options.results.parent.mkdir(parents=True, exist_ok=True)
     if not options.table:
-        _run(wanted, options.results, options.jobs, not options.no_gain)
+        _run(wanted, options.results, options.jobs)
     keys = {case.key for case in wanted}
     lines = [line for line in _read(options.results) if line["key"] in keys]
     text = report(lines)
@@ -67,9 +71,9 @@ def _read(path: Path) -> list[dict[str, Any]]:
     return list(latest.values())
 
 
-def _run(wanted: list[Case], path: Path, jobs: int, with_gain: bool) -> None:
+def _run(wanted: list[Case], path: Path, jobs: int) -> None:
     done = {line["key"] for line in _read(path)}
-    left = [(case, with_gain) for case in wanted if case.key not in done]
+    left = [case for case in wanted if case.key not in done]
     with path.open("a", encoding="utf-8") as file:
         for i, line in enumerate(_outcomes(left, jobs)):
             file.write(json.dumps(line) + "\n")
@@ -79,7 +83,7 @@ def _run(wanted: list[Case], path: Path, jobs: int, with_gain: bool) -> None:
             print(f"{progress}  {line['cpu_s']:.0f} s", file=sys.stderr, flush=True)
 
 
-def _outcomes(left: list[tuple[Case, bool]], jobs: int) -> Iterator[dict[str, Any]]:
+def _outcomes(left: list[Case], jobs: int) -> Iterator[dict[str, Any]]:
     if jobs <= 1:
         yield from map(_one, left)
         return
@@ -87,13 +91,12 @@ def _outcomes(left: list[tuple[Case, bool]], jobs: int) -> Iterator[dict[str, An
         yield from pool.imap_unordered(_one, left)
 
 
-def _one(work: tuple[Case, bool]) -> dict[str, Any]:
+def _one(case: Case) -> dict[str, Any]:
     """An outcome; a diagnosis that breaks is one, too."""
     from benchmarks.diagnosis.outcome import outcome
 
-    case, with_gain = work
     try:
-        return outcome(case, with_gain)
+        return outcome(case)
     except Exception:
         return {
             "key": case.key,

@@ -18,6 +18,9 @@ NULLS, PAIRS = 100, 60
 SHORTEST_MIN, LONGEST_MIN = 20.0, 30.0
 SIZE_NAMES: tuple[Size, Size, Size] = ("medium", "large", "small")
 IDENTIFIABLE: tuple[Size, Size] = ("medium", "large")
+GAIN_PER_CAUSE = 5
+"""Of a cause's drives, so many go through the daemon as well (less the small effects among them)."""
+GAIN_NULLS = 20
 PART_SEEDS = 10_000
 """Seeds of different parts lie this far apart."""
 
@@ -30,6 +33,8 @@ class Case:
     seed: int
     minutes: float
     effects: tuple[Effect, ...]
+    with_gain: bool = False
+    """Also run the daemon's estimator and correction, without and with models."""
 
     @property
     def key(self) -> str:
@@ -41,11 +46,12 @@ class Case:
 def cases(part: str, drives: int | None, first: int) -> Iterator[Case]:
     """Cases of a part; drives: per cause (naming, outside) or in all, default the full number."""
     start = first + PART_SEEDS * PARTS.index(part)
+    gains = {"naming": GAIN_PER_CAUSE * len(CAUSES), "nulls": GAIN_NULLS}.get(part, 0)
     for i, effects in enumerate(_effects(part, drives, start)):
         rng = np.random.default_rng([start + i, 1])
-        yield Case(
-            part, start + i, round(float(rng.uniform(SHORTEST_MIN, LONGEST_MIN)), 1), effects
-        )
+        minutes = round(float(rng.uniform(SHORTEST_MIN, LONGEST_MIN)), 1)
+        with_gain = i < gains and all(effect.size != "small" for effect in effects)
+        yield Case(part, start + i, minutes, effects, with_gain)
 
 
 def _effects(part: str, drives: int | None, start: int) -> Iterator[tuple[Effect, ...]]:

@@ -27,8 +27,8 @@ SLOW_S = 1.0
 """Corrected forces are compared as means over such a time."""
 
 
-def outcome(case: Case, with_gain: bool = True) -> dict[str, Any]:
-    """Diagnose one hidden drive. with_gain: also run the daemon's estimator before and after."""
+def outcome(case: Case) -> dict[str, Any]:
+    """Diagnose one hidden drive, and what it gives the vehicle where the case asks for it."""
     drive = hidden_drive(case.seed, case.effects, case.minutes)
     baseline = model_from_mapping(dict(drive.model), "baseline")
     began = time.process_time()
@@ -48,7 +48,7 @@ def outcome(case: Case, with_gain: bool = True) -> dict[str, Any]:
         "truth": {name: dict(values) for name, values in drive.truth.items()},
         "scores": [score for cause in diagnosis.causes for score in scored(cause, drive)],
     }
-    if with_gain:
+    if case.with_gain:
         result["vehicle"] = vehicle_gain(drive, baseline, diagnosis)
     return result
 
