@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import replace
 from pathlib import Path
 
 import cantools.database
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from imucald.bus.codec import compile_decode, id_match
 from imucald.bus.columns import CAN_EFF_FLAG, IdMatch

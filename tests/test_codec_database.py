@@ -198,7 +198,7 @@ def container() -> Database:
     """A database with a container frame, as an AUTOSAR system description may have."""
     text = HEAD + "BO_ 16 M: 8 Vector__XXX\n" + SIGNAL
     message = load_database_text(text, "dbc").message("M")
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     return Database([replace(message, unsupported="container frames are not supported")], {})
 

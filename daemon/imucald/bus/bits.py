@@ -7,10 +7,10 @@ are seen as 64-bit words of the same byte order. Both give the same integer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.bus.database import ByteOrder, Signal
@@ -24,8 +24,7 @@ Columns = NDArray[np.uint8]
 """(N, W) payload bytes, zero-padded."""
 
 
-@dataclass(frozen=True)
-class Field:
+class Field(Struct, frozen=True):
     """A run of bits: `first_bit` counted in transmission order of its byte order.
 
     Intel: the least significant bit's number. Motorola: the most significant bit's number,

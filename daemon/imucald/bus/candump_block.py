@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.bus.ascii_columns import (
@@ -46,8 +46,7 @@ class _Kind(NamedTuple):
 _KINDS: Final = (_Kind(3, False), _Kind(8, False), _Kind(3, True), _Kind(8, True))
 
 
-@dataclass(frozen=True, slots=True)
-class _Lines:
+class _Lines(Struct, frozen=True):
     """Lines of one head: number in the block, place behind the head, bytes from there, eight of
     them as a word."""
 
@@ -60,8 +59,7 @@ class _Lines:
         return _Lines(self.line[mask], self.place[mask], self.rest[mask], self.word[mask])
 
 
-@dataclass(frozen=True, slots=True)
-class Hits:
+class Hits(Struct, frozen=True):
     """Wanted frames of one shape and kind, H of them.
 
     line: number in the block; start: its place; at, digits: place and number of data digits;

@@ -12,10 +12,10 @@ the XOR value as start value and inverts the result again, to stay with the prof
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.bus.bits import Columns, Field, read_bits, read_column, words_of
@@ -36,8 +36,7 @@ E2E_COUNTER_VALUES = 16
 DataIdMode = Literal["both", "alternating", "low", "nibble"]
 
 
-@dataclass(frozen=True)
-class ChecksumSpec:
+class ChecksumSpec(Struct, frozen=True):
     """Where a checksum lies and over what it runs.
 
     `size`: bytes of the message that are covered; longer frames are covered up to there.

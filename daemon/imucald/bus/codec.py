@@ -8,10 +8,10 @@ is compared as raw value. The way back is in `encode`; databases are read by `da
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.bus.bits import (
@@ -58,8 +58,7 @@ def id_match(message: Message, j1939: bool | None = None, channel: str | None = 
     return IdMatch(message.can_id, CAN_EFF_MASK if is_extended else CAN_SFF_MASK, channel)
 
 
-@dataclass(frozen=True)
-class DecodedColumns:
+class DecodedColumns(Struct, frozen=True):
     """Columns of one message; `N` frames.
 
     `raw`: a signal's raw integers (int64; uint64 for 64 unsigned bits) or floats. `values`:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 CAN_EFF_FLAG = 0x8000_0000
@@ -31,8 +31,7 @@ UNWANTED, WANTED, NO_ID = np.uint8(0), np.uint8(1), np.uint8(2)
 """What an `IdFilter` says of an 11-bit id."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class FrameColumns:
+class FrameColumns(Struct, frozen=True, eq=False):
     """N data frames in recorded order, one array for each property.
 
     t: (N,) f8, recorded time [s], as the log states it (not checked for order).
@@ -67,8 +66,7 @@ class FrameColumns:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class IdMatch:
+class IdMatch(Struct, frozen=True):
     """Which frames are wanted: ``(id & mask) == (can_id & mask)``, as a kernel filter does.
 
     can_id: with `CAN_EFF_FLAG` for a 29-bit id; the flag is always compared, whatever the mask.

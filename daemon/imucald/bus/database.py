@@ -12,9 +12,11 @@ import importlib.util
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
+
+import msgspec
+from msgspec import Struct
 
 from imucald.bus import database_cache
 from imucald.bus.columns import CAN_EFF_FLAG
@@ -27,8 +29,7 @@ ENCODINGS: Mapping[str, str] = {"dbc": "cp1252", "sym": "cp1252", "kcd": "utf-8"
 """Text encoding of each format, as the tools that write them have it."""
 
 
-@dataclass(frozen=True)
-class Signal:
+class Signal(Struct, frozen=True):
     """One signal: where its bits are and what they mean.
 
     `start` and `byte_order` as in a DBC: the least significant bit of an Intel signal, the most
@@ -49,7 +50,7 @@ class Signal:
     minimum: float | None = None
     maximum: float | None = None
     unit: str = ""
-    choices: Mapping[int, str] = field(default_factory=dict)
+    choices: Mapping[int, str] = msgspec.field(default_factory=dict)
     is_multiplexer: bool = False
     selectors: tuple[tuple[str, frozenset[int]], ...] = ()
     initial_raw: int | float | None = None
@@ -57,8 +58,7 @@ class Signal:
     comment: str = ""
 
 
-@dataclass(frozen=True)
-class Message:
+class Message(Struct, frozen=True):
     """One message. `can_id` carries `CAN_EFF_FLAG` for 29 bits; `cycle_time` in seconds."""
 
     name: str
@@ -285,7 +285,7 @@ def _refuse_conflicts(known: list[Message], new: list[Message], shared_ids: bool
 
 
 def _same(a: Message, b: Message) -> bool:
-    return a == replace(b, source=a.source)
+    return a == msgspec.structs.replace(b, source=a.source)
 
 
 def _nearest(name: str, names: list[str]) -> str:

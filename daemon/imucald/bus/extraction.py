@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from imucald.bus.bits import MAX_FRAME_BYTES, Field, field_of
 from imucald.bus.database import Message, Signal
@@ -13,8 +13,7 @@ MAX_MULTIPLEXER_VALUE = 2**63
 """Multiplexer values are compared as signed 64-bit integers in columns."""
 
 
-@dataclass(frozen=True)
-class Extraction:
+class Extraction(Struct, frozen=True):
     """One signal, resolved: its bits, its conversion and the multiplexers above it."""
 
     signal: Signal

@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 EVENT_PERIOD = 5.0
 """Events that may come with every frame are told this often at most, with their count [s]."""
 
@@ -20,8 +22,7 @@ class LinkState(enum.StrEnum):
     BUS_OFF = "bus_off"  # the controller has left the bus after too many errors
 
 
-@dataclass(frozen=True, slots=True)
-class LinkEvent:
+class LinkEvent(Struct, frozen=True):
     """Something worth a line in the log. `kind` is for programs, `text` for people.
 
     Kinds: the values of `LinkState` when it changes; conflict, lost, queue_full (seldom).

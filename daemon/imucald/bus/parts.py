@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.bus.routes import Tap
@@ -15,8 +15,7 @@ MAX_SKEW = 0.1
 """Parts of a triad from different frames belong together within this [s]: one tick."""
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
+class Part(Struct, frozen=True, eq=False):
     """What one tap gave on a chunk: times, rows, values (N, k) or (N,), codes."""
 
     tap: Tap

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from imucald.bus.bits import MAX_FRAME_BYTES, Field, field_of
 from imucald.bus.checksums import ChecksumSpec
@@ -19,8 +19,7 @@ E2E_COUNTER_MODULUS = {1: 15, 2: 16, 5: 256, 11: 15}
 """Values of the alive counter in AUTOSAR E2E profiles (1 and 11 leave 15 out)."""
 
 
-@dataclass(frozen=True)
-class CounterSpec:
+class CounterSpec(Struct, frozen=True):
     """An alive counter: its bits, its number of values, the largest step accepted."""
 
     field: Field
@@ -34,8 +33,7 @@ class CounterSpec:
             raise ConfigError(f"largest counter step {self.max_jump} of {self.modulus} values")
 
 
-@dataclass(frozen=True)
-class ProtectionSpec:
+class ProtectionSpec(Struct, frozen=True):
     """How one message is protected. `size`: bytes it has. `cycle_time` [s]: None, no time-out."""
 
     size: int

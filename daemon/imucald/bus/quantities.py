@@ -7,10 +7,10 @@ with a reason. One number and a column go the same way, with equal results.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.bus.units import Unit
@@ -31,8 +31,7 @@ LIMITS: Final = {
 """Largest plausible magnitude per dimension [SI]: beyond any road vehicle and its sensors."""
 
 
-@dataclass(frozen=True)
-class Conversion:
+class Conversion(Struct, frozen=True):
     """How a physical value of the database becomes a quantity.
 
     SI = sign * (factor * (physical + offset) + unit_offset). `low`, `high`: plausible physical

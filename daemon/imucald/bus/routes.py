@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.bus.codec import DecodePlan
@@ -29,16 +29,14 @@ Columns = Sequence[tuple[NDArray[np.generic], NDArray[np.float64], NDArray[np.bo
 """Raw values, physical values and presence (None: always) of each signal."""
 
 
-@dataclass(frozen=True)
-class Component:
+class Component(Struct, frozen=True):
     """One number of a tap: position among the route's signals, and what is done with it."""
 
     index: int
     conversion: Conversion
 
 
-@dataclass(frozen=True)
-class Tap:
+class Tap(Struct, frozen=True):
     """What a route gives to one channel.
 
     slots: positions in the channel's values, in the order of components. complete: they are all

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.bus.database import Signal
@@ -31,8 +31,7 @@ MAX_PHYSICAL = 1e300
 """A scale that reaches beyond this is no physical one, and would overflow."""
 
 
-@dataclass(frozen=True)
-class Scaling:
+class Scaling(Struct, frozen=True):
     """Conversion of one signal. `expression` is Python text in which ``{r}`` is the raw value.
 
     `in_integers`: columns need Python's integers too.

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.bus.arbitration import Arbiter
@@ -35,8 +36,7 @@ class ColumnSamples(Series):
     row: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
-@dataclass(frozen=True, eq=False)
-class Routed:
+class Routed(Struct, frozen=True, eq=False):
     """What a chunk of frames came to.
 
     samples: by channel. rejected: by channel, the rows whose sample was rejected, in order.

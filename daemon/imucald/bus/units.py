@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from imucald.errors import ConfigError
 from imucald.samples import GRAVITY
 
 
-@dataclass(frozen=True)
-class Unit:
+class Unit(Struct, frozen=True):
     """A unit of one dimension: ``si = factor * value + offset``."""
 
     dimension: str

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 from imucald import config as cfg
 from imucald.bus.codec import compile_decode
 from imucald.bus.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
@@ -54,8 +56,7 @@ _SENSORS = ("accel", "gyro")
 """Channels whose end-of-range values mean a saturated sensor."""
 
 
-@dataclass(frozen=True)
-class Wanted:
+class Wanted(Struct, frozen=True):
     """One number that the configuration asks for."""
 
     channel: str
@@ -68,8 +69,7 @@ class Wanted:
     place: Place
 
 
-@dataclass
-class Loaded:
+class Loaded(Struct):
     """A database of the configuration, read."""
 
     entry: cfg.Database
