@@ -142,6 +142,8 @@ def as_it_is(log: Log) -> Iterator[str]:
     yield ""
     if log.name == "kingston_2008":
         yield from confirm_kingston(log, diagnosis)
+    if log.name == "wrx_sti":
+        yield from confirm_wrx(log, diagnosis)
     yield from confirm_delay(log, diagnosis)
 
 
@@ -164,6 +166,54 @@ def confirm_kingston(log: Log, diagnosis: Diagnosis) -> Iterator[str]:
         f"its pitch, {100 * rms(rise):.2f} % from its vertical velocity; the model file said "
         f"{100 * log.baseline.road.grade_rms:.2f} %, the extended one says "
         f"{100 * diagnosis.model_after.road.grade_rms:.2f} %."
+    )
+
+
+WRX_TRACK_M = 1.535
+WRX_LITERATURE = (
+    "The maker's figures for this model: steering ratio 15.0 (2008 to 2014) or 13.0 (from 2015), "
+    "track 1.53 m in front, 1.54 m behind. Passenger cars understeer by 1 to 4 deg/g at the road "
+    "wheel"
+)
+
+
+def confirm_wrx(log: Log, diagnosis: Diagnosis) -> Iterator[str]:
+    """Steering by plain least squares, yaw rate by the wheels' difference: not used by `diagnose`.
+
+    steering = ratio (L r / v + K v r) + offset; (v_right - v_left) = track * r.
+    """
+    s = log.recording.samples
+    t = np.arange(2.0, log.recording.duration_s - 2.0, 0.02)
+    window = np.ones(25) / 25.0
+
+    def on_grid(channel: str, column: int | None = None) -> Array:
+        values = s[channel].values if column is None else s[channel].values[:, column]
+        smooth = np.convolve(values, window, "same")
+        return np.interp(t, s[channel].t, smooth)
+
+    v, wheel, yaw = on_grid("speed"), on_grid("steering"), on_grid("yaw_rate")
+    forward = (v > 2.0) & (np.interp(t, s["reverse"].t, s["reverse"].values) < 0.5)
+    v, wheel, yaw = v[forward], wheel[forward], yaw[forward]
+    left, right = (on_grid("wheel_speeds", i)[forward] for i in (2, 3))
+    track = float(np.polyfit(yaw, right - left, 1)[0])
+    columns = np.column_stack(
+        [log.baseline.chassis.wheelbase_m * yaw / v, v * yaw, np.ones_like(v)]
+    )
+    ratio, product, _ = np.linalg.lstsq(columns, wheel, rcond=None)[0]
+    per_g = np.degrees(product / ratio) * 9.80665
+    after = diagnosis.model_after
+    yield (
+        f"- Independent: the rear wheels' difference over the yaw rate gives a track of {track:.2f} "
+        f"m, where the car has {WRX_TRACK_M:.2f}: the yaw rate reads {WRX_TRACK_M / track:.2f} of "
+        f"the true one, if the wheels are right; the extended model says "
+        f"{1.0 + after.yaw_rate.scale:.2f}."
+    )
+    yield (
+        f"- Independent: plain least squares on the signals as they are: ratio {ratio:.1f}, "
+        f"understeer {per_g:.1f} deg/g (with the yaw rate's scale by the wheels: "
+        f"{ratio * WRX_TRACK_M / track:.1f}); the extended model says "
+        f"{after.chassis.steering_ratio:.1f} and "
+        f"{np.degrees(after.chassis.understeer_gradient) * 9.80665:.1f} deg/g. {WRX_LITERATURE}."
     )
 
 
