@@ -101,7 +101,7 @@ class Cause:
         """Add to signals."""
 
 
-STAGES = ("inputs", "motion", "road", "body", "place", "mount", "response", "gain", "offset")
+STAGES = ("inputs", "road", "motion", "body", "place", "mount", "response", "gain", "offset")
 
 
 @cache

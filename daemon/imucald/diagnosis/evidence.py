@@ -22,7 +22,7 @@ from imucald.diagnosis.grid import Array
 from imucald.diagnosis.spectra import Normal
 
 
-LENIENCE = 1.6
+LENIENCE = 0.9
 """A model file may be wrong by its tolerance; the prior is wider, since physics is never whole."""
 
 

@@ -31,7 +31,7 @@ UNITS: Mapping[str, str] = {
     name: "rad/s" if name.startswith(("gyro", "yaw")) else "m/s^2" for name in SIGNALS
 }
 Hook = Callable[[State, Values], None]
-DERIVED_HZ = 1.5
+DERIVED_HZ = 2.8
 """What is differentiated (speed, angular rates) is smoothed above: there it is mostly noise."""
 SLOW_MPS = 2.5
 """Below this the steering says little about the yaw rate: tyres and play decide."""
@@ -51,6 +51,8 @@ class Forward:
         self._spectrum = Spectrum(len(track.t))
         self.R_vehicle_from_sensor = mount_of(model)
         self.names = _available(track)
+        speed = track.scalars["speed"]
+        self._rolling = speed * speed / (speed * speed + 1.0)
         self.measured = self._measured()
         self.usable = self._usable()
 
@@ -63,9 +65,9 @@ class Forward:
         s = State(self.track, self.model, self._spectrum)
         self._run("inputs", s, values)
         self._take_inputs(s)
+        self._run("road", s, values)
         self._steer(s, values)
         self._run("motion", s, values)
-        self._run("road", s, values)
         self._force(s)
         self._run("body", s, values)
         self._lean(s)
@@ -119,7 +121,9 @@ class Forward:
         ratio = values.get("chassis.steering_ratio", chassis.steering_ratio)
         gradient = values.get("chassis.understeer_gradient", chassis.understeer_gradient)
         v = s.speed
-        angle = np.clip(s.steer / ratio, -1.2, 1.2)
+        # Part of the angle holds the vehicle against the cross fall.
+        angle = s.steer / ratio - gradient * GRAVITY * s.road_roll * self._rolling
+        angle = np.clip(angle, -1.2, 1.2)
         # Linear as in the simulation's tyre; geometry at low speed asks for the tangent.
         turn = angle + values.get("_tyre.tangent", 0.0) * (np.tan(angle) - angle)
         wanted = v * turn / np.maximum(chassis.wheelbase_m + gradient * v * v, 0.3)
@@ -139,9 +143,10 @@ class Forward:
     def _lean(self, s: State) -> None:
         """Turn into the body's axes; the springs' own rates are added."""
         p, r = s.lean_pitch, s.lean_roll
+        sp, cp, sr, cr = np.sin(p), np.cos(p), np.sin(r), np.cos(r)
         fx, fy, fz = s.force
-        x, z = fx - p * fz, fz + p * fx
-        s.force = np.array([x, fy + r * z, z - r * fy])
+        x, z = cp * fx - sp * fz, cp * fz + sp * fx
+        s.force = np.array([x, cr * fy + sr * z, cr * z - sr * fy])
         wx, wy, w = s.rate
         derivative = s.spectrum.derivative
         s.rate = np.array([wx + derivative(r) - p * w, wy + derivative(p) + r * w, w])

@@ -31,7 +31,7 @@ GAP_PERIODS = 3.5
 SHORTEST_GAP_S = 0.15
 BAND_SHARE = 0.35
 """A signal sampled at some rate carries motion up to this share of it."""
-TOP_HZ = 2.5
+TOP_HZ = 1.8
 """Nothing is compared above this frequency."""
 STANDING_MPS = 0.05
 ROLLING_MPS = 1.2

@@ -22,6 +22,7 @@ from imucald.diagnosis.spectra import (
     normal_equations,
     transform,
     weighted,
+    with_model_error,
 )
 
 NOISE_ROUNDS = 2
@@ -76,11 +77,12 @@ def linearise(
     tick: Callable[[], None] | None = None,
 ) -> Linearised:
     """Take derivatives at `values` and the noise that is left when all parameters are free."""
-    columns, residuals = [], []
+    columns, residuals, expected = [], [], []
     for forward in forwards:
         predicted = forward.predict(values)
-        stack = np.empty((len(parameters) + 1, *predicted.shape), dtype=np.float32)
-        stack[-1] = forward.measured - predicted
+        stack = np.empty((len(parameters) + 2, *predicted.shape), dtype=np.float32)
+        stack[-1] = predicted - predicted.mean(axis=1, keepdims=True)
+        stack[-2] = forward.measured - predicted
         for i, p in enumerate(parameters):
             moved = dict(values)
             moved[p.key] += p.step
@@ -88,8 +90,9 @@ def linearise(
         if tick is not None:
             tick()
         blocks = transform(stack, forward.usable, forward.track.top_hz)
-        columns.append(Blocks(blocks.values[..., :-1], blocks.present, blocks.start))
-        residuals.append(np.ascontiguousarray(blocks.values[..., -1]))
+        columns.append(Blocks(blocks.values[..., :-2], blocks.present, blocks.start))
+        residuals.append(np.ascontiguousarray(blocks.values[..., -2]))
+        expected.append(blocks.values[..., -1])
     shift = np.array([values[p.key] - base[p.key] for p in parameters])
     keys = [p.key for p in parameters]
     present = np.concatenate([c.present for c in columns])
@@ -97,13 +100,16 @@ def linearise(
     left = np.concatenate(residuals)
     whole = Blocks(np.concatenate([c.values for c in columns]), present, np.zeros(len(present)))
     together = left
+    predicted_all = np.concatenate(expected)
     for _ in range(NOISE_ROUNDS):
         noise = cross_spectra(left, present, loud, taken=10.0)
-        normal = normal_equations(whole, together, noise, loud)
+        wide = with_model_error(loud, predicted_all, noise)
+        normal = normal_equations(whole, together, noise, wide)
         x = Evidence(parameters, normal, shift).fit(keys).x
         left = together - whole.values @ x.astype(np.float32)
         loud = loudness(left, present, noise)
     noise = cross_spectra(left, present, loud, taken=10.0)
+    loud = with_model_error(loud, predicted_all, noise)
     normal = normal_equations(whole, together, noise, loud)
     return Linearised(
         tuple(parameters),

@@ -22,9 +22,9 @@ from imucald.diagnosis.grid import Array
 from imucald.diagnosis.linear import Linearised, linearise, residual_blocks
 from imucald.diagnosis.spectra import HOP
 
-PRIOR = math.log(0.02)
+PRIOR = math.log(0.01)
 """Log prior odds that a given cause is at work."""
-ACCEPT = 2.0
+ACCEPT = 3.5
 """Log posterior odds above which a cause is accepted in a step."""
 ALIKE = 3.0
 """Explanations within this log evidence of the best are look-alikes: odds of 20 to 1."""
@@ -137,9 +137,13 @@ class Search:
         evidence, temper = found.point.evidence, self.temper(found, variant.keys)
         without = evidence.fit(found.keys, temper=temper)
         with_it = evidence.fit([*found.keys, *variant.keys], temper=temper)
-        return Trial(
-            variant, with_it.log_evidence - without.log_evidence + self._prior(variant), {}
-        )
+        score = with_it.log_evidence - without.log_evidence + self._prior(variant)
+        for key in variant.keys:
+            p, i = self.parameters[self._index[key]], self._index[key]
+            value = found.point.values[key] + float(with_it.x[i])
+            if _within(p, value) != value and abs(value - _within(p, value)) > p.tolerance:
+                score = -math.inf  # it would have to be what it cannot be
+        return Trial(variant, score, {})
 
     def _far(self, found: Found, variant: Variant) -> list[Trial]:
         """Try a cause at values far from the point, with the columns of the point."""

@@ -32,6 +32,8 @@ SHRINK = 0.12
 PRIOR_COUNT = 3.0
 """Frequencies of usual loudness that each stretch is taken to have besides its own."""
 LEAST_LOUD, MOST_LOUD = 0.3, 5.0
+ERROR_STEADY, ERROR_PER_HZ = 0.015, 0.25
+"""Error of the forward model, relative to what it predicts, in steady state and per hertz."""
 FLOOR = 1e-3
 """Least noise of a signal in a band, relative to its own largest band."""
 
@@ -101,7 +103,10 @@ def cross_spectra(
             S = _long_run(means, present)
             S = S * (B / max(B - taken, 0.3 * B))
         diagonal = np.real(np.diag(S)).copy()
-        result[i] = (1.0 - SHRINK) * S + SHRINK * np.diag(diagonal)
+        # Few values make a poor inverse: the fewer, the more the cross terms are pulled in.
+        count = OVERLAP_WEIGHT * B * (band.stop - band.start)
+        pull = SHRINK + (1.0 - SHRINK) * C / (count + C)
+        result[i] = (1.0 - pull) * S + pull * np.diag(diagonal)
     power = np.real(np.einsum("icc->ic", result))
     least = FLOOR * power.max(axis=0) + 1e-18
     for i in range(len(result)):
@@ -126,6 +131,22 @@ def loudness(residual: Complex, present: NDArray[np.bool_], noise: Complex) -> A
         here = e.sum(axis=1) / np.maximum(usual, 1e-30)
         ratio = (PRIOR_COUNT + here) / (PRIOR_COUNT + e.shape[1])
         result[:, i, :] = np.clip(np.sqrt(ratio), LEAST_LOUD, MOST_LOUD)
+    return result
+
+
+def with_model_error(loud: Array, predicted: Complex, noise: Complex) -> Array:
+    """Widen the noise by what the forward model itself cannot promise: (B, bands, C).
+
+    Its error is a share of the predicted signal that grows with frequency: dynamics of tyres and
+    springs are known less well than steady states.
+    """
+    result = loud.copy()
+    for i, band in enumerate(bands(predicted.shape[1])):
+        f = 0.5 * (band.start + band.stop - 1) / BLOCK_S
+        share = np.hypot(ERROR_STEADY, ERROR_PER_HZ * f)
+        power = np.mean(np.abs(predicted[:, band, :]) ** 2, axis=1)
+        own = np.real(np.diag(noise[i]))
+        result[:, i, :] = np.sqrt(loud[:, i, :] ** 2 + share**2 * power / own)
     return result
 
 

@@ -16,7 +16,10 @@ class AccelCrossAxis(Cause):
     """measured_i = true_i + c_ij true_j, in sensor axes."""
 
     name = "accel_cross_axis"
-    parameters = tuple(Parameter(key, "1", 0.002, 0.04, 0.005, -0.5, 0.5) for key in KEYS)
+    parameters = tuple(
+        Parameter(key, "1", 0.005 if seen == 2 else 0.003, 0.04, 0.005, -0.5, 0.5)
+        for key, (seen, _) in zip(KEYS, PAIRS, strict=True)
+    )
     signals = ("accel_x", "accel_y", "accel_z")
     seen_by = "brake and accelerate hard in a straight line, and corner hard both ways"
     sentence = "One axis of the accelerometer sees part of another."

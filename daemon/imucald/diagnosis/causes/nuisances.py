@@ -77,8 +77,8 @@ class MeanRoad(Cause):
     name = "mean_road"
     nuisance = True
     parameters = (
-        Parameter("road.grade_mean", "1", 0.002, 0.002, 0.002),
-        Parameter("road.crown_mean", "1", 0.004, 0.004, 0.002),
+        Parameter("road.grade_mean", "1", 0.0015, 0.0015, 0.002),
+        Parameter("road.crown_mean", "1", 0.0025, 0.0025, 0.002),
         Parameter("_road.banked_curves", "1", 0.03, 0.03, 0.02),
     )
 

@@ -1,0 +1,73 @@
+"""A signal's frames counted: its cycle, and how many frames are missing where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.diagnosis.faults.fault import Array, Index
+from imucald.samples import Series
+
+NEAR = 0.4
+"""A frame is in time if it comes within this share of its period."""
+REGULAR_SHARE = 0.8
+"""Share of frames in time from which on a signal has a cycle; polled answers do not."""
+BLOCKS = 24
+"""Parts of the drive whose scatter says how well the cycle is known."""
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """Frames of one signal that has a cycle."""
+
+    period_s: float
+    std: float
+    """Of the period, as a share of it."""
+    number: Index
+    """(N,) of each frame, missing ones counted."""
+    lost: Index
+    """(N-1,) frames missing between each frame and the next."""
+
+    @property
+    def frames(self) -> int:
+        """How many frames there should be."""
+        return int(self.number[-1]) + 1
+
+
+def cycle_of(series: Series) -> Cycle | None:
+    """Count a signal's frames; None if it has no cycle.
+
+    A frame that is late (a busy bus, a slow task) makes a long step and a short one: it is not
+    lost, because the count catches up.
+    """
+    steps_s = np.diff(series.t)
+    period = float(np.median(steps_s))
+    if period <= 0.0:
+        return None
+    in_time = np.abs(steps_s - period) < NEAR * period
+    if np.mean(in_time) < REGULAR_SHARE:
+        return None
+    period = float(np.mean(steps_s[in_time]))
+    surplus = np.cumsum(np.rint(steps_s / period).astype(np.int64) - 1)
+    # Only what is never caught up is lost.
+    missing = np.minimum.accumulate(surplus[::-1])[::-1]
+    missing = np.maximum(missing, 0)
+    lost = np.diff(missing, prepend=0)
+    number = np.concatenate(([0], np.cumsum(1 + lost)))
+    share, std = _slope(period * number, series.t - series.t[0])
+    return Cycle(period * share, std, number, lost)
+
+
+def _slope(x: Array, y: Array) -> tuple[float, float]:
+    """Slope of y over x and its standard deviation, from the means of blocks."""
+    bounds = np.linspace(0, len(x), BLOCKS + 1).astype(np.int64)[:-1]
+    count = np.diff(np.append(bounds, len(x)))
+    mean_x, mean_y = np.add.reduceat(x, bounds) / count, np.add.reduceat(y - x, bounds) / count
+    mean_x = mean_x - mean_x.mean()
+    square = float(np.sum(mean_x**2))
+    slope = float(np.sum(mean_x * mean_y)) / square
+    residual = mean_y - mean_y.mean() - slope * mean_x
+    # Neighbouring blocks may err alike: twice the scatter of independent ones.
+    std = 2.0 * float(np.sqrt(np.sum(residual**2) / (BLOCKS - 2) / square))
+    return 1.0 + slope, std
