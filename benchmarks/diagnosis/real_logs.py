@@ -203,9 +203,9 @@ def confirm_wrx(log: Log, diagnosis: Diagnosis) -> Iterator[str]:
     per_g = np.degrees(product / ratio) * 9.80665
     after = diagnosis.model_after
     yield (
-        f"- Independent: the rear wheels' difference over the yaw rate gives a track of {track:.2f} "
-        f"m, where the car has {WRX_TRACK_M:.2f}: the yaw rate reads {WRX_TRACK_M / track:.2f} of "
-        f"the true one, if the wheels are right; the extended model says "
+        f"- Independent: the rear wheels' difference over the yaw rate gives a track of "
+        f"{track:.2f} m, where the car has {WRX_TRACK_M:.2f}: the yaw rate reads "
+        f"{WRX_TRACK_M / track:.2f} of the true one, if the wheels are right; the extended model says "
         f"{1.0 + after.yaw_rate.scale:.2f}."
     )
     yield (
