@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ from imucald.out_parts import rotated_columns
 from imucald.pipeline import Pipeline, Snapshot
 from imucald.samples import Samples, Series
 
+Array = NDArray[np.float64]
+
 TRIADS = ("accel", "gyro")
 
 
@@ -24,52 +27,73 @@ TRIADS = ("accel", "gyro")
 class CorrectedDrive:
     """What the daemon makes of a drive.
 
-    estimate: of the mount, at the end. snapshots: one a second. accel, gyro: corrected samples
-    (N, 3), SI, as they would have been sent: in vehicle axes (the road's where leaning is taken
-    out), NaN while the mount was not known. A channel that the drive lacks is None.
+    accel, gyro: corrected samples (N, 3), SI, as they would have been sent: in vehicle axes (the
+    road's where leaning is taken out), NaN while the mount was not known. A channel that the drive
+    lacks is None. estimate: of the mount, at the end; None where the mount was given. snapshots:
+    one a second.
     """
 
-    estimate: MountEstimate
-    snapshots: tuple[Snapshot, ...]
     accel: Series | None
     gyro: Series | None
+    estimate: MountEstimate | None = None
+    snapshots: tuple[Snapshot, ...] = ()
 
 
 def corrected_drive(
     samples: Samples,
     compensation: Compensation | None,
     settings: EstimatorSettings | None = None,
-    R_vehicle_from_sensor: NDArray[np.float64] | None = None,
 ) -> CorrectedDrive:
     """Run samples through sensor terms, estimator and correction, as `run` and `replay` do.
 
-    settings: of the estimator, as they are without a model. R_vehicle_from_sensor: (3, 3) to
-    correct with instead of the estimate, which shows the signals' own error.
+    settings: of the estimator, as they are without a model.
     """
     settings = settings or EstimatorSettings()
     channels = frozenset(samples)
+    evidence = None
     if compensation is not None:
         samples = compensation.samples(samples)
         settings = compensation.full_settings(settings)
-    evidence = None if compensation is None else compensation.evidence_stage()
+        evidence = compensation.evidence_stage()
     pipeline = Pipeline(FullEstimator(settings), evidence=evidence)
     t_last = max((float(s.t[-1]) for s in samples.values() if len(s.t)), default=0.0)
     corrections, snapshots = pipeline.run(samples, {}, t_last)
-    turned: dict[str, Corrected] = {}
-    for channel in TRIADS:
-        if channel in samples:
-            series = samples[channel]
-            index = np.floor(series.t * TICK_RATE).astype(np.int64) - corrections.first
-            rotations = corrections.rotations[index]
-            if R_vehicle_from_sensor is not None:
-                rotations = np.tile(R_vehicle_from_sensor.ravel(), (len(series.t), 1))
-            values = rotated_columns(rotations, series.values)
-            turned[channel] = Corrected(series.t, series.t, values)
+
+    def rotations(t: Array) -> Array:
+        index = np.floor(t * TICK_RATE).astype(np.int64) - corrections.first
+        return np.asarray(corrections.rotations[index])
+
+    accel, gyro = _corrected(samples, channels, compensation, rotations)
+    return CorrectedDrive(accel, gyro, pipeline.estimator.estimate(), tuple(snapshots))
+
+
+def corrected_with(
+    samples: Samples, compensation: Compensation | None, R_vehicle_from_sensor: Array
+) -> CorrectedDrive:
+    """The same with a mount (3, 3) that is given: what is wrong then is the signals' own error."""
+    channels = frozenset(samples)
+    if compensation is not None:
+        samples = compensation.samples(samples)
+    nine = R_vehicle_from_sensor.ravel()
+    return CorrectedDrive(
+        *_corrected(samples, channels, compensation, lambda t: np.tile(nine, (len(t), 1)))
+    )
+
+
+def _corrected(
+    samples: Samples,
+    channels: frozenset[str],
+    compensation: Compensation | None,
+    rotations: Callable[[Array], Array],
+) -> tuple[Series | None, Series | None]:
+    """Corrected accelerometer and gyroscope; rotations: times (N,) -> (N, 9)."""
+    turned = {
+        channel: Corrected(series.t, series.t, rotated_columns(rotations(series.t), series.values))
+        for channel, series in samples.items()
+        if channel in TRIADS
+    }
+    columns = {channel: one.values for channel, one in turned.items()}
     if compensation is not None:
         columns = compensation.vehicle_stage(channels).columns(turned)
-    else:
-        columns = {channel: one.values for channel, one in turned.items()}
-    out = {channel: Series(turned[channel].t, values) for channel, values in columns.items()}
-    return CorrectedDrive(
-        pipeline.estimator.estimate(), tuple(snapshots), out.get("accel"), out.get("gyro")
-    )
+    found = {channel: Series(turned[channel].t, values) for channel, values in columns.items()}
+    return found.get("accel"), found.get("gyro")

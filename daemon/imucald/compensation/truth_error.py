@@ -53,7 +53,7 @@ def drive_errors(
     gyro = nothing
     if drive.gyro is not None:
         gyro = np.degrees(_rms(drive.gyro, truth, rate, from_s)[0])
-    R = drive.estimate.R_vehicle_from_sensor
+    R = None if drive.estimate is None else drive.estimate.R_vehicle_from_sensor
     mount = nothing
     if R is not None:
         mount = np.degrees(vector_from_rotation(truth.R_vehicle_from_sensor() @ R.T))
