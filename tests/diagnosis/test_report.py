@@ -315,6 +315,25 @@ def test_a_cause_that_nobody_has_named_yet_has_a_title():
     assert words.signal_title("brake_torque") == "brake torque"
 
 
+def test_a_sure_cause_beside_an_ambiguous_one_is_told():
+    both = words.verdict(made.found(
+        verdict="ambiguous", look_alikes=(("accel_bias", "road_bank"),)
+    ))  # fmt: skip
+    assert both.headline == "Ambiguous: accelerometer bias or road bank"
+    assert "Beyond doubt about its kind is body roll" in both.explanation
+
+
+def test_structure_beside_what_was_found_is_told():
+    said = words.verdict(made.found(structure=made.unknown().structure)).explanation
+    assert "left besides, in accelerometer y and vehicle yaw rate" in said
+
+
+def test_names_in_texts_are_those_that_people_use():
+    text = "accel_bias or road_bank: drive; not my_accel_bias"
+    said = words.with_titles(text, ["accel_bias", "road_bank"])
+    assert said == "accelerometer bias or road bank: drive; not my_accel_bias"
+
+
 # the model's changes ---------------------------------------------------------------------------
 
 

@@ -98,7 +98,8 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
         titles = [words.cause_title(name) for name in group]
         console.print(f"not to be told apart: {words.in_series(titles, 'or')}")
     if diagnosis.to_separate:
-        console.print(f"to tell them apart: {diagnosis.to_separate}")
+        names = [name for group in diagnosis.look_alikes for name in group]
+        console.print(f"to tell them apart: {words.with_titles(diagnosis.to_separate, names)}")
     if not diagnosis.structure:
         return
     console.print()
@@ -135,7 +136,8 @@ def _print_candidates(console: Console, diagnosis: Diagnosis) -> None:
     ordered = sorted(diagnosis.candidates, key=lambda c: -c.log_evidence)
     for c in ordered[:SHOWN_CANDIDATES]:
         name = " + ".join(words.cause_title(n) for n in c.names) or "nothing"
-        why = f" ({c.reason})" if c.reason else ""
+        reason = words.with_titles(c.reason, [cause.name for cause in diagnosis.causes])
+        why = f" ({reason})" if reason else ""
         console.print(f"lost: {name}, by {words.number(-c.log_evidence)} nats{why}")
     if len(ordered) > SHOWN_CANDIDATES:
         console.print(f"{len(ordered) - SHOWN_CANDIDATES} more lost; report and JSON have them")

@@ -60,12 +60,14 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
     template = _environment().get_template("diagnosis.html")
     changes = model_changes(diagnosis.model_before, diagnosis.model_after)
     verdict = words.verdict(diagnosis)
+    alike = [name for group in diagnosis.look_alikes for name in group]
     return template.render(
         d=diagnosis,
         about=about,
         verdict=verdict,
         figures=_key_figures(diagnosis),
         causes=[_card(cause) for cause in diagnosis.causes],
+        to_separate=words.with_titles(diagnosis.to_separate, alike),
         groups=[[words.cause_title(n) for n in g] for g in diagnosis.look_alikes[:MAX_ROWS]],
         signals=_signal_rows(diagnosis),
         pictures=_pictures(diagnosis),
@@ -197,12 +199,13 @@ def _candidates(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     ordered = sorted(diagnosis.candidates, key=lambda c: -_size(c.log_evidence))
     worst = max((abs(c.log_evidence) for c in ordered if math.isfinite(c.log_evidence)), default=0)
     scale = 100.0 / math.log1p(worst) if worst > 0.0 else 0.0
+    found = [cause.name for cause in diagnosis.causes]
     return [
         {
             "title": " + ".join(words.cause_title(n) for n in c.names) or "nothing",
             "lost_by": words.number(-c.log_evidence, 3),
             "bar": _width(scale * math.log1p(abs(c.log_evidence))),
-            "reason": c.reason,
+            "reason": words.with_titles(c.reason, found),
         }
         for c in ordered[:MAX_CANDIDATES]
     ]

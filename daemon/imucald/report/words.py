@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from imucald.diagnosis.result import Diagnosis, FoundCause, Gain, SignalGain
@@ -36,6 +37,8 @@ SIGNALS: Mapping[str, str] = {
 
 CERTAIN = 0.999
 """Probabilities beyond it are said as "more than": the model of chance is not better than that."""
+
+WORD = re.compile(r"\w+")
 
 Z95 = 1.959964
 """Half width of a 95 % interval in standard deviations."""
@@ -86,15 +89,13 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
     titles = [cause_title(cause.name) for cause in diagnosis.causes]
     if diagnosis.verdict == "found":
         headline = f"Found: {in_series(titles)}" if titles else "Found"
-        return Verdict(headline, f"{_counted(len(titles))}{certainty(diagnosis)}.")
+        text = f"{_counted(len(titles))}{certainty(diagnosis.causes)}.{_left(diagnosis)}"
+        return Verdict(headline, text)
     if diagnosis.verdict == "ambiguous":
-        groups = [in_series([cause_title(n) for n in g], "or") for g in diagnosis.look_alikes]
-        headline = "; ".join(groups) or in_series(titles, "or")
-        text = "Something is wrong, and these drives cannot tell which of them it is."
-        return Verdict(f"Ambiguous: {headline}", text)
+        return _ambiguous(diagnosis, titles)
     if diagnosis.verdict == "unknown":
-        where = list(dict.fromkeys(signal_title(s.signal) for s in diagnosis.structure))
-        headline = f"Unknown: something is left in {in_series(where)}" if where else "Unknown"
+        where = _where(diagnosis)
+        headline = f"Unknown: something is left in {where}" if where else "Unknown"
         text = "The measured signals differ from the model in a way that no known cause explains."
         if titles:
             text += f" Besides, this was found: {in_series(titles)}."
@@ -106,9 +107,37 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
     return Verdict("Nothing found: the model fits", text)
 
 
-def certainty(diagnosis: Diagnosis) -> str:
+def _ambiguous(diagnosis: Diagnosis, titles: Sequence[str]) -> Verdict:
+    groups = [in_series([cause_title(n) for n in g], "or") for g in diagnosis.look_alikes]
+    text = "Something is wrong, and these drives cannot tell which of them it is."
+    confused = {name for group in diagnosis.look_alikes for name in group}
+    sure = [cause for cause in diagnosis.causes if cause.name not in confused]
+    if groups and sure:
+        also = in_series([cause_title(cause.name) for cause in sure])
+        text += f" Beyond doubt about its kind is {also}{certainty(sure)}."
+    headline = "; ".join(groups) or in_series(titles, "or")
+    return Verdict(f"Ambiguous: {headline}", text + _left(diagnosis))
+
+
+def _where(diagnosis: Diagnosis) -> str:
+    """The signals that hold structure, in words."""
+    return in_series(list(dict.fromkeys(signal_title(s.signal) for s in diagnosis.structure)))
+
+
+def _left(diagnosis: Diagnosis) -> str:
+    where = _where(diagnosis)
+    return f" Something is left besides, in {where}, that no known cause explains." if where else ""
+
+
+def with_titles(text: str, names: Iterable[str]) -> str:
+    """Return a text with the names of causes as people call them."""
+    known = set(names)
+    return WORD.sub(lambda found: cause_title(found[0]) if found[0] in known else found[0], text)
+
+
+def certainty(causes: Sequence[FoundCause]) -> str:
     """Return how sure the causes are, by the least sure of them; empty where it is not known."""
-    known = [c.evidence["probability"] for c in diagnosis.causes if "probability" in c.evidence]
+    known = [c.evidence["probability"] for c in causes if "probability" in c.evidence]
     if not known:
         return ""
     least = "at least " if len(known) > 1 and min(known) <= CERTAIN else ""
@@ -142,7 +171,7 @@ def evidence(cause: FoundCause) -> str:
         for name, x in known.items()
         if name not in ("probability", "sigma", "log_bayes_factor")
     ]
-    if "held_out_log_likelihood" in cause.gain:
+    if cause.gain.get("held_out_log_likelihood"):
         gain = number(cause.gain["held_out_log_likelihood"], 3)
         parts.append(f"worth {gain} nats on held-out data")
     return "; ".join(parts)
