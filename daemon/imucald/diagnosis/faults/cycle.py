@@ -13,6 +13,10 @@ NEAR = 0.4
 """A frame is in time if it comes within this share of its period."""
 REGULAR_SHARE = 0.8
 """Share of frames in time from which on a signal has a cycle; polled answers do not."""
+ROUND = 128
+"""Frames over which a unit's clock is as good as constant."""
+EARLY = 0.25
+"""A frame may come so much of a period before it is due."""
 BLOCKS = 24
 """Parts of the drive whose scatter says how well the cycle is known."""
 
@@ -49,14 +53,29 @@ def cycle_of(series: Series) -> Cycle | None:
     if np.mean(in_time) < REGULAR_SHARE:
         return None
     period = float(np.mean(steps_s[in_time]))
-    surplus = np.cumsum(np.rint(steps_s / period).astype(np.int64) - 1)
-    # Only what is never caught up is lost.
+    since: Array = series.t - series.t[0]
+    place = (since - _beat(since, period)) / period
+    surplus = np.floor(place + EARLY).astype(np.int64) - np.arange(len(place))
+    # A late frame seems to follow a lost one until the next comes: only what stays is lost.
     missing = np.minimum.accumulate(surplus[::-1])[::-1]
-    missing = np.maximum(missing, 0)
-    lost = np.diff(missing, prepend=0)
-    number = np.concatenate(([0], np.cumsum(1 + lost)))
-    share, std = _slope(period * number, series.t - series.t[0])
+    missing -= missing[0]
+    lost = np.diff(missing)
+    number = np.arange(len(place)) + missing
+    due: Array = period * number
+    share, std = _slope(due, since)
     return Cycle(period * share, std, number, lost)
+
+
+def _beat(t: Array, period: float) -> Array:
+    """When frames were due, less whole periods: (N,) [s], from those that came first in a while."""
+    rough = np.concatenate(([0], np.cumsum(np.rint(np.diff(t) / period))))
+    late = t - period * rough
+    whole = len(t) // ROUND * ROUND
+    blocks = np.partition(late[:whole].reshape(-1, ROUND), ROUND // 20, axis=1)
+    # A frame too many in the rough count moves all that follow by a period.
+    due = np.unwrap(blocks[:, ROUND // 20], period=period)
+    middle = t[:whole].reshape(-1, ROUND)[:, ROUND // 2]
+    return np.interp(t, middle, due)
 
 
 def _slope(x: Array, y: Array) -> tuple[float, float]:

@@ -38,9 +38,7 @@ def find(samples: Samples, model: Model, cycles: dict[str, Cycle]) -> list[Fault
     return [fault for fault in found if fault is not None]
 
 
-def _channel(
-    name: str, samples: Samples, model: Model, cycles: dict[str, Cycle]
-) -> Fault | None:
+def _channel(name: str, samples: Samples, model: Model, cycles: dict[str, Cycle]) -> Fault | None:
     cycle, t = cycles[name], samples[name].t
     if not cycle.lost.any():
         return None
@@ -68,6 +66,9 @@ def _channel(
     )
     parameters = {
         f"{name}.loss": Estimated(share, counted, "share"),
+        f"{name}.single_loss": Estimated(
+            singles / frames, math.sqrt(singles + 1.0) / frames, "share"
+        ),
         f"{name}.bursts": Estimated(float(len(stretches)), 0.5, "count"),
     }
     return Fault("dropouts", name, parameters, score, joined(stretches), text)

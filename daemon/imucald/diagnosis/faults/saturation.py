@@ -28,9 +28,11 @@ RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 """Sensors; a speed or a steering angle has ends of its own."""
 APART_S = 0.3
 """Arrivals at the rail closer than this are one movement."""
-FEWEST_ARRIVALS = 3
+FEWEST_SAMPLES = 3
 BROAD = 3.0
 """The tail is measured from where it holds this many times the samples on the rail."""
+STAYS_COUNT = 0.5
+"""Neighbouring samples are not independent: each counts for so much."""
 FINEST = 1e-5
 """Share of the largest value that counts as the same value where a signal has no steps."""
 FROZEN_FRAMES = 6
@@ -64,25 +66,24 @@ def on_rail(series: Series) -> tuple[float, Mask]:
 
 def _step(columns: Array, rail: float) -> float:
     steps = [step_of(column) for column in columns.T]
-    return max(max(steps), FINEST * rail)
+    return max([*steps, FINEST * rail])
 
 
 def _channel(name: str, series: Series) -> Fault | None:
     rail, at = on_rail(series)
-    if np.count_nonzero(at) < FEWEST_ARRIVALS:
+    if np.count_nonzero(at) < FEWEST_SAMPLES:
         return None
     at = at & ~_frozen(series)
     t = series.t[at]
-    if len(t) < FEWEST_ARRIVALS:
+    if len(t) < FEWEST_SAMPLES:
         return None
     arrivals = 1 + int(np.count_nonzero(np.diff(t) > APART_S))
-    if arrivals < FEWEST_ARRIVALS:
-        return None
     columns = series.values.reshape(len(series.t), -1)
     step = _step(columns, rail)
     scale = _tail(columns, rail, int(BROAD * len(t)))
     # Peaks of a tail that falls by 1/e over `scale` meet in one step with this probability each.
     log_p = (arrivals - 1) * math.log(-math.expm1(-step / scale)) if scale > 0.0 else 0.0
+    log_p += _stays(columns, at, rail, BROAD * scale)
     score = PRIOR - math.log(len(RAILED)) + odds(log_p)
     if score < ACCEPT:
         return None
@@ -98,6 +99,24 @@ def _channel(name: str, series: Series) -> Fault | None:
         f"samples ({100.0 * share:.2g} %), from {t[0]:.0f} s to {t[-1]:.0f} s."
     )
     return Fault("saturation", name, parameters, score, _spoilt(series.t, at), text)
+
+
+def _stays(columns: Array, at: Mask, rail: float, reach: float) -> float:
+    """Log probability of staying at the rail from sample to sample.
+
+    Below the rail an axis is as it was with a probability that its step, noise and motion give.
+    """
+    log_p = 0.0
+    for column in np.abs(columns).T:
+        near = column[1:] > rail - reach
+        top = near & at[1:] & at[:-1] & (column[1:] == column[:-1])
+        below = near & ~at[1:] & ~at[:-1]
+        if not top.any():
+            continue
+        equal = np.count_nonzero(below & (column[1:] == column[:-1]))
+        chance = (equal + 1.0) / (np.count_nonzero(below) + 2.0)
+        log_p += STAYS_COUNT * float(np.count_nonzero(top)) * math.log(chance)
+    return log_p
 
 
 def _frozen(series: Series) -> Mask:
