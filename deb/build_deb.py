@@ -32,7 +32,7 @@ EXTRAS = ("diagnostics",)
 UNWANTED = ("tests", "__pycache__", "include", "_pyinstaller")
 """Folders of packages that a daemon has no use for."""
 
-LAUNCHER = """#!/usr/bin/python3 -I
+LAUNCHER = """#!/usr/bin/python3 -IS
 import sys
 
 sys.path.insert(0, "/usr/lib/imucald")
@@ -111,6 +111,7 @@ def copy_packages(target: Path) -> None:
             place = target / file
             place.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(str(file.locate()), place)
+    sys.pycache_prefix = None  # beside their sources, whatever the environment says
     ok = compileall.compile_dir(
         target, quiet=2, invalidation_mode=py_compile.PycInvalidationMode.UNCHECKED_HASH
     )

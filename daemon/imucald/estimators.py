@@ -10,7 +10,6 @@ from imucald.config import Config, Vehicle
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.mount.published import PublishedEstimator
 from imucald.mount.published_settings import PublishedSettings
 
 if TYPE_CHECKING:
@@ -25,6 +24,8 @@ _KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
 def estimator_for(config: Config, compensation: Compensation | None = None) -> MountEstimator:
     """Return the estimator that a configuration asks for, told what its model knows."""
     if config.calibration.estimator == "published":
+        from imucald.mount.published import PublishedEstimator  # noqa: PLC0415 - a lighter start
+
         published = published_settings(config)
         if compensation is not None:
             side = config.vehicle.driving_side

@@ -5,8 +5,11 @@ All scenes (see scenario.py) play on one machine, one after the other: a boot co
 
 from __future__ import annotations
 
+import compileall
 import importlib.util
 import json
+import py_compile
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -55,6 +58,19 @@ exec python3 -u /opt/scenario.py
 """
 
 
+def compiled(folder: Path) -> Path:
+    """The daemon as a package installs it: with its modules compiled, for everybody to read."""
+    folder.chmod(0o755)
+    shutil.copytree(
+        ROOT / "daemon", folder / "daemon", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    mode = py_compile.PycInvalidationMode.UNCHECKED_HASH
+    prefix, sys.pycache_prefix = sys.pycache_prefix, None  # beside their sources
+    assert compileall.compile_dir(folder, quiet=1, invalidation_mode=mode)
+    sys.pycache_prefix = prefix
+    return folder
+
+
 @pytest.fixture(scope="module")
 def outcome(systemd_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     if sys.version_info[:2] != (3, 11):
@@ -66,13 +82,14 @@ def outcome(systemd_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Out
     assert numpy is not None
     assert numpy.origin is not None
     packages = Path(numpy.origin).parents[1]
+    source = compiled(tmp_path_factory.mktemp("source"))
     files = {
         "/opt/scenario.py": (HERE / "scenario.py").read_text(),
         "/usr/bin/imucald": STARTER,
         "/usr/bin/imucald-hanging": HANGING,
     }
-    script = SCRIPT.format(source=ROOT, packages=packages, drive=drive)
-    shared = [ROOT, packages, drive]
+    script = SCRIPT.format(source=source, packages=packages, drive=drive)
+    shared = [source, packages, drive]
     return run_machine(systemd_root, folder, script, files=files, shared=shared, limit=LIMIT_S)
 
 
