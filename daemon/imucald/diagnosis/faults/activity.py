@@ -92,7 +92,6 @@ def _change(name: str, others: Samples, t: Array, model: Model) -> Array:
 
 def _turning(name: str, others: Samples, t: Array, model: Model) -> Array | None:
     fine = _fine(t)
-    if "yaw_rate" in others:
     for key in ("yaw_rate", "gyro", "steering"):
         if key in others:
             values = others[key].values
