@@ -66,7 +66,7 @@ def compiled(folder: Path) -> Path:
     )
     mode = py_compile.PycInvalidationMode.UNCHECKED_HASH
     prefix, sys.pycache_prefix = sys.pycache_prefix, None  # beside their sources
-    assert compileall.compile_dir(folder, quiet=1, invalidation_mode=mode)
+    compileall.compile_dir(folder, quiet=1, invalidation_mode=mode)
     sys.pycache_prefix = prefix
     return folder
 
