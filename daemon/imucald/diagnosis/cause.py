@@ -14,8 +14,11 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
+from imucald.diagnosis.result import Estimated
+
 if TYPE_CHECKING:
     from imucald.diagnosis.state import State
+    from imucald.simulation.model import Model
 
 Values = Mapping[str, float]
 """Parameter key to its total value."""
@@ -40,8 +43,6 @@ class Parameter:
     least: float | None = None
     most: float | None = None
     """Limits that the model file sets."""
-    label: str = ""
-    """Name in reports; default: the key."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,18 @@ class Cause:
 
     def offset(self, s: State, p: Values) -> None:
         """Add to signals."""
+
+
+    def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
+        """Return the model file with the cause's fitted values; keys: those that moved."""
+        from imucald.diagnosis.keys import with_values
+
+        return with_values(model, {key: p[key] for key in keys})
+
+    def report(self, p: Values, std: Values, keys: Sequence[str]) -> dict[str, Estimated]:
+        """Return the fitted parameters as they are told, by name."""
+        units = {parameter.key: parameter.unit for parameter in self.parameters}
+        return {key: Estimated(p[key], std[key], units[key]) for key in keys}
 
 
 STAGES = ("inputs", "road", "motion", "body", "place", "mount", "response", "gain", "offset")

@@ -14,11 +14,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from imucald.diagnosis.cause import STAGES, Cause, Values
+from imucald.diagnosis.forward_mount import mount_of
 from imucald.diagnosis.grid import Array, Track
 from imucald.diagnosis.handling import Handling
 from imucald.diagnosis.keys import model_value
 from imucald.diagnosis.state import Spectrum, State
-from imucald.frames import Matrix3, rotation_from_angles
+from imucald.frames import Matrix3
 from imucald.samples import GRAVITY
 from imucald.simulation.model import Model
 
@@ -48,7 +49,7 @@ class Forward:
         self.causes = [cause for cause in causes if cause.parameters]
         self._handling = Handling(model.chassis)
         self._hooks = {stage: _overriding(self.causes, stage) for stage in STAGES}
-        self._spectrum = Spectrum(len(track.t))
+        self.spectrum = Spectrum(len(track.t))
         self.R_vehicle_from_sensor = mount_of(model)
         self.names = _available(track)
         speed = track.scalars["speed"]
@@ -60,9 +61,13 @@ class Forward:
         """Return every parameter's value in the model file."""
         return {p.key: model_value(self.model, p.key) for c in self.causes for p in c.parameters}
 
+    def derivative(self, x: Array) -> Array:
+        """Time derivative of a record of this drive (..., N)."""
+        return self.spectrum.derivative(x)
+
     def predict(self, values: Mapping[str, float]) -> Array:
         """Predict the signals of `names`: (C, N), SI, triads in the model's vehicle axes."""
-        s = State(self.track, self.model, self._spectrum)
+        s = State(self.track, self.model, self.spectrum)
         self._run("inputs", s, values)
         self._take_inputs(s)
         self._run("road", s, values)
@@ -223,14 +228,6 @@ class Forward:
                 row = row & usable["steering"] & (self.track.standing | (speed > SLOW_MPS))
             rows.append(row)
         return np.array(rows)
-
-
-def mount_of(model: Model) -> Matrix3:
-    """Return R_vehicle_from_sensor of a model file, at the start of the drive."""
-    mount = model.mount
-    return rotation_from_angles(
-        math.radians(mount.roll_deg), math.radians(mount.pitch_deg), math.radians(mount.yaw_deg)
-    )
 
 
 def _rotated(x: Array, R: Matrix3, where: np.ndarray[tuple[int], np.dtype[np.bool_]] | None) -> Array:

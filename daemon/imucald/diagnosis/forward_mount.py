@@ -1,20 +1,30 @@
-"""Turns the mount in a model file."""
+"""The mount in a model file: as a rotation, and turned."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from imucald.frames import angles_from_rotation, rotation_from_angles, rotation_from_vector
+from imucald.frames import (
+    Matrix3,
+    angles_from_rotation,
+    rotation_from_angles,
+    rotation_from_vector,
+)
 from imucald.simulation.model import Model
+
+
+def mount_of(model: Model) -> Matrix3:
+    """Return R_vehicle_from_sensor of a model file, at the start of the drive."""
+    mount = model.mount
+    return rotation_from_angles(
+        math.radians(mount.roll_deg), math.radians(mount.pitch_deg), math.radians(mount.yaw_deg)
+    )
 
 
 def turned_mount(model: Model, rotation_vector: Sequence[float]) -> Model:
     """Return the model with its mount turned by a vector (3,) about vehicle axes [rad]."""
-    mount = model.mount
-    R_vehicle_from_sensor = rotation_from_vector(rotation_vector) @ rotation_from_angles(
-        math.radians(mount.roll_deg), math.radians(mount.pitch_deg), math.radians(mount.yaw_deg)
-    )
+    R_vehicle_from_sensor = rotation_from_vector(rotation_vector) @ mount_of(model)
     roll, pitch, yaw = (math.degrees(x) for x in angles_from_rotation(R_vehicle_from_sensor))
     return model.with_changes(
         {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}

@@ -33,6 +33,8 @@ BAND_SHARE = 0.35
 """A signal sampled at some rate carries motion up to this share of it."""
 TOP_HZ = 1.8
 """Nothing is compared above this frequency."""
+SPOILT_REACH_S = 1.0
+"""What is derived of a wrong value is wrong for so long around it."""
 STANDING_MPS = 0.05
 ROLLING_MPS = 1.2
 """Between standing and rolling, speed signals have dead bands: such rows are not used."""
@@ -161,7 +163,8 @@ def _present(series: Series, t: Array, bad: tuple[tuple[float, float], ...]) -> 
     steps = np.diff(series.t)
     limit = max(GAP_PERIODS * float(np.median(steps)), SHORTEST_GAP_S)
     gaps = [(series.t[i], series.t[i + 1]) for i in np.flatnonzero(steps > limit)]
-    gaps += [(-np.inf, series.t[0]), (series.t[-1], np.inf), *bad]
+    gaps += [(-np.inf, series.t[0]), (series.t[-1], np.inf)]
+    gaps += [(first - SPOILT_REACH_S, last + SPOILT_REACH_S) for first, last in bad]
     for first, last in gaps:
         low, high = np.searchsorted(t, [first - reach, last + reach])
         here[low:high] = False

@@ -63,6 +63,20 @@ class Linearised:
         return np.asarray(score, dtype=float), square
 
 
+    def quietness(self) -> float:
+        """Log determinant of the noise: smaller where more was explained."""
+        sizes = [band.stop - band.start for band in bands(self.residual.shape[1])]
+        dets = [float(np.linalg.slogdet(S)[1]) for S in self.noise]
+        return float(np.dot(sizes, dets))
+
+    def evidence_with(self, other: Linearised, base: Mapping[str, float]) -> Evidence:
+        """Evidence around this point with another point's noise."""
+        whole = Blocks(self.columns, self.present, np.zeros(0))
+        normal = normal_equations(whole, self.residual, other.noise, other.loud)
+        shift = np.array([self.values[p.key] - base[p.key] for p in self.parameters])
+        return Evidence(self.parameters, normal, shift)
+
+
 def residual_blocks(forward: Forward, values: Mapping[str, float]) -> Complex:
     """Transformed residual (B, F, C) of a drive at some values."""
     left = forward.measured - forward.predict(values)

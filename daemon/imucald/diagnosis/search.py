@@ -16,7 +16,7 @@ import numpy as np
 
 from imucald.diagnosis.cause import Cause, Parameter, Variant
 from imucald.diagnosis.causes import mount_shift
-from imucald.diagnosis.evidence import solve
+from imucald.diagnosis.evidence import Fit, solve
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.linear import Linearised, linearise, residual_blocks
@@ -28,6 +28,8 @@ ACCEPT = 3.5
 """Log posterior odds above which a cause is accepted in a step."""
 ALIKE = 3.0
 """Explanations within this log evidence of the best are look-alikes: odds of 20 to 1."""
+MODEL_SHARE, TOLERANCE_SHARE = 0.05, 0.4
+"""What the forward model cannot promise of a fitted parameter: of its departure, of its tolerance."""
 MOST_CAUSES = 8
 REFITS = 2
 """Gauss-Newton steps after each accepted cause."""
@@ -38,6 +40,11 @@ STARTS: Mapping[str, tuple[float, ...]] = {
 """Departures at which causes that are far from linear are tried as well."""
 FAR_FROM = -2.0
 """Log posterior odds near the point from which on starting values far from it are tried."""
+FAMILIES = (
+    frozenset({"signal_delay", "sensor_lowpass"}),
+    frozenset({"mount_shift", "mount_rotation"}),
+)
+RIVAL_SHARE, MOST_RIVALS = 0.1, 4
 SHIFT_MARGIN = 3
 """Stretches at both ends of the drive within which a shift cannot be told."""
 
@@ -101,12 +108,46 @@ class Search:
                 break
             best = trials[0]
             self.tick(best.variant.cause)
-            values = dict(found.point.values)
-            values.update(best.start)
-            found = self._refit([*found.active, best.variant], values, found.scores)
-            found.scores[best.variant.cause] = best.score
+            rivals = [self._with(found, trial) for trial in self._rivals(trials)]
+            found = self._contest(rivals) if len(rivals) > 1 else rivals[0]
             found = self._pruned(found)
         return found
+
+    def _with(self, found: Found, trial: Trial) -> Found:
+        """Refit with one more cause."""
+        values = dict(found.point.values)
+        values.update(trial.start)
+        refit = self._refit([*found.active, trial.variant], values, found.scores)
+        refit.scores[trial.variant.cause] = trial.score
+        return refit
+
+    def _rivals(self, trials: Sequence[Trial]) -> list[Trial]:
+        """The best trial, and those that only a fit of their own can tell from it.
+
+        Delay and low-pass are the same to first order; so are turns of the mount at some time.
+        """
+        best = trials[0]
+        family = next((f for f in FAMILIES if best.variant.cause in f), frozenset())
+        chosen = [best]
+        for trial in trials[1:]:
+            known = {(t.variant.cause, t.variant.label) for t in chosen}
+            if (
+                trial.variant.cause in family
+                and trial.score > max(RIVAL_SHARE * best.score, ACCEPT)
+                and (trial.variant.cause, trial.variant.label) not in known
+                and len(chosen) < MOST_RIVALS
+            ):
+                chosen.append(trial)
+        return chosen
+
+    def _contest(self, rivals: Sequence[Found]) -> Found:
+        """Compare fits at their own best points, all with the noise of the quietest of them."""
+        quiet = min(rivals, key=lambda found: found.point.quietness())
+        said = [
+            found.point.evidence_with(quiet.point, self.base).fit(found.keys).log_evidence
+            for found in rivals
+        ]
+        return rivals[int(np.argmax(said))]
 
     # one step --------------------------------------------------------------------------------
 
@@ -126,7 +167,7 @@ class Search:
             tried += self._shifts(found)
         return sorted(tried, key=lambda trial: -trial.score)
 
-    def _prior(self, variant: Variant) -> float:
+    def prior(self, variant: Variant) -> float:
         return PRIOR - math.log(max(self.forms[variant.cause], 1))
 
     def temper(self, found: Found, keys: Sequence[str]) -> float:
@@ -137,13 +178,40 @@ class Search:
         evidence, temper = found.point.evidence, self.temper(found, variant.keys)
         without = evidence.fit(found.keys, temper=temper)
         with_it = evidence.fit([*found.keys, *variant.keys], temper=temper)
-        score = with_it.log_evidence - without.log_evidence + self._prior(variant)
-        for key in variant.keys:
-            p, i = self.parameters[self._index[key]], self._index[key]
-            value = found.point.values[key] + float(with_it.x[i])
-            if _within(p, value) != value and abs(value - _within(p, value)) > p.tolerance:
-                score = -math.inf  # it would have to be what it cannot be
+        score = with_it.log_evidence - without.log_evidence + self.prior(variant)
+        if not self._is_within(found, variant, with_it):
+            score = -math.inf
         return Trial(variant, score, {})
+
+    def is_possible(
+        self, found: Found, variant: Variant, others: Sequence[str], temper: float
+    ) -> bool:
+        """Whether a cause, fitted beside other keys, would be something that it can be."""
+        fit = found.point.evidence.fit([*others, *variant.keys], temper=temper)
+        return self._is_within(found, variant, fit)
+
+    def _is_within(self, found: Found, variant: Variant, fit: Fit) -> bool:
+        for key in variant.keys:
+            p = self.parameters[self._index[key]]
+            value = found.point.values[key] + float(fit.x[self._index[key]])
+            if abs(value - _within(p, value)) > p.tolerance:
+                return False
+        return True
+
+    def std(self, found: Found, keys: Sequence[str]) -> dict[str, float]:
+        """Standard deviation of fitted parameters, model error included."""
+        covariance = found.point.evidence.fit(found.keys).covariance
+        made = {}
+        for key in keys:
+            i = self._index[key]
+            p = self.parameters[i]
+            departure = found.point.values[key] - self.base[key]
+            made[key] = math.sqrt(
+                float(covariance[i, i]) * float(found.tempers[i])
+                + (MODEL_SHARE * departure) ** 2
+                + (TOLERANCE_SHARE * p.tolerance) ** 2
+            )
+        return made
 
     def _far(self, found: Found, variant: Variant) -> list[Trial]:
         """Try a cause at values far from the point, with the columns of the point."""
@@ -159,7 +227,7 @@ class Search:
             A = evidence.A
             shift = np.array([values[p.key] - self.base[p.key] for p in self.parameters])
             fit = solve(A / temper, g / temper, square / temper, precision, shift)
-            score = fit.log_evidence - without.log_evidence + self._prior(variant)
+            score = fit.log_evidence - without.log_evidence + self.prior(variant)
             start = {key: values[key] for key in variant.keys}
             tried.append(Trial(variant, score, start))
         return tried
@@ -185,7 +253,7 @@ class Search:
             A[np.ix_(shift, shift)] = after_A[b][np.ix_(mount, mount)]
             g[shift] = after_g[b][mount]
             fit = solve(A / temper, g / temper, evidence.square / temper, precision, evidence.shift)
-            score = fit.log_evidence - without.log_evidence + self._prior(variant)
+            score = fit.log_evidence - without.log_evidence + self.prior(variant)
             start = {key: float(fit.x[i]) for key, i in zip(mount_shift.KEYS, shift, strict=True)}
             start[mount_shift.TIME] = self._time(b)
             tried.append(Trial(variant, score - math.log(len(places)), start))
@@ -199,6 +267,14 @@ class Search:
                 return float(forward.track.t[min(block * HOP + HOP // 2, len(forward.track.t) - 1)])
             block -= starts
         return 0.0
+
+    def refit(self, active: list[Variant], found: Found) -> Found:
+        """Keep some of the active causes only; the others go back to the model file's values."""
+        values = dict(self.base)
+        kept = {key for variant in active for key in variant.keys} | {mount_shift.TIME}
+        values.update({k: v for k, v in found.point.values.items() if k in kept})
+        names = {variant.cause for variant in active}
+        return self._refit(active, values, {k: s for k, s in found.scores.items() if k in names})
 
     # fitting ---------------------------------------------------------------------------------
 
@@ -254,7 +330,7 @@ class Search:
         evidence, temper = found.point.evidence, self.temper(found, variant.keys)
         rest = [key for v in found.active if v is not variant for key in v.keys]
         full = evidence.fit(found.keys, temper=temper).log_evidence
-        return full - evidence.fit(rest, temper=temper).log_evidence + self._prior(variant)
+        return full - evidence.fit(rest, temper=temper).log_evidence + self.prior(variant)
 
 
 def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:
@@ -264,7 +340,9 @@ def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:
               if name not in scalars}  # fmt: skip
     if forward.track.gyro is None:
         absent.add("gyro")
-    return [v for v in variants if not any(_signal_of(key) in absent for key in v.keys)]
+    return [
+        v for v in variants if v.keys and not any(_signal_of(key) in absent for key in v.keys)
+    ]
 
 
 def _signal_of(key: str) -> str:

@@ -32,7 +32,7 @@ SHRINK = 0.12
 PRIOR_COUNT = 3.0
 """Frequencies of usual loudness that each stretch is taken to have besides its own."""
 LEAST_LOUD, MOST_LOUD = 0.3, 5.0
-ERROR_STEADY, ERROR_PER_HZ = 0.015, 0.25
+ERROR_STEADY, ERROR_PER_HZ = 0.025, 0.25
 """Error of the forward model, relative to what it predicts, in steady state and per hertz."""
 FLOOR = 1e-3
 """Least noise of a signal in a band, relative to its own largest band."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from imucald.diagnosis.cause import Cause, Parameter, Values
 from imucald.diagnosis.forward_mount import turned_mount
+from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import State
 from imucald.frames import rotation_from_vector
 from imucald.simulation.model import Model
@@ -21,8 +23,7 @@ class MountRotation(Cause):
 
     name = "mount_rotation"
     parameters = tuple(
-        Parameter(key, "rad", 0.2 * DEG, 4.0 * DEG, 0.2 * DEG, label=f"mount.{label}_deg")
-        for key, label in zip(KEYS, ("roll", "pitch", "yaw"), strict=True)
+        Parameter(key, "rad", 0.2 * DEG, 4.0 * DEG, 0.2 * DEG) for key in KEYS
     )
     signals = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
     seen_by = "accelerate and brake in a straight line, and corner both ways"
@@ -34,6 +35,13 @@ class MountRotation(Cause):
         if any(vector):
             s.turns.append((-math.inf, rotation_from_vector(np.negative(vector))))
 
-    def extend(self, model: Model, p: Values) -> Model:
+    def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
         """Return the model with the mount turned."""
         return turned_mount(model, [p[key] for key in KEYS])
+
+    def report(self, p: Values, std: Values, keys: Sequence[str]) -> dict[str, Estimated]:
+        """Return the rotation vector from the model's mount, about vehicle axes, in degrees."""
+        return {
+            f"mount.{name}_deg": Estimated(p[key] / DEG, std[key] / DEG, "deg")
+            for name, key in zip(("roll", "pitch", "yaw"), KEYS, strict=True)
+        }

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucald.diagnosis.cause import Cause, Parameter, Values, Variant
+from imucald.diagnosis.forward_mount import mount_of
+from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import State
 from imucald.simulation.model import Model
 
@@ -20,7 +23,7 @@ class SensorLowpass(Cause):
 
     name = "sensor_lowpass"
     parameters = tuple(
-        Parameter(f"_lowpass.{name}", "s", 0.005, 0.8, 0.002, 0.0, 4.0, f"{name}.lowpass_hz")
+        Parameter(f"_lowpass.{name}", "s", 0.03, 0.8, 0.002, 0.0, 4.0)
         for name in NAMES
     )
     signals = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "yaw_rate")
@@ -32,16 +35,20 @@ class SensorLowpass(Cause):
         return [Variant(self.name, name, (f"_lowpass.{name}",)) for name in NAMES]
 
     def inputs(self, s: State, p: Values) -> None:
-        """Undo the low-pass of the measured yaw rate, within reason."""
+        """Give the yaw rate back what its low-pass took: from the gyroscope, or by an inverse.
+
+        With y = H r measured, r = y + (1 - H) r; the gyroscope stands for r in the second term.
+        """
         if s.yaw_in is not None:
             response = s.spectrum.butterworth(self._cutoff(s.model, "yaw_rate", p))
-            # Wiener-like inverse: 1/H where H is large, bounded where it is small.
-            inverse = np.conj(response) / np.maximum(np.abs(response) ** 2, MOST_GAIN**-2)
-            s.yaw_in = s.spectrum.apply(s.yaw_in, inverse)
+            if s.gyro_in is not None:
+                turning = mount_of(s.model)[2] @ s.gyro_in
+                s.yaw_in = s.yaw_in + s.spectrum.apply(turning, 1.0 - response)
+            else:
+                s.yaw_in = s.spectrum.apply(s.yaw_in, _inverse(response))
         elif s.gyro_in is not None:
             response = s.spectrum.butterworth(self._cutoff(s.model, "gyro", p))
-            inverse = np.conj(response) / np.maximum(np.abs(response) ** 2, MOST_GAIN**-2)
-            s.gyro_in = s.spectrum.apply(s.gyro_in, inverse)
+            s.gyro_in = s.spectrum.apply(s.gyro_in, _inverse(response))
 
     def response(self, s: State, p: Values) -> None:
         """Low-pass what is predicted."""
@@ -50,14 +57,22 @@ class SensorLowpass(Cause):
             if cutoff < 1e3:
                 s.filtered(name, s.spectrum.butterworth(cutoff))
 
-    def extend(self, model: Model, p: Values) -> Model:
+    def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
         """Return the model with the lower cut-offs."""
-        changes = {
-            f"{name}.lowpass_hz": self._cutoff(model, name, p)
-            for name in NAMES
-            if p[f"_lowpass.{name}"] > 0.0
-        }
-        return model.with_changes(changes) if changes else model
+        names = [key.removeprefix("_lowpass.") for key in keys]
+        return model.with_changes(
+            {f"{name}.lowpass_hz": self._cutoff(model, name, p) for name in names}
+        )
+
+    def report(self, p: Values, std: Values, keys: Sequence[str]) -> dict[str, Estimated]:
+        """Return the cut-offs; their spread is that of the parameter, the cut-off's inverse."""
+        told = {}
+        for key in keys:
+            cutoff = 1.0 / max(p[key] + 1.0 / 40.0, 1e-3)
+            told[f"{key.removeprefix('_lowpass.')}.lowpass_hz"] = Estimated(
+                cutoff, std[key] * cutoff**2, "Hz"
+            )
+        return told
 
     @staticmethod
     def _cutoff(model: Model, name: str, p: Values) -> float:
@@ -65,3 +80,11 @@ class SensorLowpass(Cause):
         more = max(p.get(f"_lowpass.{name}", 0.0), 0.0)
         inverse = (0.0 if declared is None else 1.0 / declared) + more
         return 1.0 / max(inverse, 1e-6)
+
+
+def _inverse(response: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """1/H where H is large, bounded where it is small (as a Wiener filter)."""
+    inverse: NDArray[np.complex128] = np.conj(response) / np.maximum(
+        np.abs(response) ** 2, MOST_GAIN**-2
+    )
+    return inverse

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from imucald.diagnosis.cause import Cause, Parameter, Values, Variant
 from imucald.diagnosis.state import State
+from imucald.simulation.model import Model
 
 INPUTS = ("speed", "steering", "yaw_rate")
 OUTPUTS = ("accel", "gyro", "lateral_accel", "longitudinal_accel", "yaw_rate")
@@ -41,3 +42,11 @@ class SignalDelay(Cause):
         for name in OUTPUTS:
             if p[f"{name}.delay_s"]:
                 s.filtered(name, s.spectrum.delay(p[f"{name}.delay_s"]))
+
+    def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
+        """Return the model with the delays; what would come early makes all others late."""
+        moved = {key: p[key] for key in keys}
+        early = max(0.0, *(-value for value in moved.values()))
+        changes = {f"{name}.delay_s": getattr(model, name).delay_s + early for name in NAMES}
+        changes |= {key: value + early for key, value in moved.items()}
+        return model.with_changes(changes)

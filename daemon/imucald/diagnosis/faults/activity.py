@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucald.diagnosis.faults.fault import Array, Index, Mask, runs
-from imucald.diagnosis.forward import mount_of
+from imucald.diagnosis.forward_mount import mount_of
 from imucald.samples import Samples, Series
 from imucald.simulation.model import Model
 
@@ -26,7 +26,7 @@ def situations(name: str, samples: Samples, model: Model) -> Index:
     series = samples[name]
     start = float(series.t[0])
     n = int((series.t[-1] - start) / BIN_S) + 1
-    t: Array = start + (np.arange(n) + 0.5) * BIN_S
+    t = np.asarray(start + (np.arange(n) + 0.5) * BIN_S, dtype=np.float64)
     others = {key: value for key, value in samples.items() if key != name and len(value.t) > 10}
     motion = _classes(_motion(name, others, t), SPEED_KINDS)
     change = _classes(_change(name, others, t, model), CHANGE_KINDS)
@@ -35,11 +35,14 @@ def situations(name: str, samples: Samples, model: Model) -> Index:
 
 
 def resting(name: str, samples: Samples) -> Mask:
-    """(N,) where a speed signal may well say 0: another one says so, or nearly."""
+    """(N,) where a speed signal may well say 0: another one says so, or nearly, or there is none.
+
+    A phone that is turned in the hand of a waiting driver shakes as in a moving car.
+    """
     t = samples[name].t
     other = {"speed": "wheel_speeds", "wheel_speeds": "speed"}.get(name)
     if other is None or other not in samples:
-        return np.zeros(len(t), dtype=bool)
+        return np.full(len(t), other is not None)
     values = samples[other].values
     slow = (np.abs(values) if values.ndim == 1 else np.abs(values).min(axis=1)) < DEAD_MPS
     clock = samples[other].t
@@ -52,7 +55,8 @@ def resting(name: str, samples: Samples) -> Mask:
     depth = np.zeros(len(t) + 1)
     np.add.at(depth, starts, 1)
     np.add.at(depth, stops, -1)
-    return np.asarray(np.cumsum(depth)[:-1] > 0)
+    heard = (t >= clock[0]) & (t <= clock[-1])
+    return np.asarray((np.cumsum(depth)[:-1] > 0) | ~heard)
 
 
 def _motion(name: str, others: Samples, t: Array) -> Array:

@@ -24,7 +24,7 @@ WIDE_PPM = 2500.0
 STAMPS_TOLERANCE_PPM = 15.0
 """One logger stamps all frames, so run-off is rare; delays may creep a little for other reasons."""
 STAMPS_WIDE_PPM = 400.0
-UNKNOWN_PPM = 20_000.0
+UNKNOWN_PPM = 10_000.0
 """Further off, the model file states another rate; that is no fault."""
 LEAST_STD_PPM = 0.2
 """A clock is not more constant than that over a drive: it warms up."""

@@ -17,6 +17,9 @@ ROUND = 128
 """Frames over which a unit's clock is as good as constant."""
 EARLY = 0.25
 """A frame may come so much of a period before it is due."""
+FAR, WANDERING = 16, 2.2
+"""Over so many frames a clock's beat is as regular as from one to the next; steps that add up at
+random spread four times as much. 2.2 lies between, in the ratio of spreads."""
 BLOCKS = 24
 """Parts of the drive whose scatter says how well the cycle is known."""
 
@@ -53,7 +56,9 @@ def cycle_of(series: Series) -> Cycle | None:
     if np.mean(in_time) < REGULAR_SHARE:
         return None
     period = float(np.mean(steps_s[in_time]))
-    since: Array = series.t - series.t[0]
+    if _wanders(series.t, period):
+        return None
+    since = np.asarray(series.t - series.t[0], dtype=np.float64)
     place = (since - _beat(since, period)) / period
     surplus = np.floor(place + EARLY).astype(np.int64) - np.arange(len(place))
     # A late frame seems to follow a lost one until the next comes: only what stays is lost.
@@ -61,9 +66,21 @@ def cycle_of(series: Series) -> Cycle | None:
     missing -= missing[0]
     lost = np.diff(missing)
     number = np.arange(len(place)) + missing
-    due: Array = period * number
+    due = np.asarray(period * number, dtype=np.float64)
     share, std = _slope(due, since)
     return Cycle(period * share, std, number, lost)
+
+
+def _wanders(t: Array, period: float) -> bool:
+    """Whether each frame is timed from the one before (a polled answer) and not by a clock."""
+    one = np.diff(t) - period
+    many = t[FAR:] - t[:-FAR] - FAR * period
+    return _spread(many) > WANDERING * max(_spread(one), 1e-3 * period)
+
+
+def _spread(x: Array) -> float:
+    low, high = np.quantile(x[:: max(1, len(x) // 20_000)], (0.25, 0.75))
+    return float(high - low)
 
 
 def _beat(t: Array, period: float) -> Array:

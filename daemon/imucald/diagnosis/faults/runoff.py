@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.diagnosis.faults.fault import Array, Mask
-from imucald.diagnosis.forward import mount_of
+from imucald.diagnosis.forward_mount import mount_of
 from imucald.samples import Samples, Series
 from imucald.simulation.model import Model
 
@@ -92,7 +92,7 @@ def _delays(edges: Array, y: Array, x: Array) -> tuple[Array, Array, Array] | No
     size = round(STRETCH_S * RATE_HZ)
     reach = round(LONGEST_S * RATE_HZ)
     window = np.hanning(size)
-    omega: Array = 2.0 * np.pi * np.fft.rfftfreq(2 * size, 1.0 / RATE_HZ)
+    omega = np.asarray(2.0 * np.pi * np.fft.rfftfreq(2 * size, 1.0 / RATE_HZ), dtype=np.float64)
     band = (omega >= 2.0 * np.pi * LOWEST_HZ) & (omega <= 2.0 * np.pi * HIGHEST_HZ)
 
     def spectrum(part: Array) -> Complex:

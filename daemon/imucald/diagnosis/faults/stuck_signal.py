@@ -33,7 +33,7 @@ from imucald.diagnosis.result import Estimated
 from imucald.samples import Samples, Series
 from imucald.simulation.model import Model
 
-SHORTEST_S = 0.5
+SHORTEST_S = 2.0
 """Shorter stretches do no harm."""
 FEWEST_FRAMES = 5
 SURE = 0.98
@@ -45,6 +45,8 @@ BROADER = 4.0
 """And where this many times as many are."""
 HEAVIEST = 0.35
 """Exponent of the heaviest tail that is believed, exp(-x^0.35)."""
+MANY, LIGHTEST = 10_000, 0.6
+"""With fewer stretches than this their tail is known so little that no lighter one is believed."""
 CLEAR = 9.0
 """-log of the chance of one stretch in the whole drive, from which on it is stuck."""
 FELLOW = 3.0
@@ -102,7 +104,7 @@ def _channel(name: str, samples: Samples, model: Model, railed: bool) -> Fault |
     stuck |= fits & alike & (surprise - math.log(count / clear) > FELLOW)
     if score < ACCEPT:
         return None
-    usual = (last - first)[~stuck].astype(np.float64)
+    usual = (last - first)[~long_enough & ~rest[first + 1]].astype(np.float64)
     # What a stretch is longer by, because the value happened to stay before it stuck.
     more = float(np.sum(usual**2)) / max(2.0 * (float(np.sum(usual)) + count), 1.0)
     return _fault(name, series, first[stuck], last[stuck], rest, more, score)
@@ -168,7 +170,7 @@ def _surprise(due: Array, count: int) -> Array:
     inner = min(max(inner, near), outer * (1.0 - 1e-9))
     # A tail exp(-(x/scale)^k) through both.
     k = math.log(far / near) / math.log(outer / inner)
-    k = min(max(k, HEAVIEST), 1.0)
+    k = min(max(k, HEAVIEST), 1.0 if count > MANY else LIGHTEST)
     result: Array = far * (due / outer) ** k
     return result
 

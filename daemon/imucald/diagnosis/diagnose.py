@@ -1,0 +1,208 @@
+"""The diagnosis: show, name, extend, measure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucald.diagnosis.cause import Cause, Variant, catalogue
+from imucald.diagnosis.faults import Fault, corrected, extend, find_faults, spoilt
+from imucald.diagnosis.forward import Forward
+from imucald.diagnosis.gain import gain_of, measure
+from imucald.diagnosis.grid import Track, track_from_samples
+from imucald.diagnosis.keys import with_values
+from imucald.diagnosis.pictures import pictures_of
+from imucald.diagnosis.result import Diagnosis, Estimated, FoundCause, Structure
+from imucald.diagnosis.roads import RoadFinding, find_roads, road_blocks
+from imucald.diagnosis.search import ACCEPT, Found, Search
+from imucald.diagnosis.structure import find_structure
+from imucald.diagnosis.verdict import believed, look_alikes, losers_of, to_separate, verdict_of
+from imucald.errors import EstimateError
+from imucald.samples import Samples
+from imucald.simulation.model import Model
+
+Progress = Callable[[float, str], None]
+STEP_SHARE = 0.12
+"""Share of the work by which progress moves on with each cause."""
+
+
+def diagnose(
+    drives: Sequence[Samples], model: Model, progress: Progress | None = None
+) -> Diagnosis:
+    """Say what the simulation with this model gets wrong beside measured drives of one vehicle.
+
+    drives: SI samples, sensor axes (see `imucald.samples`); at least `accel` and `speed`, and
+    minutes of them. Raises EstimateError where nothing can be diagnosed.
+    """
+    if not drives:
+        raise EstimateError("diagnosis needs at least one drive")
+    tell = progress or (lambda share, text: None)
+    tell(0.02, "samples and time stamps")
+    faults = [find_faults(samples, model) for samples in drives]
+    causes = catalogue()
+    forwards = [
+        Forward(_track(samples, found), model, causes)
+        for samples, found in zip(drives, faults, strict=True)
+    ]
+    forwards = [f for f in forwards if f.names == forwards[0].names]
+    stage = [0.1]
+
+    def tick(text: str) -> None:
+        stage[0] = min(stage[0] + STEP_SHARE, 0.8)
+        tell(stage[0], text)
+
+    tell(stage[0], "forward model and residuals")
+    search = Search(forwards, causes, [c for c in causes if not c.nuisance], tick)
+    found = search.run()
+    tell(0.85, "roads")
+    roads = [r for r in find_roads(forwards, found.point.values) if r.score > ACCEPT]
+    tell(0.88, "structure that is left")
+    structure = tuple(find_structure(search, found))
+    kept = believed(found, structure)
+    if len(kept) < len(found.active):
+        found = search.refit(kept, found)
+    tell(0.93, "gain")
+    told = _Told(search, found, [f for part in faults for f in part], roads)
+    return told.diagnosis(model, structure, len(drives) - len(forwards))
+
+
+def _track(samples: Samples, faults: Sequence[Fault]) -> Track:
+    """The drive on the grid, without what is faulty."""
+    return track_from_samples(corrected(samples, faults), spoilt(faults))
+
+
+@dataclass
+class _Told:
+    """Puts the outcome together."""
+
+    search: Search
+    found: Found
+    faults: list[Fault]
+    roads: list[RoadFinding]
+
+    def diagnosis(
+        self, model: Model, structure: tuple[Structure, ...], absent: int
+    ) -> Diagnosis:
+        search, found = self.search, self.found
+        by_name: Mapping[str, Cause] = {c.name: c for c in catalogue()}
+        sets, candidates = look_alikes(search, found)
+        told = [self._of_variant(v, by_name) for v in found.active]
+        told += [self._of_road(r, by_name) for r in self.roads]
+        told += self._of_faults(by_name)
+        scores = {c.name: c.evidence["log_bayes_factor"] for c in told}
+        after = self._extended(model, by_name)
+        road = road_blocks(search.forwards, self.roads)
+        gain, signals = measure(search, found, road)
+        return Diagnosis(
+            verdict=verdict_of(scores, sets, structure),
+            causes=tuple(sorted(told, key=lambda c: -c.evidence["log_bayes_factor"])),
+            look_alikes=tuple(sets),
+            to_separate=to_separate(sets, by_name),
+            signals=signals,
+            gain=gain,
+            duration_s=float(sum(f.track.duration_s for f in search.forwards)),
+            candidates=tuple([*candidates, *losers_of(search, found)]),
+            structure=structure,
+            notes=tuple(self._notes(absent)),
+            pictures=pictures_of(search, found, self.roads),
+            model_before=model,
+            model_after=after,
+        )
+
+    def _of_variant(self, variant: Variant, by_name: Mapping[str, Cause]) -> FoundCause:
+        search, found = self.search, self.found
+        cause = by_name[variant.cause]
+        values, std = found.point.values, search.std(found, variant.keys)
+        lost = search.loss(found, variant)
+        sigma = max(abs(values[k] - search.base[k]) / std[k] for k in variant.keys)
+        parameters = cause.report(values, std, variant.keys)
+        shown = ", ".join(f"{k} {_plain(p)}" for k, p in parameters.items())
+        return FoundCause(
+            name=cause.name,
+            parameters=parameters,
+            signals=tuple(s for s in cause.signals if s in search.forwards[0].names),
+            evidence={
+                "log_bayes_factor": lost,
+                "probability": float(1.0 / (1.0 + np.exp(-min(lost, 50.0)))),
+                "sigma": sigma,
+            },
+            gain={"held_out_log_likelihood": gain_of(search, found, variant.keys)},
+            text=f"{cause.sentence} {shown}.",
+        )
+
+    def _of_road(self, road: RoadFinding, by_name: Mapping[str, Cause]) -> FoundCause:
+        cause = by_name[road.cause]
+        return FoundCause(
+            name=road.cause,
+            parameters={road.key: Estimated(road.rms, road.std, "1")},
+            signals=tuple(s for s in cause.signals if s in self.search.forwards[0].names),
+            evidence={
+                "log_bayes_factor": road.score,
+                "probability": float(1.0 / (1.0 + np.exp(-min(road.score, 50.0)))),
+                "sigma": abs(road.rms - road.declared) / road.std,
+                "coherence": road.coherence,
+            },
+            gain={"held_out_log_likelihood": 0.0},
+            text=f"{cause.sentence} rms {road.rms:.2%}, the model says {road.declared:.2%}.",
+        )
+
+    def _of_faults(self, by_name: Mapping[str, Cause]) -> list[FoundCause]:
+        merged: dict[str, FoundCause] = {}
+        for fault in self.faults:
+            before = merged.get(fault.cause)
+            said = FoundCause(
+                name=fault.cause,
+                parameters=fault.parameters,
+                signals=tuple(s for s in self.search.forwards[0].names
+                              if s == fault.signal or s[:-2] == fault.signal) or (fault.signal,),
+                evidence={
+                    "log_bayes_factor": fault.score,
+                    "probability": float(1.0 / (1.0 + np.exp(-min(fault.score, 50.0)))),
+                },
+                gain={"held_out_log_likelihood": 0.0},
+                text=fault.text,
+            )  # fmt: skip
+            if before is not None:
+                said = replace(
+                    said,
+                    parameters={**before.parameters, **said.parameters},
+                    signals=tuple(dict.fromkeys((*before.signals, *said.signals))),
+                    text=before.text if before.text == said.text else f"{before.text} {said.text}",
+                    evidence=max(before.evidence, said.evidence,
+                                 key=lambda e: e["log_bayes_factor"]),
+                )  # fmt: skip
+            merged[fault.cause] = said
+        return list(merged.values())
+
+    def _extended(self, model: Model, by_name: Mapping[str, Cause]) -> Model:
+        after = model
+        for variant in self.found.active:
+            after = by_name[variant.cause].extend(after, self.found.point.values, variant.keys)
+        for road in self.roads:
+            after = with_values(after, {road.key: road.rms})
+            after = after.with_changes({f"road.{road.cause.split('_')[1]}": True})
+        return extend(after, self.faults)
+
+    def _notes(self, absent: int) -> list[str]:
+        notes = []
+        names = self.search.forwards[0].names
+        scalars = self.search.forwards[0].track.scalars
+        if "gyro_x" not in names:
+            notes.append("No gyroscope: what leans and what pulls cannot be told apart.")
+        if "yaw_rate" not in names:
+            notes.append("No steering angle beside a yaw rate: handling was not examined.")
+        if "temperature" not in scalars:
+            notes.append("No temperature: drift with it was not examined.")
+        if absent:
+            notes.append(f"{absent} drive(s) with other signals than the first were left out.")
+        top = min(f.track.top_hz for f in self.search.forwards)
+        notes.append(f"Compared up to {top:.2g} Hz, which the slowest input carries.")
+        return notes
+
+
+def _plain(p: Estimated) -> str:
+    return f"{p.value:.4g} +- {p.std:.2g} {'' if p.unit == '1' else p.unit}".strip()
+
+

@@ -1,0 +1,120 @@
+"""What the extended model is worth: residual and likelihood on stretches that its fit left out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from imucald.diagnosis.evidence import Fit
+from imucald.diagnosis.forward import SIGNALS, UNITS
+from imucald.diagnosis.grid import Array
+from imucald.diagnosis.linear import residual_blocks
+from imucald.diagnosis.result import Gain, SignalGain
+from imucald.diagnosis.search import Found, Search
+from imucald.diagnosis.spectra import Complex, weighted
+
+FOLDS = 4
+
+
+def folds(search: Search, found: Found) -> list[Array]:
+    """Weights (B,) of the stretches that each fit may use: whole drives, or quarters of the one.
+
+    Stretches beside a held-out one overlap it, and are left out as well.
+    """
+    starts = [len(f.track.t) for f in search.forwards]
+    total = len(found.point.present)
+    owner = np.repeat(np.arange(len(starts)), _stretches(search, total))
+    if len(starts) == 1:
+        owner = np.minimum(np.arange(total) * FOLDS // max(total, 1), FOLDS - 1)
+    made = []
+    for part in np.unique(owner):
+        held = owner == part
+        near = held | np.roll(held, 1) | np.roll(held, -1)
+        made.append((~near).astype(float))
+    return made
+
+
+def _stretches(search: Search, total: int) -> list[int]:
+    from imucald.diagnosis.spectra import windows
+
+    counts = [len(windows(len(f.track.t))) for f in search.forwards]
+    if sum(counts) != total:
+        counts = [total // len(counts)] * (len(counts) - 1)
+        counts.append(total - sum(counts))
+    return counts
+
+
+def measure(
+    search: Search, found: Found, road: Sequence[Complex] | None = None
+) -> tuple[Gain, Mapping[str, SignalGain]]:
+    """Likelihood and residual of held-out stretches, model file against extended model.
+
+    road: per drive, what the found roads add to the prediction (B, F, C).
+    """
+    point = found.point
+    before = np.concatenate([residual_blocks(f, search.base) for f in search.forwards])
+    after = _held_out_residual(search, found)
+    fitted = point.evidence.fit(found.keys)
+    floor = point.residual - point.columns @ fitted.x.astype(np.float32)
+    if road is not None:
+        whole = np.concatenate(list(road))
+        after, floor = after - whole, floor - whole
+    gains = _log_likelihood(point, after) - _log_likelihood(point, before)
+    total = float(gains.sum())
+    # Half-overlapping stretches are worth half as many independent ones.
+    spread = 1.96 * math.sqrt(2.0) * float(np.std(gains)) * math.sqrt(len(gains))
+    signals = {
+        name: SignalGain(*(_rms(x, point.present, i) for x in (before, after, floor)), UNITS[name])
+        for i, name in enumerate(search.forwards[0].names)
+        if name in SIGNALS
+    }
+    return Gain(total, (total - spread, total + spread)), signals
+
+
+def gain_of(search: Search, found: Found, keys: Sequence[str]) -> float:
+    """Held-out log likelihood by one cause's parameters, beside the other causes."""
+    evidence = found.point.evidence
+    rest = [key for key in found.keys if key not in keys]
+    total = 0.0
+    for used in folds(search, found):
+        held = 1.0 - used
+        full, without = evidence.fit(found.keys, used), evidence.fit(rest, used)
+        difference = evidence.held_out(full.x, held) - evidence.held_out(without.x, held)
+        total += float(difference.sum()) * float(np.sum(used == 0.0)) / len(used)
+    return total
+
+
+def _held_out_residual(search: Search, found: Found) -> Complex:
+    """Residual (B, F, C), fitted on the other stretches: causes freely, the rest by tolerance."""
+    point = found.point
+    result = point.residual.copy()
+    for used in folds(search, found):
+        fit: Fit = point.evidence.fit(found.keys, used)
+        held = np.flatnonzero(used == 0.0)
+        result[held] = point.residual[held] - point.columns[held] @ fit.x.astype(np.float32)
+    return result
+
+
+def _log_likelihood(point: object, residual: Complex) -> Array:
+    """Of each stretch, but for constants; (B,)."""
+    from imucald.diagnosis.linear import Linearised
+
+    assert isinstance(point, Linearised)
+    said = weighted(residual, point.present, point.noise, point.loud)
+    return np.asarray(-0.5 * np.real(np.sum(said.conj() * residual, axis=(1, 2))), dtype=float)
+
+
+def _rms(residual: Complex, present: np.ndarray[tuple[int, int], np.dtype[np.bool_]], i: int) -> float:
+    """Root mean square of a signal's residual in the compared band."""
+    from imucald.diagnosis.spectra import BLOCK
+
+    power = np.abs(residual[present[:, i], :, i]) ** 2
+    if not len(power):
+        return math.nan
+    twice = np.full(power.shape[1], 2.0)
+    twice[0] = 1.0
+    return float(np.sqrt(np.mean(power @ twice) / BLOCK))
+
+
