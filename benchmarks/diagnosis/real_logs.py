@@ -205,8 +205,8 @@ def confirm_wrx(log: Log, diagnosis: Diagnosis) -> Iterator[str]:
     yield (
         f"- Independent: the rear wheels' difference over the yaw rate gives a track of "
         f"{track:.2f} m, where the car has {WRX_TRACK_M:.2f}: the yaw rate reads "
-        f"{WRX_TRACK_M / track:.2f} of the true one, if the wheels are right; the extended model says "
-        f"{1.0 + after.yaw_rate.scale:.2f}."
+        f"{WRX_TRACK_M / track:.2f} of the true one, if the wheels are right; the extended model "
+        f"says {1.0 + after.yaw_rate.scale:.2f}."
     )
     yield (
         f"- Independent: plain least squares on the signals as they are: ratio {ratio:.1f}, "
