@@ -32,6 +32,8 @@ ALIKE = 0.4
 """Correlation that a stretch must have to tell a delay."""
 GOOD_PPM = 8.0
 """With a run-off known so well the second pair of signals is not asked."""
+CREEP, SCALE_SHARE = 1.3, 0.003
+"""Delays of neighbouring stretches err alike; a run-off is not the same over a whole drive."""
 ROBUST = 2.5
 """Residuals beyond this many spreads count less."""
 
@@ -164,9 +166,8 @@ def _line(t: Array, delay: Array, std: Array, against: str) -> RunOff | None:
     chi2 = float(np.sum(weight * residual**2)) / max(float(np.sum(keep)) - 2.0, 1.0)
     covariance = np.linalg.inv(base.T @ (weight[:, None] * base)) * max(chi2, 1.0)
     first, last = (float(line[0] + line[1] * (when - middle)) for when in (t[0], t[-1]))
-    return RunOff(
-        1e6 * float(line[1]), 1e6 * math.sqrt(float(covariance[1, 1])), first, last, against
-    )
+    slope, std = 1e6 * float(line[1]), 1e6 * math.sqrt(float(covariance[1, 1]))
+    return RunOff(slope, math.hypot(CREEP * std, SCALE_SHARE * slope), first, last, against)
 
 
 def _start(t: Array, delay: Array) -> Array:

@@ -121,7 +121,10 @@ def _fault(
     unknown = np.minimum(still, np.maximum(known, known.max()))
     share = float(np.sum(known + 0.5 * unknown - more)) / frames
     ends = 2.0 + (2.0 + 2.0 * more) ** 2 * len(first)
-    std = math.sqrt(ends + float(np.sum(unknown**2)) / 12.0) / frames
+    # Whole stretches may hide in stops.
+    blind = float(np.mean(rest))
+    hidden = len(first) * blind / max(1.0 - blind, 0.1) * float(np.mean(known**2))
+    std = math.sqrt(ends + float(np.sum(unknown**2)) / 12.0 + hidden) / frames
     stretches = [(float(t[i]), float(t[j])) for i, j in zip(first, last, strict=True)]
     longest = max(stop - start for start, stop in stretches)
     parameters = {
