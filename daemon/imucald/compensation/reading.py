@@ -128,7 +128,8 @@ class _Reader:
 
     def _rail(self, section: str) -> tuple[float, float]:
         """Sizes of raw values that were clipped; one beyond shows that there is no rail here."""
-        full_scale = self._optional(section, "full_scale", 0.0, math.inf)
+        known = "full_scale" in KNOWN[section]
+        full_scale = self._optional(section, "full_scale", 0.0, math.inf) if known else None
         if not full_scale:
             return NO_RAIL
         step = self._number(section, "lsb", 0.0, 0.0, math.inf)
