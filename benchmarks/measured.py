@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,10 +31,11 @@ class Run:
     output: str
 
 
-def run(command: Sequence[str]) -> Run:
+def run(command: Sequence[str], variables: Mapping[str, str] | None = None) -> Run:
     """Run a whole process, start of the interpreter included. RuntimeError where it fails.
 
-    Compiled modules are kept, as in any installation; call once more than is measured.
+    Compiled modules and databases are kept, as in any installation; call once more than is
+    measured. variables: of the environment, besides.
     """
     began = time.perf_counter()
     process = subprocess.Popen(
@@ -43,7 +44,7 @@ def run(command: Sequence[str]) -> Run:
         stderr=subprocess.STDOUT,
         text=True,
         cwd=ROOT,
-        env=environment(),
+        env=environment() | dict(variables or {}),
     )
     assert process.stdout is not None
     output = process.stdout.read()
@@ -56,9 +57,10 @@ def run(command: Sequence[str]) -> Run:
 
 
 def environment() -> dict[str, str]:
-    """Environment of a measured process: as here, but with a cache of compiled modules."""
+    """Environment of a measured process: as here, but with caches of their own."""
     found = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-    return found | {"PYTHONPYCACHEPREFIX": str(FOLDER / "compiled")}
+    caches = {"PYTHONPYCACHEPREFIX": "compiled", "CACHE_DIRECTORY": "databases"}
+    return found | {name: str(FOLDER / folder) for name, folder in caches.items()}
 
 
 def best(runs: Sequence[Run]) -> Run:
