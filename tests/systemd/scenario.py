@@ -20,6 +20,7 @@ FRAME = struct.Struct("=IB3x8s")
 LEVEL = bytes.fromhex("0000000027130000")  # an accelerometer frame: 1 g up
 CORRECTED = 0x640
 STATE = pathlib.Path("/var/lib/imucald/vcan0")
+CACHE = pathlib.Path("/var/cache/imucald/vcan0")
 
 
 def shell(*command, check=True):
@@ -164,6 +165,7 @@ def killed():
         "references": references,
         "quality": quality,
         "restarts": int(show("NRestarts")),
+        "databases": len(list(CACHE.glob("*.json"))),
     }
 
 

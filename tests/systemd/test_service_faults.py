@@ -128,6 +128,7 @@ def test_after_a_kill_it_is_usable_again_within_two_seconds_from_its_state(outco
     assert max(found["times"]) < SURELY_AGAIN_S
     assert found["quality"] == 1
     assert found["restarts"] == len(found["times"])
+    assert found["databases"] == 2, "of the inputs and of the outputs, kept as they were read"
 
 
 def test_a_hung_loop_is_killed_by_the_watchdog_and_restarted(outcome):
