@@ -70,7 +70,7 @@ class SensorStage:
         }
         self._ones: dict[str, Callable[[float, Sequence[float]], Sequence[float] | None]] = {}
         for channel, triad in self._triads.items():
-            self._ones[channel] = lambda _, v, take=triad.one: take(v)  # type: ignore[misc]
+            self._ones[channel] = triad.one
         for channel, scalar in self._scalars.items():
             self._ones[channel] = scalar.one
         if self._warmed:
@@ -122,13 +122,13 @@ class SensorStage:
 
     def _accel(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
         triad = self._triads.get("accel")
-        found = (v[0], v[1], v[2]) if triad is None else triad.one(v)
+        found = (v[0], v[1], v[2]) if triad is None else triad.one(t, v)
         if found is not None:
             self._felt.push(t, found)
         return found
 
     def _gyro(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        found = self._triads["gyro"].one(v)
+        found = self._triads["gyro"].one(t, v)
         if found is None:
             return None
         a, b, c = self._felt.value

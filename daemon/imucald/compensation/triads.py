@@ -35,8 +35,8 @@ class TriadCompensator:
         x, y, z = self.terms.bias_temperature
         self._bias = a + warmth * x, b + warmth * y, c + warmth * z
 
-    def one(self, v: Sequence[float]) -> Vector3 | None:
-        """One sample; None where it is refused."""
+    def one(self, t: float, v: Sequence[float]) -> Vector3 | None:
+        """One sample at t [s]; None where it is refused."""
         x, y, z = v
         if self._rails:
             low, high = self._low, self._high

@@ -81,5 +81,5 @@ def _rms(series: Series, truth: Truth, true: Array, from_s: float) -> tuple[Arra
     known = moving & np.isfinite(smooth).all(axis=1)
     if not known.any():
         return np.full(3, np.nan), 0.0
-    share = float(np.count_nonzero(known) / max(np.count_nonzero(moving), 1))
+    share = float(known.sum() / moving.sum())
     return np.sqrt((smooth[known] ** 2).mean(axis=0)), share

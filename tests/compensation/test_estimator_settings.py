@@ -1,0 +1,86 @@
+"""What the estimator is told of a model; the configuration's own words come first."""
+
+from __future__ import annotations
+
+import pytest
+
+from imucald.bus.wiring import compile_router
+from imucald.compensation import compensation_from_model
+from imucald.config import parse_config
+from imucald.estimators import estimator_for
+from imucald.mount.estimator import FullEstimator
+from imucald.session import open_compensation
+from simulated_bus import CONFIG, drive
+
+MODEL = {
+    "road": {"crown_mean": 0.02},
+    "chassis": {
+        "wheelbase_m": 3.1,
+        "steering_ratio": 17.0,
+        "track_m": 1.7,
+        "understeer_gradient": 0.004,
+    },
+    "accel": {"delay_s": 0.05},
+    "speed": {"delay_s": 0.3},
+}
+TEXT = """
+database: x.dbc
+signals: {accelerometer: {x: A.X, y: A.Y, z: A.Z}, steering_wheel_angle: A.S}
+"""
+
+
+def full(text: str):
+    config = parse_config(TEXT + text).config
+    estimator = estimator_for(config, compensation_from_model(MODEL))
+    assert isinstance(estimator, FullEstimator)
+    return estimator._settings
+
+
+def test_crown_chassis_and_delays_come_from_the_model():
+    found = full("vehicle: {driving_side: left}")
+    assert found.crown == pytest.approx(-0.02)
+    assert found.crown_std == pytest.approx(0.0075), "the spread is the configuration's"
+    assert (found.wheelbase, found.steering_ratio, found.track) == (3.1, 17.0, 1.7)
+    assert found.understeer == 0.004
+    assert found.delays["speed"].mean == 0.0, "its ticks are brought together"
+    assert found.delays["speed"].std < 0.05
+
+
+def test_what_the_configuration_says_counts():
+    found = full("vehicle: {driving_side: right, crown_percent: 0.5, wheelbase: 2.9}")
+    assert found.crown == pytest.approx(0.005)
+    assert found.wheelbase == 2.9
+    assert found.steering_ratio == 17.0
+
+
+def test_an_unknown_side_of_the_road_stays_unknown():
+    assert full("").crown == 0.0
+
+
+def test_method_a_is_told_the_same():
+    config = parse_config(
+        TEXT + "calibration: {estimator: published}\nvehicle: {driving_side: right}"
+    )
+    settings = estimator_for(config.config, compensation_from_model(MODEL))._settings
+    assert settings.crown == pytest.approx(0.02)
+    assert settings.speed_delay == 0.0
+    assert (settings.wheelbase, settings.steering_ratio) == (3.1, 17.0)
+
+
+def test_a_configured_speed_delay_counts_more_than_the_models(tmp_path):
+    (tmp_path / "car.yaml").write_text("accel: {delay_s: 0.05}\nspeed: {delay_s: 0.3}\n")
+    text = f"{TEXT}model: car.yaml\n"
+    loaded = parse_config(text, tmp_path / "config.yaml")
+    assert open_compensation(loaded).shifts()["accel"] == pytest.approx(0.3)
+    loaded = parse_config(f"{text}calibration: {{speed_delay: 0.1}}\n", tmp_path / "config.yaml")
+    shifts = open_compensation(loaded).shifts()
+    assert shifts["accel"] - shifts["speed"] == pytest.approx(0.1)
+
+
+def test_a_model_of_the_simulated_car_fits_its_bus():
+    """Every channel of the example bus that the model speaks of is one that the router gives."""
+    from imucald.session import open_config
+
+    channels = compile_router(open_config(CONFIG)).channels
+    found = compensation_from_model(drive().model.model_dump())
+    assert not [note for note in found.notes_for(channels) if "needs" in note]
