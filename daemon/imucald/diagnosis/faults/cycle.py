@@ -74,7 +74,9 @@ def cycle_of(series: Series) -> Cycle | None:
 def _wanders(t: Array, period: float) -> bool:
     """Whether each frame is timed from the one before (a polled answer) and not by a clock."""
     one = np.diff(t) - period
-    many = t[FAR:] - t[:-FAR] - FAR * period
+    many = t[FAR:] - t[:-FAR]
+    # Whole periods are lost frames.
+    many = many - period * np.rint(many / period)
     return _spread(many) > WANDERING * max(_spread(one), 1e-3 * period)
 
 

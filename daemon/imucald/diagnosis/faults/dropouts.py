@@ -88,8 +88,8 @@ def _silent(
         if other == name:
             continue
         t = samples[other].t
-        asked |= last - first > (WITNESS_FRAMES + 0.5) * cycle.period_s
-        margin = 0.5 * cycle.period_s
+        margin = cycles[name].period_s + cycle.period_s
+        asked |= last - first > 2.0 * margin + WITNESS_FRAMES * cycle.period_s
         heard |= np.searchsorted(t, last - margin) > np.searchsorted(t, first + margin)
     return np.asarray(asked & ~heard)
 
