@@ -261,14 +261,16 @@ def test_a_wrong_model_file_is_told_with_its_line(asked, said, log, tmp_path):
     assert f"{model}:2: chassis.steering_ration" in text
 
 
-def test_an_installation_without_scipy_says_so(log, monkeypatch, said):
-    for name in [n for n in sys.modules if n.startswith("imucald.simulation")]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "pydantic", None)
-    status, out, err = said(log)
-    assert (status, out) == (1, "")
-    assert err.startswith("imucald: diagnose needs pydantic, which is not installed")
-    assert err.count("\n") == 1
+def test_an_installation_without_scipy_says_so(log):
+    code = (
+        "import sys; sys.modules['pydantic'] = None; from imucald import cli; "
+        f"sys.exit(cli.main(['diagnose', {str(log)!r}, '--config', {CONFIG!r}]))"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("imucald: diagnose needs pydantic, which is not installed")
+    assert done.stderr.count("\n") == 1
 
 
 def test_a_log_without_a_frame_of_ours_is_told(asked, said, tmp_path):

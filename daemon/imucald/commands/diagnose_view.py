@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 SHOWN_CANDIDATES = 5
 SHOWN_STRUCTURE = 8
 SHOWN_NOTES = 12
+INDENT = (0, 0, 0, 2)
 
 COLOURS = {"found": "bold blue", "ambiguous": "bold yellow", "unknown": "bold magenta",
            "nothing": "bold green"}  # fmt: skip
@@ -68,11 +69,12 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 
 def _print_cause(console: Console, cause: FoundCause) -> None:
+    from rich.padding import Padding
     from rich.text import Text
 
     console.print()
-    title = words.cause_title(cause.name)
-    console.print(Text.assemble((title, "bold"), f": {cause.text}" if cause.text else ""))
+    title, text = words.cause_title(cause.name), words.typographic(cause.text)
+    console.print(Text.assemble((title, "bold"), f": {text}" if text else ""))
     table = _table()
     table.add_column("parameter", overflow="fold")
     table.add_column("value", justify="right")
@@ -84,10 +86,9 @@ def _print_cause(console: Console, cause: FoundCause) -> None:
         table.add_row(f"  {name}", value, words.unit_text(p.unit), f"({other})" if other else "")
     console.print(table)
     if cause.signals:
-        console.print(
-            f"  seen in {words.in_series([words.signal_title(s) for s in cause.signals])}"
-        )
-    console.print(f"  {words.evidence(cause)}")
+        signals = words.in_series([words.signal_title(s) for s in cause.signals])
+        console.print(Padding(f"seen in {signals}", INDENT))
+    console.print(Padding(words.evidence(cause), INDENT))
 
 
 def _print_open(console: Console, diagnosis: Diagnosis) -> None:
@@ -126,7 +127,8 @@ def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
 
 
 def _print_gain(console: Console, diagnosis: Diagnosis) -> None:
-    console.print(words.gain(diagnosis.gain))
+    if diagnosis.causes:
+        console.print(f"with the extended model held-out data are {words.gain(diagnosis.gain)}")
     errors = words.mount_errors(diagnosis.gain)
     if errors is not None:
         console.print(f"mount-angle error {errors[0]} before, {errors[1]} after")

@@ -102,6 +102,7 @@ def _environment() -> Environment:
         "cause": words.cause_title,
         "unit": words.unit_text,
         "number": words.number,
+        "typographic": words.typographic,
         "breakable": _breakable,
     }
     return environment
@@ -125,7 +126,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     """Title, figure and what it means, of the few numbers that sum it up."""
     found = diagnosis.gain
     figures = []
-    if diagnosis.causes or found.held_out_log_likelihood:
+    if diagnosis.causes:
         low, high = (words.number(x) for x in found.interval)
         nats = f"{words.number(found.held_out_log_likelihood)} nats"
         figures.append(("Gain on held-out data", nats, f"95 % interval {low} to {high}"))
@@ -159,7 +160,7 @@ def _card(cause: FoundCause) -> dict[str, Any]:
     return {
         "title": words.cause_title(cause.name),
         "name": cause.name,
-        "text": cause.text,
+        "text": words.typographic(cause.text),
         "rows": rows,
         "evidence": words.evidence(cause),
         "signals": [words.signal_title(name) for name in cause.signals],

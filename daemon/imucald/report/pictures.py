@@ -14,7 +14,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from imucald.diagnosis.result import SignalPicture
 from imucald.report.thinning import envelope, log_bins, telling_stretch, trend
@@ -69,6 +69,8 @@ MINUTES_FROM_S = 300.0
 """Longer axes are in minutes."""
 DECADES = 6
 """Shown of a spectrum, from its highest value down."""
+FEW_DECADES = 60.0
+"""An axis with a smaller range has ticks at 2 and 5 too."""
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 EXTREME = 99.7
 """Percentile of the residual's size that sets the axis: single spikes may leave the picture."""
@@ -200,6 +202,9 @@ def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
             axis.set_major_formatter(FuncFormatter(_power_text))
             axis.set_minor_formatter(NullFormatter())
         _trim_depth(axes)
+        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            if high < FEW_DECADES * low:
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"density [({unit_text(p.unit)})²/Hz]")
     _legend(axes)
@@ -231,11 +236,14 @@ def _trim_depth(axes: Axes) -> None:
 
 
 def _power_text(x: float, _: object) -> str:
-    """`0.01`, `10`, or a power of ten with raised digits: there is no formula text here."""
+    """`0.02`, `10`, or a power of ten with raised digits: there is no formula text here."""
     if x <= 0.0:
         return ""
-    power = round(math.log10(x))
-    return f"{x:g}" if -3 < power < 4 else "10" + str(power).translate(RAISED)
+    power = math.floor(math.log10(x) + 1e-9)
+    if -3 < power < 4:
+        return f"{x:g}"
+    factor = round(x / 10.0**power)
+    return ("" if factor == 1 else f"{factor}·") + "10" + str(power).translate(RAISED)
 
 
 def _clock_text(seconds: float, _: object) -> str:

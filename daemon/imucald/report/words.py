@@ -260,6 +260,11 @@ def unit_text(unit: str) -> str:
     return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
 
 
+def typographic(text: str) -> str:
+    """Return a sentence with its signs as they are printed."""
+    return text.replace("+-", "±").replace("^2", "²").replace("^3", "³")
+
+
 def duration(seconds: float) -> str:
     """Return a length of time: `45 s`, `31 min`, `2.3 h`."""
     if not math.isfinite(seconds):
