@@ -166,8 +166,8 @@ def _line(t: Array, delay: Array, std: Array, against: str) -> RunOff | None:
     chi2 = float(np.sum(weight * residual**2)) / max(float(np.sum(keep)) - 2.0, 1.0)
     covariance = np.linalg.inv(base.T @ (weight[:, None] * base)) * max(chi2, 1.0)
     first, last = (float(line[0] + line[1] * (when - middle)) for when in (t[0], t[-1]))
-    slope, std = 1e6 * float(line[1]), 1e6 * math.sqrt(float(covariance[1, 1]))
-    return RunOff(slope, math.hypot(CREEP * std, SCALE_SHARE * slope), first, last, against)
+    slope, scatter = 1e6 * float(line[1]), 1e6 * math.sqrt(float(covariance[1, 1]))
+    return RunOff(slope, math.hypot(CREEP * scatter, SCALE_SHARE * slope), first, last, against)
 
 
 def _start(t: Array, delay: Array) -> Array:
