@@ -321,6 +321,20 @@ def test_structure_beside_what_was_found_is_told():
     assert "left besides, in accelerometer y and vehicle yaw rate" in said
 
 
+def test_a_gain_that_held_out_data_do_not_confirm_is_told():
+    said = words.verdict(made.found(gain=Gain(1.35, (-48.3, 51.0)))).explanation
+    assert "Held-out data do not confirm it: the 95 % interval of the gain is -48.3 to 51.0" in said
+    assert "confirm" not in words.verdict(made.found()).explanation
+
+
+def test_numbers_that_the_table_has_are_not_repeated_in_the_sentence():
+    key = "suspension.roll_gradient"
+    text = f"The body rolls by 1.5 deg. {key} 0.02 +- 0.001 rad/(m/s^2)."
+    assert words.plain_sentence(replace(made.ROLL, text=text)) == "The body rolls by 1.5 deg."
+    only = f"{key} is 0.02 +- 0.001."
+    assert words.plain_sentence(replace(made.ROLL, text=only)) == f"{key} is 0.02 ± 0.001."
+
+
 def test_names_in_texts_are_those_that_people_use():
     text = "accel_bias or road_bank: drive; not my_accel_bias"
     said = words.with_titles(text, ["accel_bias", "road_bank"])

@@ -196,7 +196,7 @@ def _write_report(diagnosis: Diagnosis, options: argparse.Namespace) -> None:
     from imucald.report import About, report_page
 
     about = About(
-        logs=[Path(log).name for log in options.logs],
+        logs=["/".join(Path(log).parts[-2:]) for log in options.logs],
         config=options.config.name,
         model=options.model.name if options.model else "plain car, mount from these drives",
         made=f"{time.strftime('%Y-%m-%d %H:%M')}, imucald {__version__}",

@@ -73,7 +73,7 @@ def _print_cause(console: Console, cause: FoundCause) -> None:
     from rich.text import Text
 
     console.print()
-    title, text = words.cause_title(cause.name), words.typographic(cause.text)
+    title, text = words.cause_title(cause.name), words.plain_sentence(cause)
     console.print(Text.assemble((title, "bold"), f": {text}" if text else ""))
     table = _table()
     table.add_column("parameter", overflow="fold")

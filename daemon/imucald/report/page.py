@@ -160,7 +160,7 @@ def _card(cause: FoundCause) -> dict[str, Any]:
     return {
         "title": words.cause_title(cause.name),
         "name": cause.name,
-        "text": words.typographic(cause.text),
+        "text": words.plain_sentence(cause),
         "rows": rows,
         "evidence": words.evidence(cause),
         "signals": [words.signal_title(name) for name in cause.signals],

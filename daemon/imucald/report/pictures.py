@@ -168,8 +168,10 @@ def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
     rows = telling_stretch(p.t, before, after, STRETCH_S)
     t = p.t[rows]
     axes.plot(t, p.measured[rows], color=MEASURED, lw=1.0, label="measured")
+    known = np.isfinite(p.measured[rows])
     for curve in _curves(p):
-        axes.plot(t, curve.predicted[rows], color=curve.colour, lw=1.2, ls=curve.dashes,
+        predicted = np.where(known, curve.predicted[rows], np.nan)
+        axes.plot(t, predicted, color=curve.colour, lw=1.2, ls=curve.dashes,
                   label=f"predicted {curve.name}".strip())  # fmt: skip
     axes.margins(x=0.005)
     axes.xaxis.set_major_formatter(FuncFormatter(_clock_text))

@@ -40,6 +40,8 @@ CERTAIN = 0.999
 
 WORD = re.compile(r"\w+")
 
+SENTENCE_END = re.compile(r"(?<=\.)\s+")
+
 Z95 = 1.959964
 """Half width of a 95 % interval in standard deviations."""
 
@@ -89,8 +91,8 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
     titles = [cause_title(cause.name) for cause in diagnosis.causes]
     if diagnosis.verdict == "found":
         headline = f"Found: {in_series(titles)}" if titles else "Found"
-        text = f"{_counted(len(titles))}{certainty(diagnosis.causes)}.{_left(diagnosis)}"
-        return Verdict(headline, text)
+        text = f"{_counted(len(titles))}{certainty(diagnosis.causes)}."
+        return Verdict(headline, text + _confirmed(diagnosis) + _left(diagnosis))
     if diagnosis.verdict == "ambiguous":
         return _ambiguous(diagnosis, titles)
     if diagnosis.verdict == "unknown":
@@ -116,7 +118,18 @@ def _ambiguous(diagnosis: Diagnosis, titles: Sequence[str]) -> Verdict:
         also = in_series([cause_title(cause.name) for cause in sure])
         text += f" Beyond doubt about its kind is {also}{certainty(sure)}."
     headline = "; ".join(groups) or in_series(titles, "or")
-    return Verdict(f"Ambiguous: {headline}", text + _left(diagnosis))
+    return Verdict(f"Ambiguous: {headline}", text + _confirmed(diagnosis) + _left(diagnosis))
+
+
+def _confirmed(diagnosis: Diagnosis) -> str:
+    """A warning where data that the fit did not see do not speak for the extension."""
+    low, high = diagnosis.gain.interval
+    if low > 0.0 or not math.isfinite(low + high):
+        return ""
+    return (
+        f" Held-out data do not confirm it: the 95 % interval of the gain is {number(low)} to "
+        f"{number(high)} nats."
+    )
 
 
 def _where(diagnosis: Diagnosis) -> str:
@@ -258,6 +271,13 @@ def unit_text(unit: str) -> str:
     if unit == "1":
         return ""
     return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
+
+
+def plain_sentence(cause: FoundCause) -> str:
+    """Return a cause's text without the sentences that repeat its parameters, if any is left."""
+    parts = SENTENCE_END.split(cause.text)
+    kept = [part for part in parts if not any(key in part for key in cause.parameters)]
+    return typographic(" ".join(kept) or cause.text)
 
 
 def typographic(text: str) -> str:
