@@ -40,7 +40,7 @@ def diagnose(
         raise EstimateError("diagnosis needs at least one drive")
     tell = progress or (lambda share, text: None)
     tell(0.02, "samples and time stamps")
-    faults = [find_faults(samples, model) for samples in drives]
+    faults = [_faults(samples, model) for samples in drives]
     causes = catalogue()
     forwards = [
         Forward(_track(samples, found), model, causes)
@@ -66,6 +66,10 @@ def diagnose(
     tell(0.93, "gain")
     told = _Told(search, found, [f for part in faults for f in part], roads)
     return told.diagnosis(model, structure, len(drives) - len(forwards))
+
+
+def _faults(samples: Samples, model: Model) -> list[Fault]:
+    return [fault for fault in find_faults(samples, model) if fault.score > ACCEPT]
 
 
 def _track(samples: Samples, faults: Sequence[Fault]) -> Track:

@@ -58,6 +58,8 @@ def measure(
     after = _held_out_residual(search, found)
     fitted = point.evidence.fit(found.keys)
     floor = point.residual - point.columns @ fitted.x.astype(np.float32)
+    if not found.active and road is None:
+        after = before  # nothing was extended
     if road is not None:
         whole = np.concatenate(list(road))
         after, floor = after - whole, floor - whole

@@ -1,0 +1,89 @@
+"""The model file that a diagnosis starts from where none is given.
+
+A plain car: the simulation's presets, with what the configuration says of the vehicle, the rates
+of the logs, and the mount that the daemon's own estimator gives for them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from imucald.config import LoadedConfig
+from imucald.diagnosis.recording import Recording
+from imucald.errors import EstimateError
+from imucald.samples import Samples
+from imucald.simulation.model import Model
+
+RATES = (
+    "accel", "gyro", "speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel",
+    "longitudinal_accel", "temperature",
+)  # fmt: skip
+LARGEST_STD_DEG = 4.0
+"""With a mount less certain than this nothing can be compared."""
+SLOWEST_HZ, FASTEST_HZ = 0.2, 1000.0
+
+
+def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> Model:
+    """Return a model for a configured vehicle and its drives.
+
+    Raises EstimateError where the drives do not give the mount.
+    """
+    vehicle = loaded.config.vehicle
+    side = "left" if vehicle.driving_side == "left" else "right"
+    changes: dict[str, Any] = {
+        "route.driving_side": side,
+        "chassis.wheelbase_m": vehicle.wheelbase,
+        "chassis.cg_to_front_m": 0.45 * vehicle.wheelbase,
+        "chassis.steering_ratio": vehicle.steering_ratio,
+        **_mount(loaded, [recording.samples for recording in recordings]),
+    }
+    for name, hz in _rates(recordings).items():
+        changes[f"{name}.rate_hz"] = hz
+        if name in ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel"):
+            changes[f"{name}.lowpass_hz"] = None
+    changes["grid_hz"] = max(200.0, *(changes.get(f"{n}.rate_hz", 0.0) for n in ("accel", "gyro")))
+    return Model().with_changes(changes)
+
+
+def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
+    """Nominal rates [Hz]: the database's cycle times, else the median of the stamps."""
+    rates: dict[str, float] = {}
+    for recording in recordings:
+        for name in RATES:
+            if name in rates or name not in recording.samples:
+                continue
+            t = recording.samples[name].t
+            if len(t) < 2:
+                continue
+            cycle = recording.cycle_s.get(name) or float(np.median(np.diff(t)))
+            rates[name] = min(max(1.0 / max(cycle, 1e-3), SLOWEST_HZ), FASTEST_HZ)
+    return rates
+
+
+def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
+    """Mount angles from the daemon's estimator; the drives are run one after another."""
+    from imucald.estimators import estimator_for
+    from imucald.pipeline import Pipeline
+
+    pipeline = Pipeline(estimator_for(loaded.config))
+    start = 0.0
+    for samples in drives:
+        last = max(float(s.t[-1]) for s in samples.values() if len(s.t))
+        moved = {name: type(s)(s.t + start, s.values) for name, s in samples.items()}
+        pipeline.run(moved, {}, start + last, with_snapshots=False)
+        start = math.ceil(start + last + 1.0)
+        pipeline.gap(int(start * 10))
+    estimate = pipeline.estimator.estimate()
+    angles, std = estimate.angles, estimate.std
+    if angles is None or std is None or math.degrees(max(std)) > LARGEST_STD_DEG:
+        why = "; ".join(f"{angle}: {text}" for angle, text in estimate.waiting_for.items())
+        raise EstimateError(
+            "the drives do not say how the sensor sits, so there is no model to compare with; "
+            f"give one with --model ({why or 'see imucald replay'})"
+        )
+    roll, pitch, yaw = (math.degrees(angle) for angle in angles)
+    return {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}
