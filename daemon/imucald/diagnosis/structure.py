@@ -12,16 +12,15 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import norm
 from scipy.stats import t as student
 
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.grid import Array
 from imucald.diagnosis.result import Structure
 from imucald.diagnosis.search import Found, Search
 from imucald.diagnosis.spectra import windows
 from imucald.diagnosis.structure_probes import WORDS, Dependence, dependences, looks
 from imucald.diagnosis.structure_spectra import (
+    FEWEST_STRETCHES,
     MODE_SHARE,
     Push,
     Spectra,
@@ -29,14 +28,11 @@ from imucald.diagnosis.structure_spectra import (
     stretch_levels,
 )
 
-FALSE_ALARM = 0.005
+FALSE_ALARM = 0.01
 """Chance by which each kind of test may speak without cause, over all its looks."""
-FEWEST_STRETCHES = 8
-"""Shorter drives say too little about themselves."""
-SIDEWAYS = ("gyro_x", "yaw_rate", "lateral_accel", "accel_y")
-"""Signals that a sway or a swinging load moves together."""
-TOGETHER_LOG, ALONE_LOG = math.log(2.7), math.log(7.0)
-"""Hump's power over that beside it: in two signals of a sideways motion, or in a single signal."""
+TOGETHER_LOG, PAIR_LOG, ALONE_LOG = math.log(1.95), math.log(2.5), math.log(7.0)
+"""Hump's power over that beside it, as the mean over three signals of a sideways motion (roll rate,
+yaw rate, lateral acceleration), over two of them, in a single signal."""
 LEAST_COHERENCE = 0.4
 """Share of the sideways residual that yaw rate and lateral acceleration must have in common."""
 LEAST_EXCESS = 3.0
@@ -68,27 +64,47 @@ def _humps(spectra: Spectra, forwards: Sequence[Forward]) -> list[Structure]:
     suspension = forwards[0].model.suspension
     modes = (suspension.roll_frequency_hz, suspension.pitch_frequency_hz)
     top = min(MODE_SHARE * min(modes), forwards[0].track.top_hz)
-    humps = spectra.humps(top)
-    # Neighbouring bands overlap: a quarter of them are looks of their own.
-    tried = sum(len(ratio) for _, ratio in humps.values()) // 4
-    if not tried:
-        return []
-    surely = float(norm.isf(FALSE_ALARM / tried))
-    side = [name for name in SIDEWAYS[:3] if name in humps]
-    if "lateral_accel" not in humps and "accel_y" in humps:
-        side.append("accel_y")
-    together = _second(np.array([humps[name][1] for name in side])) if len(side) > 1 else None
-    made = []
-    for name, (hz, ratio) in humps.items():
-        k = int(np.argmax(ratio))
-        enough = ratio[k] > ALONE_LOG
-        if name in SIDEWAYS and together is not None and together.max() > TOGETHER_LOG:
-            near = np.abs(hz - hz[int(np.argmax(together))]) <= 0.1
-            k = int(np.argmax(np.where(near, ratio, -np.inf)))
-            enough = enough or ratio[k] > TOGETHER_LOG
-        if enough and ratio[k] > surely * spectra.hump_std(name, float(hz[k])):
-            made.append(_hump(name, float(hz[k]), float(np.exp(ratio[k]))))
+    names = spectra.names
+    sideways: list[str] = [
+        name for name in ("gyro_x", "yaw_rate", "lateral_accel") if name in names
+    ]
+    if "lateral_accel" not in names and "accel_y" in names:
+        sideways.append("accel_y")
+    made: list[Structure] = []
+    if len(sideways) > 1:
+        bar = TOGETHER_LOG if len(sideways) > 2 else PAIR_LOG
+        made = _peak(spectra, sideways, top, bar, told=("accel_y",))
+    told = {s.signal for s in made}
+    for name in names:
+        if name not in told:
+            made += _peak(spectra, [name], top, ALONE_LOG)
     return made
+
+
+def _peak(
+    spectra: Spectra, names: Sequence[str], top: float, bar: float, told: Sequence[str] = ()
+) -> list[Structure]:
+    """The highest hump that some signals share, if it is above the bar and beyond chance.
+
+    told: signals that are told of beside them if they have the hump as well.
+    """
+    humps = spectra.humps(names, top)
+    if humps is None:
+        return []
+    # Bands overlap, and neighbours are compared with one another: a sixth are looks of their own.
+    looked = max(len(humps.hz) / 6.0, 1.0) * (len(spectra.names) if len(names) == 1 else 1)
+    surely = float(student.isf(FALSE_ALARM / looked, max(len(spectra.residual) * 2 // 3, 3)))
+    good = (humps.together > bar) & (humps.together > surely * humps.std)
+    if not good.any():
+        return []
+    k = int(np.argmax(np.where(good, humps.together, -np.inf)))
+    ratios = dict(zip(names, humps.each[k], strict=True))
+    for name in told:
+        other = spectra.humps([name], top) if name in spectra.names else None
+        if other is not None:
+            ratios.setdefault(name, other.together[k])
+    hz = float(humps.hz[k])
+    return [_hump(n, hz, float(np.exp(x))) for n, x in ratios.items() if x > 0.5 * bar]
 
 
 def _hump(name: str, hz: float, times: float) -> Structure:
@@ -98,12 +114,6 @@ def _hump(name: str, hz: float, times: float) -> Structure:
         "swings or a liquid that sloshes would do this."
     )
     return Structure(name, "spectral peak", times, text)
-
-
-def _second(ratios: Array) -> Array:
-    """Second largest of (n, K) along the first axis: what at least two share."""
-    result: Array = np.sort(ratios, axis=0)[-2]
-    return result
 
 
 # pushes --------------------------------------------------------------------------------------

@@ -33,6 +33,14 @@ LEVEL_HZ = (0.2, 1.3)
 """Band in which stretches are compared in loudness."""
 MODE_SHARE = 0.8
 """Humps count up to this share of the body's lowest mode."""
+LOUD_WEIGHT = 4.0
+"""A stretch counts as if so many times the usual power were added to its own: loud ones do not
+decide alone, quiet ones do not blur."""
+OVERLAP = 1.4
+"""By how much more the mean of half-overlapping stretches varies than of separate ones."""
+FEWEST_STRETCHES = 8
+"""Fewer say too little about themselves."""
+TINY = 1e-30
 WINDOW_HZ = 0.2
 """Width of the bands in which coherence is taken,"""
 PUSH_HZ = (0.12, 1.1)
@@ -43,12 +51,17 @@ the two sensors that errs, not the vehicle that moves."""
 
 
 @dataclass(frozen=True)
-class Hump:
-    """Power in a narrow band over that beside it."""
+class Humps:
+    """Log ratio of power in narrow bands to that beside them."""
 
-    signal: str
-    hz: float
-    log_ratio: float
+    hz: Array
+    """(K,)"""
+    each: Array
+    """(K, signals)"""
+    together: Array
+    """(K,) mean over the signals,"""
+    std: Array
+    """(K,) and its standard deviation, from how the stretches scatter."""
 
 
 @dataclass(frozen=True)
@@ -84,44 +97,33 @@ class Spectra:
 
     # humps -----------------------------------------------------------------------------------
 
-    def humps(self, top_hz: float) -> dict[str, tuple[Array, Array]]:
-        """Per signal, frequencies (K,) and log ratio (K,) of bands to the bands beside them."""
-        made = {}
-        sums = np.concatenate(
-            [np.zeros((1, len(self.names))), np.cumsum(self._even.sum(axis=0), axis=0)]
-        )
+    def humps(self, names: Sequence[str], top_hz: float) -> Humps | None:
+        """Bands against those beside them, in all of some signals together; None: too little."""
+        chosen = [self.names.index(name) for name in names]
+        there = self.present[:, chosen].all(axis=1)
         width, flank = _bins(HUMP_HZ), _bins(FLANK_HZ)
         firsts = np.arange(_bins(LOWEST_HZ), _bins(top_hz) - width)
         away = np.maximum(_bins(LEAST_FLANK_HZ), np.rint(FLANK_SHARE * firsts).astype(int))
         low, high = firsts - away - flank // 2, firsts + width + away - flank // 2
-        inside = (low >= 1) & (high + flank <= len(self.power))
+        inside = (low >= 1) & (high + flank <= self.residual.shape[1])
         firsts, low, high = firsts[inside], low[inside], high[inside]
-        for c, name in enumerate(self.names):
-            if not len(firsts) or not self.present[:, c].any():
-                continue
-            here = _between(sums[:, c], firsts, width)
-            beside = 0.5 * (_between(sums[:, c], low, flank) + _between(sums[:, c], high, flank))
-            made[name] = ((firsts + 0.5 * (width - 1)) / BLOCK_S, here - beside)
-        return made
+        if there.sum() < FEWEST_STRETCHES or not len(firsts):
+            return None
+        power = self._even[there][:, :, chosen]
+        sums = np.concatenate([np.zeros_like(power[:, :1]), np.cumsum(power, axis=1)], axis=1)
 
-    def hump_std(self, name: str, hz: float) -> float:
-        """Standard deviation of a hump's log ratio, between stretches (jackknife)."""
-        c = self.names.index(name)
-        power = self._even[self.present[:, c], :, c]
-        B = len(power)
-        rest = (power.sum(axis=0) - power) / max(B - 1, 1)
-        sums = np.concatenate([np.zeros((B, 1)), np.cumsum(rest, axis=1)], axis=1)
-        width, flank = _bins(HUMP_HZ), _bins(FLANK_HZ)
-        first = round(hz * BLOCK_S - 0.5 * (width - 1))
-        away = max(_bins(LEAST_FLANK_HZ), round(FLANK_SHARE * first))
-        low, high = first - away - flank // 2, first + width + away - flank // 2
+        def mean(at: NDArray[np.int64], n: int) -> tuple[Array, Array]:
+            part = (sums[:, at + n] - sums[:, at]) / n
+            whole = part.sum(axis=0)
+            return np.log(whole + TINY), np.log(whole - part + TINY)
 
-        def log(at: int, n: int) -> Array:
-            return np.asarray(np.log(np.maximum((sums[:, at + n] - sums[:, at]) / n, 1e-30)))
-
-        ratio = log(first, width) - 0.5 * (log(low, flank) + log(high, flank))
-        # Stretches overlap by half, so they are fewer than they look.
-        return float(np.sqrt(1.6 * (B - 1) * np.var(ratio)))
+        here, low_side, high_side = mean(firsts, width), mean(low, flank), mean(high, flank)
+        log_ratio = here[0] - 0.5 * (low_side[0] + high_side[0])
+        # Each stretch left out in turn (jackknife); they overlap by half.
+        without = (here[1] - 0.5 * (low_side[1] + high_side[1])).mean(axis=2)
+        std = np.sqrt(OVERLAP * (len(without) - 1) * without.var(axis=0))
+        hz = (firsts + 0.5 * (width - 1)) / BLOCK_S
+        return Humps(hz, log_ratio, log_ratio.mean(axis=1), std)
 
     # pushed sideways -------------------------------------------------------------------------
 
@@ -151,7 +153,7 @@ class Spectra:
         share = math.hypot(ERROR_STEADY, ERROR_PER_HZ * hz)
         asked = float(np.mean(np.abs(self.predicted[there][:, band, yaw]) ** 2))
         own = float(np.mean(np.abs(e[:, :, yaw]) ** 2))
-        excess = own / max(floor + share**2 * asked, 1e-30)
+        excess = own / max(floor + share**2 * asked, TINY)
         gyro = self._index("gyro_z")
         if gyro is not None:
             disagree = float(np.mean(np.abs(e[:, :, gyro]) ** 2))
@@ -182,8 +184,8 @@ def stretch_levels(spectra: Spectra) -> Array:
     made = np.full(own.shape, np.nan)
     for c in np.flatnonzero(spectra.present.sum(axis=0) >= 4):
         usual = np.nanmedian(own[:, c])
-        made[:, c] = np.log(np.maximum(own[:, c], 1e-30) / max(usual, 1e-30))
-        made[:, c] -= np.log1p(asked[:, c] / max(usual, 1e-30))
+        made[:, c] = np.log(np.maximum(own[:, c], TINY) / max(usual, TINY))
+        made[:, c] -= np.log1p(asked[:, c] / max(usual, TINY))
     return made
 
 
@@ -200,10 +202,10 @@ def predicted_blocks(forwards: Sequence[Forward], predicted: Sequence[Array]) ->
 def _coherence(a: Complex, b: Complex) -> float:
     """Coherence of (B, f) with (B, f); loud stretches count only as much as usual ones."""
     pa, pb = np.mean(np.abs(a) ** 2, axis=1), np.mean(np.abs(b) ** 2, axis=1)
-    wa, wb = 1.0 / (pa + np.median(pa) + 1e-30), 1.0 / (pb + np.median(pb) + 1e-30)
+    wa, wb = 1.0 / (pa + np.median(pa) + TINY), 1.0 / (pb + np.median(pb) + TINY)
     cross = np.sum(np.sqrt(wa * wb)[:, None] * a * b.conj())
     own = np.sum(wa[:, None] * np.abs(a) ** 2) * np.sum(wb[:, None] * np.abs(b) ** 2)
-    return float(np.abs(cross) ** 2 / max(float(own), 1e-30))
+    return float(np.abs(cross) ** 2 / max(float(own), TINY))
 
 
 def _mean_power(residual: Complex, present: Mask) -> Array:
@@ -218,13 +220,7 @@ def _stretch_weight(residual: Complex, present: Mask) -> Array:
     power = np.mean(np.abs(residual[:, _bins(LEVEL_HZ[0]) : _bins(LEVEL_HZ[1])]) ** 2, axis=1)
     known = np.where(present, power, np.nan)
     usual = np.array([np.nanmedian(x) if np.isfinite(x).any() else 1.0 for x in known.T])
-    return np.asarray(power + usual + 1e-30)
-
-
-def _between(sums: Array, firsts: NDArray[np.int64], width: int) -> Array:
-    """Log of the mean of `width` values from each first."""
-    mean = (sums[firsts + width] - sums[firsts]) / width
-    return np.asarray(np.log(np.maximum(mean, 1e-30)))
+    return np.asarray(power + LOUD_WEIGHT * usual + TINY)
 
 
 def _bins(hz: float) -> int:
