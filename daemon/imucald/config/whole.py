@@ -27,6 +27,7 @@ from imucald.config.yaml_lines import (
     Marks,
     Place,
     dotted,
+    infinite_places,
     line_of,
     read_yaml,
 )
@@ -115,6 +116,12 @@ def parse_config(text: str, path: Path | None = None) -> LoadedConfig:
     data, marks = read_yaml(text, name)
     if not isinstance(data, dict):
         raise ConfigError(f"{name}:1: a configuration is a mapping with 'database' and 'signals'")
+    infinite = [
+        f"{name}:{line_of(marks, place)}: {dotted(place)}: must be a finite number"
+        for place in infinite_places(data)
+    ]
+    if infinite:
+        raise ConfigError("\n".join(infinite))
     full = spelled_out(data)
     try:
         config = msgspec.convert(full, Config)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from typing import Any
 
 import yaml
@@ -83,8 +84,6 @@ def _build(loader: Any, node: yaml.Node, place: Place, marks: Marks, name: str) 
             result[key] = _build(loader, value_node, (*place, key), marks, name)
         return result
     value = _scalar(loader, node)
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ConfigError(f"{name}:{line}: {dotted(place)}: must be a finite number")
     if value is not None and not isinstance(value, str | int | float | bool):
         raise ConfigError(f"{name}:{line}: {node.value!r} is neither text nor number")
     return value
@@ -96,6 +95,15 @@ def _scalar(loader: Any, node: yaml.Node) -> Any:
     if is_plain and isinstance(value, str) and _EXPONENT.fullmatch(value):
         return float(value)
     return value
+
+
+def infinite_places(data: Any, place: Place = ()) -> Iterator[Place]:
+    """Where numbers are infinite or none at all, which no key may be."""
+    if isinstance(data, float) and not math.isfinite(data):
+        yield place
+    elif isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from infinite_places(value, (*place, key))
 
 
 def line_of(marks: Marks, place: Place) -> int:
