@@ -175,8 +175,9 @@ def stretch_levels(spectra: Spectra) -> Array:
     What the model may be wrong by grows with what is driven, so hard driving is no event.
     """
     band = slice(_bins(PUSH_HZ[0]), _bins(PUSH_HZ[1]))
-    hz = np.arange(band.start, band.stop)[None, :, None] / BLOCK_S
     residual, predicted = spectra.residual[:, band], spectra.predicted[:, band]
+    # A slow input ends the spectra below the band's top.
+    hz = (band.start + np.arange(residual.shape[1]))[None, :, None] / BLOCK_S
     share = ERROR_STEADY**2 + (ERROR_PER_HZ * hz) ** 2
     own = np.mean(np.abs(residual) ** 2, axis=1)
     asked = np.mean(share * np.abs(predicted) ** 2, axis=1)
