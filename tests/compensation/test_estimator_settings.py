@@ -9,6 +9,7 @@ from imucald.compensation import compensation_from_model
 from imucald.config import parse_config
 from imucald.estimators import estimator_for
 from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.session import open_compensation
 from simulated_bus import CONFIG, drive
 
@@ -43,7 +44,7 @@ def test_crown_chassis_and_delays_come_from_the_model():
     assert (found.wheelbase, found.steering_ratio, found.track) == (3.1, 17.0, 1.7)
     assert found.understeer == 0.004
     assert found.delays["speed"].mean == 0.0, "its ticks are brought together"
-    assert found.delays["speed"].std < 0.05
+    assert found.delays["speed"].std < EstimatorSettings().delays["speed"].std
 
 
 def test_what_the_configuration_says_counts():
@@ -73,7 +74,9 @@ def test_a_configured_speed_delay_counts_more_than_the_models(tmp_path):
     loaded = parse_config(text, tmp_path / "config.yaml")
     assert open_compensation(loaded).shifts()["accel"] == pytest.approx(0.3)
     loaded = parse_config(f"{text}calibration: {{speed_delay: 0.1}}\n", tmp_path / "config.yaml")
-    shifts = open_compensation(loaded).shifts()
+    compensation = open_compensation(loaded)
+    shifts = compensation.shifts()
+    assert compensation.full_settings(EstimatorSettings()).delays["speed"].std < 0.05
     assert shifts["accel"] - shifts["speed"] == pytest.approx(0.1)
 
 

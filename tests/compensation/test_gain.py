@@ -100,6 +100,14 @@ def test_mount_and_signals_are_nearer_to_the_truth_where_the_effect_had_turned_i
     assert rms(after, "accel", axes) < most * rms(before, "accel", axes)
 
 
+def test_a_delay_that_the_model_has_wrong_is_still_found():
+    """Nobody looked: the file says what a new file says, no delay."""
+    drive = driven(31, {"speed.delay_s": 0.25})
+    wrong = drive.model.with_changes({"speed.delay_s": 0.0})
+    found = corrected(drive, compensation_from_model(wrong.model_dump()))
+    assert float(found.estimate.details["speed_delay"]) == pytest.approx(0.25, abs=0.05)
+
+
 def test_a_known_delay_of_speed_need_not_be_learnt():
     """The estimator sees signals of one time: what it would find as delay is nothing."""
     drive = driven(31, {"speed.delay_s": 0.4})

@@ -19,8 +19,11 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.published_settings import PublishedSettings
 from imucald.samples import Samples, Series
 
-KNOWN_DELAY_STD = 0.03
-"""How well a model's delays are taken to be known [s], as those of the configuration."""
+KNOWN_DELAY_STD = 0.1
+"""How well a model's delays are taken to be known [s]: where nobody looked, a preset stands there.
+The estimator then finds the rest; where there is none, so wide a prior costs nothing."""
+STATED_DELAY_STD = 0.03
+"""The same of a delay that the configuration states."""
 _KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
 
 
@@ -29,13 +32,15 @@ class Compensation:
     """The terms of one model file. Immutable; the stages made of it carry what changes.
 
     name: of the file. notes: what of it is not used, a line each. suspension: whether the body's
-    leaning is taken out of the corrected signals.
+    leaning is taken out of the corrected signals. speed_delay_std: how well the model's lateness of
+    speed is known [s].
     """
 
     terms: Terms
     name: str = "model"
     notes: tuple[str, ...] = ()
     suspension: bool = True
+    speed_delay_std: float = KNOWN_DELAY_STD
 
     # what is told ----------------------------------------------------------------------------
 
@@ -120,7 +125,8 @@ class Compensation:
             return self
         accel = self.terms.lateness.get("accel", 0.0)
         lateness = {**self.terms.lateness, "accel": accel, "speed": accel + delay}
-        return replace(self, terms=replace(self.terms, lateness=lateness))
+        terms = replace(self.terms, lateness=lateness)
+        return replace(self, terms=terms, speed_delay_std=STATED_DELAY_STD)
 
     def sensor_stage(self, derived_speed: bool = False) -> SensorStage:
         """Takes out the terms that need no mount; derived_speed: the wheels give the speed."""
@@ -155,9 +161,9 @@ class Compensation:
         """Settings with what the model knows; stated: keys of `vehicle` that the user gave."""
         terms, chassis = self.terms, self.terms.chassis
         delays = dict(settings.delays)
-        for channel in ("speed", "yaw_rate"):
+        for channel, std in (("speed", self.speed_delay_std), ("yaw_rate", KNOWN_DELAY_STD)):
             if channel in terms.lateness:
-                delays[channel] = DelayPrior(0.0, KNOWN_DELAY_STD)
+                delays[channel] = DelayPrior(0.0, std)
         known: dict[str, Any] = {"delays": delays}
         if terms.crown_mean is not None and "crown_percent" not in stated:
             known["crown_mean"] = terms.crown_mean
