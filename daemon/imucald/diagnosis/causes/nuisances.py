@@ -60,6 +60,28 @@ class WheelSlip(Cause):
             s.ax = s.ax - s.spectrum.derivative(p["_slip.gain"] * s.speed * s.ax)
 
 
+class Sideslip(Cause):
+    """Compliance of the rear tyres, by which the vehicle slips outwards, and its lag."""
+
+    name = "sideslip"
+    nuisance = True
+    parameters = (
+        Parameter("_sideslip.compliance", "1", 0.4, 0.4, 0.1),
+        Parameter("_sideslip.lag", "s", 0.1, 0.1, 0.02),
+    )
+
+    def motion(self, s: State, p: Values) -> None:
+        """Change the lateral velocity, and with it the lateral acceleration."""
+        c = s.model.chassis
+        slip = c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * c.rear_cornering_stiffness_npr)
+        outwards = -slip * s.speed * s.speed * s.yaw_rate
+        if p["_sideslip.compliance"]:
+            s.ay = s.ay + s.spectrum.derivative(p["_sideslip.compliance"] * outwards)
+        if p["_sideslip.lag"]:
+            twice = s.spectrum.derivative(s.spectrum.derivative(outwards))
+            s.ay = s.ay - p["_sideslip.lag"] * twice
+
+
 class SuspensionModes(Cause):
     """Frequencies of the body's modes; used where the body leans."""
 
