@@ -15,6 +15,8 @@ import numpy as np
 from imucald.config import LoadedConfig
 from imucald.diagnosis.recording import Recording
 from imucald.errors import EstimateError
+from imucald.estimators import estimator_for
+from imucald.pipeline import Pipeline
 from imucald.samples import Samples
 from imucald.simulation.model import Model
 
@@ -66,9 +68,6 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
 
 def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
     """Mount angles from the daemon's estimator; the drives are run one after another."""
-    from imucald.estimators import estimator_for
-    from imucald.pipeline import Pipeline
-
     pipeline = Pipeline(estimator_for(loaded.config))
     start = 0.0
     for samples in drives:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
+from imucald.diagnosis.keys import with_values
 from imucald.diagnosis.result import Estimated
 
 if TYPE_CHECKING:
@@ -101,11 +102,8 @@ class Cause:
     def offset(self, s: State, p: Values) -> None:
         """Add to signals."""
 
-
     def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
         """Return the model file with the cause's fitted values; keys: those that moved."""
-        from imucald.diagnosis.keys import with_values
-
         return with_values(model, {key: p[key] for key in keys})
 
     def report(self, p: Values, std: Values, keys: Sequence[str]) -> dict[str, Estimated]:
@@ -120,8 +118,8 @@ STAGES = ("inputs", "road", "motion", "body", "place", "mount", "response", "gai
 @cache
 def catalogue() -> tuple[Cause, ...]:
     """Return one object of every cause in the folder, nuisances last, by name."""
-    from imucald.diagnosis import causes
-
+    # The modules of the folder import this one.
+    causes = importlib.import_module("imucald.diagnosis.causes")
     found: list[Cause] = []
     for module in pkgutil.iter_modules(causes.__path__):
         loaded = importlib.import_module(f"{causes.__name__}.{module.name}")

@@ -38,7 +38,7 @@ def diagnose(
     """
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
-    tell = progress or (lambda share, text: None)
+    tell = progress or _silent
     tell(0.02, "samples and time stamps")
     faults = [_faults(samples, model) for samples in drives]
     causes = catalogue()
@@ -68,6 +68,10 @@ def diagnose(
     return told.diagnosis(model, structure, len(drives) - len(forwards))
 
 
+def _silent(share: float, text: str) -> None:
+    """Where no one asks for progress."""
+
+
 def _faults(samples: Samples, model: Model) -> list[Fault]:
     return [fault for fault in find_faults(samples, model) if fault.score > ACCEPT]
 
@@ -86,9 +90,7 @@ class _Told:
     faults: list[Fault]
     roads: list[RoadFinding]
 
-    def diagnosis(
-        self, model: Model, structure: tuple[Structure, ...], absent: int
-    ) -> Diagnosis:
+    def diagnosis(self, model: Model, structure: tuple[Structure, ...], absent: int) -> Diagnosis:
         search, found = self.search, self.found
         by_name: Mapping[str, Cause] = {c.name: c for c in catalogue()}
         sets, candidates = look_alikes(search, found)
@@ -107,7 +109,7 @@ class _Told:
             signals=signals,
             gain=gain,
             duration_s=float(sum(f.track.duration_s for f in search.forwards)),
-            candidates=tuple([*candidates, *losers_of(search, found)]),
+            candidates=(*candidates, *losers_of(search, found)),
             structure=structure,
             notes=tuple(self._notes(absent)),
             pictures=pictures_of(search, found, self.roads),
@@ -208,5 +210,3 @@ class _Told:
 
 def _plain(p: Estimated) -> str:
     return f"{p.value:.4g} +- {p.std:.2g} {'' if p.unit == '1' else p.unit}".strip()
-
-

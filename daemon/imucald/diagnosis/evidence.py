@@ -21,7 +21,6 @@ from imucald.diagnosis.cause import Parameter
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.spectra import Normal
 
-
 LENIENCE = 0.9
 """A model file may be wrong by its tolerance; the prior is wider, since physics is never whole."""
 
@@ -37,7 +36,7 @@ class Fit:
     def covariance(self) -> Array:
         """(P, P), of the parameters."""
         inverse: Array = cho_solve(self._factor, np.eye(len(self.x)))
-        return inverse * np.outer(self._scale, self._scale)
+        return np.asarray(inverse * np.outer(self._scale, self._scale))
 
 
 class Evidence:
@@ -62,9 +61,7 @@ class Evidence:
         std[index] = self._wide[index]
         return std**-2.0
 
-    def fit(
-        self, active: Iterable[str], blocks: Array | None = None, temper: float = 1.0
-    ) -> Fit:
+    def fit(self, active: Iterable[str], blocks: Array | None = None, temper: float = 1.0) -> Fit:
         """Evidence and solution for a set of keys.
 
         blocks: weights (B,) of the stretches. temper: the data count as this many times fewer.
@@ -87,7 +84,7 @@ class Evidence:
         left = self.normal.score - self.normal.information @ x
         said = np.einsum("bpp->bp", self.normal.information).sum(axis=0)
         spread = np.sum(left**2, axis=0) / np.maximum(said, 1e-30)
-        return np.maximum(1.0, spread)
+        return np.asarray(np.maximum(1.0, spread), dtype=float)
 
 
 def solve(A: Array, g: Array, square: float, precision: Array, shift: Array) -> Fit:

@@ -109,8 +109,10 @@ class Forward:
         smooth = spectrum.smooth(DERIVED_HZ)
         if s.gyro_in is not None:
             s.rate_in = spectrum.apply(R @ s.gyro_in, smooth)
-        s.yaw_rate = s.yaw_in if s.yaw_in is not None else (
-            np.zeros(s.n) if s.gyro_in is None else (R @ s.gyro_in)[2]
+        s.yaw_rate = (
+            s.yaw_in
+            if s.yaw_in is not None
+            else (np.zeros(s.n) if s.gyro_in is None else (R @ s.gyro_in)[2])
         )
         if s.yaw_in is not None:
             s.rate_in = np.array([s.rate_in[0], s.rate_in[1], spectrum.apply(s.yaw_in, smooth)])
@@ -137,9 +139,7 @@ class Forward:
     def _force(self, s: State) -> None:
         """Specific force and rate at the body's reference, in road axes."""
         up = np.full(s.n, GRAVITY)
-        s.force = np.array(
-            [s.ax - GRAVITY * s.road_pitch, s.ay + GRAVITY * s.road_roll, up]
-        )
+        s.force = np.array([s.ax - GRAVITY * s.road_pitch, s.ay + GRAVITY * s.road_roll, up])
         # The road's own turning, and the vertical's, about which the vehicle turns, in road axes.
         wx, wy = (s.spectrum.derivative(x) if x.any() else x for x in (s.road_roll, s.road_pitch))
         wx, wy = wx - s.road_pitch * s.yaw_rate, wy + s.road_roll * s.yaw_rate
@@ -230,7 +230,9 @@ class Forward:
         return np.array(rows)
 
 
-def _rotated(x: Array, R: Matrix3, where: np.ndarray[tuple[int], np.dtype[np.bool_]] | None) -> Array:
+def _rotated(
+    x: Array, R: Matrix3, where: np.ndarray[tuple[int], np.dtype[np.bool_]] | None
+) -> Array:
     turned: Array = R @ x
     return turned if where is None else np.where(where, turned, x)
 

@@ -6,14 +6,15 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucald.diagnosis.evidence import Fit
 from imucald.diagnosis.forward import SIGNALS, UNITS
 from imucald.diagnosis.grid import Array
-from imucald.diagnosis.linear import residual_blocks
+from imucald.diagnosis.linear import Linearised, residual_blocks
 from imucald.diagnosis.result import Gain, SignalGain
 from imucald.diagnosis.search import Found, Search
-from imucald.diagnosis.spectra import Complex, weighted
+from imucald.diagnosis.spectra import BLOCK, Complex, weighted, windows
 
 FOLDS = 4
 
@@ -37,8 +38,6 @@ def folds(search: Search, found: Found) -> list[Array]:
 
 
 def _stretches(search: Search, total: int) -> list[int]:
-    from imucald.diagnosis.spectra import windows
-
     counts = [len(windows(len(f.track.t))) for f in search.forwards]
     if sum(counts) != total:
         counts = [total // len(counts)] * (len(counts) - 1)
@@ -68,7 +67,12 @@ def measure(
     # Half-overlapping stretches are worth half as many independent ones.
     spread = 1.96 * math.sqrt(2.0) * float(np.std(gains)) * math.sqrt(len(gains))
     signals = {
-        name: SignalGain(*(_rms(x, point.present, i) for x in (before, after, floor)), UNITS[name])
+        name: SignalGain(
+            rms_before=_rms(before, point.present, i),
+            rms_after=_rms(after, point.present, i),
+            noise_floor=_rms(floor, point.present, i),
+            unit=UNITS[name],
+        )
         for i, name in enumerate(search.forwards[0].names)
         if name in SIGNALS
     }
@@ -99,24 +103,17 @@ def _held_out_residual(search: Search, found: Found) -> Complex:
     return result
 
 
-def _log_likelihood(point: object, residual: Complex) -> Array:
+def _log_likelihood(point: Linearised, residual: Complex) -> Array:
     """Of each stretch, but for constants; (B,)."""
-    from imucald.diagnosis.linear import Linearised
-
-    assert isinstance(point, Linearised)
     said = weighted(residual, point.present, point.noise, point.loud)
     return np.asarray(-0.5 * np.real(np.sum(said.conj() * residual, axis=(1, 2))), dtype=float)
 
 
-def _rms(residual: Complex, present: np.ndarray[tuple[int, int], np.dtype[np.bool_]], i: int) -> float:
+def _rms(residual: Complex, present: NDArray[np.bool_], i: int) -> float:
     """Root mean square of a signal's residual in the compared band."""
-    from imucald.diagnosis.spectra import BLOCK
-
     power = np.abs(residual[present[:, i], :, i]) ** 2
     if not len(power):
         return math.nan
     twice = np.full(power.shape[1], 2.0)
     twice[0] = 1.0
     return float(np.sqrt(np.mean(power @ twice) / BLOCK))
-
-

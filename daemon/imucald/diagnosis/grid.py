@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 from scipy.signal import firwin, upfirdn
 
-from imucald.samples import GRAVITY, Samples, Series
+from imucald.errors import EstimateError
+from imucald.samples import Samples, Series
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -80,8 +82,6 @@ def track_from_samples(
     samples: needs `accel` and `speed`. spoilt: stretches [s] of a signal that must not be used
     (stuck, saturated). Raises EstimateError where what is needed is not there.
     """
-    from imucald.errors import EstimateError
-
     for name in ("accel", "speed"):
         if name not in samples or len(samples[name].t) < 100:
             raise EstimateError(f"diagnosis needs the signal {name!r}, and minutes of it")
@@ -96,17 +96,17 @@ def track_from_samples(
     values = {name: _on_grid(samples[name], start, n) for name in names}
     bad = dict(spoilt or {})
     usable = {name: _present(samples[name], t, bad.get(name, ())) for name in names}
-    level = {name: _vibration(samples[name], start, n) for name in ("accel", "gyro")
-             if name in names}  # fmt: skip
+    level: dict[str, Array] = {
+        name: _vibration(samples[name], start, n) for name in names if name in ("accel", "gyro")
+    }
     speed = np.maximum(values["speed"], 0.0)
     if "reverse" in samples and len(samples["reverse"].t):
         speed = np.where(_last(samples["reverse"], t) > 0.5, -speed, speed)
     scalars = {name: values[name] for name in CHANNELS if name in values}
     scalars["speed"] = speed
     standing, moving = _standing(speed)
-    for name in usable:
-        if name != "temperature":
-            usable[name] = usable[name] & (standing | moving)
+    known = standing | moving
+    usable = {name: x if name == "temperature" else x & known for name, x in usable.items()}
     rates = [_rate(samples[name]) for name in ("accel", "gyro", "speed", "yaw_rate")
              if name in names]  # fmt: skip
     return Track(
@@ -147,8 +147,6 @@ def _on_grid(series: Series, start: float, n: int) -> Array:
 def _interpolated(t: Array, x: Array, fine: Array) -> Array:
     """Slow signals by a monotone cubic, fast ones linearly."""
     if len(t) > 3 and np.median(np.diff(t[:2000])) > 0.04:
-        from scipy.interpolate import PchipInterpolator
-
         keep = np.concatenate(([True], np.diff(t) > 0.0))
         inside = np.clip(fine, t[0], t[-1])
         result: Array = PchipInterpolator(t[keep], x[keep])(inside)
@@ -205,11 +203,4 @@ def _vibration(series: Series, start: float, n: int) -> Array:
     width = round(2.0 * GRID_HZ) + 1
     kernel = np.ones(width)
     smooth = np.convolve(total, kernel, "same") / np.maximum(np.convolve(count, kernel, "same"), 1)
-    return np.sqrt(smooth)
-
-
-def gravity_scale(track: Track) -> float:
-    """Mean specific force at rest over standard gravity; 1 where the drive never stands."""
-    if not track.standing.any() or track.planar:
-        return 1.0
-    return float(np.mean(np.linalg.norm(track.accel[:, track.standing], axis=0)) / GRAVITY)
+    return np.asarray(np.sqrt(smooth), dtype=float)

@@ -9,10 +9,9 @@ road-wheel angle as (l_f C_f / I s + l_f C_f / I a11 - a21 C_f / m) /
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.diagnosis.grid import Array
-from imucald.diagnosis.state import Spectrum
+from imucald.diagnosis.state import Response, Spectrum
 from imucald.simulation.vehicle_model import Chassis
 
 NODES_MPS = (4.0, 10.0, 18.0, 30.0)
@@ -33,16 +32,18 @@ class Handling:
         return sideways
 
     def answered(self, wanted: Array, speed: Array, spectrum: Spectrum) -> Array:
-        """Yaw rate (N,) that follows the quasi-static one (N,): responses at a few speeds, mixed."""
+        """Yaw rate (N,) that follows the quasi-static one (N,), by responses at a few speeds."""
         v = np.clip(np.abs(speed), NODES_MPS[0], NODES_MPS[-1])
-        answers = spectrum.apply_all(wanted, [self.response(node, spectrum.s) for node in NODES_MPS])
+        answers = spectrum.apply_all(
+            wanted, [self.response(node, spectrum.s) for node in NODES_MPS]
+        )
         result = np.zeros(len(wanted))
         for i, answer in enumerate(answers):
             weight = np.interp(v, NODES_MPS, np.eye(len(NODES_MPS))[i])
             result += weight * answer
         return result
 
-    def response(self, v: float, s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def response(self, v: float, s: Response) -> Response:
         """Yaw rate over its quasi-static value at speed v [m/s], along Laplace variables s."""
         c = self._c
         m, inertia, lf, lr = c.mass_kg, c.yaw_inertia_kgm2, c.cg_to_front_m, c.cg_to_rear_m

@@ -15,7 +15,6 @@ from imucald.diagnosis.grid import Array
 from imucald.diagnosis.spectra import (
     Blocks,
     Complex,
-    Normal,
     bands,
     cross_spectra,
     loudness,
@@ -61,7 +60,6 @@ class Linearised:
         score = np.real(weighed.ravel().conj() @ self.flat)
         square = float(np.real(np.vdot(weighed, whole)))
         return np.asarray(score, dtype=float), square
-
 
     def quietness(self) -> float:
         """Log determinant of the noise: smaller where more was explained."""

@@ -7,13 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imucald.diagnosis.forward import UNITS, Forward
-from imucald.diagnosis.grid import Array
+from imucald.diagnosis.grid import GRID_HZ, Array
 from imucald.diagnosis.linear import residual_blocks
 from imucald.diagnosis.result import SignalPicture
 from imucald.diagnosis.roads import RoadFinding, road_added
 from imucald.diagnosis.search import Found, Search
 from imucald.diagnosis.spectra import BLOCK_S, Complex
-from imucald.diagnosis.state import GRID_HZ
 
 
 def pictures_of(
@@ -25,9 +24,7 @@ def pictures_of(
     extended = {k: v if k in keys or k.startswith("_shift") else search.base[k]
                 for k, v in found.point.values.items()}  # fmt: skip
     before = [f.predict(search.base) for f in forwards]
-    after = [
-        f.predict(extended) + road_added(f, roads, i) for i, f in enumerate(forwards)
-    ]
+    after = [f.predict(extended) + road_added(f, roads, i) for i, f in enumerate(forwards)]
     times, start = [], 0.0
     for f in forwards:
         times.append(start + np.arange(len(f.track.t)) / GRID_HZ)

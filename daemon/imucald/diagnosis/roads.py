@@ -62,9 +62,7 @@ class RoadFinding:
     """(N,) per drive: the tangent."""
 
 
-def find_roads(
-    forwards: Sequence[Forward], values: Mapping[str, float]
-) -> list[RoadFinding]:
+def find_roads(forwards: Sequence[Forward], values: Mapping[str, float]) -> list[RoadFinding]:
     """Compare slope and cross fall of all drives with the model file's, for fitted values."""
     found = []
     residuals = [f.measured - f.predict(values) for f in forwards]

@@ -29,7 +29,7 @@ ACCEPT = 3.5
 ALIKE = 3.0
 """Explanations within this log evidence of the best are look-alikes: odds of 20 to 1."""
 MODEL_SHARE, TOLERANCE_SHARE = 0.05, 0.4
-"""What the forward model cannot promise of a fitted parameter: of its departure, of its tolerance."""
+"""What the forward model cannot promise of a fitted parameter, of departure and tolerance."""
 MOST_CAUSES = 8
 REFITS = 2
 """Gauss-Newton steps after each accepted cause."""
@@ -168,6 +168,7 @@ class Search:
         return sorted(tried, key=lambda trial: -trial.score)
 
     def prior(self, variant: Variant) -> float:
+        """Log prior odds of one form of a cause."""
         return PRIOR - math.log(max(self.forms[variant.cause], 1))
 
     def temper(self, found: Found, keys: Sequence[str]) -> float:
@@ -340,9 +341,7 @@ def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:
               if name not in scalars}  # fmt: skip
     if forward.track.gyro is None:
         absent.add("gyro")
-    return [
-        v for v in variants if v.keys and not any(_signal_of(key) in absent for key in v.keys)
-    ]
+    return [v for v in variants if v.keys and not any(_signal_of(key) in absent for key in v.keys)]
 
 
 def _signal_of(key: str) -> str:

@@ -10,6 +10,7 @@ statements about certainty.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,9 +55,7 @@ def windows(n: int) -> NDArray[np.int64]:
     return np.arange(0, max(n - BLOCK, 0) + 1, HOP)
 
 
-def transform(
-    columns: NDArray[np.floating], usable: NDArray[np.bool_], top_hz: float
-) -> Blocks:
+def transform(columns: NDArray[np.floating], usable: NDArray[np.bool_], top_hz: float) -> Blocks:
     """Cut and transform columns (P, C, N) with their usable rows (C, N)."""
     n = columns.shape[-1]
     starts = windows(n)
@@ -72,13 +71,13 @@ def transform(
         present[b] = mask.mean(axis=1) >= LEAST_SHARE
         tapered = columns[:, :, rows] * (window * (mask & present[b][:, None]))
         made[b] = np.fft.rfft(tapered, axis=-1)[:, :, :keep].transpose(2, 1, 0)
-    return Blocks(made, present, (starts + BLOCK / 2) / GRID_HZ)
+    return Blocks(made, present, np.asarray((starts + BLOCK / 2) / GRID_HZ, dtype=float))
 
 
 def bands(frequencies: int) -> list[slice]:
     """Frequency bands for a number of kept frequencies."""
     edges = [e for e in BAND_EDGES if e < frequencies] + [frequencies]
-    return [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def cross_spectra(
@@ -94,7 +93,7 @@ def cross_spectra(
         e = residual[:, band, :]
         if loud is not None:
             e = e / loud[:, i, None, :]
-        means = e[:, 0, :].real
+        means = np.asarray(e[:, 0, :].real, dtype=float)
         e = e.reshape(-1, C)
         there = np.repeat(present, band.stop - band.start, axis=0).astype(float)
         pairs = there.T @ there
@@ -165,7 +164,7 @@ def _long_run(mean: Array, present: NDArray[np.bool_]) -> NDArray[np.complex128]
     kept = (vectors * np.maximum(values, least)) @ vectors.T
     diagonal = np.maximum(np.diag(kept), np.mean(x**2, axis=0))
     np.fill_diagonal(kept, diagonal)
-    return kept.astype(np.complex128)
+    return np.asarray(kept, dtype=np.complex128)
 
 
 @dataclass(frozen=True)
@@ -186,7 +185,7 @@ def normal_equations(columns: Blocks, residual: Complex, noise: Complex, loud: A
 
     loud: (B, bands, C), see `loudness`.
     """
-    B, F, C, P = columns.values.shape
+    B, F, _, P = columns.values.shape
     information, score = np.zeros((B, P, P)), np.zeros((B, P))
     square = np.zeros(B)
     patterns, which = np.unique(columns.present, axis=0, return_inverse=True)
@@ -208,9 +207,7 @@ def normal_equations(columns: Blocks, residual: Complex, noise: Complex, loud: A
     return Normal(information, score, square)
 
 
-def weighted(
-    residual: Complex, present: NDArray[np.bool_], noise: Complex, loud: Array
-) -> Complex:
+def weighted(residual: Complex, present: NDArray[np.bool_], noise: Complex, loud: Array) -> Complex:
     """Residual (B, F, C) times the inverse noise, as the normal equations weigh it."""
     result = np.zeros_like(residual)
     patterns, which = np.unique(present, axis=0, return_inverse=True)

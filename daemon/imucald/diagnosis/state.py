@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 
 from imucald.diagnosis.grid import GRID_HZ, Array, Track
 from imucald.frames import Matrix3
@@ -14,6 +15,8 @@ from imucald.frames import Matrix3
 if TYPE_CHECKING:
     from imucald.simulation.model import Model
 
+Response = NDArray[np.inexact[Any]]
+"""Frequency response along `Spectrum.frequency`; real where it has no phase."""
 REFERENCE_DEGC = 25.0
 
 
@@ -56,10 +59,10 @@ class State:
         self.gyro = self.rate
         self.signals: dict[str, Array] = {}
         """Scalar signals as predicted."""
-        self.filters: dict[str, NDArray[np.complex128]] = {}
+        self.filters: dict[str, Response] = {}
         """Frequency response by which a signal's prediction is multiplied."""
 
-    def filtered(self, name: str, response: NDArray[np.complex128]) -> None:
+    def filtered(self, name: str, response: Response) -> None:
         """Put a frequency response into a signal's chain."""
         before = self.filters.get(name)
         self.filters[name] = response if before is None else before * response
@@ -72,8 +75,6 @@ class Spectrum:
     """
 
     def __init__(self, n: int) -> None:
-        from scipy.fft import next_fast_len
-
         self.n = n
         self.pad = min(n - 1, 300)
         self.size = next_fast_len(n + 2 * self.pad, real=True)
@@ -81,19 +82,15 @@ class Spectrum:
         self.s = 2j * np.pi * self.frequency
         """Laplace variable along the frequencies."""
 
-    def apply(self, x: Array, response: NDArray[np.complex128]) -> Array:
+    def apply(self, x: Array, response: Response) -> Array:
         """Return x (..., N) filtered."""
-        from scipy.fft import irfft, rfft
-
         ends = [(0, 0)] * (x.ndim - 1)
         padded = np.pad(x, [*ends, (self.pad, self.size - self.n - self.pad)], mode="edge")
         result: Array = irfft(rfft(padded) * response, self.size)
         return result[..., self.pad : self.pad + self.n]
 
-    def apply_all(self, x: Array, responses: Sequence[NDArray[np.complex128]]) -> Array:
+    def apply_all(self, x: Array, responses: Sequence[Response]) -> Array:
         """Return x (N,) through each of K filters: (K, N)."""
-        from scipy.fft import irfft, rfft
-
         padded = np.pad(x, (self.pad, self.size - self.n - self.pad), mode="edge")
         spectrum = rfft(padded)
         result: Array = irfft(np.array([spectrum * h for h in responses]), self.size)
@@ -110,18 +107,20 @@ class Spectrum:
     def gentle(self) -> NDArray[np.float64]:
         """A roll-off above the compared band, so that derivatives do not raise its edge."""
         f = self.frequency
-        return np.where(f < 3.6, 1.0, np.cos(np.clip((f - 3.6) / 1.4, 0.0, 1.0) * np.pi / 2) ** 2)
+        return np.asarray(
+            np.where(f < 3.6, 1.0, np.cos(np.clip((f - 3.6) / 1.4, 0.0, 1.0) * np.pi / 2) ** 2)
+        )
 
-    def delay(self, seconds: float) -> NDArray[np.complex128]:
+    def delay(self, seconds: float) -> Response:
         """Response of a pure delay."""
-        return np.exp(-self.s * seconds)
+        return np.asarray(np.exp(-self.s * seconds))
 
-    def butterworth(self, cutoff_hz: float) -> NDArray[np.complex128]:
+    def butterworth(self, cutoff_hz: float) -> Response:
         """Response of a second-order Butterworth low-pass."""
         u = self.s / (2.0 * np.pi * cutoff_hz)
-        return 1.0 / (1.0 + np.sqrt(2.0) * u + u * u)
+        return np.asarray(1.0 / (1.0 + np.sqrt(2.0) * u + u * u))
 
-    def second_order(self, frequency_hz: float, damping: float) -> NDArray[np.complex128]:
+    def second_order(self, frequency_hz: float, damping: float) -> Response:
         """Response w^2 / (s^2 + 2 z w s + w^2)."""
         u = self.s / (2.0 * np.pi * frequency_hz)
-        return 1.0 / (1.0 + 2.0 * damping * u + u * u)
+        return np.asarray(1.0 / (1.0 + 2.0 * damping * u + u * u))

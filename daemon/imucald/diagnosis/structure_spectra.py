@@ -218,7 +218,7 @@ def _mean_power(residual: Complex, present: Mask) -> Array:
 
 def _stretch_weight(residual: Complex, present: Mask) -> Array:
     """(B, C) power of each stretch plus the usual one."""
-    power = np.mean(np.abs(residual[:, _bins(LEVEL_HZ[0]) : _bins(LEVEL_HZ[1])]) ** 2, axis=1)
+    power = np.mean(np.abs(residual[:, _band(LEVEL_HZ, residual.shape[1])]) ** 2, axis=1)
     known = np.where(present, power, np.nan)
     usual = np.array([np.nanmedian(x) if np.isfinite(x).any() else 1.0 for x in known.T])
     return np.asarray(power + LOUD_WEIGHT * usual + TINY)
@@ -226,3 +226,9 @@ def _stretch_weight(residual: Complex, present: Mask) -> Array:
 
 def _bins(hz: float) -> int:
     return max(1, round(hz * BLOCK_S))
+
+
+def _band(hz: tuple[float, float], frequencies: int) -> slice:
+    """Frequencies between two, or the upper half of those that there are."""
+    stop = min(_bins(hz[1]), frequencies)
+    return slice(min(_bins(hz[0]), stop // 2), stop)

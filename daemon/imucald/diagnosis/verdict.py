@@ -33,7 +33,7 @@ def look_alikes(search: Search, found: Found) -> tuple[list[tuple[str, ...]], li
         winner += search.prior(variant)
         alike = {variant.cause}
         for other in search.variants:
-            if other.cause == variant.cause or other.cause == "mount_shift":
+            if other.cause in (variant.cause, "mount_shift"):
                 continue
             if any(variant.cause in f and other.cause in f for f in FAMILIES):
                 continue
@@ -48,11 +48,9 @@ def look_alikes(search: Search, found: Found) -> tuple[list[tuple[str, ...]], li
         if len(alike) > 1:
             sets.append((variant.cause, *sorted(alike - {variant.cause})))
     told = sorted(losers.items(), key=lambda item: -item[1])[:MOST_TOLD]
-    names = " and ".join(v.cause for v in found.active)
+    winner_name = found.active[0].cause if len(found.active) == 1 else "one of the causes"
     return sets, [
-        Candidate(k, v, f"in place of {names if len(found.active) == 1 else 'one of the causes'}")
-        for k, v in told
-        if math.isfinite(v)
+        Candidate(k, v, f"in place of {winner_name}") for k, v in told if math.isfinite(v)
     ]
 
 

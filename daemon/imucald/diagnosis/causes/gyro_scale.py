@@ -16,7 +16,7 @@ class GyroScale(Cause):
     """measured = (1 + scale) * true, in sensor axes."""
 
     name = "gyro_scale"
-    parameters = tuple(Parameter(key, "1", 0.004, 0.06, 0.005, -0.5, 1.0) for key in KEYS)
+    parameters = tuple(Parameter(key, "1", 0.006, 0.06, 0.005, -0.5, 1.0) for key in KEYS)
     signals = ("gyro_x", "gyro_y", "gyro_z")
     needs = ("gyro",)
     seen_by = "drive several full circles both ways"

@@ -23,20 +23,24 @@ class LeverArm(Cause):
 
     def place(self, s: State, p: Values) -> None:
         """Carry the force from the body's reference to the sensor."""
-        l = np.array([p[key] for key in KEYS])
-        if not l.any() or not s.model.mount.lever_arm:
+        arm = np.array([p[key] for key in KEYS])
+        if not arm.any() or not s.model.mount.lever_arm:
             return
         w = s.rate if s.gyro_in is None else s.rate_in
-        s.force = s.force + _crossed(s.spectrum.derivative(w), l) + _crossed_twice(w, l)
+        s.force = s.force + _crossed(s.spectrum.derivative(w), arm) + _crossed_twice(w, arm)
 
 
-def _crossed(a: Array, l: Array) -> Array:
+def _crossed(a: Array, arm: Array) -> Array:
     return np.array(
-        [a[1] * l[2] - a[2] * l[1], a[2] * l[0] - a[0] * l[2], a[0] * l[1] - a[1] * l[0]]
+        [
+            a[1] * arm[2] - a[2] * arm[1],
+            a[2] * arm[0] - a[0] * arm[2],
+            a[0] * arm[1] - a[1] * arm[0],
+        ]
     )
 
 
-def _crossed_twice(w: Array, l: Array) -> Array:
-    along = w[0] * l[0] + w[1] * l[1] + w[2] * l[2]
+def _crossed_twice(w: Array, arm: Array) -> Array:
+    along = w[0] * arm[0] + w[1] * arm[1] + w[2] * arm[2]
     square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-    return np.array([w[i] * along - square * l[i] for i in range(3)])
+    return np.array([w[i] * along - square * arm[i] for i in range(3)])

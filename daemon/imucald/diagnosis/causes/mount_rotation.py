@@ -22,9 +22,7 @@ class MountRotation(Cause):
     """R_vehicle_from_sensor = exp(rotation vector) * the model's; vector about vehicle axes."""
 
     name = "mount_rotation"
-    parameters = tuple(
-        Parameter(key, "rad", 0.2 * DEG, 4.0 * DEG, 0.2 * DEG) for key in KEYS
-    )
+    parameters = tuple(Parameter(key, "rad", 0.2 * DEG, 4.0 * DEG, 0.2 * DEG) for key in KEYS)
     signals = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
     seen_by = "accelerate and brake in a straight line, and corner both ways"
     sentence = "The sensor is turned against the mount in the model file."

@@ -25,9 +25,7 @@ class MountShift(Cause):
     """From a time on, R_vehicle_from_sensor = exp(rotation vector) * what it was."""
 
     name = "mount_shift"
-    parameters = (
-        *(Parameter(key, "rad", 0.01 * DEG, 4.0 * DEG, 0.2 * DEG) for key in KEYS),
-    )
+    parameters = (*(Parameter(key, "rad", 0.01 * DEG, 4.0 * DEG, 0.2 * DEG) for key in KEYS),)
     signals = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
     seen_by = "drive on for ten minutes with stops, brakings and turns both ways"
     sentence = "The sensor was turned during the drive."

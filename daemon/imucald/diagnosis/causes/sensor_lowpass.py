@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from imucald.diagnosis.cause import Cause, Parameter, Values, Variant
 from imucald.diagnosis.forward_mount import mount_of
 from imucald.diagnosis.result import Estimated
-from imucald.diagnosis.state import State
+from imucald.diagnosis.state import Response, State
 from imucald.simulation.model import Model
 
 NAMES = ("accel", "gyro", "yaw_rate")
@@ -23,8 +22,7 @@ class SensorLowpass(Cause):
 
     name = "sensor_lowpass"
     parameters = tuple(
-        Parameter(f"_lowpass.{name}", "s", 0.03, 0.8, 0.002, 0.0, 4.0)
-        for name in NAMES
+        Parameter(f"_lowpass.{name}", "s", 0.03, 0.8, 0.002, 0.0, 4.0) for name in NAMES
     )
     signals = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "yaw_rate")
     seen_by = "brake and steer abruptly several times"
@@ -82,9 +80,7 @@ class SensorLowpass(Cause):
         return 1.0 / max(inverse, 1e-6)
 
 
-def _inverse(response: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _inverse(response: Response) -> Response:
     """1/H where H is large, bounded where it is small (as a Wiener filter)."""
-    inverse: NDArray[np.complex128] = np.conj(response) / np.maximum(
-        np.abs(response) ** 2, MOST_GAIN**-2
-    )
+    inverse: Response = np.conj(response) / np.maximum(np.abs(response) ** 2, MOST_GAIN**-2)
     return inverse
