@@ -13,6 +13,8 @@ from imucald.diagnosis.evidence import Evidence
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.spectra import (
+    ERROR_OF_LEAN,
+    ERROR_STEADY,
     Blocks,
     Complex,
     bands,
@@ -24,6 +26,8 @@ from imucald.diagnosis.spectra import (
     with_model_error,
 )
 
+LEANING = ("gyro_x", "gyro_y")
+"""Signals that only the body's lean moves."""
 NOISE_ROUNDS = 2
 """The noise is what the fit of all parameters leaves; it weighs that fit, so: twice."""
 
@@ -112,16 +116,18 @@ def linearise(
     left = np.concatenate(residuals)
     whole = Blocks(np.concatenate([c.values for c in columns]), present, np.zeros(len(present)))
     together = left
+    names = forwards[0].names
+    steady = np.array([ERROR_OF_LEAN if n in LEANING else ERROR_STEADY for n in names])
     predicted_all = np.concatenate(expected)
     for _ in range(NOISE_ROUNDS):
         noise = cross_spectra(left, present, loud, taken=10.0)
-        wide = with_model_error(loud, predicted_all, noise)
+        wide = with_model_error(loud, predicted_all, noise, steady)
         normal = normal_equations(whole, together, noise, wide)
         x = Evidence(parameters, normal, shift).fit(keys).x
         left = together - whole.values @ x.astype(np.float32)
         loud = loudness(left, present, noise)
     noise = cross_spectra(left, present, loud, taken=10.0)
-    loud = with_model_error(loud, predicted_all, noise)
+    loud = with_model_error(loud, predicted_all, noise, steady)
     normal = normal_equations(whole, together, noise, loud)
     return Linearised(
         tuple(parameters),

@@ -35,6 +35,8 @@ PRIOR_COUNT = 3.0
 LEAST_LOUD, MOST_LOUD = 0.3, 5.0
 ERROR_STEADY, ERROR_PER_HZ = 0.025, 0.25
 """Error of the forward model, relative to what it predicts, in steady state and per hertz."""
+ERROR_OF_LEAN = 0.12
+"""The same for the rates of roll and pitch: they are the springs' work alone."""
 FLOOR = 1e-3
 """Least noise of a signal in a band, relative to its own largest band."""
 
@@ -133,16 +135,16 @@ def loudness(residual: Complex, present: NDArray[np.bool_], noise: Complex) -> A
     return result
 
 
-def with_model_error(loud: Array, predicted: Complex, noise: Complex) -> Array:
+def with_model_error(loud: Array, predicted: Complex, noise: Complex, steady: Array) -> Array:
     """Widen the noise by what the forward model itself cannot promise: (B, bands, C).
 
     Its error is a share of the predicted signal that grows with frequency: dynamics of tyres and
-    springs are known less well than steady states.
+    springs are known less well than steady states. steady: (C,) that share in steady state.
     """
     result = loud.copy()
     for i, band in enumerate(bands(predicted.shape[1])):
         f = 0.5 * (band.start + band.stop - 1) / BLOCK_S
-        share = np.hypot(ERROR_STEADY, ERROR_PER_HZ * f)
+        share = np.hypot(steady, ERROR_PER_HZ * f)
         power = np.mean(np.abs(predicted[:, band, :]) ** 2, axis=1)
         own = np.real(np.diag(noise[i]))
         result[:, i, :] = np.sqrt(loud[:, i, :] ** 2 + share**2 * power / own)

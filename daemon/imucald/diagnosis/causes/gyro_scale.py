@@ -28,8 +28,11 @@ class GyroScale(Cause):
         return (*single, Variant(self.name, "", KEYS))
 
     def inputs(self, s: State, p: Values) -> None:
-        """Take it off what the chain uses of the gyroscope."""
-        if s.gyro_in is not None and any(p[key] for key in KEYS):
+        """Take it off where the gyroscope stands for the vehicle's yaw rate.
+
+        Its part in the lever arm's terms is left: they know the scale less well than anything.
+        """
+        if s.gyro_in is not None and s.yaw_in is None and any(p[key] for key in KEYS):
             s.gyro_in = s.gyro_in / np.array([[1.0 + p[key]] for key in KEYS])
 
     def gain(self, s: State, p: Values) -> None:
