@@ -72,7 +72,7 @@ def _read(path: Path) -> list[dict[str, Any]]:
 
 
 def _run(wanted: list[Case], path: Path, jobs: int) -> None:
-    done = {line["key"] for line in _read(path)}
+    done = {line["key"] for line in _read(path) if "error" not in line}
     left = [case for case in wanted if case.key not in done]
     with path.open("a", encoding="utf-8") as file:
         for i, line in enumerate(_outcomes(left, jobs)):

@@ -23,13 +23,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from imucald.diagnosis.baseline import baseline_model
-from imucald.diagnosis.diagnose import diagnose
 from numpy.typing import NDArray
 
 from benchmarks.diagnosis.page import PAGE, written
 from benchmarks.diagnosis.real_effects import EFFECTS, with_effect
 from benchmarks.measured import DATA, EXAMPLES, FOLDER
+from imucald.diagnosis.baseline import baseline_model
+from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.recording import Recording, read_samples
 from imucald.diagnosis.result import Diagnosis
 from imucald.frames import rotation_from_angles

@@ -117,6 +117,7 @@ class Forward:
         if s.yaw_in is not None:
             s.rate_in = np.array([s.rate_in[0], s.rate_in[1], spectrum.apply(s.yaw_in, smooth)])
         sideways = self._handling.lateral_velocity(s.speed, s.yaw_rate)
+        sideways += self._handling.turning_in(s.speed, sideways, s.yaw_rate, spectrum)
         s.ax = spectrum.apply(s.speed, s.spectrum.s * smooth) - s.yaw_rate * sideways
         s.ay = s.speed * s.yaw_rate + spectrum.apply(sideways, s.spectrum.s * smooth)
 

@@ -17,6 +17,9 @@ from imucald.simulation.vehicle_model import Chassis
 NODES_MPS = (4.0, 10.0, 18.0, 30.0)
 """Speeds at which the response is computed."""
 
+TURNING_IN_HZ = 1.5
+"""Drivers turn in more slowly; above this the yaw rate's noise would be differentiated twice."""
+
 
 class Handling:
     """Sideslip and yaw response of one chassis."""
@@ -30,6 +33,21 @@ class Handling:
         slip = c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * c.rear_cornering_stiffness_npr)
         sideways: Array = yaw_rate * (c.cg_to_rear_m - slip * speed * speed)
         return sideways
+
+    def turning_in(
+        self, speed: Array, sideways: Array, yaw_rate: Array, spectrum: Spectrum
+    ) -> Array:
+        """Return what the lateral velocity is more than in a steady turn [m/s], (N,).
+
+        The rear axle carries (l_f m a_y - I r') / L: while the vehicle turns in, the yaw inertia
+        takes part of its force, and so of its slip.
+        """
+        c = self._c
+        rate = spectrum.s * spectrum.smooth(TURNING_IN_HZ)
+        force = c.yaw_inertia_kgm2 * spectrum.apply(yaw_rate, rate)
+        force = force - c.mass_kg * c.cg_to_front_m * spectrum.apply(sideways, rate)
+        more: Array = speed / (c.wheelbase_m * c.rear_cornering_stiffness_npr) * force
+        return more
 
     def answered(self, wanted: Array, speed: Array, spectrum: Spectrum) -> Array:
         """Yaw rate (N,) that follows the quasi-static one (N,), by responses at a few speeds."""
