@@ -75,7 +75,7 @@ def test_switches_are_obeyed(tmp_path):
         ("accel:\n\n  scale: [0, -0.9, 0]\n", ":3: accel.scale", "gain that can be undone"),
         ("gyro: 3\n", ":1: gyro", "mapping"),
         ("- 1\n", ":1:", "mapping"),
-        ("speed: {scale: .nan}\n", ":1: speed.scale", "finite"),
+        ("speed: {scale: .nan}\n", ":1: speed.scale", "between"),
         ("mount:\n  lever_arm_m: [0, 99, 0]\n", ":2: mount.lever_arm_m", "longer"),
         ("suspension: {body_roll: 1}\n", ":1: suspension.body_roll", "true or false"),
         ("accel: {delay_s: -1}\n", ":1: accel.delay_s", "between 0 and 2"),
