@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +25,8 @@ from imucald.simulation import random_model, simulate
 
 Array = NDArray[np.float64]
 
+KEEP = "IMUCALD_KEEP_DRIVES"
+"""Environment: a folder where simulated ticks are kept, for runs over the same seeds."""
 MOVING = 0.3
 """Driving is counted above this speed [m/s]."""
 BAD_STATES = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
@@ -41,12 +46,29 @@ def drive(
     seed: int, minutes: float, changes: Mapping[str, Any] | None = None, **drawn: Any
 ) -> Drive:
     """A drive whose nuisances are all drawn from the seed, with some of them then changed."""
+    kept = _kept_at(f"{seed} {minutes} {changes} {drawn}")
+    if kept is not None and kept.exists():
+        with np.load(kept) as found:
+            return Drive(seed, found["rows"], found["R"], float(found["crown"]))
     model = random_model(seed, **drawn)
     if changes:
         model = model.with_changes(changes)
     made = simulate(model, seed, minutes)
     rows = ticks_from_samples(made.samples, 0, int(minutes * 600))
-    return Drive(seed, rows, made.truth.R_vehicle_from_sensor(), made.truth.mean_crown())
+    R, crown = made.truth.R_vehicle_from_sensor(), made.truth.mean_crown()
+    if kept is not None:
+        making = kept.with_suffix(".making.npz")
+        np.savez(making, rows=rows, R=R, crown=crown)
+        making.rename(kept)
+    return Drive(seed, rows, R, crown)
+
+
+def _kept_at(recipe: str) -> Path | None:
+    folder = os.environ.get(KEEP)
+    if not folder:
+        return None
+    digest = hashlib.sha256(recipe.encode()).hexdigest()[:16]
+    return Path(folder) / f"drive-{digest}.npz"
 
 
 @dataclass

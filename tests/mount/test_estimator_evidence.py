@@ -14,37 +14,15 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_pieces import Piece
 from imucald.mount.evidence_response import ResponseEvidence
-from imucald.mount.evidence_signals import HOP, Prepared, SignalPreparer, empty_rows
+from imucald.mount.evidence_signals import HOP, SignalPreparer, empty_rows
 from imucald.mount.evidence_up import UpTracker
 from imucald.mount.fusion import Shared, Sharing, fuse
 from imucald.mount.offsets import Offsets
 from imucald.mount.steering import SteeringOffset
 from imucald.samples import GRAVITY
+from prepared_hop import hop
 
 DEG = math.radians(1.0)
-
-
-def hop(t0: float = 0.0, **given: np.ndarray) -> Prepared:
-    yes, no = np.ones(HOP, dtype=bool), np.zeros(HOP, dtype=bool)
-    values = {
-        "t": t0 + 0.1 * np.arange(HOP),
-        "force": np.tile([0.0, 0.0, GRAVITY], (HOP, 1)),
-        "rate": np.zeros((HOP, 3)),
-        "speed": np.full(HOP, 10.0),
-        "accel": np.zeros(HOP),
-        "yaw_rate": np.zeros(HOP),
-        "ok_force": yes,
-        "ok_rate": yes,
-        "ok_speed": yes,
-        "ok_yaw": yes,
-        "rest": no,
-        "learn": yes,
-        "steering": np.zeros(HOP),
-        "ok_steering": no,
-        "had_rate": yes,
-        "gyro_bias": np.zeros(3),
-    }
-    return Prepared(**(values | given))  # type: ignore[arg-type]
 
 
 def smooth(rng: np.random.Generator, n: int, seconds: float) -> np.ndarray:

@@ -19,6 +19,7 @@ from imucald.mount.shift import Shift
 from imucald.mount.slewing import SlewedRotation
 from imucald.mount.solution import Solution
 from imucald.mount.steering import SteeringOffset
+from imucald.mount.step import Step
 from imucald.mount.supervision import Knowledge, Manoeuvres, judged, waiting_for
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ class FullEstimator:
         self._rebuild: Rebuild | None = None
         self._looked_again = False
         self._moved = False
-        self._shifts: list[tuple[int, Shift]] = []
+        self._shifts: list[tuple[int, Shift | Step]] = []
         self._known = Knowledge(accelerometer=False)
 
     @property
@@ -101,8 +102,8 @@ class FullEstimator:
         if self._rebuild is None:
             if not self._looked_again:
                 self._look_again()
-            elif lazy:
-                self._look_for_shift()
+            else:
+                self._look_for_shift(lazy)
         self._judge(p)
 
     def _follow_steering(self, p: Prepared) -> None:
@@ -142,16 +143,20 @@ class FullEstimator:
             return
         self._solution, self._rebuild = rebuild.fresh, None
 
-    def _look_for_shift(self) -> None:
-        """Test the last minutes against all before; on a shift keep only what came after it."""
-        change = self._solution.largest_change()
-        if change is None or change.excess < 1.0:
-            return
-        self._shifts.append((self._hops, change))
+    def _look_for_shift(self, thoroughly: bool) -> None:
+        """Look for a step now, and in the last minutes; on a shift keep what came after it."""
+        found: Shift | Step | None = self._solution.step()
+        if found is None:
+            if not thoroughly:
+                return
+            found = self._solution.largest_change()
+            if found is None or found.excess < 1.0:
+                return
+        after = found.hops if isinstance(found, Step) else found.pieces * GROUP
+        self._shifts.append((self._hops, found))
         self._moved = True
         self._driven = Manoeuvres()
-        after = min(change.pieces * GROUP, len(self._kept))
-        self._begin_rebuild(list(self._kept)[-after:])
+        self._begin_rebuild(list(self._kept)[-min(after, len(self._kept)) :])
 
     def _judge(self, p: Prepared) -> None:
         solution = self._solution

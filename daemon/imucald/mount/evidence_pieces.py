@@ -22,8 +22,9 @@ MODEL_GROUPS = 6.0
 MODEL_SHARE = 1.5
 """The model's variance is taken that much larger: correlated noise is the rule."""
 
-FEW_GROUPS = 7.0
-"""Few pieces of road hide their own spread: the variance grows by this over their number."""
+FEW_GROUPS = (7.0, 7.0, 4.0)
+"""Few pieces of road hide their own spread: the variance grows by this over their number, for
+roll, pitch and yaw."""
 AXIS_SHARE = 1.6
 """Roll and rotation axes of a drive share roads and bends: their variance is so much larger."""
 WITHOUT_SPEED_SHARE = 3.0
@@ -79,7 +80,8 @@ def pieces_of(
     own = each * (1.0 / (sums * model))[:, None]  # what the nuisance leaves
     flow = u / model[:, None] + own * value[:, 0]
     groups = sums * sums / np.maximum((each * each).sum(axis=1), 1e-12)
-    variances = _variances(u, model, groups)
+    few = np.array([FEW_GROUPS[ROWS[i].axis] for i in use])
+    variances = _variances(u, model, groups) * (1.0 + few / (groups + 3.0))
     pieces: dict[str, Piece] = {}
     flows: list[Flow] = []
     for k, i in enumerate(use):
@@ -97,6 +99,5 @@ def _variances(u: Array, model: Array, groups: Array) -> Array:
     spread = (u * u).sum(axis=1)
     beside = (u[:, 1:] * u[:, :-1]).sum(axis=1)
     spread = np.maximum(spread + 2.0 * beside, 0.6 * spread)
-    mixed = (MODEL_GROUPS * model * MODEL_SHARE + groups * spread) / (MODEL_GROUPS + groups)
-    out: Array = mixed * (1.0 + FEW_GROUPS / (groups + 3.0))
+    out: Array = (MODEL_GROUPS * model * MODEL_SHARE + groups * spread) / (MODEL_GROUPS + groups)
     return out

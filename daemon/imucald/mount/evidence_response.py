@@ -56,8 +56,12 @@ YOUNG = 20
 """Up to so many windows each fit weighs all of them afresh."""
 TRUST = 4.0
 """Windows after which learnt noise levels count as much as their priors, roughly."""
-NU = 4.0
-"""Degrees of freedom of a window's usual noise level."""
+LONE = 12.0
+"""A level that rests on fewer windows than this is mostly that of all windows alike."""
+NU_LEAST, NU_MOST = 1.5, 40.0
+"""Degrees of freedom of a window's noise level; how even roads are is learnt per axis."""
+UNEVEN, UNEVEN_WINDOWS = 2.0, 16.0
+"""Kurtosis over that of even noise until windows speak, and its weight in windows."""
 PER_TICK = 0.5 * WINDOW / HOP
 """From the power per bin of a window to that per tick."""
 FORCE_FLOOR, RATE_FLOOR = 0.01**2, 0.001**2
@@ -80,6 +84,7 @@ class ResponseEvidence:
         self._last_afresh = 0
         self.noise = np.full((6, BANDS), FORCE_PRIOR)
         self.noise[4:] = RATE_PRIOR
+        self.nu = np.full((6, 1, 1), NU_LEAST)
         self.gains = np.zeros((len(GAINS), BANDS))
         self.gains[:2] = 1.0
         self._score = np.zeros((len(ROWS), KEPT, MOST_REGRESSORS))
@@ -104,6 +109,7 @@ class ResponseEvidence:
     def start_from(self, other: ResponseEvidence) -> None:
         """Begin with another's gains, noise levels and delays."""
         self.gains, self.noise = other.gains.copy(), other.noise.copy()
+        self.nu = other.nu
         self.delays = other.delays
 
     def add(self, s: sp.Spectra) -> None:
@@ -211,6 +217,7 @@ class ResponseEvidence:
             self.gains = renewed_gains(P, weight)
             left = left_over(P, self.gains)
             weight = self._weights(left)
+            self._renew_evenness(left)
             self._renew_levels(P, weight, left)
             weight = self._weights(left)
         use = slice(first, self._n)
@@ -219,8 +226,23 @@ class ResponseEvidence:
 
     def _weights(self, left: Array) -> Array:
         dof = 2.0 * BAND_WIDTH
-        out: Array = (NU + dof) / (NU * self.noise[:, None, :] + 2.0 * PER_TICK * left)
+        nu = self.nu
+        out: Array = (nu + dof) / (nu * self.noise[:, None, :] + 2.0 * PER_TICK * left)
         return out
+
+    def _renew_evenness(self, left: Array) -> None:
+        """Degrees of freedom from the kurtosis of what is left: few where roads are uneven.
+
+        For Student's t it is (nu - 2) / (nu - 4) times that of chi^2, which gives 4 + 2 / excess;
+        lower by `NU_LEAST` instead of 4 is what served best in simulated drives.
+        """
+        size = left / np.maximum(left.mean(axis=1), 1e-12)[:, None, :]
+        kurtosis = (size * size).mean(axis=1) / (1.0 + 1.0 / BAND_WIDTH)
+        mean = kurtosis @ (BAND_WIDTH / BAND_WIDTH.sum())
+        n = left.shape[1]
+        excess = (n * mean + UNEVEN_WINDOWS * UNEVEN) / (n + UNEVEN_WINDOWS) - 1.0
+        nu = NU_LEAST + 2.0 / np.maximum(excess, 0.05)
+        self.nu = np.minimum(nu, NU_MOST)[:, None, None]
 
     def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
         """Noise per tick, band and axis, of windows weighted by what they tell."""
@@ -228,9 +250,12 @@ class ResponseEvidence:
         power[:ROLL_ROW] = P[PAIR[sp.FA, sp.FA]] + P[PAIR[sp.FV, sp.FV]]
         power[ROLL_ROW] = P[PAIR[sp.FV, sp.FV]]
         power[P_ROW:] = P[PAIR[sp.R, sp.R]]
-        tells = power * weight * weight
-        total = np.maximum(tells.sum(axis=1), 1e-12)
-        fresh = PER_TICK * (tells * left).sum(axis=1) / total / BAND_WIDTH
+        even = left * (weight * self.noise[:, None, :])
+        total = np.maximum(power.sum(axis=1), 1e-12)
+        told = (power * even).sum(axis=1) / total
+        windows = total * total / np.maximum((power * power).sum(axis=1), 1e-24)
+        level = (windows * told + LONE * even.mean(axis=1)) / (windows + LONE)
+        fresh = PER_TICK * level / BAND_WIDTH
         trust = 1.0 - (TRUST / (self._n + TRUST)) ** 2
         self.noise = np.maximum(trust * fresh + (1.0 - trust) * _PRIOR, _FLOOR)
 

@@ -23,8 +23,8 @@ class Row:
 
 
 ROWS = (
-    Row("yaw_turn", 2, (sp.FVH, sp.FR2, sp.FV2), (1.5, 0.01)),
-    Row("yaw_dvdt", 2, (sp.FAH, sp.FR2, sp.FAV), (0.8, 0.02)),
+    Row("yaw_turn", 2, (sp.FVH, sp.FR2, sp.FV2), (1.0, 0.006)),
+    Row("yaw_dvdt", 2, (sp.FAH, sp.FR2, sp.FAV), (0.5, 0.008)),
     Row("pitch_dvdt", 1, (sp.FAH, sp.FA, sp.FA2, sp.FAA), (0.005, 0.005, 0.0008), 8, 1),
     Row("roll_turn", 0, (sp.FVH, sp.FV, sp.FV2), (0.005, 0.01), 8, 1),
     Row("pitch_axis", 1, (sp.R, sp.FAR, sp.FV), (0.015, 0.0015), 7),

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from imucald.motion.ticks import TICK_S
 from imucald.mount.evidence_signals import HOP, Prepared
+from imucald.mount.step import StepWatch
 from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
@@ -89,11 +90,14 @@ class UpTracker:
         self.drift = np.zeros(3)
         self._taken: Array | None = None
         self._closed: list[tuple[Array, Array]] = []
+        self._end = np.eye(3)
+        self.watch = StepWatch()
 
     def restart(self) -> None:
         """Forget the vertical (time jumped), keep what is known of the bias."""
         self._state = None
         self._n = 0
+        self.watch.restart()
 
     @property
     def up(self) -> Array | None:
@@ -110,24 +114,29 @@ class UpTracker:
         turn = _turned(-TICK_S * (p.rate - self.drift) * p.ok_rate[:, None])
         force = p.force if motion is None else p.force - motion
         pull = _PULL[bool(p.ok_rate.any())]
+        before = np.zeros((3, 3)) if self._state is None else self._state[:, 1:]
         states = self._carry(turn, force, p.learn, pull)
         if motion is not None and p.ok_rate.any():
             if sure:
                 self._learn_bias(p, states, force, motion)
+                self._watch(p, before, states, force, motion, bias)
             self._follow_drift(p, states, force, bias, pull)
         lone: Array = p.force - GRAVITY * states[:, :, 0]
         if bias is not None:
-            lone -= (np.eye(3) - states[:, :, 1:]) @ bias
+            lone -= (np.eye(3) - states[:, :, 1:4]) @ bias
         return lone
 
     def _carry(self, turn: Array, force: Array, use: Flags, pull: float) -> Array:
         """Turn the state tick by tick and draw it to the force; return it as before each draw.
 
+        Columns: u, B, and what is left of the state at the hop's beginning (N, 3, 7).
+
         With T the turn and g the gain of a tick, y_i = (1 - g_i) T_i y_(i-1) + g_i target_i. That
         is affine, so blocks of ticks are put together first, all at once, and then carried on.
         """
         n = len(turn)
-        states = np.zeros((n, 3, 4))
+        states = np.zeros((n, 3, 7))
+        self._end = np.eye(3)
         first = 0
         if self._state is None:
             if not use.any():
@@ -150,17 +159,18 @@ class UpTracker:
             before = alone[:, j] @ blocks[:, j - 1]
             before[:, :, 3:] += blocks[:, j, :, 3:]
             blocks[:, j] = before
-        starts = np.empty((len(blocks), 1, 3, 4))
-        state = self._state
+        starts = np.empty((len(blocks), 1, 3, 7))
+        state = np.concatenate([self._state, np.eye(3)], axis=1)
+        np.matmul(turn[0], state, out=states[0])
         for block, end in enumerate(blocks[:, -1]):
             starts[block, 0] = state
-            state = end[:, :3] @ state + end[:, 3:]
+            state = end[:, :3] @ state
+            state[:, :4] += end[:, 3:]
         drawn = blocks[:, :, :, :3] @ starts
-        drawn += blocks[:, :, :, 3:]
-        np.matmul(turn[0], self._state, out=states[0])
-        np.matmul(turn[1:], drawn.reshape(n, 3, 4)[:-1], out=states[1:])
+        drawn[:, :, :, :4] += blocks[:, :, :, 3:]
+        np.matmul(turn[1:], drawn.reshape(n, 3, 7)[:-1], out=states[1:])
         states[:first] = 0.0
-        self._state = state
+        self._state, self._end = state[:, :4], state[:, 4:]
         return states
 
     def remaining(self, motion: Array, p: Prepared) -> Array:
@@ -202,7 +212,7 @@ class UpTracker:
             return
         innovation = force - GRAVITY * states[:, :, 0]
         if bias is not None:
-            innovation = innovation - (np.eye(3) - states[:, :, 1:]) @ bias
+            innovation = innovation - (np.eye(3) - states[:, :, 1:4]) @ bias
         mean = np.clip(innovation.mean(axis=0), -FORCE_LARGE, FORCE_LARGE) / GRAVITY
         (ux, uy, uz), (mx, my, mz) = states[-1, :, 0].tolist(), mean.tolist()
         across = np.array([uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx])
@@ -212,7 +222,7 @@ class UpTracker:
         use = p.learn & p.ok_speed & ~p.rest
         if not use.any() or self._n < 100:
             return
-        answer = np.eye(3) - states[:, :, 1:]
+        answer = np.eye(3) - states[:, :, 1:4]
         size = np.abs(answer).max(axis=(1, 2))
         if size.max() < 0.02:
             return
@@ -230,6 +240,24 @@ class UpTracker:
             self._open_information = np.zeros((3, 3))
             self._open_score = np.zeros(3)
             self._open_ticks = 0
+
+    def _watch(
+        self,
+        p: Prepared,
+        before: Array,
+        states: Array,
+        force: Array,
+        motion: Array,
+        bias: Array | None,
+    ) -> None:
+        innovation = force - GRAVITY * states[:, :, 0]
+        if bias is not None:
+            innovation = innovation - (np.eye(3) - states[:, :, 1:4]) @ bias
+        share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
+        weight = (p.learn & p.ok_rate) / (FORCE_NOISE * FORCE_NOISE + share2)
+        size = np.sqrt((innovation * innovation).sum(axis=1))
+        weight /= np.maximum(size / (2.0 * FORCE_LARGE), 1.0)
+        self.watch.add(before, states, self._end, innovation, weight)
 
     def bias(self, prior_std: float) -> tuple[Array, Array]:
         """Accelerometer bias [m/s^2] (3,) and covariance (3, 3), sandwich over 40 s pieces."""

@@ -26,12 +26,14 @@ UNEVEN_STD = (0.0045, 0.0026, 0.0015)
 """Town and motorway differ by that much [rad] without a shift."""
 SHORT_SPAN = 6
 """Below, a stretch of leaning road or a windy one passes for a turn of the sensor."""
-THRESHOLD = (5.3, 4.5, 3.8)
+THRESHOLD = (5.3, 5.4, 3.9)
 """For roll, pitch and yaw, in standard deviations; docs/mount-accuracy.md: what they give."""
-THRESHOLD_SHORT = (6.4, 5.0, 4.6)
+THRESHOLD_SHORT = (6.6, 6.0, 4.8)
 """The same for spans below `SHORT_SPAN`."""
-PRIOR_PIECES = 6.0
-"""The spread before is taken as 1.5 times the model's with that weight."""
+HINTED = 0.7
+"""Share of the threshold where a step in gravity hints at the same."""
+PRIOR_PIECES, PRIOR_SPREAD, LEAST_SPREAD = 6.0, 1.0, 0.3
+"""The spread before is taken as the model's with that weight, and as no less than that share."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,15 @@ class Shift:
     excess: float
 
 
-def largest_change(flows: list[Flow], axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
-    """Return the change of an angle that stands out most; None where too little is known."""
+def largest_change(
+    flows: list[Flow],
+    axes: tuple[int, ...] = (0, 1, 2),
+    hint: tuple[int, float, int] | None = None,
+) -> Shift | None:
+    """Return the change of an angle that stands out most; None where too little is known.
+
+    hint: axis, sign and age of a step that gravity hints at; it lowers the threshold for it.
+    """
     best: Shift | None = None
     for axis in axes:
         mine = [flow for flow in flows if flow.axis == axis]
@@ -73,6 +82,8 @@ def largest_change(flows: list[Flow], axes: tuple[int, ...] = (0, 1, 2)) -> Shif
                 continue
             size, deviations = found
             threshold = (THRESHOLD_SHORT if span < SHORT_SPAN else THRESHOLD)[axis]
+            if hint is not None and hint[0] == axis and hint[1] * size > 0.0:
+                threshold *= HINTED
             excess = abs(deviations) / threshold
             if best is None or excess > best.excess:
                 best = Shift(axis, size, deviations, span, excess)
@@ -92,7 +103,9 @@ def _change(flows: list[Flow], span: int, axis: int) -> tuple[float, float] | No
         left = before - n[:-span] * mean
         pieces = float(total**2 / max(float(n[:-span] @ n[:-span]), 1e-12))
         ratio = float((left * left).sum()) / total
-        scale = (PRIOR_PIECES * 1.5 + pieces * max(ratio, 1.0)) / (PRIOR_PIECES + pieces)
+        scale = (PRIOR_PIECES * PRIOR_SPREAD + pieces * max(ratio, LEAST_SPREAD)) / (
+            PRIOR_PIECES + pieces
+        )
         recent_n = n[-span:]
         limit = CLIP * np.sqrt(scale * recent_n)
         recent = np.clip(s[-span:] - recent_n * mean, -limit, limit)

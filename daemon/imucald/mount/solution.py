@@ -26,6 +26,7 @@ from imucald.mount.evidence_spectra import MEASURED, WINDOW, spectra
 from imucald.mount.evidence_up import UpTracker
 from imucald.mount.fusion import Fused, Shared, Sharing, fuse
 from imucald.mount.shift import Shift, largest_change
+from imucald.mount.step import Step
 from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
@@ -38,6 +39,8 @@ LEAST_POWER = 1e-3
 
 SIDESLIP_STD = 0.0014
 """What sideslip and body roll leave in the yaw from turns [rad], in simulated drives."""
+YAW_FLOOR_STD = 0.0006
+"""Both kinds of yaw stay off by that much in long simulated drives [rad]."""
 PITCHING_STD = 0.0012
 """Squat and dive differ (gradients by 0.0014 rad/(m/s^2)): that much pitch stays in dv/dt [rad]."""
 BIAS_FLOOR_STD = 0.0015
@@ -95,6 +98,7 @@ class Solution:
         self.response.start_from(other.response)
         self.delay_speed, self.delay_turn = other.delay_speed, other.delay_turn
         self.response.without_speed = other.response.without_speed
+        self.up.watch.start_from(other.up.watch)
 
     def gap(self) -> None:
         """Time jumped."""
@@ -115,6 +119,7 @@ class Solution:
         return (
             Shared(scale, {"yaw_dvdt": 1.0, "yaw_turn": -1.0}),
             Shared(SIDESLIP_STD, {"yaw_turn": 1.0}),
+            Shared(YAW_FLOOR_STD, {"yaw_dvdt": 1.0, "yaw_turn": 1.0}),
             Shared(scale, {"pitch_dvdt": 1.0}),
             Shared(scale, {"roll_turn": 1.0}),
             Shared(cross, {"yaw_dvdt": 1.0}),
@@ -244,6 +249,12 @@ class Solution:
             self.pieces, self.fused = pieces, fused
         self.bias, self.bias_cov = bias, bias_cov
 
+    def step(self) -> Step | None:
+        """A step in gravity that the gyroscope did not see, in the last minute; asked every hop."""
+        if self.R is None or not self.sure() or not self.own_gyro:
+            return None
+        return self.up.watch.found(self.R)
+
     def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
         """The change of the mount that the last minutes' evidence speaks for most."""
         if self.R is None or self.bias is None or not self.yaw_known:
@@ -252,7 +263,7 @@ class Solution:
         if self.response.without_speed:
             return largest_change(self.response.flows, (2,))
         flows = self.gravity.flows(self.R, self.bias, self.gains(), s.slope_std, s.slope_length)
-        return largest_change(self.response.flows + flows, axes)
+        return largest_change(self.response.flows + flows, axes, self.up.watch.hint)
 
     def _start(self) -> None:
         """Find a first rotation: level by gravity, yaw from the direction of the responses."""

@@ -1,0 +1,73 @@
+"""A step in gravity that the gyroscope did not see."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from imucald.frames import rotation_from_vector
+from imucald.mount.evidence_signals import HOP
+from imucald.mount.evidence_up import UpTracker
+from imucald.mount.step import Step
+from imucald.samples import GRAVITY
+from prepared_hop import hop
+
+DEG = math.radians(1.0)
+
+
+def watched(
+    hops: int, moved_at: int, moved: np.ndarray, seed: int, turning: bool = False
+) -> list[Step | None]:
+    """What is found hop by hop while the road's slope wanders, seen by the gyroscope as well.
+
+    From hop `moved_at` on the sensor is turned by the rotation vector `moved` without a pulse.
+    """
+    rng = np.random.default_rng(seed)
+    tracker = UpTracker()
+    found: list[Step | None] = []
+    n = hops * HOP
+    slope = 0.02 * np.sin(2.0 * np.pi * np.arange(n) / 470.0)
+    bank = 0.02 * np.sin(2.0 * np.pi * np.arange(n) / 330.0)
+    heading_rate = 0.25 * (np.sin(np.arange(n) / 90.0) > 0.8) if turning else np.zeros(n)
+    up = np.stack([slope, bank, np.ones(n)], axis=1)
+    rate = np.zeros((n, 3))
+    # du/dt = -w x u, so that the vertical moves in the vehicle as slope and bank say
+    du = np.gradient(up, 0.1, axis=0)
+    rate[:, 0] = du[:, 1] + heading_rate * slope
+    rate[:, 1] = -du[:, 0] + heading_rate * bank
+    rate[:, 2] = heading_rate
+    R_moved = rotation_from_vector(moved)
+    for k in range(hops):
+        part = slice(k * HOP, (k + 1) * HOP)
+        force = GRAVITY * up[part] + 0.05 * rng.standard_normal((HOP, 3))
+        turn = rate[part].copy()
+        if k >= moved_at:  # R_vehicle_from_sensor = R_moved: the sensor's axes turned in the car
+            force, turn = force @ R_moved, turn @ R_moved
+        p = hop(0.1 * HOP * k, force=force, rate=turn)
+        tracker.advance(p, np.zeros((HOP, 3)), None, sure=True)
+        found.append(tracker.watch.found(np.eye(3)))
+    return found
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [(0, 2.0), (0, -2.0), (1, 2.0), (1, -2.0)])
+def test_a_step_is_found_within_a_minute_with_axis_sign_and_size(axis, degrees):
+    moved = np.zeros(3)
+    moved[axis] = degrees * DEG
+    found = watched(80, 60, moved, 3)
+    assert not any(found[:60])
+    step = next(s for s in found[60:70] if s is not None)
+    assert step.axis == axis
+    assert step.size == pytest.approx(degrees * DEG, rel=0.35)
+
+
+def test_slopes_that_the_gyroscope_sees_are_no_step():
+    for seed in range(3):
+        assert not any(watched(120, 999, np.zeros(3), seed, turning=True))
+
+
+def test_a_step_tells_how_long_ago_it_was():
+    found = watched(80, 60, np.array([3.0 * DEG, 0.0, 0.0]), 5)
+    hop_found, step = next((k, s) for k, s in enumerate(found) if s is not None)
+    assert abs((hop_found + 1 - step.hops) - 60) <= 1
