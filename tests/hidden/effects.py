@@ -96,8 +96,8 @@ def hide(world: World, effect: Effect, rng: np.random.Generator) -> None:
     _HIDERS[effect.cause](world, size, rng, effect)
 
 
-def _direction(rng: np.random.Generator, stretch: tuple[float, ...] = (1.0, 1.0, 1.0)) -> Array:
-    v = rng.standard_normal(3) * np.array(stretch)
+def _direction(rng: np.random.Generator) -> Array:
+    v = rng.standard_normal(3)
     return np.asarray(v / np.linalg.norm(v))
 
 
@@ -167,7 +167,8 @@ def _g_sensitivity(w: World, size: float, rng: np.random.Generator, e: Effect) -
 
 def _lever_arm(w: World, size: float, rng: np.random.Generator, e: Effect) -> None:
     """Distance by which the sensor is elsewhere, mostly along the vehicle."""
-    w.lever_arm = w.lever_arm + size * _direction(rng, (1.0, 0.3, 0.15))
+    aside = np.array([_sign(rng), 0.25 * rng.standard_normal(), 0.12 * rng.standard_normal()])
+    w.lever_arm = w.lever_arm + size * aside / np.linalg.norm(aside)
 
 
 def _road_grade(w: World, size: float, rng: np.random.Generator, e: Effect) -> None:
