@@ -44,6 +44,8 @@ class Parameter:
     least: float | None = None
     most: float | None = None
     """Limits that the model file sets."""
+    share: float = 0.05
+    """Part of a fitted departure that the forward model cannot promise."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from imucald.diagnosis.result import Diagnosis, Estimated, FoundCause, Structure
 from imucald.diagnosis.roads import RoadFinding, find_roads, road_blocks
 from imucald.diagnosis.search import ACCEPT, Found, Search
 from imucald.diagnosis.structure import find_structure
-from imucald.diagnosis.verdict import believed, look_alikes, losers_of, to_separate, verdict_of
+from imucald.diagnosis.structure_guard import standing
+from imucald.diagnosis.verdict import look_alikes, losers_of, to_separate, verdict_of
 from imucald.errors import EstimateError
 from imucald.samples import Samples
 from imucald.simulation.model import Model
@@ -60,7 +61,7 @@ def diagnose(
     roads = [r for r in find_roads(forwards, found.point.values) if r.score > ACCEPT]
     tell(0.88, "structure that is left")
     structure = tuple(find_structure(search, found))
-    kept = believed(found, structure)
+    kept = standing(search, found, structure)
     if len(kept) < len(found.active):
         found = search.refit(kept, found)
     tell(0.93, "gain")

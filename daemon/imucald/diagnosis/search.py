@@ -28,11 +28,13 @@ ACCEPT = 3.5
 """Log posterior odds above which a cause is accepted in a step."""
 ALIKE = 3.0
 """Explanations within this log evidence of the best are look-alikes: odds of 20 to 1."""
-MODEL_SHARE, TOLERANCE_SHARE = 0.05, 0.4
-"""What the forward model cannot promise of a fitted parameter, of departure and tolerance."""
+TOLERANCE_SHARE = 0.4
+"""What the forward model cannot promise of a fitted parameter, of its tolerance."""
 MOST_CAUSES = 8
-REFITS = 2
-"""Gauss-Newton steps after each accepted cause."""
+REFITS, MOST_REFITS = 2, 6
+"""Gauss-Newton steps after each accepted cause; more where the response is bent."""
+SETTLED = 0.5
+"""Steps end where no parameter moves by more than this many of its tolerances."""
 STARTS: Mapping[str, tuple[float, ...]] = {
     "signal_delay": (-0.35, -0.15, 0.15, 0.35),
     "sensor_lowpass": (0.3, 0.8, 1.8),
@@ -209,7 +211,7 @@ class Search:
             departure = found.point.values[key] - self.base[key]
             made[key] = math.sqrt(
                 float(covariance[i, i]) * float(found.tempers[i])
-                + (MODEL_SHARE * departure) ** 2
+                + (p.share * departure) ** 2
                 + (TOLERANCE_SHARE * p.tolerance) ** 2
             )
         return made
@@ -290,13 +292,19 @@ class Search:
     ) -> Found:
         """Move to the best point of a set of causes."""
         found = self._at(active, values)
-        for _ in range(REFITS):
+        bent = any(v.cause in family for v in active for family in FAMILIES)
+        for step in range(MOST_REFITS if bent else REFITS):
             keys = found.keys
             fit = found.point.evidence.fit(keys)
             values = dict(found.point.values)
+            moved = 0.0
             for i, p in enumerate(self.parameters):
                 if p.key in keys:
                     values[p.key] = _within(p, values[p.key] + float(fit.x[i]))
+                    change = abs(values[p.key] - found.point.values[p.key])
+                    moved = max(moved, change / p.tolerance)
+            if step >= REFITS and moved < SETTLED:
+                break
             if any(v.cause == "mount_shift" for v in active):
                 values = self._timed(found, values)
             found = self._at(active, values)

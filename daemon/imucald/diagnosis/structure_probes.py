@@ -153,7 +153,7 @@ def _inverse_noise(point: Linearised, F: int) -> Complex:
             scale = 1.0 / point.loud[blocks, i][:, c]
             W = inverse * scale[:, :, None] * scale[:, None, :]
             for f in range(band.start, min(band.stop, F)):
-                result[np.ix_(blocks, [f], c, c)] = W[:, None]
+                result[np.ix_(blocks, np.array([f]), c, c)] = W[:, None]
     return result
 
 
@@ -180,7 +180,7 @@ def _input(source: str, forward: Forward) -> Array | None:
     if source == "time":
         return track.t - track.t[0]
     yaw = track.scalars.get("yaw_rate")
-    return None if yaw is None else np.abs(speed * yaw)
+    return None if yaw is None else np.asarray(np.abs(speed * yaw), dtype=float)
 
 
 def _range(u: Array) -> float:

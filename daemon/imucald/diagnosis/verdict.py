@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from imucald.diagnosis.cause import Cause, Variant
+from imucald.diagnosis.cause import Cause
 from imucald.diagnosis.result import Candidate, Structure, Verdict
 from imucald.diagnosis.search import ALIKE, FAMILIES, Found, Search
 
 FAMILY = frozenset().union(*FAMILIES)
 MOST_TOLD = 12
 """Losers that are told of."""
-WEAK = 12.0
-"""Log posterior odds up to which a cause is not believed where structure is left beside it."""
 
 
 def look_alikes(search: Search, found: Found) -> tuple[list[tuple[str, ...]], list[Candidate]]:
@@ -84,10 +82,3 @@ def verdict_of(
     if not scores:
         return "unknown" if structure else "nothing"
     return "ambiguous" if sets else "found"
-
-
-def believed(found: Found, structure: Sequence[Structure]) -> list[Variant]:
-    """Active causes that stand beside the structure that is left."""
-    if not structure:
-        return list(found.active)
-    return [v for v in found.active if found.scores.get(v.cause, 0.0) > WEAK]

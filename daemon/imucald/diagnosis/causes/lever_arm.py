@@ -9,13 +9,18 @@ from imucald.diagnosis.grid import Array
 from imucald.diagnosis.state import State
 
 KEYS = tuple(f"mount.lever_arm_m.{i}" for i in range(3))
+SHARES = (0.05, 0.05, 0.3)
+"""The height acts through roll and pitch accelerations, which springs and gyroscope blur."""
 
 
 class LeverArm(Cause):
     """force at the sensor = force at the reference + dw/dt x l + w x (w x l)."""
 
     name = "lever_arm"
-    parameters = tuple(Parameter(key, "m", 0.1, 1.5, 0.2) for key in KEYS)
+    parameters = tuple(
+        Parameter(key, "m", 0.1, 1.5, 0.2, share=share)
+        for key, share in zip(KEYS, SHARES, strict=True)
+    )
     signals = ("accel_x", "accel_y", "accel_z")
     needs = ("turning",)
     seen_by = "turn tightly at walking speed and change lanes quickly"
