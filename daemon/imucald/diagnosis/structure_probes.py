@@ -170,15 +170,16 @@ def _input(source: str, forward: Forward) -> Array | None:
     track = forward.track
     speed = track.scalars["speed"]
     if source == "vibration":
-        return track.level["accel"] ** 2
+        return np.asarray(track.level["accel"] ** 2, dtype=float)
     if source == "rotational vibration":
-        return None if "gyro" not in track.level else track.level["gyro"] ** 2
+        level = track.level.get("gyro")
+        return None if level is None else np.asarray(level**2, dtype=float)
     if source == "temperature":
         return track.scalars.get("temperature")
     if source == "speed":
-        return speed * speed
+        return np.asarray(speed * speed, dtype=float)
     if source == "time":
-        return track.t - track.t[0]
+        return np.asarray(track.t - track.t[0], dtype=float)
     yaw = track.scalars.get("yaw_rate")
     return None if yaw is None else np.asarray(np.abs(speed * yaw), dtype=float)
 
