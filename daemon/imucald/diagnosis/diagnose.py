@@ -19,6 +19,7 @@ from imucald.diagnosis.roads import RoadFinding, find_roads, road_blocks
 from imucald.diagnosis.search import ACCEPT, Found, Search
 from imucald.diagnosis.structure import find_structure
 from imucald.diagnosis.structure_guard import standing
+from imucald.diagnosis.vehicle_gain import mount_errors_deg
 from imucald.diagnosis.verdict import look_alikes, losers_of, to_separate, verdict_of
 from imucald.errors import EstimateError
 from imucald.samples import Samples
@@ -66,7 +67,13 @@ def diagnose(
         found = search.refit(kept, found)
     tell(0.93, "gain")
     told = _Told(search, found, [f for part in faults for f in part], roads)
-    return told.diagnosis(model, structure, len(drives) - len(forwards))
+    diagnosis = told.diagnosis(model, structure, len(drives) - len(forwards))
+    if not diagnosis.causes:
+        return diagnosis
+    tell(0.97, "what it is worth to the vehicle")
+    before, after = mount_errors_deg(drives, model, diagnosis.model_after)
+    gain = replace(diagnosis.gain, mount_error_deg_before=before, mount_error_deg_after=after)
+    return replace(diagnosis, gain=gain)
 
 
 def _silent(share: float, text: str) -> None:
