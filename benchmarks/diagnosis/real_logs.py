@@ -4,9 +4,9 @@
                                              [--clean] [--results FILE] [--write]
 
 Each log is diagnosed with its shipped configuration, against a plain car with the mount that the
-drive gives, and what is named is put beside something independent in the same data. Then the model
-that the first half of a log gives is taken as the vehicle's model file, and effects of five sizes
-are put into the samples of the second half (`real_effects`): found or not, by size.
+drive gives, and what is named is put beside something independent in the same data. Then the
+extended model is taken as the vehicle's model file, and effects of five sizes are put into the
+samples of the log's second half (`real_effects`): found or not, by size.
 --clean: only the logs as they are.
 """
 
@@ -66,9 +66,12 @@ def main() -> int:
             print(f"{name}: not there", file=sys.stderr)
             continue
         log = read_log(name)
-        out += [*as_it_is(log), ""]
+        began = time.process_time()
+        diagnosis = diagnose([log.recording.samples], log.baseline)
+        out += [*as_it_is(log, diagnosis, time.process_time() - began), ""]
         if not options.clean and name in HIDDEN_IN:
-            lines = list(hidden(log, options.effects, options.draws, options.results))
+            model, path = diagnosis.model_after, options.results
+            lines = list(hidden(log, model, options.effects, options.draws, path))
             out += [*table(log.name, lines, options.effects), ""]
     text = "\n".join(out)
     print(text)
@@ -109,11 +112,8 @@ def cut(samples: Samples, start: float, stop: float) -> dict[str, Series]:
 # as it is --------------------------------------------------------------------------------------
 
 
-def as_it_is(log: Log) -> Iterator[str]:
+def as_it_is(log: Log, diagnosis: Diagnosis, seconds: float) -> Iterator[str]:
     """The log's diagnosis, and what confirms it."""
-    began = time.process_time()
-    diagnosis = diagnose([log.recording.samples], log.baseline)
-    seconds = time.process_time() - began
     yield f"### {log.name}: {log.recording.duration_s / 60.0:.0f} min, {seconds:.0f} s"
     yield ""
     yield f"- Verdict: `{diagnosis.verdict}`."
@@ -237,21 +237,19 @@ def confirm_delay(log: Log, diagnosis: Diagnosis) -> Iterator[str]:
 # with effects ----------------------------------------------------------------------------------
 
 
-def hidden(log: Log, effects: Sequence[str], draws: int, path: Path) -> Iterator[dict[str, Any]]:
+def hidden(
+    log: Log, model: Model, effects: Sequence[str], draws: int, path: Path
+) -> Iterator[dict[str, Any]]:
     """Put effects into the second half; outcomes are kept in the file."""
     known = {}
     if path.exists():
         for text in path.read_text(encoding="utf-8").splitlines():
             line = json.loads(text)
             known[line["key"]] = line
-    model: Model | None = None
-    samples: Samples = {}
+    samples = log.part(0.5, 1.0)
     with path.open("a", encoding="utf-8") as file:
         for key, effect, level, draw in _cases(log.name, effects, draws):
             if key not in known:
-                if model is None:
-                    model = diagnose([log.part(0.0, 0.5)], log.baseline).model_after
-                    samples = log.part(0.5, 1.0)
                 known[key] = _one(key, samples, model, effect, level, draw)
                 file.write(json.dumps(known[key]) + "\n")
                 file.flush()
