@@ -21,6 +21,8 @@ from imucald.diagnosis.cause import Parameter
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.spectra import Normal
 
+HELD = 1e-5
+"""Factor on the tolerance of what is held."""
 LENIENCE = 0.9
 """A model file may be wrong by its tolerance; the prior is wider, since physics is never whole."""
 
@@ -54,24 +56,34 @@ class Evidence:
         self.A, self.g, self.square = normal.total()
         self.shift = shift
 
-    def precision(self, active: Iterable[str]) -> Array:
-        """Prior precision (P,) with the keys of the set wide."""
+    def precision(self, active: Iterable[str], fixed: Iterable[str] = ()) -> Array:
+        """Prior precision (P,) with the keys of the set wide, others held at the file's values."""
         std = self._tolerance.copy()
         index = [self._index[key] for key in active]
         std[index] = self._wide[index]
+        std[[self._index[key] for key in fixed]] *= HELD
         return std**-2.0
 
-    def fit(self, active: Iterable[str], blocks: Array | None = None, temper: float = 1.0) -> Fit:
+    def fit(
+        self,
+        active: Iterable[str],
+        blocks: Array | None = None,
+        temper: float = 1.0,
+        fixed: Iterable[str] = (),
+    ) -> Fit:
         """Evidence and solution for a set of keys.
 
         blocks: weights (B,) of the stretches. temper: the data count as this many times fewer.
+        fixed: keys that stay at the model file's values.
         """
         A, g, square = self.A, self.g, self.square
         if blocks is not None:
             A = np.tensordot(blocks, self.normal.information, 1)
             g = blocks @ self.normal.score
             square = float(blocks @ self.normal.square)
-        return solve(A / temper, g / temper, square / temper, self.precision(active), self.shift)
+        return solve(
+            A / temper, g / temper, square / temper, self.precision(active, fixed), self.shift
+        )
 
     def held_out(self, x: Array, blocks: Array) -> Array:
         """Log likelihood (B,) of stretches for a solution x (P,), but for constants."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,52 +90,77 @@ def linearise(
     parameters: Sequence[Parameter],
     values: dict[str, float],
     base: Mapping[str, float],
-    tick: Callable[[], None] | None = None,
+    near: Linearised | None = None,
+    moved: Collection[str] = (),
 ) -> Linearised:
-    """Take derivatives at `values` and the noise that is left when all parameters are free."""
-    columns, residuals, expected = [], [], []
-    for forward in forwards:
-        predicted = forward.predict(values)
-        stack = np.empty((len(parameters) + 2, *predicted.shape), dtype=np.float32)
-        stack[-1] = predicted - predicted.mean(axis=1, keepdims=True)
-        stack[-2] = forward.measured - predicted
-        for i, p in enumerate(parameters):
-            moved = dict(values)
-            moved[p.key] += p.step
-            stack[i] = (forward.predict(moved) - predicted) / p.step
-        if tick is not None:
-            tick()
-        blocks = transform(stack, forward.usable, forward.track.top_hz)
-        columns.append(Blocks(blocks.values[..., :-2], blocks.present, blocks.start))
-        residuals.append(np.ascontiguousarray(blocks.values[..., -2]))
-        expected.append(blocks.values[..., -1])
+    """Take derivatives at `values`, and the noise that is left when all parameters are free.
+
+    near: a point not far off: only the derivatives of the keys in `moved` are taken anew, and the
+    noise is that of the point. This is enough for a step on the way.
+    """
+    taken = [i for i, p in enumerate(parameters) if near is None or p.key in moved]
+    parts = [_differentiated(f, [parameters[i] for i in taken], values) for f in forwards]
+    present = np.concatenate([part.present for part in parts])
+    whole = np.concatenate([part.values for part in parts])
+    residual, predicted = np.ascontiguousarray(whole[..., -2]), whole[..., -1]
     shift = np.array([values[p.key] - base[p.key] for p in parameters])
-    keys = [p.key for p in parameters]
-    present = np.concatenate([c.present for c in columns])
-    loud = np.ones((len(present), len(bands(residuals[0].shape[1])), present.shape[1]))
-    left = np.concatenate(residuals)
-    whole = Blocks(np.concatenate([c.values for c in columns]), present, np.zeros(len(present)))
-    together = left
-    names = forwards[0].names
-    steady = np.array([ERROR_OF_LEAN if n in LEANING else ERROR_STEADY for n in names])
-    predicted_all = np.concatenate(expected)
-    for _ in range(NOISE_ROUNDS):
-        noise = cross_spectra(left, present, loud, taken=10.0)
-        wide = with_model_error(loud, predicted_all, noise, steady)
-        normal = normal_equations(whole, together, noise, wide)
-        x = Evidence(parameters, normal, shift).fit(keys).x
-        left = together - whole.values @ x.astype(np.float32)
-        loud = loudness(left, present, noise)
-    noise = cross_spectra(left, present, loud, taken=10.0)
-    loud = with_model_error(loud, predicted_all, noise, steady)
-    normal = normal_equations(whole, together, noise, loud)
+    if near is None:
+        columns = Blocks(whole[..., :-2], present, np.zeros(0))
+        noise, loud = _noise_left(
+            forwards[0].names, parameters, shift, columns, residual, predicted
+        )
+    else:
+        columns = Blocks(near.columns.copy(), present, np.zeros(0))
+        columns.values[..., taken] = whole[..., :-2]
+        noise, loud = near.noise, near.loud
+    normal = normal_equations(columns, residual, noise, loud)
     return Linearised(
         tuple(parameters),
         dict(values),
         Evidence(parameters, normal, shift),
         noise,
-        whole.values,
-        together,
+        columns.values,
+        residual,
         loud,
         present,
     )
+
+
+def _differentiated(
+    forward: Forward, parameters: Sequence[Parameter], values: Mapping[str, float]
+) -> Blocks:
+    """One drive: derivatives, then residual and prediction, on the last axis."""
+    predicted = forward.predict(values)
+    stack = np.empty((len(parameters) + 2, *predicted.shape), dtype=np.float32)
+    stack[-1] = predicted - predicted.mean(axis=1, keepdims=True)
+    stack[-2] = forward.measured - predicted
+    for i, p in enumerate(parameters):
+        moved = dict(values)
+        moved[p.key] += p.step
+        stack[i] = (forward.predict(moved) - predicted) / p.step
+    return transform(stack, forward.usable, forward.track.top_hz)
+
+
+def _noise_left(
+    names: Sequence[str],
+    parameters: Sequence[Parameter],
+    shift: Array,
+    columns: Blocks,
+    residual: Complex,
+    predicted: Complex,
+) -> tuple[Complex, Array]:
+    """Noise and loudness of what the fit of all parameters leaves."""
+    present = columns.present
+    keys = [p.key for p in parameters]
+    steady = np.array([ERROR_OF_LEAN if n in LEANING else ERROR_STEADY for n in names])
+    loud = np.ones((len(present), len(bands(residual.shape[1])), present.shape[1]))
+    left = residual
+    for _ in range(NOISE_ROUNDS):
+        noise = cross_spectra(left, present, loud, taken=10.0)
+        wide = with_model_error(loud, predicted, noise, steady)
+        normal = normal_equations(columns, residual, noise, wide)
+        x = Evidence(parameters, normal, shift).fit(keys).x
+        left = residual - columns.values @ x.astype(np.float32)
+        loud = loudness(left, present, noise)
+    noise = cross_spectra(left, present, loud, taken=10.0)
+    return noise, with_model_error(loud, predicted, noise, steady)

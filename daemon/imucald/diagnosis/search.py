@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,9 +30,12 @@ ALIKE = 3.0
 """Explanations within this log evidence of the best are look-alikes: odds of 20 to 1."""
 TOLERANCE_SHARE = 0.4
 """What the forward model cannot promise of a fitted parameter, of its tolerance."""
+BENT_ALIKE = 25.0
+"""The same between fits of delays and low-passes, whose shapes are known less well."""
 MOST_CAUSES = 8
-REFITS, MOST_REFITS = 2, 6
-"""Gauss-Newton steps after each accepted cause; more where the response is bent."""
+STEPS, MOST_STEPS = 2, 5
+"""Gauss-Newton steps after each accepted cause; more, and with noise and derivatives of every point
+on the way, where the response is bent."""
 SETTLED = 0.5
 """Steps end where no parameter moves by more than this many of its tolerances."""
 STARTS: Mapping[str, tuple[float, ...]] = {
@@ -40,7 +43,7 @@ STARTS: Mapping[str, tuple[float, ...]] = {
     "sensor_lowpass": (0.3, 0.8, 1.8),
 }
 """Departures at which causes that are far from linear are tried as well."""
-FAR_FROM = -2.0
+FAR_FROM = -5.0
 """Log posterior odds near the point from which on starting values far from it are tried."""
 FAMILIES = (
     frozenset({"signal_delay", "sensor_lowpass"}),
@@ -72,6 +75,8 @@ class Found:
     point: Linearised
     tempers: Array
     """(P,) dispersion of the stretches' scores."""
+    alike: list[tuple[str, ...]] = field(default_factory=list)
+    """Causes whose own fits were as good as that of the first, which is active."""
 
     @property
     def keys(self) -> list[str]:
@@ -119,7 +124,7 @@ class Search:
         """Refit with one more cause."""
         values = dict(found.point.values)
         values.update(trial.start)
-        refit = self._refit([*found.active, trial.variant], values, found.scores)
+        refit = self._refit([*found.active, trial.variant], values, found.scores, found.point)
         refit.scores[trial.variant.cause] = trial.score
         return refit
 
@@ -132,11 +137,12 @@ class Search:
         family = next((f for f in FAMILIES if best.variant.cause in f), frozenset())
         chosen = [best]
         for trial in trials[1:]:
-            known = {(t.variant.cause, t.variant.label) for t in chosen}
+            known = [_place(t) for t in chosen]
             if (
                 trial.variant.cause in family
                 and trial.score > max(RIVAL_SHARE * best.score, ACCEPT)
-                and (trial.variant.cause, trial.variant.label) not in known
+                and (trial.start or best.variant.cause != trial.variant.cause)
+                and _place(trial) not in known
                 and len(chosen) < MOST_RIVALS
             ):
                 chosen.append(trial)
@@ -149,7 +155,16 @@ class Search:
             found.point.evidence_with(quiet.point, self.base).fit(found.keys).log_evidence
             for found in rivals
         ]
-        return rivals[int(np.argmax(said))]
+        best = rivals[int(np.argmax(said))]
+        newest = best.active[-1].cause
+        near = {
+            found.active[-1].cause
+            for found, score in zip(rivals, said, strict=True)
+            if score > max(said) - BENT_ALIKE
+        }
+        if len(near) > 1:
+            best.alike = [*best.alike, (newest, *sorted(near - {newest}))]
+        return best
 
     # one step --------------------------------------------------------------------------------
 
@@ -277,7 +292,8 @@ class Search:
         kept = {key for variant in active for key in variant.keys} | {mount_shift.TIME}
         values.update({k: v for k, v in found.point.values.items() if k in kept})
         names = {variant.cause for variant in active}
-        return self._refit(active, values, {k: s for k, s in found.scores.items() if k in names})
+        scores = {k: s for k, s in found.scores.items() if k in names}
+        return self._refit(active, values, scores, found.point, found.alike)
 
     # fitting ---------------------------------------------------------------------------------
 
@@ -288,36 +304,57 @@ class Search:
         return Found(active, {}, point, evidence.dispersion(all_free.x))
 
     def _refit(
-        self, active: list[Variant], values: dict[str, float], scores: dict[str, float]
+        self,
+        active: list[Variant],
+        values: dict[str, float],
+        scores: dict[str, float],
+        near: Linearised,
+        alike: Sequence[tuple[str, ...]] = (),
     ) -> Found:
-        """Move to the best point of a set of causes."""
-        found = self._at(active, values)
-        bent = any(v.cause in family for v in active for family in FAMILIES)
-        for step in range(MOST_REFITS if bent else REFITS):
-            keys = found.keys
-            fit = found.point.evidence.fit(keys)
-            values = dict(found.point.values)
-            moved = 0.0
-            for i, p in enumerate(self.parameters):
-                if p.key in keys:
-                    values[p.key] = _within(p, values[p.key] + float(fit.x[i]))
-                    change = abs(values[p.key] - found.point.values[p.key])
-                    moved = max(moved, change / p.tolerance)
-            if step >= REFITS and moved < SETTLED:
+        """Move to the best point of a set of causes. near: a point with derivatives and noise."""
+        keys = [key for variant in active for key in variant.keys]
+        bent = bool(active) and any(active[-1].cause in family for family in FAMILIES)
+        if bent:
+            near = self._at(active, values).point
+        for _ in range(MOST_STEPS if bent else STEPS):
+            before = values
+            values = self._stepped(active, keys, values, near)
+            moved = (abs(values[p.key] - before[p.key]) / p.tolerance
+                     for p in self.parameters if p.key in keys)  # fmt: skip
+            if bent and max(moved, default=0.0) < SETTLED:
                 break
-            if any(v.cause == "mount_shift" for v in active):
-                values = self._timed(found, values)
-            found = self._at(active, values)
+            if bent:
+                near = self._at(active, values).point
+        found = self._at(active, values)
         found.scores = dict(scores)
+        found.alike = list(alike)
         return found
 
-    def _timed(self, found: Found, values: dict[str, float]) -> dict[str, float]:
+    def _stepped(
+        self,
+        active: Sequence[Variant],
+        keys: Sequence[str],
+        values: dict[str, float],
+        near: Linearised,
+    ) -> dict[str, float]:
+        """One Gauss-Newton step of some keys, with noise and other derivatives of a point near."""
+        point = linearise(self.forwards, self.parameters, values, self.base, near, moved=keys)
+        fit = point.evidence.fit(keys)
+        stepped = dict(values)
+        for p, x in zip(self.parameters, fit.x, strict=True):
+            if p.key in keys:
+                stepped[p.key] = _within(p, stepped[p.key] + float(x))
+        if any(v.cause == "mount_shift" for v in active):
+            stepped = self._timed(point, stepped)
+        return stepped
+
+    def _timed(self, point: Linearised, values: dict[str, float]) -> dict[str, float]:
         """Move the time of the shift to where the residual is least."""
         best, least = values, math.inf
         for step in (-24.0, -12.0, -6.0, -3.0, 0.0, 3.0, 6.0, 12.0, 24.0):
             moved = dict(values)
             moved[mount_shift.TIME] = values[mount_shift.TIME] + step
-            _, square = found.point.at([residual_blocks(f, moved) for f in self.forwards])
+            _, square = point.at([residual_blocks(f, moved) for f in self.forwards])
             if square < least:
                 best, least = moved, square
         return best
@@ -331,7 +368,7 @@ class Search:
                 for key in variant.keys:
                     values[key] = self.base[key]
                 scores = {k: s for k, s in found.scores.items() if k != variant.cause}
-                found = self._refit(rest, values, scores)
+                found = self._refit(rest, values, scores, found.point, found.alike)
         return found
 
     def loss(self, found: Found, variant: Variant) -> float:
@@ -350,6 +387,12 @@ def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:
     if forward.track.gyro is None:
         absent.add("gyro")
     return [v for v in variants if v.keys and not any(_signal_of(key) in absent for key in v.keys)]
+
+
+def _place(trial: Trial) -> tuple[str, str, tuple[float, ...]]:
+    """Which form of which cause, begun where; a shift's many times are one place."""
+    start = () if trial.variant.cause == "mount_shift" else tuple(trial.start.values())
+    return trial.variant.cause, trial.variant.label, start
 
 
 def _signal_of(key: str) -> str:

@@ -43,7 +43,8 @@ def _error(drives: Sequence[Samples], model: Model, final: Matrix3) -> float | N
     compensation = compensation_from_model(model.model_dump(mode="json"))
     squares = []
     for samples in drives:
-        R = corrected_drive(samples, compensation).estimate.R_vehicle_from_sensor
+        estimate = corrected_drive(samples, compensation).estimate
+        R = None if estimate is None else estimate.R_vehicle_from_sensor
         if R is not None:
             squares.append(float(np.sum(vector_from_rotation(R @ final.T) ** 2)))
     return math.degrees(math.sqrt(float(np.mean(squares)))) if squares else None

@@ -22,7 +22,8 @@ def look_alikes(search: Search, found: Found) -> tuple[list[tuple[str, ...]], li
     only for causes outside their family.
     """
     evidence = found.point.evidence
-    sets: list[tuple[str, ...]] = []
+    active = {v.cause for v in found.active}
+    sets = [names for names in found.alike if names[0] in active]
     losers: dict[tuple[str, ...], float] = {}
     for variant in found.active:
         rest = [key for v in found.active if v is not variant for key in v.keys]
