@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec.structs import replace
 import pytest
+from msgspec.structs import replace
 
 from imucald.bus.log import LogReader
 from imucald.bus.wiring import compile_router
