@@ -14,7 +14,9 @@ class AccelScale(Cause):
     """measured = (1 + scale) * true, in sensor axes."""
 
     name = "accel_scale"
-    parameters = tuple(Parameter(key, "1", 0.003, 0.05, 0.005, -0.5, 1.0) for key in KEYS)
+    parameters = tuple(
+        Parameter(key, "1", 0.003, 0.05, 0.005, -0.5, 1.0, share=0.1) for key in KEYS
+    )
     signals = ("accel_x", "accel_y", "accel_z")
     seen_by = "brake and accelerate hard, and corner hard both ways; park once on its side slope"
     sentence = "The accelerometer's scale is off."

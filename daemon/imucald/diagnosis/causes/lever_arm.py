@@ -9,7 +9,7 @@ from imucald.diagnosis.grid import Array
 from imucald.diagnosis.state import State
 
 KEYS = tuple(f"mount.lever_arm_m.{i}" for i in range(3))
-SHARES = (0.05, 0.05, 0.3)
+SHARES = (0.12, 0.12, 0.3)
 """The height acts through roll and pitch accelerations, which springs and gyroscope blur."""
 
 

@@ -10,7 +10,9 @@ class Understeer(Cause):
 
     name = "understeer"
     parameters = (
-        Parameter("chassis.understeer_gradient", "rad/(m/s^2)", 0.0003, 0.003, 0.0003, -0.002),
+        Parameter(
+            "chassis.understeer_gradient", "rad/(m/s^2)", 0.0003, 0.003, 0.0003, -0.002, share=0.12
+        ),
     )
     signals = ("yaw_rate",)
     needs = ("steering", "yaw_rate")
