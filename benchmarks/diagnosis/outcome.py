@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from imucald.diagnosis.diagnose import diagnose
 from numpy.typing import NDArray
 
 from benchmarks.diagnosis.cases import Case
 from hidden import HiddenDrive, hidden_drive
 from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
+from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.result import Diagnosis, FoundCause
 from imucald.frames import vector_from_rotation
 from imucald.simulation.model import Model, model_from_mapping

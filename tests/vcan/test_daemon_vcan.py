@@ -145,7 +145,8 @@ def test_live_frames_equal_replay_of_what_candump_recorded(vcan, tmp_path):
         status = without_protection(can_id, offline[can_id])
         heard = without_protection(can_id, live[can_id])
         start = next(i for i in range(len(heard)) if heard[i:][: len(status)] == status)
-        assert start <= 2, "more than a heartbeat before the first status of the drive"
+        # Until the player starts there is a heartbeat a second; a busy machine takes its time.
+        assert start <= 10, "more than heartbeats before the first status of the drive"
     said = json.loads(done.stdout)
     assert result["mount"] == said["mount"]
     assert result["state"] == said["state"] != "waiting"
