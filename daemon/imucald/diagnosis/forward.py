@@ -135,7 +135,7 @@ class Forward:
         # Linear as in the simulation's tyre; geometry at low speed asks for the tangent.
         turn = angle + values.get("_tyre.tangent", 0.0) * (np.tan(angle) - angle)
         wanted = v * turn / np.maximum(chassis.wheelbase_m + gradient * v * v, 0.3)
-        s.yaw_from_steering = self._handling.answered(wanted, v, s.spectrum)
+        s.yaw_from_steering = self._handling.answered(wanted, v, s.spectrum, gradient)
 
     def _force(self, s: State) -> None:
         """Specific force and rate at the body's reference, in road axes."""

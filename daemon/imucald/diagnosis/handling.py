@@ -49,11 +49,16 @@ class Handling:
         more: Array = speed / (c.wheelbase_m * c.rear_cornering_stiffness_npr) * force
         return more
 
-    def answered(self, wanted: Array, speed: Array, spectrum: Spectrum) -> Array:
-        """Yaw rate (N,) that follows the quasi-static one (N,), by responses at a few speeds."""
+    def answered(
+        self, wanted: Array, speed: Array, spectrum: Spectrum, gradient: float | None = None
+    ) -> Array:
+        """Yaw rate (N,) that follows the quasi-static one (N,), by responses at a few speeds.
+
+        gradient: understeer gradient [rad/(m/s^2)] if not the chassis'.
+        """
         v = np.clip(np.abs(speed), NODES_MPS[0], NODES_MPS[-1])
         answers = spectrum.apply_all(
-            wanted, [self.response(node, spectrum.s) for node in NODES_MPS]
+            wanted, [self.response(node, spectrum.s, gradient) for node in NODES_MPS]
         )
         result = np.zeros(len(wanted))
         for i, answer in enumerate(answers):
@@ -61,9 +66,14 @@ class Handling:
             result += weight * answer
         return result
 
-    def response(self, v: float, s: Response) -> Response:
-        """Yaw rate over its quasi-static value at speed v [m/s], along Laplace variables s."""
+    def response(self, v: float, s: Response, gradient: float | None = None) -> Response:
+        """Yaw rate over its quasi-static value at speed v [m/s], along Laplace variables s.
+
+        What understeers more has softer front tyres, and answers later.
+        """
         c = self._c
+        if gradient is not None:
+            c = c.model_copy(update={"understeer_gradient": gradient})
         m, inertia, lf, lr = c.mass_kg, c.yaw_inertia_kgm2, c.cg_to_front_m, c.cg_to_rear_m
         cf, cr = c.front_cornering_stiffness_npr, c.rear_cornering_stiffness_npr
         moment = lf * cf - lr * cr

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.diagnosis.cause import Parameter
+from imucald.diagnosis.causes import mount_shift
 from imucald.diagnosis.evidence import Evidence
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import Array
@@ -81,8 +82,21 @@ class Linearised:
 
 def residual_blocks(forward: Forward, values: Mapping[str, float]) -> Complex:
     """Transformed residual (B, F, C) of a drive at some values."""
-    left = forward.measured - forward.predict(values)
+    left = _unshifted(forward, forward.measured - forward.predict(values), values)
     return transform(left[None], forward.usable, forward.track.top_hz).values[..., 0]
+
+
+def _unshifted(forward: Forward, x: Array, values: Mapping[str, float]) -> Array:
+    """Signals (..., C, N) with what follows a shift of the mount in the axes of before it.
+
+    Body and road shake the sensor in the vehicle's axes: only there is the noise of all stretches
+    the same.
+    """
+    for kind in ("accel", "gyro"):
+        rows = [i for i, name in enumerate(forward.names) if name[:-2] == kind]
+        if len(rows) == 3 and any(values.get(key, 0.0) for key in mount_shift.KEYS):
+            x[..., rows, :] = mount_shift.undone(x[..., rows, :], forward.track.t, values)
+    return x
 
 
 def linearise(
@@ -138,6 +152,7 @@ def _differentiated(
         moved = dict(values)
         moved[p.key] += p.step
         stack[i] = (forward.predict(moved) - predicted) / p.step
+    stack = _unshifted(forward, stack, values)
     return transform(stack, forward.usable, forward.track.top_hz)
 
 
