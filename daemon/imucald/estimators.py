@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from imucald.config import Config, Vehicle
 from imucald.mount.estimate import MountEstimator
-from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.published_settings import PublishedSettings
 
@@ -31,6 +30,8 @@ def estimator_for(config: Config, compensation: Compensation | None = None) -> M
             side = config.vehicle.driving_side
             published = compensation.published_settings(published, side, _stated(config.vehicle))
         return PublishedEstimator(published)
+    from imucald.mount.estimator import FullEstimator  # noqa: PLC0415 - a lighter start
+
     full = full_settings(config)
     if compensation is not None:
         full = compensation.full_settings(full, _stated(config.vehicle))

@@ -1,7 +1,7 @@
-"""Databases as they were read before: parsing takes milliseconds to seconds, this hardly any time.
+"""Databases and configurations as they were read before: parsing takes milliseconds to seconds.
 
-A file holds a database's own text, which must be the same to the last character, and what was read
-from it, as JSON: reading JSON can make nothing but such descriptions. A file that is damaged or
+A file holds the own text of what was read, which must be the same to the last character, and what
+it says, as JSON: reading JSON can make nothing but such descriptions. A file that is damaged or
 made by other versions counts for nothing, and nothing here ever fails: without a folder that can
 be written, and belongs to this user alone, databases are parsed each time.
 """
@@ -76,7 +76,7 @@ def keep(text: str, source: str, messages: list[Message], kind: type[Message]) -
         making.write_bytes(_check(content) + content)
         making.replace(place)
         _drop_oldest(_Cache.folder)
-    except (OSError, ValueError, TypeError, RecursionError):
+    except (OSError, ValueError, OverflowError, TypeError, RecursionError):
         return
 
 
@@ -110,9 +110,13 @@ def _is_ours(folder: Path) -> bool:
 
 
 def _stamp() -> str:
-    """What reads databases: our module and cantools, by size and time of their files."""
-    ours = str(Path(__file__).with_name("database.py"))
-    spec = importlib.util.find_spec("cantools")
-    files = [ours, spec.origin if spec is not None and spec.origin else ours]
-    found = [os.stat(file) for file in files]  # noqa: PTH116
+    """What reads databases and YAML: our modules and their libraries, by size and time."""
+    here = Path(__file__)
+    ours = (str(here.with_name("database.py")), f"{here.parents[1]}/config/yaml_parser.py")
+    found = [os.stat(file) for file in (*ours, *_libraries())]  # noqa: PTH116
     return " ".join(f"{one.st_size} {one.st_mtime_ns}" for one in found)
+
+
+def _libraries() -> list[str]:
+    specs = map(importlib.util.find_spec, ("cantools", "yaml"))
+    return [spec.origin for spec in specs if spec is not None and spec.origin]

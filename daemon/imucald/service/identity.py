@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from typing import Any
 
@@ -11,6 +10,7 @@ from msgspec import to_builtins
 from imucald.bus.routes import MessageRoute
 from imucald.bus.signals import Router
 from imucald.config import LoadedConfig, Source
+from imucald.service.digest import sha256
 from imucald.service.state import StateKey
 
 _DECISIVE = frozenset({"signal", "raw", "unit", "sign", "offset"})
@@ -30,7 +30,7 @@ def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey
         for triad in triads
     ]
     text = json.dumps(described, sort_keys=True, default=str) + model
-    return StateKey(loaded.config.vehicle.id, hashlib.sha256(text.encode()).hexdigest())
+    return StateKey(loaded.config.vehicle.id, sha256(text.encode()).hexdigest())
 
 
 def _described(source: Source, router: Router) -> dict[str, Any]:

@@ -10,7 +10,6 @@ not believed is set aside under another name with the reason in it, never delete
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import math
 import os
@@ -19,6 +18,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from imucald.service.digest import sha256
 
 MAGIC = "imucald-state"
 VERSION = 1
@@ -43,7 +44,7 @@ class StateKey:
     def file_name(self) -> str:
         """A file name that is safe for any identity, and distinct for distinct keys."""
         readable = re.sub(r"[^A-Za-z0-9_-]+", "_", self.vehicle)[:24]
-        digest = hashlib.sha256(f"{self.vehicle}\0{self.sensor}".encode()).hexdigest()[:16]
+        digest = sha256(f"{self.vehicle}\0{self.sensor}".encode()).hexdigest()[:16]
         return f"{readable}-{digest}.state"
 
 
@@ -191,7 +192,7 @@ def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:
         "evidence": dict(state.evidence),
     }
     body = json.dumps(content, allow_nan=False, indent=1).encode()
-    head = f"{MAGIC} {VERSION} {len(body)} {hashlib.sha256(body).hexdigest()}\n"
+    head = f"{MAGIC} {VERSION} {len(body)} {sha256(body).hexdigest()}\n"
     return head.encode() + body
 
 
@@ -206,7 +207,7 @@ def decoded(data: bytes) -> tuple[int, StateKey, SavedState]:
         raise _NotBelievedError("other-version", f"its version is {version}, not {VERSION}")
     if words[2] != str(len(body)).encode():
         raise _NotBelievedError("corrupt", "it is cut off, or longer than it says")
-    if words[3] != hashlib.sha256(body).hexdigest().encode():
+    if words[3] != sha256(body).hexdigest().encode():
         raise _NotBelievedError("corrupt", "its checksum is wrong")
     try:
         content = json.loads(body)

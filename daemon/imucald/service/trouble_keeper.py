@@ -7,7 +7,6 @@ and a file that cannot be believed is set aside and begun anew.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import time
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from imucald.diagnostics.troubles import TroubleMemory
+from imucald.service.digest import sha256
 from imucald.service.keeper import Writer
 
 MAGIC: Final = "imucald-troubles 1"
@@ -101,13 +101,13 @@ class TroubleKeeper:
 def encoded(records: Mapping[str, Any]) -> bytes:
     """The bytes of a file: one line with version and checksum, then JSON."""
     body = json.dumps(records).encode()
-    return f"{MAGIC} {hashlib.sha256(body).hexdigest()}\n".encode() + body
+    return f"{MAGIC} {sha256(body).hexdigest()}\n".encode() + body
 
 
 def decoded(data: bytes) -> Mapping[str, Any] | None:
     """The records in a file's bytes, or None where it is damaged."""
     head, _, body = data.partition(b"\n")
-    expected = f"{MAGIC} {hashlib.sha256(body).hexdigest()}"
+    expected = f"{MAGIC} {sha256(body).hexdigest()}"
     if len(data) > MAX_BYTES or head != expected.encode():
         return None
     try:
