@@ -10,6 +10,7 @@ import importlib.util
 import json
 import py_compile
 import shutil
+import statistics
 import sys
 from pathlib import Path
 from typing import Any
@@ -23,15 +24,14 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 LIMIT_S = 500.0
 USABLE_AGAIN_S = 2.0
-REFERENCES = 6.0
-"""The machine is emulated, several times slower than its host, which is busy with other tests: a
-restart may also take so many times as long as importing numpy takes there (0.1 s on the host)."""
-SURELY_AGAIN_S = 15.0
 RESUME_S = 1.0
 
-STARTER = """#!/bin/sh
-export PYTHONPATH=/opt/source/daemon:/opt/packages PYTHONDONTWRITEBYTECODE=1
-exec /usr/bin/python3 -m imucald "$@"
+STARTER = """#!/usr/bin/python3 -IS
+import sys
+sys.path[:0] = ["/opt/source/daemon", "/opt/packages"]
+sys.dont_write_bytecode = True
+from imucald.cli import main
+sys.exit(main())
 """
 HANGING = """#!/usr/bin/python3
 import pathlib, sys, time
@@ -103,6 +103,11 @@ def scene(outcome: Outcome, name: str) -> dict[str, Any]:
     pytest.fail(f"no result of {name} (status {outcome.status}):\n{text}")
 
 
+def told(times: list[float]) -> str:
+    """For `pytest -rP`, where the figures of docs/service.md come from."""
+    return f"median {statistics.median(times):.2f}, at most {max(times):.2f}, of {len(times)}"
+
+
 def test_it_starts_with_the_interface_as_nobody_in_particular(outcome):
     found = scene(outcome, "begin")
     assert found["active"] == "active"
@@ -123,12 +128,11 @@ def test_it_calibrates_from_the_bus_and_says_so_in_its_status_line(outcome):
 
 def test_after_a_kill_it_is_usable_again_within_two_seconds_from_its_state(outcome):
     found = scene(outcome, "killed")
-    pairs = zip(found["times"], found["references"], strict=True)
-    assert any(took < max(USABLE_AGAIN_S, REFERENCES * reference) for took, reference in pairs)
-    assert max(found["times"]) < SURELY_AGAIN_S
+    print("usable after a kill [s]:", told(found["times"]))
+    assert max(found["times"]) < USABLE_AGAIN_S
     assert found["quality"] == 1
     assert found["restarts"] == len(found["times"])
-    assert found["databases"] == 2, "of the inputs and of the outputs, kept as they were read"
+    assert found["kept"] == 3, "configuration, inputs and outputs, as they were read"
 
 
 def test_a_hung_loop_is_killed_by_the_watchdog_and_restarted(outcome):
@@ -159,7 +163,8 @@ def test_it_stops_within_a_second_with_its_state_saved(outcome):
 def test_it_comes_and_goes_with_its_interface(outcome):
     found = scene(outcome, "interface_lost")
     assert max(found["down"]) < RESUME_S
-    assert max(found["times"]) < SURELY_AGAIN_S
+    print("frames back after a new interface [s]:", told(found["times"]))
+    assert max(found["times"]) < RESUME_S
     assert found["same_process"]
 
 
