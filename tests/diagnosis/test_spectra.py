@@ -26,11 +26,12 @@ def _fit(column, residual, usable=None):
     left = blocks.values[..., 1]
     columns = spectra.Blocks(blocks.values[..., :1], blocks.present, blocks.start)
     loud = np.ones((len(left), len(spectra.bands(left.shape[1])), left.shape[2]))
-    noise = spectra.cross_spectra(left, blocks.present, loud)
-    normal = spectra.normal_equations(columns, left, noise, loud)
+    S = spectra.cross_spectra(left, blocks.present, loud)
+    noise = spectra.Noise(S, loud, 0.01 * loud)
+    normal = spectra.normal_equations(columns, left, noise)
     parameter = Parameter("p.0", "1", 1.0, 1e6, 0.1)
     fit = Evidence([parameter], normal, np.zeros(1)).fit(["p.0"])
-    return float(fit.x[0]), float(np.sqrt(fit.covariance[0, 0])), (columns, left, noise, loud)
+    return float(fit.x[0]), float(np.sqrt(fit.covariance[0, 0])), (columns, left, noise)
 
 
 def test_estimates_scatter_as_their_standard_deviation_says():
@@ -72,16 +73,16 @@ def test_a_signal_that_is_absent_weighs_nothing():
     usable = np.ones((2, ROWS), dtype=bool)
     usable[1] = False
     residual[1] += 7.0 * column[1]
-    value, _, (_, _, _, _) = _fit(column, residual, usable)
+    value, _, (_, _, _) = _fit(column, residual, usable)
     assert value == pytest.approx(0.5, abs=0.02)
 
 
 def test_weighted_residual_gives_the_score_of_the_normal_equations():
     rng = np.random.default_rng(6)
     column = _coloured(rng, (2, ROWS))
-    _, _, (columns, left, noise, loud) = _fit(column, 0.2 * column + _coloured(rng, (2, ROWS)))
-    normal = spectra.normal_equations(columns, left, noise, loud)
-    weighed = spectra.weighted(left, columns.present, noise, loud)
+    _, _, (columns, left, noise) = _fit(column, 0.2 * column + _coloured(rng, (2, ROWS)))
+    normal = spectra.normal_equations(columns, left, noise)
+    weighed = spectra.weighted(left, columns.present, noise)
     score = np.real(np.vdot(weighed, columns.values[..., 0]))
     assert score == pytest.approx(float(normal.score.sum()), rel=1e-3)
     assert np.real(np.vdot(weighed, left)) == pytest.approx(float(normal.square.sum()), rel=1e-3)

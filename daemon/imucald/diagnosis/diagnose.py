@@ -104,7 +104,8 @@ class _Told:
         sets, candidates = look_alikes(search, found)
         told = [self._of_variant(v, by_name) for v in found.active]
         told += [self._of_road(r, by_name) for r in self.roads]
-        told += self._of_faults(by_name)
+        told += [self._of_fault(fault) for fault in self.faults]
+        told = _merged(told)
         scores = {c.name: c.evidence["log_bayes_factor"] for c in told}
         after = self._extended(model, by_name)
         road = road_blocks(search.forwards, self.roads)
@@ -162,33 +163,20 @@ class _Told:
             text=f"{cause.sentence} rms {road.rms:.2%}, the model says {road.declared:.2%}.",
         )
 
-    def _of_faults(self, by_name: Mapping[str, Cause]) -> list[FoundCause]:
-        merged: dict[str, FoundCause] = {}
-        for fault in self.faults:
-            before = merged.get(fault.cause)
-            said = FoundCause(
-                name=fault.cause,
-                parameters=fault.parameters,
-                signals=tuple(s for s in self.search.forwards[0].names
-                              if s == fault.signal or s[:-2] == fault.signal) or (fault.signal,),
-                evidence={
-                    "log_bayes_factor": fault.score,
-                    "probability": float(1.0 / (1.0 + np.exp(-min(fault.score, 50.0)))),
-                },
-                gain={"held_out_log_likelihood": 0.0},
-                text=fault.text,
-            )  # fmt: skip
-            if before is not None:
-                said = replace(
-                    said,
-                    parameters={**before.parameters, **said.parameters},
-                    signals=tuple(dict.fromkeys((*before.signals, *said.signals))),
-                    text=before.text if before.text == said.text else f"{before.text} {said.text}",
-                    evidence=max(before.evidence, said.evidence,
-                                 key=lambda e: e["log_bayes_factor"]),
-                )  # fmt: skip
-            merged[fault.cause] = said
-        return list(merged.values())
+    def _of_fault(self, fault: Fault) -> FoundCause:
+        names = self.search.forwards[0].names
+        touched = tuple(s for s in names if s == fault.signal or s[:-2] == fault.signal)
+        return FoundCause(
+            name=fault.cause,
+            parameters=fault.parameters,
+            signals=touched or (fault.signal,),
+            evidence={
+                "log_bayes_factor": fault.score,
+                "probability": float(1.0 / (1.0 + np.exp(-min(fault.score, 50.0)))),
+            },
+            gain={"held_out_log_likelihood": 0.0},
+            text=fault.text,
+        )
 
     def _extended(self, model: Model, by_name: Mapping[str, Cause]) -> Model:
         after = model
@@ -214,6 +202,25 @@ class _Told:
         top = min(f.track.top_hz for f in self.search.forwards)
         notes.append(f"Compared up to {top:.2g} Hz, which the slowest input carries.")
         return notes
+
+
+def _merged(told: Sequence[FoundCause]) -> list[FoundCause]:
+    """One entry per cause, also where several signals have it."""
+    merged: dict[str, FoundCause] = {}
+    for one in told:
+        said, before = one, merged.get(one.name)
+        if before is not None:
+            said = replace(
+                said,
+                parameters={**before.parameters, **said.parameters},
+                signals=tuple(dict.fromkeys((*before.signals, *said.signals))),
+                text=before.text if before.text == said.text else f"{before.text} {said.text}",
+                evidence=max(before.evidence, said.evidence,
+                             key=lambda e: e["log_bayes_factor"]),
+                gain={k: v + before.gain.get(k, 0.0) for k, v in said.gain.items()},
+            )  # fmt: skip
+        merged[said.name] = said
+    return list(merged.values())
 
 
 def _plain(p: Estimated) -> str:

@@ -107,7 +107,7 @@ def _held_out_residual(search: Search, found: Found) -> Complex:
 
 def _log_likelihood(point: Linearised, residual: Complex) -> Array:
     """Of each stretch, but for constants; (B,)."""
-    said = weighted(residual, point.present, point.noise, point.loud)
+    said = weighted(residual, point.present, point.noise)
     return np.asarray(-0.5 * np.real(np.sum(said.conj() * residual, axis=(1, 2))), dtype=float)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -9,26 +10,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.diagnosis.cause import Parameter
-from imucald.diagnosis.causes import mount_shift
+from imucald.diagnosis.causes import mount_rotation, mount_shift
 from imucald.diagnosis.evidence import Evidence
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.spectra import (
+    BLOCK_S,
     ERROR_OF_LEAN,
     ERROR_STEADY,
+    OVERLAP_WEIGHT,
     Blocks,
     Complex,
+    Noise,
     bands,
     cross_spectra,
     loudness,
+    model_error,
     normal_equations,
     transform,
     weighted,
-    with_model_error,
 )
+from imucald.frames import rotation_from_vector
 
 LEANING = ("gyro_x", "gyro_y")
 """Signals that only the body's lean moves."""
+GYRO_TIMING = ("gyro.delay_s", "_lowpass.gyro")
+"""The gyroscope's timing is told by the rates. Through the lever arm it moves the forces as well,
+but road that shakes both would be taken for it."""
+HEAVE_FROM_HZ, HEAVE = 0.6, 30.0
+"""From here on the vertical force is the road's, and in step with the body's pitch: so much more
+noise."""
 NOISE_ROUNDS = 2
 """The noise is what the fit of all parameters leaves; it weighs that fit, so: twice."""
 
@@ -41,15 +52,11 @@ class Linearised:
     values: dict[str, float]
     """The point: total values."""
     evidence: Evidence
-    noise: Complex
-    """(bands, C, C)"""
+    noise: Noise
     columns: Complex
     """(B, F, C, P) derivatives, the drives' stretches one after another."""
     residual: Complex
     """(B, F, C) measured minus predicted."""
-
-    loud: Array
-    """(B, bands, C)"""
     present: NDArray[np.bool_]
     """(B, C)"""
 
@@ -61,41 +68,56 @@ class Linearised:
     def at(self, residuals: Sequence[Complex]) -> tuple[Array, float]:
         """Score (P,) and square for other residuals (per drive), on the same columns and noise."""
         whole = np.concatenate(residuals)
-        weighed = weighted(whole, self.present, self.noise, self.loud)
+        weighed = weighted(whole, self.present, self.noise)
         score = np.real(weighed.ravel().conj() @ self.flat)
         square = float(np.real(np.vdot(weighed, whole)))
         return np.asarray(score, dtype=float), square
 
-    def quietness(self) -> float:
-        """Log determinant of the noise: smaller where more was explained."""
-        sizes = [band.stop - band.start for band in bands(self.residual.shape[1])]
-        dets = [float(np.linalg.slogdet(S)[1]) for S in self.noise]
-        return float(np.dot(sizes, dets))
+    def volume(self) -> float:
+        """Log of the noise density's norm: what an explanation pays for noise that it leaves.
 
-    def evidence_with(self, other: Linearised, base: Mapping[str, float]) -> Evidence:
-        """Evidence around this point with another point's noise."""
-        whole = Blocks(self.columns, self.present, np.zeros(0))
-        normal = normal_equations(whole, self.residual, other.noise, other.loud)
-        shift = np.array([self.values[p.key] - base[p.key] for p in self.parameters])
-        return Evidence(self.parameters, normal, shift)
+        Complex Gaussian values of covariance S, of each stretch, weighed as the normal equations.
+        """
+        total = 0.0
+        patterns, which = np.unique(self.present, axis=0, return_inverse=True)
+        for kind, pattern in enumerate(patterns):
+            blocks, c = np.flatnonzero(which.ravel() == kind), np.flatnonzero(pattern)
+            for i, band in enumerate(bands(self.residual.shape[1])):
+                size = 0.5 if band.start == 0 else band.stop - band.start
+                total += size * float(np.linalg.slogdet(self.noise.matrices(i, blocks, c))[1].sum())
+        return OVERLAP_WEIGHT * total
+
+    def quietness_of(self, residuals: Sequence[Complex]) -> float:
+        """Log determinant of other residuals' spectra (per drive), means left out."""
+        whole = np.concatenate(residuals)
+        noise = cross_spectra(whole, self.present)
+        sizes = [band.stop - band.start for band in bands(whole.shape[1])]
+        dets = [float(np.linalg.slogdet(S)[1]) for S in noise]
+        return float(np.dot(sizes[1:], dets[1:]))
 
 
 def residual_blocks(forward: Forward, values: Mapping[str, float]) -> Complex:
     """Transformed residual (B, F, C) of a drive at some values."""
-    left = _unshifted(forward, forward.measured - forward.predict(values), values)
+    left = _in_vehicle_axes(forward, forward.measured - forward.predict(values), values)
     return transform(left[None], forward.usable, forward.track.top_hz).values[..., 0]
 
 
-def _unshifted(forward: Forward, x: Array, values: Mapping[str, float]) -> Array:
-    """Signals (..., C, N) with what follows a shift of the mount in the axes of before it.
+def _in_vehicle_axes(forward: Forward, x: Array, values: Mapping[str, float]) -> Array:
+    """Signals (..., C, N) from the axes of the model's mount into those of the fitted one.
 
     Body and road shake the sensor in the vehicle's axes: only there is the noise of all stretches
-    the same.
+    the same, and that of a quiet axis free of its neighbour's.
     """
+    turn = rotation_from_vector([values.get(key, 0.0) for key in mount_rotation.KEYS])
+    back = rotation_from_vector([values.get(key, 0.0) for key in mount_shift.KEYS])
+    after = forward.track.t >= values.get(mount_shift.TIME, math.inf)
     for kind in ("accel", "gyro"):
         rows = [i for i, name in enumerate(forward.names) if name[:-2] == kind]
-        if len(rows) == 3 and any(values.get(key, 0.0) for key in mount_shift.KEYS):
-            x[..., rows, :] = mount_shift.undone(x[..., rows, :], forward.track.t, values)
+        if len(rows) < 3:
+            continue
+        triad = x[..., rows, :]
+        triad[..., after] = back @ triad[..., after]
+        x[..., rows, :] = turn @ triad
     return x
 
 
@@ -120,14 +142,12 @@ def linearise(
     shift = np.array([values[p.key] - base[p.key] for p in parameters])
     if near is None:
         columns = Blocks(whole[..., :-2], present, np.zeros(0))
-        noise, loud = _noise_left(
-            forwards[0].names, parameters, shift, columns, residual, predicted
-        )
+        noise = _noise_left(forwards[0].names, parameters, shift, columns, residual, predicted)
     else:
         columns = Blocks(near.columns.copy(), present, np.zeros(0))
         columns.values[..., taken] = whole[..., :-2]
-        noise, loud = near.noise, near.loud
-    normal = normal_equations(columns, residual, noise, loud)
+        noise = near.noise
+    normal = normal_equations(columns, residual, noise)
     return Linearised(
         tuple(parameters),
         dict(values),
@@ -135,7 +155,6 @@ def linearise(
         noise,
         columns.values,
         residual,
-        loud,
         present,
     )
 
@@ -148,11 +167,14 @@ def _differentiated(
     stack = np.empty((len(parameters) + 2, *predicted.shape), dtype=np.float32)
     stack[-1] = predicted - predicted.mean(axis=1, keepdims=True)
     stack[-2] = forward.measured - predicted
+    forces = [i for i, name in enumerate(forward.names) if name.startswith("accel_")]
     for i, p in enumerate(parameters):
         moved = dict(values)
         moved[p.key] += p.step
         stack[i] = (forward.predict(moved) - predicted) / p.step
-    stack = _unshifted(forward, stack, values)
+        if p.key in GYRO_TIMING:
+            stack[i, forces] = 0.0
+    stack = _in_vehicle_axes(forward, stack, values)
     return transform(stack, forward.usable, forward.track.top_hz)
 
 
@@ -163,19 +185,24 @@ def _noise_left(
     columns: Blocks,
     residual: Complex,
     predicted: Complex,
-) -> tuple[Complex, Array]:
-    """Noise and loudness of what the fit of all parameters leaves."""
+) -> Noise:
+    """Noise of what the fit of all parameters leaves, and the forward model's error."""
     present = columns.present
     keys = [p.key for p in parameters]
     steady = np.array([ERROR_OF_LEAN if n in LEANING else ERROR_STEADY for n in names])
+    error = model_error(predicted, steady)
+    if "accel_z" in names:
+        low = np.array([band.start for band in bands(residual.shape[1])]) / BLOCK_S
+        heave, z = low >= HEAVE_FROM_HZ, names.index("accel_z")
     loud = np.ones((len(present), len(bands(residual.shape[1])), present.shape[1]))
     left = residual
     for _ in range(NOISE_ROUNDS):
-        noise = cross_spectra(left, present, loud, taken=10.0)
-        wide = with_model_error(loud, predicted, noise, steady)
-        normal = normal_equations(columns, residual, noise, wide)
+        S = cross_spectra(left, present, loud, taken=10.0)
+        if "accel_z" in names:
+            own = np.sqrt(np.real(S[heave, z, z]))
+            error[:, heave, z] = HEAVE * own * loud[:, heave, z]
+        normal = normal_equations(columns, residual, Noise(S, loud, error))
         x = Evidence(parameters, normal, shift).fit(keys).x
         left = residual - columns.values @ x.astype(np.float32)
-        loud = loudness(left, present, noise)
-    noise = cross_spectra(left, present, loud, taken=10.0)
-    return noise, with_model_error(loud, predicted, noise, steady)
+        loud = loudness(left, present, S)
+    return Noise(cross_spectra(left, present, loud, taken=10.0), loud, error)

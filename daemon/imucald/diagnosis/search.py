@@ -20,7 +20,7 @@ from imucald.diagnosis.evidence import Fit, solve
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.linear import Linearised, linearise, residual_blocks
-from imucald.diagnosis.spectra import HOP
+from imucald.diagnosis.spectra import HOP, OVERLAP_WEIGHT
 
 PRIOR = math.log(0.01)
 """Log prior odds that a given cause is at work."""
@@ -39,10 +39,12 @@ on the way, where the response is bent."""
 SETTLED = 0.5
 """Steps end where no parameter moves by more than this many of its tolerances."""
 STARTS: Mapping[str, tuple[float, ...]] = {
-    "signal_delay": (-0.35, -0.15, 0.15, 0.35),
-    "sensor_lowpass": (0.3, 0.8, 1.8),
+    "signal_delay": (-0.45, -0.35, -0.25, -0.15, -0.07, 0.07, 0.15, 0.25, 0.35, 0.45),
+    "sensor_lowpass": (0.1, 0.2, 0.35, 0.55, 0.8, 1.1, 1.5, 2.1),
 }
 """Departures at which causes that are far from linear are tried as well."""
+NARROWED = 2
+"""Times that the best departure's neighbourhood is halved."""
 FAR_FROM = -5.0
 """Log posterior odds near the point from which on starting values far from it are tried."""
 FAMILIES = (
@@ -111,13 +113,15 @@ class Search:
         found = self._at([], dict(self.base))
         while len(found.active) < MOST_CAUSES:
             trials = self.trials(found)
-            if not trials or trials[0].score < ACCEPT:
+            rivals = [trial for trial in trials[:1] if trial.score >= ACCEPT]
+            rivals = self._rivals(rivals + self._far(found, trials) + trials[1:])
+            if not rivals:
                 break
-            best = trials[0]
-            self.tick(best.variant.cause)
-            rivals = [self._with(found, trial) for trial in self._rivals(trials)]
-            found = self._contest(rivals) if len(rivals) > 1 else rivals[0]
-            found = self._pruned(found)
+            self.tick(rivals[0].variant.cause)
+            best = self._contest(found, [self._with(found, trial) for trial in rivals])
+            if best is None:
+                break
+            found = self._pruned(best)
         return found
 
     def _with(self, found: Found, trial: Trial) -> Found:
@@ -129,42 +133,47 @@ class Search:
         return refit
 
     def _rivals(self, trials: Sequence[Trial]) -> list[Trial]:
-        """The best trial, and those that only a fit of their own can tell from it.
+        """Distinct forms and places that only a fit of their own can tell apart.
 
         Delay and low-pass are the same to first order; so are turns of the mount at some time.
         """
-        best = trials[0]
-        family = next((f for f in FAMILIES if best.variant.cause in f), frozenset())
-        chosen = [best]
-        for trial in trials[1:]:
+        chosen: list[Trial] = []
+        for trial in trials:
             known = [_place(t) for t in chosen]
-            if (
-                trial.variant.cause in family
-                and trial.score > max(RIVAL_SHARE * best.score, ACCEPT)
-                and (trial.start or best.variant.cause != trial.variant.cause)
-                and _place(trial) not in known
-                and len(chosen) < MOST_RIVALS
-            ):
+            family = any(
+                trial.variant.cause in f and chosen and chosen[0].variant.cause in f
+                for f in FAMILIES
+            )
+            is_rival = not chosen or bool(trial.start) or family
+            is_weak = bool(chosen) and trial.score < RIVAL_SHARE * chosen[0].score
+            if is_rival and not is_weak and trial.score >= ACCEPT and _place(trial) not in known:
                 chosen.append(trial)
-        return chosen
+        return chosen[:MOST_RIVALS]
 
-    def _contest(self, rivals: Sequence[Found]) -> Found:
-        """Compare fits at their own best points, all with the noise of the quietest of them."""
-        quiet = min(rivals, key=lambda found: found.point.quietness())
-        said = [
-            found.point.evidence_with(quiet.point, self.base).fit(found.keys).log_evidence
-            for found in rivals
-        ]
+    def _contest(self, before: Found, rivals: Sequence[Found]) -> Found | None:
+        """Compare fits at their own best points, each with the noise that it leaves.
+
+        None where the best is not worth its place, although it seemed so from afar.
+        """
+        said = [density(found) + self._prior_at(found) for found in rivals]
         best = rivals[int(np.argmax(said))]
-        newest = best.active[-1].cause
+        newest = best.active[-1]
+        if newest.cause in STARTS and max(said) - density(before) < ACCEPT:
+            return None
         near = {
             found.active[-1].cause
             for found, score in zip(rivals, said, strict=True)
             if score > max(said) - BENT_ALIKE
         }
         if len(near) > 1:
-            best.alike = [*best.alike, (newest, *sorted(near - {newest}))]
+            best.alike = [*best.alike, (newest.cause, *sorted(near - {newest.cause}))]
         return best
+
+    def _prior_at(self, found: Found) -> float:
+        """Log prior odds of the newest cause; a shift may be at any of many times."""
+        newest = found.active[-1]
+        places = len(found.point.present) - 2 * SHIFT_MARGIN
+        return self.prior(newest) - (math.log(places) if newest.cause == "mount_shift" else 0.0)
 
     # one step --------------------------------------------------------------------------------
 
@@ -176,10 +185,6 @@ class Search:
             for variant in self.variants
             if variant.cause != "mount_shift" and not taken & set(variant.keys)
         ]
-        for trial in list(tried):
-            # What is far from the point in a parameter shows near it as well.
-            if trial.variant.cause in STARTS and trial.score > FAR_FROM:
-                tried += self._far(found, trial.variant)
         if "mount_shift" in self.forms and not taken & set(mount_shift.KEYS):
             tried += self._shifts(found)
         return sorted(tried, key=lambda trial: -trial.score)
@@ -231,24 +236,52 @@ class Search:
             )
         return made
 
-    def _far(self, found: Found, variant: Variant) -> list[Trial]:
-        """Try a cause at values far from the point, with the columns of the point."""
-        evidence, temper = found.point.evidence, self.temper(found, variant.keys)
-        without = evidence.fit(found.keys, temper=temper)
-        precision = evidence.precision([*found.keys, *variant.keys])
+    def _far(self, found: Found, trials: Sequence[Trial]) -> list[Trial]:
+        """Try bent causes where they leave the quietest residual; those that help, best first.
+
+        What is far from the point in a parameter shows near it as well, in it or in its like.
+        """
+        taken = {key for variant in found.active for key in variant.keys}
+        near: dict[Variant, float] = {}
+        for trial in trials:
+            if trial.variant.cause in STARTS and not taken & set(trial.variant.keys):
+                near[trial.variant] = max(trial.score, near.get(trial.variant, -math.inf))
+        moved = {_signal_of(k) for v, score in near.items() if score > FAR_FROM for k in v.keys}
+        here = found.point.quietness_of([found.point.residual])
+        weight = OVERLAP_WEIGHT * len(found.point.present)
         tried = []
-        for departure in STARTS[variant.cause]:
+        for variant in near:
+            if moved & {_signal_of(key) for key in variant.keys}:
+                values, quiet = self._quietest(found, variant)
+                score = weight * (here - quiet) + self.prior(variant)
+                tried.append(Trial(variant, score, {key: values[key] for key in variant.keys}))
+        good = [trial for trial in tried if trial.score > ACCEPT]
+        return sorted(good, key=lambda trial: -trial.score)
+
+    def _quietest(self, found: Found, variant: Variant) -> tuple[dict[str, float], float]:
+        """Move a bent cause to where the residual's spectra are least, by a search on a grid."""
+
+        def at(departure: float) -> dict[str, float]:
             values = dict(found.point.values)
             for key in variant.keys:
-                values[key] += departure
-            g, square = found.point.at([residual_blocks(f, values) for f in self.forwards])
-            A = evidence.A
-            shift = np.array([values[p.key] - self.base[p.key] for p in self.parameters])
-            fit = solve(A / temper, g / temper, square / temper, precision, shift)
-            score = fit.log_evidence - without.log_evidence + self.prior(variant)
-            start = {key: values[key] for key in variant.keys}
-            tried.append(Trial(variant, score, start))
-        return tried
+                p = self.parameters[self._index[key]]
+                values[key] = _within(p, values[key] + departure)
+            return values
+
+        def loud(departure: float) -> float:
+            whole = [residual_blocks(f, at(departure)) for f in self.forwards]
+            return found.point.quietness_of(whole)
+
+        grid = STARTS[variant.cause]
+        said = {x: loud(x) for x in grid}
+        best = min(said, key=lambda x: said[x])
+        i = grid.index(best)
+        step = 0.5 * (grid[min(i + 1, len(grid) - 1)] - grid[max(i - 1, 0)])
+        for _ in range(NARROWED):
+            step *= 0.5
+            said |= {x: loud(x) for x in (best - step, best + step)}
+            best = min(said, key=lambda x: said[x])
+        return at(best), said[best]
 
     def _shifts(self, found: Found) -> list[Trial]:
         """Try a shift of the mount at every stretch's middle: columns of the mount, cut."""
@@ -351,9 +384,10 @@ class Search:
     def _timed(self, point: Linearised, values: dict[str, float]) -> dict[str, float]:
         """Move the time of the shift to where the residual is least."""
         best, least = values, math.inf
+        first, last = self._time(SHIFT_MARGIN), self._time(len(point.present) - SHIFT_MARGIN - 1)
         for step in (-24.0, -12.0, -6.0, -3.0, 0.0, 3.0, 6.0, 12.0, 24.0):
             moved = dict(values)
-            moved[mount_shift.TIME] = values[mount_shift.TIME] + step
+            moved[mount_shift.TIME] = min(max(values[mount_shift.TIME] + step, first), last)
             _, square = point.at([residual_blocks(f, moved) for f in self.forwards])
             if square < least:
                 best, least = moved, square
@@ -377,6 +411,11 @@ class Search:
         rest = [key for v in found.active if v is not variant for key in v.keys]
         full = evidence.fit(found.keys, temper=temper).log_evidence
         return full - evidence.fit(rest, temper=temper).log_evidence + self.prior(variant)
+
+
+def density(found: Found) -> float:
+    """Log evidence of a fit, with the noise that it leaves paid for."""
+    return found.point.evidence.fit(found.keys).log_evidence - found.point.volume()
 
 
 def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:

@@ -52,6 +52,33 @@ class Blocks:
     """(B,) time of each stretch's middle [s] after the drive's first row."""
 
 
+@dataclass(frozen=True)
+class Noise:
+    """What residuals are weighed by: covariance loud S loud + error^2 of each stretch and band.
+
+    The noise of different signals goes together (one road shakes all); the forward model's errors
+    in different signals are taken as independent of each other.
+    """
+
+    S: Complex
+    """(bands, C, C) cross-spectra at usual loudness."""
+    loud: Array
+    """(B, bands, C)"""
+    error: Array
+    """(B, bands, C) forward model's error."""
+
+    def matrices(self, band: int, blocks: NDArray[np.int64], c: NDArray[np.int64]) -> Complex:
+        """Covariance (b, c, c) of some stretches and signals in a band."""
+        scale = self.loud[blocks, band][:, c]
+        made = self.S[band][np.ix_(c, c)] * (scale[:, :, None] * scale[:, None, :])
+        made[:, range(len(c)), range(len(c))] += self.error[blocks, band][:, c] ** 2
+        return np.asarray(made)
+
+    def louder(self, factor: Array) -> Noise:
+        """All of it times a factor (1 or B, bands, C)."""
+        return Noise(self.S, self.loud * factor, self.error * factor)
+
+
 def windows(n: int) -> NDArray[np.int64]:
     """First rows of the stretches of a drive of n rows."""
     return np.arange(0, max(n - BLOCK, 0) + 1, HOP)
@@ -135,19 +162,19 @@ def loudness(residual: Complex, present: NDArray[np.bool_], noise: Complex) -> A
     return result
 
 
-def with_model_error(loud: Array, predicted: Complex, noise: Complex, steady: Array) -> Array:
-    """Widen the noise by what the forward model itself cannot promise: (B, bands, C).
+def model_error(predicted: Complex, steady: Array) -> Array:
+    """What the forward model itself cannot promise: (B, bands, C).
 
     Its error is a share of the predicted signal that grows with frequency: dynamics of tyres and
     springs are known less well than steady states. steady: (C,) that share in steady state.
     """
-    result = loud.copy()
-    for i, band in enumerate(bands(predicted.shape[1])):
+    edges = bands(predicted.shape[1])
+    result = np.empty((len(predicted), len(edges), predicted.shape[2]))
+    for i, band in enumerate(edges):
         f = 0.5 * (band.start + band.stop - 1) / BLOCK_S
         share = np.hypot(steady, ERROR_PER_HZ * f)
         power = np.mean(np.abs(predicted[:, band, :]) ** 2, axis=1)
-        own = np.real(np.diag(noise[i]))
-        result[:, i, :] = np.sqrt(loud[:, i, :] ** 2 + share**2 * power / own)
+        result[:, i, :] = share * np.sqrt(power)
     return result
 
 
@@ -182,11 +209,8 @@ class Normal:
         return self.information.sum(axis=0), self.score.sum(axis=0), float(self.square.sum())
 
 
-def normal_equations(columns: Blocks, residual: Complex, noise: Complex, loud: Array) -> Normal:
-    """Weighted normal equations of residual (B, F, C) on columns; signals absent weigh nothing.
-
-    loud: (B, bands, C), see `loudness`.
-    """
+def normal_equations(columns: Blocks, residual: Complex, noise: Noise) -> Normal:
+    """Weighted normal equations of residual (B, F, C) on columns; signals absent weigh nothing."""
     B, F, _, P = columns.values.shape
     information, score = np.zeros((B, P, P)), np.zeros((B, P))
     square = np.zeros(B)
@@ -196,11 +220,11 @@ def normal_equations(columns: Blocks, residual: Complex, noise: Complex, loud: A
         c = np.flatnonzero(pattern)
         if not len(c):
             continue
-        for i, (band, S) in enumerate(zip(bands(F), noise, strict=True)):
+        for i, band in enumerate(bands(F)):
             # A complex value has two parts of half the power each; the mean (first band) is real.
             weight = OVERLAP_WEIGHT * (1.0 if band.start == 0 else 2.0)
-            white = np.sqrt(weight) * np.linalg.inv(np.linalg.cholesky(S[np.ix_(c, c)]))
-            root = (white / loud[blocks, i][:, None, c]).astype(np.complex64)[:, None]
+            white = np.linalg.inv(np.linalg.cholesky(noise.matrices(i, blocks, c)))
+            root = (np.sqrt(weight) * white).astype(np.complex64)[:, None]
             X = _stacked(root @ columns.values[blocks, band][:, :, c, :])
             e = _stacked(root @ residual[blocks, band][:, :, c, None])
             information[blocks] += X.transpose(0, 2, 1) @ X
@@ -209,7 +233,7 @@ def normal_equations(columns: Blocks, residual: Complex, noise: Complex, loud: A
     return Normal(information, score, square)
 
 
-def weighted(residual: Complex, present: NDArray[np.bool_], noise: Complex, loud: Array) -> Complex:
+def weighted(residual: Complex, present: NDArray[np.bool_], noise: Noise) -> Complex:
     """Residual (B, F, C) times the inverse noise, as the normal equations weigh it."""
     result = np.zeros_like(residual)
     patterns, which = np.unique(present, axis=0, return_inverse=True)
@@ -218,12 +242,10 @@ def weighted(residual: Complex, present: NDArray[np.bool_], noise: Complex, loud
         c = np.flatnonzero(pattern)
         if not len(c):
             continue
-        for i, (band, S) in enumerate(zip(bands(residual.shape[1]), noise, strict=True)):
+        for i, band in enumerate(bands(residual.shape[1])):
             weight = OVERLAP_WEIGHT * (1.0 if band.start == 0 else 2.0)
-            inverse = (weight * np.linalg.inv(S[np.ix_(c, c)])).astype(np.complex64)
-            scale = loud[blocks, i][:, None, c]
-            part = residual[blocks, band][:, :, c] / scale
-            part = np.einsum("ij,bfj->bfi", inverse, part) / scale
+            inverse = weight * np.linalg.inv(noise.matrices(i, blocks, c))
+            part = np.einsum("bij,bfj->bfi", inverse, residual[blocks, band][:, :, c])
             result[np.ix_(blocks, np.arange(band.start, band.stop), c)] = part
     return result
 

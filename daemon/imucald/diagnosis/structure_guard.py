@@ -40,9 +40,9 @@ def standing(search: Search, found: Found, structure: Sequence[Structure]) -> li
     if not structure or not active:
         return active
     point = found.point
-    loud = point.loud * _mute(search.forwards[0].names, structure, point.residual.shape[1])
+    noise = point.noise.louder(_mute(search.forwards[0].names, structure, point.residual.shape[1]))
     blocks = Blocks(point.columns, point.present, np.zeros(0))
-    normal = normal_equations(blocks, point.residual, point.noise, loud)
+    normal = normal_equations(blocks, point.residual, noise)
     shift = np.array([point.values[p.key] - search.base[p.key] for p in search.parameters])
     evidence = Evidence(search.parameters, normal, shift)
     while active:

@@ -145,13 +145,11 @@ def _inverse_noise(point: Linearised, F: int) -> Complex:
         c = np.flatnonzero(pattern)
         if not len(c):
             continue
-        for i, (band, S) in enumerate(zip(edges, point.noise, strict=True)):
+        for i, band in enumerate(edges):
             if band.start >= F:
                 break
             weight = OVERLAP_WEIGHT * (1.0 if band.start == 0 else 2.0)
-            inverse = weight * np.linalg.inv(S[np.ix_(c, c)])
-            scale = 1.0 / point.loud[blocks, i][:, c]
-            W = inverse * scale[:, :, None] * scale[:, None, :]
+            W = weight * np.linalg.inv(point.noise.matrices(i, blocks, c))
             for f in range(band.start, min(band.stop, F)):
                 result[np.ix_(blocks, np.array([f]), c, c)] = W[:, None]
     return result

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from imucald.diagnosis.cause import Cause, Parameter, Values
-from imucald.diagnosis.grid import Array
 from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import State
 from imucald.frames import rotation_from_vector
@@ -20,17 +19,6 @@ ANGLES = ("roll", "pitch", "yaw")
 TIME_STD_S = 12.0
 """Stretches are half a minute apart; their residuals narrow it down to this."""
 DEG = 0.017453292519943295
-
-
-def undone(triad: Array, t: Array, values: Values) -> Array:
-    """Turn a triad (..., 3, N) back, from the shift's time on, into the axes of before it."""
-    vector = [values.get(key, 0.0) for key in KEYS]
-    if not any(vector):
-        return triad
-    after = t >= values[TIME]
-    turned = triad.copy()
-    turned[..., after] = rotation_from_vector(np.array(vector)) @ triad[..., after]
-    return turned
 
 
 class MountShift(Cause):

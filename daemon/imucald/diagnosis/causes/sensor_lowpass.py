@@ -22,7 +22,7 @@ class SensorLowpass(Cause):
 
     name = "sensor_lowpass"
     parameters = tuple(
-        Parameter(f"_lowpass.{name}", "s", 0.03, 0.8, 0.002, 0.0, 4.0) for name in NAMES
+        Parameter(f"_lowpass.{name}", "s", 0.012, 0.8, 0.002, 0.0, 4.0) for name in NAMES
     )
     signals = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "yaw_rate")
     seen_by = "brake and steer abruptly several times"
@@ -33,20 +33,22 @@ class SensorLowpass(Cause):
         return [Variant(self.name, name, (f"_lowpass.{name}",)) for name in NAMES]
 
     def inputs(self, s: State, p: Values) -> None:
-        """Give the yaw rate back what its low-pass took: from the gyroscope, or by an inverse.
+        """Give the inputs back what their low-pass took, by a bounded inverse.
 
-        With y = H r measured, r = y + (1 - H) r; the gyroscope stands for r in the second term.
+        The yaw rate gets it from the gyroscope where there is one: with y = H r measured,
+        r = y + (1 - H) r, and the gyroscope stands for r in the second term.
         """
-        if s.yaw_in is not None:
-            response = s.spectrum.butterworth(self._cutoff(s.model, "yaw_rate", p))
-            if s.gyro_in is not None:
-                turning = mount_of(s.model)[2] @ s.gyro_in
-                s.yaw_in = s.yaw_in + s.spectrum.apply(turning, 1.0 - response)
-            else:
-                s.yaw_in = s.spectrum.apply(s.yaw_in, _inverse(response))
-        elif s.gyro_in is not None:
+        if s.gyro_in is not None:
             response = s.spectrum.butterworth(self._cutoff(s.model, "gyro", p))
             s.gyro_in = s.spectrum.apply(s.gyro_in, _inverse(response))
+        if s.yaw_in is None:
+            return
+        response = s.spectrum.butterworth(self._cutoff(s.model, "yaw_rate", p))
+        if s.gyro_in is not None:
+            turning = mount_of(s.model)[2] @ s.gyro_in
+            s.yaw_in = s.yaw_in + s.spectrum.apply(turning, 1.0 - response)
+        else:
+            s.yaw_in = s.spectrum.apply(s.yaw_in, _inverse(response))
 
     def response(self, s: State, p: Values) -> None:
         """Low-pass what is predicted."""
