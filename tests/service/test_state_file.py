@@ -35,7 +35,7 @@ def load(folder: Path, key: StateKey = KEY):
     return StateStore(folder, key).load()
 
 
-def with_body(body: bytes, version: str = "1") -> bytes:
+def with_body(body: bytes, version: str = "2") -> bytes:
     head = f"imucald-state {version} {len(body)} {hashlib.sha256(body).hexdigest()}\n"
     return head.encode() + body
 
@@ -117,8 +117,8 @@ def save_for_ever(folder: Path, writing: int) -> None:
         (lambda data: data[: len(data) // 2], "corrupt"),
         (lambda _: b"", "corrupt"),
         (lambda data: data[:-40] + bytes([data[-40] ^ 1]) + data[-39:], "corrupt"),
-        (lambda data: data.replace(b"imucald-state 1", b"imucald-state 0", 1), "other-version"),
-        (lambda data: data.replace(b"imucald-state 1", b"imucald-state 2", 1), "other-version"),
+        (lambda data: data.replace(b"imucald-state 2", b"imucald-state 0", 1), "other-version"),
+        (lambda data: data.replace(b"imucald-state 2", b"imucald-state 3", 1), "other-version"),
         (lambda _: os.urandom(500), "corrupt"),
         (lambda data: bytes(len(data)), "corrupt"),  # what some file systems leave
         (lambda data: data + b" " * MAX_BYTES, "corrupt"),

@@ -35,7 +35,13 @@ EVIDENCE = {
     "stops": "stops",
 }
 
-SOURCES = {"turn": "turns", "dvdt": "acceleration", "axis": "axis of turning", "gravity": "gravity"}
+SOURCES = {
+    "turn": "turns",
+    "dvdt": "acceleration",
+    "axis": "axis of turning",
+    "gravity": "gravity",
+    "before": "earlier drives",
+}
 """What the last part of an evidence's name means."""
 SHARE_SHOWN = 0.05
 
@@ -119,10 +125,14 @@ def _weights(details: Mapping[str, Any]) -> str:
     """Which evidence decides each angle."""
     parts = []
     for angle, shares in details.get("evidence_share", {}).items():
-        largest = sorted(shares.items(), key=lambda item: -item[1])
+        sums: dict[str, float] = {}
+        for name, share in shares.items():
+            source = name.rpartition("_")[2]
+            source = SOURCES.get(source, name)
+            sums[source] = sums.get(source, 0.0) + share
         named = [
-            f"{SOURCES.get(name.rpartition('_')[2], name)} {100 * share:.0f} %"
-            for name, share in largest
+            f"{source} {100 * share:.0f} %"
+            for source, share in sorted(sums.items(), key=lambda item: -item[1])
             if share >= SHARE_SHOWN
         ]
         parts.append(f"{angle}: {', '.join(named)}")

@@ -6,7 +6,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from imucald.frames import Matrix3, angles_from_rotation, quaternion_from_rotation
 from imucald.motion.ticks import TickRow
 
+if TYPE_CHECKING:
+    from imucald.mount.kept_evidence import KeptEvidence
+
 ANGLES = ("roll", "pitch", "yaw")
+BETWEEN_DRIVES_STD = (math.radians(0.3), math.radians(0.3), math.radians(0.15))
+"""Roll, pitch, yaw [rad] by which a vehicle's body turns from drive to drive: load and springs do
+not touch yaw much, tyres and axles do a little."""
 
 
 class MountState(enum.IntEnum):
@@ -120,4 +126,26 @@ class MountEstimator(Protocol):
 
     def estimate(self) -> MountEstimate:
         """Return the present state of knowledge."""
+        ...
+
+
+@runtime_checkable
+class KeepsEvidence(Protocol):
+    """What a `MountEstimator` has beside its verbs if its evidence outlives the process."""
+
+    @property
+    def contradiction(self) -> float | None:
+        """Chi-square (3) of earlier drives' evidence against this one's; None without any."""
+        ...
+
+    def kept_evidence(self) -> KeptEvidence | None:
+        """What all evidence comes to, for the next start; None where there is too little."""
+        ...
+
+    def join_evidence(self, kept: KeptEvidence) -> None:
+        """Go on with what earlier drives found as well."""
+        ...
+
+    def leave_evidence(self) -> None:
+        """Go on with this drive's evidence alone."""
         ...

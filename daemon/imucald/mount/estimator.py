@@ -14,6 +14,7 @@ from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.evidence_signals import HOP_S, Prepared, SignalPreparer
+from imucald.mount.kept_evidence import KeptEvidence
 from imucald.mount.rebuild import KEPT_HOPS, Rebuild
 from imucald.mount.shift import Shift
 from imucald.mount.slewing import SlewedRotation
@@ -155,6 +156,7 @@ class FullEstimator:
         after = found.hops if isinstance(found, Step) else found.pieces * GROUP
         self._shifts.append((self._hops, found))
         self._moved = True
+        self._solution.earlier = None  # it is about the mount before
         self._driven = Manoeuvres()
         self._begin_rebuild(list(self._kept)[-min(after, len(self._kept)) :])
 
@@ -203,6 +205,34 @@ class FullEstimator:
         covariance = np.diag(variance)
         covariance[0, 0] += s.crown_std**2
         return R, covariance
+
+    # what outlives the process; see `mount.restored`
+
+    @property
+    def contradiction(self) -> float | None:
+        """Chi-square (3) of earlier drives' evidence against this one's; None without any."""
+        earlier = self._solution.earlier
+        return None if earlier is None else earlier.contradiction
+
+    def kept_evidence(self) -> KeptEvidence | None:
+        """What all evidence comes to, for the next start; None where there is too little."""
+        return None if self._rebuild is not None and self._moved else self._solution.kept()
+
+    def join_evidence(self, kept: KeptEvidence) -> None:
+        """Go on with what earlier drives found as well."""
+        for solution in self._solutions():
+            solution.join(kept)
+        self._solution.fit()
+
+    def leave_evidence(self) -> None:
+        """Go on with this drive's evidence alone."""
+        for solution in self._solutions():
+            solution.earlier = None
+        self._solution.fit()
+
+    def _solutions(self) -> list[Solution]:
+        rebuild = self._rebuild
+        return [self._solution] if rebuild is None else [self._solution, rebuild.fresh]
 
     def estimate(self) -> MountEstimate:
         """Return the present state of knowledge."""

@@ -4,6 +4,11 @@ It wraps any estimator. The stored rotation is usable at once, as *restored*. Th
 begins anew, so that what it says is new evidence: where that agrees, the stored one is confirmed
 and goes on until the new one is as certain. Where it contradicts, the stored one is *suspect*
 until the new one can be used, and then gives way to it, slowly.
+
+The evidence that was stored with it joins the new only when the new agrees by itself; then it is
+as certain as before at once. Both are held against one another for as long as this goes on: a
+sensor moved by so little that the first agreement could not show it is found out when the new
+evidence is certain enough, and the stored evidence is left again.
 """
 
 from __future__ import annotations
@@ -11,19 +16,28 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.frames import Matrix3, vector_from_rotation
 from imucald.motion.ticks import TickRow
-from imucald.mount.estimate import Correction, MountEstimate, MountEstimator, MountState
+from imucald.mount.estimate import (
+    BETWEEN_DRIVES_STD,
+    Correction,
+    KeepsEvidence,
+    MountEstimate,
+    MountEstimator,
+    MountState,
+)
 from imucald.mount.slewing import SlewedRotation
+
+if TYPE_CHECKING:
+    from imucald.mount.kept_evidence import KeptEvidence
 
 COMPARE_TICKS = 10
 """The two are compared so often: once a second."""
-BETWEEN_DRIVES_STD = math.radians(0.3)
-"""Load and springs turn a vehicle's body by that much from drive to drive [rad]."""
 AGREEMENT = 11.3
 """Chi-square with 3 degrees of freedom, 99 %: less is agreement."""
 CONTRADICTION = 16.3
@@ -45,12 +59,14 @@ class StoredMount:
 
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`.
     state: the state it had, USABLE or FINE. doubted: it was suspect when it was stored.
+    evidence: what it rests on, where the estimator keeps that.
     """
 
     R_vehicle_from_sensor: Matrix3
     covariance: NDArray[np.float64]
     state: MountState = MountState.USABLE
     doubted: bool = False
+    evidence: KeptEvidence | None = None
 
 
 class Phase(enum.StrEnum):
@@ -72,7 +88,9 @@ class RestoredEstimator:
         self.phase = Phase.DOUBTED if stored.doubted else Phase.RESTORED
         self.distance = math.nan
         """Of the last comparison, as a chi-square with 3 degrees of freedom."""
-        self._prior = stored.covariance + BETWEEN_DRIVES_STD**2 * np.eye(3)
+        self.joined = False
+        """Whether the stored evidence goes along with the new."""
+        self._prior = stored.covariance + np.diag(np.square(BETWEEN_DRIVES_STD))
         self._served = SlewedRotation(HAND_OVER_RATE)
         self._served.aim(stored.R_vehicle_from_sensor)
         self._contradictions = 0
@@ -87,7 +105,7 @@ class RestoredEstimator:
     def state(self) -> MountState:
         """RESTORED until there is new evidence, then what that says."""
         if self.phase is Phase.NEW:
-            return self.inner.state
+            return MountState.SUSPECT if self._doubtful() else self.inner.state
         if self.phase is Phase.RESTORED:
             return MountState.RESTORED
         if self.phase is Phase.DOUBTED:
@@ -100,13 +118,11 @@ class RestoredEstimator:
     def step(self, tick: TickRow) -> None:
         """Take one tick."""
         self.inner.step(tick)
-        if self.phase is Phase.NEW:
-            return
         if self.phase is Phase.HANDING_OVER:
             self._follow()
             return
         self._ticks += 1
-        if self._ticks % COMPARE_TICKS == 0:
+        if self._ticks % COMPARE_TICKS == 0 and (self.joined or self.phase is not Phase.NEW):
             self._compare()
 
     def gap(self) -> None:
@@ -117,9 +133,7 @@ class RestoredEstimator:
         """Return the present state of knowledge."""
         new = self.inner.estimate()
         details = {**new.details, "restored": self._details()}
-        if self.phase is Phase.NEW:
-            return replace(new, details=details)
-        if self.phase is Phase.HANDING_OVER:
+        if self.phase in (Phase.NEW, Phase.HANDING_OVER):
             return replace(new, state=self.state, details=details)
         return replace(
             new,
@@ -129,32 +143,80 @@ class RestoredEstimator:
             details=details,
         )
 
+    def kept_evidence(self) -> KeptEvidence | None:
+        """What the estimate that is served rests on."""
+        if self.joined or self.phase in (Phase.HANDING_OVER, Phase.NEW):
+            return self.inner.kept_evidence() if isinstance(self.inner, KeepsEvidence) else None
+        return self.stored.evidence
+
     def _details(self) -> dict[str, object]:
-        return {"phase": str(self.phase), "chi_square": self.distance}
+        return {
+            "phase": str(self.phase),
+            "chi_square": self.distance,
+            "evidence_joined": self.joined,
+        }
+
+    def _doubtful(self) -> bool:
+        return self.joined and self._contradictions >= DOUBTS
 
     def _compare(self) -> None:
-        """Hold the new estimate against the stored one."""
+        """Hold the new evidence against the stored."""
+        distance = self._joined_distance() if self.joined else self._distance()
+        if distance is None:
+            return
+        self.distance = distance
+        if distance > CONTRADICTION:
+            self._contradictions += 1
+        elif distance < AGREEMENT:
+            self._contradictions = 0
+        if self.joined and self._contradictions >= CONTRADICTIONS:
+            self._leave()
+        if self.phase is not Phase.NEW:
+            self._judge()
+
+    def _distance(self) -> float | None:
+        """Chi-square of the new estimate against the stored one."""
         new = self.inner.estimate()
         if new.R_vehicle_from_sensor is None or new.covariance is None:
-            return
-        R_stored = self.stored.R_vehicle_from_sensor
-        e = vector_from_rotation(new.R_vehicle_from_sensor @ R_stored.T)
-        self.distance = float(e @ np.linalg.solve(new.covariance + self._prior, e))
+            return None
+        e = vector_from_rotation(new.R_vehicle_from_sensor @ self.stored.R_vehicle_from_sensor.T)
+        return float(e @ np.linalg.solve(new.covariance + self._prior, e))
+
+    def _joined_distance(self) -> float | None:
+        """The same of the evidence on both sides, which the estimator keeps apart."""
+        found = self.inner.contradiction if isinstance(self.inner, KeepsEvidence) else None
+        if found is None:  # it has left the stored evidence by itself: the sensor was moved
+            self.joined = False
+        return found
+
+    def _judge(self) -> None:
+        """Who serves from now on."""
         usable = self.inner.state in _GOOD
-        if self.distance > CONTRADICTION:
-            self._contradictions += 1
-        elif self.distance < AGREEMENT:
-            self._contradictions = 0
-            if usable:
-                self.phase = Phase.CONFIRMED
+        if usable and self.distance < AGREEMENT:
+            self.phase = Phase.CONFIRMED
+            self._join()
         if self.inner.state in _BAD or self._contradictions >= DOUBTS:
             self.phase = Phase.DOUBTED
         if not usable:
             return
-        certain = float(np.trace(new.covariance)) <= float(np.trace(self._prior))
+        covariance = self.inner.estimate().covariance
+        certain = covariance is not None and np.trace(covariance) <= np.trace(self._prior)
         over = self._contradictions >= CONTRADICTIONS
         if over or (self.phase is Phase.CONFIRMED and certain):
             self.phase = Phase.HANDING_OVER
+
+    def _join(self) -> None:
+        """The new evidence agrees by itself: go on with both."""
+        kept = self.stored.evidence
+        if kept is not None and not self.joined and isinstance(self.inner, KeepsEvidence):
+            self.inner.join_evidence(kept)
+            self.joined = self.inner.contradiction is not None
+
+    def _leave(self) -> None:
+        """They contradict one another after all: the new evidence stays."""
+        if isinstance(self.inner, KeepsEvidence):
+            self.inner.leave_evidence()
+        self.joined = False
 
     def _follow(self) -> None:
         """Turn towards the new estimate until it is reached."""

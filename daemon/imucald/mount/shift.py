@@ -63,10 +63,12 @@ def largest_change(
     flows: list[Flow],
     axes: tuple[int, ...] = (0, 1, 2),
     hint: tuple[int, float, int] | None = None,
+    fresh: int | None = None,
 ) -> Shift | None:
     """Return the change of an angle that stands out most; None where too little is known.
 
     hint: axis, sign and age of a step that gravity hints at; it lowers the threshold for it.
+    fresh: pieces of this drive, where flows begin with those of earlier ones; no span is longer.
     """
     best: Shift | None = None
     for axis in axes:
@@ -75,7 +77,7 @@ def largest_change(
             continue
         n = max(len(flow.score) for flow in mine)
         for span in SPANS:
-            if n - span < LEAST_BEFORE[axis]:
+            if n - span < LEAST_BEFORE[axis] or (fresh is not None and span > fresh):
                 break
             found = _change(mine, span, axis)
             if found is None:

@@ -17,6 +17,7 @@ from imucald.frames import (
 )
 from imucald.mount import evidence_spectra as sp
 from imucald.mount.delay import DelaySearch
+from imucald.mount.earlier_drives import EarlierDrives
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_pieces import Piece
@@ -25,7 +26,8 @@ from imucald.mount.evidence_signals import HOP, Prepared
 from imucald.mount.evidence_spectra import MEASURED, WINDOW, spectra
 from imucald.mount.evidence_up import UpTracker
 from imucald.mount.fusion import Fused, Shared, Sharing, fuse
-from imucald.mount.shift import Shift, largest_change
+from imucald.mount.kept_evidence import KeptEvidence, kept_pieces, named_flows, together
+from imucald.mount.shift import Flow, Shift, largest_change
 from imucald.mount.step import Step
 from imucald.samples import GRAVITY
 
@@ -90,6 +92,8 @@ class Solution:
         self.bias: Array | None = None
         self.hops = 0
         self._sharing = Sharing(self._shared_errors())
+        self.earlier: EarlierDrives | None = None
+        self._tilt_bias = (0.0, 0.0)
         self.response.delays = (self.delay_speed.value, 0.0)
 
     def start_from(self, other: Solution) -> None:
@@ -99,6 +103,7 @@ class Solution:
         self.delay_speed, self.delay_turn = other.delay_speed, other.delay_turn
         self.response.without_speed = other.response.without_speed
         self.up.watch.start_from(other.up.watch)
+        self.earlier = other.earlier
 
     def gap(self) -> None:
         """Time jumped."""
@@ -244,7 +249,11 @@ class Solution:
             if self.response.without_speed and "yaw_dvdt" in pieces:
                 piece = pieces["yaw_dvdt"]
                 pieces["yaw_dvdt"] = replace(piece, variance=piece.variance + PRINCIPAL_STD**2)
-            fused = fuse(pieces, self._sharing)
+            self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
+            if self.earlier is None:
+                fused = fuse(pieces, self._sharing)
+            else:
+                fused = self.earlier.fused(pieces, self.R, self._tilt_bias)
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
             self.pieces, self.fused = pieces, fused
         self.bias, self.bias_cov = bias, bias_cov
@@ -259,11 +268,34 @@ class Solution:
         """The change of the mount that the last minutes' evidence speaks for most."""
         if self.R is None or self.bias is None or not self.yaw_known:
             return None
-        s = self._settings
         if self.response.without_speed:
             return largest_change(self.response.flows, (2,))
-        flows = self.gravity.flows(self.R, self.bias, self.gains(), s.slope_std, s.slope_length)
-        return largest_change(self.response.flows + flows, axes, self.up.watch.hint)
+        flows = self._gravity_flows(self.R, self.bias)
+        hint = self.up.watch.hint
+        if self.earlier is None:
+            return largest_change(self.response.flows + flows, axes, hint)
+        found = named_flows(self.pieces, self.response.flows, flows)
+        fresh = max(len(flow.score) for flow in found.values())
+        return largest_change(self.earlier.flows(found, self.R), axes, hint, fresh)
+
+    def _gravity_flows(self, R: Matrix3, bias: Array) -> list[Flow]:
+        s = self._settings
+        return self.gravity.flows(R, bias, self.gains(), s.slope_std, s.slope_length)
+
+    def join(self, kept: KeptEvidence) -> None:
+        """Bring in what earlier drives found; it stays apart and can be left again."""
+        if self.yaw_known and kept.without_speed == self.response.without_speed:
+            self.earlier = EarlierDrives(kept, self._shared_errors())
+
+    def kept(self) -> KeptEvidence | None:
+        """What to keep for the next start, earlier drives' evidence included."""
+        if self.R is None or self.fused is None or self.bias is None or not self.yaw_known:
+            return None
+        gravity = self._gravity_flows(self.R, self.bias)
+        flows = named_flows(self.pieces, self.response.flows, gravity)
+        pieces = kept_pieces(self.pieces, flows, self.fused.error, self._tilt_bias)
+        now = KeptEvidence(self.R, self.response.without_speed, pieces)
+        return together(None if self.earlier is None else self.earlier.kept, now)
 
     def _start(self) -> None:
         """Find a first rotation: level by gravity, yaw from the direction of the responses."""

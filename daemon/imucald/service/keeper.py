@@ -11,15 +11,19 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
-from imucald.mount.estimate import MountEstimate, MountEstimator, MountState
+from imucald.errors import EstimateError
+from imucald.mount.estimate import KeepsEvidence, MountEstimator, MountState
 from imucald.mount.restored import RestoredEstimator, StoredMount
 from imucald.service.journal import INFO, NOTICE, WARNING
 from imucald.service.state import SavedState, StateStore
 from imucald.summary import plain
+
+if TYPE_CHECKING:
+    from imucald.mount.kept_evidence import KeptEvidence
 
 SAVE_PERIOD_S = 10.0
 """A changing estimate is saved so often [s]: what a cut of power may cost."""
@@ -31,6 +35,8 @@ STOP_WAIT_S = 0.6
 _GOOD = frozenset({MountState.USABLE, MountState.FINE})
 _BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
 _OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
+SUMS = "sums"
+"""Where among a saved state's evidence the sums are that an estimator goes on with."""
 _EVIDENCE: tuple[str, ...] = (
     "evidence_std_deg",
     "evidence_share",
@@ -148,31 +154,44 @@ class StateKeeper:
         self._driven_before = saved.driven_s
         text = f"mount restored from generation {loaded.generation}"
         self._say(text + (", doubted when it was saved" if saved.doubted else ""), NOTICE)
-        return RestoredEstimator(estimator, stored_mount(saved))
+        return RestoredEstimator(estimator, stored_mount(saved, self._evidence(saved)))
 
-    def update(self, estimate: MountEstimate, driven_s: float) -> None:
+    def _evidence(self, saved: SavedState) -> KeptEvidence | None:
+        """The sums among the evidence; without them the mount serves all the same."""
+        sums = saved.evidence.get(SUMS)
+        if sums is None:
+            return None
+        from imucald.mount.kept_evidence import kept_from  # noqa: PLC0415 - not without any
+
+        try:
+            return kept_from(sums)
+        except EstimateError as error:
+            self._say(f"saved state: {error}; the mount is used without it", WARNING)
+            return None
+
+    def update(self, estimator: MountEstimator, driven_s: float) -> None:
         """Take the present estimate; save it if it is due. driven_s: since the start [s]."""
-        state, changed = estimate.state, estimate.state is not self._before
-        if self._wanted(estimate, changed):
-            self._save(estimate, self._driven_before + driven_s)
+        state, changed = estimator.state, estimator.state is not self._before
+        if self._wanted(state, changed):
+            self._save(estimator, self._driven_before + driven_s)
         self._before = state
         self._tell_errors()
 
-    def _wanted(self, estimate: MountEstimate, changed: bool) -> bool:
-        if estimate.state in _BAD:  # once; what was good before is kept, as doubted
+    def _wanted(self, state: MountState, changed: bool) -> bool:
+        if state in _BAD:  # once; what was good before is kept, as doubted
             return changed and self._known
-        if estimate.state not in _GOOD or estimate.covariance is None:
+        if state not in _GOOD:
             return False
         return changed or self._clock() - self._last_put >= self._period
 
-    def _save(self, estimate: MountEstimate, driven_s: float) -> None:
+    def _save(self, estimator: MountEstimator, driven_s: float) -> None:
         self._last_put = self._clock()
-        if estimate.state in _BAD:
+        if estimator.state in _BAD:
             shift = {"at": round(self._wall(), 1), "driven_s": round(driven_s, 1)}
             shifts = (*self._last.shifts, shift)[-SHIFTS_KEPT:]
             self._last = replace(self._last, doubted=True, shifts=shifts)
         else:
-            saved = saved_state(estimate, driven_s, self._wall(), self._last.shifts)
+            saved = saved_state(estimator, driven_s, self._wall(), self._last.shifts)
             if saved is None or self._is_saved(saved):
                 return
             self._last, self._known = saved, True
@@ -194,10 +213,10 @@ class StateKeeper:
         except OSError as error:
             self._say(f"the saved state could not be set aside: {error}", WARNING)
 
-    def close(self, estimate: MountEstimate, driven_s: float) -> None:
+    def close(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the last estimate; wait for the disk, but not for long."""
-        if estimate.state in _GOOD:
-            self._save(estimate, self._driven_before + driven_s)
+        if estimator.state in _GOOD:
+            self._save(estimator, self._driven_before + driven_s)
         if not self.writer.close(STOP_WAIT_S):
             self._say("the disk did not take the state in time; the one before stands", WARNING)
         self._tell_errors()
@@ -223,23 +242,32 @@ class StateKeeper:
         }
 
 
-def stored_mount(saved: SavedState) -> StoredMount:
-    """A saved state as the estimator takes it."""
+def stored_mount(saved: SavedState, evidence: KeptEvidence | None) -> StoredMount:
+    """A saved state as the estimator takes it, with the sums that were in it."""
     return StoredMount(
         np.array(saved.rotation).reshape(3, 3),
         np.array(saved.covariance).reshape(3, 3),
         MountState[saved.state.upper()],
         saved.doubted,
+        evidence,
     )
 
 
+def kept_evidence(estimator: MountEstimator) -> KeptEvidence | None:
+    """What the estimator can go on with after a restart, where it keeps that."""
+    if isinstance(estimator, RestoredEstimator | KeepsEvidence):
+        return estimator.kept_evidence()
+    return None
+
+
 def saved_state(
-    estimate: MountEstimate,
+    estimator: MountEstimator,
     driven_s: float,
     wall: float,
     shifts: Sequence[Mapping[str, Any]] = (),
 ) -> SavedState | None:
-    """An estimate as it is saved; None where it cannot be."""
+    """An estimator's estimate as it is saved; None where it cannot be."""
+    estimate, sums = estimator.estimate(), kept_evidence(estimator)
     R, C = estimate.R_vehicle_from_sensor, estimate.covariance
     if R is None or C is None or not (np.isfinite(R).all() and np.isfinite(C).all()):
         return None
@@ -253,5 +281,8 @@ def saved_state(
         driven_s=round(driven_s, 1),
         offsets={k: plain(details[k], None) for k in _OFFSETS if k in details},
         shifts=tuple(shifts),
-        evidence={k: plain(details[k], None) for k in _EVIDENCE if k in details},
+        evidence={
+            **{k: plain(details[k], None) for k in _EVIDENCE if k in details},
+            **({} if sums is None else {SUMS: sums.plain()}),
+        },
     )

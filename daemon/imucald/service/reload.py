@@ -8,7 +8,7 @@ from imucald.config import LoadedConfig
 from imucald.engine import Engine
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.restored import RestoredEstimator
-from imucald.service.keeper import saved_state, stored_mount
+from imucald.service.keeper import kept_evidence, saved_state, stored_mount
 
 
 def listens_otherwise(
@@ -33,9 +33,9 @@ def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator
     """The new estimator, with what the old one knows in front of it as restored."""
     if old.correction is None:
         return new
-    saved = saved_state(old.estimate(), 0.0, 0.0)
+    saved = saved_state(old, 0.0, 0.0)
     if saved is None:
         return new
     if saved.state not in ("usable", "fine"):
         saved = replace(saved, state="usable", doubted=saved.state != "restored")
-    return RestoredEstimator(new, stored_mount(saved))
+    return RestoredEstimator(new, stored_mount(saved, kept_evidence(old)))

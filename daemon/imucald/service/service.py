@@ -191,7 +191,7 @@ class Service:
             self.server.close()
         self.link.close()  # first: nothing stale is sent while the disk takes its time
         if self.keeper is not None:
-            self.keeper.close(self._estimate(), self.engine.timebase.now)
+            self.keeper.close(self.engine.pipeline.estimator, self.engine.timebase.now)
         if self.troubles is not None:
             self.troubles.close()
 
@@ -209,7 +209,7 @@ class Service:
     def _every_second(self, now: float) -> None:
         estimate = self._estimate()
         if self.keeper is not None:
-            self.keeper.update(estimate, self.engine.timebase.now)
+            self.keeper.update(self.engine.pipeline.estimator, self.engine.timebase.now)
         if self.troubles is not None:
             self.troubles.update()
         self.notifier.status(status_line(estimate, str(self.link.state)))
@@ -277,7 +277,7 @@ class Service:
 
     def _save_now(self) -> None:
         if self.keeper is not None:
-            self.keeper.close(self._estimate(), self.engine.timebase.now)
+            self.keeper.close(self.engine.pipeline.estimator, self.engine.timebase.now)
 
     # what diagnostics ask for ----------------------------------------------------------------
 

@@ -22,7 +22,9 @@ from typing import Any
 from imucald.service.digest import sha256
 
 MAGIC = "imucald-state"
-VERSION = 1
+VERSION = 2
+READABLE = (1, 2)
+"""Version 1 had no sums in its evidence; it is read as a state without."""
 MAX_BYTES = 1 << 20
 """A longer file is not ours."""
 SLOTS = (0, 1)
@@ -55,7 +57,8 @@ class SavedState:
     rotation: R_vehicle_from_sensor, nine numbers row by row. covariance: nine [rad^2].
     state: "usable" or "fine". doubted: it was suspect when it was saved. saved_at: wall clock [s],
     for people only. driven_s: seconds of driving behind it. offsets: of sensors and signals, SI.
-    shifts: history of remounts, newest last. evidence: what the estimator wants to keep.
+    shifts: history of remounts, newest last. evidence: what the estimate rests on, for people, and
+    as "sums" what the estimator goes on with (`mount.kept_evidence`).
     """
 
     rotation: tuple[float, ...]
@@ -202,7 +205,7 @@ def decoded(data: bytes) -> tuple[int, StateKey, SavedState]:
     words = head.split(b" ")
     if words[0] != MAGIC.encode() or len(words) != 4 or len(data) > MAX_BYTES:
         raise _NotBelievedError("corrupt", "this is no state file")
-    if words[1] != str(VERSION).encode():
+    if words[1] not in [str(version).encode() for version in READABLE]:
         version = words[1][:12].decode("ascii", "replace")
         raise _NotBelievedError("other-version", f"its version is {version}, not {VERSION}")
     if words[2] != str(len(body)).encode():
