@@ -4,9 +4,10 @@
 
 Each vehicle drives twice on different roads. Its state of the first drive is saved and serves in
 the second, with the evidence in it and without; before the second drive load and springs turn the
-body by a random amount (`BETWEEN_DRIVES_STD`), and in some cases somebody moves the sensor as
-well, about a random axis. Told are when the mount was confirmed, when its yaw was as certain as
-before the restart again, when it was called suspect, rightly or wrongly, and errors on the way.
+body by a random amount (`BETWEEN_DRIVES_STD`). In some cases somebody moves the sensor as well,
+about a random axis, before the drive or in it (`TURNED_AT_S`). Told are when the mount was
+confirmed, when its yaw was as certain as before the restart again, when it was called suspect,
+rightly or wrongly, and errors on the way.
 """
 
 from __future__ import annotations
@@ -27,10 +28,15 @@ from imucald.mount.estimate import BETWEEN_DRIVES_STD, KeepsEvidence, MountEstim
 from imucald.mount.kept_evidence import kept_from
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
 from imucald.session import open_config
-from imucald.simulation import Drive, random_model, simulate
+from imucald.simulation import Drive, Model, random_model, simulate
+from imucald.simulation.vehicle_model import MountShift
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
 MOVED_DEG = (0.0, 2.0, 5.0, 8.0)
+TURNED_DEG, TURNED_AT_S = 4.0, 240.0
+"""In the last case the sensor is turned by that while driving."""
+WHILE_DRIVING = -1.0
+TURNED = f"turned by {TURNED_DEG:g} deg while driving"
 SECOND_ROADS = 500_000
 """Added to a seed for the roads of the second drive."""
 LOOKS_S = (120.0, 180.0, 300.0, 480.0, 720.0)
@@ -84,10 +90,17 @@ def moved(stored: StoredMount, turn: NDArray[np.float64]) -> StoredMount:
     )
 
 
+def turned_while_driving(model: Model, axis: NDArray[np.float64]) -> Model:
+    """The same vehicle, whose sensor is turned about an axis of the vehicle in the drive."""
+    roll, pitch, yaw = (TURNED_DEG * axis).tolist()
+    shift = MountShift(t_s=TURNED_AT_S, roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw)
+    return model.model_copy(update={"mount": model.mount.model_copy(update={"shifts": (shift,)})})
+
+
 def course(
-    estimator: RestoredEstimator, rows: list[list[float]], truth: NDArray[np.float64]
+    estimator: RestoredEstimator, rows: list[list[float]], truth: NDArray[np.float64], begin: float
 ) -> Course:
-    """Run the second drive."""
+    """Run the second drive. begin: doubts count from there, times as well [s]."""
     stored = estimator.stored
     before = math.sqrt(float(stored.covariance[2, 2]))
     confirmed = precise = doubted = math.inf
@@ -98,7 +111,7 @@ def course(
         if estimator.phase not in (Phase.RESTORED, Phase.DOUBTED):
             confirmed = min(confirmed, t)
         if estimator.state in (MountState.SUSPECT, MountState.RECALIBRATING):
-            doubted = min(doubted, t)
+            doubted = min(doubted, t - begin) if t > begin else -math.inf
         if k % 10 != 9:
             continue
         std = estimator.estimate().std
@@ -122,7 +135,7 @@ def main() -> int:
     options = parser.parse_args()
     config = open_config(CONFIG).config
     found: dict[tuple[float, bool], list[Course]] = {
-        (degrees, kept): [] for degrees in MOVED_DEG for kept in (False, True)
+        (degrees, kept): [] for degrees in (*MOVED_DEG, WHILE_DRIVING) for kept in (False, True)
     }
     for seed in range(options.start, options.start + options.seeds):
         model = random_model(seed)
@@ -131,25 +144,35 @@ def main() -> int:
         if stored is None:
             print(f"seed {seed}: the first drive leaves no state")
             continue
-        drive = simulate(model, seed + SECOND_ROADS, options.minutes)
-        rows, truth = rows_of(drive, options.minutes), drive.truth.mounts[0][1]
         random = np.random.default_rng(seed)
         load = random.normal(0.0, BETWEEN_DRIVES_STD)
         axis = random.normal(0.0, 1.0, 3)
         axis /= np.linalg.norm(axis)
-        for (degrees, kept), courses in found.items():
-            then = moved(stored, load + math.radians(degrees) * axis)
-            if not kept:
-                then = replace(then, evidence=None)
-            courses.append(course(RestoredEstimator(estimator_for(config), then), rows, truth))
+        for driven in (model, turned_while_driving(model, axis)):
+            drive = simulate(driven, seed + SECOND_ROADS, options.minutes)
+            rows, truth = rows_of(drive, options.minutes), drive.truth.mounts[-1][1]
+            for (degrees, kept), courses in found.items():
+                if (degrees == WHILE_DRIVING) == (driven is model):
+                    continue
+                parked = 0.0 if degrees == WHILE_DRIVING else math.radians(degrees)
+                then = moved(stored, load + parked * axis)
+                if not kept:
+                    then = replace(then, evidence=None)
+                begin = TURNED_AT_S if degrees == WHILE_DRIVING else 0.0
+                restored = RestoredEstimator(estimator_for(config), then)
+                courses.append(course(restored, rows, truth, begin))
     for (degrees, kept), courses in found.items():
-        print(f"moved {degrees:g} deg, evidence {'kept' if kept else 'left'}: {told(courses)}")
+        what = f"moved {degrees:g} deg" if degrees != WHILE_DRIVING else TURNED
+        print(f"{what}, evidence {'kept' if kept else 'left'}: {told(courses)}")
     return 0
 
 
 def told(courses: list[Course]) -> str:
     n = len(courses)
     texts = []
+    early = sum(c.doubted == -math.inf for c in courses)
+    if early:
+        texts.append(f"doubted wrongly {early}")
     for what in ("confirmed", "precise", "doubted"):
         times = np.array([getattr(c, what) for c in courses])
         times = times[np.isfinite(times)]

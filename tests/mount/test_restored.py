@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from imucald.estimators import estimator_for
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.kept_evidence import KeptEvidence
 from imucald.mount.published import PublishedEstimator
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
 from published_drive import Drive
@@ -151,6 +152,95 @@ def test_a_new_estimate_that_fails_while_taking_over_is_left_again():
     run(estimator, 1.0)
     assert estimator.state is MountState.SUSPECT
     assert estimator.correction is not None
+
+
+class Keeping(Scripted):
+    """One whose evidence outlives the process."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.contradiction: float | None = None
+        self.calls: list[str] = []
+
+    def kept_evidence(self) -> KeptEvidence | None:
+        return KEPT
+
+    def join_evidence(self, kept: KeptEvidence) -> None:
+        assert kept is KEPT
+        self.contradiction = 0.0
+        self.calls.append("joined")
+
+    def leave_evidence(self) -> None:
+        self.contradiction = None
+        self.calls.append("left")
+
+
+KEPT = KeptEvidence(STORED.as_matrix(), False, {})
+
+
+def keeping() -> tuple[RestoredEstimator, Keeping]:
+    inner = Keeping()
+    covariance = np.eye(3) * math.radians(0.3) ** 2
+    stored = StoredMount(STORED.as_matrix(), covariance, MountState.FINE, evidence=KEPT)
+    return RestoredEstimator(inner, stored), inner
+
+
+def test_stored_evidence_joins_only_what_agrees_by_itself():
+    estimator, inner = keeping()
+    inner.say(MountState.LEVELLED, turned(0.2), 1.0)
+    run(estimator, 60.0)
+    inner.say(MountState.LEVELLED, turned(8.0), 1.0)
+    run(estimator, 20.0)
+    inner.say(MountState.USABLE, turned(8.0), 1.0)
+    run(estimator, 30.0)
+    assert estimator.phase is Phase.NEW
+    assert inner.calls == []
+    estimator, inner = keeping()
+    inner.say(MountState.USABLE, turned(0.2), 1.0)
+    run(estimator, 20.0)
+    assert inner.calls == ["joined"], "once"
+
+
+def test_evidence_that_joined_is_left_again_when_it_contradicts_later():
+    estimator, inner = keeping()
+    inner.say(MountState.FINE, turned(0.2), 0.1)
+    run(estimator, 20.0)
+    assert estimator.phase is Phase.NEW
+    inner.contradiction = 30.0
+    run(estimator, 4.0)
+    assert estimator.state is MountState.FINE  # one bad road is no remount
+    run(estimator, 2.0)
+    assert estimator.state is estimator.estimate().state is MountState.SUSPECT
+    assert inner.calls == ["joined"]
+    run(estimator, 10.0)
+    assert inner.calls == ["joined", "left"]
+    assert estimator.state is MountState.FINE
+    run(estimator, 60.0)
+    assert inner.calls == ["joined", "left"], "for good"
+
+
+def test_a_doubt_that_passes_leaves_the_evidence_in():
+    estimator, inner = keeping()
+    inner.say(MountState.FINE, turned(0.2), 0.1)
+    run(estimator, 20.0)
+    inner.contradiction = 30.0
+    run(estimator, 10.0)
+    inner.contradiction = 3.0
+    run(estimator, 2.0)
+    assert estimator.state is MountState.FINE
+    assert inner.calls == ["joined"]
+
+
+def test_an_estimator_that_leaves_the_evidence_by_itself_is_no_contradiction():
+    estimator, inner = keeping()
+    inner.say(MountState.FINE, turned(0.2), 0.1)
+    run(estimator, 20.0)
+    inner.contradiction = None  # it found a remount
+    inner.say(MountState.SUSPECT, turned(0.2), 0.1)
+    run(estimator, 20.0)
+    assert not estimator.joined
+    assert inner.calls == ["joined"]
+    assert estimator.state is MountState.SUSPECT
 
 
 def test_a_gap_is_passed_on():

@@ -1,0 +1,163 @@
+"""The evidence in the saved state: saved, restored, doubted, and the same live and in replay."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucald.bus.columns import FrameColumns
+from imucald.engine import Engine
+from imucald.mount.restored import RestoredEstimator
+from imucald.service.journal import WARNING
+from imucald.service.keeper import StateKeeper
+from imucald.service.reload import behind_the_known
+from imucald.service.state import StateStore
+from imucald.session import make_engine
+from service_files import KEY
+from simulated_bus import EPOCH, drive_frames, loaded, with_times
+
+GAP_S = 600.0
+"""Between the two drives."""
+
+
+class Told:
+    """Keepers of one folder, one after the other, and what they say."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.warnings: list[str] = []
+
+    def keeper(self) -> StateKeeper:
+        return StateKeeper(StateStore(self.folder, KEY), self._say, period=0.0)
+
+    def _say(self, text: str, priority: int) -> None:
+        if priority <= WARNING:
+            self.warnings.append(text)
+
+    def newest(self) -> Path:
+        return max(self.folder.glob("*.[01]"), key=lambda path: path.stat().st_mtime_ns)
+
+    def rewrite(self, change, version: int = 2) -> None:
+        """Change the content of all generations; their checksums are right."""
+        for path in self.folder.glob("*.[01]"):
+            content = json.loads(path.read_bytes().partition(b"\n")[2])
+            change(content)
+            body = json.dumps(content).encode()
+            digest = hashlib.sha256(body).hexdigest()
+            path.write_bytes(f"imucald-state {version} {len(body)} {digest}\n".encode() + body)
+
+
+def drive(engine: Engine, frames: FrameColumns) -> None:
+    for start in range(0, len(frames), 20_000):
+        engine.columns(frames.take(slice(start, start + 20_000)), keep=False)
+
+
+def restored(told: Told) -> Engine:
+    engine = make_engine(loaded())
+    engine.pipeline.replace(told.keeper().restore(engine.pipeline.estimator))
+    return engine
+
+
+@pytest.fixture(scope="module")
+def content(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A state file after a drive of eight minutes."""
+    told = Told(tmp_path_factory.mktemp("first"))
+    engine = make_engine(loaded())
+    drive(engine, drive_frames(minutes=8.0))
+    keeper = told.keeper()
+    keeper.update(engine.pipeline.estimator, 480.0)
+    keeper.close(engine.pipeline.estimator, 480.0)
+    return told.newest().read_bytes()
+
+
+@pytest.fixture
+def told(content: bytes, tmp_path: Path) -> Told:
+    made = Told(tmp_path)
+    StateStore(tmp_path, KEY).path(0).write_bytes(content)
+    return made
+
+
+def test_a_state_with_all_evidence_is_small(content):
+    assert len(content) < 24_000
+    assert json.loads(content.partition(b"\n")[2])["evidence"]["sums"]["kinds"].keys() >= {
+        "yaw_turn",
+        "yaw_dvdt",
+        "roll_gravity",
+        "pitch_gravity",
+    }
+
+
+def test_it_is_in_the_estimate_again_after_a_restart_and_in_the_next_state(told):
+    engine = restored(told)
+    drive(engine, drive_frames(minutes=8.0))
+    estimator = engine.pipeline.estimator
+    assert isinstance(estimator, RestoredEstimator)
+    assert estimator.joined
+    before = information(told)
+    keeper = told.keeper()
+    keeper.restore(make_engine(loaded()).pipeline.estimator)
+    keeper.close(estimator, 480.0)
+    assert information(told) > 1.5 * before
+    assert told.warnings == []
+
+
+def information(told: Told) -> float:
+    content = json.loads(told.newest().read_bytes().partition(b"\n")[2])
+    return float(np.sum(content["evidence"]["sums"]["kinds"]["yaw_turn"]["information"]))
+
+
+def test_a_restart_before_anything_was_learnt_changes_nothing(told):
+    before = told.newest().read_bytes()
+    engine = restored(told)
+    drive(engine, drive_frames(minutes=8.0).take(slice(0, 5000)))
+    keeper = told.keeper()
+    keeper.update(engine.pipeline.estimator, 10.0)
+    keeper.close(engine.pipeline.estimator, 10.0)
+    assert told.newest().read_bytes() == before
+
+
+def test_sums_that_make_no_sense_are_told_and_the_mount_serves_without(told):
+    told.rewrite(lambda content: content["evidence"]["sums"].update(rotation=[1.0] * 9))
+    estimator = restored(told).pipeline.estimator
+    assert isinstance(estimator, RestoredEstimator)
+    assert estimator.stored.evidence is None
+    assert "makes no sense" in told.warnings[0]
+
+
+def test_a_state_of_the_version_before_is_used_it_has_no_sums(told):
+    told.rewrite(lambda content: content["evidence"].pop("sums"), version=1)
+    estimator = restored(told).pipeline.estimator
+    assert isinstance(estimator, RestoredEstimator)
+    assert estimator.stored.evidence is None
+    assert told.warnings == []
+
+
+def test_a_reload_with_other_settings_takes_the_evidence_along(told):
+    engine = restored(told)
+    drive(engine, drive_frames(minutes=8.0))
+    behind = behind_the_known(engine.pipeline.estimator, make_engine(loaded()).pipeline.estimator)
+    assert isinstance(behind, RestoredEstimator)
+    assert behind.stored.evidence is not None
+
+
+def test_live_and_replay_are_the_same_behind_a_saved_state(told):
+    frames = drive_frames(minutes=8.0)
+    frames = with_times(frames, frames.t + GAP_S)
+    frames = frames.take(frames.t < EPOCH + GAP_S + 300.0)
+    by_columns, one_by_one = restored(told), restored(told)
+    drive(by_columns, frames)
+    for t, can_id, length, data in zip(
+        frames.t.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
+    ):
+        one_by_one.frame(t, can_id, data[:length].tobytes())
+    a, b = (engine.pipeline.estimator for engine in (by_columns, one_by_one))
+    assert isinstance(a, RestoredEstimator)
+    assert isinstance(b, RestoredEstimator)
+    assert a.joined
+    assert b.joined
+    assert a.correction == b.correction
+    assert (a.estimate().std, a.distance) == (b.estimate().std, b.distance)
