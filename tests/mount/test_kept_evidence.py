@@ -27,6 +27,7 @@ from imucald.mount.kept_evidence import (
     together,
 )
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
+from imucald.mount.shift import Flow
 from simulated_bus import drive, loaded
 
 
@@ -159,7 +160,7 @@ def piece(value: float, variance: float, bias: float = 0.0) -> KeptPiece:
 
 
 def earlier(shared: tuple[Shared, ...] = (), **pieces: KeptPiece) -> EarlierDrives:
-    return EarlierDrives(KeptEvidence(np.eye(3), False, pieces), shared)
+    return EarlierDrives(KeptEvidence(np.eye(3), False, pieces), shared, 0.0)
 
 
 def test_load_and_springs_limit_what_earlier_drives_are_worth():
@@ -183,6 +184,24 @@ def test_it_contradicts_as_surely_as_the_difference_is_large():
         now = {"yaw_turn": Piece(math.radians(degrees), 1e-6, 9.0)}
         before.fused(now, np.eye(3), (0.0, 0.0))
         assert least <= before.contradiction <= most, "what both share speaks for neither"
+
+
+def test_for_the_shift_test_they_count_no_more_than_load_and_springs_let_them():
+    random = np.random.default_rng(1)
+    n = np.full(40, 1e5)
+    score = n * 0.01 + random.normal(0.0, np.sqrt(n))
+    before = earlier(yaw_turn=KeptPiece(0.01, 1e-7, 0.0, score, n))
+    now = Flow(2, np.zeros(5), np.full(5, 1e5))
+    (flow,) = before.flows({"yaw_turn": now}, np.eye(3))
+    old, level = flow.information[:40], flow.score[:40].sum() / flow.information[:40].sum()
+    assert 1.0 / old.sum() == pytest.approx(BETWEEN_DRIVES_STD[2] ** 2 + 1.0 / n.sum())
+    assert level == pytest.approx(score.sum() / n.sum())
+    spread = [
+        ((s - i * s.sum() / i.sum()) ** 2).sum() / i.sum()
+        for s, i in ((score, n), (flow.score[:40], old))
+    ]
+    assert spread[1] == pytest.approx(spread[0]), "as rough as the roads were"
+    assert (flow.score[40:] == now.score).all()
 
 
 def second_drive(mount: StoredMount) -> tuple[RestoredEstimator, set[MountState], bool]:
@@ -214,7 +233,7 @@ def test_after_a_restart_it_goes_on_from_there():
     assert sums[1] > 1.5 * sums[0], "the next start has both drives"
 
 
-@pytest.mark.parametrize("degrees", [(2.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, -2.0)])
+@pytest.mark.parametrize("degrees", [(3.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, -2.0)])
 def test_a_sensor_moved_a_little_while_parked_is_found_out(degrees):
     restored, states, _ = second_drive(turned(stored(), degrees))
     assert MountState.SUSPECT in states

@@ -161,3 +161,24 @@ def test_live_and_replay_are_the_same_behind_a_saved_state(told):
     assert b.joined
     assert a.correction == b.correction
     assert (a.estimate().std, a.distance) == (b.estimate().std, b.distance)
+
+
+def test_a_vehicle_that_stands_wears_out_no_memory(told):
+    engine = make_engine(loaded())
+    drive(engine, drive_frames(minutes=8.0))
+    keeper = told.keeper()
+    for second in range(60):
+        for tick in range(10):
+            stamp = EPOCH + 480.0 + second + tick / 10.0
+            engine.columns(standing(stamp), keep=False)
+        keeper.update(engine.pipeline.estimator, 480.0)
+        assert keeper.writer.flush(2.0)
+    assert keeper.writer.saves <= 3, "the drive's end, and what the last turn of hops makes of it"
+
+
+def standing(stamp: float) -> FrameColumns:
+    """A tenth of a second of the drive's first standstill, at another time."""
+    frames = drive_frames(minutes=8.0)
+    start = np.searchsorted(frames.t, EPOCH + 2.0)
+    part = frames.take(slice(int(start), int(np.searchsorted(frames.t, EPOCH + 2.1))))
+    return with_times(part, part.t - (EPOCH + 2.0) + stamp)

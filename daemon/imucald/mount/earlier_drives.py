@@ -18,7 +18,7 @@ from imucald.frames import Matrix3
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
 from imucald.mount.evidence_pieces import Piece
 from imucald.mount.fusion import AXES, MOST_WIDENED, Fused, Shared, Sharing, fuse
-from imucald.mount.kept_evidence import GRAVITY_KINDS, KINDS, KeptEvidence, axis_of
+from imucald.mount.kept_evidence import GRAVITY_KINDS, KINDS, KeptEvidence, KeptPiece, axis_of
 from imucald.mount.shift import Flow
 
 Array = NDArray[np.float64]
@@ -28,10 +28,16 @@ BEFORE = "_before"
 
 
 class EarlierDrives:
-    """What was kept, as evidence for a `Solution`. shared: errors that kinds share in it."""
+    """What was kept, as evidence for a `Solution`.
 
-    def __init__(self, kept: KeptEvidence, shared: Sequence[Shared]) -> None:
+    shared: errors that kinds share in it. crown_std: the mean lean of roads differs that much
+    from drive to drive [rad].
+    """
+
+    def __init__(self, kept: KeptEvidence, shared: Sequence[Shared], crown_std: float) -> None:
         self.kept = kept
+        roll, pitch, yaw = BETWEEN_DRIVES_STD
+        self._between = (math.hypot(roll, crown_std), pitch, yaw)
         self.contradiction = 0.0
         """Of earlier drives and this one at the last fit: chi-square with 3 degrees of freedom."""
         both = [
@@ -40,7 +46,7 @@ class EarlierDrives:
         ]
         between = [
             Shared(std, {name + BEFORE: 1.0 for name in KINDS if axis_of(name) == axis})
-            for axis, std in enumerate(BETWEEN_DRIVES_STD)
+            for axis, std in enumerate(self._between)
         ]
         self._shared = (*both, *between)
 
@@ -64,17 +70,32 @@ class EarlierDrives:
         return fuse({**now, **named}, sharing)
 
     def flows(self, now: Mapping[str, Flow], R: Matrix3) -> list[Flow]:
-        """The flows of this drive about R, each behind those of before."""
+        """The flows of this drive about R, each behind those of before.
+
+        Those count for no more than what changes between drives lets them.
+        """
         kept = self.kept.about(R).pieces
+        known = np.zeros(3)
+        for name, piece in kept.items():
+            known[axis_of(name)] += piece.information.sum()
+        part = 1.0 / (1.0 + known * np.square(self._between))
         out = []
         for name, flow in now.items():
-            if name in kept:
-                score = np.concatenate([kept[name].score, flow.score])
-                information = np.concatenate([kept[name].information, flow.information])
-                out.append(Flow(flow.axis, score, information))
-            else:
-                out.append(flow)
+            known_before = name in kept and len(kept[name].score) > 0
+            share = float(part[flow.axis])
+            out.append(_behind(flow, kept[name], share) if known_before else flow)
         return out
+
+
+def _behind(flow: Flow, kept: KeptPiece, part: float) -> Flow:
+    """A flow behind the kept one, which counts in part; its spread stays what it is."""
+    mean = kept.information * (kept.score.sum() / max(float(kept.information.sum()), 1e-12))
+    score = part * mean + math.sqrt(part) * (kept.score - mean)
+    return Flow(
+        flow.axis,
+        np.concatenate([score, flow.score]),
+        np.concatenate([part * kept.information, flow.information]),
+    )
 
 
 def _less(piece: Piece, variance: float) -> Piece:

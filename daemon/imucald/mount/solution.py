@@ -285,7 +285,8 @@ class Solution:
     def join(self, kept: KeptEvidence) -> None:
         """Bring in what earlier drives found; it stays apart and can be left again."""
         if self.yaw_known and kept.without_speed == self.response.without_speed:
-            self.earlier = EarlierDrives(kept, self._shared_errors())
+            crown_std = self._settings.crown_std
+            self.earlier = EarlierDrives(kept, self._shared_errors(), crown_std)
 
     def kept(self) -> KeptEvidence | None:
         """What to keep for the next start, earlier drives' evidence included."""

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 
 SAVE_PERIOD_S = 10.0
 """A changing estimate is saved so often [s]: what a cut of power may cost."""
+SAME_ANGLE = math.radians(0.002)
+"""An estimate that has moved by less [rad] ..."""
+SAME_VARIANCE = 0.01
+"""... and whose variances have changed by less than this share is not saved again."""
 SHIFTS_KEPT = 32
 """Remounts that are remembered."""
 STOP_WAIT_S = 0.6
@@ -198,11 +202,15 @@ class StateKeeper:
         self.writer.put(self._last)
 
     def _is_saved(self, state: SavedState) -> bool:
-        """Whether the same was saved before: a vehicle that stands wears out no memory."""
+        """Whether as good as the same was saved: a vehicle that stands wears out no memory."""
         if not self._known or self.writer.last_error:
             return False
         then = self._last
-        return replace(state, saved_at=then.saved_at, driven_s=then.driven_s) == then
+        same = (state.state, state.doubted, state.shifts) == (then.state, then.doubted, then.shifts)
+        moved = np.abs(np.subtract(state.rotation, then.rotation)).max()
+        variance, before = (np.array(s.covariance)[::4] for s in (state, then))
+        firmer = np.abs(variance / before - 1.0).max()
+        return same and bool(moved < SAME_ANGLE and firmer < SAME_VARIANCE)
 
     def forget(self) -> None:
         """Keep nothing of what was saved: it is set aside, and not loaded again."""
