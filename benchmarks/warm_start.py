@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -163,11 +164,12 @@ def main() -> int:
                 courses.append(course(restored, rows, truth, begin))
     for (degrees, kept), courses in found.items():
         what = f"moved {degrees:g} deg" if degrees != WHILE_DRIVING else TURNED
-        print(f"{what}, evidence {'kept' if kept else 'left'}: {told(courses)}")
+        looks = range(len(LOOKS_S)) if degrees == 0.0 else [len(LOOKS_S) - 1]
+        print(f"{what}, evidence {'kept' if kept else 'left'}: {told(courses, looks)}")
     return 0
 
 
-def told(courses: list[Course]) -> str:
+def told(courses: list[Course], looks: Sequence[int]) -> str:
     n = len(courses)
     texts = []
     early = sum(c.doubted == -math.inf for c in courses)
@@ -181,12 +183,12 @@ def told(courses: list[Course]) -> str:
             texts[-1] += f" (median {np.median(times):.0f} s, at most {times.max():.0f} s)"
     error, std = np.array([c.error for c in courses]), np.array([c.std for c in courses])
     lines = [", ".join(texts)]
-    for i, t in enumerate(LOOKS_S):
+    for i in looks:
         size = np.linalg.norm(error[:, i], axis=1)
         ratio = np.sqrt(np.mean((error[:, i] / std[:, i]) ** 2, axis=0))
         r, p, y = np.median(std[:, i], axis=0)
         lines.append(
-            f"  after {t / 60:3.0f} min: error {np.median(size):.2f}, at most {size.max():.2f} deg;"
+            f"  after {LOOKS_S[i] / 60:3.0f} min: error {np.median(size):.2f}, at most {size.max():.2f} deg;"
             f" claimed roll {r:.2f}, pitch {p:.2f}, yaw {y:.2f} deg;"
             f" error in claimed {ratio[0]:.2f}, {ratio[1]:.2f}, {ratio[2]:.2f}"
         )

@@ -207,7 +207,7 @@ def test_evidence_that_joined_is_left_again_when_it_contradicts_later():
     run(estimator, 20.0)
     assert estimator.phase is Phase.NEW
     inner.contradiction = 30.0
-    run(estimator, 4.0)
+    run(estimator, 7.0)
     assert estimator.state is MountState.FINE  # one bad road is no remount
     run(estimator, 2.0)
     assert estimator.state is estimator.estimate().state is MountState.SUSPECT

@@ -42,8 +42,8 @@ AGREEMENT = 11.3
 """Chi-square with 3 degrees of freedom, 99 %: less is agreement."""
 CONTRADICTION = 16.3
 """The same for 99.9 %: more is contradiction."""
-DOUBTS = 5
-"""So many contradictions in a row, 5 s, make the stored mount suspect; one makes none ..."""
+DOUBTS = 8
+"""So many contradictions in a row, 8 s, make the stored mount suspect: two fits or more say so ..."""
 CONTRADICTIONS = 15
 """... and so many end it: one bad road is no remount."""
 HAND_OVER_RATE = math.radians(1.0)
