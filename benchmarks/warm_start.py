@@ -188,8 +188,8 @@ def told(courses: list[Course], looks: Sequence[int]) -> str:
         ratio = np.sqrt(np.mean((error[:, i] / std[:, i]) ** 2, axis=0))
         r, p, y = np.median(std[:, i], axis=0)
         lines.append(
-            f"  after {LOOKS_S[i] / 60:3.0f} min: error {np.median(size):.2f}, at most {size.max():.2f} deg;"
-            f" claimed roll {r:.2f}, pitch {p:.2f}, yaw {y:.2f} deg;"
+            f"  after {LOOKS_S[i] / 60:3.0f} min: error {np.median(size):.2f},"
+            f" at most {size.max():.2f} deg; claimed roll {r:.2f}, pitch {p:.2f}, yaw {y:.2f} deg;"
             f" error in claimed {ratio[0]:.2f}, {ratio[1]:.2f}, {ratio[2]:.2f}"
         )
     return "\n".join(lines)

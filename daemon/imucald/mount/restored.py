@@ -43,7 +43,7 @@ AGREEMENT = 11.3
 CONTRADICTION = 16.3
 """The same for 99.9 %: more is contradiction."""
 DOUBTS = 8
-"""So many contradictions in a row, 8 s, make the stored mount suspect: two fits or more say so ..."""
+"""So many contradictions in a row, 8 s and thus of two fits, make the stored mount suspect ..."""
 CONTRADICTIONS = 15
 """... and so many end it: one bad road is no remount."""
 HAND_OVER_RATE = math.radians(1.0)
