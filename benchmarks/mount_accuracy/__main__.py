@@ -48,12 +48,12 @@ SHIFTS = (
 class Size:
     """How much is simulated."""
 
-    drives: int = 40
-    bound_drives: int = 200
+    drives: int = 120
+    bound_drives: int = 400
     long_drives: int = 40
     long_minutes: float = 240.0
     shift_drives: int = 40
-    quiet_drives: int = 200
+    quiet_drives: int = 300
     quiet_minutes: float = 60.0
     times: tuple[float, ...] = TIMES
     first: int = FIRST_SEED
@@ -208,11 +208,11 @@ def step_cost(size: Size) -> list[str]:
 def long_drives(size: Size) -> list[str]:
     """Pitch after four hours."""
     errors = []
-    for seed in range(size.first + 100, size.first + 100 + size.long_drives):
+    for seed in range(size.first + 2000, size.first + 2000 + size.long_drives):
         made = drive(seed, size.long_minutes)
         trace = run(FullEstimator(), made, [size.long_minutes])
         errors.append(trace.said[size.long_minutes].error)
-        progress(f"long drive {seed - size.first - 99} of {size.long_drives}")
+        progress(f"long drive {seed - size.first - 1999} of {size.long_drives}")
     _, p90 = quantiles(np.array(errors)[:, 1])
     yaw, _ = quantiles(np.array(errors)[:, 2])
     hours = size.long_minutes / 60.0
@@ -269,8 +269,11 @@ def false_alarms(size: Size) -> list[str]:
     """Shifts reported where there is none."""
     alarms = 0
     for k in range(size.quiet_drives):
-        made = drive(size.first + 3000 + k, size.quiet_minutes)
-        alarms += len(run(FullEstimator(), made, []).bad_at)
+        seed = size.first + 3000 + k
+        found = run(FullEstimator(), drive(seed, size.quiet_minutes), []).bad_at
+        if found:
+            print(f"seed {seed}: alarm at {found}", file=sys.stderr, flush=True)
+        alarms += len(found)
         progress(f"quiet drive {k + 1} of {size.quiet_drives}: {alarms} alarms")
     hours = size.quiet_drives * size.quiet_minutes / 60.0
     rate = alarms / hours * 100.0

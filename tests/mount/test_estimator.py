@@ -244,8 +244,8 @@ def test_what_is_not_to_be_trusted_is_not_learnt(reason, change):
     assert isinstance(counted, dict)
     assert counted[reason] >= 1200
     assert within(estimator.estimate(), drive())
-    spoilt = np.abs(error(after(harmful).estimate(), drive())).max()
-    assert np.abs(error(estimator.estimate(), drive())).max() < 0.75 * spoilt
+    spoilt = abs(error(after(harmful).estimate(), drive())[2])  # it is turned about z
+    assert abs(error(estimator.estimate(), drive())[2]) < 0.75 * spoilt
 
 
 def test_frozen_learning_is_said():

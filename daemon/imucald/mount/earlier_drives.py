@@ -91,11 +91,7 @@ def _behind(flow: Flow, kept: KeptPiece, part: float) -> Flow:
     """A flow behind the kept one, which counts in part; its spread stays what it is."""
     mean = kept.information * (kept.score.sum() / max(float(kept.information.sum()), 1e-12))
     score = part * mean + math.sqrt(part) * (kept.score - mean)
-    return Flow(
-        flow.axis,
-        np.concatenate([score, flow.score]),
-        np.concatenate([part * kept.information, flow.information]),
-    )
+    return flow.behind(score, part * kept.information)
 
 
 def _less(piece: Piece, variance: float) -> Piece:

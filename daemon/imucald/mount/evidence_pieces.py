@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.mount.evidence_rows import MOST_REGRESSORS, ROWS, WITHOUT_SPEED
-from imucald.mount.shift import Flow
+from imucald.mount.shift import Fit, Flow
 
 Array = NDArray[np.float64]
 
 MODEL_GROUPS = 6.0
 """The model's variance counts like that many pieces of road in the sandwich."""
-MODEL_SHARE = 1.5
-"""The model's variance is taken that much larger: correlated noise is the rule."""
-
-FEW_GROUPS = (7.0, 7.0, 4.0)
+MODEL_SHARE = np.array([1.5, 1.5, 1.2])
+"""The model's variance is taken that much larger, for roll, pitch and yaw: correlated noise is the
+rule."""
+FEW_GROUPS = (7.0, 7.0, 3.0)
 """Few pieces of road hide their own spread: the variance grows by this over their number, for
 roll, pitch and yaw."""
 AXIS_SHARE = 1.6
@@ -80,8 +80,9 @@ def pieces_of(
     own = each * (1.0 / (sums * model))[:, None]  # what the nuisance leaves
     flow = u / model[:, None] + own * value[:, 0]
     groups = sums * sums / np.maximum((each * each).sum(axis=1), 1e-12)
-    few = np.array([FEW_GROUPS[ROWS[i].axis] for i in use])
-    variances = _variances(u, model, groups) * (1.0 + few / (groups + 3.0))
+    axes = [ROWS[i].axis for i in use]
+    few = np.array([FEW_GROUPS[axis] for axis in axes])
+    variances = _variances(u, model * MODEL_SHARE[axes], groups) * (1.0 + few / (groups + 3.0))
     pieces: dict[str, Piece] = {}
     flows: list[Flow] = []
     for k, i in enumerate(use):
@@ -90,7 +91,8 @@ def pieces_of(
         if row.axis == 0 or row.name.endswith("axis"):
             variance *= AXIS_SHARE * (WITHOUT_SPEED_SHARE if without_speed else 1.0)
         pieces[row.name] = Piece(float(value[k, 0, 0]), variance, float(groups[k]))
-        flows.append(Flow(row.axis, flow[k], own[k]))
+        fit = Fit(left[k, :, 0], normal[i, :, 0, :], inverse[k], float(value[k, 0, 0]))
+        flows.append(Flow(row.axis, flow[k], own[k], fit))
     return pieces, flows
 
 
@@ -99,5 +101,5 @@ def _variances(u: Array, model: Array, groups: Array) -> Array:
     spread = (u * u).sum(axis=1)
     beside = (u[:, 1:] * u[:, :-1]).sum(axis=1)
     spread = np.maximum(spread + 2.0 * beside, 0.6 * spread)
-    out: Array = (MODEL_GROUPS * model * MODEL_SHARE + groups * spread) / (MODEL_GROUPS + groups)
+    out: Array = (MODEL_GROUPS * model + groups * spread) / (MODEL_GROUPS + groups)
     return out

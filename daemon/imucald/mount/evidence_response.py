@@ -68,6 +68,9 @@ FORCE_FLOOR, RATE_FLOOR = 0.01**2, 0.001**2
 """No band is trusted beyond this noise per tick [(m/s^2)^2], [(rad/s)^2]."""
 FORCE_PRIOR, RATE_PRIOR = 0.2**2, 0.02**2
 """Noise per tick until the first windows speak."""
+MEAN_SHARE = 1.0
+"""The mean of a window counts as no less noisy than that share of the band above: what is not
+known of the bias is in all windows alike, so that what they leave over does not show it."""
 _PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
 _FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
 
@@ -258,6 +261,8 @@ class ResponseEvidence:
         fresh = PER_TICK * level / BAND_WIDTH
         trust = 1.0 - (TRUST / (self._n + TRUST)) ** 2
         self.noise = np.maximum(trust * fresh + (1.0 - trust) * _PRIOR, _FLOOR)
+        force = self.noise[:P_ROW]
+        np.maximum(force[:, 0], MEAN_SHARE * force[:, 1], out=force[:, 0])
 
     def _pieces(self) -> dict[str, Piece]:
         group = self._hop_number[: self._n] // GROUP

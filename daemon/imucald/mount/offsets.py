@@ -16,6 +16,8 @@ REST_MEMORY = 250.0
 """Ticks at rest after which an offset is forgotten: it wanders with temperature."""
 STILL_RATE, STILL_FORCE = 0.05, 0.25
 """At rest rates [rad/s] and forces [m/s^2] stay that close to their mean."""
+NOISE_SHARE = 4.0
+"""... or within so many times a force's noise from tick to tick: a noisy sensor rests as well."""
 MOST_BIAS = 0.1
 """A gyroscope with a larger bias [rad/s] is turning: a speed stuck at zero is no rest."""
 MOST_STEP = 0.02
@@ -46,7 +48,10 @@ class Offsets:
             return
         mean = rate.mean(axis=0)
         still = np.abs(rate - mean).max() < STILL_RATE
-        still &= np.abs(force - force.mean(axis=0)).max() < STILL_FORCE
+        step = np.diff(force, axis=0)
+        noise = np.sqrt(0.5 * (step * step).mean(axis=0))
+        allowed = np.maximum(STILL_FORCE, NOISE_SHARE * noise)
+        still &= bool((np.abs(force - force.mean(axis=0)) < allowed).all())
         if not still or np.abs(mean).max() > MOST_BIAS:
             return
         if self.gyro_ticks > 50.0 and np.abs(mean - self.gyro_bias).max() > MOST_STEP:

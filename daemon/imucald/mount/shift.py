@@ -1,10 +1,10 @@
 """Has the sensor moved? New evidence against what was known before it.
 
-Evidence comes in pieces of road of about 26 s of driving. For every angle and for the last 1, 2,
-3, ... 12 pieces, their mean is tested against the mean of all pieces before (a generalised
-likelihood ratio test for a step of unknown time and size; Basseville and Nikiforov, Detection of
-Abrupt Changes, 1993, ch. 2.4). The spread from piece to piece before sets the scale, so that rough
-roads and hills make the test dull and not nervous.
+Evidence comes in pieces of road of about 26 s of driving. For every angle and for the last 2, 3,
+... 12 pieces, a change of the angle that begins with them is fitted beside the angle and the
+nuisance of all pieces (a generalised likelihood ratio test for a step of unknown time and size;
+Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The spread from piece to
+piece before sets the scale, so that rough roads and hills make the test dull and not nervous.
 """
 
 from __future__ import annotations
@@ -16,33 +16,82 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SPANS = (2, 3, 4, 6, 8, 12)
+SPANS = (2, 3, 4, 6, 8, 10, 12)
 """Pieces of road that are held against all before."""
-LEAST_BEFORE = (16, 10, 10)
+LEAST_BEFORE = (16, 10, 16)
 """Pieces that must have been before, for roll, pitch and yaw."""
 CLIP = 4.5
 """No single piece counts for more standard deviations: one bad road moves no sensor."""
 UNEVEN_STD = (0.0045, 0.0026, 0.0015)
 """Town and motorway differ by that much [rad] without a shift."""
-SHORT_SPAN = 6
-"""Below, a stretch of leaning road or a windy one passes for a turn of the sensor."""
-THRESHOLD = (5.3, 5.4, 3.9)
-"""For roll, pitch and yaw, in standard deviations; docs/mount-accuracy.md: what they give."""
-THRESHOLD_SHORT = (6.6, 6.0, 4.8)
-"""The same for spans below `SHORT_SPAN`."""
+THRESHOLD = (
+    (6.6, 6.6, 6.4, 6.2, 5.5, 5.2, 5.2),
+    (6.0, 6.8, 6.8, 5.7, 5.3, 5.2, 5.2),
+    (4.5, 4.5, 4.4, 3.9, 3.5, 3.3, 3.3),
+)
+"""For roll, pitch and yaw, and each span, in standard deviations; docs/mount-accuracy.md: what
+they give. Over short spans a stretch of leaning road or a windy one passes for a turn."""
+LEAST_KNOWN = 1e-6
+"""New pieces that know less of the angle than this share say nothing."""
 HINTED = 0.7
 """Share of the threshold where a step in gravity hints at the same."""
-PRIOR_PIECES, PRIOR_SPREAD, LEAST_SPREAD = 6.0, 1.0, 0.3
+PRIOR_PIECES, PRIOR_SPREAD, LEAST_SPREAD = 6.0, 1.0, 0.8
 """The spread before is taken as the model's with that weight, and as no less than that share."""
 
 
 @dataclass(frozen=True)
+class Fit:
+    """The fit of an angle together with its source's nuisance, piece by piece.
+
+    left (G,): scores of the angle that the fit leaves over. rows (G, 1 + k): information of the
+    angle, and what it shares with the nuisance. inverse (1 + k, 1 + k): covariance of both, from
+    all pieces and priors. value: the angle [rad].
+    """
+
+    left: Array
+    rows: Array
+    inverse: Array
+    value: float
+
+
+@dataclass(frozen=True)
 class Flow:
-    """Evidence about one angle from one source, piece by piece: scores and informations (G,)."""
+    """Evidence about one angle from one source, piece by piece: scores and informations (G,).
+
+    fit: where the angle was fitted together with nuisance; else each piece speaks of it alone.
+    """
 
     axis: int
     score: Array
     information: Array
+    fit: Fit | None = None
+
+    def behind(self, score: Array, information: Array) -> Flow:
+        """This flow behind earlier pieces (E,), which speak of the angle alone."""
+        both = np.concatenate([score, self.score]), np.concatenate([information, self.information])
+        fit = self.fit
+        if fit is None:
+            return Flow(self.axis, *both)
+        known = float(information.sum())
+        column = fit.inverse[:, 0]
+        inverse = fit.inverse - np.outer(column, column) * (known / (1.0 + known * column[0]))
+        moved = inverse[:, 0] * (float(score.sum()) - known * fit.value)
+        value = fit.value + float(moved[0])
+        left = np.concatenate([score - information * value, fit.left - fit.rows @ moved])
+        rows = np.zeros((len(left), fit.rows.shape[1]))
+        rows[: len(score), 0] = information
+        rows[len(score) :] = fit.rows
+        return Flow(self.axis, *both, Fit(left, rows, inverse, value))
+
+    def fitted(self) -> Fit | None:
+        """The fit; without nuisance the mean. None without any information."""
+        if self.fit is not None:
+            return self.fit
+        n, total = self.information, float(self.information.sum())
+        if total <= 0.0:
+            return None
+        mean = float(self.score.sum()) / total
+        return Fit(self.score - n * mean, n[:, None], np.array([[1.0 / total]]), mean)
 
 
 @dataclass(frozen=True)
@@ -76,14 +125,14 @@ def largest_change(
         if not mine:
             continue
         n = max(len(flow.score) for flow in mine)
-        for span in SPANS:
-            if n - span < LEAST_BEFORE[axis] or (fresh is not None and span > fresh):
-                break
-            found = _change(mine, span, axis)
-            if found is None:
-                continue
-            size, deviations = found
-            threshold = (THRESHOLD_SHORT if span < SHORT_SPAN else THRESHOLD)[axis]
+        longest = n - LEAST_BEFORE[axis] if fresh is None else min(n - LEAST_BEFORE[axis], fresh)
+        spans = [span for span in SPANS if span <= longest]
+        if not spans:
+            continue
+        sizes, deviations_of = changes(mine, np.array(spans), axis)
+        for k, span in enumerate(spans):
+            size, deviations = float(sizes[k]), float(deviations_of[k])
+            threshold = THRESHOLD[axis][k]
             if hint is not None and hint[0] == axis and hint[1] * size > 0.0:
                 threshold *= HINTED
             excess = abs(deviations) / threshold
@@ -92,31 +141,52 @@ def largest_change(
     return best
 
 
-def _change(flows: list[Flow], span: int, axis: int) -> tuple[float, float] | None:
-    score_old = info_old = score_new = info_new = 0.0
+def changes(flows: list[Flow], spans: NDArray[np.int64], axis: int) -> tuple[Array, Array]:
+    """Change of an angle over its last spans (S,): size [rad] (S,), in standard deviations (S,).
+
+    Each source fits its own level before, its own nuisance and its own change; the changes are
+    then averaged.
+    """
+    precision, weighted = np.zeros(len(spans)), np.zeros(len(spans))
     for flow in flows:
-        s, n = flow.score, flow.information
-        if len(s) <= span:
-            continue
-        before, total = s[:-span], float(n[:-span].sum())
-        if total <= 0.0:
-            continue
-        mean = float(before.sum()) / total
-        left = before - n[:-span] * mean
-        pieces = float(total**2 / max(float(n[:-span] @ n[:-span]), 1e-12))
-        ratio = float((left * left).sum()) / total
-        scale = (PRIOR_PIECES * PRIOR_SPREAD + pieces * max(ratio, LEAST_SPREAD)) / (
-            PRIOR_PIECES + pieces
-        )
-        recent_n = n[-span:]
-        limit = CLIP * np.sqrt(scale * recent_n)
-        recent = np.clip(s[-span:] - recent_n * mean, -limit, limit)
-        score_new += float((recent + recent_n * mean).sum()) / scale
-        info_new += float(recent_n.sum()) / scale
-        score_old += float(before.sum()) / scale
-        info_old += total / scale
-    if info_old <= 0.0 or info_new <= 0.0:
-        return None
-    size = score_new / info_new - score_old / info_old
-    variance = 1.0 / info_new + 1.0 / info_old + UNEVEN_STD[axis] ** 2
-    return size, size / variance**0.5
+        if len(flow.score) > spans[0]:
+            size, known = _change(flow, np.minimum(spans, len(flow.score) - 1))
+            precision += known
+            weighted += known * size
+    good = precision > 0.0
+    size = np.where(good, weighted / np.where(good, precision, 1.0), 0.0)
+    variance = 1.0 / np.where(good, precision, 1e-9) + UNEVEN_STD[axis] ** 2
+    return size, size / np.sqrt(variance)
+
+
+def _change(flow: Flow, spans: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Change of one source over its last spans (S,): size [rad] and information (S,).
+
+    With M the information of angle and nuisance from all pieces, w what the new pieces have of
+    its first row and U their scores left over by the common fit, the change is U / V with
+    V = w_0 - w' M^-1 w (the score test of a linear model; exact). So what new pieces know of the
+    angle only together with nuisance that they alone show, counts for nothing.
+    """
+    fit = flow.fitted()
+    if fit is None:
+        return np.zeros(len(spans)), np.zeros(len(spans))
+    left, rows, inverse = fit.left, fit.rows, fit.inverse
+    n = rows[:, 0]
+    first = len(n) - spans
+    w = np.cumsum(rows[::-1], axis=0)[spans - 1]
+    turned = w @ inverse
+    known = w[:, 0] - (turned * w).sum(axis=1)
+    use = known > LEAST_KNOWN * float(n.sum())
+    size = np.where(use, np.cumsum(left[::-1])[spans - 1] / np.where(use, known, 1.0), 0.0)
+    old = np.arange(len(n)) < first[:, None]
+    alone = left + size[:, None] * (turned @ rows.T)  # against the fit to the old ones
+    expected = np.maximum(n - ((rows @ inverse) * rows).sum(axis=1), 0.0)
+    ratio = (old * alone * alone).sum(axis=1) / np.maximum(old @ expected, 1e-12)
+    pieces = (old @ n) ** 2 / np.maximum(old @ (n * n), 1e-12)
+    scale = (PRIOR_PIECES * PRIOR_SPREAD + pieces * np.maximum(ratio, LEAST_SPREAD)) / (
+        PRIOR_PIECES + pieces
+    )
+    limit = CLIP * np.sqrt(scale[:, None] * n)
+    clipped = (~old * np.clip(alone, -limit, limit)).sum(axis=1)
+    size = np.where(use, clipped / np.maximum(w[:, 0], 1e-12), 0.0)
+    return size, np.where(use, known / scale, 0.0)
