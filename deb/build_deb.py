@@ -158,4 +158,9 @@ def _write(path: Path, text: str) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Build the .deb.")
     parser.add_argument("--out", type=Path, default=ROOT / "dist", metavar="DIR")
-    print(build(parser.parse_args().out))
+    parser.add_argument("--packages-only", type=Path, metavar="DIR", help="/usr/lib/imucald alone")
+    options = parser.parse_args()
+    if options.packages_only is not None:
+        copy_packages(options.packages_only)
+    else:
+        print(build(options.out))

@@ -5,12 +5,9 @@ All scenes (see scenario.py) play on one machine, one after the other: a boot co
 
 from __future__ import annotations
 
-import compileall
-import importlib.util
 import json
-import py_compile
-import shutil
 import statistics
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -28,15 +25,14 @@ RESUME_S = 1.0
 
 STARTER = """#!/usr/bin/python3 -IS
 import sys
-sys.path[:0] = ["/opt/source/daemon", "/opt/packages"]
-sys.dont_write_bytecode = True
+sys.path.insert(0, "/usr/lib/imucald")
 from imucald.cli import main
 sys.exit(main())
 """
-HANGING = """#!/usr/bin/python3
+"""As the Debian package has it."""
+HANGING = """#!/usr/bin/python3 -IS
 import pathlib, sys, time
-sys.path[:0] = ["/opt/source/daemon", "/opt/packages"]
-sys.dont_write_bytecode = True
+sys.path.insert(0, "/usr/lib/imucald")
 from imucald.cli import main
 from imucald.service.live import Daemon
 step = Daemon.step
@@ -49,26 +45,12 @@ Daemon.step = hanging
 sys.exit(main(sys.argv[1:]))
 """
 SCRIPT = """
-mkdir -p /opt/source /opt/packages
-mount --bind {source} /opt/source && mount --bind {packages} /opt/packages || exit 3
+cp -r {packages} /usr/lib/imucald && chmod -R a+rX /usr/lib/imucald || exit 3
 mkdir -p /etc/imucald && cp {drive}/shuttle.* /etc/imucald/ && cd /etc/imucald || exit 4
 mv shuttle.yaml vcan0.yaml && chmod 755 . && chmod 644 * || exit 5
 chmod 755 /usr/bin/imucald
 exec python3 -u /opt/scenario.py
 """
-
-
-def compiled(folder: Path) -> Path:
-    """The daemon as a package installs it: with its modules compiled, for everybody to read."""
-    folder.chmod(0o755)
-    shutil.copytree(
-        ROOT / "daemon", folder / "daemon", ignore=shutil.ignore_patterns("__pycache__")
-    )
-    mode = py_compile.PycInvalidationMode.UNCHECKED_HASH
-    prefix, sys.pycache_prefix = sys.pycache_prefix, None  # beside their sources
-    compileall.compile_dir(folder, quiet=1, invalidation_mode=mode)
-    sys.pycache_prefix = prefix
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -78,18 +60,16 @@ def outcome(systemd_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Out
     folder = tmp_path_factory.mktemp("machine")
     drive = tmp_path_factory.mktemp("drive")
     shuttle.write(drive, cycles=3)
-    numpy = importlib.util.find_spec("numpy")
-    assert numpy is not None
-    assert numpy.origin is not None
-    packages = Path(numpy.origin).parents[1]
-    source = compiled(tmp_path_factory.mktemp("source"))
+    packages = tmp_path_factory.mktemp("packages") / "imucald"
+    build = [sys.executable, str(ROOT / "deb/build_deb.py"), "--packages-only", str(packages)]
+    subprocess.run(build, check=True, capture_output=True)
     files = {
         "/opt/scenario.py": (HERE / "scenario.py").read_text(),
         "/usr/bin/imucald": STARTER,
         "/usr/bin/imucald-hanging": HANGING,
     }
-    script = SCRIPT.format(source=source, packages=packages, drive=drive)
-    shared = [source, packages, drive]
+    script = SCRIPT.format(packages=packages, drive=drive)
+    shared = [packages, drive]
     return run_machine(systemd_root, folder, script, files=files, shared=shared, limit=LIMIT_S)
 
 
