@@ -46,6 +46,8 @@ class Parameter:
     """Limits that the model file sets."""
     share: float = 0.05
     """Part of a fitted departure that the forward model cannot promise."""
+    floor: float = 0.6
+    """The same whatever the departure, in tolerances: what fits of drives without effect err by."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from imucald.diagnosis.spectra import (
     BLOCK_S,
     ERROR_OF_LEAN,
     ERROR_STEADY,
-    OVERLAP_WEIGHT,
     Blocks,
     Complex,
     Noise,
@@ -73,19 +72,20 @@ class Linearised:
         square = float(np.real(np.vdot(weighed, whole)))
         return np.asarray(score, dtype=float), square
 
-    def volume(self) -> float:
-        """Log of the noise density's norm: what an explanation pays for noise that it leaves.
+    def density(self, keys: Sequence[str], base: Mapping[str, float]) -> float:
+        """Log evidence of some keys with the noise that their own fit leaves, paid for.
 
-        Complex Gaussian values of covariance S, of each stretch, weighed as the normal equations.
+        What the model cannot promise is not counted: it would be paid for by what it explains.
         """
-        total = 0.0
-        patterns, which = np.unique(self.present, axis=0, return_inverse=True)
-        for kind, pattern in enumerate(patterns):
-            blocks, c = np.flatnonzero(which.ravel() == kind), np.flatnonzero(pattern)
-            for i, band in enumerate(bands(self.residual.shape[1])):
-                size = 0.5 if band.start == 0 else band.stop - band.start
-                total += size * float(np.linalg.slogdet(self.noise.matrices(i, blocks, c))[1].sum())
-        return OVERLAP_WEIGHT * total
+        left = self.residual - self.columns @ self.evidence.fit(keys).x.astype(np.float32)
+        S = cross_spectra(left, self.present, self.noise.loud)
+        loud = loudness(left, self.present, S)
+        noise = Noise(cross_spectra(left, self.present, loud), loud, np.zeros_like(loud))
+        whole = Blocks(self.columns, self.present, np.zeros(0))
+        shift = np.array([self.values[p.key] - base[p.key] for p in self.parameters])
+        normal = normal_equations(whole, self.residual, noise)
+        evidence = Evidence(self.parameters, normal, shift)
+        return evidence.fit(keys).log_evidence - noise.volume(self.present, self.residual.shape[1])
 
     def quietness_of(self, residuals: Sequence[Complex]) -> float:
         """Log determinant of other residuals' spectra (per drive), means left out."""

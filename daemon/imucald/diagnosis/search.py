@@ -28,8 +28,6 @@ ACCEPT = 3.5
 """Log posterior odds above which a cause is accepted in a step."""
 ALIKE = 3.0
 """Explanations within this log evidence of the best are look-alikes: odds of 20 to 1."""
-TOLERANCE_SHARE = 0.4
-"""What the forward model cannot promise of a fitted parameter, of its tolerance."""
 BENT_ALIKE = 25.0
 """The same between fits of delays and low-passes, whose shapes are known less well."""
 MOST_CAUSES = 8
@@ -121,8 +119,8 @@ class Search:
             best = self._contest(found, [self._with(found, trial) for trial in rivals])
             if best is None:
                 break
-            found = self._pruned(best)
-        return found
+            found = self._pruned(best, best.active[:-1])
+        return self._pruned(found, found.active)
 
     def _with(self, found: Found, trial: Trial) -> Found:
         """Refit with one more cause."""
@@ -155,19 +153,33 @@ class Search:
 
         None where the best is not worth its place, although it seemed so from afar.
         """
-        said = [density(found) + self._prior_at(found) for found in rivals]
-        best = rivals[int(np.argmax(said))]
-        newest = best.active[-1]
-        if newest.cause in STARTS and max(said) - density(before) < ACCEPT:
+        least = self._density(before)
+        said = []
+        for found in rivals:
+            name = found.active[-1].cause
+            gain = self._density(found) + self._prior_at(found) - least
+            # A constant that is left looks like noise of the mean; near the point, what the
+            # linear score says of it holds.
+            said.append(gain if name in STARTS else max(gain, found.scores[name]))
+        worth = [
+            score if min(score, self.loss(found, found.active[-1])) > ACCEPT else -math.inf
+            for found, score in zip(rivals, said, strict=True)
+        ]
+        if max(worth) == -math.inf:
             return None
+        best = rivals[int(np.argmax(worth))]
+        newest = best.active[-1]
         near = {
             found.active[-1].cause
             for found, score in zip(rivals, said, strict=True)
-            if score > max(said) - BENT_ALIKE
+            if score > max(worth) - BENT_ALIKE
         }
         if len(near) > 1:
             best.alike = [*best.alike, (newest.cause, *sorted(near - {newest.cause}))]
         return best
+
+    def _density(self, found: Found) -> float:
+        return found.point.density(found.keys, self.base)
 
     def _prior_at(self, found: Found) -> float:
         """Log prior odds of the newest cause; a shift may be at any of many times."""
@@ -232,7 +244,7 @@ class Search:
             made[key] = math.sqrt(
                 float(covariance[i, i]) * float(found.tempers[i])
                 + (p.share * departure) ** 2
-                + (TOLERANCE_SHARE * p.tolerance) ** 2
+                + (p.floor * p.tolerance) ** 2
             )
         return made
 
@@ -393,9 +405,9 @@ class Search:
                 best, least = moved, square
         return best
 
-    def _pruned(self, found: Found) -> Found:
+    def _pruned(self, found: Found, doubted: Sequence[Variant]) -> Found:
         """Drop causes that no longer pay beside the others."""
-        for variant in list(found.active)[:-1]:
+        for variant in list(doubted):
             rest = [v for v in found.active if v is not variant]
             if self.loss(found, variant) < ACCEPT:
                 values = dict(found.point.values)
@@ -411,11 +423,6 @@ class Search:
         rest = [key for v in found.active if v is not variant for key in v.keys]
         full = evidence.fit(found.keys, temper=temper).log_evidence
         return full - evidence.fit(rest, temper=temper).log_evidence + self.prior(variant)
-
-
-def density(found: Found) -> float:
-    """Log evidence of a fit, with the noise that it leaves paid for."""
-    return found.point.evidence.fit(found.keys).log_evidence - found.point.volume()
 
 
 def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:

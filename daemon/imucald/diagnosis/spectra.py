@@ -74,6 +74,20 @@ class Noise:
         made[:, range(len(c)), range(len(c))] += self.error[blocks, band][:, c] ** 2
         return np.asarray(made)
 
+    def volume(self, present: NDArray[np.bool_], frequencies: int) -> float:
+        """Log of the density's norm: what an explanation pays for noise that it leaves.
+
+        Complex Gaussian values of each stretch, weighed as in the normal equations.
+        """
+        total = 0.0
+        patterns, which = np.unique(present, axis=0, return_inverse=True)
+        for kind, pattern in enumerate(patterns):
+            blocks, c = np.flatnonzero(which.ravel() == kind), np.flatnonzero(pattern)
+            for i, band in enumerate(bands(frequencies)):
+                size = 0.5 if band.start == 0 else band.stop - band.start
+                total += size * float(np.linalg.slogdet(self.matrices(i, blocks, c))[1].sum())
+        return OVERLAP_WEIGHT * total
+
     def louder(self, factor: Array) -> Noise:
         """All of it times a factor (1 or B, bands, C)."""
         return Noise(self.S, self.loud * factor, self.error * factor)

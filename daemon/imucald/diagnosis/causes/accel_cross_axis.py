@@ -17,7 +17,9 @@ class AccelCrossAxis(Cause):
 
     name = "accel_cross_axis"
     parameters = tuple(
-        Parameter(key, "1", 0.005 if seen == 2 else 0.003, 0.04, 0.005, -0.5, 0.5, share=0.1)
+        Parameter(
+            key, "1", 0.005 if seen == 2 else 0.003, 0.04, 0.005, -0.5, 0.5, share=0.1, floor=1.0
+        )
         for key, (seen, _) in zip(KEYS, PAIRS, strict=True)
     )
     signals = ("accel_x", "accel_y", "accel_z")

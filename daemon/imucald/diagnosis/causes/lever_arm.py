@@ -10,6 +10,7 @@ from imucald.diagnosis.state import State
 
 KEYS = tuple(f"mount.lever_arm_m.{i}" for i in range(3))
 SHARES = (0.12, 0.12, 0.3)
+FLOORS = (0.6, 0.6, 1.5)
 """The height acts through roll and pitch accelerations, which springs and gyroscope blur."""
 
 
@@ -18,8 +19,8 @@ class LeverArm(Cause):
 
     name = "lever_arm"
     parameters = tuple(
-        Parameter(key, "m", 0.1, 1.5, 0.2, share=share)
-        for key, share in zip(KEYS, SHARES, strict=True)
+        Parameter(key, "m", 0.1, 1.5, 0.2, share=share, floor=floor)
+        for key, share, floor in zip(KEYS, SHARES, FLOORS, strict=True)
     )
     signals = ("accel_x", "accel_y", "accel_z")
     needs = ("turning",)

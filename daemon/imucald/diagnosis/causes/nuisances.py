@@ -8,6 +8,9 @@ from imucald.diagnosis.cause import Cause, Parameter, Values
 from imucald.diagnosis.state import State
 from imucald.samples import GRAVITY
 
+SLOWEST_MPS = 2.0
+"""Below this a slip angle says nothing."""
+
 
 class ControlUnitAcceleration(Cause):
     """Offset and scale of the vehicle's own acceleration signals."""
@@ -61,13 +64,17 @@ class WheelSlip(Cause):
 
 
 class Sideslip(Cause):
-    """Compliance of the rear tyres, by which the vehicle slips outwards, and its lag."""
+    """Compliance of the rear tyres, by which the vehicle slips outwards, and their relaxation.
+
+    A load moves the centre of gravity, too: how far the rear axle is behind it.
+    """
 
     name = "sideslip"
     nuisance = True
     parameters = (
         Parameter("_sideslip.compliance", "1", 0.4, 0.4, 0.1),
-        Parameter("_sideslip.lag", "s", 0.1, 0.1, 0.02),
+        Parameter("_sideslip.relaxation", "m", 0.5, 0.5, 0.1),
+        Parameter("_sideslip.reference", "m", 0.15, 0.15, 0.05),
     )
 
     def motion(self, s: State, p: Values) -> None:
@@ -77,9 +84,13 @@ class Sideslip(Cause):
         outwards = -slip * s.speed * s.speed * s.yaw_rate
         if p["_sideslip.compliance"]:
             s.ay = s.ay + s.spectrum.derivative(p["_sideslip.compliance"] * outwards)
-        if p["_sideslip.lag"]:
-            twice = s.spectrum.derivative(s.spectrum.derivative(outwards))
-            s.ay = s.ay - p["_sideslip.lag"] * twice
+        if p["_sideslip.reference"]:
+            s.ay = s.ay + p["_sideslip.reference"] * s.spectrum.derivative(s.yaw_rate)
+        if p["_sideslip.relaxation"]:
+            # v_y = l_r r - v (alpha + (s / v) alpha') with the slip angle alpha = -outwards / v.
+            angle = -outwards / np.maximum(np.abs(s.speed), SLOWEST_MPS)
+            twice = s.spectrum.derivative(s.spectrum.derivative(angle))
+            s.ay = s.ay - np.sign(s.speed) * p["_sideslip.relaxation"] * twice
 
 
 class SuspensionModes(Cause):

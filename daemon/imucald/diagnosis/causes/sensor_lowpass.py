@@ -38,14 +38,16 @@ class SensorLowpass(Cause):
         The yaw rate gets it from the gyroscope where there is one: with y = H r measured,
         r = y + (1 - H) r, and the gyroscope stands for r in the second term.
         """
-        if s.gyro_in is not None:
+        measured = s.gyro_in
+        if measured is not None:
             response = s.spectrum.butterworth(self._cutoff(s.model, "gyro", p))
-            s.gyro_in = s.spectrum.apply(s.gyro_in, _inverse(response))
+            s.gyro_in = s.spectrum.apply(measured, _inverse(response))
         if s.yaw_in is None:
             return
         response = s.spectrum.butterworth(self._cutoff(s.model, "yaw_rate", p))
-        if s.gyro_in is not None:
-            turning = mount_of(s.model)[2] @ s.gyro_in
+        if measured is not None:
+            # As measured: through an inverse its noise would go into what predicts it.
+            turning = mount_of(s.model)[2] @ measured
             s.yaw_in = s.yaw_in + s.spectrum.apply(turning, 1.0 - response)
         else:
             s.yaw_in = s.spectrum.apply(s.yaw_in, _inverse(response))

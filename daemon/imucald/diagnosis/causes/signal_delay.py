@@ -18,7 +18,8 @@ class SignalDelay(Cause):
 
     name = "signal_delay"
     parameters = tuple(
-        Parameter(f"{name}.delay_s", "s", 0.008, 0.2, 1e-4, -0.8, 2.0) for name in NAMES
+        Parameter(f"{name}.delay_s", "s", 0.008, 0.2, 1e-4, -0.8, 2.0, share=0.1, floor=1.2)
+        for name in NAMES
     )
     signals = (
         "accel_x", "accel_y", "gyro_x", "gyro_y", "gyro_z", "yaw_rate", "lateral_accel",
