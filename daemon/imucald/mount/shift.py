@@ -25,9 +25,9 @@ CLIP = 4.5
 UNEVEN_STD = (0.0045, 0.0026, 0.0015)
 """Town and motorway differ by that much [rad] without a shift."""
 THRESHOLD = (
-    (6.6, 6.6, 6.4, 6.2, 5.5, 5.2, 5.2),
-    (6.0, 6.8, 6.8, 5.7, 5.3, 5.2, 5.2),
-    (4.5, 4.5, 4.4, 3.9, 3.5, 3.3, 3.3),
+    (6.1, 6.0, 5.8, 5.7, 5.1, 4.9, 4.9),
+    (6.0, 6.5, 6.5, 5.5, 5.1, 5.0, 5.0),
+    (4.3, 4.3, 4.2, 3.8, 3.5, 3.3, 3.3),
 )
 """For roll, pitch and yaw, and each span, in standard deviations; docs/mount-accuracy.md: what
 they give. Over short spans a stretch of leaning road or a windy one passes for a turn."""
