@@ -31,6 +31,8 @@ THRESHOLD = (
 )
 """For roll, pitch and yaw, and each span, in standard deviations; docs/mount-accuracy.md: what
 they give. Over short spans a stretch of leaning road or a windy one passes for a turn."""
+OTHER_ROADS = 1.15
+"""Thresholds are so much higher where it takes pieces of earlier drives to test at all."""
 LEAST_KNOWN = 1e-6
 """New pieces that know less of the angle than this share say nothing."""
 HINTED = 0.7
@@ -135,6 +137,8 @@ def largest_change(
             threshold = THRESHOLD[axis][k]
             if hint is not None and hint[0] == axis and hint[1] * size > 0.0:
                 threshold *= HINTED
+            if fresh is not None and fresh - span < LEAST_BEFORE[axis]:
+                threshold *= OTHER_ROADS
             excess = abs(deviations) / threshold
             if best is None or excess > best.excess:
                 best = Shift(axis, size, deviations, span, excess)
