@@ -31,6 +31,9 @@ ALIKE = 3.0
 BENT_ALIKE = 25.0
 """The same between fits of delays and low-passes, whose shapes are known less well."""
 MOST_CAUSES = 8
+SAME_SIGNAL = 150.0
+"""What a delay must be worth beside a low-pass of the same signal, or the reverse: the two shapes
+are hardly told apart."""
 STEPS, MOST_STEPS = 2, 5
 """Gauss-Newton steps after each accepted cause; more, and with noise and derivatives of every point
 on the way, where the response is bent."""
@@ -162,7 +165,9 @@ class Search:
             # linear score says of it holds.
             said.append(gain if name in STARTS else max(gain, found.scores[name]))
         worth = [
-            score if min(score, self.loss(found, found.active[-1])) > ACCEPT else -math.inf
+            score
+            if min(score, self.loss(found, found.active[-1])) > _hurdle(found.active)
+            else -math.inf
             for found, score in zip(rivals, said, strict=True)
         ]
         if max(worth) == -math.inf:
@@ -423,6 +428,14 @@ class Search:
         rest = [key for v in found.active if v is not variant for key in v.keys]
         full = evidence.fit(found.keys, temper=temper).log_evidence
         return full - evidence.fit(rest, temper=temper).log_evidence + self.prior(variant)
+
+
+def _hurdle(active: Sequence[Variant]) -> float:
+    """Log posterior odds that the newest cause must have."""
+    *others, newest = active
+    bent = {_signal_of(k) for v in others if v.cause in STARTS for k in v.keys}
+    same = newest.cause in STARTS and bent & {_signal_of(key) for key in newest.keys}
+    return SAME_SIGNAL if same else ACCEPT
 
 
 def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:

@@ -33,8 +33,10 @@ SHRINK = 0.12
 PRIOR_COUNT = 3.0
 """Frequencies of usual loudness that each stretch is taken to have besides its own."""
 LEAST_LOUD, MOST_LOUD = 0.3, 5.0
-ERROR_STEADY, ERROR_PER_HZ = 0.025, 0.25
-"""Error of the forward model, relative to what it predicts, in steady state and per hertz."""
+ERROR_STEADY, ERROR_PER_HZ, ERROR_PER_HZ2 = 0.025, 0.1, 2.0
+"""Error of the forward model, relative to what it predicts: in steady state, per hertz and per
+hertz squared. What is quick is small, and the inputs' own noise counts in it: it would otherwise
+pull scales down and delays away."""
 ERROR_OF_LEAN = 0.12
 """The same for the rates of roll and pitch: they are the springs' work alone."""
 FLOOR = 1e-3
@@ -186,7 +188,7 @@ def model_error(predicted: Complex, steady: Array) -> Array:
     result = np.empty((len(predicted), len(edges), predicted.shape[2]))
     for i, band in enumerate(edges):
         f = 0.5 * (band.start + band.stop - 1) / BLOCK_S
-        share = np.hypot(steady, ERROR_PER_HZ * f)
+        share = np.hypot(steady, ERROR_PER_HZ * f + ERROR_PER_HZ2 * f * f)
         power = np.mean(np.abs(predicted[:, band, :]) ** 2, axis=1)
         result[:, i, :] = share * np.sqrt(power)
     return result

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import Array
-from imucald.diagnosis.spectra import BLOCK_S, ERROR_PER_HZ, ERROR_STEADY, Complex, transform
+from imucald.diagnosis.spectra import BLOCK_S, ERROR_STEADY, Complex, transform
 
 Mask = NDArray[np.bool_]
 
@@ -45,6 +45,8 @@ WINDOW_HZ = 0.2
 """Width of the bands in which coherence is taken,"""
 PUSH_HZ = (0.12, 1.1)
 """between these frequencies."""
+ERROR_TOLD_PER_HZ = 0.25
+"""Error of the forward model per hertz that a residual may show without being told of."""
 OWN_MOTION = 0.25
 """Share of the yaw rate's residual that the gyroscope may show against it: more, and it is one of
 the two sensors that errs, not the vehicle that moves."""
@@ -150,7 +152,7 @@ class Spectra:
         e = self.residual[there][:, band]
         coherence = _coherence(e[:, :, yaw], e[:, :, side])
         floor = float(np.min(self.power[-_bins(WINDOW_HZ) :, yaw]))
-        share = math.hypot(ERROR_STEADY, ERROR_PER_HZ * hz)
+        share = math.hypot(ERROR_STEADY, ERROR_TOLD_PER_HZ * hz)
         asked = float(np.mean(np.abs(self.predicted[there][:, band, yaw]) ** 2))
         own = float(np.mean(np.abs(e[:, :, yaw]) ** 2))
         excess = own / max(floor + share**2 * asked, TINY)
@@ -178,7 +180,7 @@ def stretch_levels(spectra: Spectra) -> Array:
     residual, predicted = spectra.residual[:, band], spectra.predicted[:, band]
     # A slow input ends the spectra below the band's top.
     hz = (band.start + np.arange(residual.shape[1]))[None, :, None] / BLOCK_S
-    share = ERROR_STEADY**2 + (ERROR_PER_HZ * hz) ** 2
+    share = ERROR_STEADY**2 + (ERROR_TOLD_PER_HZ * hz) ** 2
     own = np.mean(np.abs(residual) ** 2, axis=1)
     asked = np.mean(share * np.abs(predicted) ** 2, axis=1)
     own = np.where(spectra.present, own, np.nan)
