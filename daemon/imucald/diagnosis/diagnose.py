@@ -26,6 +26,9 @@ from imucald.samples import Samples
 from imucald.simulation.model import Model
 
 Progress = Callable[[float, str], None]
+BESIDE_ROADS = 20.0
+"""Log posterior odds that a cause must have on roads that the model does not know: their waves are
+longer than the stretches, and their means pass for small offsets and scales."""
 STEP_SHARE = 0.12
 """Share of the work by which progress moves on with each cause."""
 
@@ -63,6 +66,8 @@ def diagnose(
     tell(0.88, "structure that is left")
     structure = tuple(find_structure(search, found))
     kept = standing(search, found, structure)
+    if roads:
+        kept = [v for v in kept if search.loss(found, v) >= BESIDE_ROADS]
     if len(kept) < len(found.active):
         found = search.refit(kept, found)
     tell(0.93, "gain")

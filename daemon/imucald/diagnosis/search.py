@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucald.diagnosis.cause import Cause, Parameter, Variant
-from imucald.diagnosis.causes import mount_shift
+from imucald.diagnosis.causes import mount_shift, sensor_lowpass
 from imucald.diagnosis.evidence import Fit, solve
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import Array
@@ -164,6 +164,10 @@ class Search:
             # A constant that is left looks like noise of the mean; near the point, what the
             # linear score says of it holds.
             said.append(gain if name in STARTS else max(gain, found.scores[name]))
+        said = [
+            score if self._can_be(found) else -math.inf
+            for found, score in zip(rivals, said, strict=True)
+        ]
         worth = [
             score
             if min(score, self.loss(found, found.active[-1])) > _hurdle(found.active)
@@ -182,6 +186,9 @@ class Search:
         if len(near) > 1:
             best.alike = [*best.alike, (newest.cause, *sorted(near - {newest.cause}))]
         return best
+
+    def _can_be(self, found: Found) -> bool:
+        return all(sensor_lowpass.is_possible(f.track, found.point.values) for f in self.forwards)
 
     def _density(self, found: Found) -> float:
         return found.point.density(found.keys, self.base)

@@ -36,7 +36,7 @@ class TyreLag(Cause):
     name = "tyre_lag"
     nuisance = True
     parameters = (
-        Parameter("_tyre.lag", "s", 0.04, 0.04, 0.02),
+        Parameter("_tyre.lag", "s", 0.02, 0.02, 0.01),
         Parameter("_tyre.tangent", "1", 1.0, 1.0, 0.2),
         Parameter("_tyre.saturation", "1/(m/s^2)^2", 0.004, 0.004, 0.002),
     )

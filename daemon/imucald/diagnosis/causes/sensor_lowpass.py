@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from imucald.diagnosis.cause import Cause, Parameter, Values, Variant
 from imucald.diagnosis.forward_mount import mount_of
+from imucald.diagnosis.grid import Track
 from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import Response, State
 from imucald.simulation.model import Model
@@ -15,6 +17,27 @@ from imucald.simulation.model import Model
 NAMES = ("accel", "gyro", "yaw_rate")
 MOST_GAIN = 4.0
 """An input's low-pass is undone up to this gain: beyond it there is only noise."""
+
+SHAKEN: Mapping[str, float] = {"accel": 8.0, "gyro": 0.15}
+"""No vehicle vibrates more [m/s^2, rad/s rms]."""
+SHAKEN_HZ = 8.0
+"""Where vibration above the grid's band is taken to lie."""
+
+
+def is_possible(track: Track, values: Values) -> bool:
+    """Whether low-passes as deep as these could have let the vibration through that was measured.
+
+    What is more while driving than at the quietest has come through the low-pass.
+    """
+    for name, most in SHAKEN.items():
+        more = values.get(f"_lowpass.{name}", 0.0)
+        if name not in track.level or more <= 0.0:
+            continue
+        quiet, loud = np.percentile(track.level[name], [10.0, 90.0])
+        passed = 1.0 / (1.0 + (SHAKEN_HZ * more) ** 2)
+        if math.sqrt(max(loud**2 - quiet**2, 0.0)) > most * passed:
+            return False
+    return True
 
 
 class SensorLowpass(Cause):
