@@ -16,9 +16,10 @@ from imucald.diagnosis.keys import with_values
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import Diagnosis, Estimated, FoundCause, Structure
 from imucald.diagnosis.roads import RoadFinding, find_roads, road_blocks
-from imucald.diagnosis.search import ACCEPT, Found, Search
+from imucald.diagnosis.search import Search
 from imucald.diagnosis.structure import find_structure
 from imucald.diagnosis.structure_guard import standing
+from imucald.diagnosis.trial import ACCEPT, Found
 from imucald.diagnosis.vehicle_gain import mount_errors_deg
 from imucald.diagnosis.verdict import look_alikes, losers_of, to_separate, verdict_of
 from imucald.errors import EstimateError

@@ -13,8 +13,9 @@ from imucald.diagnosis.forward import SIGNALS, UNITS
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.linear import Linearised, residual_blocks
 from imucald.diagnosis.result import Gain, SignalGain
-from imucald.diagnosis.search import Found, Search
+from imucald.diagnosis.search import Search
 from imucald.diagnosis.spectra import BLOCK, Complex, weighted, windows
+from imucald.diagnosis.trial import Found
 
 FOLDS = 4
 

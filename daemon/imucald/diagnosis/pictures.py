@@ -11,8 +11,9 @@ from imucald.diagnosis.grid import GRID_HZ, Array
 from imucald.diagnosis.linear import residual_blocks
 from imucald.diagnosis.result import SignalPicture
 from imucald.diagnosis.roads import RoadFinding, road_added
-from imucald.diagnosis.search import Found, Search
+from imucald.diagnosis.search import Search
 from imucald.diagnosis.spectra import BLOCK_S, Complex
+from imucald.diagnosis.trial import Found
 
 
 def pictures_of(

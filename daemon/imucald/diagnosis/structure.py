@@ -16,7 +16,7 @@ from scipy.stats import t as student
 
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.result import Structure
-from imucald.diagnosis.search import Found, Search
+from imucald.diagnosis.search import Search
 from imucald.diagnosis.spectra import windows
 from imucald.diagnosis.structure_probes import WORDS, Dependence, dependences, looks
 from imucald.diagnosis.structure_spectra import (
@@ -27,6 +27,7 @@ from imucald.diagnosis.structure_spectra import (
     predicted_blocks,
     stretch_levels,
 )
+from imucald.diagnosis.trial import Found
 
 FALSE_ALARM = 0.01
 """Chance by which each kind of test may speak without cause, over all its looks."""

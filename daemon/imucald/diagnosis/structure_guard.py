@@ -16,8 +16,9 @@ from imucald.diagnosis.cause import Variant
 from imucald.diagnosis.evidence import Evidence
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.result import Structure
-from imucald.diagnosis.search import Found, Search
+from imucald.diagnosis.search import Search
 from imucald.diagnosis.spectra import BLOCK_S, Blocks, bands, normal_equations
+from imucald.diagnosis.trial import Found
 
 STANDS = 12.0
 """Log posterior odds that a cause must keep without the structure's signals and frequencies."""

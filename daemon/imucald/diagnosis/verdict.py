@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 from imucald.diagnosis.cause import Cause
+from imucald.diagnosis.contest import FAMILIES
 from imucald.diagnosis.result import Candidate, Structure, Verdict
-from imucald.diagnosis.search import ALIKE, FAMILIES, Found, Search
+from imucald.diagnosis.search import ALIKE, Search
+from imucald.diagnosis.trial import Found
 
 FAMILY = frozenset().union(*FAMILIES)
 MOST_TOLD = 12
