@@ -1,0 +1,78 @@
+"""What the search holds against a candidate: vibration, a like cause, the noise's axes."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from imucald.diagnosis import linear, spectra
+from imucald.diagnosis.bent import SAME_SIGNAL, hurdle
+from imucald.diagnosis.cause import Variant
+from imucald.diagnosis.causes import mount_rotation, mount_shift, sensor_lowpass
+from imucald.diagnosis.trial import ACCEPT, signal_of
+
+
+def _level(quiet, loud, name="accel"):
+    """A drive whose vibration above the grid's band rises from standing to driving."""
+    return SimpleNamespace(level={name: np.linspace(quiet, loud, 500)})
+
+
+@pytest.mark.parametrize(
+    ("cutoff_hz", "track", "possible"),
+    [
+        (0.5, _level(0.05, 0.4), False),
+        (0.5, _level(0.048, 0.05), True),
+        (20.0, _level(0.05, 0.4), True),
+        (0.8, _level(0.002, 0.01, "gyro"), False),
+        (0.8, _level(0.002, 0.01, "accel"), True),
+    ],
+    ids=["shaken", "quiet", "shallow", "turning", "other sensor"],
+)
+def test_a_low_pass_through_which_vibration_came_is_ruled_out(cutoff_hz, track, possible):
+    name = next(iter(track.level))
+    values = {f"_lowpass.{name}": 1.0 / cutoff_hz}
+    assert sensor_lowpass.is_possible(track, values) is possible
+
+
+def test_a_delay_beside_a_low_pass_of_the_same_signal_must_be_beyond_doubt():
+    slow = Variant("sensor_lowpass", "accel", ("_lowpass.accel",))
+    late = Variant("signal_delay", "accel", ("accel.delay_s",))
+    other = Variant("signal_delay", "gyro", ("gyro.delay_s",))
+    scale = Variant("accel_scale", "0", ("accel.scale.0",))
+    assert hurdle([slow, late]) == SAME_SIGNAL
+    assert hurdle([slow, other]) == ACCEPT
+    assert hurdle([slow, scale]) == ACCEPT
+    assert signal_of("_lowpass.accel") == signal_of("accel.delay_s") == "accel"
+
+
+def test_errors_of_the_model_in_two_signals_do_not_cancel():
+    S = np.ones((1, 2, 2), dtype=complex) * 4.0 + 1e-6 * np.eye(2)
+    loud = np.full((3, 1, 2), 2.0)
+    blocks, both = np.arange(3), np.arange(2)
+    difference = np.array([1.0, -1.0])
+    sure = spectra.Noise(S, loud, np.zeros((3, 1, 2))).matrices(0, blocks, both)
+    unsure = spectra.Noise(S, loud, np.full((3, 1, 2), 0.3)).matrices(0, blocks, both)
+    assert np.real(difference @ sure[1] @ difference) < 1e-4
+    assert np.real(difference @ unsure[1] @ difference) == pytest.approx(2 * 0.3**2, rel=1e-3)
+    assert np.real(sure[1][0, 0]) == pytest.approx(16.0, rel=1e-5)
+
+
+def test_a_turned_sensors_residual_is_compared_in_the_axes_of_the_vehicle():
+    rng = np.random.default_rng(4)
+    t = np.arange(400) / 10.0
+    names = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "yaw_rate")
+    shaking = rng.standard_normal((7, 400)) * np.array([1, 1, 1, 5, 5, 0.01, 1])[:, None]
+    forward = SimpleNamespace(names=names, track=SimpleNamespace(t=t))
+    turn, at = np.array([0.03, -0.05, 0.12]), 17.0
+    seen = shaking.copy()
+    after = t >= at
+    # Small turns one after another, so that no formula of the code under test is used.
+    for _ in range(20_000):
+        step = -turn / 20_000
+        for rows in (slice(0, 3), slice(3, 6)):
+            seen[rows][:, after] += np.cross(step, seen[rows][:, after].T).T
+    values = dict(zip(mount_shift.KEYS, turn, strict=True)) | {mount_shift.TIME: at}
+    back = linear._in_vehicle_axes(forward, seen.copy(), values)
+    assert back == pytest.approx(shaking, abs=1e-3)
+    whole = dict.fromkeys(mount_rotation.KEYS, 0.0)
+    assert linear._in_vehicle_axes(forward, seen.copy(), whole) == pytest.approx(seen)
