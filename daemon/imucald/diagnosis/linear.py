@@ -34,8 +34,8 @@ from imucald.frames import rotation_from_vector
 LEANING = ("gyro_x", "gyro_y")
 """Signals that only the body's lean moves."""
 GYRO_TIMING = ("gyro.delay_s", "_lowpass.gyro")
-"""The gyroscope's timing is told by the rates. Through the lever arm it moves the forces as well,
-but road that shakes both would be taken for it."""
+"""Where the vehicle has a yaw rate of its own, the rates tell the gyroscope's timing. Through the
+lever arm it moves the forces as well, but road that shakes both would be taken for it."""
 HEAVE_FROM_HZ, HEAVE = 0.6, 30.0
 """From here on the vertical force is the road's, and in step with the body's pitch: so much more
 noise."""
@@ -172,7 +172,7 @@ def _differentiated(
         moved = dict(values)
         moved[p.key] += p.step
         stack[i] = (forward.predict(moved) - predicted) / p.step
-        if p.key in GYRO_TIMING:
+        if p.key in GYRO_TIMING and "yaw_rate" in forward.track.scalars:
             stack[i, forces] = 0.0
     stack = _in_vehicle_axes(forward, stack, values)
     return transform(stack, forward.usable, forward.track.top_hz)
