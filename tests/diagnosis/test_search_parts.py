@@ -24,9 +24,10 @@ def _level(quiet, loud, name="accel"):
         (0.5, _level(0.048, 0.05), True),
         (20.0, _level(0.05, 0.4), True),
         (0.8, _level(0.002, 0.01, "gyro"), False),
+        (0.5, _level(0.00267, 0.00296, "gyro"), True),
         (0.8, _level(0.002, 0.01, "accel"), True),
     ],
-    ids=["shaken", "quiet", "shallow", "turning", "other sensor"],
+    ids=["shaken", "quiet", "shallow", "turning", "own noise", "other sensor"],
 )
 def test_a_low_pass_through_which_vibration_came_is_ruled_out(cutoff_hz, track, possible):
     name = next(iter(track.level))

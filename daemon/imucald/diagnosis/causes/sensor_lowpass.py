@@ -23,6 +23,9 @@ SHAKEN: Mapping[str, float] = {"accel": 8.0, "gyro": 0.15}
 SHAKEN_HZ = 8.0
 """Where vibration above the grid's band is taken to lie."""
 
+NOISE_SPREAD = 1.3
+"""Levels of a sensor's own noise spread by less."""
+
 
 def is_possible(track: Track, values: Values) -> bool:
     """Whether low-passes as deep as these could have let the vibration through that was measured.
@@ -35,7 +38,8 @@ def is_possible(track: Track, values: Values) -> bool:
             continue
         quiet, loud = np.percentile(track.level[name], [10.0, 90.0])
         passed = 1.0 / (1.0 + (SHAKEN_HZ * more) ** 2)
-        if math.sqrt(max(loud**2 - quiet**2, 0.0)) > most * passed:
+        is_shaken = loud > NOISE_SPREAD * quiet
+        if is_shaken and math.sqrt(loud**2 - quiet**2) > most * passed:
             return False
     return True
 
