@@ -6,7 +6,6 @@ residual's spectra least.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -37,11 +36,7 @@ def far_trials(search: Search, found: Found, trials: Sequence[Trial]) -> list[Tr
 
     What is far from the point in a parameter shows near it as well, in it or in its like.
     """
-    taken = {key for variant in found.active for key in variant.keys}
-    near: dict[Variant, float] = {}
-    for trial in trials:
-        if trial.variant.cause in STARTS and not taken & set(trial.variant.keys):
-            near[trial.variant] = max(trial.score, near.get(trial.variant, -math.inf))
+    near = {trial.variant: trial.score for trial in trials if trial.variant.cause in STARTS}
     moved = {signal_of(k) for v, score in near.items() if score > FAR_FROM for k in v.keys}
     here = found.point.quietness_of([found.point.residual])
     weight = OVERLAP_WEIGHT * len(found.point.present)

@@ -50,7 +50,7 @@ def winner(search: Search, before: Found, rivals: Sequence[Found]) -> Found | No
 
     None where the best is not worth its place, although it seemed so from afar.
     """
-    least = _density(search, before)
+    least = before.point.density(before.keys)
     said = [_gain(search, found, least) for found in rivals]
     worth = [
         score
@@ -78,14 +78,10 @@ def _gain(search: Search, found: Found, least: float) -> float:
     if not all(sensor_lowpass.is_possible(f.track, values) for f in search.forwards):
         return -math.inf
     name = found.active[-1].cause
-    gain = _density(search, found) + _prior_at(search, found) - least
+    gain = found.point.density(found.keys) + _prior_at(search, found) - least
     # A constant that is left looks like noise of the mean; near the point, what the linear score
     # says of it holds.
     return gain if name in STARTS else max(gain, found.scores[name])
-
-
-def _density(search: Search, found: Found) -> float:
-    return found.point.density(found.keys, search.base)
 
 
 def _prior_at(search: Search, found: Found) -> float:

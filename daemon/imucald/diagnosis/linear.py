@@ -72,7 +72,7 @@ class Linearised:
         square = float(np.real(np.vdot(weighed, whole)))
         return np.asarray(score, dtype=float), square
 
-    def density(self, keys: Sequence[str], base: Mapping[str, float]) -> float:
+    def density(self, keys: Sequence[str]) -> float:
         """Log evidence of some keys with the noise that their own fit leaves, paid for.
 
         What the model cannot promise is not counted: it would be paid for by what it explains.
@@ -82,9 +82,8 @@ class Linearised:
         loud = loudness(left, self.present, S)
         noise = Noise(cross_spectra(left, self.present, loud), loud, np.zeros_like(loud))
         whole = Blocks(self.columns, self.present, np.zeros(0))
-        shift = np.array([self.values[p.key] - base[p.key] for p in self.parameters])
         normal = normal_equations(whole, self.residual, noise)
-        evidence = Evidence(self.parameters, normal, shift)
+        evidence = Evidence(self.parameters, normal, self.evidence.shift)
         return evidence.fit(keys).log_evidence - noise.volume(self.present, self.residual.shape[1])
 
     def quietness_of(self, residuals: Sequence[Complex]) -> float:

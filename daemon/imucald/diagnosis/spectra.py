@@ -9,6 +9,7 @@ statements about certainty.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -82,9 +83,7 @@ class Noise:
         Complex Gaussian values of each stretch, weighed as in the normal equations.
         """
         total = 0.0
-        patterns, which = np.unique(present, axis=0, return_inverse=True)
-        for kind, pattern in enumerate(patterns):
-            blocks, c = np.flatnonzero(which.ravel() == kind), np.flatnonzero(pattern)
+        for blocks, c in alike(present):
             for i, band in enumerate(bands(frequencies)):
                 size = 0.5 if band.start == 0 else band.stop - band.start
                 total += size * float(np.linalg.slogdet(self.matrices(i, blocks, c))[1].sum())
@@ -93,6 +92,14 @@ class Noise:
     def louder(self, factor: Array) -> Noise:
         """All of it times a factor (1 or B, bands, C)."""
         return Noise(self.S, self.loud * factor, self.error * factor)
+
+
+def alike(present: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Stretches that have the same signals, and which: (b,) and (c,) of present (B, C)."""
+    patterns, which = np.unique(present, axis=0, return_inverse=True)
+    for kind, pattern in enumerate(patterns):
+        if pattern.any():
+            yield np.flatnonzero(which.ravel() == kind), np.flatnonzero(pattern)
 
 
 def windows(n: int) -> NDArray[np.int64]:
@@ -230,12 +237,7 @@ def normal_equations(columns: Blocks, residual: Complex, noise: Noise) -> Normal
     B, F, _, P = columns.values.shape
     information, score = np.zeros((B, P, P)), np.zeros((B, P))
     square = np.zeros(B)
-    patterns, which = np.unique(columns.present, axis=0, return_inverse=True)
-    for kind, pattern in enumerate(patterns):
-        blocks = np.flatnonzero(which.ravel() == kind)
-        c = np.flatnonzero(pattern)
-        if not len(c):
-            continue
+    for blocks, c in alike(columns.present):
         for i, band in enumerate(bands(F)):
             # A complex value has two parts of half the power each; the mean (first band) is real.
             weight = OVERLAP_WEIGHT * (1.0 if band.start == 0 else 2.0)
@@ -252,12 +254,7 @@ def normal_equations(columns: Blocks, residual: Complex, noise: Noise) -> Normal
 def weighted(residual: Complex, present: NDArray[np.bool_], noise: Noise) -> Complex:
     """Residual (B, F, C) times the inverse noise, as the normal equations weigh it."""
     result = np.zeros_like(residual)
-    patterns, which = np.unique(present, axis=0, return_inverse=True)
-    for kind, pattern in enumerate(patterns):
-        blocks = np.flatnonzero(which.ravel() == kind)
-        c = np.flatnonzero(pattern)
-        if not len(c):
-            continue
+    for blocks, c in alike(present):
         for i, band in enumerate(bands(residual.shape[1])):
             weight = OVERLAP_WEIGHT * (1.0 if band.start == 0 else 2.0)
             inverse = weight * np.linalg.inv(noise.matrices(i, blocks, c))

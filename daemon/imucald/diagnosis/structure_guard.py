@@ -44,8 +44,7 @@ def standing(search: Search, found: Found, structure: Sequence[Structure]) -> li
     noise = point.noise.louder(_mute(search.forwards[0].names, structure, point.residual.shape[1]))
     blocks = Blocks(point.columns, point.present, np.zeros(0))
     normal = normal_equations(blocks, point.residual, noise)
-    shift = np.array([point.values[p.key] - search.base[p.key] for p in search.parameters])
-    evidence = Evidence(search.parameters, normal, shift)
+    evidence = Evidence(search.parameters, normal, point.evidence.shift)
     while active:
         losses = [_loss(search, found, evidence, active, variant) for variant in active]
         weakest = int(np.argmin(losses))

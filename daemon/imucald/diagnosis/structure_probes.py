@@ -18,7 +18,7 @@ import numpy as np
 from imucald.diagnosis.forward import UNITS, Forward
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.linear import Linearised
-from imucald.diagnosis.spectra import OVERLAP_WEIGHT, Complex, bands, transform
+from imucald.diagnosis.spectra import OVERLAP_WEIGHT, Complex, alike, bands, transform
 
 LOWEST_BINS = 20
 """Frequencies looked at: up to 0.4 Hz. Dependences on slow inputs live there."""
@@ -138,13 +138,8 @@ def _inverse_noise(point: Linearised, F: int) -> Complex:
     """(B, F, C, C) inverse noise as the normal equations weigh it; absent signals weigh nothing."""
     B, _, C = point.residual.shape
     result = np.zeros((B, F, C, C), dtype=np.complex64)
-    patterns, which = np.unique(point.present, axis=0, return_inverse=True)
     edges = bands(point.residual.shape[1])
-    for kind, pattern in enumerate(patterns):
-        blocks = np.flatnonzero(which.ravel() == kind)
-        c = np.flatnonzero(pattern)
-        if not len(c):
-            continue
+    for blocks, c in alike(point.present):
         for i, band in enumerate(edges):
             if band.start >= F:
                 break

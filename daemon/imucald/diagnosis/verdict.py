@@ -11,7 +11,6 @@ from imucald.diagnosis.result import Candidate, Structure, Verdict
 from imucald.diagnosis.search import ALIKE, Search
 from imucald.diagnosis.trial import Found
 
-FAMILY = frozenset().union(*FAMILIES)
 MOST_TOLD = 12
 """Losers that are told of."""
 
