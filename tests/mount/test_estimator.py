@@ -265,6 +265,23 @@ def test_a_stuck_accelerometer_is_not_learnt_from():
     assert within(estimator.estimate(), drive())
 
 
+def test_a_gyroscope_stuck_in_a_turn_is_not_learnt_from():
+    bad = rows(minutes=5.0).copy()
+    rates = bad[:, tk.GYRO_X : tk.GYRO_Z + 1]
+    # Three times for 15 s, each from where it turns fastest.
+    for part in (slice(700, 1200), slice(1300, 1900), slice(2000, 2700)):
+        first = part.start + int(np.argmax(np.abs(rates[part]).max(axis=1)))
+        rates[first : first + 150] = rates[first]
+    estimate = after(bad).estimate()
+    counted = estimate.details["frozen_ticks"]
+    assert isinstance(counted, dict)
+    assert counted["stuck"] == 450
+    assert within(estimate, drive(), deviations=2.5)
+    # What it tells is missed, but what it says wrongly makes nothing doubtful: else 0.49 deg.
+    assert estimate.std is not None
+    assert math.degrees(estimate.std[1]) < 0.35
+
+
 def test_numbers_that_are_none_do_no_harm():
     bad = rows(minutes=5.0).copy()
     bad[1000, tk.ACCEL_X] = np.nan

@@ -17,7 +17,7 @@ from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_S, TickRow
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.offsets import Offsets
-from imucald.mount.plausible import forbidden
+from imucald.mount.plausible import forbidden, stuck_gyro, tally
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -161,7 +161,9 @@ class SignalPreparer:
         at = t[part] - 0.5 * TICK_S
         mid = slice(1, HOP + 1)
         force, ok_force = self._vector(t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, ACCEL_GAP)
-        rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, ACCEL_GAP)
+        still = stuck_gyro(rows)
+        tally(self.frozen, "stuck", still[BEFORE : BEFORE + HOP])
+        rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, ACCEL_GAP, still)
         self.hops += 1
         speed, ok_speed = self._speed(t, at)
         yaw_rate, ok_yaw = self._yaw_rate(t, at, speed)
@@ -208,10 +210,17 @@ class SignalPreparer:
                 self.frozen["impossible"] += int(bad.sum())
 
     def _vector(
-        self, t: Array, at: Array, n: int, first: int, age: int, longest: float
+        self,
+        t: Array,
+        at: Array,
+        n: int,
+        first: int,
+        age: int,
+        longest: float,
+        spoilt: Flags | None = None,
     ) -> tuple[Array, Flags]:
         rows = self._rows
-        has = rows[:, n] > 0
+        has = rows[:, n] > 0 if spoilt is None else (rows[:, n] > 0) & ~spoilt
         if has.all():
             times = t - rows[:, age]
             values = rows[:, first : first + 3]

@@ -19,7 +19,9 @@ Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 STUCK_TICKS = 12
-"""Identical accelerometer means for that long are a stuck signal: noise always moves."""
+"""Identical means of a sensor for that long are a stuck signal: noise always moves."""
+SAME = 1e-9
+"""Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
 STANDING = 0.05
 """[m/s]"""
 FORCE_LOW, FORCE_HIGH = 0.5 * GRAVITY, 1.7 * GRAVITY
@@ -47,6 +49,27 @@ def spread_out(flags: Flags, ticks: int) -> Flags:
     return out
 
 
+def stuck_gyro(rows: Array) -> Flags:
+    """Ticks (N,) of a gyroscope that says the same for STUCK_TICKS or longer in a moving vehicle.
+
+    rows: (N, COLUMNS) ticks. At rest a coarse sensor may well be still.
+    """
+    there = np.arange(len(rows))
+    heard = np.maximum.accumulate(np.where(rows[:, tk.SPEED_N] > 0, there, 0))
+    moving = (rows[heard, tk.SPEED_N] > 0) & (np.abs(rows[heard, tk.SPEED]) > STANDING)
+    sound = moving & (rows[:, tk.GYRO_N] > 0)
+    change = np.abs(np.diff(rows[:, tk.GYRO_X : tk.GYRO_Z + 1], axis=0))
+    same = sound[1:] & sound[:-1] & (change < SAME).all(axis=1)
+    flags = np.zeros(len(rows), dtype=bool)
+    if int(same.sum()) < STUCK_TICKS - 1:
+        return flags
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
+    for first, stop in edges.reshape(-1, 2):
+        if stop - first >= STUCK_TICKS - 1:
+            flags[first : stop + 1] = True
+    return flags
+
+
 def forbidden(
     rows: Array,
     force: Array,
@@ -64,32 +87,33 @@ def forbidden(
     size2 = (force * force).sum(axis=1)
     bad: Flags = ok_force & ((size2 < FORCE_LOW**2) | (size2 > FORCE_HIGH**2))
     bad |= curve > MOST_RATE
-    _count(counts, "implausible", bad)
+    tally(counts, "implausible", bad)
     high = NEAR_FULL_SCALE * settings.accel_range
     top, low = slice(tk.ACCEL_MAX_X, tk.ACCEL_MAX_X + 3), slice(tk.ACCEL_MIN_X, tk.ACCEL_MIN_X + 3)
     clipped = (np.maximum(rows[:, top], -rows[:, low]) > high).any(axis=1)
     clipped |= rows[:, tk.ACCEL_BAD] > 0
-    if _count(counts, "saturated", clipped):
+    if tally(counts, "saturated", clipped):
         bad |= spread_out(clipped, CLIP_TICKS)
-    same = (np.diff(force, axis=0, append=force[-1:] + 1.0) == 0.0).all(axis=1) & ok_force
+    same = (np.abs(np.diff(force, axis=0, append=force[-1:] + 1.0)) < SAME).all(axis=1) & ok_force
     same &= ~ok_speed | (np.abs(speed) > STANDING)  # at rest a coarse sensor may well be still
     if same.sum() >= STUCK_TICKS:
-        _count(counts, "stuck", same)
+        tally(counts, "stuck", same)
         bad |= same
     slip = rows[:, tk.WHEELS_N] > 0
     if slip.any():
         allowed = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(speed)
         allowed += CURVE_SHARE * settings.track * curve
         slip &= np.nan_to_num(rows[:, tk.WHEEL_SPREAD]) > allowed
-        if _count(counts, "wheel_slip", slip):
+        if tally(counts, "wheel_slip", slip):
             bad |= spread_out(slip, HOLD_TICKS)
     wild = ok_speed & (np.abs(np.gradient(speed, TICK_S)) > MOST_CHANGE)
-    if _count(counts, "speed_jump", wild):
+    if tally(counts, "speed_jump", wild):
         bad |= spread_out(wild, HOLD_TICKS)
     return bad
 
 
-def _count(counts: Counter[str], reason: str, flags: Flags) -> bool:
+def tally(counts: Counter[str], reason: str, flags: Flags) -> bool:
+    """Add the flagged ticks to a reason's number; True if there are any."""
     if not flags.any():
         return False
     counts[reason] += int(flags.sum())
