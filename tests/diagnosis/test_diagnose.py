@@ -41,6 +41,18 @@ def test_a_large_hidden_effect_is_named(cause):
             true = drive.parameters.get(key)
             if true is not None and cause not in ("mount_rotation", "mount_shift"):
                 assert abs(estimate.value - true) < 6.0 * estimate.std + 1e-9, key
+    touched = {signal for found in diagnosis.causes for signal in found.signals}
+    for name in touched & set(diagnosis.signals):
+        residual = diagnosis.signals[name]
+        assert residual.rms_after < 1.15 * residual.noise_floor, name
+
+
+def test_what_is_faulty_is_in_the_residual_before_and_not_in_the_one_after():
+    _, diagnosis = _diagnosed(FIRST_SEED + 330, Effect("saturation", "large"))
+    (cause,) = diagnosis.causes
+    worst = max((diagnosis.signals[s] for s in cause.signals), key=lambda s: s.rms_before)
+    assert worst.rms_before > 1.3 * worst.noise_floor
+    assert worst.rms_after < 1.1 * worst.noise_floor
 
 
 @pytest.mark.parametrize("seed", range(FIRST_SEED + 100, FIRST_SEED + 104))

@@ -52,7 +52,8 @@ def diagnose(
         Forward(_track(samples, found), model, causes)
         for samples, found in zip(drives, faults, strict=True)
     ]
-    forwards = [f for f in forwards if f.names == forwards[0].names]
+    names = forwards[0].names
+    forwards = [f for f in forwards if f.names == names]
     stage = [0.1]
 
     def tick(text: str) -> None:
@@ -72,7 +73,9 @@ def diagnose(
     if len(kept) < len(found.active):
         found = search.refit(kept, found)
     tell(0.93, "gain")
-    told = _Told(search, found, [f for part in faults for f in part], roads)
+    faulty = [f for part in faults for f in part]
+    recorded = [Forward(track_from_samples(s), model, causes) for s in drives] if faulty else []
+    told = _Told(search, found, faulty, roads, [f for f in recorded if f.names == names])
     diagnosis = told.diagnosis(model, structure, len(drives) - len(forwards))
     if not diagnosis.causes:
         return diagnosis
@@ -103,6 +106,8 @@ class _Told:
     found: Found
     faults: list[Fault]
     roads: list[RoadFinding]
+    recorded: list[Forward]
+    """The drives with what is faulty in them; empty where nothing is."""
 
     def diagnosis(self, model: Model, structure: tuple[Structure, ...], absent: int) -> Diagnosis:
         search, found = self.search, self.found
@@ -115,7 +120,7 @@ class _Told:
         scores = {c.name: c.evidence["log_bayes_factor"] for c in told}
         after = self._extended(model, by_name)
         road = road_blocks(search.forwards, self.roads)
-        gain, signals = measure(search, found, road)
+        gain, signals = measure(search, found, road, self.recorded)
         return Diagnosis(
             verdict=verdict_of(scores, sets, structure),
             causes=tuple(sorted(told, key=lambda c: -c.evidence["log_bayes_factor"])),

@@ -4,32 +4,48 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.diagnosis.evidence import Fit
-from imucald.diagnosis.forward import SIGNALS, UNITS
+from imucald.diagnosis.evidence import Evidence, Fit
+from imucald.diagnosis.forward import SIGNALS, UNITS, Forward
 from imucald.diagnosis.grid import Array
-from imucald.diagnosis.linear import Linearised, residual_blocks
+from imucald.diagnosis.linear import NOISE_ROUNDS, Linearised, residual_blocks, residual_stretches
 from imucald.diagnosis.result import Gain, SignalGain
 from imucald.diagnosis.search import Search
-from imucald.diagnosis.spectra import BLOCK, Complex, weighted, windows
+from imucald.diagnosis.spectra import (
+    BLOCK,
+    Blocks,
+    Complex,
+    Noise,
+    cross_spectra,
+    loudness,
+    normal_equations,
+    weighted,
+    windows,
+)
 from imucald.diagnosis.trial import Found
 
 FOLDS = 4
+LEAST_HELD = 8
+"""Stretches in a row that are held out together, at least: two minutes."""
 
 
 def folds(search: Search, found: Found) -> list[Array]:
-    """Weights (B,) of the stretches that each fit may use: whole drives, or quarters of the one.
+    """Weights (B,) of the stretches that each fit may use: whole drives, or parts of the one.
 
-    Stretches beside a held-out one overlap it, and are left out as well.
+    A single drive is held out in pieces from all over it, so that what begins in it (a shift) or
+    grows (warmth) is known from both sides. Stretches beside a held-out one overlap it, and are
+    left out as well.
     """
     starts = [len(f.track.t) for f in search.forwards]
     total = len(found.point.present)
     owner = np.repeat(np.arange(len(starts)), _stretches(search, total))
     if len(starts) == 1:
-        owner = np.minimum(np.arange(total) * FOLDS // max(total, 1), FOLDS - 1)
+        pieces = FOLDS * max(1, total // (FOLDS * LEAST_HELD))
+        owner = (np.arange(total) * pieces // max(total, 1)) % FOLDS
     made = []
     for part in np.unique(owner):
         held = owner == part
@@ -47,29 +63,36 @@ def _stretches(search: Search, total: int) -> list[int]:
 
 
 def measure(
-    search: Search, found: Found, road: Sequence[Complex] | None = None
+    search: Search,
+    found: Found,
+    road: Sequence[Complex] | None = None,
+    recorded: Sequence[Forward] = (),
 ) -> tuple[Gain, Mapping[str, SignalGain]]:
     """Likelihood and residual of held-out stretches, model file against extended model.
 
-    road: per drive, what the found roads add to the prediction (B, F, C).
+    road: per drive, what the found roads add to the prediction (B, F, C). recorded: the drives
+    with what is faulty in them, where something is: their residual is the one before. Likelihoods
+    are compared on sound samples only.
     """
     point = found.point
     before = np.concatenate([residual_blocks(f, search.base) for f in search.forwards])
-    after = _held_out_residual(search, found)
-    fitted = point.evidence.fit(found.keys)
-    floor = point.residual - point.columns @ fitted.x.astype(np.float32)
-    if not found.active and road is None:
-        after = before  # nothing was extended
-    if road is not None:
-        whole = np.concatenate(list(road))
-        after, floor = after - whole, floor - whole
+    extended = bool(found.active) or road is not None or bool(recorded)
+    left = point if road is None else _without(point, found.keys, np.concatenate(list(road)))
+    fitted = left.evidence.fit(found.keys)
+    floor = left.residual - left.columns @ fitted.x.astype(np.float32)
+    after = _held_out_residual(search, replace(found, point=left)) if extended else before
     gains = _log_likelihood(point, after) - _log_likelihood(point, before)
     total = float(gains.sum())
     # Half-overlapping stretches are worth half as many independent ones.
     spread = 1.96 * math.sqrt(2.0) * float(np.std(gains)) * math.sqrt(len(gains))
+    first, first_present = before, point.present
+    if recorded:
+        parts = [residual_stretches(f, search.base) for f in recorded]
+        first = np.concatenate([part.values[..., 0] for part in parts])
+        first_present = np.concatenate([part.present for part in parts])
     signals = {
         name: SignalGain(
-            rms_before=_rms(before, point.present, i),
+            rms_before=_rms(first, first_present, i),
             rms_after=_rms(after, point.present, i),
             noise_floor=_rms(floor, point.present, i),
             unit=UNITS[name],
@@ -78,6 +101,21 @@ def measure(
         if name in SIGNALS
     }
     return Gain(total, (total - spread, total + spread)), signals
+
+
+def _without(point: Linearised, keys: Sequence[str], explained: Complex) -> Linearised:
+    """The point, its residual less what something else explains, and the noise that is left."""
+    residual = point.residual - explained
+    columns = Blocks(point.columns, point.present, np.zeros(0))
+    noise, evidence = point.noise, point.evidence
+    for _ in range(NOISE_ROUNDS):
+        normal = normal_equations(columns, residual, noise)
+        evidence = Evidence(point.parameters, normal, point.evidence.shift)
+        left = residual - point.columns @ evidence.fit(keys).x.astype(np.float32)
+        S = cross_spectra(left, point.present, noise.loud)
+        loud = loudness(left, point.present, S)
+        noise = Noise(cross_spectra(left, point.present, loud), loud, point.noise.error)
+    return replace(point, residual=residual, noise=noise, evidence=evidence)
 
 
 def gain_of(search: Search, found: Found, keys: Sequence[str]) -> float:

@@ -97,8 +97,13 @@ class Linearised:
 
 def residual_blocks(forward: Forward, values: Mapping[str, float]) -> Complex:
     """Transformed residual (B, F, C) of a drive at some values."""
+    return residual_stretches(forward, values).values[..., 0]
+
+
+def residual_stretches(forward: Forward, values: Mapping[str, float]) -> Blocks:
+    """The same (B, F, C, 1), with where each signal is present (B, C)."""
     left = _in_vehicle_axes(forward, forward.measured - forward.predict(values), values)
-    return transform(left[None], forward.usable, forward.track.top_hz).values[..., 0]
+    return transform(left[None], forward.usable, forward.track.top_hz)
 
 
 def _in_vehicle_axes(forward: Forward, x: Array, values: Mapping[str, float]) -> Array:
