@@ -127,6 +127,15 @@ def mount_error(line: Line, model: str) -> float | None:
     return None if vector is None else float(np.linalg.norm(vector))
 
 
+def turned(line: Line, model: str) -> float | None:
+    """Angle [deg] by which the effect turns the daemon's mount: against the drive without it."""
+    vehicle = line.get("vehicle", {})
+    with_it, without = (vehicle.get(name, {}).get("mount_deg") for name in (model, "without"))
+    if with_it is None or without is None:
+        return None
+    return float(np.linalg.norm(np.subtract(with_it, without)))
+
+
 def force_error(line: Line, model: str) -> float | None:
     """rms error of the corrected horizontal force [m/s^2]."""
     force = line.get("vehicle", {}).get(model, {}).get("force")

@@ -50,6 +50,9 @@ def outcome(case: Case) -> dict[str, Any]:
     }
     if case.with_gain:
         result["vehicle"] = vehicle_gain(drive, baseline, diagnosis)
+        if case.effects:
+            twin = hidden_drive(case.seed, (), case.minutes)
+            result["vehicle"]["without"] = _daemon(twin, baseline.model_dump(mode="json"))
     return result
 
 
@@ -110,7 +113,10 @@ def _stated(model: Mapping[str, Any]) -> dict[str, float]:
 
 
 def vehicle_gain(drive: HiddenDrive, baseline: Model, diagnosis: Diagnosis) -> dict[str, Any]:
-    """Mount angle and corrected force of the daemon: no model, the baseline, the extended model."""
+    """Mount angle and corrected force of the daemon: no model, the baseline, the extended model.
+
+    What an effect does to the mount shows beside the same drive without it, which is added there.
+    """
     models: dict[str, Model | None] = {
         "none": None,
         "before": baseline,
