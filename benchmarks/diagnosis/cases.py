@@ -18,7 +18,7 @@ NULLS, PAIRS = 100, 60
 SHORTEST_MIN, LONGEST_MIN = 20.0, 30.0
 SIZE_NAMES: tuple[Size, Size, Size] = ("medium", "large", "small")
 IDENTIFIABLE: tuple[Size, Size] = ("medium", "large")
-GAIN_PER_CAUSE = 2
+GAIN_PER_CAUSE = 5
 """Of a cause's drives, so many go through the daemon as well, if the effect is not small."""
 GAIN_NULLS = 20
 PART_SEEDS = 10_000
