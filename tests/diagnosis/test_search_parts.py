@@ -1,4 +1,4 @@
-"""What the search holds against a candidate: vibration, a like cause, the noise's axes."""
+"""What the search holds against a candidate, and which stretches judge what was found."""
 
 from types import SimpleNamespace
 
@@ -9,6 +9,8 @@ from imucald.diagnosis import linear, spectra
 from imucald.diagnosis.bent import SAME_SIGNAL, hurdle
 from imucald.diagnosis.cause import Variant
 from imucald.diagnosis.causes import mount_rotation, mount_shift, sensor_lowpass
+from imucald.diagnosis.gain import folds
+from imucald.diagnosis.spectra import windows
 from imucald.diagnosis.trial import ACCEPT, signal_of
 
 
@@ -77,3 +79,28 @@ def test_a_turned_sensors_residual_is_compared_in_the_axes_of_the_vehicle():
     assert back == pytest.approx(shaking, abs=1e-3)
     whole = dict.fromkeys(mount_rotation.KEYS, 0.0)
     assert linear._in_vehicle_axes(forward, seen.copy(), whole) == pytest.approx(seen)
+
+
+def _held_out(lengths: list[int]) -> list[np.ndarray]:
+    """Weights of the folds of drives with so many grid rows."""
+    forwards = [SimpleNamespace(track=SimpleNamespace(t=np.zeros(n))) for n in lengths]
+    total = sum(len(windows(n)) for n in lengths)
+    found = SimpleNamespace(point=SimpleNamespace(present=np.zeros((total, 1))))
+    return folds(SimpleNamespace(forwards=forwards), found)
+
+
+def test_every_fold_of_one_drive_is_fitted_on_stretches_from_all_over_it():
+    used = np.array(_held_out([1500 * 10]))
+    assert used.shape[0] == 4
+    parts = np.array_split(np.arange(used.shape[1]), 3)
+    assert all(fold[part].any() for fold in used for part in parts)
+    assert (used == 0.0).any(axis=0).all()  # each stretch is held out once at least
+    assert (used == 1.0).sum(axis=0).min() >= 2
+
+
+def test_whole_drives_are_held_out_where_there_are_several():
+    first, second = _held_out([600 * 10, 900 * 10])
+    n = len(windows(600 * 10))
+    assert not first[:n].any()
+    assert first[n + 1 : -1].all()
+    assert not second[n:].any()
