@@ -58,6 +58,7 @@ def test_the_sensors_stage(seed):
     single, other = compensation.sensor_stage(derived), compensation.sensor_stage(derived)
     times = random_times(rng, rng.choice([2, 30, 80]))
     frames = []
+    last: dict[str, tuple[float, ...]] = {}
     for t in times:
         channels = rng.sample(SENSED, rng.choice([1, 1, 2, 4]))
         if derived:  # the wheels give the speed: one with each
@@ -67,7 +68,11 @@ def test_the_sensors_stage(seed):
         for channel in channels:
             size = SIZES[channel] * rng.choice([1.0, 1.0, 1.0, 30.0])
             width = CHANNEL_WIDTH[channel]
-            samples.append((channel, tuple(rng.uniform(-size, size) for _ in range(width))))
+            values = tuple(rng.uniform(-size, size) for _ in range(width))
+            if channel in last and rng.random() < 0.3:  # stuck
+                values = last[channel]
+            last[channel] = values
+            samples.append((channel, values))
         frames.append((t, samples))
     expected = [by_frame(single, t, samples) for t, samples in frames]
     got = []

@@ -282,6 +282,19 @@ def test_a_gyroscope_stuck_in_a_turn_is_not_learnt_from():
     assert math.degrees(estimate.std[1]) < 0.35
 
 
+def test_a_gyroscope_stuck_on_the_way_to_a_stop_gives_no_bias():
+    bad = rows(minutes=5.0).copy()
+    rates = bad[:, tk.GYRO_X : tk.GYRO_Z + 1]
+    slow = np.abs(bad[:, tk.SPEED]) < 0.02
+    stops = [k for k in range(600, 2900) if slow[k] and not slow[k - 10 : k].any()]
+    assert stops
+    for stop in stops:
+        rates[stop - 10 : stop + 80] = rates[stop - 10] + np.radians([0.4, 0.8, -0.5])
+    learnt = np.array(after(bad).estimate().details["gyro_bias"])
+    plain = np.array(after(rows(minutes=5.0)).estimate().details["gyro_bias"])
+    assert np.degrees(np.abs(learnt - plain)).max() < 0.05  # 0.25 if it were learnt
+
+
 def test_numbers_that_are_none_do_no_harm():
     bad = rows(minutes=5.0).copy()
     bad[1000, tk.ACCEL_X] = np.nan

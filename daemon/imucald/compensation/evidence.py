@@ -14,8 +14,10 @@ from imucald.compensation.retiming import Retiming
 from imucald.compensation.vehicle import VehicleStage
 from imucald.motion import ticks as tk
 from imucald.mount.estimate import Correction
+from imucald.mount.plausible import SAME
 from imucald.out_parts import rotated
 
+_RATES = slice(tk.GYRO_X, tk.GYRO_Z + 1)
 _TRIADS = (("accel", tk.ACCEL_N, tk.ACCEL_X), ("gyro", tk.GYRO_N, tk.GYRO_X))
 
 
@@ -28,6 +30,8 @@ class EvidenceStage:
     def __init__(self, retiming: Retiming | None, leaning: VehicleStage | None) -> None:
         self._retiming = retiming
         self._leaning = leaning
+        self._rate: Sequence[float] | None = None
+        self._result: Sequence[float] = ()
 
     def gap(self) -> None:
         """Time jumped: nothing before is joined with what follows."""
@@ -35,6 +39,7 @@ class EvidenceStage:
             self._retiming.gap()
         if self._leaning is not None:
             self._leaning.gap()
+        self._rate = None
 
     def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
         """Return the row of a tick as the estimator is to see it.
@@ -43,7 +48,23 @@ class EvidenceStage:
         """
         if self._retiming is not None:
             row = self._retiming.row(row)
-        return row if self._leaning is None else _upright(self._leaning, row, correction)
+        if self._leaning is None:
+            return row
+        return self._repeated(row, _upright(self._leaning, row, correction))
+
+    def _repeated(self, row: Sequence[float], upright: Sequence[float]) -> Sequence[float]:
+        """A gyroscope that repeats itself goes on doing so: a stuck one must be seen to be."""
+        if not row[tk.GYRO_N]:
+            return upright
+        rate = row[_RATES]
+        if self._rate is None or any(
+            abs(a - b) > SAME for a, b in zip(rate, self._rate, strict=True)
+        ):
+            self._rate, self._result = rate, upright[_RATES]
+            return upright
+        out = list(upright)
+        out[_RATES] = self._result
+        return out
 
 
 def _upright(

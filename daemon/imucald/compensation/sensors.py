@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.bus.quantities import LIMITS
+from imucald.compensation.repeats import Repeats
 from imucald.compensation.scalars import ScalarCompensator, wheels_column, wheels_one
 from imucald.compensation.smoothing import Smoothed
 from imucald.compensation.terms import ScalarTerms, Terms, TriadTerms, Vector3
@@ -77,6 +78,9 @@ class SensorStage:
             self._ones["temperature"] = self._temperature
         if self._sensitive:
             self._ones["accel"] = self._accel
+        self._repeats = Repeats()
+        self._moves = self._sensitive or self._triads.get("gyro") in self._warmed
+        if self._moves:
             self._ones["gyro"] = self._gyro
         if any(terms.wheel_scales):
             self._ones["wheel_speeds"] = lambda _, v: wheels_one(terms.wheel_scales, v)
@@ -84,6 +88,7 @@ class SensorStage:
     def gap(self) -> None:
         """Time jumped: what is carried from sample to sample is forgotten (not the warmth)."""
         self._felt.restart()
+        self._repeats.restart()
 
     # one frame -----------------------------------------------------------------------------
 
@@ -128,12 +133,14 @@ class SensorStage:
         return found
 
     def _gyro(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
+        if self._repeats.known(v):
+            return self._repeats.result
         found = self._triads["gyro"].one(t, v)
-        if found is None:
-            return None
-        a, b, c = self._felt.value
-        p, q, r = self._terms.g_sensitivity
-        return found[0] - p * a, found[1] - q * b, found[2] - r * c
+        if found is not None:
+            a, b, c = self._felt.value
+            p, q, r = self._terms.g_sensitivity
+            found = found[0] - p * a, found[1] - q * b, found[2] - r * c
+        return self._repeats.keep(v, found)
 
     # columns -------------------------------------------------------------------------------
 
@@ -154,6 +161,10 @@ class SensorStage:
                 out[channel] = Taken(values, refused)
         if self._sensitive:
             self._take_felt(samples, order, out)
+        if self._moves and "gyro" in samples:
+            gyro = out["gyro"]
+            raw = samples["gyro"].values
+            out["gyro"] = Taken(*self._repeats.columns(raw, gyro.values, gyro.refused))
         for triad in self._warmed if len(warmth[1]) else ():
             triad.warmed(float(warmth[1][-1]))
         for channel, scalar in self._scalars.items():

@@ -131,6 +131,7 @@ class SignalPreparer:
         self.frozen: Counter[str] = Counter()
         self._reverse = 0.0
         self._rest_run = 0
+        self._stuck_rate: Array | None = None
         self.seen: set[str] = set()
         self.hops = 0
 
@@ -150,6 +151,7 @@ class SignalPreparer:
         self._rows[:] = _EMPTY
         self._n = KEEP
         self._rest_run = 0
+        self._stuck_rate = None
 
     def hop(self) -> Prepared:
         """Return the signals of the next hop."""
@@ -161,7 +163,8 @@ class SignalPreparer:
         at = t[part] - 0.5 * TICK_S
         mid = slice(1, HOP + 1)
         force, ok_force = self._vector(t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, ACCEL_GAP)
-        still = stuck_gyro(rows)
+        still = stuck_gyro(rows, self._stuck_rate)
+        self._stuck_rate = rows[-1, tk.GYRO_X : tk.GYRO_Z + 1].copy() if still[-1] else None
         tally(self.frozen, "stuck", still[BEFORE : BEFORE + HOP])
         rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, ACCEL_GAP, still)
         self.hops += 1

@@ -20,6 +20,8 @@ Flags = NDArray[np.bool_]
 
 STUCK_TICKS = 12
 """Identical means of a sensor for that long are a stuck signal: noise always moves."""
+STUCK_MOVING_TICKS, MOVING = 5, 0.5
+"""So many of them faster than this [m/s]."""
 SAME = 1e-9
 """Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
 STANDING = 0.05
@@ -49,24 +51,27 @@ def spread_out(flags: Flags, ticks: int) -> Flags:
     return out
 
 
-def stuck_gyro(rows: Array) -> Flags:
-    """Ticks (N,) of a gyroscope that says the same for STUCK_TICKS or longer in a moving vehicle.
+def stuck_gyro(rows: Array, held: Array | None) -> Flags:
+    """Ticks (N,) of a gyroscope that has said the same for STUCK_TICKS or longer, also in motion.
 
-    rows: (N, COLUMNS) ticks. At rest a coarse sensor may well be still.
+    rows: (N, COLUMNS) ticks. held: (3,) rates at which it was stuck before these rows. At rest a
+    coarse sensor may well be still; one that got stuck before the vehicle stopped is stuck there.
     """
     there = np.arange(len(rows))
     heard = np.maximum.accumulate(np.where(rows[:, tk.SPEED_N] > 0, there, 0))
-    moving = (rows[heard, tk.SPEED_N] > 0) & (np.abs(rows[heard, tk.SPEED]) > STANDING)
-    sound = moving & (rows[:, tk.GYRO_N] > 0)
-    change = np.abs(np.diff(rows[:, tk.GYRO_X : tk.GYRO_Z + 1], axis=0))
-    same = sound[1:] & sound[:-1] & (change < SAME).all(axis=1)
+    moving = (rows[heard, tk.SPEED_N] > 0) & (np.abs(rows[heard, tk.SPEED]) > MOVING)
+    rates = rows[:, tk.GYRO_X : tk.GYRO_Z + 1]
+    has = rows[:, tk.GYRO_N] > 0
+    same = has[1:] & has[:-1] & (np.abs(np.diff(rates, axis=0)) < SAME).all(axis=1)
     flags = np.zeros(len(rows), dtype=bool)
-    if int(same.sum()) < STUCK_TICKS - 1:
+    if held is None and int(same.sum()) < STUCK_TICKS - 1:
         return flags
     edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
-    for first, stop in edges.reshape(-1, 2):
-        if stop - first >= STUCK_TICKS - 1:
-            flags[first : stop + 1] = True
+    for first, last in edges.reshape(-1, 2):
+        known = held is not None and bool((np.abs(rates[first] - held) < SAME).all())
+        driven = int(moving[first : last + 1].sum()) >= STUCK_MOVING_TICKS
+        if known or (last - first >= STUCK_TICKS - 1 and driven):
+            flags[first : last + 1] = True
     return flags
 
 
