@@ -27,6 +27,7 @@ from imucald.mount.kept_evidence import (
     together,
 )
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
+from imucald.mount.shared_errors import shared_errors
 from imucald.mount.shift import Flow
 from simulated_bus import drive, loaded
 
@@ -77,7 +78,7 @@ def turned(mount: StoredMount, degrees: tuple[float, float, float]) -> StoredMou
 
 def test_it_says_what_the_estimate_said():
     """Fused by itself, without what changes between drives, it gives the mount it came from."""
-    shared = estimator()._solution._shared_errors()
+    shared = shared_errors(estimator()._settings)
     kept = evidence()
     pieces = {n: Piece(p.value, p.variance + p.bias, 1.0) for n, p in kept.pieces.items()}
     fused = fuse(pieces, Sharing(shared))
@@ -191,7 +192,7 @@ def test_for_the_shift_test_they_count_no_more_than_load_and_springs_let_them():
     n = np.full(40, 1e5)
     score = n * 0.01 + random.normal(0.0, np.sqrt(n))
     before = earlier(yaw_turn=KeptPiece(0.01, 1e-7, 0.0, score, n))
-    now = Flow(2, np.zeros(5), np.full(5, 1e5))
+    now = Flow("yaw_turn", np.zeros(5), np.full(5, 1e5))
     (flow,) = before.flows({"yaw_turn": now}, np.eye(3))
     old, level = flow.information[:40], flow.score[:40].sum() / flow.information[:40].sum()
     assert 1.0 / old.sum() == pytest.approx(BETWEEN_DRIVES_STD[2] ** 2 + 1.0 / n.sum())

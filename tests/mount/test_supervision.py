@@ -11,7 +11,7 @@ from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.shift import Flow, largest_change
+from imucald.mount.shift import NO_STEPS, UNEVEN_STD, Flow, largest_change
 from imucald.mount.supervision import SLACK, Knowledge, Manoeuvres, judged, waiting_for
 from imucald.simulation import random_model, simulate
 
@@ -94,47 +94,103 @@ def test_a_manoeuvre_over_the_edge_of_two_hops_counts_once():
     assert driven.straight == 1
 
 
-def flow(axis: int, values: np.ndarray, std: float) -> Flow:
+def flow(kind: str, values: np.ndarray, std: float) -> Flow:
     information = np.full(len(values), 1.0 / std**2)
-    return Flow(axis, information * values, information)
+    return Flow(kind, information * values, information)
 
 
-def test_a_step_is_found_on_its_axis_with_its_size():
-    rng = np.random.default_rng(1)
-    std = 0.4 * DEG
-    yaw = std * rng.standard_normal(40)
-    yaw[-6:] += 2.0 * DEG
-    flows = [flow(1, std * rng.standard_normal(40), std), flow(2, yaw, std)]
-    change = largest_change(flows)
+def drawn(seed: int, std: float = 0.4 * DEG, n: int = 40) -> list[Flow]:
+    """All sources, without a shift."""
+    rng = np.random.default_rng(seed)
+    return [flow(kind, std * rng.standard_normal(n), std) for kind in UNEVEN_STD]
+
+
+def with_change(flows: list[Flow], changes: dict[str, float], pieces: int) -> list[Flow]:
+    """The same with a change of some sources [rad] in the last pieces."""
+    out = []
+    for f in flows:
+        score = f.score.copy()
+        score[-pieces:] += f.information[-pieces:] * changes.get(f.kind, 0.0)
+        out.append(Flow(f.kind, score, f.information))
+    return out
+
+
+def excess(flows: list[Flow], steps: np.ndarray = NO_STEPS) -> float:
+    change = largest_change(flows, steps=steps)
+    assert change is not None
+    return change.excess
+
+
+@pytest.mark.parametrize(("angle", "degrees"), [("roll", 1.6), ("pitch", -1.6), ("yaw", 1.6)])
+def test_a_change_is_found_on_its_axis_with_its_size(angle, degrees):
+    changes = {kind: degrees * DEG for kind in UNEVEN_STD if kind.startswith(angle)}
+    change = largest_change(with_change(drawn(1), changes, 6))
     assert change is not None
     assert change.excess > 1.0
-    assert change.axis == 2
-    assert change.size == pytest.approx(2.0 * DEG, abs=0.6 * DEG)
+    assert change.axis == ("roll", "pitch", "yaw").index(angle)
+    assert change.size == pytest.approx(degrees * DEG, rel=0.3)
     assert 4 <= change.pieces <= 8
 
 
 def test_noise_alone_is_no_shift():
-    std = 0.4 * DEG
-    alarms = 0
-    for seed in range(200):
-        rng = np.random.default_rng(seed)
-        flows = [flow(axis, std * rng.standard_normal(40), std) for axis in range(3)]
-        change = largest_change(flows)
-        alarms += change is not None and change.excess >= 1.0
-    assert alarms <= 1
+    assert sum(excess(drawn(seed)) >= 1.0 for seed in range(200)) <= 1
 
 
 def test_one_wild_piece_is_no_shift():
-    std = 0.4 * DEG
-    values = std * np.random.default_rng(2).standard_normal(40)
-    values[-1] += 20.0 * DEG
-    change = largest_change([flow(2, values, std)])
-    assert change is not None
-    assert change.excess < 1.0
+    assert excess(with_change(drawn(2), {"yaw_dvdt": 20.0 * DEG}, 1)) < 1.0
+
+
+def test_in_yaw_two_sources_that_agree_say_more_than_one_that_stands_out_as_far():
+    """Wind moves dv/dt alone: what is a shift in both sources is none in one."""
+    both = {"yaw_turn": 0.8 * DEG, "yaw_dvdt": 0.8 * DEG}
+    for seed in range(10):
+        agreed = excess(with_change(drawn(seed), both, 10))
+        assert agreed > 1.0
+        for kind in both:
+            alone = {kind: 0.8 * 2.0**0.5 * DEG}
+            assert excess(with_change(drawn(seed), alone, 10)) < 0.7 * agreed
+
+
+def test_sources_of_yaw_that_contradict_one_another_show_no_shift():
+    apart = {"yaw_turn": 1.0 * DEG, "yaw_dvdt": -1.0 * DEG}
+    assert excess(with_change(drawn(3), apart, 10)) < 1.0
+
+
+def test_a_large_change_of_yaw_in_one_source_is_a_shift_after_all():
+    """On a straight road nothing else speaks."""
+    flows = with_change(drawn(4), {"yaw_dvdt": 3.0 * DEG}, 6)
+    for f in flows:
+        if f.kind == "yaw_turn":
+            f.score[-6:] = f.information[-6:] = 0.0
+    assert excess(flows) > 1.0
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_step_in_gravity_of_the_same_sign_speaks_for_a_change_of_roll_or_pitch(axis):
+    """What is too small for a shift is one with a step, but not with one the other way."""
+    angle = ("roll", "pitch")[axis]
+    changes = {kind: 1.0 * DEG for kind in UNEVEN_STD if kind.startswith(angle)}
+    flows = with_change([f for f in drawn(5) if f.axis == axis], changes, 6)
+    steps = {sign: NO_STEPS.copy() for sign in (1, -1)}
+    steps[1][:, axis, 0] = 5.0
+    steps[-1][:, axis, 1] = -5.0
+    assert 0.3 < excess(flows) < 1.0
+    assert excess(flows, steps[1]) > 1.0
+    assert excess(flows, steps[-1]) == excess(flows)
+    steps[1] = np.roll(steps[1], 1, axis=1)
+    assert excess(flows, steps[1]) == excess(flows), "a step about the other axis"
+
+
+def test_a_step_in_gravity_alone_is_no_change():
+    steps = NO_STEPS.copy()
+    steps[:, :, 0] = 9.0
+    for seed in range(20):
+        quiet = [f for f in drawn(seed, 0.2 * DEG) if f.axis < 2]
+        assert excess(quiet, steps) < 1.0
 
 
 def test_too_little_before_says_nothing():
-    assert largest_change([flow(2, np.zeros(4), DEG)]) is None
+    assert largest_change([flow("yaw_turn", np.zeros(4), DEG)]) is None
 
 
 def test_a_moved_sensor_is_suspect_then_found_again():

@@ -69,7 +69,10 @@ class GravityEvidence:
         information = np.where(each[:, 0] > LEAST_WEIGHT, 1.0 / (slope + missed), 0.0)
         e_x = (F[:, 1] - gains[1] * motion[:, 1]) / GRAVITY
         e_y = -(F[:, 0] - gains[0] * motion[:, 0]) / GRAVITY
-        return [Flow(0, information * e_x, information), Flow(1, information * e_y, information)]
+        return [
+            Flow("roll_gravity", information * e_x, information),
+            Flow("pitch_gravity", information * e_y, information),
+        ]
 
     def add(self, p: Prepared, turn: Array) -> None:
         """Take a hop; turn: (N,) v r [m/s^2]."""

@@ -92,7 +92,7 @@ def pieces_of(
             variance *= AXIS_SHARE * (WITHOUT_SPEED_SHARE if without_speed else 1.0)
         pieces[row.name] = Piece(float(value[k, 0, 0]), variance, float(groups[k]))
         fit = Fit(left[k, :, 0], normal[i, :, 0, :], inverse[k], float(value[k, 0, 0]))
-        flows.append(Flow(row.axis, flow[k], own[k], fit))
+        flows.append(Flow(row.name, flow[k], own[k], fit))
     return pieces, flows
 
 

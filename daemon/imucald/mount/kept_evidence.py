@@ -95,13 +95,9 @@ def axis_of(name: str) -> int:
     return AXES.index(name.partition("_")[0])
 
 
-def named_flows(
-    pieces: Mapping[str, Piece], response: list[Flow], gravity: list[Flow]
-) -> dict[str, Flow]:
-    """Flows by the names of the pieces of a `Solution`, which come in the same order."""
-    names = (name for name in pieces if name not in GRAVITY_KINDS)
-    found = dict(zip(names, response, strict=True))
-    return found | dict(zip(GRAVITY_KINDS, gravity, strict=True))
+def named_flows(flows: list[Flow]) -> dict[str, Flow]:
+    """Flows by the names of their sources."""
+    return {flow.kind: flow for flow in flows}
 
 
 def kept_pieces(

@@ -1,14 +1,23 @@
 """Has the sensor moved? New evidence against what was known before it.
 
-Evidence comes in pieces of road of about 26 s of driving. For every angle and for the last 2, 3,
-... 12 pieces, a change of the angle that begins with them is fitted beside the angle and the
-nuisance of all pieces (a generalised likelihood ratio test for a step of unknown time and size;
-Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The spread from piece to
-piece before sets the scale, so that rough roads and hills make the test dull and not nervous.
+Evidence comes in pieces of road of about 26 s of driving. For every source of evidence about an
+angle and for the last 2, 3, ... 12 pieces, a change of the angle that begins with them is fitted
+beside the angle and the nuisance of all pieces (a generalised likelihood ratio test for a step of
+unknown time and size; Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The
+spread from piece to piece before sets the scale, so that rough roads and hills make the test dull
+and not nervous.
+
+How far the sources of an angle speak for one and the same change is then told by the ratio of
+likelihoods with and without it. In yaw, wind and rough roads move what dv/dt says alone, and
+lever arm and sideslip what turns say alone, now and then by far: tails are heavy there, so that
+one source must stand out very far while two that agree need not. In roll and pitch, roads that
+lean in a bend show in all sources, but make no step in gravity (`step`): such a step at the time
+of the change is independent evidence, and is added.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,29 +25,49 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SPANS = (2, 3, 4, 6, 8, 10, 12)
+SPANS = np.arange(2, 13)
 """Pieces of road that are held against all before."""
 LEAST_BEFORE = (16, 10, 16)
 """Pieces that must have been before, for roll, pitch and yaw."""
 CLIP = 4.5
 """No single piece counts for more standard deviations: one bad road moves no sensor."""
-UNEVEN_STD = (0.0045, 0.0026, 0.0015)
-"""Town and motorway differ by that much [rad] without a shift."""
-THRESHOLD = (
-    (6.1, 6.0, 5.8, 5.7, 5.1, 4.9, 4.9),
-    (6.0, 6.5, 6.5, 5.5, 5.1, 5.0, 5.0),
-    (4.3, 4.3, 4.2, 3.8, 3.5, 3.3, 3.3),
-)
-"""For roll, pitch and yaw, and each span, in standard deviations; docs/mount-accuracy.md: what
-they give. Over short spans a stretch of leaning road or a windy one passes for a turn."""
+UNEVEN_STD = {
+    "roll_turn": 0.007,
+    "roll_axis": 0.007,
+    "roll_gravity": 0.0026,
+    "pitch_dvdt": 0.0017,
+    "pitch_axis": 0.007,
+    "pitch_gravity": 0.014,
+    "yaw_turn": 0.0017,
+    "yaw_dvdt": 0.0035,
+}
+"""What a source says differs by that much [rad] between town and motorway, without a shift."""
+ALIKE = ("roll_turn", "roll_axis")
+"""Both see the same noise, the lean of roads in bends: only the better one speaks."""
+TAIL = (1e6, 1e6, 4.0)
+"""Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
+LEAST_SIZE = (0.026, 0.026, 0.013)
+"""A change to be told from none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
+STEP_LEAST, STEP_MOST = 2.0, 5.5
+"""A step in gravity counts from so many standard deviations on, and for so many at most, ..."""
+STEP_FROM = 2.5
+"""... and where the pieces of road alone come to so much."""
+NO_STEP = 1.15
+"""Without a step, thresholds for roll and pitch are so much higher."""
+SHORT = 5
+"""Spans up to so many pieces are short: a windy stretch or a winding one passes for a turn."""
+THRESHOLD = ((6.2, 5.6), (5.0, 4.8), (3.0, 2.4))
+"""For roll, pitch and yaw, short spans and long ones, as a root of twice the log of the ratio;
+docs/mount-accuracy.md: what they give."""
 OTHER_ROADS = 1.15
 """Thresholds are so much higher where it takes pieces of earlier drives to test at all."""
 LEAST_KNOWN = 1e-6
 """New pieces that know less of the angle than this share say nothing."""
-HINTED = 0.7
-"""Share of the threshold where a step in gravity hints at the same."""
 PRIOR_PIECES, PRIOR_SPREAD, LEAST_SPREAD = 6.0, 1.0, 0.8
 """The spread before is taken as the model's with that weight, and as no less than that share."""
+_AXES = {"roll": 0, "pitch": 1, "yaw": 2}
+NO_STEPS: Array = np.zeros((len(SPANS), 2, 2))
+"""No step in gravity; see `largest_change`."""
 
 
 @dataclass(frozen=True)
@@ -60,20 +89,26 @@ class Fit:
 class Flow:
     """Evidence about one angle from one source, piece by piece: scores and informations (G,).
 
-    fit: where the angle was fitted together with nuisance; else each piece speaks of it alone.
+    kind: the source, of those in `UNEVEN_STD`. fit: where the angle was fitted together with
+    nuisance; else each piece speaks of it alone.
     """
 
-    axis: int
+    kind: str
     score: Array
     information: Array
     fit: Fit | None = None
+
+    @property
+    def axis(self) -> int:
+        """The angle it is about: 0 roll, 1 pitch, 2 yaw."""
+        return _AXES[self.kind.partition("_")[0]]
 
     def behind(self, score: Array, information: Array) -> Flow:
         """This flow behind earlier pieces (E,), which speak of the angle alone."""
         both = np.concatenate([score, self.score]), np.concatenate([information, self.information])
         fit = self.fit
         if fit is None:
-            return Flow(self.axis, *both)
+            return Flow(self.kind, *both)
         known = float(information.sum())
         column = fit.inverse[:, 0]
         inverse = fit.inverse - np.outer(column, column) * (known / (1.0 + known * column[0]))
@@ -83,7 +118,7 @@ class Flow:
         rows = np.zeros((len(left), fit.rows.shape[1]))
         rows[: len(score), 0] = information
         rows[len(score) :] = fit.rows
-        return Flow(self.axis, *both, Fit(left, rows, inverse, value))
+        return Flow(self.kind, *both, Fit(left, rows, inverse, value))
 
     def fitted(self) -> Fit | None:
         """The fit; without nuisance the mean. None without any information."""
@@ -100,7 +135,9 @@ class Flow:
 class Shift:
     """The largest change found: axis, size [rad], in standard deviations, pieces ago.
 
-    excess: standard deviations over their threshold; a shift from 1 on.
+    deviations: the root of twice the log of the ratio of likelihoods, signed; of one normal
+    source it would be the size in standard deviations. excess: over the threshold; a shift from
+    1 on.
     """
 
     axis: int
@@ -113,12 +150,13 @@ class Shift:
 def largest_change(
     flows: list[Flow],
     axes: tuple[int, ...] = (0, 1, 2),
-    hint: tuple[int, float, int] | None = None,
+    steps: Array = NO_STEPS,
     fresh: int | None = None,
 ) -> Shift | None:
     """Return the change of an angle that stands out most; None where too little is known.
 
-    hint: axis, sign and age of a step that gravity hints at; it lowers the threshold for it.
+    steps: (S, 2, 2), how far a step in gravity stood out when the pieces of each span began, in
+    roll and pitch: the largest and the least, signed, in standard deviations.
     fresh: pieces of this drive, where flows begin with those of earlier ones; no span is longer.
     """
     best: Shift | None = None
@@ -128,39 +166,91 @@ def largest_change(
             continue
         n = max(len(flow.score) for flow in mine)
         longest = n - LEAST_BEFORE[axis] if fresh is None else min(n - LEAST_BEFORE[axis], fresh)
-        spans = [span for span in SPANS if span <= longest]
-        if not spans:
+        spans = SPANS[longest >= SPANS]
+        if not len(spans):
             continue
-        sizes, deviations_of = changes(mine, np.array(spans), axis)
-        for k, span in enumerate(spans):
-            size, deviations = float(sizes[k]), float(deviations_of[k])
-            threshold = THRESHOLD[axis][k]
-            if hint is not None and hint[0] == axis and hint[1] * size > 0.0:
-                threshold *= HINTED
-            if fresh is not None and fresh - span < LEAST_BEFORE[axis]:
-                threshold *= OTHER_ROADS
-            excess = abs(deviations) / threshold
-            if best is None or excess > best.excess:
-                best = Shift(axis, size, deviations, span, excess)
+        sizes, variances = changes(mine, spans)
+        size, ratio = likeliest(*_uneven(mine, sizes, variances), TAIL[axis], LEAST_SIZE[axis])
+        threshold = np.where(spans <= SHORT, *THRESHOLD[axis])
+        if axis < 2:
+            step = _step_for(ratio, size, steps[: len(spans), axis])
+            ratio = np.hypot(ratio, step)
+            threshold = np.where(step > 0.0, threshold, NO_STEP * threshold)
+        if fresh is not None:
+            threshold = np.where(fresh - spans < LEAST_BEFORE[axis], OTHER_ROADS, 1.0) * threshold
+        k = int(np.argmax(ratio / threshold))
+        excess = float(ratio[k] / threshold[k])
+        if best is None or excess > best.excess:
+            deviations = math.copysign(float(ratio[k]), size[k])
+            pieces, mean = _most_likely_time(sizes, variances, spans, deviations)
+            best = Shift(axis, mean, deviations, pieces, excess)
     return best
 
 
-def changes(flows: list[Flow], spans: NDArray[np.int64], axis: int) -> tuple[Array, Array]:
-    """Change of an angle over its last spans (S,): size [rad] (S,), in standard deviations (S,).
+def changes(flows: list[Flow], spans: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Changes over the last spans: what each source says (S, sources) [rad], and variances.
 
-    Each source fits its own level before, its own nuisance and its own change; the changes are
-    then averaged.
+    Each source fits its own level before, its own nuisance and its own change.
     """
-    precision, weighted = np.zeros(len(spans)), np.zeros(len(spans))
-    for flow in flows:
+    sizes, variances = np.zeros((len(spans), len(flows))), np.full((len(spans), len(flows)), np.inf)
+    for k, flow in enumerate(flows):
         if len(flow.score) > spans[0]:
             size, known = _change(flow, np.minimum(spans, len(flow.score) - 1))
-            precision += known
-            weighted += known * size
-    good = precision > 0.0
-    size = np.where(good, weighted / np.where(good, precision, 1.0), 0.0)
-    variance = 1.0 / np.where(good, precision, 1e-9) + UNEVEN_STD[axis] ** 2
-    return size, size / np.sqrt(variance)
+            sizes[:, k] = size
+            variances[known > 0.0, k] = 1.0 / known[known > 0.0]
+    return sizes, variances
+
+
+def _uneven(flows: list[Flow], sizes: Array, variances: Array) -> tuple[Array, Array]:
+    """With what roads make sources differ by; of sources that see the same noise the better one."""
+    variances = variances + np.array([UNEVEN_STD[flow.kind] ** 2 for flow in flows])
+    alike = [k for k, flow in enumerate(flows) if flow.kind in ALIKE]
+    if len(alike) == 2:
+        worse = np.where(variances[:, alike[0]] > variances[:, alike[1]], *alike)
+        variances[np.arange(len(variances)), worse] = np.inf
+    return sizes, variances
+
+
+def _most_likely_time(
+    sizes: Array, variances: Array, spans: NDArray[np.int64], sign: float
+) -> tuple[int, float]:
+    """Pieces since a change that is there, and its size: the largest likelihood of all spans."""
+    known = np.maximum((1.0 / variances).sum(axis=1), 1e-9)
+    mean = (sizes / variances).sum(axis=1) / known
+    k = int(np.argmax(np.where(mean * sign > 0.0, mean * mean * known, 0.0)))
+    return int(spans[k]), float(mean[k])
+
+
+def likeliest(sizes: Array, variances: Array, tail: float, least: float) -> tuple[Array, Array]:
+    """The change that all sources speak for most: size (S,), (2 log L(size) / L(0))^0.5 (S,).
+
+    sizes, variances: (S, sources), of what each source says. tail: degrees of freedom of Student's
+    t. least: changes below are not looked for. The maximum is sought among the weighted means of
+    all subsets of sources, near which it is wherever some sources agree.
+    """
+    weight = 1.0 / variances
+    n = sizes.shape[1]
+    subset = (np.arange(1, 2**n)[:, None] >> np.arange(n)) & 1  # (2^n - 1, sources)
+    known = weight @ subset.T
+    mean = np.where(
+        known > 0.0, (weight * sizes) @ subset.T / np.where(known > 0.0, known, 1.0), 0.0
+    )
+    mean = np.sign(mean) * np.maximum(np.abs(mean), least)
+    left = sizes[:, None, :] - mean[:, :, None]
+    gain = np.log1p(sizes * sizes * weight / tail)[:, None, :]
+    gain = gain - np.log1p(left * left * weight[:, None, :] / tail)
+    twice = (tail + 1.0) * gain.sum(axis=2)
+    best = np.argmax(twice, axis=1)
+    rows = np.arange(len(sizes))
+    ratio: Array = np.sqrt(np.maximum(twice[rows, best], 0.0))
+    return np.where(ratio > 0.0, mean[rows, best], 0.0), ratio
+
+
+def _step_for(ratio: Array, size: Array, steps: Array) -> Array:
+    """What steps in gravity (S, 2) add to changes (S,) of the same sign [standard deviations]."""
+    step = np.where(size > 0.0, steps[:, 0], -steps[:, 1])
+    counts = (ratio >= STEP_FROM) & (step >= STEP_LEAST)
+    return np.where(counts, np.minimum(step, STEP_MOST), 0.0)
 
 
 def _change(flow: Flow, spans: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +26,10 @@ from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_signals import HOP, Prepared
 from imucald.mount.evidence_spectra import MEASURED, WINDOW, spectra
 from imucald.mount.evidence_up import UpTracker
-from imucald.mount.fusion import Fused, Shared, Sharing, fuse
+from imucald.mount.fusion import Fused, Sharing, fuse
 from imucald.mount.kept_evidence import KeptEvidence, kept_pieces, named_flows, together
-from imucald.mount.shift import Flow, Shift, largest_change
+from imucald.mount.shared_errors import shared_errors
+from imucald.mount.shift import NO_STEPS, SPANS, Flow, Shift, largest_change
 from imucald.mount.step import Step
 from imucald.samples import GRAVITY
 
@@ -37,18 +39,6 @@ _TAKEN = [sp.A2, sp.V2, sp.R2, sp.AA, sp.AV, sp.AH, sp.VH]
 """Terms that are not taken off the force before the vertical follows it."""
 LEAST_POWER = 1e-3
 """A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
-
-
-SIDESLIP_STD = 0.0014
-"""What sideslip and body roll leave in the yaw from turns [rad], in simulated drives."""
-YAW_FLOOR_STD = 0.0006
-"""Both kinds of yaw stay off by that much in long simulated drives [rad]."""
-PITCHING_STD = 0.0012
-"""Squat and dive differ (gradients by 0.0014 rad/(m/s^2)): that much pitch stays in dv/dt [rad]."""
-BIAS_FLOOR_STD = 0.0015
-"""The bias wanders with temperature (4 mg in a drive): that much stays in gravity [rad]."""
-
-
 CROSS_FALL_SHARE = 1.7
 """Superelevation and leaning of the body widen the spread of cross falls."""
 WARMING_STD = 0.04
@@ -91,9 +81,10 @@ class Solution:
         self.pieces: dict[str, Piece] = {}
         self.bias: Array | None = None
         self.hops = 0
-        self._sharing = Sharing(self._shared_errors())
+        self._sharing = Sharing(shared_errors(settings))
         self.earlier: EarlierDrives | None = None
         self._tilt_bias = (0.0, 0.0)
+        self._began: deque[int] = deque([0], maxlen=int(SPANS[-1]))  # hops, of pieces of road
         self.response.delays = (self.delay_speed.value, 0.0)
 
     def start_from(self, other: Solution) -> None:
@@ -110,35 +101,6 @@ class Solution:
         self.up.restart()
         self._window[:] = 0.0
         self._mask[:] = False
-
-    def _shared_errors(self) -> tuple[Shared, ...]:
-        """Errors of the sensor itself that the spread of the data cannot show.
-
-        Scale errors s of a sensor turned against the vehicle are a symmetric cross-axis error of
-        s / sqrt(5) there (mean over all mounts): e_z from dv/dt and from v r get it with opposite
-        signs, as e_y from dv/dt does against gravity, which counts it as bias.
-        """
-        s = self._settings
-        scale = s.accel_scale_std / math.sqrt(5.0)
-        cross = s.accel_cross_axis_std
-        return (
-            Shared(scale, {"yaw_dvdt": 1.0, "yaw_turn": -1.0}),
-            Shared(SIDESLIP_STD, {"yaw_turn": 1.0}),
-            Shared(YAW_FLOOR_STD, {"yaw_dvdt": 1.0, "yaw_turn": 1.0}),
-            Shared(scale, {"pitch_dvdt": 1.0}),
-            Shared(scale, {"roll_turn": 1.0}),
-            Shared(cross, {"yaw_dvdt": 1.0}),
-            Shared(cross, {"yaw_turn": 1.0}),
-            Shared(cross, {"pitch_dvdt": 1.0}),
-            Shared(cross, {"roll_turn": 1.0}),
-            Shared(0.5 * cross, {"pitch_gravity": 1.0}),
-            Shared(0.5 * cross, {"roll_gravity": 1.0}),
-            Shared(PITCHING_STD, {"pitch_dvdt": 1.0}),
-            Shared(s.gyro_misalignment_std, {"roll_axis": 1.0}),
-            Shared(s.gyro_misalignment_std, {"pitch_axis": 1.0}),
-            Shared(BIAS_FLOOR_STD, {"roll_gravity": 1.0}),
-            Shared(BIAS_FLOOR_STD, {"pitch_gravity": 1.0}),
-        )
 
     def add(self, p: Prepared) -> tuple[Array, Array]:
         """Take a hop; return dv/dt and v r (N,), zero where they are not to be trusted."""
@@ -160,6 +122,7 @@ class Solution:
         self._slide(p, lone, turn, r)
         if self.response.piece != piece:
             self.gravity.close_piece()
+            self._began.append(self.hops)
         use = p.learn & p.ok_speed
         self.turn_rate = r
         if self.response.without_speed and R is not None:
@@ -261,6 +224,7 @@ class Solution:
     def step(self) -> Step | None:
         """A step in gravity that the gyroscope did not see, in the last minute; asked every hop."""
         if self.R is None or not self.sure() or not self.own_gyro:
+            self.up.watch.trail.go_on()
             return None
         return self.up.watch.found(self.R)
 
@@ -271,12 +235,18 @@ class Solution:
         if self.response.without_speed:
             return largest_change(self.response.flows, (2,))
         flows = self._gravity_flows(self.R, self.bias)
-        hint = self.up.watch.hint
+        found, steps = self.response.flows + flows, self._steps()
         if self.earlier is None:
-            return largest_change(self.response.flows + flows, axes, hint)
-        found = named_flows(self.pieces, self.response.flows, flows)
-        fresh = max(len(flow.score) for flow in found.values())
-        return largest_change(self.earlier.flows(found, self.R), axes, hint, fresh)
+            return largest_change(found, axes, steps)
+        fresh = max(len(flow.score) for flow in found)
+        return largest_change(self.earlier.flows(named_flows(found), self.R), axes, steps, fresh)
+
+    def _steps(self) -> Array:
+        """How far steps in gravity stood out when the last pieces of road began."""
+        steps, began = NO_STEPS.copy(), list(self._began)
+        for k, span in enumerate(SPANS[: max(len(began) - 1, 0)].tolist()):
+            steps[k] = self.up.watch.trail.near(self.hops - began[-span])
+        return steps
 
     def _gravity_flows(self, R: Matrix3, bias: Array) -> list[Flow]:
         s = self._settings
@@ -286,14 +256,14 @@ class Solution:
         """Bring in what earlier drives found; it stays apart and can be left again."""
         if self.yaw_known and kept.without_speed == self.response.without_speed:
             crown_std = self._settings.crown_std
-            self.earlier = EarlierDrives(kept, self._shared_errors(), crown_std)
+            self.earlier = EarlierDrives(kept, shared_errors(self._settings), crown_std)
 
     def kept(self) -> KeptEvidence | None:
         """What to keep for the next start, earlier drives' evidence included."""
         if self.R is None or self.fused is None or self.bias is None or not self.yaw_known:
             return None
         gravity = self._gravity_flows(self.R, self.bias)
-        flows = named_flows(self.pieces, self.response.flows, gravity)
+        flows = named_flows(self.response.flows + gravity)
         pieces = kept_pieces(self.pieces, flows, self.fused.error, self._tilt_bias)
         now = KeptEvidence(self.R, self.response.without_speed, pieces)
         return together(None if self.earlier is None else self.earlier.kept, now)

@@ -11,7 +11,6 @@ large d is without any step is learnt from the drive itself, for every age and a
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,14 +31,14 @@ SPREAD_MEMORY = 600.0
 """Hops over which the spread is learnt (an hour)."""
 SETTLED = 45
 """Hops before the first test."""
-LIMIT = (7.5, 7.5)
-"""A step in roll, in pitch, is as many spreads ..."""
-HINT = (4.5, 4.5)
-"""... and is a hint from so many on, that lowers what else must speak for a shift."""
-HINT_HOPS = 50
-"""A hint holds for that long (5 min)."""
+LIMIT = 7.5
+"""A step by itself is as many spreads; smaller ones count beside other evidence (`shift`)."""
 OTHER_AXIS = 0.25
 """Share of the other axis in the spread squared: what is rough along is rough across."""
+TRAIL = 96
+"""Hops that are remembered (10 min): pieces of road may have pauses between them."""
+AROUND = 6
+"""A piece of road begins with a window of the three hops before, and may hold a change late."""
 LEAST = 0.15
 """A step is at least that large [m/s^2]: 0.9 deg."""
 
@@ -54,6 +53,35 @@ class Step:
     hops: int
 
 
+_SIGNS = np.array([1.0, -1.0])
+
+
+class StepTrail:
+    """How far a step stood out at each of the last hops, in roll and in pitch, both ways."""
+
+    def __init__(self) -> None:
+        self._both = np.zeros((TRAIL, 2, 2))  # by age; roll, pitch; the largest, the least
+
+    def go_on(self) -> None:
+        """A hop has gone by."""
+        self._both[1:] = self._both[:-1].copy()
+        self._both[0] = 0.0
+
+    def add(self, spreads: Array) -> None:
+        """Take how far steps stand out now, from `FIRST_AGE` hops ago on (ages, 2)."""
+        part = self._both[FIRST_AGE - 1 : FIRST_AGE - 1 + len(spreads)]
+        np.maximum(part[:, :, 0], spreads, out=part[:, :, 0])
+        np.minimum(part[:, :, 1], spreads, out=part[:, :, 1])
+
+    def near(self, age: int) -> Array:
+        """The largest and the least (roll and pitch, 2) about so many hops ago."""
+        newest = max(age - 1 - AROUND, 0)
+        part = self._both[newest : age - 1 + AROUND]
+        if not len(part):
+            return np.zeros((2, 2))
+        return np.stack([part[:, :, 0].max(axis=0), part[:, :, 1].min(axis=0)], axis=1)
+
+
 class StepWatch:
     """Fits of d for the last hops' beginnings, renewed hop by hop."""
 
@@ -64,8 +92,7 @@ class StepWatch:
         self._square = np.full((AGES, 2), SPREAD_PRIOR**2)
         self._hops = 0
         self._seen = 0
-        self.hint: tuple[int, float, int] | None = None
-        """Axis, sign and age in hops of the last hint."""
+        self.trail = StepTrail()
 
     def start_from(self, other: StepWatch) -> None:
         """Begin with another's experience of what is usual, but without its candidates."""
@@ -74,6 +101,7 @@ class StepWatch:
     def restart(self) -> None:
         """The vertical starts anew: no candidate reaches back beyond."""
         self._hops = 0
+        self.trail = StepTrail()
 
     def add(
         self, before: Array, states: Array, end: Array, innovation: Array, weight: Array
@@ -100,6 +128,7 @@ class StepWatch:
     def found(self, R_vehicle_from_sensor: Matrix3) -> Step | None:
         """The step that stands out most, if any does; learns the usual spread as well."""
         R = R_vehicle_from_sensor
+        self.trail.go_on()
         ages = min(self._hops, AGES)
         if ages == 0:
             return None
@@ -112,23 +141,17 @@ class StepWatch:
         usual = self._square[:ages]
         deviations = size / np.sqrt(usual + OTHER_AXIS * usual[:, ::-1])
         self._learn(size, ages)
-        if self.hint is not None:
-            axis, sign, age = self.hint
-            self.hint = (axis, sign, age + 1) if age < HINT_HOPS else None
         if self._seen < SETTLED or ages < FIRST_AGE:
             return None
-        large = np.abs(deviations[FIRST_AGE - 1 :]) * (np.abs(size[FIRST_AGE - 1 :]) > LEAST)
-        age, along = divmod(int(np.argmax(large)), 2)
-        axis = 1 - along
-        if large[age, along] < HINT[axis]:
-            return None
-        age += FIRST_AGE
         # gravity seen to the left: the sensor rolled to the right about x; ahead: about -y
-        turned = float(size[age - 1, along]) / GRAVITY * (1.0 if axis == 0 else -1.0)
-        self.hint = (axis, math.copysign(1.0, turned), age)
-        if large[age - FIRST_AGE, along] < LIMIT[axis]:
+        turned, spreads = size[:, ::-1] * _SIGNS, deviations[:, ::-1] * _SIGNS
+        self.trail.add(spreads[FIRST_AGE - 1 :])
+        large = np.abs(spreads) * (np.abs(turned) > LEAST)
+        large[: FIRST_AGE - 1] = 0.0
+        age, axis = divmod(int(np.argmax(large)), 2)
+        if large[age, axis] < LIMIT:
             return None
-        return Step(axis, turned, float(deviations[age - 1, along]), age)
+        return Step(axis, float(turned[age, axis]) / GRAVITY, float(spreads[age, axis]), age + 1)
 
     def _learn(self, size: Array, ages: int) -> None:
         self._seen += 1
