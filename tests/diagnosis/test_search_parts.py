@@ -14,9 +14,9 @@ from imucald.diagnosis.spectra import windows
 from imucald.diagnosis.trial import ACCEPT, signal_of
 
 
-def _level(quiet, loud, name="accel"):
-    """A drive whose vibration above the grid's band rises from standing to driving."""
-    return SimpleNamespace(level={name: np.linspace(quiet, loud, 500)})
+def _level(quiet, loud, name="accel", rate_hz=100.0):
+    """A drive whose change from sample to sample rises from standing to driving."""
+    return SimpleNamespace(level={name: np.linspace(quiet, loud, 500)}, rates_hz={name: rate_hz})
 
 
 @pytest.mark.parametrize(
@@ -28,8 +28,9 @@ def _level(quiet, loud, name="accel"):
         (0.8, _level(0.002, 0.01, "gyro"), False),
         (0.5, _level(0.00267, 0.00296, "gyro"), True),
         (0.8, _level(0.002, 0.01, "accel"), True),
+        (0.25, _level(0.001, 0.02, "gyro", 10.0), True),
     ],
-    ids=["shaken", "quiet", "shallow", "turning", "own noise", "other sensor"],
+    ids=["shaken", "quiet", "shallow", "turning", "own noise", "other sensor", "slow sensor"],
 )
 def test_a_low_pass_through_which_vibration_came_is_ruled_out(cutoff_hz, track, possible):
     name = next(iter(track.level))

@@ -66,7 +66,9 @@ class Track:
     planar: bool
     """The accelerometer has no vertical axis."""
     level: Mapping[str, Array]
-    """(N,) rms above the grid's band, per signal: vibration."""
+    """(N,) rms of the change from sample to sample, per sensor: vibration, if that is quick."""
+    rates_hz: Mapping[str, float]
+    """Samples a second, per sensor."""
 
     @property
     def duration_s(self) -> float:
@@ -119,6 +121,7 @@ def track_from_samples(
         top_hz=min(TOP_HZ, BAND_SHARE * min(rates)),
         planar=bool(np.ptp(samples["accel"].values[:, 2]) == 0.0),
         level=level,
+        rates_hz={name: _rate(samples[name]) for name in level},
     )
 
 

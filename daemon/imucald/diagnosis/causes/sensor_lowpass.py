@@ -22,7 +22,8 @@ SHAKEN: Mapping[str, float] = {"accel": 8.0, "gyro": 0.15}
 """No vehicle vibrates more [m/s^2, rad/s rms]."""
 SHAKEN_HZ = 8.0
 """Where vibration above the grid's band is taken to lie."""
-
+LEAST_HZ = 3.0 * SHAKEN_HZ
+"""Of a slower sensor the change from sample to sample is the motion itself."""
 NOISE_SPREAD = 1.3
 """Levels of a sensor's own noise spread by less."""
 
@@ -34,7 +35,7 @@ def is_possible(track: Track, values: Values) -> bool:
     """
     for name, most in SHAKEN.items():
         more = values.get(f"_lowpass.{name}", 0.0)
-        if name not in track.level or more <= 0.0:
+        if more <= 0.0 or track.rates_hz.get(name, 0.0) < LEAST_HZ:
             continue
         quiet, loud = np.percentile(track.level[name], [10.0, 90.0])
         passed = 1.0 / (1.0 + (SHAKEN_HZ * more) ** 2)
