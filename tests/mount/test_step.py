@@ -18,14 +18,19 @@ DEG = math.radians(1.0)
 
 
 def watched(
-    hops: int, moved_at: int, moved: np.ndarray, seed: int, turning: bool = False
+    hops: int,
+    moved_at: int,
+    moved: np.ndarray,
+    seed: int,
+    turning: bool = False,
+    tracker: UpTracker | None = None,
 ) -> list[Step | None]:
     """What is found hop by hop while the road's slope wanders, seen by the gyroscope as well.
 
     From hop `moved_at` on the sensor is turned by the rotation vector `moved` without a pulse.
     """
     rng = np.random.default_rng(seed)
-    tracker = UpTracker()
+    tracker = tracker or UpTracker()
     found: list[Step | None] = []
     n = hops * HOP
     slope = 0.02 * np.sin(2.0 * np.pi * np.arange(n) / 470.0)
@@ -71,3 +76,18 @@ def test_a_step_tells_how_long_ago_it_was():
     found = watched(80, 60, np.array([3.0 * DEG, 0.0, 0.0]), 5)
     hop_found, step = next((k, s) for k, s in enumerate(found) if s is not None)
     assert abs((hop_found + 1 - step.hops) - 60) <= 1
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [(0, 1.5), (1, -1.5)])
+def test_minutes_later_it_is_known_how_far_a_step_stood_out_and_when(axis, degrees):
+    """Pieces of road that show a change are compared with that, long after the step itself."""
+    tracker = UpTracker()
+    moved = np.zeros(3)
+    moved[axis] = degrees * DEG
+    watched(90, 60, moved, 3, tracker=tracker)
+    trail = tracker.watch.trail
+    largest, least = trail.near(30)[axis]
+    assert (largest if degrees > 0.0 else -least) > 4.0
+    assert (-least if degrees > 0.0 else largest) < 3.0
+    assert np.abs(trail.near(60 - 20)).max() < 3.0, "long before it"
+    assert not trail.near(200).any(), "longer ago than is remembered"
