@@ -152,7 +152,7 @@ def test_in_yaw_two_sources_that_agree_say_more_than_one_that_stands_out_as_far(
 
 
 def test_sources_of_yaw_that_contradict_one_another_show_no_shift():
-    apart = {"yaw_turn": 1.0 * DEG, "yaw_dvdt": -1.0 * DEG}
+    apart = {"yaw_turn": 0.8 * DEG, "yaw_dvdt": -0.8 * DEG}
     assert excess(with_change(drawn(3), apart, 10)) < 1.0
 
 

@@ -39,15 +39,15 @@ UNEVEN_STD = {
     "pitch_axis": 0.007,
     "pitch_gravity": 0.014,
     "yaw_turn": 0.0017,
-    "yaw_dvdt": 0.0035,
+    "yaw_dvdt": 0.0026,
 }
 """What a source says differs by that much [rad] between town and motorway, without a shift."""
 ALIKE = ("roll_turn", "roll_axis")
 """Both see the same noise, the lean of roads in bends: only the better one speaks."""
 TAIL = (1e6, 1e6, 4.0)
 """Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
-LEAST_SIZE = (0.026, 0.026, 0.013)
-"""A change to be told from none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
+LEAST_SIZE = (0.026, 0.026, 0.015)
+"""A change to be told from none is at least that large [rad]: 1.5, 1.5 and 0.85 deg."""
 STEP_LEAST, STEP_MOST = 2.0, 5.5
 """A step in gravity counts from so many standard deviations on, and for so many at most, ..."""
 STEP_FROM = 2.5
@@ -56,7 +56,7 @@ NO_STEP = 1.15
 """Without a step, thresholds for roll and pitch are so much higher."""
 SHORT = 5
 """Spans up to so many pieces are short: a windy stretch or a winding one passes for a turn."""
-THRESHOLD = ((6.2, 5.6), (5.0, 4.8), (3.0, 2.4))
+THRESHOLD = ((6.2, 5.6), (5.0, 4.8), (2.85, 2.25))
 """For roll, pitch and yaw, short spans and long ones, as a root of twice the log of the ratio;
 docs/mount-accuracy.md: what they give."""
 OTHER_ROADS = 1.15
