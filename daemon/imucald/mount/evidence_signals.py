@@ -164,7 +164,9 @@ class SignalPreparer:
         mid = slice(1, HOP + 1)
         force, ok_force = self._vector(t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, ACCEL_GAP)
         still = stuck_gyro(rows, self._stuck_rate)
-        self._stuck_rate = rows[-1, tk.GYRO_X : tk.GYRO_Z + 1].copy() if still[-1] else None
+        last = np.flatnonzero(rows[:, tk.GYRO_N] > 0)[-1:]
+        stuck = len(last) and still[last[0]]
+        self._stuck_rate = rows[last[0], tk.GYRO_X : tk.GYRO_Z + 1].copy() if stuck else None
         tally(self.frozen, "stuck", still[BEFORE : BEFORE + HOP])
         rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, ACCEL_GAP, still)
         self.hops += 1

@@ -22,6 +22,8 @@ STUCK_TICKS = 12
 """Identical means of a sensor for that long are a stuck signal: noise always moves."""
 STUCK_MOVING_TICKS, MOVING = 5, 0.5
 """So many of them faster than this [m/s]."""
+STUCK_HOLE = 4
+"""Ticks from one sample to the next, at most: 2.5 Hz."""
 SAME = 1e-9
 """Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
 STANDING = 0.05
@@ -56,22 +58,24 @@ def stuck_gyro(rows: Array, held: Array | None) -> Flags:
 
     rows: (N, COLUMNS) ticks. held: (3,) rates at which it was stuck before these rows. At rest a
     coarse sensor may well be still; one that got stuck before the vehicle stopped is stuck there.
+    Without a speed nobody knows whether the vehicle moves, and none is taken to be stuck.
     """
-    there = np.arange(len(rows))
-    heard = np.maximum.accumulate(np.where(rows[:, tk.SPEED_N] > 0, there, 0))
-    moving = (rows[heard, tk.SPEED_N] > 0) & (np.abs(rows[heard, tk.SPEED]) > MOVING)
-    rates = rows[:, tk.GYRO_X : tk.GYRO_Z + 1]
-    has = rows[:, tk.GYRO_N] > 0
-    same = has[1:] & has[:-1] & (np.abs(np.diff(rates, axis=0)) < SAME).all(axis=1)
     flags = np.zeros(len(rows), dtype=bool)
-    if held is None and int(same.sum()) < STUCK_TICKS - 1:
+    at = np.flatnonzero(rows[:, tk.GYRO_N] > 0)
+    rates = rows[at, tk.GYRO_X : tk.GYRO_Z + 1]
+    same = (np.abs(np.diff(rates, axis=0)) < SAME).all(axis=1)
+    if not same.any():
         return flags
+    same &= np.diff(at) <= STUCK_HOLE
+    heard = np.maximum.accumulate(np.where(rows[:, tk.SPEED_N] > 0, np.arange(len(rows)), 0))
+    moving = (rows[heard, tk.SPEED_N] > 0) & (np.abs(rows[heard, tk.SPEED]) > MOVING)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
     for first, last in edges.reshape(-1, 2):
+        part = slice(at[first], at[last] + 1)
         known = held is not None and bool((np.abs(rates[first] - held) < SAME).all())
-        driven = int(moving[first : last + 1].sum()) >= STUCK_MOVING_TICKS
-        if known or (last - first >= STUCK_TICKS - 1 and driven):
-            flags[first : last + 1] = True
+        driven = int(moving[part].sum()) >= STUCK_MOVING_TICKS
+        if known or (part.stop - part.start >= STUCK_TICKS and driven):
+            flags[part] = True
     return flags
 
 
