@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from imucald.diagnosis import linear, spectra
+from imucald.diagnosis import gain, linear, spectra
 from imucald.diagnosis.bent import SAME_SIGNAL, hurdle
 from imucald.diagnosis.cause import Variant
 from imucald.diagnosis.causes import mount_rotation, mount_shift, sensor_lowpass
@@ -93,10 +93,23 @@ def _held_out(lengths: list[int]) -> list[np.ndarray]:
 def test_every_fold_of_one_drive_is_fitted_on_stretches_from_all_over_it():
     used = np.array(_held_out([1500 * 10]))
     assert used.shape[0] == 4
-    parts = np.array_split(np.arange(used.shape[1]), 3)
-    assert all(fold[part].any() for fold in used for part in parts)
     assert (used == 0.0).any(axis=0).all()  # each stretch is held out once at least
-    assert (used == 1.0).sum(axis=0).min() >= 2
+    for quarter in np.array_split(np.arange(used.shape[1]), 4):
+        assert used[:, quarter].any(axis=1).all()
+
+
+@pytest.mark.parametrize("drives", [2, 4, 8])
+def test_the_gain_of_a_cause_does_not_depend_on_how_many_drives_there_are(monkeypatch, drives):
+    """Each stretch is worth one nat."""
+    total = 240
+    parts = [np.where(np.arange(total) * drives // total == k, 0.0, 1.0) for k in range(drives)]
+    monkeypatch.setattr(gain, "folds", lambda *_: parts)
+    evidence = SimpleNamespace(
+        fit=lambda *_, fixed=(): SimpleNamespace(x=0.0 if fixed else 1.0),
+        held_out=lambda x, held: x * held,
+    )
+    found = SimpleNamespace(point=SimpleNamespace(evidence=evidence), keys=["a"])
+    assert gain.gain_of(SimpleNamespace(), found, ["a"]) == pytest.approx(total)
 
 
 def test_whole_drives_are_held_out_where_there_are_several():

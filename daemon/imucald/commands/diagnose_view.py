@@ -128,7 +128,7 @@ def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
 
 def _print_gain(console: Console, diagnosis: Diagnosis) -> None:
     if diagnosis.causes:
-        console.print(f"with the extended model held-out data are {words.gain(diagnosis.gain)}")
+        console.print(f"gain on held-out data: {words.gain(diagnosis.gain)}")
     errors = words.mount_errors(diagnosis.gain)
     if errors is not None:
         console.print(f"mount-angle error {errors[0]} before, {errors[1]} after")

@@ -11,18 +11,19 @@ from imucald.diagnosis.cause import Cause, Variant, catalogue
 from imucald.diagnosis.faults import Fault, corrected, extend, find_faults, spoilt
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.gain import gain_of, measure
-from imucald.diagnosis.grid import Track, track_from_samples
+from imucald.diagnosis.grid import track_from_samples
 from imucald.diagnosis.keys import with_values
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import Diagnosis, Estimated, FoundCause, Structure
 from imucald.diagnosis.roads import RoadFinding, find_roads, road_blocks
+from imucald.diagnosis.sanity import against, refuse_unusable, rolling_s
 from imucald.diagnosis.search import Search
 from imucald.diagnosis.structure import find_structure
 from imucald.diagnosis.structure_guard import standing
 from imucald.diagnosis.trial import ACCEPT, Found
 from imucald.diagnosis.vehicle_gain import mount_errors_deg
 from imucald.diagnosis.verdict import look_alikes, losers_of, to_separate, verdict_of
-from imucald.errors import EstimateError
+from imucald.errors import ConfigError, EstimateError
 from imucald.samples import Samples
 from imucald.simulation.model import Model
 
@@ -30,6 +31,8 @@ Progress = Callable[[float, str], None]
 BESIDE_ROADS = 20.0
 """Log posterior odds that a cause must have on roads that the model does not know: their waves are
 longer than the stretches, and their means pass for small offsets and scales."""
+LITTLE_MIN = 10.0
+"""With less driving a note says so."""
 STEP_SHARE = 0.12
 """Share of the work by which progress moves on with each cause."""
 
@@ -49,11 +52,13 @@ def diagnose(
     faults = [_faults(samples, model) for samples in drives]
     causes = catalogue()
     forwards = [
-        Forward(_track(samples, found), model, causes)
-        for samples, found in zip(drives, faults, strict=True)
+        _forward(i, len(drives), samples, found, model)
+        for i, (samples, found) in enumerate(zip(drives, faults, strict=True))
     ]
     names = forwards[0].names
     forwards = [f for f in forwards if f.names == names]
+    refuse_unusable(forwards)
+    wrong = against(forwards)
     stage = [0.1]
 
     def tick(text: str) -> None:
@@ -61,12 +66,15 @@ def diagnose(
         tell(stage[0], text)
 
     tell(stage[0], "forward model and residuals")
-    search = Search(forwards, causes, [c for c in causes if not c.nuisance], tick)
+    # Where a sign is wrong every cause would only be fitted to that.
+    candidates = [] if wrong else [c for c in causes if not c.nuisance]
+    search = Search(forwards, causes, candidates, tick)
     found = search.run()
     tell(0.85, "roads")
-    roads = [r for r in find_roads(forwards, found.point.values) if r.score > ACCEPT]
+    roads = [] if wrong else find_roads(forwards, found.point.values)
+    roads = [r for r in roads if r.score > ACCEPT]
     tell(0.88, "structure that is left")
-    structure = tuple(find_structure(search, found))
+    structure = tuple(wrong or find_structure(search, found))
     kept = standing(search, found, structure)
     if roads:
         kept = [v for v in kept if search.loss(found, v) >= BESIDE_ROADS]
@@ -80,7 +88,11 @@ def diagnose(
     if not diagnosis.causes:
         return diagnosis
     tell(0.97, "what it is worth to the vehicle")
-    before, after = mount_errors_deg(drives, model, diagnosis.model_after)
+    try:
+        before, after = mount_errors_deg(drives, model, diagnosis.model_after)
+    except ConfigError as error:
+        note = f"What it is worth to the vehicle is not known: the daemon refuses the {error}."
+        return replace(diagnosis, notes=(*diagnosis.notes, note))
     gain = replace(diagnosis.gain, mount_error_deg_before=before, mount_error_deg_after=after)
     return replace(diagnosis, gain=gain)
 
@@ -93,9 +105,17 @@ def _faults(samples: Samples, model: Model) -> list[Fault]:
     return [fault for fault in find_faults(samples, model) if fault.score > ACCEPT]
 
 
-def _track(samples: Samples, faults: Sequence[Fault]) -> Track:
-    """The drive on the grid, without what is faulty."""
-    return track_from_samples(corrected(samples, faults), spoilt(faults))
+def _forward(
+    i: int, drives: int, samples: Samples, faults: Sequence[Fault], model: Model
+) -> Forward:
+    """The drive on the grid, without what is faulty, and what predicts it."""
+    try:
+        track = track_from_samples(corrected(samples, faults), spoilt(faults))
+    except EstimateError as error:
+        if drives == 1:
+            raise
+        raise EstimateError(f"drive {i + 1} of {drives}: {error}") from None
+    return Forward(track, model, catalogue())
 
 
 @dataclass
@@ -210,6 +230,9 @@ class _Told:
             notes.append("No temperature: drift with it was not examined.")
         if absent:
             notes.append(f"{absent} drive(s) with other signals than the first were left out.")
+        minutes = rolling_s(self.search.forwards) / 60.0
+        if minutes < LITTLE_MIN:
+            notes.append(f"Only {minutes:.1f} min of driving: small errors do not show in that.")
         top = min(f.track.top_hz for f in self.search.forwards)
         notes.append(f"Compared up to {top:.2g} Hz, which the slowest input carries.")
         return notes

@@ -29,8 +29,10 @@ from imucald.diagnosis.spectra import (
 from imucald.diagnosis.trial import Found
 
 FOLDS = 4
-LEAST_HELD = 8
-"""Stretches in a row that are held out together, at least: two minutes."""
+LEAST_HELD = 4
+"""Stretches in a row that are held out together, at least: nearly two minutes."""
+LEAST_FITTED = 6
+"""Stretches that must be left for a fit: two and a half minutes."""
 
 
 def folds(search: Search, found: Found) -> list[Array]:
@@ -54,6 +56,11 @@ def folds(search: Search, found: Found) -> list[Array]:
     return made
 
 
+def can_hold_out(parts: Sequence[Array]) -> bool:
+    """Whether every fit has stretches enough."""
+    return min(float(used.sum()) for used in parts) >= LEAST_FITTED
+
+
 def _stretches(search: Search, total: int) -> list[int]:
     counts = [len(windows(len(f.track.t))) for f in search.forwards]
     if sum(counts) != total:
@@ -72,7 +79,8 @@ def measure(
 
     road: per drive, what the found roads add to the prediction (B, F, C). recorded: the drives
     with what is faulty in them, where something is: their residual is the one before. Likelihoods
-    are compared on sound samples only.
+    are compared on sound samples only. Drives too short to hold anything out have no gain (NaN),
+    and as residual after what the fit to all of them leaves.
     """
     point = found.point
     before = np.concatenate([residual_blocks(f, search.base) for f in search.forwards])
@@ -80,7 +88,10 @@ def measure(
     left = point if road is None else _without(point, found.keys, np.concatenate(list(road)))
     fitted = left.evidence.fit(found.keys)
     floor = left.residual - left.columns @ fitted.x.astype(np.float32)
-    after = _held_out_residual(search, replace(found, point=left)) if extended else before
+    known = can_hold_out(folds(search, found))
+    after = before
+    if extended:
+        after = _held_out_residual(search, replace(found, point=left)) if known else floor
     gains = _log_likelihood(point, after) - _log_likelihood(point, before)
     total = float(gains.sum())
     # Half-overlapping stretches are worth half as many independent ones.
@@ -100,6 +111,8 @@ def measure(
         for i, name in enumerate(search.forwards[0].names)
         if name in SIGNALS
     }
+    if extended and not known:
+        return Gain(math.nan, (math.nan, math.nan)), signals
     return Gain(total, (total - spread, total + spread)), signals
 
 
@@ -122,14 +135,17 @@ def gain_of(search: Search, found: Found, keys: Sequence[str]) -> float:
     """Held-out log likelihood by one cause's parameters, against the model file's values."""
     evidence = found.point.evidence
     rest = [key for key in found.keys if key not in keys]
+    parts = folds(search, found)
+    if not can_hold_out(parts):
+        return math.nan
     total = 0.0
-    for used in folds(search, found):
+    for used in parts:
         held = (used == 0.0).astype(float)
         full = evidence.fit(found.keys, used)
         without = evidence.fit(rest, used, fixed=keys)
         difference = evidence.held_out(full.x, held) - evidence.held_out(without.x, held)
         # Stretches beside a held-out one are left out by two folds.
-        total += float(difference.sum()) * len(used) / (FOLDS * max(float(held.sum()), 1.0))
+        total += float(difference.sum()) * len(used) / (len(parts) * max(float(held.sum()), 1.0))
     return total
 
 

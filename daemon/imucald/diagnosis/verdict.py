@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from imucald.diagnosis.cause import Cause
 from imucald.diagnosis.contest import FAMILIES
 from imucald.diagnosis.result import Candidate, Structure, Verdict
+from imucald.diagnosis.sanity import GOES_AGAINST
 from imucald.diagnosis.search import ALIKE, Search
 from imucald.diagnosis.trial import Found
 
@@ -81,6 +82,8 @@ def verdict_of(
     scores: Mapping[str, float], sets: Sequence[Sequence[str]], structure: Sequence[Structure]
 ) -> Verdict:
     """The four honest verdicts."""
+    if any(s.kind == GOES_AGAINST for s in structure):
+        return "unknown"
     if not scores:
         return "unknown" if structure else "nothing"
     return "ambiguous" if sets else "found"

@@ -184,14 +184,16 @@ def evidence(cause: FoundCause) -> str:
         for name, x in known.items()
         if name not in ("probability", "sigma", "log_bayes_factor")
     ]
-    if cause.gain.get("held_out_log_likelihood"):
-        gain = number(cause.gain["held_out_log_likelihood"], 3)
-        parts.append(f"worth {gain} nats on held-out data")
+    nats = cause.gain.get("held_out_log_likelihood", 0.0)
+    if nats and math.isfinite(nats):
+        parts.append(f"worth {number(nats, 3)} nats on held-out data")
     return "; ".join(parts)
 
 
 def gain(found: Gain) -> str:
     """Return the gain on held-out data in one line."""
+    if not math.isfinite(found.held_out_log_likelihood):
+        return "not known: the drives are too short to hold anything out"
     low, high = found.interval
     return (
         f"{number(found.held_out_log_likelihood)} nats likelier "
