@@ -188,6 +188,17 @@ def test_what_reading_rejected_is_a_note(asked, said, log):
     assert f"drive.log:{len(lines) + 1}" in err
 
 
+def test_why_nothing_could_be_diagnosed_says_what_was_rejected(said, log):
+    lines = log.read_text().splitlines()
+    frozen = [f"{line[:-16]}{'00' * 8}" if " 200#" in line else line for line in lines]
+    log.write_text("\n".join(frozen) + "\n")
+    status, out, err = said(log, "--quiet")
+    assert (status, out) == (1, "")
+    assert "waiting for the accelerometer" in err
+    assert "drive.log: " in err
+    assert "were rejected (checksum" in err
+
+
 # mistakes ----------------------------------------------------------------------------------------
 
 

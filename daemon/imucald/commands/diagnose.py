@@ -130,16 +130,22 @@ def _diagnosed(
 ) -> Diagnosis:
     from imucald.commands.diagnose_view import share_bar
     from imucald.diagnosis.diagnose import diagnose
+    from imucald.errors import EstimateError
 
     drives = [recording.samples for recording in recordings]
-    with share_bar("diagnosis", quiet) as progress:
-        if model is None:
-            from imucald.diagnosis.baseline import baseline_model
-
-            progress(0.0, "baseline model")
-            model = baseline_model(loaded, recordings)
-        diagnosis = diagnose(drives, model, progress)
     notes = [note for recording in recordings for note in _reading_notes(recording)]
+    with share_bar("diagnosis", quiet) as progress:
+        try:
+            if model is None:
+                from imucald.diagnosis.baseline import baseline_model
+
+                progress(0.0, "baseline model")
+                model = baseline_model(loaded, recordings)
+            diagnosis = diagnose(drives, model, progress)
+        except EstimateError as error:
+            if not notes:
+                raise
+            raise EstimateError(f"{error} ({'; '.join(notes)})") from None
     return replace(diagnosis, notes=(*diagnosis.notes, *notes))
 
 

@@ -10,7 +10,7 @@ from imucald.diagnosis.contest import FAMILIES
 from imucald.diagnosis.result import Candidate, Structure, Verdict
 from imucald.diagnosis.sanity import GOES_AGAINST
 from imucald.diagnosis.search import ALIKE, Search
-from imucald.diagnosis.trial import Found
+from imucald.diagnosis.trial import ACCEPT, Found
 
 MOST_TOLD = 12
 """Losers that are told of."""
@@ -56,7 +56,10 @@ def look_alikes(search: Search, found: Found) -> tuple[list[tuple[str, ...]], li
 
 
 def losers_of(search: Search, found: Found) -> list[Candidate]:
-    """What was tried on top of the found causes and did not pay."""
+    """What was tried on top of the found causes and did not pay.
+
+    What promised to pay, and did not once it was fitted, is left out: its score means nothing.
+    """
     best: dict[str, float] = {}
     for trial in search.trials(found):
         name = trial.variant.cause
@@ -65,7 +68,7 @@ def losers_of(search: Search, found: Found) -> list[Candidate]:
     return [
         Candidate((name,), score, "in addition: does not pay for itself")
         for name, score in ordered
-        if math.isfinite(score)
+        if math.isfinite(score) and score < ACCEPT
     ]
 
 
