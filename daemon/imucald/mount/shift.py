@@ -39,26 +39,31 @@ UNEVEN_STD = {
     "pitch_axis": 0.007,
     "pitch_gravity": 0.014,
     "yaw_turn": 0.0017,
-    "yaw_dvdt": 0.0026,
+    "yaw_dvdt": 0.0035,
 }
 """What a source says differs by that much [rad] between town and motorway, without a shift."""
 ALIKE = ("roll_turn", "roll_axis")
 """Both see the same noise, the lean of roads in bends: only the better one speaks."""
 TAIL = (1e6, 1e6, 4.0)
 """Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
-LEAST_SIZE = (0.026, 0.026, 0.015)
-"""A change to be told from none is at least that large [rad]: 1.5, 1.5 and 0.85 deg."""
+LEAST_SIZE = (0.026, 0.026, 0.013)
+"""A change to be told from none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
 STEP_LEAST, STEP_MOST = 2.0, 5.5
 """A step in gravity counts from so many standard deviations on, and for so many at most, ..."""
 STEP_FROM = 2.5
 """... and where the pieces of road alone come to so much."""
 NO_STEP = 1.15
 """Without a step, thresholds for roll and pitch are so much higher."""
-SHORT = 5
-"""Spans up to so many pieces are short: a windy stretch or a winding one passes for a turn."""
-THRESHOLD = ((6.2, 5.6), (5.0, 4.8), (2.85, 2.25))
-"""For roll, pitch and yaw, short spans and long ones, as a root of twice the log of the ratio;
-docs/mount-accuracy.md: what they give."""
+THRESHOLD = np.array(
+    (
+        (6.2, 6.2, 6.2, 6.2, 5.6, 5.6, 5.6, 5.6, 5.6, 5.6, 5.6),
+        (5.0, 5.0, 5.0, 5.0, 4.8, 4.8, 4.8, 4.8, 4.8, 4.8, 4.8),
+        (3.2, 3.2, 3.1, 3.0, 2.9, 2.8, 2.6, 2.45, 2.3, 2.2, 2.1),
+    )
+)
+"""For roll, pitch and yaw, and each span, as a root of twice the log of the ratio;
+docs/mount-accuracy.md: what they give. Over short spans a windy stretch or a winding one passes
+for a turn."""
 OTHER_ROADS = 1.15
 """Thresholds are so much higher where it takes pieces of earlier drives to test at all."""
 LEAST_KNOWN = 1e-6
@@ -171,7 +176,7 @@ def largest_change(
             continue
         sizes, variances = changes(mine, spans)
         size, ratio = likeliest(*_uneven(mine, sizes, variances), TAIL[axis], LEAST_SIZE[axis])
-        threshold = np.where(spans <= SHORT, *THRESHOLD[axis])
+        threshold = THRESHOLD[axis, : len(spans)]
         if axis < 2:
             step = _step_for(ratio, size, steps[: len(spans), axis])
             ratio = np.hypot(ratio, step)
