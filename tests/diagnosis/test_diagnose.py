@@ -9,9 +9,8 @@ import pytest
 from hidden import CAUSES, OUTSIDE, Effect, hidden_drive
 from imucald.diagnosis.cause import Cause, Parameter, catalogue
 from imucald.diagnosis.diagnose import diagnose
-from imucald.diagnosis.result import Structure
+from imucald.diagnosis.result import GOES_AGAINST, Structure
 from imucald.diagnosis.roads import find_roads
-from imucald.diagnosis.sanity import GOES_AGAINST
 from imucald.diagnosis.verdict import verdict_of
 from imucald.errors import EstimateError
 from imucald.simulation import load_model

@@ -17,7 +17,14 @@ import made_diagnosis as made
 import numpy as np
 import pytest
 
-from imucald.diagnosis.result import Candidate, Estimated, Gain, SignalGain, Structure
+from imucald.diagnosis.result import (
+    GOES_AGAINST,
+    Candidate,
+    Estimated,
+    Gain,
+    SignalGain,
+    Structure,
+)
 from imucald.errors import ImucaldError
 from imucald.report import About, report_page, require_libraries, words
 from imucald.report.model_changes import as_diff, model_changes, value_text
@@ -319,6 +326,17 @@ def test_a_sure_cause_beside_an_ambiguous_one_is_told():
 def test_structure_beside_what_was_found_is_told():
     said = words.verdict(made.found(structure=made.unknown().structure)).explanation
     assert "left besides, in accelerometer y and vehicle yaw rate" in said
+
+
+def test_a_wrong_sign_is_the_headline():
+    wrong = Structure("gyro_z", GOES_AGAINST, 1.0, "a sign is wrong")
+    said = words.verdict(replace(made.nothing(), verdict="unknown", structure=(wrong,)))
+    assert said.headline == "Unknown: against the model's prediction: gyroscope z"
+    assert "imucald check" in said.explanation
+
+
+def test_a_gain_that_is_not_known_is_told_so():
+    assert words.gain(Gain(math.nan, (math.nan, math.nan))).startswith("not known")
 
 
 def test_a_gain_that_held_out_data_do_not_confirm_is_told():

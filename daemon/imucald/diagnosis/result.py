@@ -74,6 +74,10 @@ class Gain:
     mount_error_deg_after: float | None = None
 
 
+GOES_AGAINST = "goes against the model"
+"""Kind of structure where a signal moves against what is predicted."""
+
+
 @dataclass(frozen=True)
 class Structure:
     """Something left in a residual that no candidate explains."""

@@ -10,14 +10,13 @@ import numpy as np
 from imucald.bus.quantities import LIMITS
 from imucald.diagnosis.forward import UNITS, Forward
 from imucald.diagnosis.grid import GRID_HZ, ROLLING_MPS, Array
-from imucald.diagnosis.result import Structure
+from imucald.diagnosis.result import GOES_AGAINST, Structure
 from imucald.errors import EstimateError
 
 LEAST_ROLLING_S = 45.0
 """A vehicle that hardly moves shows nothing of scales, lever arm, handling."""
 AGAINST = -0.4
 """A signal whose correlation with what is predicted is lower goes against it."""
-GOES_AGAINST = "goes against the model"
 LEAST_RMS = {"m/s^2": 0.1, "rad/s": 0.005}
 """What is predicted must move by so much, rms, to be compared."""
 _LIMIT = {"m/s^2": LIMITS["acceleration"], "rad/s": LIMITS["angular_rate"]}

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from imucald.diagnosis.cause import Cause
 from imucald.diagnosis.contest import FAMILIES
-from imucald.diagnosis.result import Candidate, Structure, Verdict
-from imucald.diagnosis.sanity import GOES_AGAINST
+from imucald.diagnosis.result import GOES_AGAINST, Candidate, Structure, Verdict
 from imucald.diagnosis.search import ALIKE, Search
 from imucald.diagnosis.trial import ACCEPT, Found
 

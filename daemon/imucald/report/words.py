@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from imucald.diagnosis.result import Diagnosis, FoundCause, Gain, SignalGain
+from imucald.diagnosis.result import GOES_AGAINST, Diagnosis, FoundCause, Gain, SignalGain
 
 CAUSES: Mapping[str, str] = {
     "accel_bias": "accelerometer bias",
@@ -97,6 +97,12 @@ def verdict(diagnosis: Diagnosis) -> Verdict:
         return _ambiguous(diagnosis, titles)
     if diagnosis.verdict == "unknown":
         where = _where(diagnosis)
+        if any(s.kind == GOES_AGAINST for s in diagnosis.structure):
+            return Verdict(
+                f"Unknown: against the model's prediction: {where}",
+                "A sign in the configuration is wrong, or the mount in the model file: 'imucald "
+                "check' looks for wrong signs. No parameter was fitted to that.",
+            )
         headline = f"Unknown: something is left in {where}" if where else "Unknown"
         text = "The measured signals differ from the model in a way that no known cause explains."
         if titles:
