@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import gzip
 import json
+import math
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -131,10 +132,13 @@ def as_it_is(log: Log, diagnosis: Diagnosis, seconds: float) -> Iterator[str]:
         yield f"- Left over: {s.signal}, {s.text}"
     gain = diagnosis.gain
     low, high = gain.interval
-    yield (
-        f"- Held-out log-likelihood {gain.held_out_log_likelihood:.0f} nats "
-        f"(95 % {low:.0f} to {high:.0f})."
-    )
+    if math.isfinite(gain.held_out_log_likelihood):
+        yield (
+            f"- Held-out log-likelihood {gain.held_out_log_likelihood:.0f} nats "
+            f"(95 % {low:.0f} to {high:.0f})."
+        )
+    else:
+        yield "- Too short to hold anything out: *after* is what the fit to all of it leaves."
     yield ""
     yield "| signal | residual before | after | noise floor |"
     yield "|---|---|---|---|"
