@@ -19,9 +19,7 @@ from imucald.diagnosis.spectra import (
     BLOCK,
     Blocks,
     Complex,
-    Noise,
-    cross_spectra,
-    loudness,
+    noise_of,
     normal_equations,
     weighted,
     windows,
@@ -88,19 +86,20 @@ def measure(
     left = point if road is None else _without(point, found.keys, np.concatenate(list(road)))
     fitted = left.evidence.fit(found.keys)
     floor = left.residual - left.columns @ fitted.x.astype(np.float32)
-    known = can_hold_out(folds(search, found))
+    parts = folds(search, found)
+    known = can_hold_out(parts)
     after = before
     if extended:
-        after = _held_out_residual(search, replace(found, point=left)) if known else floor
+        after = _held_out_residual(left, found.keys, parts) if known else floor
     gains = _log_likelihood(point, after) - _log_likelihood(point, before)
     total = float(gains.sum())
     # Half-overlapping stretches are worth half as many independent ones.
     spread = 1.96 * math.sqrt(2.0) * float(np.std(gains)) * math.sqrt(len(gains))
     first, first_present = before, point.present
     if recorded:
-        parts = [residual_stretches(f, search.base) for f in recorded]
-        first = np.concatenate([part.values[..., 0] for part in parts])
-        first_present = np.concatenate([part.present for part in parts])
+        whole = [residual_stretches(f, search.base) for f in recorded]
+        first = np.concatenate([drive.values[..., 0] for drive in whole])
+        first_present = np.concatenate([drive.present for drive in whole])
     signals = {
         name: SignalGain(
             rms_before=_rms(first, first_present, i),
@@ -125,9 +124,7 @@ def _without(point: Linearised, keys: Sequence[str], explained: Complex) -> Line
         normal = normal_equations(columns, residual, noise)
         evidence = Evidence(point.parameters, normal, point.evidence.shift)
         left = residual - point.columns @ evidence.fit(keys).x.astype(np.float32)
-        S = cross_spectra(left, point.present, noise.loud)
-        loud = loudness(left, point.present, S)
-        noise = Noise(cross_spectra(left, point.present, loud), loud, point.noise.error)
+        noise = noise_of(left, point.present, noise.loud, point.noise.error)
     return replace(point, residual=residual, noise=noise, evidence=evidence)
 
 
@@ -149,12 +146,11 @@ def gain_of(search: Search, found: Found, keys: Sequence[str]) -> float:
     return total
 
 
-def _held_out_residual(search: Search, found: Found) -> Complex:
+def _held_out_residual(point: Linearised, keys: Sequence[str], parts: Sequence[Array]) -> Complex:
     """Residual (B, F, C), fitted on the other stretches: causes freely, the rest by tolerance."""
-    point = found.point
     result = point.residual.copy()
-    for used in folds(search, found):
-        fit: Fit = point.evidence.fit(found.keys, used)
+    for used in parts:
+        fit: Fit = point.evidence.fit(keys, used)
         held = np.flatnonzero(used == 0.0)
         result[held] = point.residual[held] - point.columns[held] @ fit.x.astype(np.float32)
     return result

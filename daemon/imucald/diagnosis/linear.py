@@ -25,6 +25,7 @@ from imucald.diagnosis.spectra import (
     cross_spectra,
     loudness,
     model_error,
+    noise_of,
     normal_equations,
     transform,
     weighted,
@@ -78,9 +79,8 @@ class Linearised:
         What the model cannot promise is not counted: it would be paid for by what it explains.
         """
         left = self.residual - self.columns @ self.evidence.fit(keys).x.astype(np.float32)
-        S = cross_spectra(left, self.present, self.noise.loud)
-        loud = loudness(left, self.present, S)
-        noise = Noise(cross_spectra(left, self.present, loud), loud, np.zeros_like(loud))
+        loud = self.noise.loud
+        noise = noise_of(left, self.present, loud, np.zeros_like(loud))
         whole = Blocks(self.columns, self.present, np.zeros(0))
         normal = normal_equations(whole, self.residual, noise)
         evidence = Evidence(self.parameters, normal, self.evidence.shift)

@@ -50,13 +50,13 @@ def rolling_s(forwards: Sequence[Forward]) -> float:
 def against(forwards: Sequence[Forward]) -> list[Structure]:
     """Signals that move against what the model file predicts: a sign is wrong, not a parameter."""
     made = []
-    parts = [_compared(f) for f in forwards]
+    drives = [_compared(f) for f in forwards]
     for i, name in enumerate(forwards[0].names):
-        measured, predicted = (np.concatenate([p[k][i] for p in parts]) for k in (0, 1))
+        both = np.concatenate([drive[i] for drive in drives], axis=1)
         least = LEAST_RMS.get(UNITS[name], math.inf)
-        if len(measured) < 2 or np.std(predicted) < least or np.std(measured) < least:
+        if both.shape[1] < 2 or (both.std(axis=1) < least).any():
             continue
-        together = float(np.corrcoef(measured, predicted)[0, 1])
+        together = float(np.corrcoef(both)[0, 1])
         if together < AGAINST:
             made.append(Structure(name, GOES_AGAINST, abs(together), _text(name, together)))
     return made
@@ -70,15 +70,14 @@ def _text(name: str, together: float) -> str:
     )
 
 
-def _compared(forward: Forward) -> tuple[list[Array], list[Array]]:
-    """Measured and predicted signals on rows while rolling, their means left out."""
-    predicted = forward.predict(forward.base())
+def _compared(forward: Forward) -> list[Array]:
+    """Each signal as measured and as predicted (2, n) while rolling, less their means."""
+    predicted, rolling = forward.predict(forward.base()), _rolling(forward)
     pairs = []
     for x, p, usable in zip(forward.measured, predicted, forward.usable, strict=True):
-        rows = usable & _rolling(forward)
-        pairs.append((x[rows] - np.mean(x[rows]), p[rows] - np.mean(p[rows])) if rows.any()
-                     else (np.zeros(0), np.zeros(0)))  # fmt: skip
-    return [a for a, _ in pairs], [b for _, b in pairs]
+        both = np.stack([x, p])[:, usable & rolling]
+        pairs.append(both - both.sum(axis=1, keepdims=True) / max(both.shape[1], 1))
+    return pairs
 
 
 def _rolling(forward: Forward) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

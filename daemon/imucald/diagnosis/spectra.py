@@ -219,6 +219,12 @@ def _long_run(mean: Array, present: NDArray[np.bool_]) -> NDArray[np.complex128]
     return np.asarray(kept, dtype=np.complex128)
 
 
+def noise_of(left: Complex, present: NDArray[np.bool_], loud: Array, error: Array) -> Noise:
+    """Noise that a fit leaves (B, F, C); loud: of each stretch by a fit before, error: kept."""
+    louder = loudness(left, present, cross_spectra(left, present, loud))
+    return Noise(cross_spectra(left, present, louder), louder, error)
+
+
 @dataclass(frozen=True)
 class Normal:
     """Normal equations by stretch: information (B, P, P), score (B, P), square (B,)."""
