@@ -18,6 +18,7 @@ from imucald.motion.ticks import TICK_S, TickRow
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.offsets import Offsets
 from imucald.mount.plausible import forbidden, stuck_gyro, tally
+from imucald.mount.stuck_speed import StuckSpeed
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -132,6 +133,7 @@ class SignalPreparer:
         self._reverse = 0.0
         self._rest_run = 0
         self._stuck_rate: Array | None = None
+        self._stuck_speed = StuckSpeed()
         self.seen: set[str] = set()
         self.hops = 0
 
@@ -152,6 +154,7 @@ class SignalPreparer:
         self._n = KEEP
         self._rest_run = 0
         self._stuck_rate = None
+        self._stuck_speed.restart()
 
     def hop(self) -> Prepared:
         """Return the signals of the next hop."""
@@ -239,6 +242,9 @@ class SignalPreparer:
         has = rows[:, tk.SPEED_N] > 0
         if has.any():
             self.seen.add("speed")
+        stuck = self._stuck_speed.flags(rows, HOP)
+        tally(self.frozen, "stuck", stuck[BEFORE : BEFORE + HOP])
+        has &= ~stuck
         speed, ok = bridged(at, t[has] - rows[has, tk.SPEED_AGE], rows[has, tk.SPEED], SPEED_GAP)
         known = rows[:, tk.REVERSE]
         if not np.isnan(known).all():
