@@ -40,11 +40,25 @@ def full(text: str):
 def test_crown_chassis_and_delays_come_from_the_model():
     found = full("vehicle: {driving_side: left}")
     assert found.crown == pytest.approx(-0.02)
-    assert found.crown_std == pytest.approx(0.0075), "the spread is the configuration's"
+    assert found.crown_std == pytest.approx(0.0065), "the spread is the configuration's"
     assert (found.wheelbase, found.steering_ratio, found.track) == (3.1, 17.0, 1.7)
     assert found.understeer == 0.004
     assert found.delays["speed"].mean == 0.0, "its ticks are brought together"
     assert found.delays["speed"].std < EstimatorSettings().delays["speed"].std
+
+
+def test_roads_rougher_than_usual_and_the_lever_arm_come_from_the_model():
+    usual = EstimatorSettings()
+    model = {
+        "road": {"grade_rms": 0.05, "bank_rms": 0.01},
+        "mount": {"lever_arm_m": [1.5, 0.0, 0.2]},
+    }
+    found = compensation_from_model(model).full_settings(usual)
+    assert found.slope_std == 0.05
+    assert found.cross_fall_std == usual.cross_fall_std, "smooth roads then are not so for ever"
+    assert found.lever_arm == (1.5, 0.0, 0.2)
+    off = {"road": {"grade": False, **model["road"]}, "mount": {"lever_arm": False}}
+    assert compensation_from_model(off).full_settings(usual) == usual
 
 
 def test_what_the_configuration_says_counts():

@@ -340,6 +340,36 @@ def test_two_times_the_cross_axis_error_widens_the_interval():
     assert wide.std[1] > plain.std[1]
 
 
+@pytest.mark.parametrize("seed", [42, 43])
+def test_a_known_lever_arm_does_not_turn_the_mount(seed):
+    model, found = random_model(seed, standing_first=True), {}
+    for name, arm in (("none", (0.0, 0.0, 0.0)), ("far", (3.5, 0.6, 0.4))):
+        mount = model.mount.model_copy(update={"lever_arm_m": arm})
+        made = simulate(model.model_copy(update={"mount": mount}), seed, MINUTES)
+        ticks = ticks_from_samples(made.samples, 0, int(MINUTES * 600))
+        found[name] = after(ticks).estimate().R_vehicle_from_sensor
+        if name == "far":
+            known = after(ticks, EstimatorSettings(lever_arm=arm))
+            found["known"] = known.estimate().R_vehicle_from_sensor
+
+    def turned(name: str) -> float:
+        return float(np.linalg.norm(vector_from_rotation(found[name] @ found["none"].T)))
+
+    assert turned("known") < 0.5 * turned("far")
+
+
+def test_a_speed_stuck_while_driving_is_not_learnt_from():
+    bad = rows(minutes=5.0).copy()
+    moving = np.abs(bad[:, tk.SPEED]) > 8.0
+    first = 1000 + int(np.argmax(moving[1000:]))
+    bad[first : first + 300, tk.SPEED] = bad[first, tk.SPEED]
+    estimate = after(bad).estimate()
+    counted = estimate.details["frozen_ticks"]
+    assert isinstance(counted, dict)
+    assert 290 <= counted["stuck"] <= 302
+    assert within(estimate, drive())
+
+
 def test_the_crown_is_prior_and_in_the_interval():
     right = usual().estimate()
     left = after(rows(), EstimatorSettings(driving_side="left")).estimate()

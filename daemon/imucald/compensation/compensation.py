@@ -164,7 +164,13 @@ class Compensation:
         for channel, std in (("speed", self.speed_delay_std), ("yaw_rate", KNOWN_DELAY_STD)):
             if channel in terms.lateness:
                 delays[channel] = DelayPrior(0.0, std)
-        known: dict[str, Any] = {"delays": delays}
+        known: dict[str, Any] = {
+            "delays": delays,
+            # roads to come may be rougher than those of the log, hardly smoother
+            "slope_std": max(settings.slope_std, terms.grade_rms),
+            "cross_fall_std": max(settings.cross_fall_std, terms.bank_rms),
+            "lever_arm": terms.lever_arm,
+        }
         if terms.crown_mean is not None and "crown_percent" not in stated:
             known["crown_mean"] = terms.crown_mean
         for key in ("wheelbase", "track", "steering_ratio", "understeer"):
@@ -192,8 +198,7 @@ class Compensation:
     @property
     def estimate_key(self) -> str:
         """Names what an estimate of the mount rests on: equal keys, equal estimates."""
-        estimated = replace(self.terms, lever_arm=ZERO)
-        return hashlib.sha256(repr(estimated).encode()).hexdigest()
+        return hashlib.sha256(repr(self.terms).encode()).hexdigest()
 
 
 def compensation_from_model(

@@ -2,8 +2,8 @@
 
 A body that rolls more in left turns than in right ones, or squats more than it dives, turns the
 mean of what the mount is found from. The mount in force is good enough to place its lean; before
-there is one, ticks stay as they are. The lever arm is left in: the estimator finds its share of the
-force by itself, and takes it off better than a derivative of ten rates a second can.
+there is one, ticks stay as they are. The lever arm is left in: the estimator takes it off by
+itself, with rates from before and after, which here are still to come.
 """
 
 from __future__ import annotations

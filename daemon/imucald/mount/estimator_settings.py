@@ -28,14 +28,16 @@ class EstimatorSettings:
     accel_bias_std: float = 0.0981
     """Accelerometer bias per axis [m/s^2], one standard deviation; 10 mg."""
     slope_std: float = 0.02
-    """Road slope along and (about its mean) across the vehicle, rms tangent."""
+    """Road slope along the vehicle, rms tangent."""
+    cross_fall_std: float = 0.02
+    """The same across it, about the mean lean."""
     slope_length: float = 200.0
     """Distance over which the slope forgets itself [m]."""
     driving_side: str = "right"
     """"right" or "left": the kerb, towards which roads lean; "none": no mean lean."""
     crown_mean: float = 0.012
     """Mean lean of the road towards the kerb (tangent)."""
-    crown_std: float = 0.0075
+    crown_std: float = 0.0065
     """Spread of that mean from drive to drive; no drive can tell it from mount roll."""
     accel_cross_axis_std: float = 0.0
     """Cross-axis error of the accelerometer (part); bounds what the accelerometer can say."""
@@ -46,6 +48,9 @@ class EstimatorSettings:
     delays: Mapping[str, DelayPrior] = field(
         default_factory=lambda: {"speed": DelayPrior(0.1, 0.3), "yaw_rate": DelayPrior(0.05, 0.1)}
     )
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of the sensor from the body's centre of rotation, vehicle axes [m], where a model knows it;
+    what it is beyond that is found as nuisance."""
     steering_ratio: float | None = None
     """Steering-wheel angle over road-wheel angle; None: steering is not used for yaw rate."""
     wheelbase: float = 2.7

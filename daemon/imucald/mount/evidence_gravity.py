@@ -49,14 +49,22 @@ class GravityEvidence:
         self._pieces: list[Array] = []  # weight, force (3), motion (2), metres, at their ends
 
     def close_piece(self) -> None:
-        """End a piece of road, for `piece_tilts`."""
+        """End a piece of road, for `flows`."""
         sums = np.array([self._weight, *self._force, *self._motion, self.metres])
         self._pieces.append(sums)
 
     def flows(
-        self, R: Matrix3, bias: Array, gains: tuple[float, float], std: float, length: float
+        self,
+        R: Matrix3,
+        bias: Array,
+        gains: tuple[float, float],
+        spreads: tuple[float, float],
+        length: float,
     ) -> list[Flow]:
-        """e_x and e_y about R from gravity, piece of road by piece of road, the open one too."""
+        """e_x and e_y about R from gravity, piece of road by piece of road, the open one too.
+
+        spreads: rms tangents of the road, across and along, with their length [m].
+        """
         now = np.array([self._weight, *self._force, *self._motion, self.metres])
         ends = np.array([np.zeros(7), *self._pieces, now])
         each = np.diff(ends, axis=0)
@@ -64,14 +72,17 @@ class GravityEvidence:
         F = (each[:, 1:4] / w - bias) @ R.T
         motion = each[:, 4:6] / w
         q = np.maximum(each[:, 6] / length, 1e-3)
-        slope = std * std * 2.0 / q * (1.0 - (1.0 - np.exp(-q)) / q)
+        mean = 2.0 / q * (1.0 - (1.0 - np.exp(-q)) / q)
         missed = (SHARE / GRAVITY) ** 2 * (motion * motion).sum(axis=1)
-        information = np.where(each[:, 0] > LEAST_WEIGHT, 1.0 / (slope + missed), 0.0)
+        across, along = (
+            np.where(each[:, 0] > LEAST_WEIGHT, 1.0 / (std * std * mean + missed), 0.0)
+            for std in spreads
+        )
         e_x = (F[:, 1] - gains[1] * motion[:, 1]) / GRAVITY
         e_y = -(F[:, 0] - gains[0] * motion[:, 0]) / GRAVITY
         return [
-            Flow("roll_gravity", information * e_x, information),
-            Flow("pitch_gravity", information * e_y, information),
+            Flow("roll_gravity", across * e_x, across),
+            Flow("pitch_gravity", along * e_y, along),
         ]
 
     def add(self, p: Prepared, turn: Array) -> None:

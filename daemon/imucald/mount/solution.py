@@ -16,6 +16,7 @@ from imucald.frames import (
     rotation_from_angles,
     rotation_from_vector,
 )
+from imucald.motion.ticks import TICK_S
 from imucald.mount import evidence_spectra as sp
 from imucald.mount.delay import DelaySearch
 from imucald.mount.earlier_drives import EarlierDrives
@@ -86,6 +87,8 @@ class Solution:
         self._tilt_bias = (0.0, 0.0)
         self._began: deque[int] = deque([0], maxlen=int(SPANS[-1]))  # hops, of pieces of road
         self.response.delays = (self.delay_speed.value, 0.0)
+        self._lever_arm = np.array(settings.lever_arm)
+        self._last_rate: Array | None = None
 
     def start_from(self, other: Solution) -> None:
         """Begin with another's rotation, gains and delay, but without its evidence."""
@@ -101,11 +104,14 @@ class Solution:
         self.up.restart()
         self._window[:] = 0.0
         self._mask[:] = False
+        self._last_rate = None
 
     def add(self, p: Prepared) -> tuple[Array, Array]:
         """Take a hop; return dv/dt and v r (N,), zero where they are not to be trusted."""
         self.hops += 1
         R = self.R if self.yaw_known else None
+        if R is not None and self._lever_arm.any():
+            p = replace(p, force=p.force - self._carried(p, R))
         up = self.up.up
         r = self._turn_rate(p, up)
         turn = p.speed * r
@@ -128,6 +134,19 @@ class Solution:
         if self.response.without_speed and R is not None:
             return lone @ R[0] * use, turn * use
         return p.accel * use, turn * use
+
+    def _carried(self, p: Prepared, R: Matrix3) -> Array:
+        """Force at the end of the known lever arm more than at its root, sensor axes (N, 3).
+
+        dw/dt x l + w x (w x l); the derivative is a central difference, which is not late.
+        """
+        rate = p.rate @ R.T
+        before = rate[:1] if self._last_rate is None else self._last_rate
+        self._last_rate = rate[-1:]
+        change = np.gradient(np.concatenate([before, rate]), TICK_S, axis=0)[1:]
+        arm = self._lever_arm
+        carried = np.cross(change, arm) + np.cross(rate, np.cross(rate, arm))
+        return np.asarray((carried * p.ok_rate[:, None]) @ R)
 
     def sure(self) -> bool:
         """Whether yaw is known well enough for what is left over to speak of the bias."""
@@ -197,12 +216,14 @@ class Solution:
             ex, ey = self.gravity.tilt(self.R, bias, gains)
             b = self.R @ bias_cov @ self.R.T / GRAVITY**2
             known = self.yaw_known and not self.response.without_speed
-            slope = self.gravity.variance(s.slope_std, s.slope_length, 0.1 if known else 1.0)
+            missed = 0.1 if known else 1.0
+            slope = self.gravity.variance(s.slope_std, s.slope_length, missed)
+            cross_fall = self.gravity.variance(s.cross_fall_std, s.slope_length, missed)
             if "roll_axis" in pieces and "roll_turn" in pieces:
                 # both see the same noise, the pitch rate of the road: the better one speaks
                 worse = max(("roll_axis", "roll_turn"), key=lambda k: pieces[k].variance)
                 pieces[worse] = Piece(pieces[worse].value, pieces[worse].variance * 1e4, 0.0)
-            pieces["roll_gravity"] = Piece(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
+            pieces["roll_gravity"] = Piece(ex, CROSS_FALL_SHARE * cross_fall + b[1, 1], 0.0)
             pieces["pitch_gravity"] = Piece(ey, slope + b[0, 0], 0.0)
             if not self.own_gyro:
                 for name in ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn"):
@@ -250,7 +271,8 @@ class Solution:
 
     def _gravity_flows(self, R: Matrix3, bias: Array) -> list[Flow]:
         s = self._settings
-        return self.gravity.flows(R, bias, self.gains(), s.slope_std, s.slope_length)
+        spreads = s.cross_fall_std, s.slope_std
+        return self.gravity.flows(R, bias, self.gains(), spreads, s.slope_length)
 
     def join(self, kept: KeptEvidence) -> None:
         """Bring in what earlier drives found; it stays apart and can be left again."""
