@@ -55,7 +55,7 @@ def flat(data: dict[str, Any], head: str = "") -> dict[str, Any]:
 
 PUBLISHED: list[tuple[str, Any, dict[str, Any]]] = [
     ("vehicle.driving_side", "left", {"crown": -0.012}),
-    ("vehicle.driving_side", "unknown", {"crown": 0.0, "crown_std": math.hypot(0.012, 0.0075)}),
+    ("vehicle.driving_side", "unknown", {"crown": 0.0, "crown_std": math.hypot(0.012, 0.0065)}),
     ("vehicle.crown_percent", 2.0, {"crown": 0.02}),
     ("vehicle.crown_spread_percent", 2.0, {"crown_std": 0.02}),
     ("vehicle.wheelbase", 3.1, {"wheelbase": 3.1}),
@@ -101,7 +101,7 @@ FULL: list[tuple[str, Any, dict[str, Any]]] = [
     (
         "vehicle.driving_side",
         "unknown",
-        {"driving_side": "none", "crown_std": math.hypot(0.012, 0.0075)},
+        {"driving_side": "none", "crown_std": math.hypot(0.012, 0.0065)},
     ),
     ("vehicle.crown_percent", 2.0, {"crown_mean": 0.02}),
     ("vehicle.crown_spread_percent", 2.0, {"crown_std": 0.02}),

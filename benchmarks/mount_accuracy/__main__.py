@@ -48,7 +48,7 @@ SHIFTS = (
 class Size:
     """How much is simulated."""
 
-    drives: int = 120
+    drives: int = 240
     bound_drives: int = 400
     long_drives: int = 40
     long_minutes: float = 240.0

@@ -118,7 +118,7 @@ class Vehicle(Model, frozen=True):
     """Side of the road it drives on: the road's crown leans the vehicle towards the kerb."""
     crown_percent: Annotated[float, Meta(ge=0, le=5)] = 1.2
     """Mean cross slope of the roads it uses, towards the kerb."""
-    crown_spread_percent: Annotated[float, Meta(gt=0, le=5)] = 0.75
+    crown_spread_percent: Annotated[float, Meta(gt=0, le=5)] = 0.65
     """Spread of that mean from drive to drive."""
     wheelbase: Positive = 2.7
     """[m]; turns the steering angle into a yaw rate where there is no other."""

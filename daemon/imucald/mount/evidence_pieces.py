@@ -19,14 +19,15 @@ Array = NDArray[np.float64]
 
 MODEL_GROUPS = 6.0
 """The model's variance counts like that many pieces of road in the sandwich."""
-MODEL_SHARE = np.array([1.5, 1.5, 1.2])
+MODEL_SHARE = np.array([1.5, 1.5, 1.15])
 """The model's variance is taken that much larger, for roll, pitch and yaw: correlated noise is the
 rule."""
-FEW_GROUPS = (7.0, 7.0, 3.0)
+FEW_GROUPS = (16.0, 4.0, 1.0)
 """Few pieces of road hide their own spread: the variance grows by this over their number, for
 roll, pitch and yaw."""
-AXIS_SHARE = 1.6
-"""Roll and rotation axes of a drive share roads and bends: their variance is so much larger."""
+AXIS_SHARE = (1.6, 2.6)
+"""Roll and rotation axes of a drive share roads and bends: their variance is so much larger, for
+roll and pitch."""
 WITHOUT_SPEED_SHARE = 3.0
 """Without speed A r is not known: variances of rotation axes are so much larger."""
 LEAST_INFORMATION = 50.0
@@ -89,7 +90,7 @@ def pieces_of(
         row = ROWS[i]
         variance = float(variances[k])
         if row.axis == 0 or row.name.endswith("axis"):
-            variance *= AXIS_SHARE * (WITHOUT_SPEED_SHARE if without_speed else 1.0)
+            variance *= AXIS_SHARE[row.axis] * (WITHOUT_SPEED_SHARE if without_speed else 1.0)
         pieces[row.name] = Piece(float(value[k, 0, 0]), variance, float(groups[k]))
         fit = Fit(left[k, :, 0], normal[i, :, 0, :], inverse[k], float(value[k, 0, 0]))
         flows.append(Flow(row.name, flow[k], own[k], fit))

@@ -9,11 +9,11 @@ from imucald.mount.fusion import Shared
 
 SIDESLIP_STD = 0.0014
 """What sideslip and body roll leave in the yaw from turns [rad], in simulated drives."""
-YAW_FLOOR_STD = 0.0006
+YAW_FLOOR_STD = 0.0007
 """Both kinds of yaw stay off by that much in long simulated drives [rad]."""
-PITCHING_STD = 0.0012
+PITCHING_STD = 0.0014
 """Squat and dive differ (gradients by 0.0014 rad/(m/s^2)): that much pitch stays in dv/dt [rad]."""
-BIAS_FLOOR_STD = 0.0015
+BIAS_FLOOR_STD = 0.002
 """The bias wanders with temperature (4 mg in a drive): that much stays in gravity [rad]."""
 
 
