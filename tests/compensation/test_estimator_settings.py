@@ -50,12 +50,17 @@ def test_crown_chassis_and_delays_come_from_the_model():
 def test_roads_rougher_than_usual_and_the_lever_arm_come_from_the_model():
     usual = EstimatorSettings()
     model = {
-        "road": {"grade_rms": 0.05, "bank_rms": 0.01},
+        "road": {
+            "grade_rms": 0.05,
+            "grade_length_m": usual.slope_length,
+            "bank_rms": 0.03,
+            "bank_length_m": 0.25 * usual.slope_length,
+        },
         "mount": {"lever_arm_m": [1.5, 0.0, 0.2]},
     }
     found = compensation_from_model(model).full_settings(usual)
     assert found.slope_std == 0.05
-    assert found.cross_fall_std == usual.cross_fall_std, "smooth roads then are not so for ever"
+    assert found.cross_fall_std == usual.cross_fall_std, "short waves even out"
     assert found.lever_arm == (1.5, 0.0, 0.2)
     off = {"road": {"grade": False, **model["road"]}, "mount": {"lever_arm": False}}
     assert compensation_from_model(off).full_settings(usual) == usual
