@@ -297,6 +297,21 @@ def test_a_gyroscope_stuck_on_the_way_to_a_stop_gives_no_bias():
     assert np.degrees(np.abs(learnt - plain)).max() < 0.05  # 0.25 if it were learnt
 
 
+@pytest.mark.parametrize("seconds", [30, 120])
+@pytest.mark.parametrize("lost", [[tk.SPEED_N], [tk.GYRO_N], [tk.ACCEL_N, tk.GYRO_N]])
+def test_signals_that_are_lost_for_a_while_make_no_shift(lost, seconds):
+    estimator = FullEstimator()
+    ticks = rows(minutes=20.0).copy()
+    for first in (4200, 6600, 9000):
+        ticks[first : first + 10 * seconds, lost] = 0.0
+    states = set()
+    for row in ticks.tolist():
+        estimator.step(row)
+        states.add(estimator.state)
+    assert MountState.SUSPECT not in states
+    assert within(estimator.estimate(), drive(minutes=20.0))
+
+
 def test_numbers_that_are_none_do_no_harm():
     bad = rows(minutes=5.0).copy()
     bad[1000, tk.ACCEL_X] = np.nan

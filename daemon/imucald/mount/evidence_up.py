@@ -36,6 +36,11 @@ COLOUR, COLOUR_PIECES = 25.0, 4.0
 """The innovation is not white: the bias's variance is so much larger, until pieces of road tell."""
 SETTLE_TICKS = 25
 """The first ticks take the mean."""
+MOST_ALONE, MOST_BLIND = 120, 10
+"""After so many ticks that the gyroscope carried the vertical alone, or (in a hop) that nothing did,
+no step is looked for ..."""
+SETTLING_HOPS = 8
+"""... for three time constants of the pull."""
 DRIFT_S = 150.0
 """Time constant with which a drifting gyro bias is followed while driving [s]."""
 FORCE_NOISE = 0.06
@@ -89,6 +94,8 @@ class UpTracker:
         self._open_ticks = 0
         self.drift = np.zeros(3)
         self._taken: Array | None = None
+        self._use: Flags = np.zeros(HOP, dtype=bool)
+        self._alone, self._settling = 0, 0
         self._closed: list[tuple[Array, Array]] = []
         self._end = np.eye(3)
         self.watch = StepWatch()
@@ -114,17 +121,32 @@ class UpTracker:
         turn = _turned(-TICK_S * (p.rate - self.drift) * p.ok_rate[:, None])
         force = p.force if motion is None else p.force - motion
         pull = _PULL[bool(p.ok_rate.any())]
+        # without its speed nobody knows how much of the force is the vehicle's motion
+        self._use = p.learn if motion is None else p.learn & p.ok_speed
+        self._note_holes(p.ok_rate)
         before = np.zeros((3, 3)) if self._state is None else self._state[:, 1:]
-        states = self._carry(turn, force, p.learn, pull)
+        states = self._carry(turn, force, self._use, pull)
         if motion is not None and p.ok_rate.any():
             if sure:
                 self._learn_bias(p, states, force, motion)
-                self._watch(p, before, states, force, motion, bias)
+                if self._settling:
+                    self.watch.restart()
+                else:
+                    self._watch(p, before, states, force, motion, bias)
             self._follow_drift(p, states, force, bias, pull)
         lone: Array = p.force - GRAVITY * states[:, :, 0]
         if bias is not None:
             lone -= (np.eye(3) - states[:, :, 1:4]) @ bias
         return lone
+
+    def _note_holes(self, ok_rate: Flags) -> None:
+        """After a long one the vertical has yet to come back from where it was left alone."""
+        self._settling = max(self._settling - 1, 0)
+        at = np.flatnonzero(self._use)
+        alone = self._alone + (int(at[0]) if len(at) else len(self._use))
+        if alone > MOST_ALONE or np.count_nonzero(~ok_rate) > MOST_BLIND:
+            self._settling = SETTLING_HOPS
+        self._alone = len(self._use) - 1 - int(at[-1]) if len(at) else alone
 
     def _carry(self, turn: Array, force: Array, use: Flags, pull: float) -> Array:
         """Turn the state tick by tick and draw it to the force; return it as before each draw.
@@ -185,12 +207,12 @@ class UpTracker:
         if state is None:
             state = np.zeros(motion.shape[1])
         keep, decay = _REMAINING[with_gyro]
-        if p.learn.all() and len(motion) == len(decay):
+        if self._use.all() and len(motion) == len(decay):
             out: Array = keep @ motion - decay[:, None] * state
             self._taken = motion[-1] - (1.0 - _PULL[with_gyro]) * out[-1]
             return out
         out = np.empty_like(motion)
-        for i, use in enumerate(p.learn.tolist()):
+        for i, use in enumerate(self._use.tolist()):
             out[i] = motion[i] - state
             if use:
                 state = state + _PULL[with_gyro] * out[i]
@@ -254,7 +276,7 @@ class UpTracker:
         if bias is not None:
             innovation = innovation - (np.eye(3) - states[:, :, 1:4]) @ bias
         share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
-        weight = (p.learn & p.ok_rate) / (FORCE_NOISE * FORCE_NOISE + share2)
+        weight = (self._use & p.ok_rate) / (FORCE_NOISE * FORCE_NOISE + share2)
         size = np.sqrt((innovation * innovation).sum(axis=1))
         weight /= np.maximum(size / (2.0 * FORCE_LARGE), 1.0)
         self.watch.add(before, states, self._end, innovation, weight)
