@@ -37,7 +37,7 @@ COLOUR, COLOUR_PIECES = 25.0, 4.0
 SETTLE_TICKS = 25
 """The first ticks take the mean."""
 MOST_ALONE, MOST_BLIND = 120, 10
-"""After so many ticks that the gyroscope carried the vertical alone, or (in a hop) that nothing did,
+"""After so many ticks that the gyroscope carried the vertical alone, or that nothing did in a hop,
 no step is looked for ..."""
 SETTLING_HOPS = 8
 """... for three time constants of the pull."""
