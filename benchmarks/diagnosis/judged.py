@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hidden import OUTSIDE_SIGNALS
 
+Array = NDArray[np.float64]
 Line = Mapping[str, Any]
 
 LARGEST_SET = 3
@@ -127,13 +129,28 @@ def mount_error(line: Line, model: str) -> float | None:
     return None if vector is None else float(np.linalg.norm(vector))
 
 
-def turned(line: Line, model: str) -> float | None:
-    """Angle [deg] by which the effect turns the daemon's mount: against the drive without it."""
+def turn(line: Line, model: str) -> Array | None:
+    """Rotation vector (3,) [deg] by which the effect turns the daemon's mount.
+
+    That is against the same drive without the effect.
+    """
     vehicle = line.get("vehicle", {})
     with_it, without = (vehicle.get(name, {}).get("mount_deg") for name in (model, "without"))
     if with_it is None or without is None:
         return None
-    return float(np.linalg.norm(np.subtract(with_it, without)))
+    return np.asarray(np.subtract(with_it, without))
+
+
+def turned(line: Line, model: str) -> float | None:
+    """Size of `turn` [deg]."""
+    vector = turn(line, model)
+    return None if vector is None else float(np.linalg.norm(vector))
+
+
+def turned_deviations(line: Line, model: str) -> float | None:
+    """The same, about the axis where it is largest, in deviations that the daemon states there."""
+    vector, std = turn(line, model), line.get("vehicle", {}).get("without", {}).get("std_deg")
+    return None if vector is None or std is None else float(np.max(np.abs(vector) / std))
 
 
 def force_error(line: Line, model: str) -> float | None:

@@ -133,11 +133,13 @@ def _daemon(drive: HiddenDrive, model: Mapping[str, Any] | None) -> dict[str, An
     compensation = None if model is None else compensation_from_model(model)
     done = corrected_drive(drive.samples, compensation)
     R = done.estimate.R_vehicle_from_sensor
-    if R is None:
-        return {"mount_deg": None, "force": None}
+    std = done.estimate.std
+    if R is None or std is None:
+        return {"mount_deg": None, "std_deg": None, "force": None}
     error = np.degrees(vector_from_rotation(R @ drive.R_vehicle_from_sensor.T))
     return {
         "mount_deg": [round(float(x), 4) for x in error],
+        "std_deg": [round(math.degrees(x), 4) for x in std],
         "force": _force_error(drive, done.accel.t, done.accel.values) if done.accel else None,
     }
 

@@ -25,6 +25,7 @@ from benchmarks.diagnosis.judged import (
     said_names,
     size_of,
     turned,
+    turned_deviations,
     z_scores,
 )
 from benchmarks.measured import ROOT, verdict
@@ -33,8 +34,8 @@ from hidden import CAUSES, OUTSIDE
 PAGE = ROOT / "docs" / "diagnosis-accuracy.md"
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 SIZE_ORDER = ("small", "medium", "large")
-BIASED_DEG = 0.1
-"""A mount is taken as biased by an effect that turns it by more than this."""
+BIASED_STD, BIASED_DEG = 1.0, 0.1
+"""A mount is biased by an effect that turns it by more than this, in deviations or in degrees."""
 
 
 def written(page: str, text: str, begin: str = BEGIN, end: str = END) -> str:
@@ -224,7 +225,7 @@ def _gain(lines: Sequence[Line], nulls: Sequence[Line]) -> Iterator[str]:
             f"- Mount angle without an effect: median {np.median(usual):.2f} deg, 90th percentile "
             f"{np.quantile(usual, 0.9):.2f} deg."
         )
-    yield from _mounts([x for x in found if (turned(x, "before") or 0.0) > BIASED_DEG])
+    yield from _mounts(found)
     yield ""
     yield (
         "Medians over the drives in which the effect was found; the daemon's estimator on the same "
@@ -244,25 +245,30 @@ def _gain(lines: Sequence[Line], nulls: Sequence[Line]) -> Iterator[str]:
             yield f"| {cause} | {' | '.join(_gain_row(some))} |"
 
 
-def _mounts(biased: Sequence[Line]) -> Iterator[str]:
-    """What becomes of the mounts that an effect had turned."""
-    for error, what in ((turned, "its turn"), (mount_error, "the mount's whole error")):
-        both = [(a, b) for x in biased if (a := error(x, "before")) is not None
-                if (b := error(x, "after")) is not None]  # fmt: skip
-        if both:
-            before, after = np.median(both, axis=0)
-            yield (
-                f"- Where the effect turns the mount by more than {BIASED_DEG} deg, {what} falls: "
-                f"{_share(sum(b < a for a, b in both), len(both))}, median {before:.2f} to "
-                f"{after:.2f} deg."
-            )
-    left = [
-        f"{hidden_names(x)[0]} {turned(x, 'before'):.2f} to {turned(x, 'after'):.2f}"
-        for x in biased
-        if (turned(x, "after") or 0.0) >= (turned(x, "before") or 0.0)
-    ]
-    if left:
-        yield f"- Not: {', '.join(left)} deg."
+def _mounts(found: Sequence[Line]) -> Iterator[str]:
+    """What becomes of the mounts that an effect had turned, by two measures of having done so."""
+    limits = (
+        (turned_deviations, BIASED_STD, "the daemon's own standard deviation of an axis"),
+        (turned, BIASED_DEG, f"{BIASED_DEG} deg"),
+    )
+    for size, limit, words in limits:
+        biased = [x for x in found if (size(x, "before") or 0.0) > limit]
+        yield f"- Where the effect turns the mount by more than {words}:"
+        for error, what in ((size, "the turn"), (mount_error, "the mount's whole error [deg]")):
+            both = [(a, b) for x in biased if (a := error(x, "before")) is not None
+                    if (b := error(x, "after")) is not None]  # fmt: skip
+            if both:
+                before, after = np.median(both, axis=0)
+                yield (
+                    f"  {what} falls in {_share(sum(b < a for a, b in both), len(both))}, "
+                    f"median {before:.2f} to {after:.2f};"
+                )
+        left = [
+            f"{hidden_names(x)[0]} {size(x, 'before'):.2f} to {size(x, 'after'):.2f}"
+            for x in biased
+            if (size(x, "after") or 0.0) >= (size(x, "before") or 0.0)
+        ]
+        yield f"  the turn does not fall: {', '.join(left) or 'nowhere'}."
 
 
 def _gain_row(lines: Sequence[Line]) -> Iterator[str]:
