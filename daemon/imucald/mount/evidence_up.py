@@ -122,7 +122,7 @@ class UpTracker:
         force = p.force if motion is None else p.force - motion
         pull = _PULL[bool(p.ok_rate.any())]
         # without its speed nobody knows how much of the force is the vehicle's motion
-        self._use = p.learn if motion is None else p.learn & p.ok_speed
+        self._use = p.learn if motion is None else p.learn & (p.ok_speed | p.rest)
         self._note_holes(p.ok_rate)
         before = np.zeros((3, 3)) if self._state is None else self._state[:, 1:]
         states = self._carry(turn, force, self._use, pull)
