@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
 from imucald.mount.evidence_signals import BEFORE, HOP, KEEP, empty_rows
-from imucald.mount.stuck_speed import StuckSpeed
+from imucald.mount.stuck import StuckSpeed
 
 TICKS = 6000
 

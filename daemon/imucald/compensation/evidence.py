@@ -14,7 +14,7 @@ from imucald.compensation.retiming import Retiming
 from imucald.compensation.vehicle import VehicleStage
 from imucald.motion import ticks as tk
 from imucald.mount.estimate import Correction
-from imucald.mount.plausible import SAME
+from imucald.mount.stuck import SAME
 from imucald.out_parts import rotated
 
 _RATES = slice(tk.GYRO_X, tk.GYRO_Z + 1)

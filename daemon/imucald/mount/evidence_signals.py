@@ -17,8 +17,8 @@ from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_S, TickRow
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.offsets import Offsets
-from imucald.mount.plausible import forbidden, stuck_gyro, tally
-from imucald.mount.stuck_speed import StuckSpeed
+from imucald.mount.plausible import forbidden, tally
+from imucald.mount.stuck import StuckGyro, StuckSpeed
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -132,7 +132,7 @@ class SignalPreparer:
         self.frozen: Counter[str] = Counter()
         self._reverse = 0.0
         self._rest_run = 0
-        self._stuck_rate: Array | None = None
+        self._stuck_gyro = StuckGyro()
         self._stuck_speed = StuckSpeed()
         self.seen: set[str] = set()
         self.hops = 0
@@ -153,7 +153,7 @@ class SignalPreparer:
         self._rows[:] = _EMPTY
         self._n = KEEP
         self._rest_run = 0
-        self._stuck_rate = None
+        self._stuck_gyro.restart()
         self._stuck_speed.restart()
 
     def hop(self) -> Prepared:
@@ -166,10 +166,7 @@ class SignalPreparer:
         at = t[part] - 0.5 * TICK_S
         mid = slice(1, HOP + 1)
         force, ok_force = self._vector(t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, ACCEL_GAP)
-        still = stuck_gyro(rows, self._stuck_rate)
-        last = np.flatnonzero(rows[:, tk.GYRO_N] > 0)[-1:]
-        stuck = len(last) and still[last[0]]
-        self._stuck_rate = rows[last[0], tk.GYRO_X : tk.GYRO_Z + 1].copy() if stuck else None
+        still = self._stuck_gyro.flags(rows)
         tally(self.frozen, "stuck", still[BEFORE : BEFORE + HOP])
         rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, ACCEL_GAP, still)
         self.hops += 1

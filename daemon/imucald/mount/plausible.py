@@ -13,19 +13,12 @@ from numpy.typing import NDArray
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.stuck import SAME, STUCK_TICKS
 from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-STUCK_TICKS = 12
-"""Identical means of a sensor for that long are a stuck signal: noise always moves."""
-STUCK_MOVING_TICKS, MOVING = 5, 0.5
-"""So many of them faster than this [m/s]."""
-STUCK_HOLE = 4
-"""Ticks from one sample to the next, at most: 2.5 Hz."""
-SAME = 1e-9
-"""Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
 STANDING = 0.05
 """[m/s]"""
 FORCE_LOW, FORCE_HIGH = 0.5 * GRAVITY, 1.7 * GRAVITY
@@ -51,32 +44,6 @@ def spread_out(flags: Flags, ticks: int) -> Flags:
     for i in np.flatnonzero(flags):
         out[max(0, i - ticks) : i + ticks + 1] = True
     return out
-
-
-def stuck_gyro(rows: Array, held: Array | None) -> Flags:
-    """Ticks (N,) of a gyroscope that has said the same for STUCK_TICKS or longer, also in motion.
-
-    rows: (N, COLUMNS) ticks. held: (3,) rates at which it was stuck before these rows. At rest a
-    coarse sensor may well be still; one that got stuck before the vehicle stopped is stuck there.
-    Without a speed nobody knows whether the vehicle moves, and none is taken to be stuck.
-    """
-    flags = np.zeros(len(rows), dtype=bool)
-    at = np.flatnonzero(rows[:, tk.GYRO_N] > 0)
-    rates = rows[at, tk.GYRO_X : tk.GYRO_Z + 1]
-    same = (np.abs(np.diff(rates, axis=0)) < SAME).all(axis=1)
-    if not same.any():
-        return flags
-    same &= np.diff(at) <= STUCK_HOLE
-    heard = np.maximum.accumulate(np.where(rows[:, tk.SPEED_N] > 0, np.arange(len(rows)), 0))
-    moving = (rows[heard, tk.SPEED_N] > 0) & (np.abs(rows[heard, tk.SPEED]) > MOVING)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
-    for first, last in edges.reshape(-1, 2):
-        part = slice(at[first], at[last] + 1)
-        known = held is not None and bool((np.abs(rates[first] - held) < SAME).all())
-        driven = int(moving[part].sum()) >= STUCK_MOVING_TICKS
-        if known or (part.stop - part.start >= STUCK_TICKS and driven):
-            flags[part] = True
-    return flags
 
 
 def forbidden(

@@ -1,0 +1,138 @@
+"""Signals that are stuck: a sensor or a sender that says the same again and again.
+
+What they say is wrong by as much as the truth has changed, and at the end they jump.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.motion import ticks as tk
+from imucald.motion.ticks import TICK_S
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+STUCK_TICKS = 12
+"""Identical means of a sensor for that long are a stuck signal: noise always moves."""
+STUCK_MOVING_TICKS, MOVING = 5, 0.5
+"""So many of them faster than this [m/s]."""
+STUCK_HOLE = 4
+"""Ticks from one sample to the next, at most: 2.5 Hz."""
+SAME = 1e-9
+"""Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
+SHORTEST_S = 1.2
+"""Nothing shorter is called stuck."""
+STEADIEST = 0.01
+"""No vehicle on a road keeps its speed better than that [m/s^2]."""
+TIMES_USUAL = 4.0
+"""And so many times the usual run."""
+RUNS_REMEMBERED = 100.0
+DRIVING = 1.0
+"""Slower than this [m/s] wheels may well not be seen to turn."""
+SAME_SPEED = 1e-6
+"""[m/s]"""
+
+
+class StuckGyro:
+    """Flags ticks of a gyroscope that has said the same for STUCK_TICKS or longer, also in motion.
+
+    At rest a coarse sensor may well be still; one that got stuck before the vehicle stopped is
+    stuck there. Without a speed nobody knows whether the vehicle moves, and none is taken to be
+    stuck.
+    """
+
+    def __init__(self) -> None:
+        self._held: Array | None = None  # (3,) rates at which it is stuck
+
+    def restart(self) -> None:
+        """Time jumped: what it says next is new."""
+        self._held = None
+
+    def flags(self, rows: Array) -> Flags:
+        """Ticks (N,) with a gyroscope that is stuck; rows: (N, COLUMNS)."""
+        flags = np.zeros(len(rows), dtype=bool)
+        at = np.flatnonzero(rows[:, tk.GYRO_N] > 0)
+        rates = rows[at, tk.GYRO_X : tk.GYRO_Z + 1]
+        same = (np.abs(np.diff(rates, axis=0)) < SAME).all(axis=1)
+        if same.any():
+            self._flag_runs(rows, at, rates, same & (np.diff(at) <= STUCK_HOLE), flags)
+        self._held = rates[-1].copy() if len(at) and flags[at[-1]] else None
+        return flags
+
+    def _flag_runs(
+        self, rows: Array, at: NDArray[np.int64], rates: Array, same: Flags, flags: Flags
+    ) -> None:
+        heard = np.maximum.accumulate(np.where(rows[:, tk.SPEED_N] > 0, np.arange(len(rows)), 0))
+        moving = (rows[heard, tk.SPEED_N] > 0) & (np.abs(rows[heard, tk.SPEED]) > MOVING)
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
+        for first, last in edges.reshape(-1, 2):
+            part = slice(at[first], at[last] + 1)
+            held = self._held
+            known = held is not None and bool((np.abs(rates[first] - held) < SAME).all())
+            driven = int(moving[part].sum()) >= STUCK_MOVING_TICKS
+            if known or (part.stop - part.start >= STUCK_TICKS and driven):
+                flags[part] = True
+
+
+class StuckSpeed:
+    """Flags ticks at which the speed is stuck while the vehicle drives.
+
+    How long a sound speed says the same depends on its resolution: to stay within one step s for T
+    seconds a vehicle has to keep its acceleration under s / T. A sender that repeats each value
+    some times has longer runs all the time; those do not count. Both are learnt.
+    """
+
+    def __init__(self) -> None:
+        self._finest = math.inf
+        self._lengths, self._squares = 0.0, 0.0  # of runs, fading sums
+        self._value, self._lasted = math.nan, 0.0
+
+    def restart(self) -> None:
+        """Time jumped: the run before is over."""
+        self._value = math.nan
+
+    def flags(self, rows: Array, hop: int) -> Flags:
+        """Ticks (N,) with a speed that is stuck; rows: (N, COLUMNS), of which `hop` leave next."""
+        out = np.zeros(len(rows), dtype=bool)
+        at = np.flatnonzero(rows[:, tk.SPEED_N] > 0)
+        if not len(at):
+            return out
+        speed = rows[at, tk.SPEED]
+        change = np.abs(np.diff(speed))
+        ends = np.append(np.flatnonzero(change > SAME_SPEED), len(at) - 1)
+        first, leaving = 0, (math.nan, 0.0)
+        limit = self._limit()
+        for last in ends.tolist():
+            lasted = float(at[last] - at[first]) * TICK_S
+            if first == 0 and abs(speed[0] - self._value) <= SAME_SPEED:
+                lasted += self._lasted
+            driving = abs(float(speed[first])) > DRIVING
+            stuck = driving and lasted > limit
+            if stuck:
+                out[at[first] : at[last] + 1] = True
+            if at[first] < hop <= at[last]:
+                before = int(np.searchsorted(at[first : last + 1], hop))
+                begun = lasted - float(at[last] - at[first + before]) * TICK_S
+                leaving = float(speed[first]), begun
+            elif driving and not stuck and at[last] < hop and last < len(change):
+                self._remember(max(lasted, TICK_S), float(change[last]))
+            first = last + 1
+        self._value, self._lasted = leaving
+        return out
+
+    def _limit(self) -> float:
+        """A run longer than that is stuck [s]; never, until the signal's steps are known."""
+        if self._lengths <= 0.0:
+            return math.inf
+        usual = self._squares / self._lengths  # as seen at any time: long ones weigh more
+        return max(SHORTEST_S, self._finest / STEADIEST, TIMES_USUAL * usual)
+
+    def _remember(self, lasted: float, change: float) -> None:
+        keep = 1.0 - 1.0 / RUNS_REMEMBERED
+        self._lengths = keep * self._lengths + lasted
+        self._squares = keep * self._squares + lasted * lasted
+        self._finest = min(self._finest, change)
