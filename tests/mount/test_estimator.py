@@ -278,7 +278,7 @@ def test_a_gyroscope_stuck_in_a_turn_is_not_learnt_from(every, least):
     counted = estimate.details["frozen_ticks"]
     assert isinstance(counted, dict)
     assert least <= counted["stuck"] <= 450
-    assert within(estimate, drive(), deviations=2.5)
+    assert within(estimate, drive())
     # What it tells is missed, but what it says wrongly makes nothing doubtful: else 0.49 deg.
     assert estimate.std is not None
     assert math.degrees(estimate.std[1]) < 0.35

@@ -22,12 +22,6 @@ MODEL_GROUPS = 6.0
 MODEL_SHARE = np.array([1.5, 1.5, 1.15])
 """The model's variance is taken that much larger, for roll, pitch and yaw: correlated noise is the
 rule."""
-FEW_GROUPS = (16.0, 4.0, 1.0)
-"""Few pieces of road hide their own spread: the variance grows by this over their number, for
-roll, pitch and yaw."""
-AXIS_SHARE = (1.6, 2.6)
-"""Roll and rotation axes of a drive share roads and bends: their variance is so much larger, for
-roll and pitch."""
 WITHOUT_SPEED_SHARE = 3.0
 """Without speed A r is not known: variances of rotation axes are so much larger."""
 LEAST_INFORMATION = 50.0
@@ -82,15 +76,15 @@ def pieces_of(
     flow = u / model[:, None] + own * value[:, 0]
     groups = sums * sums / np.maximum((each * each).sum(axis=1), 1e-12)
     axes = [ROWS[i].axis for i in use]
-    few = np.array([FEW_GROUPS[axis] for axis in axes])
+    few = np.array([ROWS[i].few for i in use])
     variances = _variances(u, model * MODEL_SHARE[axes], groups) * (1.0 + few / (groups + 3.0))
     pieces: dict[str, Piece] = {}
     flows: list[Flow] = []
     for k, i in enumerate(use):
         row = ROWS[i]
-        variance = float(variances[k])
-        if row.axis == 0 or row.name.endswith("axis"):
-            variance *= AXIS_SHARE[row.axis] * (WITHOUT_SPEED_SHARE if without_speed else 1.0)
+        variance = row.share * float(variances[k])
+        if without_speed and row.name.endswith("axis"):
+            variance *= WITHOUT_SPEED_SHARE
         pieces[row.name] = Piece(float(value[k, 0, 0]), variance, float(groups[k]))
         fit = Fit(left[k, :, 0], normal[i, :, 0, :], inverse[k], float(value[k, 0, 0]))
         flows.append(Flow(row.name, flow[k], own[k], fit))

@@ -40,8 +40,8 @@ _TAKEN = [sp.A2, sp.V2, sp.R2, sp.AA, sp.AV, sp.AH, sp.VH]
 """Terms that are not taken off the force before the vertical follows it."""
 LEAST_POWER = 1e-3
 """A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
-CROSS_FALL_SHARE = 1.7
-"""Superelevation and leaning of the body widen the spread of cross falls."""
+CROSS_FALL_SHARE, SLOPE_SHARE = 1.7, 1.5
+"""Superelevation, squat and leaning of the body widen the spread of slopes."""
 WARMING_STD = 0.04
 """The bias moves by that much with temperature [m/s^2]."""
 SIGN_SURE = 0.3
@@ -224,7 +224,7 @@ class Solution:
                 worse = max(("roll_axis", "roll_turn"), key=lambda k: pieces[k].variance)
                 pieces[worse] = Piece(pieces[worse].value, pieces[worse].variance * 1e4, 0.0)
             pieces["roll_gravity"] = Piece(ex, CROSS_FALL_SHARE * cross_fall + b[1, 1], 0.0)
-            pieces["pitch_gravity"] = Piece(ey, slope + b[0, 0], 0.0)
+            pieces["pitch_gravity"] = Piece(ey, SLOPE_SHARE * slope + b[0, 0], 0.0)
             if not self.own_gyro:
                 for name in ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn"):
                     if name in pieces:
