@@ -28,9 +28,10 @@ from imucald.samples import Samples
 from imucald.simulation.model import Model
 
 Progress = Callable[[float, str], None]
-BESIDE_ROADS = 20.0
+BESIDE_ROADS = {"accel_bias": 40.0, "mount_rotation": 40.0, "mount_shift": 40.0}
+OTHERS_BESIDE_ROADS = 20.0
 """Log posterior odds that a cause must have on roads that the model does not know: their waves are
-longer than the stretches, and their means pass for small offsets and scales."""
+longer than the stretches, and their means pass for another level, or for small scales."""
 LITTLE_MIN = 10.0
 """With less driving a note says so."""
 STEP_SHARE = 0.12
@@ -77,7 +78,8 @@ def diagnose(
     structure = tuple(wrong or find_structure(search, found))
     kept = standing(search, found, structure)
     if roads:
-        kept = [v for v in kept if search.loss(found, v) >= BESIDE_ROADS]
+        least = {v: BESIDE_ROADS.get(v.cause, OTHERS_BESIDE_ROADS) for v in kept}
+        kept = [v for v in kept if search.loss(found, v) >= least[v]]
     if len(kept) < len(found.active):
         found = search.refit(kept, found)
     tell(0.93, "gain")
