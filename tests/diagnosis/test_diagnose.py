@@ -154,6 +154,11 @@ def test_a_new_module_in_the_folder_is_a_candidate(tmp_path, monkeypatch):
     assert isinstance(found["squeak"].parameters[0], Parameter)
 
 
+def test_a_rough_road_is_not_taken_for_a_shift_as_well():
+    _, diagnosis = _diagnosed(900_036, Effect("road_grade", "large"), minutes=21.4)
+    assert _names(diagnosis) == ["road_grade"]
+
+
 def test_the_road_is_measured_where_both_sensors_see_it():
     from imucald.diagnosis.causes.mount_shift import TIME
     from imucald.diagnosis.forward import Forward
