@@ -189,6 +189,12 @@ def test_pieces_that_disagree_widen_the_interval():
     assert apart.variance[2] == pytest.approx(0.5 * 18.0)
 
 
+def test_a_piece_that_knows_little_does_not_widen_what_another_knows_well():
+    good, poor = Piece(0.0, 1.0, 9.0), Piece(20.0, 100.0, 9.0)  # two deviations apart
+    apart = fuse({"yaw_a": good, "yaw_b": poor}, Sharing(()))
+    assert 0.9 < apart.variance[2] < 1.2
+
+
 def test_steering_offset_in_curves_of_both_sides():
     rng = np.random.default_rng(9)
     steering = SteeringOffset()

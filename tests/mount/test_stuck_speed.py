@@ -63,6 +63,14 @@ def test_a_slow_sender_is_not_flagged_but_its_stuck_value_is():
     assert flagged(speed)[3000:3191:10].sum() >= 19
 
 
+def test_whole_kilometres_an_hour_once_a_second_are_not_stuck():
+    """As of a vehicle's diagnosis; a value rounded otherwise now and then splits the steps."""
+    speed = np.full(TICKS, np.nan)
+    whole = np.round(true_speed()[::10] * 3.6) / 3.6
+    speed[::10] = np.round(whole, 2) + np.where(np.arange(TICKS // 10) % 37 == 0, 0.01, 0.0)
+    assert not flagged(speed).any()
+
+
 def test_standing_is_not_being_stuck():
     speed = np.round(true_speed() / 0.0028) * 0.0028
     speed[3000:3600] = 0.0

@@ -13,7 +13,8 @@ from imucald.mount.evidence_pieces import Piece
 Array = NDArray[np.float64]
 
 MOST_WIDENED = 25.0
-"""Pieces that disagree widen the variance by chi^2 per degree of freedom (Birge), at most this."""
+"""Pieces of equal weight that disagree widen the variance by chi^2 per degree of freedom (Birge),
+at most this; where one carries nearly all, another's dissent says more of that other."""
 AXES = ("roll", "pitch", "yaw")
 
 
@@ -75,7 +76,9 @@ def fuse(pieces: Mapping[str, Piece], sharing: Sharing) -> Fused:
         values = np.array([pieces[name].value for name in names])
         error[i] = weight @ values
         left = values - error[i]
-        disagreement = float(left @ inverse @ left) / max(len(names) - 1, 1)
-        variance[i] = float(weight @ V @ weight) * min(max(disagreement, 1.0), MOST_WIDENED)
+        free = max(len(names) - 1, 1)
+        disagreement = min(max(float(left @ inverse @ left) / free, 1.0), MOST_WIDENED)
+        evenness = len(names) / free * (1.0 - float(weight @ weight))
+        variance[i] = float(weight @ V @ weight) * (1.0 + (disagreement - 1.0) * evenness)
         shares[axis] = dict(zip(names, weight.tolist(), strict=True))
     return Fused(error, variance, shares)

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 SPANS = np.arange(2, 13)
 """Pieces of road that are held against all before."""
-LEAST_BEFORE = (16, 10, 16)
+LEAST_BEFORE = (16, 10, 14)
 """Pieces that must have been before, for roll, pitch and yaw."""
 CLIP = 4.5
 """No single piece counts for more standard deviations: one bad road moves no sensor."""

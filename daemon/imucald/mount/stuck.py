@@ -6,6 +6,7 @@ What they say is wrong by as much as the truth has changed, and at the end they 
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,11 @@ STEADIEST = 0.01
 """No vehicle on a road keeps its speed better than that [m/s^2]."""
 TIMES_USUAL = 4.0
 """And so many times the usual run."""
-RUNS_REMEMBERED = 100.0
+RUNS_REMEMBERED = 200
+LEAST_RUNS = 50
+"""Before so many nothing is called stuck."""
+FINE = 0.1
+"""So many of the changes are finer than what counts as the signal's step: rounding splits steps."""
 DRIVING = 1.0
 """Slower than this [m/s] wheels may well not be seen to turn."""
 SAME_SPEED = 1e-6
@@ -87,8 +92,8 @@ class StuckSpeed:
     """
 
     def __init__(self) -> None:
-        self._finest = math.inf
-        self._lengths, self._squares = 0.0, 0.0  # of runs, fading sums
+        self._runs: deque[tuple[float, float]] = deque(maxlen=RUNS_REMEMBERED)
+        """Of those that ended while driving: how long they lasted [s], the change after [m/s]."""
         self._value, self._lasted = math.nan, 0.0
 
     def restart(self) -> None:
@@ -119,20 +124,17 @@ class StuckSpeed:
                 begun = lasted - float(at[last] - at[first + before]) * TICK_S
                 leaving = float(speed[first]), begun
             elif driving and not stuck and at[last] < hop and last < len(change):
-                self._remember(max(lasted, TICK_S), float(change[last]))
+                until = lasted + float(at[last + 1] - at[last]) * TICK_S
+                self._runs.append((until, float(change[last])))
             first = last + 1
         self._value, self._lasted = leaving
         return out
 
     def _limit(self) -> float:
-        """A run longer than that is stuck [s]; never, until the signal's steps are known."""
-        if self._lengths <= 0.0:
+        """A run longer than that is stuck [s]; never, until the signal is known."""
+        if len(self._runs) < LEAST_RUNS:
             return math.inf
-        usual = self._squares / self._lengths  # as seen at any time: long ones weigh more
-        return max(SHORTEST_S, self._finest / STEADIEST, TIMES_USUAL * usual)
-
-    def _remember(self, lasted: float, change: float) -> None:
-        keep = 1.0 - 1.0 / RUNS_REMEMBERED
-        self._lengths = keep * self._lengths + lasted
-        self._squares = keep * self._squares + lasted * lasted
-        self._finest = min(self._finest, change)
+        lasted, change = np.array(self._runs).T
+        usual = float(lasted @ lasted / lasted.sum())  # as seen at any time: long ones weigh more
+        step = float(np.quantile(change, FINE))
+        return max(SHORTEST_S, step / STEADIEST, TIMES_USUAL * usual)
