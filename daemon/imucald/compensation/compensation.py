@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -166,11 +165,6 @@ class Compensation:
             if channel in terms.lateness:
                 delays[channel] = DelayPrior(0.0, std)
         known: dict[str, Any] = {"delays": delays, "lever_arm": terms.lever_arm}
-        for key, (rms, length) in (("slope_std", terms.grade), ("cross_fall_std", terms.bank)):
-            # of waves half as long the mean over a road varies half as much; and roads to come may
-            # be rougher than those of the log, hardly smoother
-            as_long = rms * math.sqrt(length / settings.slope_length)
-            known[key] = max(getattr(settings, key), as_long)
         if terms.crown_mean is not None and "crown_percent" not in stated:
             known["crown_mean"] = terms.crown_mean
         for key in ("wheelbase", "track", "steering_ratio", "understeer"):

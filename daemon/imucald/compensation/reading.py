@@ -32,7 +32,6 @@ LARGEST = {"bias": 20.0, "bias_temperature": 1.0, "g_sensitivity": 1.0, "hard_ir
 LONGEST_LEVER_M = 30.0
 STEEPEST_LEAN = 0.06
 """A body that leans so much [rad/(m/s^2)] would fall over in a curve."""
-STEEPEST_ROAD, LONGEST_WAVE_M = 0.3, 10_000.0
 LONGEST_DELAY_S = 2.0
 SCALARS = ("speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 FILTERED = ("accel", "gyro", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
@@ -104,8 +103,6 @@ class _Reader:
             lateness=self._lateness(),
             chassis=self._chassis(),
             crown_mean=self._optional("road", "crown_mean", -0.1, 0.1),
-            grade=self._unevenness("grade"),
-            bank=self._unevenness("bank"),
         )
         self._note_what_is_left()
         return found
@@ -188,11 +185,6 @@ class _Reader:
             self._optional("chassis", "steering_ratio", 1.0, 100.0),
             self._optional("chassis", "understeer_gradient", -0.1, 0.1),
         )
-
-    def _unevenness(self, kind: str) -> tuple[float, float]:
-        rms = self._number("road", f"{kind}_rms", 0.0, 0.0, STEEPEST_ROAD)
-        length = self._number("road", f"{kind}_length_m", 0.0, 0.0, LONGEST_WAVE_M)
-        return (rms, length) if self._on("road", kind) else (0.0, 0.0)
 
     def _note_what_is_left(self) -> None:
         """Say what of the model the daemon can do nothing about."""

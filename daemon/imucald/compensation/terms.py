@@ -90,7 +90,6 @@ class Terms:
     wheel_scales: of four wheels. scalars: by channel. lever_arm: of the sensor from the body's
     centre of rotation, vehicle axes [m]. lateness: by channel, how old a value is when its frame
     comes [s], filters included. crown_mean: cross fall towards the kerb (tangent), None: not said.
-    grade, bank: unevenness of the roads along and across: rms tangent, length of its waves [m].
     """
 
     accel: TriadTerms = TriadTerms()
@@ -104,8 +103,6 @@ class Terms:
     lateness: Mapping[str, float] = field(default_factory=dict)
     chassis: ChassisTerms = ChassisTerms()
     crown_mean: float | None = None
-    grade: tuple[float, float] = (0.0, 0.0)
-    bank: tuple[float, float] = (0.0, 0.0)
 
 
 def inverse_gain(scale: Vector3, cross_axis: tuple[float, ...]) -> Matrix9 | None:

@@ -28,9 +28,7 @@ class EstimatorSettings:
     accel_bias_std: float = 0.0981
     """Accelerometer bias per axis [m/s^2], one standard deviation; 10 mg."""
     slope_std: float = 0.02
-    """Road slope along the vehicle, rms tangent."""
-    cross_fall_std: float = 0.02
-    """The same across it, about the mean lean."""
+    """Road slope along and (about its mean) across the vehicle, rms tangent."""
     slope_length: float = 200.0
     """Distance over which the slope forgets itself [m]."""
     driving_side: str = "right"

@@ -216,14 +216,12 @@ class Solution:
             ex, ey = self.gravity.tilt(self.R, bias, gains)
             b = self.R @ bias_cov @ self.R.T / GRAVITY**2
             known = self.yaw_known and not self.response.without_speed
-            missed = 0.1 if known else 1.0
-            slope = self.gravity.variance(s.slope_std, s.slope_length, missed)
-            cross_fall = self.gravity.variance(s.cross_fall_std, s.slope_length, missed)
+            slope = self.gravity.variance(s.slope_std, s.slope_length, 0.1 if known else 1.0)
             if "roll_axis" in pieces and "roll_turn" in pieces:
                 # both see the same noise, the pitch rate of the road: the better one speaks
                 worse = max(("roll_axis", "roll_turn"), key=lambda k: pieces[k].variance)
                 pieces[worse] = Piece(pieces[worse].value, pieces[worse].variance * 1e4, 0.0)
-            pieces["roll_gravity"] = Piece(ex, CROSS_FALL_SHARE * cross_fall + b[1, 1], 0.0)
+            pieces["roll_gravity"] = Piece(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
             pieces["pitch_gravity"] = Piece(ey, SLOPE_SHARE * slope + b[0, 0], 0.0)
             if not self.own_gyro:
                 for name in ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn"):
@@ -271,8 +269,7 @@ class Solution:
 
     def _gravity_flows(self, R: Matrix3, bias: Array) -> list[Flow]:
         s = self._settings
-        spreads = s.cross_fall_std, s.slope_std
-        return self.gravity.flows(R, bias, self.gains(), spreads, s.slope_length)
+        return self.gravity.flows(R, bias, self.gains(), s.slope_std, s.slope_length)
 
     def join(self, kept: KeptEvidence) -> None:
         """Bring in what earlier drives found; it stays apart and can be left again."""
