@@ -78,8 +78,11 @@ def diagnose(
     structure = tuple(wrong or find_structure(search, found))
     kept = standing(search, found, structure)
     if roads:
-        least = {v: BESIDE_ROADS.get(v.cause, OTHERS_BESIDE_ROADS) for v in kept}
-        kept = [v for v in kept if search.loss(found, v) >= least[v]]
+        kept = [
+            v
+            for v in kept
+            if search.loss(found, v) >= BESIDE_ROADS.get(v.cause, OTHERS_BESIDE_ROADS)
+        ]
     if len(kept) < len(found.active):
         found = search.refit(kept, found)
     tell(0.93, "gain")
