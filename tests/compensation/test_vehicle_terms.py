@@ -101,6 +101,14 @@ def test_the_rate_of_leaning_is_taken_off_the_gyroscope():
     assert np.abs(found[500:]).max() < 0.2 * np.abs(rates).max()
 
 
+def test_an_accelerometer_that_fell_silent_in_mid_swing_turns_no_rate():
+    made = stage(GRADIENTS)
+    for i in range(50):  # the body swings while the force still rises
+        made.frame(i * DT, {"accel": (0.0, 0.08 * i, GRAVITY)})
+    assert made.frame(0.51, {"gyro": (0.1, 0.2, 0.3)})["gyro"] != (0.1, 0.2, 0.3)
+    assert made.frame(3.0, {"gyro": (0.1, 0.2, 0.3)})["gyro"] == pytest.approx((0.1, 0.2, 0.3))
+
+
 def test_a_sensor_of_ten_a_second_and_one_of_a_thousand_lean_alike():
     for rate in (10.0, 1000.0):
         leaning = Leaning(LeanTerms(roll=0.01, squat=0.004, dive=0.004))

@@ -44,6 +44,13 @@ def test_a_stuck_speed_is_flagged_from_its_first_tick_to_its_last(seconds):
     assert len(found) <= 10 * seconds + 2
 
 
+def test_a_tick_of_which_half_is_stuck_is_flagged_as_well():
+    speed = np.round(true_speed() / 0.0028) * 0.0028
+    speed[3000:3080] = speed[3000]
+    speed[3080] = 0.5 * (speed[3000] + speed[3081])
+    assert flagged(speed)[3000:3081].all()
+
+
 @pytest.mark.parametrize("step", [0.0028, 0.028, 0.28, 1.0])
 def test_a_sound_speed_is_not_flagged_however_coarse(step):
     assert not flagged(np.round(true_speed() / step) * step).any()

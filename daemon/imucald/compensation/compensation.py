@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from imucald.compensation.evidence import EvidenceStage
+from imucald.compensation.leaning import Leaning
 from imucald.compensation.reading import load_terms, read_terms
 from imucald.compensation.retiming import Retiming, shifts_of
 from imucald.compensation.sensors import SensorStage
@@ -146,7 +147,7 @@ class Compensation:
             return None
         return EvidenceStage(
             Retiming(shifts) if shifts else None,
-            VehicleStage(replace(self.terms, lever_arm=ZERO)) if leans else None,
+            Leaning(self.terms.lean) if leans else None,
         )
 
     def shifts(self) -> dict[str, float]:

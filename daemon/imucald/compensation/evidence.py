@@ -10,26 +10,30 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from imucald.compensation.leaning import Leaning
 from imucald.compensation.retiming import Retiming
-from imucald.compensation.vehicle import VehicleStage
+from imucald.compensation.terms import Vector3
+from imucald.compensation.vehicle import less_lean_rate, on_road
 from imucald.motion import ticks as tk
+from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
 from imucald.mount.stuck import SAME
 from imucald.out_parts import rotated
 
+_FORCES = slice(tk.ACCEL_X, tk.ACCEL_Z + 1)
 _RATES = slice(tk.GYRO_X, tk.GYRO_Z + 1)
-_TRIADS = (("accel", tk.ACCEL_N, tk.ACCEL_X), ("gyro", tk.GYRO_N, tk.GYRO_X))
 
 
 class EvidenceStage:
     """Takes rows of ticks, gives those that the estimator is to see.
 
-    leaning: the same filter as for samples, at ten a second; None: the body does not lean.
+    leaning: of the body, at ten a second; None: it does not lean.
     """
 
-    def __init__(self, retiming: Retiming | None, leaning: VehicleStage | None) -> None:
+    def __init__(self, retiming: Retiming | None, leaning: Leaning | None) -> None:
         self._retiming = retiming
         self._leaning = leaning
+        self._taken: tuple[float, float] | None = None
         self._rate: Sequence[float] | None = None
         self._result: Sequence[float] = ()
 
@@ -38,8 +42,8 @@ class EvidenceStage:
         if self._retiming is not None:
             self._retiming.gap()
         if self._leaning is not None:
-            self._leaning.gap()
-        self._rate = None
+            self._leaning.restart()
+        self._taken = self._rate = None
 
     def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
         """Return the row of a tick as the estimator is to see it.
@@ -50,7 +54,34 @@ class EvidenceStage:
             row = self._retiming.row(row)
         if self._leaning is None:
             return row
-        return self._repeated(row, _upright(self._leaning, row, correction))
+        return self._repeated(row, self._upright(self._leaning, row, correction))
+
+    def _upright(
+        self, leaning: Leaning, row: Sequence[float], correction: Correction | None
+    ) -> Sequence[float]:
+        """Force and rate of a tick as if the body were stiff.
+
+        The rate loses what the lean has changed by since it was last taken off, so that both stay
+        at one also over a hole in the force, in which the gyroscope sees the body lean.
+        """
+        if correction is None:
+            leaning.restart()
+            self._taken = None
+            return row
+        out = list(row)
+        if row[tk.ACCEL_N]:
+            force = _turned(correction, row[_FORCES])
+            lean = leaning.push(row[tk.T], force[0], force[1])
+            out[_FORCES] = _back(correction, on_road(lean, *force))
+        roll, pitch = leaning.lean[:2]
+        if row[tk.GYRO_N]:
+            before = self._taken or (roll, pitch)
+            change = (roll - before[0]) / TICK_S, (pitch - before[1]) / TICK_S
+            lean = roll, pitch, *change
+            rate = less_lean_rate(lean, *_turned(correction, row[_RATES]))
+            out[_RATES] = _back(correction, on_road(lean, *rate))
+        self._taken = (roll, pitch) if row[tk.GYRO_N] else None
+        return out
 
     def _repeated(self, row: Sequence[float], upright: Sequence[float]) -> Sequence[float]:
         """A gyroscope that repeats itself goes on doing so: a stuck one must be seen to be."""
@@ -67,18 +98,10 @@ class EvidenceStage:
         return out
 
 
-def _upright(
-    leaning: VehicleStage, row: Sequence[float], correction: Correction | None
-) -> Sequence[float]:
-    """Force and rate of a tick as if the body were stiff."""
-    sensors = [(channel, first) for channel, count, first in _TRIADS if row[count]]
-    turned = {c: rotated(correction, row[first : first + 3]) for c, first in sensors}
-    found = leaning.frame(row[tk.T], turned)
-    if correction is None:
-        return row
+def _turned(correction: Correction, v: Sequence[float]) -> Vector3:
+    return rotated(correction, v) or (0.0, 0.0, 0.0)
+
+
+def _back(correction: Correction, v: Vector3) -> Vector3:
     a, b, c, d, e, f, g, h, i = correction
-    out = list(row)
-    for channel, first in sensors:
-        back = rotated((a, d, g, b, e, h, c, f, i), found[channel] or (0.0, 0.0, 0.0))
-        out[first : first + 3] = back or ()
-    return out
+    return _turned((a, d, g, b, e, h, c, f, i), v)

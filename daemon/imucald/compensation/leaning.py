@@ -17,7 +17,8 @@ from imucald.compensation.terms import LeanTerms
 from imucald.samples import GRAVITY
 
 GAP_S = 0.5
-"""After such a hole the body is taken to be at rest on its springs [s]."""
+"""A force older than that tells no lean; after such a hole the body is taken to be at rest on its
+springs [s]."""
 LARGEST = 0.15
 """No car leans further [rad]."""
 
@@ -64,12 +65,18 @@ class Leaning:
         # the axis is driven by -f_x, which is positive while braking
         self._pitch = _Axis(terms.dive, terms.squat, terms.pitch_hz, terms.pitch_damping)
         self.lean: Lean = UPRIGHT
-        self._t = -math.inf
+        """With the newest force."""
+        self.t = -math.inf
+        """When that came [s]."""
 
     def restart(self) -> None:
         """Forget: time jumped, or the axes did."""
-        self._t = -math.inf
+        self.t = -math.inf
         self.lean = UPRIGHT
+
+    def at(self, t: float) -> Lean:
+        """The lean at t [s]; upright where the newest force is too old to tell."""
+        return self.lean if t - self.t <= GAP_S else UPRIGHT
 
     def push(self, t: float, x: float, y: float) -> Lean:
         """Take the force along and across the vehicle at t [s]; NaN makes it begin anew."""
@@ -77,8 +84,8 @@ class Leaning:
             self.restart()
             return self.lean
         roll, pitch = self._roll, self._pitch
-        step = t - self._t
-        self._t = t
+        step = t - self.t
+        self.t = t
         if step <= GAP_S:
             roll.push(step, y)
             pitch.push(step, -x)

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.leaning import Lean, Leaning
+from imucald.compensation.leaning import GAP_S, UPRIGHT, Lean, Leaning
 from imucald.compensation.terms import Terms, Vector3
 from imucald.compensation.yaw_acceleration import YawAcceleration
 
@@ -81,7 +81,7 @@ class VehicleStage:
             self._turn(t, turned["gyro"])
         for channel, v in turned.items():
             if channel != "accel":
-                out[channel] = v if v is None else self._on_road(channel, v)
+                out[channel] = v if v is None else self._on_road(t, channel, v)
         if "accel" in turned:
             v = turned["accel"]
             if v is None:
@@ -110,10 +110,10 @@ class VehicleStage:
             return on_road(self._leaning.lean, x, y, z)
         return x, y, z
 
-    def _on_road(self, channel: str, v: Vector3) -> Vector3:
+    def _on_road(self, t: float, channel: str, v: Vector3) -> Vector3:
         if not self._leans:
             return v
-        lean = self._leaning.lean
+        lean = self._leaning.at(t)
         return on_road(lean, *(less_lean_rate(lean, *v) if channel in self._rates else v))
 
     # columns -------------------------------------------------------------------------------
@@ -132,13 +132,16 @@ class VehicleStage:
             if forces is not None:
                 out["accel"] = np.stack(forces, axis=1)
             return out
+        times = np.array([self._leaning.t, *(() if accel is None else accel.t)])
         leans = np.array(self._leans_of(accel, forces))
         order = np.zeros(0) if accel is None else accel.order
         for channel, one in turned.items():
             if channel == "accel" and forces is not None:
                 lean, axes = leans[1:], forces
             else:
-                lean = leans[np.searchsorted(order, one.order, side="left")]
+                last = np.searchsorted(order, one.order, side="left")
+                fresh = one.t - times[last] <= GAP_S
+                lean = np.where(fresh[:, None], leans[last], UPRIGHT)
                 axes = [one.values[:, i] for i in range(3)]
             now: tuple[Array, Array, Array, Array] = (
                 lean[:, 0], lean[:, 1], lean[:, 2], lean[:, 3],

@@ -18,7 +18,7 @@ from imucald.motion.ticks import TICK_S, TickRow
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.offsets import Offsets
 from imucald.mount.plausible import forbidden, tally
-from imucald.mount.stuck import StuckGyro, StuckSpeed
+from imucald.mount.stuck import StuckSensor, StuckSpeed
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -132,7 +132,8 @@ class SignalPreparer:
         self.frozen: Counter[str] = Counter()
         self._reverse = 0.0
         self._rest_run = 0
-        self._stuck_gyro = StuckGyro()
+        self._stuck_accel = StuckSensor(tk.ACCEL_N, tk.ACCEL_X, moving=True)
+        self._stuck_gyro = StuckSensor(tk.GYRO_N, tk.GYRO_X, moving=False)
         self._stuck_speed = StuckSpeed()
         self.seen: set[str] = set()
         self.hops = 0
@@ -153,6 +154,7 @@ class SignalPreparer:
         self._rows[:] = _EMPTY
         self._n = KEEP
         self._rest_run = 0
+        self._stuck_accel.restart()
         self._stuck_gyro.restart()
         self._stuck_speed.restart()
 
@@ -165,10 +167,10 @@ class SignalPreparer:
         t = end + (np.arange(len(rows)) - (len(rows) - 1)) * TICK_S
         at = t[part] - 0.5 * TICK_S
         mid = slice(1, HOP + 1)
-        force, ok_force = self._vector(t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, ACCEL_GAP)
-        still = self._stuck_gyro.flags(rows)
-        tally(self.frozen, "stuck", still[BEFORE : BEFORE + HOP])
-        rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, ACCEL_GAP, still)
+        force, ok_force = self._vector(
+            t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, self._stuck_accel
+        )
+        rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, self._stuck_gyro)
         self.hops += 1
         speed, ok_speed = self._speed(t, at)
         yaw_rate, ok_yaw = self._yaw_rate(t, at, speed)
@@ -215,24 +217,19 @@ class SignalPreparer:
                 self.frozen["impossible"] += int(bad.sum())
 
     def _vector(
-        self,
-        t: Array,
-        at: Array,
-        n: int,
-        first: int,
-        age: int,
-        longest: float,
-        spoilt: Flags | None = None,
+        self, t: Array, at: Array, n: int, first: int, age: int, stuck: StuckSensor
     ) -> tuple[Array, Flags]:
         rows = self._rows
-        has = rows[:, n] > 0 if spoilt is None else (rows[:, n] > 0) & ~spoilt
+        spoilt = stuck.flags(rows)
+        tally(self.frozen, "stuck", spoilt[BEFORE : BEFORE + HOP])
+        has = (rows[:, n] > 0) & ~spoilt
         if has.all():
             times = t - rows[:, age]
             values = rows[:, first : first + 3]
         else:
             times = t[has] - rows[has, age]
             values = rows[has, first : first + 3]
-        return bridged(at, times, values, longest)
+        return bridged(at, times, values, ACCEL_GAP)
 
     def _speed(self, t: Array, at: Array) -> tuple[Array, Flags]:
         rows = self._rows

@@ -146,6 +146,8 @@ class UpTracker:
         alone = self._alone + (int(at[0]) if len(at) else len(self._use))
         if alone > MOST_ALONE or np.count_nonzero(~ok_rate) > MOST_BLIND:
             self._settling = SETTLING_HOPS
+        if np.count_nonzero(~ok_rate & ~self._use) > MOST_BLIND:
+            self._n = 0  # the vertical is found anew
         self._alone = len(self._use) - 1 - int(at[-1]) if len(at) else alone
 
     def _carry(self, turn: Array, force: Array, use: Flags, pull: float) -> Array:

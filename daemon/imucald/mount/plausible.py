@@ -1,4 +1,4 @@
-"""Which ticks must not be learnt from: saturated, stuck, implausible, wheels that slip.
+"""Which ticks must not be learnt from: saturated, implausible, wheels that slip.
 
 Every reason is counted. A frozen tick is taken out of every window and sum; what is known stays.
 """
@@ -13,14 +13,11 @@ from numpy.typing import NDArray
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.stuck import SAME, STUCK_TICKS
 from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-STANDING = 0.05
-"""[m/s]"""
 FORCE_LOW, FORCE_HIGH = 0.5 * GRAVITY, 1.7 * GRAVITY
 """Mean specific force outside is no road vehicle on a road."""
 MOST_RATE = 4.0
@@ -70,11 +67,6 @@ def forbidden(
     clipped |= rows[:, tk.ACCEL_BAD] > 0
     if tally(counts, "saturated", clipped):
         bad |= spread_out(clipped, CLIP_TICKS)
-    same = (np.abs(np.diff(force, axis=0, append=force[-1:] + 1.0)) < SAME).all(axis=1) & ok_force
-    same &= ~ok_speed | (np.abs(speed) > STANDING)  # at rest a coarse sensor may well be still
-    if same.sum() >= STUCK_TICKS:
-        tally(counts, "stuck", same)
-        bad |= same
     slip = rows[:, tk.WHEELS_N] > 0
     if slip.any():
         allowed = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(speed)

@@ -42,45 +42,57 @@ SAME_SPEED = 1e-6
 """[m/s]"""
 
 
-class StuckGyro:
-    """Flags ticks of a gyroscope that has said the same for STUCK_TICKS or longer, also in motion.
+class StuckSensor:
+    """Flags ticks of a sensor that has said the same for STUCK_TICKS or longer, also in motion.
 
     At rest a coarse sensor may well be still; one that got stuck before the vehicle stopped is
-    stuck there. Without a speed nobody knows whether the vehicle moves, and none is taken to be
-    stuck.
+    stuck there. The tick after it is flagged as well: its mean may be half of stuck samples.
+
+    count, first: columns of its samples' number and of its first axis. moving: whether the vehicle
+    is taken to move where no speed has been heard.
     """
 
-    def __init__(self) -> None:
-        self._held: Array | None = None  # (3,) rates at which it is stuck
+    def __init__(self, count: int, first: int, moving: bool) -> None:
+        self._count, self._axes, self._moving = count, slice(first, first + 3), moving
+        self._held: Array | None = None  # (3,) values at which it is stuck
 
     def restart(self) -> None:
         """Time jumped: what it says next is new."""
         self._held = None
 
     def flags(self, rows: Array) -> Flags:
-        """Ticks (N,) with a gyroscope that is stuck; rows: (N, COLUMNS)."""
+        """Ticks (N,) at which it is stuck; rows: (N, COLUMNS)."""
         flags = np.zeros(len(rows), dtype=bool)
-        at = np.flatnonzero(rows[:, tk.GYRO_N] > 0)
-        rates = rows[at, tk.GYRO_X : tk.GYRO_Z + 1]
-        same = (np.abs(np.diff(rates, axis=0)) < SAME).all(axis=1)
+        at = np.flatnonzero(rows[:, self._count] > 0)
+        values = rows[at, self._axes]
+        same = (np.abs(np.diff(values, axis=0)) < SAME).all(axis=1)
         if same.any():
-            self._flag_runs(rows, at, rates, same & (np.diff(at) <= STUCK_HOLE), flags)
-        self._held = rates[-1].copy() if len(at) and flags[at[-1]] else None
-        return flags
+            self._flag_runs(rows, at, values, same & (np.diff(at) <= STUCK_HOLE), flags)
+        self._held = values[-1].copy() if len(at) and flags[at[-1]] else None
+        return one_more(flags)
 
     def _flag_runs(
-        self, rows: Array, at: NDArray[np.int64], rates: Array, same: Flags, flags: Flags
+        self, rows: Array, at: NDArray[np.int64], values: Array, same: Flags, flags: Flags
     ) -> None:
-        heard = np.maximum.accumulate(np.where(rows[:, tk.SPEED_N] > 0, np.arange(len(rows)), 0))
-        moving = (rows[heard, tk.SPEED_N] > 0) & (np.abs(rows[heard, tk.SPEED]) > MOVING)
+        said = rows[:, tk.SPEED_N] > 0
+        heard = np.maximum.accumulate(np.where(said, np.arange(len(rows)), 0))
+        moving = np.abs(rows[heard, tk.SPEED]) > MOVING
+        moving = np.where(rows[heard, tk.SPEED_N] > 0, moving, self._moving and not said.any())
         edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
         for first, last in edges.reshape(-1, 2):
             part = slice(at[first], at[last] + 1)
             held = self._held
-            known = held is not None and bool((np.abs(rates[first] - held) < SAME).all())
+            known = held is not None and bool((np.abs(values[first] - held) < SAME).all())
             driven = int(moving[part].sum()) >= STUCK_MOVING_TICKS
             if known or (part.stop - part.start >= STUCK_TICKS and driven):
                 flags[part] = True
+
+
+def one_more(flags: Flags) -> Flags:
+    """Flags with the tick after each flagged one."""
+    out = flags.copy()
+    out[1:] |= flags[:-1]
+    return out
 
 
 class StuckSpeed:
@@ -128,7 +140,7 @@ class StuckSpeed:
                 self._runs.append((until, float(change[last])))
             first = last + 1
         self._value, self._lasted = leaving
-        return out
+        return one_more(out)
 
     def _limit(self) -> float:
         """A run longer than that is stuck [s]; never, until the signal is known."""
