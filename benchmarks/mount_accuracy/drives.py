@@ -105,7 +105,7 @@ def run(estimator: MountEstimator, made: Drive, minutes: Sequence[float]) -> Tra
     """Run an estimator over a drive; asks it at the given times [min]."""
     trace = Trace()
     asked = {int(m * 600): m for m in minutes}
-    moving = np.cumsum(np.nan_to_num(made.rows[:, tk.SPEED]) > MOVING) * 0.1
+    moving = _driving(made.rows)
     hard = _manoeuvres(made.rows)
     if (hard >= 3).any():
         trace.manoeuvres_after = float(moving[int(np.argmax(hard >= 3))])
@@ -127,6 +127,17 @@ def run(estimator: MountEstimator, made: Drive, minutes: Sequence[float]) -> Tra
                 trace.said[asked[k]] = said
     trace.microseconds = (time.process_time() - began) / len(rows) * 1e6
     return trace
+
+
+def driven(made: Drive, start: float, stop: float) -> float:
+    """Seconds of driving between two times [s]."""
+    t = made.rows[:, tk.T]
+    return float(np.diff(np.interp([start, stop], t, _driving(made.rows)))[0])
+
+
+def _driving(rows: Array) -> Array:
+    """Seconds of driving so far (N,)."""
+    return np.asarray(np.cumsum(np.abs(np.nan_to_num(rows[:, tk.SPEED])) > MOVING) * 0.1)
 
 
 def _manoeuvres(rows: Array) -> Array:

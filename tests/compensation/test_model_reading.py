@@ -176,7 +176,7 @@ def test_every_term_comes_from_a_file():
             "mount": {"lever_arm_m": [1, 0, 0]},
             "suspension": {"roll_gradient": 0.01},
             "chassis": {"wheelbase_m": 3.0},
-            "road": {"crown_mean": 0.01},
+            "road": {"crown_mean": 0.01, "bank_rms": 0.03, "grade_rms": 0.02},
         }
     ).terms
     for name in typing.get_type_hints(Terms):

@@ -165,7 +165,12 @@ class Compensation:
         for channel, std in (("speed", self.speed_delay_std), ("yaw_rate", KNOWN_DELAY_STD)):
             if channel in terms.lateness:
                 delays[channel] = DelayPrior(0.0, std)
-        known: dict[str, Any] = {"delays": delays, "lever_arm": terms.lever_arm}
+        roads = (terms.bank_rms / settings.slope_std, terms.grade_rms / settings.slope_std)
+        known: dict[str, Any] = {
+            "delays": delays,
+            "lever_arm": terms.lever_arm,
+            "unevenness": (max(roads[0], 1.0), max(roads[1], 1.0)),
+        }
         if terms.crown_mean is not None and "crown_percent" not in stated:
             known["crown_mean"] = terms.crown_mean
         for key in ("wheelbase", "track", "steering_ratio", "understeer"):

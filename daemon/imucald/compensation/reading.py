@@ -30,6 +30,7 @@ from imucald.errors import ConfigError
 LARGEST = {"bias": 20.0, "bias_temperature": 1.0, "g_sensitivity": 1.0, "hard_iron_t": 0.01}
 """Beyond any sensor that is worth correcting, in the unit of the key."""
 LONGEST_LEVER_M = 30.0
+STEEPEST_ROADS = 0.5
 STEEPEST_LEAN = 0.06
 """A body that leans so much [rad/(m/s^2)] would fall over in a curve."""
 LONGEST_DELAY_S = 2.0
@@ -103,6 +104,8 @@ class _Reader:
             lateness=self._lateness(),
             chassis=self._chassis(),
             crown_mean=self._optional("road", "crown_mean", -0.1, 0.1),
+            bank_rms=self._rms("bank"),
+            grade_rms=self._rms("grade"),
         )
         self._note_what_is_left()
         return found
@@ -185,6 +188,10 @@ class _Reader:
             self._optional("chassis", "steering_ratio", 1.0, 100.0),
             self._optional("chassis", "understeer_gradient", -0.1, 0.1),
         )
+
+    def _rms(self, name: str) -> float:
+        rms = self._number("road", f"{name}_rms", 0.0, 0.0, STEEPEST_ROADS)
+        return rms if self._on("road", name) else 0.0
 
     def _note_what_is_left(self) -> None:
         """Say what of the model the daemon can do nothing about."""

@@ -90,6 +90,7 @@ class Terms:
     wheel_scales: of four wheels. scalars: by channel. lever_arm: of the sensor from the body's
     centre of rotation, vehicle axes [m]. lateness: by channel, how old a value is when its frame
     comes [s], filters included. crown_mean: cross fall towards the kerb (tangent), None: not said.
+    bank_rms, grade_rms: of the roads' tangents across and along; 0: not said.
     """
 
     accel: TriadTerms = TriadTerms()
@@ -103,6 +104,8 @@ class Terms:
     lateness: Mapping[str, float] = field(default_factory=dict)
     chassis: ChassisTerms = ChassisTerms()
     crown_mean: float | None = None
+    bank_rms: float = 0.0
+    grade_rms: float = 0.0
 
 
 def inverse_gain(scale: Vector3, cross_axis: tuple[float, ...]) -> Matrix9 | None:

@@ -29,6 +29,8 @@ EAGER_HOPS = 20
 """Up to so many hops (128 s) each is followed by a fit."""
 LAZY_HOPS = 2
 """Later every second (13 s): by then a hop adds little, and fits are what costs."""
+NEAR_SHIFT = 0.8
+"""While a change comes to so much of the threshold, every hop is followed by a fit again."""
 SLEW_RATE = math.radians(0.5)
 """The applied rotation turns no faster than this [rad/s]."""
 KNOWN_REST_TICKS = 25.0
@@ -56,7 +58,7 @@ class FullEstimator:
         self._kept: deque[Prepared] = deque(maxlen=KEPT_HOPS)
         self._rebuild: Rebuild | None = None
         self._looked_again = False
-        self._moved = False
+        self._moved = self._stands_out = False
         self._shifts: list[tuple[int, Shift | Step]] = []
         self._known = Knowledge(accelerometer=False)
 
@@ -97,14 +99,14 @@ class FullEstimator:
         self._follow_steering(p)
         if self._rebuild is not None:
             self._rebuild.push(p)
-        lazy = self._hops % LAZY_HOPS == 0
-        if lazy or self._solution.hops <= EAGER_HOPS:
+        due = self._hops % LAZY_HOPS == 0 or self._stands_out
+        if due or self._solution.hops <= EAGER_HOPS:
             self._solution.fit()
         if self._rebuild is None:
             if not self._looked_again:
                 self._look_again()
             else:
-                self._look_for_shift(lazy)
+                self._look_for_shift(due)
         self._judge(p)
 
     def _follow_steering(self, p: Prepared) -> None:
@@ -151,11 +153,12 @@ class FullEstimator:
             if not thoroughly:
                 return
             found = self._solution.largest_change()
+            self._stands_out = found is not None and found.excess > NEAR_SHIFT
             if found is None or found.excess < 1.0:
                 return
         after = found.hops if isinstance(found, Step) else found.pieces * GROUP
         self._shifts.append((self._hops, found))
-        self._moved = True
+        self._moved, self._stands_out = True, False
         self._solution.earlier = None  # it is about the mount before
         self._driven = Manoeuvres()
         self._begin_rebuild(list(self._kept)[-min(after, len(self._kept)) :])

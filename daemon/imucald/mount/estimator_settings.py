@@ -31,6 +31,9 @@ class EstimatorSettings:
     """Road slope along and (about its mean) across the vehicle, rms tangent."""
     slope_length: float = 200.0
     """Distance over which the slope forgets itself [m]."""
+    unevenness: tuple[float, float] = (1.0, 1.0)
+    """How many times `slope_std` the roads' tangents across and along are, where a model says that
+    they are more uneven; what is taken for a moved sensor bears it in mind."""
     driving_side: str = "right"
     """"right" or "left": the kerb, towards which roads lean; "none": no mean lean."""
     crown_mean: float = 0.012

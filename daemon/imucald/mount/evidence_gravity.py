@@ -54,9 +54,17 @@ class GravityEvidence:
         self._pieces.append(sums)
 
     def flows(
-        self, R: Matrix3, bias: Array, gains: tuple[float, float], std: float, length: float
+        self,
+        R: Matrix3,
+        bias: Array,
+        gains: tuple[float, float],
+        std: tuple[float, float],
+        length: float,
     ) -> list[Flow]:
-        """e_x and e_y about R from gravity, piece of road by piece of road, the open one too."""
+        """e_x and e_y about R from gravity, piece of road by piece of road, the open one too.
+
+        std: rms tangent of the roads across and along; length: over which it forgets itself [m].
+        """
         now = np.array([self._weight, *self._force, *self._motion, self.metres])
         ends = np.array([np.zeros(7), *self._pieces, now])
         each = np.diff(ends, axis=0)
@@ -64,14 +72,15 @@ class GravityEvidence:
         F = (each[:, 1:4] / w - bias) @ R.T
         motion = each[:, 4:6] / w
         q = np.maximum(each[:, 6] / length, 1e-3)
-        slope = std * std * 2.0 / q * (1.0 - (1.0 - np.exp(-q)) / q)
+        mean = 2.0 / q * (1.0 - (1.0 - np.exp(-q)) / q)
         missed = (SHARE / GRAVITY) ** 2 * (motion * motion).sum(axis=1)
-        information = np.where(each[:, 0] > LEAST_WEIGHT, 1.0 / (slope + missed), 0.0)
+        use = each[:, 0] > LEAST_WEIGHT
+        across, along = (np.where(use, 1.0 / (x * x * mean + missed), 0.0) for x in std)
         e_x = (F[:, 1] - gains[1] * motion[:, 1]) / GRAVITY
         e_y = -(F[:, 0] - gains[0] * motion[:, 0]) / GRAVITY
         return [
-            Flow("roll_gravity", information * e_x, information),
-            Flow("pitch_gravity", information * e_y, information),
+            Flow("roll_gravity", across * e_x, across),
+            Flow("pitch_gravity", along * e_y, along),
         ]
 
     def add(self, p: Prepared, turn: Array) -> None:

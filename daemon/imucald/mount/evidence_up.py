@@ -41,6 +41,8 @@ MOST_ALONE, MOST_BLIND = 120, 10
 no step is looked for ..."""
 SETTLING_HOPS = 8
 """... for three time constants of the pull."""
+SEEKING_HOPS = 3
+"""After nothing carried the vertical it is found anew, and for so long nothing rests on it."""
 DRIFT_S = 150.0
 """Time constant with which a drifting gyro bias is followed while driving [s]."""
 FORCE_NOISE = 0.06
@@ -95,7 +97,7 @@ class UpTracker:
         self.drift = np.zeros(3)
         self._taken: Array | None = None
         self._use: Flags = np.zeros(HOP, dtype=bool)
-        self._alone, self._settling = 0, 0
+        self._alone = self._settling = self._seeking = 0
         self._closed: list[tuple[Array, Array]] = []
         self._end = np.eye(3)
         self.watch = StepWatch()
@@ -110,6 +112,11 @@ class UpTracker:
     def up(self) -> Array | None:
         """The vertical in sensor axes, about unit length; (3,) or None."""
         return None if self._state is None else self._state[:, 0]
+
+    @property
+    def seeking(self) -> bool:
+        """Whether the vertical was lost and is being found anew."""
+        return self._seeking > 0
 
     def advance(self, p: Prepared, motion: Array | None, bias: Array | None, sure: bool) -> Array:
         """Carry the vertical through a hop; return f_s - g u (N, 3), motion still in it.
@@ -146,8 +153,9 @@ class UpTracker:
         alone = self._alone + (int(at[0]) if len(at) else len(self._use))
         if alone > MOST_ALONE or np.count_nonzero(~ok_rate) > MOST_BLIND:
             self._settling = SETTLING_HOPS
+        self._seeking = max(self._seeking - 1, 0)
         if np.count_nonzero(~ok_rate & ~self._use) > MOST_BLIND:
-            self._n = 0  # the vertical is found anew
+            self._n, self._seeking = 0, SEEKING_HOPS
         self._alone = len(self._use) - 1 - int(at[-1]) if len(at) else alone
 
     def _carry(self, turn: Array, force: Array, use: Flags, pull: float) -> Array:

@@ -44,7 +44,7 @@ UNEVEN_STD = {
 """What a source says differs by that much [rad] between town and motorway, without a shift."""
 ALIKE = ("roll_turn", "roll_axis")
 """Both see the same noise, the lean of roads in bends: only the better one speaks."""
-TAIL = (1e6, 1e6, 4.0)
+TAIL = (1e6, 1e6, 8.0)
 """Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
 LEAST_SIZE = (0.026, 0.026, 0.013)
 """A change to be told from none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
@@ -58,7 +58,7 @@ THRESHOLD = np.array(
     (
         (6.3, 6.3, 6.3, 6.3, 5.7, 5.7, 5.7, 5.7, 5.7, 5.7, 5.7),
         (5.0, 5.0, 5.0, 5.0, 4.8, 4.8, 4.8, 4.8, 4.8, 4.8, 4.8),
-        (3.2, 3.2, 3.1, 3.0, 2.9, 2.8, 2.6, 2.45, 2.3, 2.2, 2.1),
+        (3.38, 3.31, 3.16, 3.07, 2.97, 2.86, 2.68, 2.54, 2.39, 2.31, 2.23),
     )
 )
 """For roll, pitch and yaw, and each span, as a root of twice the log of the ratio;
@@ -156,12 +156,14 @@ def largest_change(
     flows: list[Flow],
     axes: tuple[int, ...] = (0, 1, 2),
     steps: Array = NO_STEPS,
+    unevenness: tuple[float, float] = (1.0, 1.0),
     fresh: int | None = None,
 ) -> Shift | None:
     """Return the change of an angle that stands out most; None where too little is known.
 
     steps: (S, 2, 2), how far a step in gravity stood out when the pieces of each span began, in
     roll and pitch: the largest and the least, signed, in standard deviations.
+    unevenness: how many times the usual one roads have, across and along.
     fresh: pieces of this drive, where flows begin with those of earlier ones; no span is longer.
     """
     best: Shift | None = None
@@ -175,7 +177,8 @@ def largest_change(
         if not len(spans):
             continue
         sizes, variances = changes(mine, spans)
-        size, ratio = likeliest(*_uneven(mine, sizes, variances), TAIL[axis], LEAST_SIZE[axis])
+        variances = _uneven(mine, variances, (*unevenness, 1.0)[axis])
+        size, ratio = likeliest(sizes, variances, TAIL[axis], LEAST_SIZE[axis])
         threshold = THRESHOLD[axis, : len(spans)]
         if axis < 2:
             step = _step_for(ratio, size, steps[: len(spans), axis])
@@ -206,14 +209,14 @@ def changes(flows: list[Flow], spans: NDArray[np.int64]) -> tuple[Array, Array]:
     return sizes, variances
 
 
-def _uneven(flows: list[Flow], sizes: Array, variances: Array) -> tuple[Array, Array]:
+def _uneven(flows: list[Flow], variances: Array, times: float) -> Array:
     """With what roads make sources differ by; of sources that see the same noise the better one."""
-    variances = variances + np.array([UNEVEN_STD[flow.kind] ** 2 for flow in flows])
+    variances = variances + np.array([(times * UNEVEN_STD[flow.kind]) ** 2 for flow in flows])
     alike = [k for k, flow in enumerate(flows) if flow.kind in ALIKE]
     if len(alike) == 2:
         worse = np.where(variances[:, alike[0]] > variances[:, alike[1]], *alike)
         variances[np.arange(len(variances)), worse] = np.inf
-    return sizes, variances
+    return variances
 
 
 def _most_likely_time(

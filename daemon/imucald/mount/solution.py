@@ -179,7 +179,7 @@ class Solution:
         w[-HOP:, _TAKEN] = self.up.remaining(terms, p)
         w[-HOP:, sp.AR] = a * r
         w[-HOP:, sp.VR] = turn * r
-        m[-HOP:] = p.learn & p.ok_speed
+        m[-HOP:] = p.learn & p.ok_speed & (not self.up.seeking)
         if m.sum() < 64:
             return
         s = spectra(w, m, keep_mean=self.own_gyro and self.yaw_known)
@@ -255,10 +255,12 @@ class Solution:
             return largest_change(self.response.flows, (2,))
         flows = self._gravity_flows(self.R, self.bias)
         found, steps = self.response.flows + flows, self._steps()
+        uneven = self._settings.unevenness
         if self.earlier is None:
-            return largest_change(found, axes, steps)
+            return largest_change(found, axes, steps, uneven)
         fresh = max(len(flow.score) for flow in found)
-        return largest_change(self.earlier.flows(named_flows(found), self.R), axes, steps, fresh)
+        both = self.earlier.flows(named_flows(found), self.R)
+        return largest_change(both, axes, steps, uneven, fresh)
 
     def _steps(self) -> Array:
         """How far steps in gravity stood out when the last pieces of road began."""
@@ -269,7 +271,8 @@ class Solution:
 
     def _gravity_flows(self, R: Matrix3, bias: Array) -> list[Flow]:
         s = self._settings
-        return self.gravity.flows(R, bias, self.gains(), s.slope_std, s.slope_length)
+        across, along = (s.slope_std * times for times in s.unevenness)
+        return self.gravity.flows(R, bias, self.gains(), (across, along), s.slope_length)
 
     def join(self, kept: KeptEvidence) -> None:
         """Bring in what earlier drives found; it stays apart and can be left again."""
