@@ -52,7 +52,7 @@ def outcome(case: Case) -> dict[str, Any]:
         result["vehicle"] = vehicle_gain(drive, baseline, diagnosis)
         if case.effects:
             twin = hidden_drive(case.seed, (), case.minutes)
-            result["vehicle"]["without"] = _daemon(twin, baseline.model_dump(mode="json"))
+            result["vehicle"]["without"] = daemon(twin, baseline.model_dump(mode="json"))
     return result
 
 
@@ -123,12 +123,12 @@ def vehicle_gain(drive: HiddenDrive, baseline: Model, diagnosis: Diagnosis) -> d
         "after": diagnosis.model_after,
     }
     return {
-        name: _daemon(drive, None if model is None else model.model_dump(mode="json"))
+        name: daemon(drive, None if model is None else model.model_dump(mode="json"))
         for name, model in models.items()
     }
 
 
-def _daemon(drive: HiddenDrive, model: Mapping[str, Any] | None) -> dict[str, Any]:
+def daemon(drive: HiddenDrive, model: Mapping[str, Any] | None) -> dict[str, Any]:
     """Errors of the daemon's mount at the end, and of its corrected acceleration all along."""
     compensation = None if model is None else compensation_from_model(model)
     done = corrected_drive(drive.samples, compensation)

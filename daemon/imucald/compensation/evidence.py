@@ -8,6 +8,7 @@ itself, with rates from before and after, which here are still to come.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from imucald.compensation.leaning import Leaning
@@ -22,6 +23,7 @@ from imucald.out_parts import rotated
 
 _FORCES = slice(tk.ACCEL_X, tk.ACCEL_Z + 1)
 _RATES = slice(tk.GYRO_X, tk.GYRO_Z + 1)
+_SENSORS = ((tk.ACCEL_N, _FORCES), (tk.GYRO_N, _RATES))
 
 
 class EvidenceStage:
@@ -34,8 +36,8 @@ class EvidenceStage:
         self._retiming = retiming
         self._leaning = leaning
         self._taken: tuple[float, float] | None = None
-        self._rate: Sequence[float] | None = None
-        self._result: Sequence[float] = ()
+        self._said: dict[int, tuple[Sequence[float], Sequence[float]]] = {}
+        """Of each sensor, what it said last that was new, and what became of it."""
 
     def gap(self) -> None:
         """Time jumped: nothing before is joined with what follows."""
@@ -43,7 +45,8 @@ class EvidenceStage:
             self._retiming.gap()
         if self._leaning is not None:
             self._leaning.restart()
-        self._taken = self._rate = None
+        self._taken = None
+        self._said.clear()
 
     def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
         """Return the row of a tick as the estimator is to see it.
@@ -84,17 +87,16 @@ class EvidenceStage:
         return out
 
     def _repeated(self, row: Sequence[float], upright: Sequence[float]) -> Sequence[float]:
-        """A gyroscope that repeats itself goes on doing so: a stuck one must be seen to be."""
-        if not row[tk.GYRO_N]:
-            return upright
-        rate = row[_RATES]
-        if self._rate is None or any(
-            abs(a - b) > SAME for a, b in zip(rate, self._rate, strict=True)
-        ):
-            self._rate, self._result = rate, upright[_RATES]
-            return upright
+        """A sensor that repeats itself goes on doing so: a stuck one must be seen to be."""
         out = list(upright)
-        out[_RATES] = self._result
+        for count, axes in _SENSORS:
+            if not row[count]:
+                continue
+            said, result = self._said.get(count, ((math.inf,) * 3, ()))
+            if all(abs(a - b) <= SAME for a, b in zip(row[axes], said, strict=True)):
+                out[axes] = result
+            else:
+                self._said[count] = row[axes], upright[axes]
         return out
 
 

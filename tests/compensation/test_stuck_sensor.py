@@ -1,6 +1,7 @@
-"""A stuck gyroscope is seen to be stuck, whatever the model takes out of it."""
+"""A stuck sensor is seen to be stuck, whatever the model takes out of it."""
 
 import numpy as np
+import pytest
 
 from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
@@ -11,7 +12,8 @@ from imucald.simulation import random_model, simulate
 SEED, MINUTES = 47, 5.0
 
 
-def test_terms_that_change_from_sample_to_sample_do_not_make_a_stuck_gyroscope_move():
+@pytest.mark.parametrize("channel", ["gyro", "accel"])
+def test_terms_that_change_from_sample_to_sample_do_not_make_a_stuck_sensor_move(channel):
     model = random_model(SEED, standing_first=True).with_changes(
         {
             "gyro.g_sensitivity": [0.002, -0.003, 0.001],
@@ -20,17 +22,17 @@ def test_terms_that_change_from_sample_to_sample_do_not_make_a_stuck_gyroscope_m
         }
     )
     drive = simulate(model, SEED, MINUTES)
-    gyro, speed = drive.samples["gyro"], drive.samples["speed"]
-    values = gyro.values.copy()
-    moving = np.interp(gyro.t, speed.t, np.abs(speed.values)) > 3.0
+    sensor, speed = drive.samples[channel], drive.samples["speed"]
+    values = sensor.values.copy()
+    moving = np.interp(sensor.t, speed.t, np.abs(speed.values)) > 3.0
     frozen = 0
     for start in np.arange(90.0, 60.0 * MINUTES - 20.0, 30.0):
-        inside = (gyro.t >= start) & (gyro.t < start + 10.0)
+        inside = (sensor.t >= start) & (sensor.t < start + 10.0)
         if moving[inside].all():
             values[inside] = values[np.argmax(inside)]
             frozen += 1
     assert frozen >= 2
-    samples = {**drive.samples, "gyro": Series(gyro.t, values)}
+    samples = {**drive.samples, channel: Series(sensor.t, values)}
     compensation = compensation_from_model(model.model_dump(mode="json"))
     estimate = corrected_drive(samples, compensation).estimate
     assert estimate is not None
