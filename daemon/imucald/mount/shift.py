@@ -56,9 +56,9 @@ NO_STEP = 1.15
 """Without a step, thresholds for roll and pitch are so much higher."""
 THRESHOLD = np.array(
     (
-        (6.3, 6.3, 6.3, 6.3, 5.7, 5.7, 5.7, 5.7, 5.7, 5.7, 5.7),
+        (6.5, 6.5, 6.5, 6.5, 6.1, 6.1, 6.1, 6.1, 6.1, 6.1, 6.1),
         (5.0, 5.0, 5.0, 5.0, 4.8, 4.8, 4.8, 4.8, 4.8, 4.8, 4.8),
-        (3.38, 3.31, 3.16, 3.07, 2.97, 2.86, 2.68, 2.54, 2.39, 2.31, 2.23),
+        (3.42, 3.35, 3.2, 3.11, 3.0, 2.89, 2.7, 2.56, 2.41, 2.33, 2.25),
     )
 )
 """For roll, pitch and yaw, and each span, as a root of twice the log of the ratio;
