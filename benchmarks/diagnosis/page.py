@@ -34,8 +34,10 @@ from hidden import CAUSES, OUTSIDE
 PAGE = ROOT / "docs" / "diagnosis-accuracy.md"
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 SIZE_ORDER = ("small", "medium", "large")
-BIASED_STD, BIASED_DEG = 1.0, 0.1
-"""A mount is biased by an effect that turns it by more than this, in deviations or in degrees."""
+BIASED_DEG = 0.1
+"""A mount is told of that an effect turns by more than this [deg] ..."""
+BIASED_STD = {1.0: "the daemon's own standard deviation of an axis", 2.0: "two of them"}
+"""... or by so many of the daemon's own standard deviations of an axis."""
 
 
 def written(page: str, text: str, begin: str = BEGIN, end: str = END) -> str:
@@ -246,9 +248,9 @@ def _gain(lines: Sequence[Line], nulls: Sequence[Line]) -> Iterator[str]:
 
 
 def _mounts(found: Sequence[Line]) -> Iterator[str]:
-    """What becomes of the mounts that an effect had turned, by two measures of having done so."""
+    """What becomes of the mounts that an effect had turned, by three measures of that."""
     limits = (
-        (turned_deviations, BIASED_STD, "the daemon's own standard deviation of an axis"),
+        *((turned_deviations, limit, words) for limit, words in BIASED_STD.items()),
         (turned, BIASED_DEG, f"{BIASED_DEG} deg"),
     )
     for size, limit, words in limits:

@@ -102,7 +102,7 @@ def test_without_a_temperature_the_drift_is_left():
 def test_a_temperature_that_cannot_be_leaves_the_one_before():
     model = {"accel": {"bias_temperature": [0.01, 0, 0]}}
     samples = {
-        "accel": Series(np.array([0.0, 1.0, 2.0, 3.0]), np.tile([0.0, 0.0, 9.8], (4, 1))),
+        "accel": Series(np.arange(4.0), np.array([[0.0, 0.0, 9.8 + 0.1 * k] for k in range(4)])),
         "temperature": Series(np.array([0.5, 1.5, 2.5]), np.array([45.0, 215.0, -99.0])),
     }
     found = compensation_from_model(model).samples(samples)["accel"].values[:, 0]

@@ -18,6 +18,7 @@ def test_terms_that_change_from_sample_to_sample_do_not_make_a_stuck_sensor_move
         {
             "gyro.g_sensitivity": [0.002, -0.003, 0.001],
             "gyro.bias_temperature": [3e-4, -2e-4, 1e-4],
+            "accel.bias_temperature": [3e-3, -2e-3, 1e-3],
             "temperature.rate_hz": 5.0,
         }
     )

@@ -76,11 +76,13 @@ class SensorStage:
             self._ones[channel] = scalar.one
         if self._warmed:
             self._ones["temperature"] = self._temperature
+        # terms that change from sample to sample
+        self._repeats = {c: Repeats() for c, t in self._triads.items() if t.follows_temperature}
         if self._sensitive:
+            self._repeats["gyro"] = Repeats()
+        if self._sensitive or "accel" in self._repeats:
             self._ones["accel"] = self._accel
-        self._repeats = Repeats()
-        self._moves = self._sensitive or self._triads.get("gyro") in self._warmed
-        if self._moves:
+        if "gyro" in self._repeats:
             self._ones["gyro"] = self._gyro
         if any(terms.wheel_scales):
             self._ones["wheel_speeds"] = lambda _, v: wheels_one(terms.wheel_scales, v)
@@ -88,7 +90,8 @@ class SensorStage:
     def gap(self) -> None:
         """Time jumped: what is carried from sample to sample is forgotten (not the warmth)."""
         self._felt.restart()
-        self._repeats.restart()
+        for repeats in self._repeats.values():
+            repeats.restart()
 
     # one frame -----------------------------------------------------------------------------
 
@@ -126,21 +129,27 @@ class SensorStage:
         return v
 
     def _accel(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        triad = self._triads.get("accel")
-        found = (v[0], v[1], v[2]) if triad is None else triad.one(t, v)
+        triad, repeats = self._triads.get("accel"), self._repeats.get("accel")
+        if repeats is not None and repeats.known(v):
+            found = repeats.result
+        else:
+            found = (v[0], v[1], v[2]) if triad is None else triad.one(t, v)
+            if repeats is not None:
+                repeats.keep(v, found)
         if found is not None:
             self._felt.push(t, found)
         return found
 
     def _gyro(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        if self._repeats.known(v):
-            return self._repeats.result
+        repeats = self._repeats["gyro"]
+        if repeats.known(v):
+            return repeats.result
         found = self._triads["gyro"].one(t, v)
         if found is not None:
             a, b, c = self._felt.value
             p, q, r = self._terms.g_sensitivity
             found = found[0] - p * a, found[1] - q * b, found[2] - r * c
-        return self._repeats.keep(v, found)
+        return repeats.keep(v, found)
 
     # columns -------------------------------------------------------------------------------
 
@@ -159,12 +168,10 @@ class SensorStage:
                 before = _before(order[channel], warmth[0])
                 values, refused = triad.columns(samples[channel].values, (before, warmth[1]))
                 out[channel] = Taken(values, refused)
+        self._repeat("accel", samples, out)
         if self._sensitive:
             self._take_felt(samples, order, out)
-        if self._moves and "gyro" in samples:
-            gyro = out["gyro"]
-            raw = samples["gyro"].values
-            out["gyro"] = Taken(*self._repeats.columns(raw, gyro.values, gyro.refused))
+        self._repeat("gyro", samples, out)
         for triad in self._warmed if len(warmth[1]) else ():
             triad.warmed(float(warmth[1][-1]))
         for channel, scalar in self._scalars.items():
@@ -177,6 +184,12 @@ class SensorStage:
                 ordered = np.sort(np.abs(wheels[0]), axis=1)
                 out["speed"] = Taken(0.5 * (ordered[:, 1] + ordered[:, 2]), wheels[1])
         return out
+
+    def _repeat(self, channel: str, samples: Mapping[str, Series], out: dict[str, Taken]) -> None:
+        if channel in self._repeats and channel in samples:
+            taken, raw = out[channel], samples[channel].values
+            found = self._repeats[channel].columns(raw, taken.values, taken.refused)
+            out[channel] = Taken(*found)
 
     def _warmth(
         self, samples: Mapping[str, Series], order: Mapping[str, Order]
