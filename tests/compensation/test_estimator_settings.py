@@ -55,6 +55,14 @@ def test_the_lever_arm_comes_from_the_model():
     assert compensation_from_model(model).full_settings(found).lever_arm == (0.0, 0.0, 0.0)
 
 
+def test_roads_that_a_model_says_are_rough_come_from_it():
+    model = {"road": {"bank_rms": 0.05, "grade_rms": 0.015}}
+    found = compensation_from_model(model).full_settings(EstimatorSettings())
+    assert found.unevenness == (2.5, 1.0)
+    model["road"]["bank"] = False
+    assert compensation_from_model(model).full_settings(found).unevenness == (1.0, 1.0)
+
+
 def test_what_the_configuration_says_counts():
     found = full("vehicle: {driving_side: right, crown_percent: 0.5, wheelbase: 2.9}")
     assert found.crown == pytest.approx(0.005)

@@ -132,6 +132,18 @@ def test_a_change_is_found_on_its_axis_with_its_size(angle, degrees):
     assert 4 <= change.pieces <= 8
 
 
+@pytest.mark.parametrize(("angle", "axis"), [("roll", 0), ("pitch", 1)])
+def test_on_rough_roads_a_change_has_to_be_larger(angle, axis):
+    changes = {kind: 1.6 * DEG for kind in UNEVEN_STD if kind.startswith(angle)}
+    flows = with_change(drawn(1), changes, 6)
+    rough = largest_change(flows, (axis,), unevenness=(3.0, 3.0))
+    usual, other = largest_change(flows, (axis,)), (3.0, 1.0) if axis else (1.0, 3.0)
+    assert rough is not None
+    assert usual is not None
+    assert rough.excess < 0.8 * usual.excess
+    assert largest_change(flows, (axis,), unevenness=other) == usual
+
+
 def test_noise_alone_is_no_shift():
     assert sum(excess(drawn(seed)) >= 1.0 for seed in range(200)) <= 1
 
