@@ -64,13 +64,16 @@ THRESHOLD = np.array(
 """For roll, pitch and yaw, and each span, as a root of twice the log of the ratio;
 docs/mount-accuracy.md: what they give. Over short spans a windy stretch or a winding one passes
 for a turn."""
+NEIGHBOURS = 0.9
+"""In yaw two neighbouring spans that come to this share of their thresholds are a shift as well."""
 OTHER_ROADS = 1.15
 """Thresholds are so much higher where it takes pieces of earlier drives to test at all."""
 LEAST_KNOWN = 1e-6
 """New pieces that know less of the angle than this share say nothing."""
 PRIOR_PIECES, PRIOR_SPREAD, LEAST_SPREAD = 6.0, 1.0, 0.8
 """The spread before is taken as the model's with that weight, and as no less than that share."""
-_AXES = {"roll": 0, "pitch": 1, "yaw": 2}
+YAW = 2
+_AXES = {"roll": 0, "pitch": 1, "yaw": YAW}
 NO_STEPS: Array = np.zeros((len(SPANS), 2, 2))
 """No step in gravity; see `largest_change`."""
 
@@ -186,13 +189,24 @@ def largest_change(
             threshold = np.where(step > 0.0, threshold, NO_STEP * threshold)
         if fresh is not None:
             threshold = np.where(fresh - spans < LEAST_BEFORE[axis], OTHER_ROADS, 1.0) * threshold
-        k = int(np.argmax(ratio / threshold))
-        excess = float(ratio[k] / threshold[k])
+        over = np.copysign(ratio / threshold, size)
+        if axis == YAW:
+            over = _with_neighbours(over)
+        k = int(np.argmax(np.abs(over)))
+        excess = float(abs(over[k]))
         if best is None or excess > best.excess:
             deviations = math.copysign(float(ratio[k]), size[k])
             pieces, mean = _most_likely_time(sizes, variances, spans, deviations)
             best = Shift(axis, mean, deviations, pieces, excess)
     return best
+
+
+def _with_neighbours(over: Array) -> Array:
+    """Signed excesses (S,), or what each comes to together with that of the next span."""
+    pairs = 0.5 * (over[:-1] + over[1:]) / NEIGHBOURS
+    out = over.copy()
+    out[:-1] = np.where(np.abs(pairs) > np.abs(over[:-1]), pairs, over[:-1])
+    return out
 
 
 def changes(flows: list[Flow], spans: NDArray[np.int64]) -> tuple[Array, Array]:
