@@ -154,7 +154,7 @@ class UpTracker:
         if alone > MOST_ALONE or np.count_nonzero(~ok_rate) > MOST_BLIND:
             self._settling = SETTLING_HOPS
         self._seeking = max(self._seeking - 1, 0)
-        if np.count_nonzero(~ok_rate & ~self._use) > MOST_BLIND:
+        if self._state is not None and np.count_nonzero(~ok_rate & ~self._use) > MOST_BLIND:
             self._n, self._seeking = 0, SEEKING_HOPS
         self._alone = len(self._use) - 1 - int(at[-1]) if len(at) else alone
 
