@@ -147,9 +147,13 @@ def turned(line: Line, model: str) -> float | None:
     return None if vector is None else float(np.linalg.norm(vector))
 
 
-def turned_deviations(line: Line, model: str) -> float | None:
-    """The same, about the axis where it is largest, in deviations that the daemon states there."""
-    vector, std = turn(line, model), line.get("vehicle", {}).get("without", {}).get("std_deg")
+def turned_deviations(line: Line, model: str, stated: str = "before") -> float | None:
+    """The same, about the axis where it is largest, in deviations that the daemon states there.
+
+    stated: with which mount: `before`, the one with the effect and the honest model file, or
+    `without` the effect. The first is wider where an effect makes all less certain.
+    """
+    vector, std = turn(line, model), line.get("vehicle", {}).get(stated, {}).get("std_deg")
     return None if vector is None or std is None else float(np.max(np.abs(vector) / std))
 
 

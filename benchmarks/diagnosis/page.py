@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,10 +35,8 @@ from hidden import CAUSES, OUTSIDE
 PAGE = ROOT / "docs" / "diagnosis-accuracy.md"
 BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 SIZE_ORDER = ("small", "medium", "large")
-BIASED_DEG = 0.1
-"""A mount is told of that an effect turns by more than this [deg] ..."""
-BIASED_STD = {1.0: "the daemon's own standard deviation of an axis", 2.0: "two of them"}
-"""... or by so many of the daemon's own standard deviations of an axis."""
+BIASED_DEG, BIASED_STD = 0.1, 1.0
+"""A mount is told of that an effect turns by more than this, in degrees or in deviations."""
 
 
 def written(page: str, text: str, begin: str = BEGIN, end: str = END) -> str:
@@ -249,8 +248,10 @@ def _gain(lines: Sequence[Line], nulls: Sequence[Line]) -> Iterator[str]:
 
 def _mounts(found: Sequence[Line]) -> Iterator[str]:
     """What becomes of the mounts that an effect had turned, by three measures of that."""
+    without = partial(turned_deviations, stated="without")
     limits = (
-        *((turned_deviations, limit, words) for limit, words in BIASED_STD.items()),
+        (turned_deviations, BIASED_STD, "the deviation that the daemon states of it then"),
+        (without, BIASED_STD, "the deviation that it states without the effect"),
         (turned, BIASED_DEG, f"{BIASED_DEG} deg"),
     )
     for size, limit, words in limits:
