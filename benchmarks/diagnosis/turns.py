@@ -67,7 +67,7 @@ def main() -> int:
     parser.add_argument("--cause", nargs="+", choices=CAUSES, default=list(CAUSES))
     options = parser.parse_args()
     print(
-        "| effect | drives | mean turn [deg], roll | pitch | yaw | rms (stated), roll | pitch | yaw"
+        "| effect | drives | mean turn [deg], roll | pitch | yaw | rms (allowed), roll | pitch | yaw"
     )
     print("|---|---|---|---|---|---|---|---|")
     for cause in options.cause:
