@@ -66,9 +66,8 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=FIRST_SEED)
     parser.add_argument("--cause", nargs="+", choices=CAUSES, default=list(CAUSES))
     options = parser.parse_args()
-    print(
-        "| effect | drives | mean turn [deg], roll | pitch | yaw | rms (allowed), roll | pitch | yaw"
-    )
+    print("| effect | drives | mean turn [deg], roll | pitch | yaw", end="")
+    print(" | rms (allowed), roll | pitch | yaw |")
     print("|---|---|---|---|---|---|---|---|")
     for cause in options.cause:
         first = options.first + CAUSE_SEEDS * CAUSES.index(cause)
