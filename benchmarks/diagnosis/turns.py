@@ -17,6 +17,7 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.diagnosis.judged import turn
 from benchmarks.diagnosis.outcome import daemon
 from hidden import Effect, hidden_drive
 
@@ -34,15 +35,16 @@ def turns(cause: str, first: int, drives: int) -> tuple[Array, Array]:
     found, more = [], []
     for k in range(drives):
         effect = Effect(cause, ("medium", "large")[k % 2])
-        said = []
-        for effects in ((), (effect,)):
+        vehicle = {}
+        for name, effects in (("without", ()), ("before", (effect,))):
             made = hidden_drive(first + k, effects, MINUTES)
-            said.append(daemon(made, made.model))
-        if any(one["mount_deg"] is None for one in said):
+            vehicle[name] = daemon(made, made.model)
+        by = turn({"vehicle": vehicle}, "before")
+        if by is None:
             continue
-        without, having = said
-        found.append(np.subtract(having["mount_deg"], without["mount_deg"]))
-        more.append(np.square(having["std_deg"]) - np.square(without["std_deg"]))
+        having, without = (np.square(vehicle[name]["std_deg"]) for name in ("before", "without"))
+        found.append(by)
+        more.append(having - without)
         print(f"\r{cause}: {k + 1} of {drives}   ", end="", file=sys.stderr, flush=True)
     return np.array(found), np.array(more)
 

@@ -1,5 +1,7 @@
 """What a model takes out of signals must not go on by itself when one of them is lost."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -7,9 +9,19 @@ from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
 from imucald.frames import vector_from_rotation
 from imucald.samples import Samples, Series
-from imucald.simulation import random_model, simulate
+from imucald.simulation import Drive, Model, random_model, simulate
 
 MINUTES = 15.0
+
+
+@functools.cache
+def leaning_drive() -> tuple[Model, Drive]:
+    """A drive in a vehicle that leans more than most, and its model."""
+    seed = 51
+    model = random_model(seed).with_changes(
+        {"suspension.roll_gradient": 0.012, "suspension.squat_gradient": 0.006}
+    )
+    return model, simulate(model, seed, MINUTES)
 
 
 def without(samples: Samples, channels: tuple[str, ...], starts, seconds: float) -> Samples:
@@ -27,11 +39,7 @@ def without(samples: Samples, channels: tuple[str, ...], starts, seconds: float)
 @pytest.mark.parametrize("seconds", [0.45, 3.0, 9.0])
 @pytest.mark.parametrize("lost", [("accel",), ("accel", "gyro")], ids=["accel", "both"])
 def test_a_lost_accelerometer_makes_a_leaning_body_no_moved_sensor(lost, seconds):
-    seed = 51
-    model = random_model(seed).with_changes(
-        {"suspension.roll_gradient": 0.012, "suspension.squat_gradient": 0.006}
-    )
-    drive = simulate(model, seed, MINUTES)
+    model, drive = leaning_drive()
     starts = np.arange(200.0, 60.0 * MINUTES - 20.0, 40.0)
     samples = without(drive.samples, lost, starts, seconds)
     compensation = compensation_from_model(model.model_dump(mode="json"))

@@ -8,10 +8,10 @@ itself, with rates from before and after, which here are still to come.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from imucald.compensation.leaning import Leaning
+from imucald.compensation.repeats import Repeats
 from imucald.compensation.retiming import Retiming
 from imucald.compensation.terms import Vector3
 from imucald.compensation.vehicle import less_lean_rate, on_road
@@ -36,8 +36,7 @@ class EvidenceStage:
         self._retiming = retiming
         self._leaning = leaning
         self._taken: tuple[float, float] | None = None
-        self._said: dict[int, tuple[Sequence[float], Sequence[float]]] = {}
-        """Of each sensor, what it said last that was new, and what became of it."""
+        self._repeats = tuple(Repeats(SAME) for _ in _SENSORS)
 
     def gap(self) -> None:
         """Time jumped: nothing before is joined with what follows."""
@@ -46,7 +45,8 @@ class EvidenceStage:
         if self._leaning is not None:
             self._leaning.restart()
         self._taken = None
-        self._said.clear()
+        for repeats in self._repeats:
+            repeats.restart()
 
     def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
         """Return the row of a tick as the estimator is to see it.
@@ -89,14 +89,11 @@ class EvidenceStage:
     def _repeated(self, row: Sequence[float], upright: Sequence[float]) -> Sequence[float]:
         """A sensor that repeats itself goes on doing so: a stuck one must be seen to be."""
         out = list(upright)
-        for count, axes in _SENSORS:
-            if not row[count]:
-                continue
-            said, result = self._said.get(count, ((math.inf,) * 3, ()))
-            if all(abs(a - b) <= SAME for a, b in zip(row[axes], said, strict=True)):
-                out[axes] = result
-            else:
-                self._said[count] = row[axes], upright[axes]
+        for (count, axes), repeats in zip(_SENSORS, self._repeats, strict=True):
+            if row[count]:
+                x, y, z = upright[axes]
+                known = repeats.known(row[axes])
+                out[axes] = (repeats.result if known else repeats.keep(row[axes], (x, y, z))) or ()
         return out
 
 

@@ -20,10 +20,11 @@ Flags = NDArray[np.bool_]
 class Repeats:
     """Remembers the last raw sample of one sensor and what became of it.
 
-    Single samples and columns give the same.
+    Single samples and columns give the same. tolerance: means of equal samples differ by so much.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tolerance: float = 0.0) -> None:
+        self._tolerance = tolerance
         self._raw: tuple[float, ...] | None = None
         self._result: Vector3 | None = None
 
@@ -33,7 +34,11 @@ class Repeats:
 
     def known(self, raw: Sequence[float]) -> bool:
         """Whether a raw sample (3,) repeats the last one, whose result is `result`."""
-        return self._raw is not None and tuple(raw) == self._raw
+        if self._raw is None:
+            return False
+        if not self._tolerance:
+            return tuple(raw) == self._raw
+        return all(abs(a - b) <= self._tolerance for a, b in zip(raw, self._raw, strict=True))
 
     @property
     def result(self) -> Vector3 | None:

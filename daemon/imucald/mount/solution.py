@@ -254,13 +254,11 @@ class Solution:
         if self.response.without_speed:
             return largest_change(self.response.flows, (2,))
         flows = self._gravity_flows(self.R, self.bias)
-        found, steps = self.response.flows + flows, self._steps()
-        uneven = self._settings.unevenness
-        if self.earlier is None:
-            return largest_change(found, axes, steps, uneven)
-        fresh = max(len(flow.score) for flow in found)
-        both = self.earlier.flows(named_flows(found), self.R)
-        return largest_change(both, axes, steps, uneven, fresh)
+        found, fresh = self.response.flows + flows, None
+        if self.earlier is not None:
+            fresh = max(len(flow.score) for flow in found)
+            found = self.earlier.flows(named_flows(found), self.R)
+        return largest_change(found, axes, self._steps(), self._settings.unevenness, fresh)
 
     def _steps(self) -> Array:
         """How far steps in gravity stood out when the last pieces of road began."""
