@@ -32,12 +32,12 @@ from benchmarks.measured import DATA, EXAMPLES, verdict
 from imucald.attitude.filter import AttitudeFilter
 from imucald.attitude.sensor_check import find_rests, six_parameters
 from imucald.attitude.settings import AttitudeSettings
-from imucald.companions import attitude_settings
 from imucald.config import load_config
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
+from imucald.model.model import Model
+from imucald.runtime.consumers import attitude_settings
 from imucald.simulation.drive import simulate
 from imucald.simulation.filters import generator
-from imucald.simulation.model import Model
 
 WARM_S = 60.0
 """Errors count from here on [s]: everybody has started."""

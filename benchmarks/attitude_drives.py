@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measured import DATA, EXAMPLES
-from imucald.attitude.axes import IDENTITY, rotated, rows
-from imucald.bus.log import LogReader
-from imucald.session import make_engine, open_config
+from imucald.attitude.right_forward_up import IDENTITY, rotated, rows
+from imucald.can.logs.log_reader import LogReader
+from imucald.runtime.session import make_engine, open_config
+from imucald.runtime.timebase import TimeBase
 from imucald.simulation.drive import Drive
-from imucald.timebase import TimeBase
 
 Array = NDArray[np.float64]
 Event = tuple[float, str, Sequence[float]]

@@ -21,11 +21,11 @@ from typing import Any
 import cantools.database  # after imucald: python-can then comes without its heavy readers
 import numpy as np
 
-from imucald.bus.checksums import crc8_j1850, e2e_profile_1
-from imucald.bus.codec import compile_decode
-from imucald.bus.database import load_database_text
-from imucald.bus.encode import compile_encode
-from imucald.bus.protection import (
+from imucald.can.dbc.database import load_database_text
+from imucald.can.dbc.decode import compile_decode
+from imucald.can.dbc.encode import compile_encode
+from imucald.can.e2e.checksums import crc8_j1850, e2e_profile_1
+from imucald.can.e2e.protection import (
     MessageGuard,
     OutputProtector,
     ProtectionSpec,

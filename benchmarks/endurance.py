@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from imucald.bus.columns import FrameColumns, concatenate
+from imucald.can.columns import FrameColumns, concatenate
+from imucald.runtime.session import make_engine, open_config
 from imucald.service.figures import process_figures
 from imucald.service.service import Service, ServiceOptions
-from imucald.session import make_engine, open_config
 from imucald.simulation import random_model, simulate
 from imucald.simulation.bus_frames import BusEncoder
 from imucald.simulation.can_log import bus_frames

@@ -24,12 +24,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measured import EXAMPLES, environment, imucald, verdict
-from imucald.bus.columns import CAN_EFF_FLAG
-from imucald.bus.pythoncan import can
+from imucald.can.columns import CAN_EFF_FLAG
+from imucald.can.python_can import can
 from imucald.cli import PROCESS_SETTINGS
-from imucald.output import output_database
+from imucald.runtime.output.output_frames import output_database
+from imucald.runtime.session import make_engine, open_config
 from imucald.service.live import Daemon, open_link
-from imucald.session import make_engine, open_config
 from imucald.simulation import random_model, simulate
 from imucald.simulation.bus_frames import BusEncoder
 from imucald.simulation.can_log import live_frames

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from imucald.bus.columns import concatenate
-from imucald.bus.log import CandumpWriter, FrameColumns, IdMatch, LogReader
-from imucald.bus.pythoncan import can
+from imucald.can.columns import concatenate
+from imucald.can.logs.log_reader import CandumpWriter, FrameColumns, IdMatch, LogReader
+from imucald.can.python_can import can
 
 RATE = 2700.0
 """Frames per second of a vehicle bus [1/s]."""

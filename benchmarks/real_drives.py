@@ -22,16 +22,16 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from benchmarks.measured import DATA, EXAMPLES, FOLDER, verdict
-from imucald.bus.log import LogReader
-from imucald.bus.signals import Routed
-from imucald.bus.wiring import compile_router
+from imucald.can.logs.log_reader import LogReader
 from imucald.config import LoadedConfig
-from imucald.frames import Matrix3, vector_from_rotation
+from imucald.core.rotations import Matrix3, vector_from_rotation
+from imucald.core.samples import Series
+from imucald.inputs.router import Routed
+from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimate
-from imucald.replay import Replay
-from imucald.samples import Series
-from imucald.session import make_engine, open_config
-from imucald.timebase import TimeBase
+from imucald.runtime.replay import Replay
+from imucald.runtime.session import make_engine, open_config
+from imucald.runtime.timebase import TimeBase
 
 ESTIMATORS = ("full", "published")
 KINGSTON_FORWARD = np.array([0.0039, 0.9998, 0.0155])

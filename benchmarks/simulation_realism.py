@@ -20,11 +20,11 @@ import numpy as np
 from measured import DATA, EXAMPLES
 from numpy.typing import NDArray
 
-from imucald.bus.log import LogReader
-from imucald.bus.wiring import compile_router
+from imucald.can.logs.log_reader import LogReader
 from imucald.config import load_config
-from imucald.frames import Matrix3, levelling_rotation
-from imucald.samples import Samples, Series
+from imucald.core.rotations import Matrix3, levelling_rotation
+from imucald.core.samples import Samples, Series
+from imucald.inputs.wiring import compile_router
 from imucald.simulation import random_model, simulate
 
 Array = NDArray[np.float64]

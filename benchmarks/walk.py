@@ -23,9 +23,9 @@ from benchmarks.measured import DATA, ROOT, verdict
 sys.path.insert(0, str(ROOT / "tests"))
 
 from gait import CARRYINGS, Walk, walk
-from imucald.bus.log import LogReader
-from imucald.bus.wiring import compile_router
-from imucald.session import open_config
+from imucald.can.logs.log_reader import LogReader
+from imucald.inputs.wiring import compile_router
+from imucald.runtime.session import open_config
 from imucald.travel_direction.direction import Step, TravelDirection
 from imucald.travel_direction.settings import TravelSettings
 

@@ -22,15 +22,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.estimators import estimator_for
-from imucald.frames import rotation_from_vector, vector_from_rotation
+from imucald.core.rotations import rotation_from_vector, vector_from_rotation
+from imucald.model.vehicle import MountShift
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, KeepsEvidence, MountEstimator, MountState
-from imucald.mount.kept_evidence import kept_from
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
-from imucald.session import open_config
+from imucald.mount.saved_information import kept_from
+from imucald.runtime.estimators import estimator_for
+from imucald.runtime.session import open_config
 from imucald.simulation import Drive, Model, random_model, simulate
-from imucald.simulation.vehicle_model import MountShift
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
 MOVED_DEG = (0.0, 2.0, 5.0, 8.0)

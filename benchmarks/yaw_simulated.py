@@ -18,11 +18,11 @@ from msgspec.structs import replace
 
 from benchmarks.measured import EXAMPLES, verdict
 from imucald.config import LoadedConfig
-from imucald.estimators import estimator_for
-from imucald.frames import vector_from_rotation
-from imucald.pipeline import Pipeline
-from imucald.samples import Samples
-from imucald.session import open_config
+from imucald.core.rotations import vector_from_rotation
+from imucald.core.samples import Samples
+from imucald.runtime.estimators import estimator_for
+from imucald.runtime.pipeline import Pipeline
+from imucald.runtime.session import open_config
 from imucald.simulation import random_model, simulate
 
 ESTIMATORS = ("full", "published")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from imucald.bus import database_cache
+from imucald.core import file_cache as database_cache
 
 
 @pytest.fixture(autouse=True, scope="session")

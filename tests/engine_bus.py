@@ -10,18 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from imucald.bus.columns import CAN_EFF_FLAG, FrameColumns
-from imucald.bus.database import load_database_text
-from imucald.bus.encode import compile_encode
-from imucald.bus.guards import guard_for
-from imucald.bus.protection import OutputProtector
-from imucald.bus.wiring import compile_router
-from imucald.companions import companions_for
+from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
+from imucald.can.dbc.database import load_database_text
+from imucald.can.dbc.encode import compile_encode
+from imucald.can.e2e.protection import OutputProtector
 from imucald.config import LoadedConfig, parse_config
-from imucald.engine import Engine
-from imucald.frames import rotation_from_angles
+from imucald.core.rotations import rotation_from_angles
+from imucald.inputs.protection_settings import guard_for
+from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import Correction, MountEstimate, MountState
-from imucald.output import OutputFrames
+from imucald.runtime.consumers import companions_for
+from imucald.runtime.engine import Engine
+from imucald.runtime.output.output_frames import OutputFrames
 
 Frame = tuple[float, int, bytes]
 """Stamp [s], id with the 29-bit flag, payload."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from imucald.bus.log import CAN_EFF_FLAG, FrameColumns
+from imucald.can.logs.log_reader import CAN_EFF_FLAG, FrameColumns
 
 
 class Frame(NamedTuple):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucald.mount.evidence_signals import HOP, Prepared
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
+from imucald.mount.signal_blocks import HOP, Prepared
 
 
 def hop(t0: float = 0.0, **given: np.ndarray) -> Prepared:

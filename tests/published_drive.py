@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from imucald.core.samples import Series
 from imucald.motion.ticks import ticks_from_samples
-from imucald.samples import Series
 
 G = 9.80665
 

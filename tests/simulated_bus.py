@@ -9,11 +9,11 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from imucald.bus.columns import FrameColumns, concatenate
+from imucald.can.columns import FrameColumns, concatenate
 from imucald.config import LoadedConfig
-from imucald.engine import Engine
-from imucald.frames import Matrix3, vector_from_rotation
-from imucald.session import make_engine, open_config
+from imucald.core.rotations import Matrix3, vector_from_rotation
+from imucald.runtime.engine import Engine
+from imucald.runtime.session import make_engine, open_config
 from imucald.simulation import Drive, random_model, simulate
 from imucald.simulation.bus_frames import BusEncoder
 from imucald.simulation.can_log import bus_frames

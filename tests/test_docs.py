@@ -15,15 +15,15 @@ import pytest
 import yaml
 
 from imucald import cli
-from imucald.bus.wiring import compile_router
 from imucald.check import Check
 from imucald.config import Config, json_schema, load_config, parse_config
-from imucald.errors import ConfigError
-from imucald.estimators import full_settings
+from imucald.core.errors import ConfigError
+from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountState
-from imucald.output import OutputFrames, output_database
-from imucald.session import make_engine
-from imucald.summary import Counts, summary
+from imucald.runtime.estimators import full_settings
+from imucald.runtime.output.output_frames import OutputFrames, output_database
+from imucald.runtime.session import make_engine
+from imucald.runtime.summary import Counts, summary
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

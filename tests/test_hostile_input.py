@@ -19,16 +19,16 @@ from engine_bus import (
     frames_of,
     load,
 )
-from imucald.bus.columns import CAN_EFF_FLAG, FrameColumns
-from imucald.bus.log import CandumpWriter, LogReader
-from imucald.bus.protection import REASONS as FRAME_REASONS
-from imucald.bus.protection import OutputProtector
-from imucald.bus.routes import MessageRoute
-from imucald.estimators import estimator_for
-from imucald.output import output_database
-from imucald.replay import Replay
-from imucald.session import make_engine
-from imucald.summary import as_json
+from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
+from imucald.can.e2e.protection import REASONS as FRAME_REASONS
+from imucald.can.e2e.protection import OutputProtector
+from imucald.can.logs.log_reader import CandumpWriter, LogReader
+from imucald.inputs.routes import MessageRoute
+from imucald.runtime.estimators import estimator_for
+from imucald.runtime.output.output_frames import output_database
+from imucald.runtime.replay import Replay
+from imucald.runtime.session import make_engine
+from imucald.runtime.summary import as_json
 from simulated_bus import (
     degrees_between,
     drive_frames,

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 
-from imucald.bus.log import CandumpWriter
+from imucald.can.logs.log_reader import CandumpWriter
 from imucald.cli import PROCESS_SETTINGS
 from simulated_bus import CONFIG, drive_frames
 
@@ -65,7 +65,7 @@ def test_help_loads_no_numpy_even():
 
 def test_cantools_can_be_had_whole_after_a_database_was_read():
     code = (
-        "from imucald.output import output_database\n"
+        "from imucald.runtime.output.output_frames import output_database\n"
         "output_database()\n"
         "import sys\n"
         "assert 'can' not in sys.modules and 'cantools' not in sys.modules\n"

@@ -16,8 +16,8 @@ from typing import Any
 import yaml
 
 import shuttle
-from imucald.bus.log import LogReader
-from imucald.bus.pythoncan import can  # before isotp, which would import all of it
+from imucald.can.logs.log_reader import LogReader
+from imucald.can.python_can import can  # before isotp, which would import all of it
 from imucald.service.journal import Journal
 from imucald.service.service import Service, ServiceOptions
 

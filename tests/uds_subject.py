@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from imucald.diagnostics.server import Server
-from imucald.diagnostics.subject import Counts, Identity
-from imucald.frames import rotation_from_angles
+from imucald.core.rotations import rotation_from_angles
 from imucald.mount.estimate import Missing, MountEstimate, MountState
+from imucald.uds.host import Counts, Identity
+from imucald.uds.server import Server
 
 ANGLES_DEG = (1.5, -20.25, 135.0)
 STD_DEG = (0.1, 0.2, 0.4)

@@ -14,10 +14,10 @@ from benchmarks.diagnosis.cases import Case
 from hidden import HiddenDrive, hidden_drive
 from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
+from imucald.core.rotations import vector_from_rotation
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.result import Diagnosis, FoundCause
-from imucald.frames import vector_from_rotation
-from imucald.simulation.model import Model, model_from_mapping
+from imucald.model.model import Model, model_from_mapping
 
 Array = NDArray[np.float64]
 

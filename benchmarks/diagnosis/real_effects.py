@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.samples import Samples, Series
+from imucald.core.samples import Samples, Series
 
 Array = NDArray[np.float64]
 DEG = np.pi / 180.0

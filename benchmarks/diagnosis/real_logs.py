@@ -30,14 +30,14 @@ from numpy.typing import NDArray
 from benchmarks.diagnosis.page import PAGE, written
 from benchmarks.diagnosis.real_effects import EFFECTS, with_effect
 from benchmarks.measured import DATA, EXAMPLES, FOLDER
+from imucald.core.rotations import rotation_from_angles
+from imucald.core.samples import Samples, Series
 from imucald.diagnosis.baseline import baseline_model
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.recording import Recording, read_samples
 from imucald.diagnosis.result import Diagnosis
-from imucald.frames import rotation_from_angles
-from imucald.samples import Samples, Series
-from imucald.session import open_config
-from imucald.simulation.model import Model
+from imucald.model.model import Model
+from imucald.runtime.session import open_config
 
 LOGS = ("kingston_2008", "css_canmod_164", "wrx_sti")
 HIDDEN_IN = ("kingston_2008",)

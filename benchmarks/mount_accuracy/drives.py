@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.frames import Matrix3, rotation_from_vector, vector_from_rotation
+from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.published import PublishedEstimator
+from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.simulation import random_model, simulate
 
 Array = NDArray[np.float64]

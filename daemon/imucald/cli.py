@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from imucald import __version__
-from imucald.errors import ImucaldError
+from imucald.core.errors import ImucaldError
 
 PROCESS_SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads cost more time than they save

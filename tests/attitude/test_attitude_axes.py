@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imucald.attitude.axes import (
+from imucald.attitude.right_forward_up import (
     from_vector,
     product,
     rows,
@@ -21,7 +21,7 @@ from imucald.attitude.axes import (
     vehicle_angles,
     vehicle_from_text,
 )
-from imucald.frames import angles_from_rotation, rotation_from_angles
+from imucald.core.rotations import angles_from_rotation, rotation_from_angles
 
 ANGLE = st.floats(-3.1, 3.1)
 SMALL = st.floats(-1.5, 1.5)

@@ -12,7 +12,7 @@ from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import AttitudeState
 from imucald.attitude.filter import AttitudeFilter
 from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
-from imucald.frames import rotation_from_angles
+from imucald.core.rotations import rotation_from_angles
 
 G = 9.80665
 RATE = 50.0

@@ -12,11 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucald.attitude.filter import AttitudeFilter
-from imucald.bus.log import LogReader
-from imucald.bus.wiring import compile_router
-from imucald.companion import events_of
-from imucald.companions import attitude_settings
+from imucald.can.logs.log_reader import LogReader
 from imucald.config import load_config
+from imucald.inputs.wiring import compile_router
+from imucald.runtime.consumer import events_of
+from imucald.runtime.consumers import attitude_settings
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data" / "kingston_2008"

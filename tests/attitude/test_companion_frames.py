@@ -18,15 +18,15 @@ from hypothesis import strategies as st
 
 from engine_bus import columns_of, frames_of, load
 from gait import CARRYINGS, walk
-from imucald.bus.wiring import compile_router
 from imucald.cli import main
-from imucald.companions import ORDER, companions_for
-from imucald.engine import Engine
-from imucald.errors import ConfigError
-from imucald.frames import rotation_from_angles
+from imucald.core.errors import ConfigError
+from imucald.core.rotations import rotation_from_angles
+from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimate, MountState
-from imucald.output import OutputFrames
-from imucald.session import make_engine
+from imucald.runtime.consumers import ORDER, companions_for
+from imucald.runtime.engine import Engine
+from imucald.runtime.output.output_frames import OutputFrames
+from imucald.runtime.session import make_engine
 
 G = 9.80665
 DATA = Path(__file__).parents[3] / "shared" / "data"

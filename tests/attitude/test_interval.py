@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from imucald.attitude.endpoints import KnotMaker
 from imucald.attitude.grade import RoadGrade
 from imucald.attitude.interval import Knot, along_body, interval
-from imucald.attitude.knots import KnotMaker
 from imucald.attitude.propagation import HISTORY_S, Propagator
 from imucald.attitude.settings import CompensationSettings
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imucald.attitude.axes import rows, text_rotation, vehicle_angles
 from imucald.attitude.interval import Interval
 from imucald.attitude.measurements import heading_difference, rest_rates, tilt
+from imucald.attitude.right_forward_up import rows, text_rotation, vehicle_angles
 
 G = 9.80665
 SMALL = st.floats(-0.003, 0.003)

@@ -9,8 +9,8 @@ import pytest
 from scipy.linalg import expm
 from scipy.stats import chi2
 
-from imucald.attitude.axes import from_vector, rows
 from imucald.attitude.kalman import STATES, YAW_STD_MAX, NineStateFilter
+from imucald.attitude.right_forward_up import from_vector, rows
 from imucald.attitude.settings import FilterSettings
 
 G = 9.80665

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucald.attitude.sensor_check import find_rests, rest_errors, six_parameters
-from imucald.errors import EstimateError
+from imucald.core.errors import EstimateError
 
 G = 9.80665
 XSENS = Path(__file__).parents[3] / "shared" / "data" / "static_xsens" / "accelerometer.txt.gz"

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from imucald.bus.wiring import compile_router
 from imucald.compensation import compensation_from_model
 from imucald.config import parse_config
-from imucald.estimators import estimator_for
+from imucald.inputs.wiring import compile_router
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.session import open_compensation
+from imucald.runtime.estimators import estimator_for
+from imucald.runtime.session import open_compensation
 from simulated_bus import CONFIG, drive
 
 MODEL = {
@@ -98,7 +98,7 @@ def test_a_configured_speed_delay_counts_more_than_the_models(tmp_path):
 
 def test_a_model_of_the_simulated_car_fits_its_bus():
     """Every channel of the example bus that the model speaks of is one that the router gives."""
-    from imucald.session import open_config
+    from imucald.runtime.session import open_config
 
     channels = compile_router(open_config(CONFIG)).channels
     found = compensation_from_model(drive().model.model_dump())

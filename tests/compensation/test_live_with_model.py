@@ -12,16 +12,16 @@ import pytest
 
 import shuttle
 from imucald import cli
-from imucald.bus.columns import CAN_EFF_FLAG
-from imucald.bus.log import LogReader
-from imucald.bus.pythoncan import can
+from imucald.can.columns import CAN_EFF_FLAG
+from imucald.can.logs.log_reader import LogReader
+from imucald.can.python_can import can
 from imucald.config import LoadedConfig
-from imucald.errors import ConfigError
+from imucald.core.errors import ConfigError
 from imucald.mount.restored import RestoredEstimator
+from imucald.runtime.session import make_engine, open_config
 from imucald.service.journal import Journal
 from imucald.service.live import Daemon, open_link
 from imucald.service.service import Service, ServiceOptions
-from imucald.session import make_engine, open_config
 from simulated_bus import CONFIG, drive, drive_frames
 
 CHANNELS = itertools.count()

@@ -7,8 +7,8 @@ import pytest
 
 from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
-from imucald.frames import vector_from_rotation
-from imucald.samples import Samples, Series
+from imucald.core.rotations import vector_from_rotation
+from imucald.core.samples import Samples, Series
 from imucald.simulation import Drive, Model, random_model, simulate
 
 MINUTES = 15.0

@@ -16,9 +16,9 @@ import pytest
 from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import CorrectedDrive, corrected_drive
 from imucald.config import load_config
+from imucald.core.samples import Samples, Series
 from imucald.diagnosis.recording import read_samples
-from imucald.estimators import full_settings
-from imucald.samples import Samples, Series
+from imucald.runtime.estimators import full_settings
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "config" / "examples" / "kingston_2008.yaml"

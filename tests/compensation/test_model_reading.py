@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from imucald.compensation import compensation_from_model
 from imucald.compensation.known_keys import KNOWN, OTHERS
-from imucald.errors import ConfigError
+from imucald.core.errors import ConfigError
 from imucald.simulation import Model, random_model
 from simulated_bus import CONFIG
 
@@ -137,7 +137,7 @@ def test_reading_a_model_loads_none_of_the_simulation_and_nothing_without_one(tm
     code = """
 import sys
 from pathlib import Path
-from imucald.session import make_engine, open_config
+from imucald.runtime.session import make_engine, open_config
 make_engine(open_config(Path(sys.argv[1])))
 print(*(name for name in ("scipy", "imucald.simulation", "imucald.compensation", "pydantic")
         if name in sys.modules))

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucald.compensation.retiming import Retiming, shifts_of
+from imucald.compensation.time_alignment import Retiming, shifts_of
+from imucald.core.samples import Series
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import ticks_from_samples
-from imucald.samples import Series
 
 SLOPE = 0.37
 LATE = st.floats(0.0, 1.5)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imucald.compensation import compensation_from_model
-from imucald.samples import Series
+from imucald.core.samples import Series
 from imucald.simulation import Drive, Model, random_model, simulate
 
 QUIET = {

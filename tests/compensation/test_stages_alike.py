@@ -17,7 +17,7 @@ from imucald.compensation import Compensation, compensation_from_model
 from imucald.compensation.sensors import SensorStage
 from imucald.compensation.terms import ScalarTerms
 from imucald.compensation.vehicle import Corrected, VehicleStage
-from imucald.samples import CHANNEL_WIDTH, Series
+from imucald.core.samples import CHANNEL_WIDTH, Series
 
 SENSED = ("accel", "gyro", "mag", "speed", "wheel_speeds", "yaw_rate", "temperature")
 SIZES = {"accel": 20.0, "gyro": 1.0, "mag": 5e-5, "speed": 40.0, "wheel_speeds": 40.0}

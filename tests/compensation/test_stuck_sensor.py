@@ -5,8 +5,8 @@ import pytest
 
 from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
-from imucald.frames import vector_from_rotation
-from imucald.samples import Series
+from imucald.core.rotations import vector_from_rotation
+from imucald.core.samples import Series
 from imucald.simulation import random_model, simulate
 
 SEED, MINUTES = 47, 5.0

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from imucald.compensation import compensation_from_model
-from imucald.compensation.leaning import Leaning
+from imucald.compensation.suspension import Leaning
 from imucald.compensation.terms import LeanTerms
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
 
 DT = 0.01
 CHANNELS = {"accel", "gyro"}

@@ -17,7 +17,7 @@ from imucald.diagnosis.result import (
     SignalPicture,
     Structure,
 )
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 RATE_HZ = 10.0
 BEFORE = Model()

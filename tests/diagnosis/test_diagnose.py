@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from hidden import CAUSES, OUTSIDE, Effect, hidden_drive
+from imucald.core.errors import EstimateError
 from imucald.diagnosis.cause import Cause, Parameter, catalogue
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.result import GOES_AGAINST, Structure
 from imucald.diagnosis.roads import find_roads
 from imucald.diagnosis.verdict import verdict_of
-from imucald.errors import EstimateError
+from imucald.model.model import model_from_mapping
 from imucald.simulation import load_model
-from imucald.simulation.model import model_from_mapping
 
 MINUTES = 16.0
 FIRST_SEED = 800_000

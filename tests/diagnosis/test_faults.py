@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from hidden import Effect, HiddenDrive, hidden_drive
+from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults import Fault, corrected, extend, find_faults, spoilt
 from imucald.diagnosis.recording import read_samples
-from imucald.samples import Samples, Series
-from imucald.session import open_config
-from imucald.simulation.model import Model, model_from_mapping
+from imucald.model.model import Model, model_from_mapping
+from imucald.runtime.session import open_config
 
 ROOT = Path(__file__).parent.parent.parent
 DATA = ROOT.parent / "shared" / "data"

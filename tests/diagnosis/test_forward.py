@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hidden import CAUSES
+from imucald.core.errors import EstimateError
+from imucald.core.samples import Series
 from imucald.diagnosis.cause import catalogue
 from imucald.diagnosis.causes.mount_shift import TIME
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import track_from_samples
-from imucald.errors import EstimateError
-from imucald.samples import Series
 from imucald.simulation import Model, simulate
 
 CLEAN = Model().with_changes(

@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from hidden import CAUSES, OUTSIDE, SIZES, TOLERANCES, Effect, HiddenDrive, hidden_drive
-from imucald.samples import GRAVITY
-from imucald.simulation.model import model_from_mapping
+from imucald.core.samples import GRAVITY
+from imucald.model.model import model_from_mapping
 
 Array = NDArray[np.float64]
 SEED, MINUTES = 11, 4.0
@@ -344,6 +344,6 @@ def test_shares_nothing_with_what_it_tests() -> None:
             if isinstance(node, ast.ImportFrom) and node.module:
                 assert not node.module.startswith(("scipy",)), path
                 if node.module.startswith("imucald"):
-                    assert node.module == "imucald.samples", path
+                    assert node.module == "imucald.core.samples", path
             elif isinstance(node, ast.Import):
                 assert not any(a.name.startswith(("imucald", "scipy")) for a in node.names), path

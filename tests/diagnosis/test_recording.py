@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from engine_bus import Sender, columns_of, load
-from imucald.bus.log import CandumpWriter
+from imucald.can.logs.log_reader import CandumpWriter
+from imucald.core.errors import LogError
 from imucald.diagnosis.recording import read_samples
-from imucald.errors import LogError
-from imucald.session import open_config
+from imucald.runtime.session import open_config
 from simulated_bus import drive, drive_frames, loaded, with_data, with_times
 
 ROOT = Path(__file__).parent.parent.parent

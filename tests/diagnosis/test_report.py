@@ -17,6 +17,7 @@ import made_diagnosis as made
 import numpy as np
 import pytest
 
+from imucald.core.errors import ImucaldError
 from imucald.diagnosis.result import (
     GOES_AGAINST,
     Candidate,
@@ -25,10 +26,10 @@ from imucald.diagnosis.result import (
     SignalGain,
     Structure,
 )
-from imucald.errors import ImucaldError
-from imucald.report import About, report_page, require_libraries, words
+from imucald.report import About, report_page, require_libraries
+from imucald.report import wording as words
+from imucald.report.decimation import envelope, log_bins, telling_stretch, trend
 from imucald.report.model_changes import as_diff, model_changes, value_text
-from imucald.report.thinning import envelope, log_bins, telling_stretch, trend
 
 ABOUT = About(["a.log", "b.log"], "car.yaml", "car_model.yaml", "2026-01-02 03:04, imucald 9")
 VOID = {"meta", "img", "br", "hr", "link", "input", "wbr", "base"}
@@ -151,7 +152,7 @@ def test_every_signal_has_four_pictures_that_are_valid_svg(found):
 
 def test_the_pictures_draw_the_residual_before_and_after():
     """The line of means against the driver lies where the made-up truth puts it."""
-    from imucald.report.pictures import AFTER, BEFORE, driver_picture
+    from imucald.report.plots import AFTER, BEFORE, driver_picture
 
     root = ET.fromstring(driver_picture(made.picture(size=0.15)))
     heights = {}
@@ -167,7 +168,7 @@ def test_the_pictures_draw_the_residual_before_and_after():
 
 
 def test_one_curve_is_drawn_where_nothing_was_extended():
-    from imucald.report.pictures import BEFORE
+    from imucald.report.plots import BEFORE
 
     assert all(BEFORE.lower() in svg.lower() for svg in Page(whole("found")).pictures)
     assert not any(BEFORE.lower() in svg.lower() for svg in Page(whole("unknown")).pictures)

@@ -16,7 +16,7 @@ from hidden.road import Road, road_under
 from hidden.sensors import Recorder
 from hidden.vehicle import handle
 from hidden.world import DEG, World, honest_world
-from imucald.samples import Samples
+from imucald.core.samples import Samples
 
 GRID_HZ = 200.0
 MOVING_MPS = 1.0

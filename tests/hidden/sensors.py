@@ -11,7 +11,7 @@ from hidden.motion import Motion
 from hidden.numerics import Array, coloured_noise, lowpassed, stream
 from hidden.vehicle import Handling
 from hidden.world import Channel, Triad, World
-from imucald.samples import Series
+from imucald.core.samples import Series
 
 REFERENCE_DEGC = 25.0
 VIBRATION_HZ = np.array([0.0, 3.0, 6.0, 12.0, 18.0, 27.0, 40.0, 60.0, 100.0])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from imucald.errors import EstimateError
+from imucald.core.errors import EstimateError
 from imucald.motion.speed import Block, BlockMaker
 
 TICK = 0.1

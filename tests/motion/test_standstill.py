@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucald.errors import EstimateError
+from imucald.core.errors import EstimateError
+from imucald.core.samples import Series
 from imucald.motion.standstill import (
     CONFIRM_TICKS,
     StandstillDetector,
@@ -12,7 +13,6 @@ from imucald.motion.standstill import (
     static_windows,
 )
 from imucald.motion.ticks import ACCEL_BAD, ticks_from_samples
-from imucald.samples import Series
 
 G = 9.80665
 

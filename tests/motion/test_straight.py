@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucald.errors import EstimateError
+from imucald.core.errors import EstimateError
+from imucald.core.samples import Series
 from imucald.motion.straight import (
     LONGEST_HOLD_TICKS,
     YawRateSource,
@@ -18,7 +19,6 @@ from imucald.motion.straight import (
     yaw_rate_is_small,
 )
 from imucald.motion.ticks import ticks_from_samples
-from imucald.samples import Series
 
 DEG = math.radians(1.0)
 

@@ -8,6 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imucald.core.samples import CHANNEL_WIDTH, Series
 from imucald.motion.ticks import (
     ACCEL_AGE,
     ACCEL_MIN_X,
@@ -16,7 +17,6 @@ from imucald.motion.ticks import (
     tick_index,
     ticks_from_samples,
 )
-from imucald.samples import CHANNEL_WIDTH, Series
 
 VALUE = st.floats(-1e6, 1e6, allow_nan=False) | st.sampled_from([0.0, -0.0, 1 / 3, 9.80665])
 TIME = st.floats(0.0, 1.2, allow_nan=False) | st.integers(0, 12).map(lambda k: k / 10.0)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from imucald.frames import rotation_from_angles, vector_from_rotation
+from imucald.core.rotations import rotation_from_angles, vector_from_rotation
+from imucald.core.samples import Series
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.estimator import SLEW_RATE, FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.samples import Series
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 

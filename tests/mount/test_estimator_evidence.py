@@ -7,19 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from imucald.frames import rotation_from_angles, rotation_from_vector
+from imucald.core.rotations import rotation_from_angles, rotation_from_vector
+from imucald.core.samples import GRAVITY
 from imucald.mount import evidence_spectra as sp
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
-from imucald.mount.evidence_pieces import Piece
 from imucald.mount.evidence_response import ResponseEvidence
-from imucald.mount.evidence_signals import HOP, SignalPreparer, empty_rows
-from imucald.mount.evidence_up import UpTracker
 from imucald.mount.fusion import Shared, Sharing, fuse
+from imucald.mount.gravity_observer import UpTracker
 from imucald.mount.offsets import Offsets
+from imucald.mount.road_segments import Piece
+from imucald.mount.signal_blocks import HOP, SignalPreparer, empty_rows
 from imucald.mount.steering import SteeringOffset
-from imucald.samples import GRAVITY
 from prepared_hop import hop
 
 DEG = math.radians(1.0)

@@ -11,24 +11,24 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imucald.errors import EstimateError
-from imucald.estimators import estimator_for
+from imucald.core.errors import EstimateError
 from imucald.motion.ticks import ticks_from_samples
-from imucald.mount.earlier_drives import EarlierDrives
+from imucald.mount.common_errors import shared_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountState
 from imucald.mount.estimator import FullEstimator
-from imucald.mount.evidence_pieces import Piece
 from imucald.mount.fusion import Shared, Sharing, fuse
-from imucald.mount.kept_evidence import (
+from imucald.mount.prior_drives import EarlierDrives
+from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
+from imucald.mount.road_segments import Piece
+from imucald.mount.saved_information import (
     MOST_PIECES,
     KeptEvidence,
     KeptPiece,
     kept_from,
     together,
 )
-from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
-from imucald.mount.shared_errors import shared_errors
 from imucald.mount.shift import Flow
+from imucald.runtime.estimators import estimator_for
 from simulated_bus import drive, loaded
 
 

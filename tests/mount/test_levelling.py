@@ -8,8 +8,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imucald.errors import EstimateError
-from imucald.mount.levelling import LongRunLevel, StopBook, levelled, tilt_angles
+from imucald.core.errors import EstimateError
+from imucald.mount.method_a.levelling import LongRunLevel, StopBook, levelled, tilt_angles
 
 G = 9.80665
 DEG = math.radians(1.0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imucald.frames import vector_from_rotation
+from imucald.core.rotations import vector_from_rotation
 from imucald.motion.ticks import (
     ACCEL_BAD,
     ACCEL_X,
@@ -23,8 +23,8 @@ from imucald.motion.ticks import (
     T,
 )
 from imucald.mount.estimate import Missing, MountEstimate, MountState
-from imucald.mount.published import PublishedEstimator
-from imucald.mount.published_settings import PublishedSettings
+from imucald.mount.method_a.estimator import PublishedEstimator
+from imucald.mount.method_a.settings import PublishedSettings
 from published_drive import Drive, mount_error_deg
 
 MOUNT = Rotation.from_euler("ZYX", [2.2, 0.25, -0.3])

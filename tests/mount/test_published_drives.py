@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imucald.core.samples import Series
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
-from imucald.mount.published import PublishedEstimator
-from imucald.mount.published_settings import PublishedSettings
-from imucald.samples import Series
+from imucald.mount.method_a.estimator import PublishedEstimator
+from imucald.mount.method_a.settings import PublishedSettings
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 SCALES = {0x200: ("accel", 0.002), 0x201: ("gyro", math.radians(0.02))}

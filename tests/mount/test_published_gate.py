@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from imucald.motion.speed import Block
 from imucald.mount.estimate import MountState
-from imucald.mount.published import PublishedEstimator
-from imucald.mount.published_gate import StraightGate, WanderingOffset
-from imucald.mount.published_settings import PublishedSettings
+from imucald.mount.method_a.estimator import PublishedEstimator
+from imucald.mount.method_a.gate import StraightGate, WanderingOffset
+from imucald.mount.method_a.settings import PublishedSettings
 from published_drive import Drive, mount_error_deg
 
 NAN = math.nan

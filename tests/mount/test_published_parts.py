@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imucald.frames import levelling_rotation, rotation_from_angles, vector_from_rotation
+from imucald.core.rotations import levelling_rotation, rotation_from_angles, vector_from_rotation
 from imucald.motion.speed import Block
 from imucald.mount.estimate import Missing, MountState
-from imucald.mount.levelling import Tilt
-from imucald.mount.published_events import (
+from imucald.mount.method_a.levelling import Tilt
+from imucald.mount.method_a.manoeuvres import (
     FLOOR_STD,
     Angle,
     Manoeuvre,
@@ -20,9 +20,9 @@ from imucald.mount.published_events import (
     combined,
     combined_axis,
 )
-from imucald.mount.published_settings import PublishedSettings
-from imucald.mount.published_sign import VOTES_NEEDED, SignEvidence, SignVotes
-from imucald.mount.published_states import Knowledge, judged, waiting_for
+from imucald.mount.method_a.settings import PublishedSettings
+from imucald.mount.method_a.sign import VOTES_NEEDED, SignEvidence, SignVotes
+from imucald.mount.method_a.states import Knowledge, judged, waiting_for
 from imucald.mount.slewing import SlewedRotation
 
 DEG = math.radians(1.0)

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imucald.errors import EstimateError
+from imucald.core.errors import EstimateError
 from imucald.motion.standstill import StaticPresets
-from imucald.mount.published_settings import PublishedSettings
-from imucald.mount.published_yaw import (
+from imucald.mount.method_a.settings import PublishedSettings
+from imucald.mount.method_a.yaw import (
     combined_angle,
     combined_axis,
     correction_rotation,

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imucald.estimators import estimator_for
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
-from imucald.mount.kept_evidence import KeptEvidence
-from imucald.mount.published import PublishedEstimator
+from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
+from imucald.mount.saved_information import KeptEvidence
+from imucald.runtime.estimators import estimator_for
 from published_drive import Drive
 from simulated_bus import drive, loaded
 

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from imucald.frames import rotation_from_vector
-from imucald.mount.evidence_signals import HOP
-from imucald.mount.evidence_up import UpTracker
-from imucald.mount.step import Step
-from imucald.samples import GRAVITY
+from imucald.core.rotations import rotation_from_vector
+from imucald.core.samples import GRAVITY
+from imucald.mount.gravity_observer import UpTracker
+from imucald.mount.gravity_step import Step
+from imucald.mount.signal_blocks import HOP
 from prepared_hop import hop
 
 DEG = math.radians(1.0)

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
-from imucald.mount.evidence_signals import BEFORE, HOP, KEEP, empty_rows
+from imucald.mount.signal_blocks import BEFORE, HOP, KEEP, empty_rows
 from imucald.mount.stuck import StuckSpeed
 
 TICKS = 6000

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from imucald.bus.log import LogReader
-from imucald.bus.wiring import compile_router
-from imucald.frames import vector_from_rotation
+from imucald.can.logs.log_reader import LogReader
+from imucald.core.rotations import vector_from_rotation
+from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimate
-from imucald.replay import Replay
-from imucald.session import make_engine, open_config
-from imucald.timebase import TimeBase
+from imucald.runtime.replay import Replay
+from imucald.runtime.session import make_engine, open_config
+from imucald.runtime.timebase import TimeBase
 
 ROOT = Path(__file__).parent.parent.parent
 DATA = ROOT.parent / "shared" / "data"

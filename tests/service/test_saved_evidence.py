@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucald.bus.columns import FrameColumns
-from imucald.engine import Engine
+from imucald.can.columns import FrameColumns
 from imucald.mount.restored import RestoredEstimator
+from imucald.runtime.engine import Engine
+from imucald.runtime.session import make_engine
+from imucald.service.calibration_store import StateKeeper
 from imucald.service.journal import WARNING
-from imucald.service.keeper import StateKeeper
 from imucald.service.reload import behind_the_known
 from imucald.service.state import StateStore
-from imucald.session import make_engine
 from service_files import KEY
 from simulated_bus import EPOCH, drive_frames, loaded, with_times
 

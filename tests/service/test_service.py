@@ -20,9 +20,9 @@ from pathlib import Path
 import pytest
 
 import shuttle
-from imucald.bus.log import LogReader
+from imucald.can.logs.log_reader import LogReader
 from imucald.commands.status import find_socket
-from imucald.errors import LinkError
+from imucald.core.errors import LinkError
 from imucald.mount.restored import RestoredEstimator
 from imucald.service.journal import Journal
 from imucald.service.notify import Notifier

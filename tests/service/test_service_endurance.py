@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import shuttle
-from imucald.bus.log import LogReader
+from imucald.can.logs.log_reader import LogReader
 from imucald.service.figures import process_figures
 from imucald.service.service import Service, ServiceOptions
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import shuttle
-from imucald.bus.columns import FrameColumns
-from imucald.bus.log import LogReader
-from imucald.frames import vector_from_rotation
-from imucald.session import make_engine, open_config
+from imucald.can.columns import FrameColumns
+from imucald.can.logs.log_reader import LogReader
+from imucald.core.rotations import vector_from_rotation
+from imucald.runtime.session import make_engine, open_config
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imucald.errors import ConfigError
-from imucald.frames import rotation_from_angles
-from imucald.samples import GRAVITY
+from imucald.core.errors import ConfigError
+from imucald.core.rotations import rotation_from_angles
+from imucald.core.samples import GRAVITY
 from imucald.simulation import Model, simulate
 from imucald.simulation.single_track import handle
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
+from imucald.model.vehicle import Chassis
 from imucald.simulation.filters import filtered, second_order
 from imucald.simulation.single_track import handle
-from imucald.simulation.vehicle_model import Chassis
 
 RATE = 200.0
 

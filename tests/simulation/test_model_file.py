@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from imucald.errors import ConfigError
+from imucald.core.errors import ConfigError
 from imucald.simulation import Model, load_model, random_model
 
 

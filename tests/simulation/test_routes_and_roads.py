@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
+from imucald.model.vehicle import Chassis, Road, Route, Suspension
 from imucald.simulation import Model, simulate
 from imucald.simulation.driver import drive_route
 from imucald.simulation.road import road_attitude, road_roughness
-from imucald.simulation.vehicle_model import Chassis, Road, Route, Suspension
 
 
 def driven(kind, seed=1, minutes=15.0, **route):

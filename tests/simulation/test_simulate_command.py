@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imucald.bus.pythoncan import can
+from imucald.can.python_can import can
 from imucald.cli import main
 from imucald.config import load_config
 from imucald.simulation import load_model, random_model

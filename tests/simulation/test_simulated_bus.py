@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from crccheck.crc import Crc8SaeJ1850
 
-from imucald.bus.columns import FrameColumns
-from imucald.bus.wiring import compile_router
+from imucald.can.columns import FrameColumns
 from imucald.config import parse_config
-from imucald.errors import ConfigError, LogError
+from imucald.core.errors import ConfigError, LogError
+from imucald.inputs.wiring import compile_router
 from imucald.simulation import Model, random_model, simulate
 from imucald.simulation.bus_frames import BusEncoder, example_config
 from imucald.simulation.can_log import EPOCH_S, bus_frames, live_frames, write_log

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
 from imucald.simulation import Model, simulate
 
 CLEAN = {

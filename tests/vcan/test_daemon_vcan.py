@@ -15,9 +15,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import shuttle
-from imucald.bus.codec import compile_decode
-from imucald.bus.log import LogReader
-from imucald.output import output_database
+from imucald.can.dbc.decode import compile_decode
+from imucald.can.logs.log_reader import LogReader
+from imucald.runtime.output.output_frames import output_database
 
 CORRECTED = (0x640, 0x641)
 STATUS = (0x643, 0x644, 0x645)

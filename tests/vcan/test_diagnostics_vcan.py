@@ -15,7 +15,7 @@ import pytest
 from udsoncan.client import Client
 from udsoncan.exceptions import NegativeResponseException
 
-from imucald.bus.pythoncan import can
+from imucald.can.python_can import can
 from uds_bus import REQUEST, RESPONSE, asking, guarded_config, with_diagnostics
 
 CALIBRATE, RESET = 0xF010, 0xF011

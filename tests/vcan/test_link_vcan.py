@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from imucald.bus.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
-from imucald.bus.link import Link, LinkEvent, LinkState
-from imucald.errors import LinkError
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
+from imucald.can.link.link import Link, LinkEvent, LinkState
+from imucald.core.errors import LinkError
 
 WANTED = IdMatch(0x123, CAN_SFF_MASK)
 OWN = 0x600

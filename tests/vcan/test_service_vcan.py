@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import shuttle
+from imucald.runtime.session import make_engine, open_config
 from imucald.service.identity import state_key
 from imucald.service.state import SavedState, StateStore
 from imucald.service.status import ask
-from imucald.session import make_engine, open_config
 
 FRAME = struct.Struct("=IB3x8s")
 CORRECTED = 0x640

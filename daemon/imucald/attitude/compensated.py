@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from imucald.attitude.axes import Vector, text_from_vehicle, vehicle_from_text
 from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
+from imucald.attitude.right_forward_up import Vector, text_from_vehicle, vehicle_from_text
 from imucald.attitude.settings import AttitudeSettings
 
 NAN = math.nan

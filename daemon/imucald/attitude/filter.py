@@ -12,7 +12,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imucald.attitude.axes import (
+from imucald.attitude.endpoints import KnotMaker
+from imucald.attitude.estimate import SETTLED_STD, STALE_S, AttitudeEstimate, AttitudeState
+from imucald.attitude.grade import RoadGrade
+from imucald.attitude.interval import Interval, Knot, along_body, interval
+from imucald.attitude.kalman import NineStateFilter
+from imucald.attitude.measurements import LEAST_UP, heading_difference, rest_rates, tilt
+from imucald.attitude.propagation import Propagator
+from imucald.attitude.right_forward_up import (
     IDENTITY,
     Quaternion,
     Rows,
@@ -26,17 +33,10 @@ from imucald.attitude.axes import (
     vehicle_angles,
     vehicle_from_text,
 )
-from imucald.attitude.estimate import SETTLED_STD, STALE_S, AttitudeEstimate, AttitudeState
-from imucald.attitude.grade import RoadGrade
-from imucald.attitude.interval import Interval, Knot, along_body, interval
-from imucald.attitude.kalman import NineStateFilter
-from imucald.attitude.knots import KnotMaker
-from imucald.attitude.measurements import LEAST_UP, heading_difference, rest_rates, tilt
-from imucald.attitude.propagation import Propagator
 from imucald.attitude.sensor_check import rest_errors
 from imucald.attitude.settings import AttitudeSettings
-from imucald.frames import levelling_rotation, quaternion_from_rotation
-from imucald.samples import GRAVITY
+from imucald.core.rotations import levelling_rotation, quaternion_from_rotation
+from imucald.core.samples import GRAVITY
 
 START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)

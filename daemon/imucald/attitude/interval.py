@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from imucald.attitude.axes import Vector
 from imucald.attitude.propagation import Moment
+from imucald.attitude.right_forward_up import Vector
 from imucald.attitude.settings import CompensationSettings
 
 LEAST_LEVEL = 0.5

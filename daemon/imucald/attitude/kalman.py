@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.attitude.axes import Rows, Vector
+from imucald.attitude.right_forward_up import Rows, Vector
 from imucald.attitude.settings import FilterSettings
 
 Array = NDArray[np.float64]

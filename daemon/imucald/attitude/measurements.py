@@ -10,7 +10,9 @@ import math
 
 import numpy as np
 
-from imucald.attitude.axes import (
+from imucald.attitude.interval import Interval
+from imucald.attitude.kalman import STATES, Measurement
+from imucald.attitude.right_forward_up import (
     Rows,
     Vector,
     times,
@@ -18,9 +20,7 @@ from imucald.attitude.axes import (
     vehicle_angles,
     wrapped,
 )
-from imucald.attitude.interval import Interval
-from imucald.attitude.kalman import STATES, Measurement
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
 
 LEAST_UP = 0.3 * GRAVITY
 """Less than this is not gravity: falling, or a broken sensor [m/s^2]."""

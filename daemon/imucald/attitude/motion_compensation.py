@@ -28,9 +28,9 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from imucald.attitude.axes import Vector, cross, text_from_vehicle
+from imucald.attitude.right_forward_up import Vector, cross, text_from_vehicle
 from imucald.attitude.settings import CompensationSettings
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
 
 ROAD_TIME = 3.0
 """Time constant of the road's part of an angle [s]: longer than the body swings on its springs."""

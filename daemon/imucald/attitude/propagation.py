@@ -12,7 +12,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from imucald.attitude.axes import (
+from imucald.attitude.right_forward_up import (
     IDENTITY,
     Quaternion,
     Rows,

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from imucald.attitude.axes import Vector
-from imucald.errors import EstimateError
-from imucald.samples import GRAVITY
+from imucald.attitude.right_forward_up import Vector
+from imucald.core.errors import EstimateError
+from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]
 

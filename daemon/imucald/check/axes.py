@@ -19,7 +19,7 @@ from imucald.check.finding import (
     spread,
 )
 from imucald.check.motion import Motion, shifted, smooth
-from imucald.check.turns import LEAST_TURNING
+from imucald.check.yaw_rate_check import LEAST_TURNING
 
 LEAST_BRAKING = 0.25
 """Least standard deviation of the change of speed for a judgement [m/s^2]."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from imucald.bus.columns import (
+from imucald.can.columns import (
     CAN_EFF_FLAG,
     CAN_EFF_MASK,
     CLASSIC_BYTES,
@@ -16,8 +16,7 @@ from imucald.bus.columns import (
     FrameColumns,
     IdMatch,
 )
-from imucald.bus.link import Frame
-from imucald.bus.wiring import compile_router
+from imucald.can.link.link import Frame
 from imucald.check.decoding import Decoding
 from imucald.check.finding import Finding
 from imucald.check.judgement import judge
@@ -25,9 +24,10 @@ from imucald.check.motion import Motion, TickMeans
 from imucald.check.source import id_text, message_row, quantity_row, sources
 from imucald.check.statistics import Probe
 from imucald.config import LoadedConfig
-from imucald.output import OutputFrames
-from imucald.session import open_compensation
-from imucald.timebase import TimeBase
+from imucald.inputs.wiring import compile_router
+from imucald.runtime.output.output_frames import OutputFrames
+from imucald.runtime.session import open_compensation
+from imucald.runtime.timebase import TimeBase
 
 EVERY_FRAME = (IdMatch(0, 0), IdMatch(CAN_EFF_FLAG, 0))
 """Lets every identifier through, 11 and 29 bits."""

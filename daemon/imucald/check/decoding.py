@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from imucald.bus.columns import CAN_EFF_FLAG, IdMatch
+from imucald.can.columns import CAN_EFF_FLAG, IdMatch
 from imucald.check.finding import Finding
 from imucald.check.source import Source, id_text, stated_cycle, word_of
 from imucald.check.statistics import Probe

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]
 Level = Literal["error", "warning", "note", "ok"]

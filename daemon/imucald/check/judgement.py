@@ -15,8 +15,8 @@ import numpy as np
 from imucald.check.axes import LEAST_BRAKING, axes_findings, best_response, speed_findings
 from imucald.check.finding import CLEAR, FEWEST, Finding, gain_between, gain_guess, is_wrong, spread
 from imucald.check.motion import Motion
-from imucald.check.turns import turn_findings
-from imucald.samples import GRAVITY
+from imucald.check.yaw_rate_check import turn_findings
+from imucald.core.samples import GRAVITY
 
 REST_WRONG, REST_ODD = 0.25, 0.03
 """Parts by which gravity at rest may be off before it is a wrong unit, or worth a word."""

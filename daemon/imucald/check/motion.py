@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.samples import CHANNEL_WIDTH, Samples
 from imucald.motion.ticks import TICK_RATE
-from imucald.samples import CHANNEL_WIDTH, Samples
 
 Array = NDArray[np.float64]
 

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from imucald.bus.columns import CAN_EFF_MASK
-from imucald.bus.database import Signal
-from imucald.bus.routes import MessageRoute
-from imucald.bus.wiring import Wanted, wanted_numbers
+from imucald.can.columns import CAN_EFF_MASK
+from imucald.can.dbc.database import Signal
 from imucald.check.statistics import Probe, SignalStatistics
 from imucald.config import LoadedConfig
+from imucald.inputs.routes import MessageRoute
+from imucald.inputs.wiring import Wanted, wanted_numbers
 
 SI_UNITS = {
     "acceleration": "m/s^2",

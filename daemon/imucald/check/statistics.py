@@ -13,9 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.bus.columns import FrameColumns, IdMatch
-from imucald.bus.quantities import REASONS, Conversion
-from imucald.bus.routes import Columns, Physical, Raw, Route, Tap
+from imucald.can.columns import FrameColumns, IdMatch
+from imucald.inputs.quantities import REASONS, Conversion
+from imucald.inputs.routes import Columns, Physical, Raw, Route, Tap
 
 Array = NDArray[np.float64]
 

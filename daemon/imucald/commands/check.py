@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from imucald.commands.options import LOG_HELP, add_bus, add_config
 
 if TYPE_CHECKING:
-    from imucald.bus.link import Frame
+    from imucald.can.link.link import Frame
     from imucald.check import Check
     from imucald.config import LoadedConfig
 
@@ -46,8 +46,8 @@ def run(options: argparse.Namespace) -> int:
     """Look, then tell."""
     from imucald.check import Check
     from imucald.commands.files import check_files
-    from imucald.errors import ConfigError
-    from imucald.session import open_config
+    from imucald.core.errors import ConfigError
+    from imucald.runtime.session import open_config
 
     if options.logs and (options.interface or options.channel):
         raise ConfigError("either LOG or --interface and --channel: not both")
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _read(check: Check, logs: list[str]) -> None:
-    from imucald.bus.log import LogReader
+    from imucald.can.logs.log_reader import LogReader
     from imucald.commands.terminal import progress_bar
 
     with progress_bar("check") as progress:

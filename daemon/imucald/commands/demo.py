@@ -9,7 +9,7 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from imucald.errors import ConfigError
+from imucald.core.errors import ConfigError
 
 DEFAULT_MINUTES = 6.0
 """A drive that brings every angle to rest, and some fifteen seconds of waiting."""
@@ -48,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Drive, show, compare; 0 when the estimate became usable."""
+    from imucald.commands.demo_drive import Demonstration
     from imucald.commands.demo_view import (
         LiveView,
         Picture,
@@ -57,7 +58,6 @@ def run(options: argparse.Namespace) -> int:
     )
     from imucald.commands.simulate import chosen_model
     from imucald.commands.terminal import plain_where_needed
-    from imucald.demo import Demonstration
     from imucald.simulation.bus_frames import example_config
     from imucald.simulation.drive import simulate
 

@@ -18,10 +18,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from imucald.commands.demo_drive import LAST_S, Angle, Demonstration, angles_beside
 from imucald.commands.terminal import plain_console
-from imucald.demo import LAST_S, Angle, Demonstration, angles_beside
-from imucald.errors import ImucaldError
-from imucald.frames import angles_from_rotation
+from imucald.core.errors import ImucaldError
+from imucald.core.rotations import angles_from_rotation
 from imucald.mount.estimate import ANGLES, MountState
 
 FASTEST = 24.0

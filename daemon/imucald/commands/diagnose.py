@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from imucald.config import LoadedConfig
     from imucald.diagnosis.recording import Recording
     from imucald.diagnosis.result import Diagnosis
-    from imucald.simulation.model import Model
+    from imucald.model.model import Model
 
 PAGE = "index.html"
 FEW_REJECTED = 1e-4
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read, diagnose, then tell in every way that was asked for."""
     from imucald.commands.files import STANDARD, write_text
-    from imucald.session import open_config
+    from imucald.runtime.session import open_config
     from imucald.simulation import load_model
 
     _check(options)
@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     """Raise ImucaldError for what would fail later, before any work."""
     from imucald.commands.files import STANDARD, check_files
-    from imucald.errors import ConfigError, ImucaldError
+    from imucald.core.errors import ConfigError, ImucaldError
 
     seen: dict[object, str] = {}
     for log in options.logs:
@@ -129,8 +129,8 @@ def _diagnosed(
     loaded: LoadedConfig, recordings: Sequence[Recording], model: Model | None, quiet: bool
 ) -> Diagnosis:
     from imucald.commands.diagnose_view import share_bar
+    from imucald.core.errors import EstimateError
     from imucald.diagnosis.diagnose import diagnose
-    from imucald.errors import EstimateError
 
     drives = [recording.samples for recording in recordings]
     notes = [note for recording in recordings for note in _reading_notes(recording)]
@@ -180,7 +180,7 @@ def _model_text(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> str:
     """The extended model with a head that says where it comes from."""
     from imucald import __version__
     from imucald.report.model_changes import model_changes, value_text
-    from imucald.report.words import duration, verdict
+    from imucald.report.wording import duration, verdict
 
     head = [f"Model file written by imucald diagnose {__version__} from:"]
     head += [f"  {r.name} ({duration(r.duration_s)})" for r in recordings]
@@ -198,7 +198,7 @@ def _write_report(diagnosis: Diagnosis, options: argparse.Namespace) -> None:
 
     from imucald import __version__
     from imucald.commands.files import write_text
-    from imucald.errors import ImucaldError
+    from imucald.core.errors import ImucaldError
     from imucald.report import About, report_page
 
     about = About(

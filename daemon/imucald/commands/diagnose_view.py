@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from imucald.commands.terminal import plain_console, plain_where_needed
-from imucald.report import words
+from imucald.report import wording as words
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from imucald.errors import ImucaldError, LogError
+from imucald.core.errors import ImucaldError, LogError
 
 STANDARD = "-"
 """Stands for standard input or output."""

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from imucald.errors import ConfigError
+from imucald.core.errors import ConfigError
 
 UNIT = "imucald@.service"
 FILES = {

@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
 
     from imucald.commands.status_view import picture
     from imucald.commands.terminal import plain_console, plain_where_needed
-    from imucald.errors import LinkError
+    from imucald.core.errors import LinkError
     from imucald.service.status import ask
 
     plain_where_needed()

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 from imucald.commands.options import LOG_HELP, add_config
 
 if TYPE_CHECKING:
-    from imucald.bus.columns import FrameColumns
+    from imucald.can.columns import FrameColumns
     from imucald.config import LoadedConfig
-    from imucald.replay import Sink
+    from imucald.runtime.replay import Sink
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,14 +47,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay, then say what came of it."""
-    from imucald.bus.database_cache import keep_databases
-    from imucald.bus.log import LogReader
+    from imucald.can.logs.log_reader import LogReader
     from imucald.commands.files import STANDARD, write_text
     from imucald.commands.terminal import progress_bar
-    from imucald.errors import LogError
-    from imucald.replay import Replay
-    from imucald.session import make_engine, open_config
-    from imucald.summary import as_json
+    from imucald.core.errors import LogError
+    from imucald.core.file_cache import keep_databases
+    from imucald.runtime.replay import Replay
+    from imucald.runtime.session import make_engine, open_config
+    from imucald.runtime.summary import as_json
 
     _check(options)
     keep_databases(os.environ)
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     """Raise ImucaldError for options that do not go together, before any work."""
     from imucald.commands.files import check_files
-    from imucald.errors import ConfigError
+    from imucald.core.errors import ConfigError
 
     if options.speed is None:
         if options.interface or options.channel:
@@ -100,7 +100,7 @@ def _sink(options: argparse.Namespace, loaded: LoadedConfig) -> Iterator[Sink | 
     """Where the frames go: a file, a bus, both, or nowhere (None)."""
     from contextlib import ExitStack
 
-    from imucald.bus.log import CandumpWriter
+    from imucald.can.logs.log_reader import CandumpWriter
     from imucald.commands.files import told_when_cut
 
     with ExitStack() as stack:

@@ -39,13 +39,13 @@ def run(options: argparse.Namespace) -> int:
     import os
     import signal
 
-    from imucald.bus.database_cache import keep_databases
     from imucald.commands.files import check_files, write_text
-    from imucald.errors import ConfigError
+    from imucald.core.errors import ConfigError
+    from imucald.core.file_cache import keep_databases
+    from imucald.runtime.summary import as_json
     from imucald.service.journal import ERROR, Journal
     from imucald.service.service import Service, ServiceOptions
     from imucald.service.status import default_socket
-    from imucald.summary import as_json
 
     described = [path for path in (options.config, *options.database) if path.exists()]
     check_files(described, (options.json,))  # a missing one has its own exit status below

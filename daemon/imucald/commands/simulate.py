@@ -9,12 +9,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from imucald.errors import ConfigError
+from imucald.core.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imucald.model.model import Model
     from imucald.simulation.bus_frames import BusEncoder
     from imucald.simulation.drive import Drive
-    from imucald.simulation.model import Model
 
 ROUTES = ("mixed", "city", "motorway", "straight_only", "circles", "parked")
 MAX_MINUTES = 600.0
@@ -138,7 +138,7 @@ def _truth_beside(log: Path | None) -> Path | None:
 
 
 def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
-    from imucald.bus.link import Link
+    from imucald.can.link.link import Link
     from imucald.commands.terminal import countdown
     from imucald.simulation.play import play
 
@@ -152,7 +152,7 @@ def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> Non
 
 def chosen_model(options: argparse.Namespace) -> Model:
     """Return the model that the options ask for: file or drawn, then changed."""
-    from imucald.simulation.model import load_model
+    from imucald.model.model import load_model
     from imucald.simulation.random_model import random_model
 
     if options.model:
@@ -199,7 +199,7 @@ def _change(text: str) -> tuple[str, Any]:
 
 
 def _report(log: Path, truth: Path, drive: Drive, frames: int) -> str:
-    from imucald.frames import angles_from_rotation
+    from imucald.core.rotations import angles_from_rotation
 
     angles = angles_from_rotation(drive.truth.mounts[0][1])
     roll, pitch, yaw = (f"{57.29577951308232 * angle:.2f}" for angle in angles)

@@ -8,7 +8,7 @@ import os
 import sys
 from pathlib import Path
 
-from imucald.errors import LinkError
+from imucald.core.errors import LinkError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

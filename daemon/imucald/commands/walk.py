@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 from imucald.commands.options import add_config
 
 if TYPE_CHECKING:
-    from imucald.bus.log import LogReader
-    from imucald.bus.signals import Router
+    from imucald.can.logs.log_reader import LogReader
     from imucald.config import LoadedConfig
+    from imucald.inputs.router import Router
     from imucald.travel_direction.direction import Step, TravelDirection
 
 SHOWN = 20
@@ -40,13 +40,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read the log, step by step."""
-    from imucald.bus.log import LogReader
-    from imucald.bus.wiring import compile_router
+    from imucald.can.logs.log_reader import LogReader
     from imucald.commands.files import STANDARD, check_files, write_text
     from imucald.commands.terminal import progress_bar
-    from imucald.companions import travel_settings
-    from imucald.session import open_config
-    from imucald.summary import as_json
+    from imucald.inputs.wiring import compile_router
+    from imucald.runtime.consumers import travel_settings
+    from imucald.runtime.session import open_config
+    from imucald.runtime.summary import as_json
     from imucald.travel_direction.direction import TravelDirection
 
     check_files((options.config, *options.database, *options.logs), (options.json,))
@@ -74,9 +74,9 @@ def _need_compass(loaded: LoadedConfig) -> None:
 
 
 def _steps(reader: LogReader, router: Router, travel: TravelDirection) -> list[Step]:
-    from imucald.companion import events_of
-    from imucald.companions import TravelCompanion
-    from imucald.timebase import TimeBase
+    from imucald.runtime.consumer import events_of
+    from imucald.runtime.consumers import TravelCompanion
+    from imucald.runtime.timebase import TimeBase
 
     timebase = TimeBase()
     steps: list[Step] = []

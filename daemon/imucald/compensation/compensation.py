@@ -8,17 +8,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from imucald.compensation.evidence import EvidenceStage
-from imucald.compensation.leaning import Leaning
+from imucald.compensation.preprocessing import Stages
 from imucald.compensation.reading import load_terms, read_terms
-from imucald.compensation.retiming import Retiming, shifts_of
 from imucald.compensation.sensors import SensorStage
-from imucald.compensation.stages import Stages
+from imucald.compensation.suspension import Leaning
 from imucald.compensation.terms import ZERO, Terms, TriadTerms
+from imucald.compensation.tick_preprocessing import EvidenceStage
+from imucald.compensation.time_alignment import Retiming, shifts_of
 from imucald.compensation.vehicle import VehicleStage
+from imucald.core.samples import Samples, Series
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.mount.published_settings import PublishedSettings
-from imucald.samples import Samples, Series
+from imucald.mount.method_a.settings import PublishedSettings
 
 KNOWN_DELAY_STD = 0.1
 """How well a model's delays are taken to be known [s]: where nobody looked, a preset stands there.

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.bus.quantities import LIMITS
-from imucald.compensation.repeats import Repeats
+from imucald.compensation.held_repeats import Repeats
 from imucald.compensation.scalars import ScalarCompensator, wheels_column, wheels_one
 from imucald.compensation.smoothing import Smoothed
 from imucald.compensation.terms import ScalarTerms, Terms, TriadTerms, Vector3
 from imucald.compensation.triads import TriadCompensator
-from imucald.samples import Series
+from imucald.core.samples import Series
+from imucald.inputs.quantities import LIMITS
 
 Array = NDArray[np.float64]
 Order = NDArray[np.int64] | NDArray[np.float64]

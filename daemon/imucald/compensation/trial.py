@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from imucald.compensation.compensation import Compensation
 from imucald.compensation.vehicle import Corrected
+from imucald.core.samples import Samples, Series
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.out_parts import rotated_columns
-from imucald.pipeline import Pipeline, Snapshot
-from imucald.samples import Samples, Series
+from imucald.runtime.output.output_columns import rotated_columns
+from imucald.runtime.pipeline import Pipeline, Snapshot
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from imucald.compensation.trial import CorrectedDrive
 from imucald.compensation.vehicle import less_lean_rate, on_road
-from imucald.frames import vector_from_rotation
-from imucald.samples import Series
+from imucald.core.rotations import vector_from_rotation
+from imucald.core.samples import Series
 
 if TYPE_CHECKING:
     from imucald.simulation import Truth

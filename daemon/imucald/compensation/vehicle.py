@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.leaning import GAP_S, UPRIGHT, Lean, Leaning
+from imucald.compensation.suspension import GAP_S, UPRIGHT, Lean, Leaning
 from imucald.compensation.terms import Terms, Vector3
 from imucald.compensation.yaw_acceleration import YawAcceleration
 

@@ -19,8 +19,8 @@ from imucald.config.network import (
     OutputIds,
     Vehicle,
 )
+from imucald.config.root import Config, LoadedConfig, json_schema, load_config, parse_config
 from imucald.config.signals import ParallelSensor, RawSource, Signals, Source, Triad, Wheels
-from imucald.config.whole import Config, LoadedConfig, json_schema, load_config, parse_config
 from imucald.config.yaml_lines import MAX_FILE_BYTES, Marks, read_yaml
 
 __all__ = [

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from imucald.config.base import Model, NotNegative, Positive
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.published_settings import PublishedSettings
+from imucald.mount.method_a.settings import PublishedSettings
 
 _METHOD_A = PublishedSettings()
 _FULL = EstimatorSettings()

@@ -6,8 +6,8 @@ from typing import Any
 
 from msgspec import Struct
 
-from imucald.bus import database_cache
-from imucald.config.places import Marks, Place, dotted, infinite_places, line_of
+from imucald.config.locations import Marks, Place, dotted, infinite_places, line_of
+from imucald.core import file_cache as database_cache
 
 MAX_FILE_BYTES = 1_000_000
 """Largest accepted file: a thousand times a real one."""

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from imucald.config import LoadedConfig
+from imucald.core.errors import EstimateError
+from imucald.core.samples import Samples
 from imucald.diagnosis.recording import Recording
-from imucald.errors import EstimateError
-from imucald.estimators import estimator_for
-from imucald.pipeline import Pipeline
-from imucald.samples import Samples
-from imucald.simulation.model import Model
+from imucald.model.model import Model
+from imucald.runtime.estimators import estimator_for
+from imucald.runtime.pipeline import Pipeline
 
 RATES = (
     "accel", "gyro", "speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel",

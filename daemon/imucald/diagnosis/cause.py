@@ -19,7 +19,7 @@ from imucald.diagnosis.result import Estimated
 
 if TYPE_CHECKING:
     from imucald.diagnosis.state import State
-    from imucald.simulation.model import Model
+    from imucald.model.model import Model
 
 Values = Mapping[str, float]
 """Parameter key to its total value."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imucald.core.errors import ConfigError, EstimateError
+from imucald.core.samples import Samples
 from imucald.diagnosis.cause import Cause, Variant, catalogue
 from imucald.diagnosis.faults import Fault, corrected, extend, find_faults, spoilt
 from imucald.diagnosis.forward import Forward
@@ -23,9 +25,7 @@ from imucald.diagnosis.structure_guard import standing
 from imucald.diagnosis.trial import ACCEPT, Found
 from imucald.diagnosis.vehicle_gain import mount_errors_deg
 from imucald.diagnosis.verdict import look_alikes, losers_of, to_separate, verdict_of
-from imucald.errors import ConfigError, EstimateError
-from imucald.samples import Samples
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 Progress = Callable[[float, str], None]
 BESIDE_ROADS = {"accel_bias": 40.0, "mount_rotation": 40.0, "mount_shift": 40.0}
@@ -43,7 +43,7 @@ def diagnose(
 ) -> Diagnosis:
     """Say what the simulation with this model gets wrong beside measured drives of one vehicle.
 
-    drives: SI samples, sensor axes (see `imucald.samples`); at least `accel` and `speed`, and
+    drives: SI samples, sensor axes (see `imucald.core.samples`); at least `accel` and `speed`, and
     minutes of them. Raises EstimateError where nothing can be diagnosed.
     """
     if not drives:

@@ -13,15 +13,15 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from imucald.core.rotations import Matrix3
+from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause import STAGES, Cause, Values
 from imucald.diagnosis.forward_mount import mount_of
 from imucald.diagnosis.grid import Array, Track
 from imucald.diagnosis.handling import Handling
 from imucald.diagnosis.keys import model_value
 from imucald.diagnosis.state import Spectrum, State
-from imucald.frames import Matrix3
-from imucald.samples import GRAVITY
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 SIGNALS = (
     "accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z",

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from imucald.frames import (
+from imucald.core.rotations import (
     Matrix3,
     angles_from_rotation,
     rotation_from_angles,
     rotation_from_vector,
 )
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 
 def mount_of(model: Model) -> Matrix3:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.signal import firwin, upfirdn
 
-from imucald.errors import EstimateError
-from imucald.samples import Samples, Series
+from imucald.core.errors import EstimateError
+from imucald.core.samples import Samples, Series
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

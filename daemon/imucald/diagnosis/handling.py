@@ -12,7 +12,7 @@ import numpy as np
 
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.state import Response, Spectrum
-from imucald.simulation.vehicle_model import Chassis
+from imucald.model.vehicle import Chassis
 
 NODES_MPS = (4.0, 10.0, 18.0, 30.0)
 """Speeds at which the response is computed."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 
 def model_value(model: Model, key: str) -> float:

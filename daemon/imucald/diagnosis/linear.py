@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.rotations import rotation_from_vector
 from imucald.diagnosis.cause import Parameter
 from imucald.diagnosis.causes import mount_rotation, mount_shift
 from imucald.diagnosis.evidence import Evidence
@@ -30,7 +31,6 @@ from imucald.diagnosis.spectra import (
     transform,
     weighted,
 )
-from imucald.frames import rotation_from_vector
 
 LEANING = ("gyro_x", "gyro_y")
 """Signals that only the body's lean moves."""

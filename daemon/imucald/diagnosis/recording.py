@@ -11,14 +11,14 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from imucald.bus.log import LogReader, Progress
-from imucald.bus.routes import MessageRoute, Route
-from imucald.bus.signals import Routed, Router
-from imucald.bus.wiring import compile_router, wanted_numbers
+from imucald.can.logs.log_reader import LogReader, Progress
 from imucald.config import LoadedConfig
-from imucald.errors import LogError
-from imucald.samples import CHANNEL_WIDTH, Samples, Series
-from imucald.timebase import Piece, TimeBase
+from imucald.core.errors import LogError
+from imucald.core.samples import CHANNEL_WIDTH, Samples, Series
+from imucald.inputs.router import Routed, Router
+from imucald.inputs.routes import MessageRoute, Route
+from imucald.inputs.wiring import compile_router, wanted_numbers
+from imucald.runtime.timebase import Piece, TimeBase
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Recording:
     name: str
     """The log's file name (the first one's, where several make the recording)."""
     samples: Samples
-    """By channel (see `imucald.samples`), SI; a channel that never came is absent."""
+    """By channel (see `imucald.core.samples`), SI; a channel that never came is absent."""
     duration_s: float
     """Stream time of the last frame of ours [s]."""
     frames_read: int

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 Verdict = Literal["found", "ambiguous", "unknown", "nothing"]
 Array = NDArray[np.float64]

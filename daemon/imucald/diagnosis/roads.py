@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.samples import GRAVITY
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import Array
 from imucald.diagnosis.search import PRIOR
 from imucald.diagnosis.spectra import transform
-from imucald.samples import GRAVITY
 
 MIDDLE_HZ = (0.015, 0.12)
 """Band in which both sensors see the road."""

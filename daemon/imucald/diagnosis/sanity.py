@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imucald.bus.quantities import LIMITS
+from imucald.core.errors import EstimateError
 from imucald.diagnosis.forward import UNITS, Forward
 from imucald.diagnosis.grid import GRID_HZ, ROLLING_MPS, Array
 from imucald.diagnosis.result import GOES_AGAINST, Structure
-from imucald.errors import EstimateError
+from imucald.inputs.quantities import LIMITS
 
 LEAST_ROLLING_S = 45.0
 """A vehicle that hardly moves shows nothing of scales, lever arm, handling."""

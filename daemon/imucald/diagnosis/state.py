@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
+from imucald.core.rotations import Matrix3
 from imucald.diagnosis.grid import GRID_HZ, Array, Track
-from imucald.frames import Matrix3
 
 if TYPE_CHECKING:
-    from imucald.simulation.model import Model
+    from imucald.model.model import Model
 
 Response = NDArray[np.inexact[Any]]
 """Frequency response along `Spectrum.frequency`; real where it has no phase."""

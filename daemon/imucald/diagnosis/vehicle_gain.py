@@ -13,10 +13,10 @@ import numpy as np
 
 from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
+from imucald.core.rotations import Matrix3, rotation_from_angles, vector_from_rotation
+from imucald.core.samples import Samples
 from imucald.diagnosis.forward_mount import mount_of
-from imucald.frames import Matrix3, rotation_from_angles, vector_from_rotation
-from imucald.samples import Samples
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 
 def mount_errors_deg(

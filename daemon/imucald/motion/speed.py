@@ -12,7 +12,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from imucald.errors import EstimateError
+from imucald.core.errors import EstimateError
 from imucald.motion.ticks import TICK_S
 
 NAN = math.nan

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from imucald.errors import EstimateError
+from imucald.core.errors import EstimateError
 from imucald.motion.ticks import (
     ACCEL_BAD,
     ACCEL_MAX_X,

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from imucald.errors import EstimateError
+from imucald.core.errors import EstimateError
 from imucald.motion.ticks import (
     GYRO_BAD,
     GYRO_N,

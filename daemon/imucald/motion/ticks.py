@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.samples import Samples, Series
+from imucald.core.samples import Samples, Series
 
 TICK_RATE = 10.0
 """Ticks per second [1/s]: ten times the bandwidth of vehicle motion, a tenth of an IMU's rate."""

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.mount.estimator_settings import DelayPrior
-from imucald.mount.evidence_signals import HOP
 from imucald.mount.evidence_spectra import OMEGA, WINDOW
+from imucald.mount.signal_blocks import HOP
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.frames import Matrix3, angles_from_rotation, quaternion_from_rotation
+from imucald.core.rotations import Matrix3, angles_from_rotation, quaternion_from_rotation
 from imucald.motion.ticks import TickRow
 
 if TYPE_CHECKING:
-    from imucald.mount.kept_evidence import KeptEvidence
+    from imucald.mount.saved_information import KeptEvidence
 
 ANGLES = ("roll", "pitch", "yaw")
 BETWEEN_DRIVES_STD = (math.radians(0.3), math.radians(0.3), math.radians(0.15))

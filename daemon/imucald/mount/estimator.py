@@ -8,19 +8,19 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.frames import rotation_from_vector
+from imucald.core.rotations import rotation_from_vector
 from imucald.motion.ticks import TickRow
 from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
-from imucald.mount.evidence_signals import HOP_S, Prepared, SignalPreparer
-from imucald.mount.kept_evidence import KeptEvidence
-from imucald.mount.rebuild import KEPT_HOPS, Rebuild
+from imucald.mount.gravity_step import Step
+from imucald.mount.refit import KEPT_HOPS, Rebuild
+from imucald.mount.saved_information import KeptEvidence
 from imucald.mount.shift import Shift
+from imucald.mount.signal_blocks import HOP_S, Prepared, SignalPreparer
 from imucald.mount.slewing import SlewedRotation
-from imucald.mount.solution import Solution
+from imucald.mount.solver import Solution
 from imucald.mount.steering import SteeringOffset
-from imucald.mount.step import Step
 from imucald.mount.supervision import Knowledge, Manoeuvres, judged, waiting_for
 
 Array = NDArray[np.float64]

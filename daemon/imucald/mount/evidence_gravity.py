@@ -17,10 +17,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.frames import Matrix3
-from imucald.mount.evidence_signals import Prepared
+from imucald.core.rotations import Matrix3
+from imucald.core.samples import GRAVITY
 from imucald.mount.shift import Flow
-from imucald.samples import GRAVITY
+from imucald.mount.signal_blocks import Prepared
 
 Array = NDArray[np.float64]
 

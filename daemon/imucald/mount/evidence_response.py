@@ -23,12 +23,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.frames import Matrix3, vector_from_rotation
+from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
-from imucald.mount.evidence_pieces import Piece, pieces_of
 from imucald.mount.evidence_rows import GAINS, MOST_REGRESSORS, P_ROW, ROLL_ROW, ROWS
 from imucald.mount.evidence_scores import left_over, renewed_gains, scores
-from imucald.mount.evidence_signals import HOP
 from imucald.mount.evidence_spectra import (
     BAND_WIDTH,
     BANDS,
@@ -38,7 +36,9 @@ from imucald.mount.evidence_spectra import (
     PRODUCTS,
     WINDOW,
 )
+from imucald.mount.road_segments import Piece, pieces_of
 from imucald.mount.shift import Flow
+from imucald.mount.signal_blocks import HOP
 
 Array = NDArray[np.float64]
 

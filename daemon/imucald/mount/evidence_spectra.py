@@ -13,9 +13,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.frames import Matrix3
+from imucald.core.rotations import Matrix3
 from imucald.motion.ticks import TICK_S
-from imucald.mount.evidence_signals import HOP
+from imucald.mount.signal_blocks import HOP
 
 Array = NDArray[np.float64]
 Spectra = NDArray[np.complex128]

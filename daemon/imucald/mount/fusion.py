@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.mount.evidence_pieces import Piece
+from imucald.mount.road_segments import Piece
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.samples import GRAVITY
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.samples import GRAVITY
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

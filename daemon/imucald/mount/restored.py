@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.frames import Matrix3, vector_from_rotation
+from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.motion.ticks import TickRow
 from imucald.mount.estimate import (
     BETWEEN_DRIVES_STD,
@@ -34,7 +34,7 @@ from imucald.mount.estimate import (
 from imucald.mount.slewing import SlewedRotation
 
 if TYPE_CHECKING:
-    from imucald.mount.kept_evidence import KeptEvidence
+    from imucald.mount.saved_information import KeptEvidence
 
 COMPARE_TICKS = 10
 """The two are compared so often: once a second."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from imucald.frames import Matrix3, rotation_from_vector, vector_from_rotation
+from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
 

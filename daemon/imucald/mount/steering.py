@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]
 

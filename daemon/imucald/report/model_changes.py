@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 SHOWN_ITEMS = 8
 """Longer lists (drop-outs, stretches) are told by their length: the full text has them."""

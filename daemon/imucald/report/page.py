@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from imucald.core.errors import ImucaldError
 from imucald.diagnosis.result import Diagnosis, FoundCause, SignalPicture
-from imucald.errors import ImucaldError
-from imucald.report import words
+from imucald.report import wording as words
 from imucald.report.model_changes import as_diff, model_changes
 
 if TYPE_CHECKING:
@@ -214,7 +214,7 @@ def _candidates(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 
 def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """Those that tell most first: touched by a cause or by what is left, then by size."""
-    from imucald.report import pictures as draw  # noqa: PLC0415 - loads matplotlib
+    from imucald.report import plots as draw  # noqa: PLC0415 - loads matplotlib
 
     touched = {name for cause in diagnosis.causes for name in cause.signals}
     touched |= {s.signal for s in diagnosis.structure}

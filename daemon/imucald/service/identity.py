@@ -7,10 +7,10 @@ from typing import Any
 
 from msgspec import to_builtins
 
-from imucald.bus.routes import MessageRoute
-from imucald.bus.signals import Router
 from imucald.config import LoadedConfig, Source
-from imucald.service.digest import sha256
+from imucald.core.digest import sha256
+from imucald.inputs.router import Router
+from imucald.inputs.routes import MessageRoute
 from imucald.service.state import StateKey
 
 _DECISIVE = frozenset({"signal", "raw", "unit", "sign", "offset"})

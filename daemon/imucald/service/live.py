@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from imucald.bus.columns import FrameColumns, IdMatch
-from imucald.bus.link import Link, LinkEvent
+from imucald.can.columns import FrameColumns, IdMatch
+from imucald.can.link.link import Link, LinkEvent
 from imucald.config import LoadedConfig
-from imucald.engine import Engine, LinkHealth
-from imucald.sender import OutFrame
-from imucald.timebase import FORWARD_STEP
+from imucald.runtime.engine import Engine, LinkHealth
+from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.timebase import FORWARD_STEP
 
 WAIT_S = 0.05
 """Longest wait for a frame [s]: bounds how late a silent bus is noticed and a stop obeyed."""

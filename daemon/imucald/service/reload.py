@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from imucald.config import LoadedConfig
-from imucald.engine import Engine
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.restored import RestoredEstimator
-from imucald.service.keeper import kept_evidence, saved_state, stored_mount
+from imucald.runtime.engine import Engine
+from imucald.service.calibration_store import kept_evidence, saved_state, stored_mount
 
 
 def listens_otherwise(

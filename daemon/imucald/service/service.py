@@ -14,27 +14,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from imucald import __version__
-from imucald.bus.link import Link, LinkCounters, LinkEvent
+from imucald.can.link.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
-from imucald.engine import Engine, LinkHealth
-from imucald.errors import ImucaldError, LinkError
+from imucald.core.errors import ImucaldError, LinkError
 from imucald.mount.estimate import MountEstimate, MountEstimator
-from imucald.pipeline import Snapshot
+from imucald.runtime.engine import Engine, LinkHealth
+from imucald.runtime.pipeline import Snapshot
+from imucald.runtime.session import make_engine, open_config
+from imucald.runtime.summary import Counts, summary
+from imucald.service.calibration_store import SAVE_PERIOD_S, StateKeeper
 from imucald.service.figures import NOT_SAVED, process_figures, status_line
 from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
-from imucald.service.keeper import SAVE_PERIOD_S, StateKeeper
 from imucald.service.live import Daemon, open_link
 from imucald.service.notify import Notifier
 from imucald.service.reload import behind_the_known, estimates_alike, listens_otherwise
 from imucald.service.state import StateStore
 from imucald.service.status import StatusServer
-from imucald.session import make_engine, open_config
-from imucald.summary import Counts, summary
 
 if TYPE_CHECKING:
-    from imucald.service.diagnostics import BusDiagnostics
-    from imucald.service.trouble_keeper import TroubleKeeper
+    from imucald.service.bus_uds import BusDiagnostics
+    from imucald.service.dtc_store import TroubleKeeper
 
 CHORE_S = 0.1
 """The loop turns to everything but frames so often [s]."""
@@ -115,8 +115,8 @@ class Service:
         if not loaded.config.diagnostics.enabled:
             return None
         # imported only where it is wanted: the start is quicker without
-        from imucald.service.diagnostics import diagnostics_for  # noqa: PLC0415
-        from imucald.service.trouble_keeper import TroubleKeeper  # noqa: PLC0415
+        from imucald.service.bus_uds import diagnostics_for  # noqa: PLC0415
+        from imucald.service.dtc_store import TroubleKeeper  # noqa: PLC0415
 
         if self.troubles is None:
             folder, key = self.options.state_folder, state_key(loaded, engine.router)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from imucald.service.digest import sha256
+from imucald.core.digest import sha256
 
 MAGIC = "imucald-state"
 VERSION = 2

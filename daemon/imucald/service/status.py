@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from imucald.errors import LinkError
+from imucald.core.errors import LinkError
 from imucald.service.metrics import metrics_text
 
 CLIENTS_MAX = 8

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
+from imucald.model.section import Vector3
+from imucald.model.vehicle import Suspension
 from imucald.simulation.filters import Array, second_order
 from imucald.simulation.road import Attitude, Roughness
-from imucald.simulation.section import Vector3
 from imucald.simulation.single_track import Handling
-from imucald.simulation.vehicle_model import Suspension
 
 
 @dataclass(frozen=True)

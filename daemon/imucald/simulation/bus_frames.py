@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.bus.columns import CLASSIC_BYTES, FD_BYTES, FrameColumns
-from imucald.bus.database import Signal
-from imucald.bus.encode import compile_encode
-from imucald.bus.protection import OutputProtector
-from imucald.bus.quantities import Conversion
-from imucald.bus.routes import MessageRoute, Tap
-from imucald.bus.scaling import raw_limits
-from imucald.bus.wiring import compile_router
+from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, FrameColumns
+from imucald.can.dbc.database import Signal
+from imucald.can.dbc.encode import compile_encode
+from imucald.can.dbc.scaling import raw_limits
+from imucald.can.e2e.protection import OutputProtector
 from imucald.config import LoadedConfig, load_config
-from imucald.errors import ConfigError
-from imucald.samples import Series
+from imucald.core.errors import ConfigError
+from imucald.core.samples import Series
+from imucald.inputs.quantities import Conversion
+from imucald.inputs.routes import MessageRoute, Tap
+from imucald.inputs.wiring import compile_router
 from imucald.simulation.drive import Drive
 from imucald.simulation.timing import frame_timing
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from imucald.bus.candump_writer import CandumpWriter
-from imucald.bus.columns import FrameColumns
+from imucald.can.columns import FrameColumns
+from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.simulation.bus_frames import BusEncoder
 from imucald.simulation.drive import Drive
 from imucald.simulation.traffic import arbitrated, background, joined

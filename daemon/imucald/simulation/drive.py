@@ -9,16 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.errors import ConfigError
-from imucald.frames import Matrix3, angles_from_rotation, quaternion_from_rotation
-from imucald.samples import Samples, Series
+from imucald.core.errors import ConfigError
+from imucald.core.rotations import Matrix3, angles_from_rotation, quaternion_from_rotation
+from imucald.core.samples import Samples, Series
+from imucald.model.model import Model
+from imucald.model.section import ZERO
 from imucald.simulation.body import BodyMotion, Lean, body_motion, lean, road_force
 from imucald.simulation.driver import Driving, drive_route
 from imucald.simulation.filters import Array, generator
 from imucald.simulation.imu import accel_series, gyro_series, mounts
-from imucald.simulation.model import Model
 from imucald.simulation.road import Attitude, road_attitude, road_roughness, slope_distance
-from imucald.simulation.section import ZERO
 from imucald.simulation.single_track import Handling, handle, steer_for
 from imucald.simulation.vehicle_signals import VehicleSignals
 
@@ -115,7 +115,7 @@ class Drive:
 def simulate(model: Model, seed: int, minutes: float) -> Drive:
     """Simulate a drive. The same model, seed and length give the same numbers.
 
-    Times begin at 0; samples are in sensor axes and SI units (see `imucald.samples`).
+    Times begin at 0; samples are in sensor axes and SI units (see `imucald.core.samples`).
     Raises ConfigError for a drive shorter than a second, or endless.
     """
     duration_s = 60.0 * minutes

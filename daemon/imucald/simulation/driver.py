@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
+from imucald.model.vehicle import FASTEST_MPS, Route
 from imucald.simulation.filters import Array, gauss_markov, generator, smoothed
 from imucald.simulation.route import Path, build_path
-from imucald.simulation.vehicle_model import FASTEST_MPS, Route
 
 JERK_WINDOW_S = 0.35
 """Two running means of this width limit the jerk to what drivers do (2-6 m/s^3)."""

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.frames import Matrix3, rotation_from_angles
-from imucald.samples import Series
+from imucald.core.rotations import Matrix3, rotation_from_angles
+from imucald.core.samples import Series
+from imucald.model.sensors import Accelerometer, Gyroscope, Temperature, Triad
+from imucald.model.vehicle import Mount
 from imucald.simulation.filters import Array, butterworth, filtered, generator
-from imucald.simulation.sensor_model import Accelerometer, Gyroscope, Temperature, Triad
 from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
-from imucald.simulation.vehicle_model import Mount
 
 REFERENCE_DEGC = 25.0
 REFERENCE_SPEED_MPS = 20.0

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
+from imucald.model.model import Model, model_from_mapping
+from imucald.model.vehicle import RouteKind
 from imucald.simulation.filters import generator
-from imucald.simulation.model import Model, model_from_mapping
-from imucald.simulation.vehicle_model import RouteKind
 
 MILLI_G = GRAVITY / 1000.0
 ACCEL_BIAS_MPS2 = 10.0 * MILLI_G

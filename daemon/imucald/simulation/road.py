@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.samples import GRAVITY
+from imucald.core.samples import GRAVITY
+from imucald.model.vehicle import Chassis, Road, Route, Suspension
 from imucald.simulation.filters import Array, bilinear, filtered, gauss_markov, generator, smoothed
-from imucald.simulation.vehicle_model import Chassis, Road, Route, Suspension
 
 REFERENCE_WAVENUMBER = 0.1
 """[cycles/m] of ISO 8608."""

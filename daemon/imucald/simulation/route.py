@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.model.vehicle import Route
 from imucald.simulation.filters import Array, generator
-from imucald.simulation.vehicle_model import Route
 
 FINE_STEP_M = 0.5
 COARSE_STEP_M = 1.0

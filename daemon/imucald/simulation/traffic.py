@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.bus.columns import CAN_EFF_FLAG, FrameColumns
+from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
 from imucald.simulation.filters import Array, generator
 
 STANDARD_BITS = 47

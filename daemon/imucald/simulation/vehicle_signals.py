@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.samples import Series
+from imucald.core.samples import Series
+from imucald.model.model import Model
+from imucald.model.sensors import Message, Scalar
 from imucald.simulation.body import BodyMotion, Lean
 from imucald.simulation.driver import Driving
 from imucald.simulation.filters import Array, butterworth, first_order, generator
 from imucald.simulation.imu import Mounts, temperature_at, turned
-from imucald.simulation.model import Model
 from imucald.simulation.road import Attitude
-from imucald.simulation.sensor_model import Message, Scalar
 from imucald.simulation.single_track import Handling
 from imucald.simulation.timing import at_times, frame_timing, quantised
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from imucald.attitude.axes import (
+from imucald.attitude.right_forward_up import (
     IDENTITY,
     Quaternion,
     Rows,
@@ -20,7 +20,7 @@ from imucald.attitude.axes import (
     rows,
     times,
 )
-from imucald.frames import levelling_rotation, quaternion_from_rotation
+from imucald.core.rotations import levelling_rotation, quaternion_from_rotation
 from imucald.travel_direction.north import NorthFilter
 from imucald.travel_direction.settings import ModernSettings
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imucald.core.rotations import rotation_from_vector
 from imucald.diagnosis.cause import Cause, Parameter, Values
 from imucald.diagnosis.forward_mount import turned_mount
 from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import State
-from imucald.frames import rotation_from_vector
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 KEYS = ("_mount.x", "_mount.y", "_mount.z")
 DEG = 0.017453292519943295

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from imucald.core.rotations import rotation_from_vector
 from imucald.diagnosis.cause import Cause, Parameter, Values
 from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import State
-from imucald.frames import rotation_from_vector
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 KEYS = ("_shift.x", "_shift.y", "_shift.z")
 TIME = "_shift.t"

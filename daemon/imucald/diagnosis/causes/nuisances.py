@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause import Cause, Parameter, Values
 from imucald.diagnosis.state import State
-from imucald.samples import GRAVITY
 
 SLOWEST_MPS = 2.0
 """Below this a slip angle says nothing."""

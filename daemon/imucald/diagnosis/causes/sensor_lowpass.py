@@ -12,7 +12,7 @@ from imucald.diagnosis.forward_mount import mount_of
 from imucald.diagnosis.grid import Track
 from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import Response, State
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 NAMES = ("accel", "gyro", "yaw_rate")
 MOST_GAIN = 4.0

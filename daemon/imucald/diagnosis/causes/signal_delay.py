@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from imucald.diagnosis.cause import Cause, Parameter, Values, Variant
 from imucald.diagnosis.state import State
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 INPUTS = ("speed", "steering", "yaw_rate")
 OUTPUTS = ("accel", "gyro", "lateral_accel", "longitudinal_accel", "yaw_rate")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults.fault import Array, Index, Mask, runs
 from imucald.diagnosis.forward_mount import mount_of
-from imucald.samples import Samples, Series
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 BIN_S = 0.5
 STANDING_MPS = 0.3

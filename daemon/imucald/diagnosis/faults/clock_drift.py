@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from imucald.core.samples import Samples
 from imucald.diagnosis.faults.cycle import Cycle
 from imucald.diagnosis.faults.fault import ACCEPT, PRIOR, Fault
 from imucald.diagnosis.faults.runoff import RunOff, run_off
 from imucald.diagnosis.result import Estimated
-from imucald.samples import Samples
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 TOLERANCE_PPM = 50.0
 """What a crystal may be off."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.core.samples import Series
 from imucald.diagnosis.faults.fault import Array, Index
-from imucald.samples import Series
 
 NEAR = 0.4
 """A frame is in time if it comes within this share of its period."""

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from imucald.core.samples import Samples
 from imucald.diagnosis.faults.cycle import Cycle
 from imucald.diagnosis.faults.fault import (
     ACCEPT,
@@ -17,8 +18,7 @@ from imucald.diagnosis.faults.fault import (
     odds,
 )
 from imucald.diagnosis.result import Estimated
-from imucald.samples import Samples
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 USUAL_LOSS = 3e-4
 """Frames that a sound bus or logger may lose one at a time."""

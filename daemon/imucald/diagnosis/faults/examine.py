@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults import clock_drift, dropouts, saturation, stuck_signal
 from imucald.diagnosis.faults.cycle import cycle_of
 from imucald.diagnosis.faults.fault import Fault, Stretches, joined, watched
-from imucald.samples import Samples, Series
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 LONGEST_DROPOUT_LIST = 2000
 """A model file is made to be read."""

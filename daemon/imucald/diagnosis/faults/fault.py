@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.samples import Samples
 from imucald.diagnosis.result import Estimated
-from imucald.samples import Samples
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults.fault import Array, Mask
 from imucald.diagnosis.forward_mount import mount_of
-from imucald.samples import Samples, Series
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 Complex = NDArray[np.complex128]
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults.fault import (
     ACCEPT,
     PRIOR,
@@ -21,8 +22,7 @@ from imucald.diagnosis.faults.fault import (
     watched,
 )
 from imucald.diagnosis.result import Estimated
-from imucald.samples import Samples, Series
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 """Sensors; a speed or a steering angle has ends of its own."""

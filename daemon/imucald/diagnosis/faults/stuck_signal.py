@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults import saturation
 from imucald.diagnosis.faults.activity import resting, situations
 from imucald.diagnosis.faults.fault import (
@@ -30,8 +31,7 @@ from imucald.diagnosis.faults.fault import (
     watched,
 )
 from imucald.diagnosis.result import Estimated
-from imucald.samples import Samples, Series
-from imucald.simulation.model import Model
+from imucald.model.model import Model
 
 SHORTEST_S = 2.0
 """Shorter stretches do no harm."""

@@ -1,1 +1,0 @@
-"""Everything that knows a CAN frame, and nothing that knows calibration."""

@@ -1,0 +1,1 @@
+"""A CAN library: links, logs, databases, end-to-end protection. It knows no calibration."""

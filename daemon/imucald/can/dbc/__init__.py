@@ -1,0 +1,1 @@
+"""CAN databases: read, and compiled into plans that decode and encode."""

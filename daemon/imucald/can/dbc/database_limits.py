@@ -1,0 +1,112 @@
+"""What a database must not contain, because the parser would take all memory or time over it.
+
+The parser's memory grows with the lengths a database states (a message of four gigabytes is one
+line of text), and its time with the product of nested multiplexers. Real databases are far below.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from imucald.core.errors import DatabaseError
+
+MAX_FILE_BYTES = 256 * 2**20
+"""Vehicle-wide ARXML files reach 100 MB; more than this is no database."""
+
+MAX_MESSAGE_BYTES = 4096
+"""Longest message taken (J1939 transport: 1785 bytes)."""
+
+MAX_BITS = 8 * MAX_MESSAGE_BYTES
+
+MAX_PDU_BITS = 2**24
+"""Longest PDU taken in an ARXML file, which may describe Ethernet beside CAN."""
+
+MAX_MULTIPLEXED_SETS = 65_536
+"""Most sets of signals that one message's multiplexers may select, nested ones multiplied."""
+
+_NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
+    "dbc": (
+        (r"\bBO_\s+\d+\s+\w+\s*:\s*(\d+)", MAX_MESSAGE_BYTES),
+        (r"\bSG_\s+\w+(?:\s+\w+)?\s*:\s*(\d+)\s*\|", MAX_BITS),
+        (r"\bSG_\s+\w+(?:\s+\w+)?\s*:\s*\d+\s*\|\s*(\d+)", MAX_BITS),
+    ),
+    "kcd": (
+        (r"\b(?:length|offset)\s*=\s*[\"'](\d+)", MAX_BITS),
+        (r"<Message\b[^<>]*\blength\s*=\s*[\"'](\d+)", MAX_MESSAGE_BYTES),
+    ),
+    "sym": (
+        (r"\bLen\s*=\s*(\d+)", MAX_MESSAGE_BYTES),
+        (r"\b(?:unsigned|signed|bit|char|string|raw)\s+(\d+)", MAX_BITS),
+        (r"\b(?:Sig|Var|Mux)\s*=[^\n/]*?\s(\d{5,})(?![\dA-Fa-fh])", MAX_BITS),
+    ),
+    "arxml": (
+        (r"<(?:\w+:)?FRAME-LENGTH>\s*(\d+)", MAX_BITS),
+        (r"<(?:\w+:)?(?:LENGTH|START-POSITION)>\s*(\d+)", MAX_PDU_BITS),
+    ),
+}
+"""Numbers that cost memory, by format: a pattern with the digits as its group, and their limit."""
+
+_MULTIPLEXED = re.compile(r"\s+(\d{1,20})\s+(\w+)\s+(\w+)\s+(.*)", re.DOTALL)
+_RANGE = re.compile(r"(\d{1,20})\s*-\s*(\d{1,20})")
+
+
+def refuse_heavy(text: str, database_format: str, source: str) -> None:
+    """Raise DatabaseError, with file and line, where a number in the text is beyond its limit."""
+    for pattern, limit in _NUMBERS.get(database_format, ()):
+        for match in re.finditer(pattern, text):
+            digits = match.group(1)
+            if len(digits) > 12 or int(digits) > limit:
+                place = _place(text, match.start(), source)
+                raise DatabaseError(f"{place}: the number {digits[:20]} is larger than {limit}")
+    if database_format == "dbc":
+        _refuse_multiplexers(text, source)
+
+
+def _refuse_multiplexers(text: str, source: str) -> None:
+    """Refuse a DBC whose extended multiplexing selects too many sets of signals."""
+    children: dict[tuple[str, str], list[tuple[str, int]]] = {}
+    at = 0
+    for piece in text.split("SG_MUL_VAL_")[1:]:
+        match = _MULTIPLEXED.match(piece.partition(";")[0])
+        at = text.find("SG_MUL_VAL_", at) + 1
+        if match:
+            message, signal, parent, ranges = match.groups()
+            values = sum(max(0, int(b) - int(a) + 1) for a, b in _RANGE.findall(ranges))
+            children.setdefault((message, parent), []).append((signal, values))
+            if values > MAX_MULTIPLEXED_SETS:
+                _refuse_sets(text, at, source)
+    sets: dict[tuple[str, str], int] = {}
+    for key in children:
+        if _count_sets(key, children, sets, ()) > MAX_MULTIPLEXED_SETS:
+            _refuse_sets(text, text.find("SG_MUL_VAL_ " + key[0]), source)
+
+
+def _count_sets(
+    key: tuple[str, str],
+    children: Mapping[tuple[str, str], list[tuple[str, int]]],
+    sets: dict[tuple[str, str], int],
+    above: tuple[tuple[str, str], ...],
+) -> int:
+    """Sets of signals under one multiplexer; more than the limit where it is its own parent."""
+    if key in sets:
+        return sets[key]
+    if key in above or len(above) > 100:
+        return MAX_MULTIPLEXED_SETS + 1
+    total = 0
+    for signal, values in children.get(key, ()):
+        below = _count_sets((key[0], signal), children, sets, (*above, key))
+        total = min(total + values * (1 + below), 2 * MAX_MULTIPLEXED_SETS)
+    sets[key] = total
+    return total
+
+
+def _refuse_sets(text: str, at: int, source: str) -> None:
+    raise DatabaseError(
+        f"{_place(text, max(at, 0), source)}: multiplexers select more than "
+        f"{MAX_MULTIPLEXED_SETS} sets of signals, or one another"
+    )
+
+
+def _place(text: str, at: int, source: str) -> str:
+    return f"{source}:{text.count(chr(10), 0, at) + 1}"

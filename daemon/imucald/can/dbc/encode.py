@@ -1,0 +1,168 @@
+"""Encode plans: physical values into a message's bits, compiled once.
+
+One frame and whole columns give the same bytes, and those of cantools: raw is
+`round((value - offset) / scale)`, halves to even. Saturation is never silent: what a signal cannot
+say (beyond its range or bits, NaN, None) becomes its not-available raw value, or an EncodeError
+where it has none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from imucald.can.dbc.bits import Columns, field_of, write_bits, write_column
+from imucald.can.dbc.database import Message, Signal
+from imucald.can.dbc.resolved_signal import Extraction, resolve
+from imucald.can.dbc.signal_encoder import FLOAT_CODES, Slot, float_bits
+from imucald.core.errors import DatabaseError, EncodeError
+
+
+class EncodePlan:
+    """Encodes the asked signals of one message, values in the order asked, into `size` bytes.
+
+    `encode(values)`: one frame from floats (None: not available). `encode_columns(columns)`:
+    (N, size) uint8 from arrays (NaN: not available). Signals not asked hold their start value;
+    multiplexers stand at `multiplexer` (raw).
+    """
+
+    def __init__(
+        self,
+        message: Message,
+        extractions: Sequence[Extraction],
+        not_available: Mapping[str, int | float],
+        multiplexer: Mapping[str, int],
+    ) -> None:
+        self.message = message
+        self.size = message.length
+        self.signal_names = tuple(e.signal.name for e in extractions)
+        self.multiplexer = dict(multiplexer)
+        self._slots = [Slot(message, e, not_available.get(e.signal.name)) for e in extractions]
+        self.start_bytes = self._start_bytes()
+        self._encode = self._generate()
+
+    def encode(self, values: Sequence[float | None]) -> bytes:
+        """Payload of one frame; EncodeError where a value cannot be said."""
+        try:
+            return self._encode(values)
+        except (TypeError, ValueError, OverflowError):
+            if len(values) != len(self._slots):
+                text = f"{len(values)} values for {len(self._slots)} signals"
+                raise EncodeError(f"{self.message.name}: {text}") from None
+        payload = bytearray(self.start_bytes)
+        for slot, value in zip(self._slots, values, strict=True):
+            write_bits(payload, slot.field, slot.bits(value))
+        return bytes(payload)
+
+    def encode_columns(self, columns: Sequence[ArrayLike]) -> Columns:
+        """Payloads (N, size) of N frames; EncodeError where a value cannot be said."""
+        if len(columns) != len(self._slots):
+            text = f"{len(columns)} columns for {len(self._slots)} signals"
+            raise EncodeError(f"{self.message.name}: {text}")
+        arrays = [np.asarray(c, dtype=np.float64) for c in columns]
+        count = len(arrays[0]) if arrays else 0
+        if any(a.shape != (count,) for a in arrays):
+            raise EncodeError(f"{self.message.name}: columns differ in length")
+        out = np.zeros((count, -(-self.size // 8) * 8), np.uint8)
+        out[:, : self.size] = np.frombuffer(self.start_bytes, np.uint8)
+        for slot, array in zip(self._slots, arrays, strict=True):
+            write_column(out, slot.field, slot.bits_column(array))
+        return np.ascontiguousarray(out[:, : self.size])
+
+    def _start_bytes(self) -> bytes:
+        """Start values of the signals that are there, zeros under the signals asked."""
+        payload = bytearray(self.size)
+        for signal in self.message.signals.values():
+            field = field_of(signal)
+            inside = field.first_bit >= 0 and field.end_byte <= self.size and field.length > 0
+            if not inside or not self._is_there(signal):
+                continue
+            raw = self.multiplexer.get(signal.name, signal.initial_raw)
+            if raw is not None:
+                write_bits(payload, field, _start_bits(signal, raw))
+        for slot in self._slots:
+            write_bits(payload, slot.field, 0)
+        return bytes(payload)
+
+    def _is_there(self, signal: Signal) -> bool:
+        for name, ids in signal.selectors:
+            multiplexer = self.message.signals.get(name)
+            start = (multiplexer.initial_raw if multiplexer is not None else None) or 0
+            if self.multiplexer.get(name, start) not in ids:
+                return False
+        return True
+
+    def _generate(self) -> Callable[[Sequence[float | None]], bytes]:
+        """Make the function of the ordinary case; anything else raises, and goes the slow way."""
+        scope: dict[str, Any] = {"from_bytes": int.from_bytes}
+        parts: dict[bool, list[str]] = {False: [], True: []}
+        names = "".join(f"v{i}, " for i in range(len(self._slots)))
+        lines = ["def encode(values):"] + ([f"    ({names}) = values"] if names else [])
+        for i, slot in enumerate(self._slots):
+            lines += slot.generate(i, scope)
+            shift = slot.field.shift(self.size)
+            parts[slot.field.is_big].append(f"b{i} << {shift}" if shift else f"b{i}")
+        order: Literal["little", "big"] = "little"
+        if parts[True] and not parts[False]:
+            order = "big"
+        elif parts[True]:
+            turned = f"({' | '.join(parts[True])}).to_bytes({self.size}, 'big')"
+            parts[False].append(f"from_bytes({turned}, 'little')")
+        terms = [*parts[order == "big"], str(int.from_bytes(self.start_bytes, order))]
+        lines.append(f"    return ({' | '.join(terms)}).to_bytes({self.size}, {order!r})")
+        exec("\n".join(lines), scope)
+        function: Callable[[Sequence[float | None]], bytes] = scope["encode"]
+        return function
+
+
+def compile_encode(
+    message: Message,
+    signal_names: Sequence[str],
+    not_available: Mapping[str, int | float] | None = None,
+    multiplexer: Mapping[str, int] | None = None,
+) -> EncodePlan:
+    """Plan for the signals given, in that order.
+
+    `not_available`: raw value of a signal that says so (a float for float signals).
+    `multiplexer`: raw values of multiplexers; where not given, the lowest under which all asked
+    signals are there. DatabaseError where a signal cannot be encoded or they exclude one another.
+    """
+    if message.unsupported:
+        raise DatabaseError(f"{message.source}: message {message.name}: {message.unsupported}")
+    if len(set(signal_names)) != len(signal_names):
+        raise DatabaseError(f"{message.source}: message {message.name}: a signal is given twice")
+    extractions = [resolve(message, name) for name in signal_names]
+    chosen = _choose_multiplexers(message, extractions, multiplexer or {})
+    return EncodePlan(message, extractions, not_available or {}, chosen)
+
+
+def _choose_multiplexers(
+    message: Message, extractions: Sequence[Extraction], given: Mapping[str, int]
+) -> dict[str, int]:
+    allowed: dict[str, frozenset[int]] = {n: frozenset([v]) for n, v in given.items()}
+    for e in extractions:
+        for name, ids in e.selectors:
+            allowed[name] = allowed.get(name, ids) & ids
+            if not allowed[name]:
+                text = f"signals of different {name} values are asked of one frame"
+                raise DatabaseError(f"{message.source}: message {message.name}: {text}")
+    for name in allowed:
+        resolve(message, name)
+        if any(name == e.signal.name for e in extractions):
+            raise DatabaseError(
+                f"{message.source}: {message.name}.{name} is a multiplexer; "
+                "give its raw value, not a column"
+            )
+    return {name: min(ids) for name, ids in allowed.items()}
+
+
+def _start_bits(signal: Signal, raw: int | float) -> int:
+    mask = (1 << signal.length) - 1
+    if not signal.is_float:
+        return round(raw) & mask if math.isfinite(raw) else 0
+    found = float_bits(float(raw), signal.length) if signal.length in FLOAT_CODES else None
+    return found or 0

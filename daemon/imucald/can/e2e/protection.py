@@ -1,0 +1,215 @@
+"""Protection of the frames that come in: length, checksum, alive counter, time-out.
+
+A frame that fails is dropped whole, with one counted reason. After a fault the next `recovery`
+good frames are dropped too ("untrusted"). One frame at a time (`check`) and columns
+(`check_columns`) give the same reasons and leave the same state, in any mixture. What only
+concerns one signal (not available, implausible) is judged in `quantities`.
+
+The order of judgement: "short_frame", "checksum" (with the data id), "counter_invalid": such a
+frame says nothing, and its counter is not read. Then "timeout": the first good frame after a
+silence, which starts the counter anew. Then the counter against that of the last good frame:
+"counter_repeated" (stuck, or a frame sent again), "counter_reversed" (back by no more than the
+window: an old frame), "counter_jump" (more lost than allowed). Frames dropped for a wrong
+checksum or length are known to be missing and widen the allowed step, so that one damaged frame
+is one fault.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.dbc.bits import Columns, read_bits, read_column, words_of
+from imucald.can.e2e.checksums import Checksum
+from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec, counter_of, e2e_counter
+from imucald.can.e2e.protector import OutputProtector
+
+__all__ = [
+    "REASONS",
+    "CounterSpec",
+    "MessageGuard",
+    "OutputProtector",
+    "ProtectionSpec",
+    "counter_of",
+    "e2e_counter",
+]
+
+REASONS = (
+    "",
+    "short_frame",
+    "checksum",
+    "counter_invalid",
+    "timeout",
+    "counter_repeated",
+    "counter_reversed",
+    "counter_jump",
+    "untrusted",
+)
+"""Text of each reason code; code 0 is an accepted frame."""
+
+OK, SHORT, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED = range(len(REASONS))
+
+
+class MessageGuard:
+    """Judges the frames of one message, in order. The very first good frame is trusted."""
+
+    reasons = REASONS
+    """Text of the codes that `check_columns` gives."""
+
+    def __init__(self, spec: ProtectionSpec) -> None:
+        self.spec = spec
+        self._size = spec.size
+        self._checksum = None if spec.checksum is None else Checksum(spec.checksum)
+        self._counter = spec.counter
+        self._timeout = spec.timeout
+        self._counts = [0] * len(REASONS)
+        self._last_t: float | None = None
+        self._last_counter: int | None = None
+        self._missed = 0  # frames known to be missing since the last good one
+        self._distrust = 0  # good frames still to be dropped
+        self.lost = 0
+        """Frames that the counter shows to be lost, within what is allowed."""
+
+    @property
+    def accepted(self) -> int:
+        """Frames accepted so far."""
+        return self._counts[OK]
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Frames dropped so far, by reason; only reasons that occurred."""
+        return {REASONS[i]: n for i, n in enumerate(self._counts) if i != OK and n}
+
+    def is_silent(self, t: float) -> bool:
+        """Whether no good frame came within the time-out before `t` [s] (or ever)."""
+        if self._last_t is None:
+            return True
+        return self._timeout is not None and t - self._last_t > self._timeout
+
+    def check(self, t: float, data: bytes | bytearray) -> str | None:
+        """Judge one frame received at `t` [s]: None where it is good, else the reason."""
+        code = OK
+        if len(data) < self._size:
+            code = SHORT
+        elif self._checksum is not None and not self._checksum.is_right(data):
+            code = CHECKSUM
+        else:
+            counter = self._counter
+            value = None if counter is None else read_bits(data, counter.field)
+            if value is not None and counter is not None and value >= counter.modulus:
+                code = INVALID
+            else:
+                if self._timeout is not None or value is not None:
+                    code = self._sequence(t, value)
+                self._last_t = t
+                self._missed = 0
+                if code == OK and self._distrust:
+                    self._distrust -= 1
+                    self._counts[UNTRUSTED] += 1
+                    return REASONS[UNTRUSTED]
+        self._counts[code] += 1
+        if code == OK:
+            return None
+        self._distrust = self.spec.recovery
+        if code <= INVALID:
+            self._missed += 1
+        return REASONS[code]
+
+    def _sequence(self, t: float, value: int | None) -> int:
+        """Time-out and counter of a frame that is good in itself."""
+        last, self._last_counter = self._last_counter, value
+        missed, last_t = self._missed, self._last_t
+        if self._timeout is not None and last_t is not None and t - last_t > self._timeout:
+            return TIMEOUT
+        counter = self._counter
+        if counter is None or value is None or last is None:
+            return OK
+        modulus = counter.modulus
+        step = (value - last) % modulus
+        allowed = counter.max_jump + missed
+        if (step or modulus) <= allowed:
+            lost = (step or modulus) - 1 - missed
+            if lost > 0:
+                self.lost += lost
+            return OK
+        if step == 0:
+            return REPEATED
+        return REVERSED if step >= modulus - counter.max_jump else JUMP
+
+    def check_columns(
+        self, t: NDArray[np.float64], data: Columns, length: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Judge (N,) frames in order: t [s], data (N, W), length; reason codes (N,), 0 is good."""
+        count = len(length)
+        codes = np.zeros(count, np.uint8)
+        if count == 0:
+            return codes
+        counters = self._judge_each(codes, data, length)
+        good = np.flatnonzero(codes == OK)
+        if len(good):
+            if counters is not None or self._timeout is not None:
+                codes[good] = self._sequence_columns(
+                    t[good], None if counters is None else counters[good], good
+                )
+            self._last_t = float(t[good[-1]])
+            self._missed = count - 1 - int(good[-1])
+        else:
+            self._missed += count
+        self._distrust_columns(codes)
+        found = np.bincount(codes, minlength=len(REASONS)).tolist()
+        self._counts = [a + b for a, b in zip(self._counts, found, strict=True)]
+        return codes
+
+    def _judge_each(
+        self, codes: NDArray[np.uint8], data: Columns, length: NDArray[np.uint8]
+    ) -> NDArray[np.int64] | None:
+        """Set the codes of frames that are bad in themselves; return the counters."""
+        if data.shape[1] < self._size:
+            codes[:] = SHORT
+            return None if self._counter is None else np.zeros(len(codes), np.int64)
+        counters = None
+        if self._counter is not None:
+            field = self._counter.field
+            counters = read_column(words_of(data, field.byte_order), field).astype(np.int64)
+            codes[counters >= self._counter.modulus] = INVALID
+        if self._checksum is not None:
+            codes[~self._checksum.are_right(data)] = CHECKSUM
+        codes[length < self._size] = SHORT
+        return counters
+
+    def _sequence_columns(
+        self, t: NDArray[np.float64], counters: NDArray[np.int64] | None, good: NDArray[np.intp]
+    ) -> NDArray[np.uint8]:
+        """`_sequence` over the frames that are good in themselves, at row numbers `good`."""
+        codes = np.zeros(len(t), np.uint8)
+        if counters is not None and self._counter is not None:
+            counter, modulus = self._counter, self._counter.modulus
+            missed = np.diff(good, prepend=-1) - 1
+            missed[0] += self._missed
+            first = counters[0] if self._last_counter is None else self._last_counter
+            step = np.diff(counters, prepend=first) % modulus
+            distance = np.where(step == 0, modulus, step)
+            bad = distance > counter.max_jump + missed
+            codes[bad] = JUMP
+            codes[bad & (step >= modulus - counter.max_jump)] = REVERSED
+            codes[bad & (step == 0)] = REPEATED
+            lost = np.maximum(distance - 1 - missed, 0)
+            if self._last_counter is None:
+                codes[0] = lost[0] = OK
+            self._last_counter = int(counters[-1])
+        if self._timeout is not None:
+            last_t = t[0] if self._last_t is None else self._last_t
+            codes[np.diff(t, prepend=last_t) > self._timeout] = TIMEOUT
+        if counters is not None:
+            self.lost += int(lost[codes == OK].sum())
+        return codes
+
+    def _distrust_columns(self, codes: NDArray[np.uint8]) -> None:
+        """Drop the good frames that follow a fault too closely."""
+        recovery = self.spec.recovery
+        row = np.arange(len(codes))
+        before = self._distrust - recovery - 1
+        last_fault = np.maximum.accumulate(np.where(codes != OK, row, before))
+        since = row - last_fault
+        codes[(codes == OK) & (since <= recovery)] = UNTRUSTED
+        self._distrust = max(0, recovery - int(since[-1]))

@@ -1,0 +1,72 @@
+"""Protection of the frames that go out: alive counter, data id, checksum."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.dbc.bits import Columns, Field, write_bits, write_column
+from imucald.can.e2e.checksums import Checksum
+from imucald.can.e2e.protection_spec import ProtectionSpec
+from imucald.core.errors import EncodeError
+
+
+class OutputProtector:
+    """Puts alive counter, data id and checksum into the encoded frames of one message.
+
+    The counter starts at 0 and goes up by one with each frame, one by one or in columns.
+    """
+
+    def __init__(self, spec: ProtectionSpec) -> None:
+        self.spec = spec
+        self._next = 0
+        self._checksum = None if spec.checksum is None else Checksum(spec.checksum)
+
+    def protect(self, data: bytes | bytearray) -> bytes:
+        """Return the frame with its protection; EncodeError where it is too short for it."""
+        self._refuse_short(len(data))
+        payload = bytearray(data)
+        counter = self.spec.counter
+        if counter is not None:
+            write_bits(payload, counter.field, self._next)
+            self._next = (self._next + 1) % counter.modulus
+        if self._checksum is not None:
+            spec = self._checksum.spec
+            if spec.fixed is not None:
+                write_bits(payload, *spec.fixed)
+            end = spec.position + spec.width
+            value = self._checksum.compute(payload)
+            payload[spec.position : end] = value.to_bytes(spec.width, "little")
+        return bytes(payload)
+
+    def protect_columns(self, data: Columns) -> Columns:
+        """Return (N, W) frames with their protection; the same bytes as one by one."""
+        count, width = data.shape
+        self._refuse_short(width)
+        out = np.zeros((count, -(-width // 8) * 8), np.uint8)
+        out[:, :width] = data
+        counter = self.spec.counter
+        if counter is not None:
+            values = (self._next + np.arange(count)) % counter.modulus
+            _overwrite(out, counter.field, values.astype(np.uint64))
+            self._next = (self._next + count) % counter.modulus
+        if self._checksum is not None:
+            spec = self._checksum.spec
+            if spec.fixed is not None:
+                field, value = spec.fixed
+                _overwrite(out, field, np.full(count, value, np.uint64))
+            crc = self._checksum.compute_columns(out)
+            for i in range(spec.width):
+                out[:, spec.position + i] = (crc >> np.uint16(8 * i)) & np.uint16(0xFF)
+        return np.ascontiguousarray(out[:, :width])
+
+    def _refuse_short(self, length: int) -> None:
+        if length < self.spec.size:
+            raise EncodeError(f"a frame of {length} bytes is too short for its protection")
+
+
+def _overwrite(out: Columns, field: Field, values: NDArray[np.uint64]) -> None:
+    keep = bytearray(b"\xff" * out.shape[1])
+    write_bits(keep, field, 0)
+    out &= np.frombuffer(keep, np.uint8)
+    write_column(out, field, values)

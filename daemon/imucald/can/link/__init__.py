@@ -1,0 +1,1 @@
+"""A live CAN bus: opened, filtered, received from, sent to, lost and regained."""

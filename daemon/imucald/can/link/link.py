@@ -1,0 +1,377 @@
+"""A CAN bus that is always there: opened, filtered, received from, sent to, lost and regained.
+
+`Link` never raises for what happens on a bus. An interface that goes down, is deleted and made
+again, a controller that is bus-off, a full send queue, a pulled adapter: each is a state, a counter
+and an event, and `receive` returns what there is. It keeps no thread: healing happens inside
+`receive`, so a loop that calls it at least every half second regains a bus within one second.
+
+Of the frames on the bus only those asked for come out, and those that another node sends under our
+own output ids are counted and announced (a conflict: two calibrators, or a wrong configuration).
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, IdMatch
+from imucald.can.link.id_filter import Fate, Fates
+from imucald.can.link.link_messages import (
+    absent_text,
+    bus_off_text,
+    conflict_text,
+    down_text,
+    queue_full_text,
+)
+from imucald.can.link.link_status import Announcer, LinkCounters, LinkEvent, LinkState
+from imucald.can.link.outbox import Outbox, SendingPort
+from imucald.can.link.socketcan import (
+    CAN_ERR_BUSOFF,
+    CAN_ERR_FLAG,
+    CAN_ERR_RESTARTED,
+    Frame,
+    SocketCan,
+)
+from imucald.core.errors import LinkError
+
+__all__ = ["Frame", "Link", "LinkCounters", "LinkEvent", "LinkState"]
+
+RETRY_FIRST = 0.05
+"""First pause before a lost interface is opened again [s]; doubled each time."""
+
+RETRY_LONGEST = 0.2
+"""Longest such pause [s]: frames shall resume within 1 s, on a busy machine too."""
+
+CHECK_PERIOD = 0.2
+"""A silent bus is asked this often whether its interface is still there and up [s]."""
+
+RECEIVE_BUFFER = 4 << 20
+"""Asked of the kernel [bytes]: some 4,000 frames with its overhead, seconds of a busy bus."""
+
+FLUSH_PERIOD = 0.001
+"""Pause between attempts to send while the send queue is full [s]."""
+
+SEND_REASONS = {
+    errno.ENETDOWN: "down",
+    errno.EINVAL: "refused",  # an FD frame on a classic interface
+    errno.EMSGSIZE: "refused",
+    errno.EIO: "adapter",  # see adapter.py
+}
+"""Why a frame was not sent; any other error means that the interface has gone."""
+
+
+class Port(SendingPort, Protocol):
+    """What `Link` needs of an open interface; failures are OSError."""
+
+    lost: int
+    receive_buffer: int
+
+    def fileno(self) -> int | None:
+        """Return a descriptor to wait on, if there is one."""
+
+    def close(self) -> None:
+        """Close it."""
+
+    def receive(self, timeout: float) -> list[Frame]:
+        """Wait for a frame, then take all that wait."""
+
+    def is_same_interface(self) -> bool:
+        """Whether what was opened is still there."""
+
+    def is_up(self) -> bool:
+        """Whether it is set up."""
+
+
+class Link:
+    """A bus of any python-can interface that heals itself.
+
+    interface, channel: as python-can names them ("socketcan", "can0").
+    receive: the ids wanted; those meant for another channel are left out.
+    own_ids: ids that we send (with `CAN_EFF_FLAG` for 29-bit ones), watched for other senders.
+    fd: take and send CAN FD frames too. bitrate_switch: send their payload at the data rate.
+    bitrate, options: handed to python-can; a SocketCAN interface has its bit rate from `ip link`.
+    receive_buffer: asked of the kernel [bytes]. wait: an interface that is not there yet is no
+    error. on_event: called with each `LinkEvent`. clock: seconds, monotone.
+
+    Raises LinkError (text with remedy) when the interface is not there and `wait` is false, or
+    cannot be healed by time (unknown to python-can, not a CAN interface).
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        channel: str,
+        *,
+        receive: Sequence[IdMatch],
+        own_ids: Iterable[int] = (),
+        fd: bool = False,
+        bitrate_switch: bool = True,
+        bitrate: int | None = None,
+        options: Mapping[str, Any] | None = None,
+        receive_buffer: int = RECEIVE_BUFFER,
+        wait: bool = False,
+        on_event: Callable[[LinkEvent], None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        if not channel:
+            raise LinkError("a channel is needed: the name of the CAN interface, such as can0")
+        self.interface = interface
+        self.channel = channel
+        self.counters = LinkCounters()
+        self.state = LinkState.ABSENT
+        self._fd = fd
+        self._bitrate = bitrate
+        self._options = options
+        self._buffer = receive_buffer
+        self._clock = clock
+        self._announcer = Announcer(on_event, clock)
+        self._told_state: LinkState | None = None
+        self._port: Port | None = None
+        self._opened_before = False
+        self._lost_before = 0  # what earlier sockets had lost
+        self._fates = Fates(receive, own_ids, channel)
+        self._outbox = Outbox(bitrate_switch, clock, self._frame_sent, self._queue_full)
+        self._pause = RETRY_FIRST
+        self._next_try = self._next_check = -math.inf
+        self._open(required=not wait)
+
+    # ---- receiving ----------------------------------------------------------------------------
+
+    def receive(self, timeout: float) -> list[Frame]:
+        """Wait up to `timeout` [s] for frames of ours; return all that wait, oldest first.
+
+        Each is (t [s], can_id with `CAN_EFF_FLAG` for 29 bits, data). Empty after the time-out, or
+        whenever the bus is not there. Never raises for what happens on the bus.
+        """
+        end = self._clock() + timeout
+        while True:
+            left = max(0.0, end - self._clock())
+            port = self._port or self._reopened()
+            if port is None:
+                time.sleep(min(left, max(0.0, self._next_try - self._clock())))
+            elif frames := self._receive_once(port, left):
+                return frames
+            if self._clock() >= end:
+                return []
+
+    def _receive_once(self, port: Port, left: float) -> list[Frame]:
+        """Wait once, no longer than until the next check or attempt to send is due."""
+        try:
+            if self._outbox:
+                self._flush(port)
+                left = min(left, FLUSH_PERIOD)
+            frames = port.receive(min(left, CHECK_PERIOD))
+        except OSError as error:
+            self._failed(port, error)
+            return []
+        if frames:
+            return self._sorted(port, frames)
+        if self._clock() >= self._next_check:
+            self._check(port)
+        return []
+
+    def _sorted(self, port: Port, frames: list[Frame]) -> list[Frame]:
+        """Return the frames that are wanted; count and tell what the others mean."""
+        if self.state is LinkState.DOWN:
+            self._check(port)  # frames from before it went down may still come
+        wanted = []
+        fates = self._fates
+        for frame in frames:
+            fate = fates[frame[1]]
+            if fate is Fate.WANTED:
+                wanted.append(frame)
+            elif fate is Fate.CONFLICT:
+                self._conflict(frame[1])
+            elif fate is Fate.ERROR:
+                self._error_frame(frame[1])
+            else:
+                self.counters.foreign += 1
+        self.counters.received += len(wanted)
+        self._count_losses(port)
+        if self.state is LinkState.BUS_OFF and frames[-1][1] & CAN_ERR_FLAG == 0:
+            self._is_up_again()  # we hear the bus: some drivers do not tell of the restart
+        return wanted
+
+    def _conflict(self, can_id: int) -> None:
+        self.counters.conflicts += 1
+        self._announcer.tell_seldom("conflict", conflict_text(self.channel, can_id))
+
+    def _error_frame(self, can_id: int) -> None:
+        self.counters.error_frames += 1
+        if can_id & CAN_ERR_RESTARTED:
+            self._is_up_again()
+        elif can_id & CAN_ERR_BUSOFF and self.state is not LinkState.BUS_OFF:
+            self.counters.bus_off += 1
+            self._enter(LinkState.BUS_OFF, bus_off_text(self.channel))
+
+    def _count_losses(self, port: Port) -> None:
+        lost = self._lost_before + port.lost
+        if lost != self.counters.lost:
+            self.counters.lost = lost
+            self._announcer.tell_seldom(
+                "lost", f"frames of {self.channel} were lost before they were read"
+            )
+
+    # ---- sending ------------------------------------------------------------------------------
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        """Send one frame, at once or (with a full send queue) within some milliseconds.
+
+        can_id: with `CAN_EFF_FLAG` for 29 bits; data: up to 8 bytes, 64 with CAN FD. Returns
+        whether it was accepted; what is not sent is counted by reason. Never blocks.
+        """
+        port = self._port
+        if port is None or len(data) > (FD_BYTES if self._fd else CLASSIC_BYTES):
+            self.counters.not_sent("absent" if port is None else "too_long")
+            return False
+        try:
+            self._outbox.send(port, can_id, data)
+        except OSError as error:
+            if self._failed_to_send(error):
+                self._failed(port, error)
+            return False
+        return True
+
+    def _flush(self, port: Port) -> None:
+        """Send what is held; OSError when that shows that the interface is down or gone."""
+        try:
+            self._outbox.flush(port)
+        except OSError as error:
+            if self._failed_to_send(error):
+                raise
+
+    def _failed_to_send(self, error: OSError) -> bool:
+        """Count a frame that was not sent; whether the interface is to blame, not the frame."""
+        reason = SEND_REASONS.get(error.errno or 0, "absent")
+        self.counters.not_sent(reason)
+        return reason in ("absent", "down")
+
+    def _frame_sent(self) -> None:
+        self.counters.sent += 1
+
+    def _queue_full(self) -> None:
+        self.counters.not_sent("bus_off" if self.state is LinkState.BUS_OFF else "queue_full")
+        self._announcer.tell_seldom("queue_full", queue_full_text(self.channel))
+
+    # ---- losing and regaining -----------------------------------------------------------------
+
+    def _open(self, required: bool) -> Port | None:
+        """Try to open the interface. With `required`, failing raises LinkError."""
+        try:
+            port = self._new_port()
+        except OSError as error:
+            if required:
+                raise LinkError(absent_text(self.interface, self.channel, error)) from None
+            self._enter(
+                LinkState.ABSENT,
+                absent_text(self.interface, self.channel, error) + "; waiting for it",
+            )
+            return None
+        self._port = port
+        self.counters.reopened += self._opened_before
+        self._opened_before = True
+        self._pause = RETRY_FIRST
+        if port.is_up():
+            self._enter(LinkState.UP, f"{self.interface} {self.channel} is open")
+        else:
+            self._enter(LinkState.DOWN, down_text(self.channel))
+        return port
+
+    def _new_port(self) -> Port:
+        filters = self._fates.filters()
+        if self.interface == "socketcan":
+            return SocketCan(self.channel, filters, fd=self._fd, receive_buffer=self._buffer)
+        from imucald.can.link.adapter import Adapter  # noqa: PLC0415  (SocketCAN needs no python-can)
+
+        bus = (self.interface, self.channel)
+        return Adapter(*bus, filters, fd=self._fd, bitrate=self._bitrate, options=self._options)
+
+    def _reopened(self) -> Port | None:
+        """Open again when the pause since the last attempt is over."""
+        if self._clock() < self._next_try:
+            return None
+        try:
+            port = self._open(required=False)
+        except LinkError as error:  # something else has taken the name; it may go again
+            port = None
+            self._enter(LinkState.ABSENT, f"{error}; waiting")
+        if port is None:
+            self._next_try = self._clock() + self._pause
+            self._pause = min(2 * self._pause, RETRY_LONGEST)
+        return port
+
+    def _failed(self, port: Port, error: OSError) -> None:
+        """Take in what the interface reported: down (it is kept) or gone (opened again later)."""
+        if error.errno == errno.ENETDOWN and port.is_same_interface():
+            self._went_down()
+            self._check(port)  # it may be up again already
+        else:
+            self._let_go(port, error.strerror or str(error))
+
+    def _check(self, port: Port) -> None:
+        """Ask the system how the interface is: it may have been replaced without a word."""
+        self._next_check = self._clock() + CHECK_PERIOD
+        if not port.is_same_interface():
+            self._let_go(port, "deleted or replaced")
+        elif not port.is_up():
+            self._went_down()
+        elif self.state is LinkState.DOWN:
+            self._is_up_again()
+
+    def _let_go(self, port: Port, reason: str) -> None:
+        self._count_losses(port)
+        self._lost_before = self.counters.lost
+        port.close()
+        self._port = None
+        for _ in range(self._outbox.clear()):
+            self.counters.not_sent("absent")
+        self._next_try = self._clock()
+        self._enter(LinkState.ABSENT, f"{self.channel} has gone ({reason}); waiting for it")
+
+    def _went_down(self) -> None:
+        if self.state is not LinkState.DOWN:
+            self.counters.went_down += 1
+            self._enter(LinkState.DOWN, down_text(self.channel))
+
+    def _is_up_again(self) -> None:
+        self._enter(LinkState.UP, f"{self.channel} is up again")
+
+    def _enter(self, state: LinkState, text: str) -> None:
+        """Change the state, and tell if it is another one."""
+        self.state = state
+        if state is not self._told_state:
+            self._told_state = state
+            self._announcer.tell(str(state), text)
+
+    # ---- the rest -----------------------------------------------------------------------------
+
+    @property
+    def receive_buffer(self) -> int:
+        """What the kernel granted for frames that wait to be read [bytes]; 0 when not known."""
+        return self._port.receive_buffer if self._port else 0
+
+    def fileno(self) -> int | None:
+        """Return the open bus's descriptor (another one after a loss), None where there is none."""
+        return self._port.fileno() if self._port else None
+
+    def close(self) -> None:
+        """Close the bus; frames that the interface has not taken yet are given up."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+            self.state = LinkState.ABSENT
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,248 @@
+"""A raw SocketCAN socket, read in batches: kernel filters, kernel time stamps, counted losses.
+
+python-can serves every other interface (see link.py). Here the socket is our own, because that is
+what makes a gateway's bus cheap and honest: filters are set before the socket is bound, so nothing
+foreign is ever queued; `SO_RXQ_OVFL` says how many of our frames the kernel had to drop; and a read
+costs one system call and no object but a tuple.
+
+Facts about the kernel that the code rests on (net/can/raw.c): a socket bound to an interface that
+goes down gets ENETDOWN once and stays bound, so frames resume by themselves; one whose interface is
+deleted gets ENODEV, is bound to nothing from then on, and stays silent for ever, also when an
+interface of the same name returns.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import select
+import socket
+import struct
+import time
+from collections.abc import Sequence
+
+from imucald.can.columns import CAN_EFF_FLAG, CLASSIC_BYTES, FD_BYTES, IdMatch
+from imucald.core.errors import LinkError
+
+Frame = tuple[float, int, bytes]
+"""Kernel stamp [s, whole microseconds], id with the kernel's flags, payload."""
+
+CAN_RTR_FLAG = 0x4000_0000
+"""Set in the id of a remote frame."""
+
+CAN_ERR_FLAG = 0x2000_0000
+"""Set in the id of an error frame, whose other bits are error classes."""
+
+CAN_ERR_BUSOFF = 0x0000_0040
+CAN_ERR_RESTARTED = 0x0000_0100
+CAN_ERR_CONTROLLER = 0x0000_0004
+
+MAX_FILTERS = 512
+"""CAN_RAW_FILTER_MAX of the kernel; with more ids than that all frames are taken."""
+
+LONGEST_BATCH = 1024
+"""Frames taken at one go, so that a flooded bus does not starve the sending side."""
+
+_SO_RXQ_OVFL = 40
+_SO_RCVBUFFORCE = 33
+_SO_TIMESTAMPNS = 35
+_CAN_RAW_ERR_FILTER = 2
+_CAN_RAW_FD_FRAMES = 5
+_SIOCGIFFLAGS = 0x8913
+_IFF_UP = 1
+_FILTER = struct.Struct("=II")
+_CLASSIC = struct.Struct("=IB3x8s")
+_FD = struct.Struct("=IBBxx64s")
+_TIMESPEC = struct.Struct("@ll")
+_DROPS = struct.Struct("@I")
+_FLAGS_REQUEST = struct.Struct("@16sH14x")
+_CANFD_BRS = 0x01
+_CANFD_FDF = 0x04
+_FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, FD_BYTES)
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_DROPS.size)
+
+
+class SocketCan:
+    """One bound raw socket. Every `OSError` of the kernel is let through; the link heals.
+
+    Raises LinkError when opened in a way that time cannot heal (no CAN in the kernel, not a CAN
+    interface), OSError with ENODEV when there is no such interface now.
+    """
+
+    def __init__(
+        self,
+        channel: str,
+        matches: Sequence[IdMatch],
+        *,
+        fd: bool = False,
+        receive_buffer: int = 0,
+    ) -> None:
+        self._channel = channel
+        self.index = _interface_index(channel)
+        self.lost = 0
+        """Frames of ours that the kernel dropped because nobody read them in time."""
+        self._drops = 0
+        self._fault: OSError | None = None
+        self._socket = _raw_socket()
+        try:
+            self._set_up(matches, fd, receive_buffer)
+            self._socket.bind((channel,))
+        except OSError as error:
+            self._socket.close()
+            if error.errno == errno.ENODEV and _interface_index(channel) == self.index:
+                raise LinkError(f"{channel} is not a CAN interface (see: ip -d link)") from None
+            raise
+        self.receive_buffer = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        """What the kernel granted [bytes, its own overhead included]."""
+        self._poll = select.poll()
+        self._poll.register(self._socket, select.POLLIN)
+
+    def _set_up(self, matches: Sequence[IdMatch], fd: bool, receive_buffer: int) -> None:
+        sock = self._socket
+        sock.setblocking(False)
+        sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed_filters(matches))
+        classes = CAN_ERR_BUSOFF | CAN_ERR_RESTARTED | CAN_ERR_CONTROLLER
+        sock.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, classes)
+        sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, 0)
+        sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_LOOPBACK, 1)  # other programs here
+        sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+        if fd:
+            sock.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
+        if receive_buffer:
+            try:  # beyond the system's limit where we have the right to
+                sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, receive_buffer)
+            except OSError:
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
+
+    def fileno(self) -> int:
+        """Return the socket's descriptor, readable when frames wait."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def receive(self, timeout: float) -> list[Frame]:
+        """Wait up to `timeout` [s] for a frame, then take all that wait (bounded).
+
+        Raises OSError when the interface has gone down or away. The kernel says so once; frames
+        that were taken in the same batch are returned first.
+        """
+        if self._fault is not None:
+            fault, self._fault = self._fault, None
+            raise fault
+        if not self._poll.poll(max(0.0, timeout * 1e3)):
+            return []
+        frames: list[Frame] = []
+        recvmsg, add = self._socket.recvmsg, frames.append
+        while len(frames) < LONGEST_BATCH:
+            try:
+                raw, ancillary, _, _ = recvmsg(_FD.size, _ANCILLARY_BYTES)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                if not frames:
+                    raise
+                self._fault = error
+                break
+            add((self._stamp(ancillary), *_unpacked(raw)))
+        return frames
+
+    def _stamp(self, ancillary: list[tuple[int, int, bytes]]) -> float:
+        """Return the kernel's stamp [s], and count the drops it announces.
+
+        Cut to microseconds and divided once, so that the double is the one that reading
+        candump's record of the same frame gives.
+        """
+        stamp = 0.0
+        for _, kind, content in ancillary:
+            if kind == _SO_TIMESTAMPNS:
+                seconds, nanoseconds = _TIMESPEC.unpack(content)
+                stamp = (seconds * 1_000_000 + nanoseconds // 1000) / 1e6
+            elif kind == _SO_RXQ_OVFL:
+                (drops,) = _DROPS.unpack(content)
+                if drops != self._drops:
+                    self.lost += (drops - self._drops) & 0xFFFF_FFFF
+                    self._drops = drops
+        return stamp or time.time()
+
+    def send(self, can_id: int, data: bytes, bitrate_switch: bool) -> None:
+        """Hand one frame to the kernel, as CAN FD when it is longer than 8 bytes.
+
+        Raises OSError: ENOBUFS or EAGAIN with a full transmit queue, ENETDOWN, ENODEV, ENXIO.
+        """
+        if len(data) <= CLASSIC_BYTES:
+            self._socket.send(_CLASSIC.pack(can_id, len(data), data))
+            return
+        length = next(size for size in _FD_LENGTHS if size >= len(data))
+        flags = _CANFD_FDF | (_CANFD_BRS if bitrate_switch else 0)
+        self._socket.send(_FD.pack(can_id, length, flags, data))
+
+    def is_same_interface(self) -> bool:
+        """Whether the interface we are bound to is still the one of that name."""
+        try:
+            return _interface_index(self._channel) == self.index
+        except OSError:
+            return False
+
+    def is_up(self) -> bool:
+        """Whether the interface is set up (an ioctl on our own socket: needs no other family)."""
+        request = _FLAGS_REQUEST.pack(self._channel.encode(), 0)
+        try:
+            answer = fcntl.ioctl(self._socket, _SIOCGIFFLAGS, request)
+        except OSError:
+            return False
+        return bool(_FLAGS_REQUEST.unpack(answer)[1] & _IFF_UP)
+
+
+def packed_filters(matches: Sequence[IdMatch]) -> bytes:
+    """Return the kernel's filter list for data frames of these ids; no id, no frames.
+
+    Remote frames carry no data and are left out; more ids than the kernel takes means no filter.
+    """
+    if len(matches) > MAX_FILTERS:
+        return _FILTER.pack(0, 0)
+    return b"".join(
+        _FILTER.pack(m.can_id & ~CAN_ERR_FLAG, m.full_mask & ~CAN_ERR_FLAG | CAN_RTR_FLAG)
+        for m in dict.fromkeys(matches)
+    )
+
+
+def _unpacked(raw: bytes) -> tuple[int, bytes]:
+    if len(raw) == _CLASSIC.size:
+        can_id, length, data = _CLASSIC.unpack(raw)
+        return can_id, data[:length]
+    can_id, length, _, data = _FD.unpack(raw)
+    return can_id, data[:length]
+
+
+def _interface_index(channel: str) -> int:
+    """Return the kernel's number of the interface; OSError ENODEV when there is none."""
+    try:
+        return socket.if_nametoindex(channel)
+    except OSError:
+        raise OSError(errno.ENODEV, f"no interface {channel}") from None
+
+
+def _raw_socket() -> socket.socket:
+    try:
+        return socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    except (AttributeError, OSError) as error:
+        raise LinkError(
+            f"this system offers no SocketCAN ({error}): load the kernel module can_raw, "
+            "or use another python-can interface"
+        ) from None
+
+
+__all__ = [
+    "CAN_EFF_FLAG",
+    "CAN_ERR_BUSOFF",
+    "CAN_ERR_CONTROLLER",
+    "CAN_ERR_FLAG",
+    "CAN_ERR_RESTARTED",
+    "CAN_RTR_FLAG",
+    "Frame",
+    "SocketCan",
+    "packed_filters",
+]

@@ -1,0 +1,147 @@
+"""One line of a candump log, strictly: the judge of every line, and the giver of reasons.
+
+The grammar is what ``candump -L`` writes (can-utils, lib.c and candump.c)::
+
+    (1600000000.000000) can0 200#1300E1FF2B130000       classic frame, 0 to 8 bytes
+    (1600000000.000000) can0 18FEF100#11223344          29-bit id: always eight digits
+    (1600000000.000000) can0 200##1AABBCC               CAN FD: flags digit, 0 to 64 bytes
+    (1600000000.000000) can0 200#R4                     remote frame
+    (1600000000.000000)  can0 20000080#0000000000000000 error frame (id bit 29)
+
+with any number of digits around the point, spaces that line channels up, ``_9`` .. ``_F`` (raw
+length code) behind eight bytes, a closing `` R`` or `` T`` (received, sent), and CR LF line ends.
+Digits of both cases are read.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final, NamedTuple
+
+from imucald.can.columns import CAN_EFF_FLAG
+
+MAX_LINE_BYTES: Final = 4096
+"""No line is longer: the longest (CAN XL apart) has about 220 bytes."""
+
+REASONS: Final[dict[str, str]] = {
+    "cut_line": "the line is cut",
+    "not_candump": "not a line of candump -L: it must begin with (seconds.fraction)",
+    "bad_timestamp": "the time stamp is not (seconds.fraction)",
+    "no_channel": "the channel is missing",
+    "bad_channel": "the channel is not a name of 1 to 32 printable characters",
+    "bad_id": "the id is not 3 digits up to 7FF or 8 digits up to 3FFFFFFF",
+    "bad_hex": "the data holds something that is not a hexadecimal digit",
+    "odd_digits": "the data has an odd number of digits",
+    "too_long": "the data is longer than a frame can be",
+    "bad_frame": "the frame is not ID#DATA",
+    "trailing_text": "text behind the frame",
+    "nul_bytes": "the line holds NUL bytes",
+    "line_too_long": f"the line is longer than {MAX_LINE_BYTES} bytes",
+    "too_many_channels": "more than 255 channels",
+}
+"""Every reason for which a line is rejected, with its text."""
+
+_LINE = re.compile(
+    rb"""\((?P<t>(?P<sec>[0-9]{1,19})\.(?P<frac>[0-9]{1,19}))\)(?P<gap>[ ]{1,32})
+    (?P<channel>[!"$-~]{1,32})[ ]
+    (?:
+      (?P<id>[0-7][0-9A-Fa-f]{2}|[01][0-9A-Fa-f]{7})
+      (?:
+        \#(?P<data>(?:[0-9A-Fa-f]{2}){0,7}|(?:[0-9A-Fa-f]{2}){8}(?:_[9A-Fa-f])?)
+        |\#\#[0-9A-Fa-f](?P<fd>(?:[0-9A-Fa-f]{2}){0,64})
+        |(?P<remote>\#[Rr](?:[0-7]|8(?:_[9A-Fa-f])?)?)
+      )
+      |(?P<error>[23][0-9A-Fa-f]{7}\#(?:[0-9A-Fa-f]{2}){0,8})
+      |(?P<xl>[0-9A-Fa-f]{5}\#[0-9A-Fa-f]{2}:[0-9A-Fa-f]{2}:[0-9A-Fa-f]{8}\#
+        (?:[0-9A-Fa-f]{2}){1,2048})
+    )
+    (?:[ ][RT])?\r?""",
+    re.VERBOSE,
+)
+_STAMP = re.compile(rb"\([0-9]{1,19}\.[0-9]{1,19}\)(?: |$)")
+_CHANNEL = re.compile(rb'[!"$-~]{1,32}')
+_ID = re.compile(rb"[0-7][0-9A-Fa-f]{2}|[0-3][0-9A-Fa-f]{7}")
+_HEX = re.compile(rb"[0-9A-Fa-f]*")
+
+
+class Line(NamedTuple):
+    """A valid line. kind: data, remote_frame, error_frame or xl_frame; the rest is for data."""
+
+    kind: str
+    t: float
+    channel: str
+    can_id: int
+    data: bytes
+    fd: bool
+    layout: tuple[int, int, int]
+    """Digits before and behind the point, spaces behind the time stamp."""
+
+
+def parse_line(text: bytes) -> Line | str | None:
+    """Return the frame of one line (without its newline), else the reason's name.
+
+    None for a blank line, which says nothing and is no mistake.
+    """
+    if len(text) > MAX_LINE_BYTES:
+        return "line_too_long"
+    match = _LINE.fullmatch(text)
+    if match is None:
+        return _reason(text) if text.strip() else None
+    kind = "data"
+    for other in ("remote", "error", "xl"):
+        if match[other] is not None:
+            kind = f"{other}_frame"
+    layout = len(match["sec"]), len(match["frac"]), len(match["gap"])
+    t, channel = float(match["t"]), match["channel"].decode("ascii")
+    if kind != "data":
+        return Line(kind, t, channel, 0, b"", False, layout)
+    can_id = int(match["id"], 16) | (CAN_EFF_FLAG if len(match["id"]) == 8 else 0)
+    fd = match["fd"] is not None
+    digits = match["fd"] if fd else match["data"].partition(b"_")[0]
+    return Line(kind, t, channel, can_id, bytes.fromhex(digits.decode("ascii")), fd, layout)
+
+
+def _reason(text: bytes) -> str:
+    """Say why a line that is not valid is not."""
+    if b"\0" in text:
+        return "nul_bytes"
+    if not _STAMP.match(text):
+        return "bad_timestamp" if text.startswith(b"(") else "not_candump"
+    fields = text.split()
+    return _field_reason(fields)
+
+
+def _field_reason(fields: list[bytes]) -> str:
+    if len(fields) == 1:
+        return "cut_line"
+    if b"#" in fields[1]:
+        return "no_channel"
+    if not _CHANNEL.fullmatch(fields[1]):
+        return "bad_channel"
+    if len(fields) == 2:
+        return "cut_line"
+    if len(fields) > 4 or (len(fields) == 4 and fields[3] not in (b"R", b"T")):
+        return "trailing_text"
+    return _frame_reason(fields[2])
+
+
+def _frame_reason(frame: bytes) -> str:
+    can_id, mark, data = frame.partition(b"#")
+    if not mark:
+        return "cut_line"
+    if not _ID.fullmatch(can_id):
+        return "bad_id"
+    most = 16
+    if data.startswith(b"#"):
+        data, most = data[2:], 128
+    if not _HEX.fullmatch(data):
+        return "bad_hex"
+    if len(data) > most:
+        return "too_long"
+    return "odd_digits" if len(data) % 2 else "bad_frame"
+
+
+def shown(text: bytes) -> str:
+    """Return a line as it can be shown in a message: short, printable."""
+    start = text[:60].decode("ascii", "backslashreplace")
+    return repr(start)[1:-1] + ("..." if len(text) > 60 else "")

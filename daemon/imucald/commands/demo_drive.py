@@ -1,0 +1,264 @@
+"""The demonstration: a simulated car and the real daemon on one virtual bus, in one process.
+
+The car sends its frames slice by slice, stamped with simulated time, and after each slice the
+daemon works until its queue is empty. So a drive passes as fast as the machine goes, and with the
+same numbers every time. A listener stands for the control unit that uses the corrected frames: it
+knows nothing but ``imucald_out.dbc``, and believes a frame only with a good counter and checksum.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
+from imucald.can.python_can import can
+from imucald.config import LoadedConfig, parse_config
+from imucald.core.rotations import Matrix3, angles_from_rotation, rotation_from_vector
+from imucald.inputs.wiring import compile_router
+from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.runtime.engine import LinkHealth
+from imucald.runtime.pipeline import Snapshot
+from imucald.runtime.session import make_engine
+from imucald.service.live import Daemon, open_link
+from imucald.simulation.bus_frames import BusEncoder
+from imucald.simulation.can_log import EPOCH_S, live_frames
+from imucald.simulation.drive import Drive
+
+SLICE_S = 0.25
+"""The car sends so much of the drive [s] before the daemon gets its turn: four views a second of
+driving, and queues of a hundred frames."""
+LAST_S = 60.0
+"""The corrected acceleration is compared with the truth over this last part of the drive [s]."""
+UNKNOWN_STD = 1.0
+"""An angle with a larger standard deviation is as good as unknown [rad]."""
+UNBOUNDED = 1e4
+"""Stands for an infinite variance [rad^2]."""
+ACCEL = "accel"
+
+_LISTENER = """
+database: imucald_out.dbc
+signals:
+  accelerometer:
+    x: {signal: IMUCALD_Acceleration.AccelX, not_available: [-32768]}
+    y: {signal: IMUCALD_Acceleration.AccelY, not_available: [-32768]}
+    z: {signal: IMUCALD_Acceleration.AccelZ, not_available: [-32768]}
+messages:
+  IMUCALD_Acceleration:
+    counter: {signal: Counter}
+    checksum: {kind: crc8_j1850, signal: Checksum, id_bytes: 2}
+"""
+_channel_numbers = itertools.count()
+
+
+@dataclass(frozen=True)
+class Angle:
+    """One mount angle beside the truth [rad]; `error` is estimate less truth."""
+
+    name: str
+    estimate: float
+    std: float
+    truth: float
+
+    @property
+    def error(self) -> float:
+        """Estimate less truth, within +-pi [rad]."""
+        return math.remainder(self.estimate - self.truth, 2.0 * math.pi)
+
+    @property
+    def inside(self) -> bool:
+        """Whether the truth lies within two standard deviations."""
+        return abs(self.error) <= 2.0 * self.std
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Root mean square of the acceleration's error vector [m/s^2], over `count` samples.
+
+    measured: the sensor's axes taken for the vehicle's. corrected: as received in imucald's frames.
+    known_mount: what would be left if the mount were known exactly (noise, vibration, bias).
+    """
+
+    count: int
+    measured: float
+    corrected: float
+    known_mount: float
+
+
+class Listener:
+    """Another unit on the bus, which decodes imucald's corrected acceleration."""
+
+    def __init__(self) -> None:
+        place = Path(str(resources.files("imucald"))) / "data" / "listener.yaml"
+        self._router = compile_router(parse_config(_LISTENER, place))
+        self.can_id = self._router.matches[0].can_id
+        self.frames = 0
+        """Frames of corrected acceleration, available or not."""
+        self.values: list[tuple[float, ...] | None] = []
+        """Corrected acceleration [m/s^2] frame by frame; None where not available."""
+
+    @property
+    def damaged(self) -> int:
+        """Frames with a wrong counter or checksum."""
+        rejected = self._router.rejected
+        return rejected.total() - rejected["not_available"]
+
+    def take(self, t: float, can_id: int, data: bytes) -> None:
+        """Take one frame from the bus."""
+        if can_id != self.can_id:
+            return
+        self.frames += 1
+        samples, _ = self._router.frame(t, can_id, data)
+        self.values.append(tuple(samples[0][1]) if samples else None)
+
+
+class Demonstration:
+    """A drive, the daemon and a listener on a virtual bus; a context manager.
+
+    drive: what the car does. loaded: the configuration, as for a real car.
+    """
+
+    def __init__(self, drive: Drive, loaded: LoadedConfig) -> None:
+        self.drive = drive
+        self.now = 0.0
+        """Time in the drive [s]."""
+        self.sent = 0
+        """Frames that the car has sent."""
+        self.snapshots: list[Snapshot] = []
+        self.listener = Listener()
+        self._frames = live_frames(drive, BusEncoder(loaded))
+        self.engine = make_engine(loaded, self.snapshots.append, self._link_health)
+        channel = f"imucald-demo-{next(_channel_numbers)}"
+        self._car = can.Bus(interface="virtual", channel=channel, preserve_timestamps=True)
+        ids = self.engine.output.can_ids
+        self.link = open_link(loaded, self.engine.router.matches, ids, "virtual", channel)
+        self.daemon = Daemon(self.engine, self.link, clock=lambda: self.now)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.link.close()
+        self._car.shutdown()
+
+    def _link_health(self) -> LinkHealth:
+        return self.daemon.link_health()
+
+    # running -------------------------------------------------------------------------------
+
+    def run(self) -> Iterator[float]:
+        """Drive to the end; yields the time in the drive [s] after each slice."""
+        waiting = next(self._frames, None)
+        while waiting is not None:
+            self.now += SLICE_S
+            while waiting is not None and waiting[0] <= self.now:
+                self._send(*waiting)
+                waiting = next(self._frames, None)
+            while self.daemon.step(0.0):
+                pass
+            self._listen()
+            yield self.now
+
+    def _send(self, t: float, can_id: int, data: bytes) -> None:
+        self._car.send(
+            can.Message(
+                timestamp=EPOCH_S + t,
+                arbitration_id=can_id & CAN_EFF_MASK,
+                is_extended_id=bool(can_id & CAN_EFF_FLAG),
+                data=data,
+            )
+        )
+        self.sent += 1
+
+    def _listen(self) -> None:
+        while (message := self._car.recv(0.0)) is not None:
+            flag = CAN_EFF_FLAG if message.is_extended_id else 0
+            self.listener.take(self.now, message.arbitration_id | flag, bytes(message.data))
+
+    # what came of it -----------------------------------------------------------------------
+
+    @property
+    def truth(self) -> Matrix3:
+        """The mount in truth, R_vehicle_from_sensor."""
+        return self.drive.truth.R_vehicle_from_sensor(self.now)
+
+    def estimate(self) -> MountEstimate:
+        """The daemon's estimate now."""
+        return self.engine.pipeline.estimator.estimate()
+
+    def motion(self) -> tuple[float, float, float]:
+        """Speed [m/s], its change [m/s^2] and yaw rate [rad/s] now, in truth."""
+        truth = self.drive.truth
+        i = min(int(np.searchsorted(truth.t, self.now)), len(truth.t) - 1)
+        return float(truth.speed[i]), float(truth.acceleration[i]), float(truth.yaw_rate[i])
+
+    def acceleration(self) -> tuple[NDArray[np.float64], tuple[float, ...] | None]:
+        """The newest acceleration as measured (3,) and as received corrected [m/s^2]."""
+        series = self.drive.samples[ACCEL]
+        i = min(max(self.listener.frames, 1), len(series.t)) - 1
+        return series.values[i], self.listener.values[-1] if self.listener.values else None
+
+    def compare(self, last_s: float = LAST_S) -> Comparison | None:
+        """Compare the listener's acceleration with the truth; None where it got none.
+
+        Each sample of the accelerometer brings one corrected frame, so the n-th belongs together.
+        """
+        series, truth = self.drive.samples[ACCEL], self.drive.truth
+        n = min(len(self.listener.values), len(series.t))
+        chosen = [
+            i
+            for i in range(int(np.searchsorted(series.t, self.now - last_s)), n)
+            if self.listener.values[i] is not None
+        ]
+        if not chosen:
+            return None
+        t, measured = series.t[chosen], series.values[chosen]
+        corrected = np.array([self.listener.values[i] for i in chosen])
+        real = np.column_stack([np.interp(t, truth.t, truth.force[:, i]) for i in range(3)])
+        known = measured @ self.truth.T
+        return Comparison(len(chosen), _rms(measured - real), _rms(corrected - real),
+                          _rms(known - real))  # fmt: skip
+
+
+def _rms(error: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.sum(error * error, axis=1))))
+
+
+def angles_beside(estimate: MountEstimate, truth: Matrix3) -> list[Angle]:
+    """Those of roll, pitch and yaw that are known at all (see `UNKNOWN_STD`), beside the truth.
+
+    The covariance of the rotation vector about the vehicle's axes is carried over to the angles
+    by their derivatives, which at a large pitch are far from one to one.
+    """
+    R, covariance = estimate.R_vehicle_from_sensor, estimate.covariance
+    if R is None or covariance is None:
+        return []
+    covariance = np.nan_to_num(covariance, posinf=UNBOUNDED)
+    step = 1e-6
+    here = angles_from_rotation(R)
+    J = np.empty((3, 3))
+    for axis in range(3):
+        turned = angles_from_rotation(rotation_from_vector(step * np.eye(3)[axis]) @ R)
+        for i in range(3):
+            J[i, axis] = math.remainder(turned[i] - here[i], 2.0 * math.pi) / step
+    std = np.sqrt(np.maximum(np.diag(J @ covariance @ J.T), 0.0)).tolist()
+    real = angles_from_rotation(truth)
+    return [
+        Angle(name, here[i], std[i], real[i])
+        for i, name in enumerate(ANGLES)
+        if std[i] < UNKNOWN_STD
+    ]

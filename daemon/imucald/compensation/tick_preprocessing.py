@@ -1,0 +1,106 @@
+"""The estimator's ticks with what the model knows: delays evened out, the body's leaning taken out.
+
+A body that rolls more in left turns than in right ones, or squats more than it dives, turns the
+mean of what the mount is found from. The mount in force is good enough to place its lean; before
+there is one, ticks stay as they are. The lever arm is left in: the estimator takes it off by
+itself, with rates from before and after, which here are still to come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from imucald.compensation.held_repeats import Repeats
+from imucald.compensation.suspension import Leaning
+from imucald.compensation.terms import Vector3
+from imucald.compensation.time_alignment import Retiming
+from imucald.compensation.vehicle import less_lean_rate, on_road
+from imucald.motion import ticks as tk
+from imucald.motion.ticks import TICK_S
+from imucald.mount.estimate import Correction
+from imucald.mount.stuck import SAME
+from imucald.runtime.output.output_columns import rotated
+
+_FORCES = slice(tk.ACCEL_X, tk.ACCEL_Z + 1)
+_RATES = slice(tk.GYRO_X, tk.GYRO_Z + 1)
+_SENSORS = ((tk.ACCEL_N, _FORCES), (tk.GYRO_N, _RATES))
+
+
+class EvidenceStage:
+    """Takes rows of ticks, gives those that the estimator is to see.
+
+    leaning: of the body, at ten a second; None: it does not lean.
+    """
+
+    def __init__(self, retiming: Retiming | None, leaning: Leaning | None) -> None:
+        self._retiming = retiming
+        self._leaning = leaning
+        self._taken: tuple[float, float] | None = None
+        self._repeats = tuple(Repeats(SAME) for _ in _SENSORS)
+
+    def gap(self) -> None:
+        """Time jumped: nothing before is joined with what follows."""
+        if self._retiming is not None:
+            self._retiming.gap()
+        if self._leaning is not None:
+            self._leaning.restart()
+        self._taken = None
+        for repeats in self._repeats:
+            repeats.restart()
+
+    def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
+        """Return the row of a tick as the estimator is to see it.
+
+        correction: the mount in force during the tick.
+        """
+        if self._retiming is not None:
+            row = self._retiming.row(row)
+        if self._leaning is None:
+            return row
+        return self._repeated(row, self._upright(self._leaning, row, correction))
+
+    def _upright(
+        self, leaning: Leaning, row: Sequence[float], correction: Correction | None
+    ) -> Sequence[float]:
+        """Force and rate of a tick as if the body were stiff.
+
+        The rate loses what the lean has changed by since it was last taken off, so that both stay
+        at one also over a hole in the force, in which the gyroscope sees the body lean.
+        """
+        if correction is None:
+            leaning.restart()
+            self._taken = None
+            return row
+        out = list(row)
+        if row[tk.ACCEL_N]:
+            force = _turned(correction, row[_FORCES])
+            lean = leaning.push(row[tk.T], force[0], force[1])
+            out[_FORCES] = _back(correction, on_road(lean, *force))
+        roll, pitch = leaning.lean[:2]
+        if row[tk.GYRO_N]:
+            before = self._taken or (roll, pitch)
+            change = (roll - before[0]) / TICK_S, (pitch - before[1]) / TICK_S
+            lean = roll, pitch, *change
+            rate = less_lean_rate(lean, *_turned(correction, row[_RATES]))
+            out[_RATES] = _back(correction, on_road(lean, *rate))
+        self._taken = (roll, pitch) if row[tk.GYRO_N] else None
+        return out
+
+    def _repeated(self, row: Sequence[float], upright: Sequence[float]) -> Sequence[float]:
+        """A sensor that repeats itself goes on doing so: a stuck one must be seen to be."""
+        out = list(upright)
+        for (count, axes), repeats in zip(_SENSORS, self._repeats, strict=True):
+            if row[count]:
+                x, y, z = upright[axes]
+                known = repeats.known(row[axes])
+                out[axes] = (repeats.result if known else repeats.keep(row[axes], (x, y, z))) or ()
+        return out
+
+
+def _turned(correction: Correction, v: Sequence[float]) -> Vector3:
+    return rotated(correction, v) or (0.0, 0.0, 0.0)
+
+
+def _back(correction: Correction, v: Vector3) -> Vector3:
+    a, b, c, d, e, f, g, h, i = correction
+    return _turned((a, d, g, b, e, h, c, f, i), v)

@@ -1,0 +1,79 @@
+"""JSON schema of the configuration, with what is said of each key in the models' docstrings.
+
+Only `imucald schema` needs it.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import itertools
+import textwrap
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from imucald.config.base import Model
+from imucald.config.shorthand import ONE_OF_LIST, SHORT_TEXTS
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+REFERENCE = "#/$defs/"
+
+
+def described_schema(model: type[Model]) -> dict[str, Any]:
+    """JSON schema of a model and of all models within it, with a description of each key."""
+    _, parts = msgspec.json.schema_components([model], ref_template=f"{REFERENCE}{{name}}")
+    models = {found.__name__: found for found in _models_within(Model)}
+    for name, part in parts.items():
+        part["properties"] = {k: _with_short(v) for k, v in part.get("properties", {}).items()}
+        for key, text in _texts(models[name]).items():
+            if key in part["properties"]:
+                part["properties"][key].setdefault("description", text)
+    whole = parts.pop(model.__name__)
+    return {"$schema": DRAFT, **whole, "$defs": parts}
+
+
+def _with_short(node: dict[str, Any]) -> dict[str, Any]:
+    """The schema of a key, its short forms allowed."""
+    found = dict(node)
+    if "anyOf" in found:
+        branches = [_with_short(branch) for branch in found.pop("anyOf")]
+        flat = [part for branch in branches for part in branch.get("anyOf", [branch])]
+        return {**found, "anyOf": flat}
+    name = found.get("$ref", "").removeprefix(REFERENCE)
+    if name in SHORT_TEXTS:
+        reference: dict[str, Any] = {"$ref": found.pop("$ref")}
+        return {**found, "anyOf": [reference, SHORT_TEXTS[name]]}
+    if isinstance(found.get("items"), dict):
+        one = found["items"]
+        found["items"] = _with_short(one)
+        if one.get("$ref", "").removeprefix(REFERENCE) in ONE_OF_LIST:
+            single = _with_short(one)
+            about: dict[str, Any] = {
+                k: found.pop(k) for k in ("default", "description") if k in found
+            }
+            return {**about, "anyOf": [found, *single.get("anyOf", [single])]}
+    return found
+
+
+def _models_within(base: type[Model]) -> Iterator[type[Model]]:
+    pending = list(base.__subclasses__())
+    while pending:
+        found = pending.pop()
+        pending.extend(found.__subclasses__())
+        yield found
+
+
+def _texts(model: type[Model]) -> dict[str, str]:
+    """The string that follows each annotated name in the class's source."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    found: dict[str, str] = {}
+    for field, text in itertools.pairwise(tree.body if isinstance(tree, ast.ClassDef) else []):
+        match field, text:
+            case (
+                ast.AnnAssign(target=ast.Name(id=name)),
+                ast.Expr(value=ast.Constant(value=str(said))),
+            ):
+                found[name] = inspect.cleandoc(said)
+    return found

@@ -1,0 +1,1 @@
+"""Ground of the house: rotations, samples, errors, files. Imports no other room."""

@@ -1,0 +1,122 @@
+"""Databases and configurations as they were read before: parsing takes milliseconds to seconds.
+
+A file holds the own text of what was read, which must be the same to the last character, and what
+it says, as JSON: reading JSON can make nothing but such descriptions. A file that is damaged or
+made by other versions counts for nothing, and nothing here ever fails: without a folder that can
+be written, and belongs to this user alone, databases are parsed each time.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, TypeVar
+
+import msgspec
+
+MAX_TEXT: Final = 32 * 2**20
+"""Characters of the largest database that is kept."""
+MAX_FILES: Final = 64
+"""Databases kept; there is one file for each place that a database was read from."""
+_SUFFIX: Final = ".json"
+_CHECK_BYTES: Final = 9
+"""CRC-32 as text, and a newline; then come, as JSON: stamp, source, text, messages."""
+
+Message = TypeVar("Message")
+
+
+class _Cache:
+    """Where databases are kept; nowhere until a command says so."""
+
+    folder: Path | None = None
+
+
+def keep_databases(environment: Mapping[str, str]) -> None:
+    """Let this process use the cache: in systemd's cache directory, else in the user's.
+
+    Called by the commands that people wait for; tests and libraries do without.
+    """
+    given = environment.get("CACHE_DIRECTORY", "").partition(":")[0]
+    home = environment.get("HOME", "")
+    user = environment.get("XDG_CACHE_HOME") or (f"{home}/.cache" if home else "")
+    text = given or (f"{user}/imucald/databases" if user else "")
+    _Cache.folder = Path(text) if text.startswith("/") else None
+
+
+def find(text: str, source: str, kind: type[Message]) -> list[Message] | None:
+    """Return the messages (of a kind) of a text that was read before from the same source."""
+    if _Cache.folder is None or not _is_ours(_Cache.folder):
+        return None
+    try:
+        raw = _place(_Cache.folder, source).read_bytes()
+        if raw[:_CHECK_BYTES] != _check(raw[_CHECK_BYTES:]):
+            return None
+        *about, messages = _decoded(raw[_CHECK_BYTES:], kind)
+    except (OSError, ValueError, RecursionError):
+        return None
+    return messages if about == [_stamp(), source, text] else None
+
+
+def keep(text: str, source: str, messages: list[Message], kind: type[Message]) -> None:
+    """Keep what was read from a text, where that can be done."""
+    if _Cache.folder is None or len(text) > MAX_TEXT:
+        return
+    try:
+        _Cache.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not _is_ours(_Cache.folder):
+            return
+        content = msgspec.json.encode((_stamp(), source, text, messages))
+        if _decoded(content, kind)[-1] != messages:
+            return  # numbers that JSON does not know
+        place = _place(_Cache.folder, source)
+        making = place.with_name(f"{place.stem}.{os.getpid()}")
+        making.write_bytes(_check(content) + content)
+        making.replace(place)
+        _drop_oldest(_Cache.folder)
+    except (OSError, ValueError, OverflowError, TypeError, RecursionError):
+        return
+
+
+def _decoded(content: bytes, kind: type[Message]) -> tuple[str, str, str, list[Message]]:
+    layout = tuple[str, str, str, list[kind]]  # type: ignore[valid-type]
+    found: tuple[str, str, str, list[Message]] = msgspec.json.decode(content, type=layout)
+    return found
+
+
+def _drop_oldest(folder: Path) -> None:
+    files = sorted(folder.glob(f"*{_SUFFIX}"), key=lambda path: path.stat().st_mtime)
+    for path in files[: max(0, len(files) - MAX_FILES)]:
+        path.unlink()
+
+
+def _place(folder: Path, source: str) -> Path:
+    return folder / f"{zlib.crc32(source.encode('utf-8', 'surrogateescape')):08x}{_SUFFIX}"
+
+
+def _check(content: bytes) -> bytes:
+    return b"%08x\n" % zlib.crc32(content)
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether nobody else can put files there."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return False
+    return found.st_uid == os.geteuid() and not found.st_mode & 0o022
+
+
+def _stamp() -> str:
+    """What reads databases and YAML: our modules and their libraries, by size and time."""
+    package = Path(__file__).parents[1]
+    ours = (f"{package}/can/dbc/database.py", f"{package}/config/yaml_parser.py")
+    found = [os.stat(file) for file in (*ours, *_libraries())]  # noqa: PTH116
+    return " ".join(f"{one.st_size} {one.st_mtime_ns}" for one in found)
+
+
+def _libraries() -> list[str]:
+    specs = map(importlib.util.find_spec, ("cantools", "yaml"))
+    return [spec.origin for spec in specs if spec is not None and spec.origin]

@@ -1,0 +1,1 @@
+"""Signal acquisition: which signal is which quantity, from frames to samples in SI."""

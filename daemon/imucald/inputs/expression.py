@@ -1,0 +1,199 @@
+"""Raw expressions: values and conditions computed from a frame's bytes, for what no database tells.
+
+An OBD-II answer to service 01 PID 0x0D is ``when: "data[1] == 0x41 and data[2] == 0x0D"`` and
+``value: "data[3]"``. The language is Python's arithmetic and comparison on ``data[i]`` (one byte),
+``length`` and whole numbers; nothing else is reachable from it. The same tree is evaluated on
+one frame with whole numbers and on columns with int64, with equal results.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.errors import ConfigError
+
+MAX_TEXT = 300
+"""Longest accepted expression; a formula over eight bytes needs a fraction of it."""
+MAX_BYTE = 63
+"""Highest byte of a CAN FD frame."""
+MAX_SHIFT = 40
+"""Largest shift [bit]: five bytes, the widest raw field anyone shifts by hand."""
+LARGEST = 2.0**53
+"""Largest magnitude of any intermediate value: beyond it float64 columns are not exact."""
+
+_BINARY = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.LShift, ast.RShift, ast.BitAnd, ast.BitOr)
+_COMPARE = (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE)
+
+
+class Expression:
+    """A compiled raw expression.
+
+    `needs`: how many data bytes a frame must have. Raises ConfigError on anything but the
+    language above, with the reason.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        if len(text) > MAX_TEXT:
+            raise ConfigError(f"expression longer than {MAX_TEXT} characters")
+        try:
+            tree = ast.parse(text.strip(), mode="eval")
+        except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+            raise ConfigError(f"cannot read the expression {text!r}: {error}") from None
+        self.needs = 0
+        self._check(tree.body)
+        scalar = ast.Expression(_Scalar().visit(tree.body))
+        self._scalar = _compiled(scalar, "data", "length")
+        columns = ast.Expression(_Columns().visit(ast.parse(text.strip(), mode="eval").body))
+        self._columns = _compiled(columns, "data", "length", "_and", "_or", "_not")
+
+    def _check(self, node: ast.expr) -> float:
+        """Refuse what is not in the language; return a bound on the magnitude of the value."""
+        bound = self._bound(node)
+        if bound > LARGEST:
+            raise ConfigError(f"{ast.unparse(node)!r} can exceed 2^53: columns would not be exact")
+        return bound
+
+    def _bound(self, node: ast.expr) -> float:
+        match node:
+            case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+                return abs(float(number))
+            case ast.Name(id="length"):
+                return MAX_BYTE + 1.0
+            case ast.Subscript(value=ast.Name(id="data"), slice=ast.Constant(value=int() as i)):
+                if isinstance(i, bool) or not 0 <= i <= MAX_BYTE:
+                    raise ConfigError(f"data[{i}] is not a byte of a CAN frame (0..{MAX_BYTE})")
+                self.needs = max(self.needs, i + 1)
+                return 255.0
+            case ast.BinOp(left=left, op=op, right=right) if isinstance(op, _BINARY):
+                return self._bound_binary(op, left, right)
+            case ast.UnaryOp(op=ast.USub() | ast.Not(), operand=operand):
+                return max(self._check(operand), 1.0)
+            case ast.BoolOp(values=values):
+                return max(self._check(value) for value in values)
+            case ast.Compare(left=left, ops=[op], comparators=[right]) if isinstance(op, _COMPARE):
+                self._check(left)
+                self._check(right)
+                return 1.0
+        raise ConfigError(
+            f"{ast.unparse(node)!r} is not allowed in the expression {self.text!r}: use data[i],"
+            " length, numbers, + - * / << >> & |, comparisons, and, or, not"
+        )
+
+    def _bound_binary(self, op: ast.operator, left: ast.expr, right: ast.expr) -> float:
+        if isinstance(op, ast.LShift | ast.RShift):
+            self._check_shift(right)
+        if isinstance(op, ast.Div):
+            self._check_divisor(right)
+        if isinstance(op, ast.BitAnd | ast.BitOr | ast.LShift | ast.RShift):
+            self._check_whole(left)
+            self._check_whole(right)
+        a, b = self._check(left), self._check(right)
+        match op:
+            case ast.Mult():
+                return a * b
+            case ast.Div():
+                return a / b
+            case ast.LShift():
+                return math.ldexp(a, int(b))
+            case ast.RShift():
+                return a
+        return a + b
+
+    def _check_whole(self, node: ast.expr) -> None:
+        for part in ast.walk(node):
+            fraction = isinstance(part, ast.Constant) and not isinstance(part.value, int)
+            if fraction or isinstance(part, ast.Div | ast.Compare | ast.BoolOp | ast.Not):
+                raise ConfigError(
+                    f"bit operations in {self.text!r} need whole numbers on both sides"
+                )
+
+    def _check_shift(self, right: ast.expr) -> None:
+        if not (
+            isinstance(right, ast.Constant)
+            and isinstance(right.value, int)
+            and 0 <= right.value <= MAX_SHIFT
+        ):
+            raise ConfigError(f"a shift in {self.text!r} must be a number from 0 to {MAX_SHIFT}")
+
+    def _check_divisor(self, right: ast.expr) -> None:
+        if not (isinstance(right, ast.Constant) and right.value):
+            raise ConfigError(f"a divisor in {self.text!r} must be a number other than zero")
+
+    def number(self, data: Sequence[int]) -> float:
+        """Value on one frame's bytes; the caller has checked `needs`."""
+        return float(self._scalar(data, len(data)))
+
+    def holds(self, data: Sequence[int]) -> bool:
+        """Truth on one frame's bytes; the caller has checked `needs`."""
+        return bool(self._scalar(data, len(data)))
+
+    def numbers(self, data: NDArray[np.uint8], length: NDArray[np.uint8]) -> NDArray[np.float64]:
+        """Values on columns of bytes (N, W) and lengths (N,)."""
+        return np.broadcast_to(self._on_columns(data, length), (len(data),)).astype(np.float64)
+
+    def hold(self, data: NDArray[np.uint8], length: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Truths on columns of bytes (N, W) and lengths (N,)."""
+        return np.broadcast_to(self._on_columns(data, length), (len(data),)).astype(np.bool_)
+
+    def _on_columns(self, data: NDArray[np.uint8], length: NDArray[np.uint8]) -> Any:
+        byte = _ByteColumns(data)
+        return self._columns(
+            byte, length.astype(np.int64), np.logical_and, np.logical_or, np.logical_not
+        )
+
+
+class _ByteColumns:
+    def __init__(self, data: NDArray[np.uint8]) -> None:
+        self._data = data
+
+    def __getitem__(self, i: int) -> NDArray[np.int64]:
+        if i >= self._data.shape[1]:
+            return np.zeros(len(self._data), dtype=np.int64)
+        return self._data[:, i].astype(np.int64)
+
+
+class _Scalar(ast.NodeTransformer):
+    """Conjunctions give truth values, so that both evaluations agree."""
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
+        self.generic_visit(node)
+        return ast.BoolOp(
+            op=node.op,
+            values=[ast.UnaryOp(ast.Not(), ast.UnaryOp(ast.Not(), v)) for v in node.values],
+        )
+
+
+class _Columns(ast.NodeTransformer):
+    """``and``, ``or``, ``not`` become calls of numpy's element-wise functions."""
+
+    def visit_BoolOp(self, node: ast.BoolOp) -> ast.expr:
+        self.generic_visit(node)
+        name = "_and" if isinstance(node.op, ast.And) else "_or"
+        result = node.values[0]
+        for value in node.values[1:]:
+            result = ast.Call(ast.Name(name, ast.Load()), [result, value], [])
+        return result
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.expr:
+        self.generic_visit(node)
+        if isinstance(node.op, ast.Not):
+            return ast.Call(ast.Name("_not", ast.Load()), [node.operand], [])
+        return node
+
+
+def _compiled(tree: ast.Expression, *names: str) -> Callable[..., Any]:
+    arguments = ast.arguments(
+        posonlyargs=[], args=[ast.arg(n) for n in names], kwonlyargs=[], kw_defaults=[], defaults=[]
+    )
+    function = ast.Expression(ast.Lambda(arguments, tree.body))
+    ast.fix_missing_locations(function)
+    code = compile(function, "<expression>", "eval")
+    result: Callable[..., Any] = eval(code, {"__builtins__": {}})
+    return result

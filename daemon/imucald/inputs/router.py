@@ -1,0 +1,350 @@
+"""Frames -> samples: which signal is which quantity, compiled from configuration and databases.
+
+A `Router` takes single frames (live) or columns of frames (replay) and gives samples by channel
+(see `samples`), the same either way. What it rejects it counts, by reason.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.can.columns import FrameColumns, IdMatch
+from imucald.core.samples import CHANNEL_WIDTH, Series
+from imucald.inputs.quantities import REASONS
+from imucald.inputs.routes import Physical, Raw, Route, Tap
+from imucald.inputs.source_selector import Arbiter
+from imucald.inputs.triad_assembler import Assembler, Part, in_row_order
+
+MAX_KNOWN_IDS = 4096
+"""Identifiers remembered by the dispatcher; J1939 sources are few, an attacker's are many."""
+
+Sample = tuple[str, Sequence[float]]
+"""Channel and values."""
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnSamples(Series):
+    """A series that knows which row of the chunk each sample came from; row: (N,) int64."""
+
+    row: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+class Routed(Struct, frozen=True, eq=False):
+    """What a chunk of frames came to.
+
+    samples: by channel. rejected: by channel, the rows whose sample was rejected, in order.
+    events: (M,) stream times of all rejections that were counted [s], in order.
+    """
+
+    samples: dict[str, ColumnSamples]
+    rejected: dict[str, Rows]
+    events: NDArray[np.float64]
+
+
+class Router:
+    """Turns frames into samples.
+
+    routes: one for each message (or raw expression) in use, see `routes`.
+    derive_speed: speed comes from the wheels. derive_reverse: reverse is a negative speed.
+    """
+
+    def __init__(
+        self, routes: Sequence[Route], derive_speed: bool = False, derive_reverse: bool = False
+    ) -> None:
+        self.routes = tuple(routes)
+        self.rejected: Counter[str] = Counter()
+        """Rejected frames and samples by reason."""
+        self.used = 0
+        """Frames that were accepted."""
+        self.sample_counts: Counter[str] = Counter()
+        """Accepted samples by channel."""
+        self._known: dict[int, tuple[Route, ...]] = {}
+        self._derive_speed = derive_speed
+        self._derive_reverse = derive_reverse
+        ranks: dict[str, int] = {}
+        for tap in self._taps():
+            ranks[tap.channel] = max(ranks.get(tap.channel, 0), tap.rank + 1)
+        self._arbiters = {c: Arbiter(n) for c, n in ranks.items() if n > 1}
+        self._assemblers: dict[tuple[str, int], Assembler] = {
+            (tap.channel, tap.rank): Assembler(_width(tap.channel))
+            for tap in self._taps()
+            if not tap.complete
+        }
+
+    def _taps(self) -> Iterable[Tap]:
+        return (tap for route in self.routes for tap in route.taps)
+
+    @property
+    def matches(self) -> list[IdMatch]:
+        """Identifiers that the bus link and log readers must let through."""
+        return list(dict.fromkeys(route.match for route in self.routes))
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """Channels that can come."""
+        found = {tap.channel for tap in self._taps()}
+        if self._derive_speed:
+            found.add("speed")
+        if self._derive_reverse:
+            found.add("reverse")
+        return frozenset(found)
+
+    # one frame -----------------------------------------------------------------------------
+
+    def frame(self, t: float, can_id: int, data: bytes) -> tuple[list[Sample], list[str]]:
+        """Samples of one frame, and the channels of which a sample was rejected.
+
+        t: stream time [s]; can_id with the flag for 29 bits. The channel of a recording is not
+        looked at: a live bus is one bus.
+        """
+        samples: list[Sample] = []
+        refused: list[Tap] = []
+        found: list[tuple[Tap, Raw, Physical]] = []
+        accepted = 0
+        for route in self._routes_of(can_id):
+            reason = route.check(t, data)
+            if reason is None:
+                continue
+            if reason:
+                self.rejected[reason] += 1
+                refused += route.taps
+                continue
+            accepted += 1
+            raw, physical = route.numbers(data)
+            found += [(tap, raw, physical) for tap in route.taps]
+        if accepted > 1:  # the preferred source is heard first, whichever route it is on
+            found.sort(key=lambda one: one[0].rank)
+        self.used += accepted > 0
+        self._take(t, found, samples, refused)
+        return samples, [tap.channel for tap in refused if self._hears(t, tap)]
+
+    def _hears(self, t: float, tap: Tap) -> bool:
+        """Whether a tap's samples are taken now: nothing is lost by those that would not be."""
+        arbiter = self._arbiters.get(tap.channel)
+        return arbiter is None or arbiter.hears(t, tap.rank)
+
+    def _take(
+        self,
+        t: float,
+        found: Iterable[tuple[Tap, Raw, Physical]],
+        samples: list[Sample],
+        refused: list[Tap],
+    ) -> None:
+        for tap, raw, physical in found:
+            values: Sequence[float] | None
+            values, code = tap.one(raw, physical)
+            if code < 0:
+                continue
+            if code:
+                self.rejected[REASONS[code]] += 1
+            if not tap.complete:
+                values, bad = self._assemblers[tap.channel, tap.rank].add(
+                    t, tap.slots, None if code else values
+                )
+                if bad:
+                    refused.append(tap)
+                if values is None:
+                    continue
+            elif code:
+                refused.append(tap)
+                continue
+            arbiter = self._arbiters.get(tap.channel)
+            if arbiter is not None and not arbiter.accept(t, tap.rank):
+                continue
+            self._finish(tap.channel, values, samples)
+
+    def _finish(self, channel: str, values: Sequence[float], samples: list[Sample]) -> None:
+        if channel == "speed":
+            if self._derive_reverse:
+                samples.append(("reverse", (1.0 if values[0] < 0.0 else 0.0,)))
+            values = (abs(values[0]),)
+        samples.append((channel, values))
+        self.sample_counts[channel] += 1
+        if channel == "wheel_speeds" and self._derive_speed:
+            _, b, c, _ = sorted(abs(v) for v in values)
+            samples.append(("speed", (0.5 * (b + c),)))
+            self.sample_counts["speed"] += 1
+
+    def _routes_of(self, can_id: int) -> tuple[Route, ...]:
+        routes = self._known.get(can_id)
+        if routes is None:
+            routes = tuple(
+                r for r in self.routes if not (can_id ^ r.match.can_id) & r.match.full_mask
+            )
+            if len(self._known) < MAX_KNOWN_IDS:
+                self._known[can_id] = routes
+        return routes
+
+    # columns -------------------------------------------------------------------------------
+
+    def columns(self, t: NDArray[np.float64], frames: FrameColumns) -> Routed:
+        """Samples of a chunk of frames; t: (N,) stream times of the frames."""
+        used = np.zeros(len(frames), dtype=bool)
+        parts: dict[str, list[Part]] = {}
+        refused: list[tuple[Tap, Rows]] = []
+        events: list[Rows] = []
+        for arbiter in self._arbiters.values():
+            arbiter.begin_chunk()
+        for route in self.routes:
+            rows = _rows_of(route.match, frames)
+            if not len(rows):
+                continue
+            chosen = frames if len(rows) == len(frames) else frames.take(rows)
+            ok, reasons = route.check_columns(t[rows], chosen)
+            for reason, bad in reasons.items():
+                self.rejected[reason] += len(bad)
+                events.append(rows[bad])
+                refused += [(tap, rows[bad]) for tap in route.taps]
+            if not ok.all():
+                rows = rows[ok]
+                chosen = chosen.take(ok)
+            used[rows] = True
+            self._take_columns(route, t, rows, chosen, parts, refused, events)
+        self.used += int(np.count_nonzero(used))
+        samples = {c: self._joined(c, found) for c, found in parts.items()}
+        self._assemble(parts, samples, refused)
+        self._finish_columns(samples)
+        return Routed(
+            samples,
+            self._rejected_rows(t, refused),
+            t[np.sort(np.concatenate(events))] if events else np.zeros(0),
+        )
+
+    def _rejected_rows(
+        self, t: NDArray[np.float64], refused: list[tuple[Tap, Rows]]
+    ) -> dict[str, Rows]:
+        """Rows by channel of what was refused and would have been taken."""
+        found: dict[str, list[Rows]] = {}
+        for tap, rows in refused:
+            arbiter = self._arbiters.get(tap.channel)
+            if arbiter is not None:
+                rows = rows[arbiter.hears_columns(t[rows], rows, tap.rank)]  # noqa: PLW2901
+            if len(rows):
+                found.setdefault(tap.channel, []).append(rows)
+        return {channel: np.sort(np.concatenate(rows)) for channel, rows in found.items()}
+
+    def _take_columns(
+        self,
+        route: Route,
+        t: NDArray[np.float64],
+        rows: Rows,
+        frames: FrameColumns,
+        parts: dict[str, list[Part]],
+        refused: list[tuple[Tap, Rows]],
+        events: list[Rows],
+    ) -> None:
+        columns = route.number_columns(frames)
+        for tap in route.taps:
+            values, codes = tap.columns(columns)
+            bad = codes > 0
+            if bad.any():
+                events.append(rows[bad])
+                for code in np.unique(codes[bad]).tolist():
+                    self.rejected[REASONS[code]] += int(np.count_nonzero(codes == code))
+                if tap.complete:
+                    refused.append((tap, rows[bad]))
+            keep = codes == 0 if tap.complete else codes >= 0
+            part = Part(tap, t[rows], rows, values, codes)
+            if not keep.all():
+                part = part.take(keep)
+            parts.setdefault(tap.channel, []).append(part)
+
+    def _joined(self, channel: str, found: list[Part]) -> ColumnSamples:
+        """Whole samples of a channel, by preference; parts of triads are left to `_assemble`."""
+        whole = sorted((p for p in found if p.tap.complete), key=lambda p: p.tap.rank)
+        arbiter = self._arbiters.get(channel)
+        if arbiter is not None and not any(not p.tap.complete for p in found):
+            by_rank: dict[int, Part] = {}
+            for part in whole:
+                known = by_rank.get(part.tap.rank)
+                by_rank[part.tap.rank] = part if known is None else known.merged(part)
+            whole = [
+                part.take(arbiter.accept_columns(part.t, part.row, rank))
+                for rank, part in sorted(by_rank.items())
+            ]
+        if len(whole) == 1:
+            part = whole[0]
+            return ColumnSamples(part.t, part.values, part.row)
+        if not whole:
+            width = _width(channel)
+            empty = np.zeros((0, width) if width > 1 else 0)
+            return ColumnSamples(np.zeros(0), empty, np.zeros(0, np.int64))
+        merged = whole[0]
+        for part in whole[1:]:
+            merged = merged.merged(part)
+        return ColumnSamples(merged.t, merged.values, merged.row)
+
+    def _assemble(
+        self,
+        parts: Mapping[str, list[Part]],
+        samples: dict[str, ColumnSamples],
+        refused: list[tuple[Tap, Rows]],
+    ) -> None:
+        """Channels with split triads: the same steps as for single frames, in row order."""
+        for channel, found in parts.items():
+            if all(p.tap.complete for p in found):
+                continue
+            arbiter = self._arbiters.get(channel)
+            t_out: list[float] = []
+            rows_out: list[int] = []
+            values_out: list[Sequence[float]] = []
+            for row, tap, t, value, code in in_row_order(found):
+                values: Sequence[float] | None = value
+                if not tap.complete:
+                    values, bad = self._assemblers[channel, tap.rank].add(
+                        t, tap.slots, None if code else value
+                    )
+                    if bad:
+                        refused.append((tap, np.array([row], dtype=np.int64)))
+                    if values is None:
+                        continue
+                if arbiter is not None and not arbiter.accept_row(t, row, tap.rank):
+                    continue
+                t_out.append(t)
+                rows_out.append(row)
+                values_out.append(values or ())
+            width = _width(channel)
+            values_array = np.array(values_out).reshape(len(t_out), width)
+            samples[channel] = ColumnSamples(
+                np.array(t_out),
+                values_array if width > 1 else values_array[:, 0],
+                np.array(rows_out, dtype=np.int64),
+            )
+
+    def _finish_columns(self, samples: dict[str, ColumnSamples]) -> None:
+        for channel in [c for c, s in samples.items() if not len(s.t)]:
+            del samples[channel]
+        for channel, series in samples.items():
+            self.sample_counts[channel] += len(series.t)
+        speed = samples.get("speed")
+        if speed is not None:
+            if self._derive_reverse:
+                backwards = (speed.values < 0.0).astype(np.float64)
+                samples["reverse"] = ColumnSamples(speed.t, backwards, speed.row)
+            samples["speed"] = ColumnSamples(speed.t, np.abs(speed.values), speed.row)
+        wheels = samples.get("wheel_speeds")
+        if wheels is not None and self._derive_speed:
+            ordered = np.sort(np.abs(wheels.values), axis=1)
+            middle = 0.5 * (ordered[:, 1] + ordered[:, 2])
+            samples["speed"] = ColumnSamples(wheels.t, middle, wheels.row)
+            self.sample_counts["speed"] += len(middle)
+
+
+def _rows_of(match: IdMatch, frames: FrameColumns) -> NDArray[np.int64]:
+    mask = np.uint32(match.full_mask)
+    hit = (frames.can_id & mask) == np.uint32(match.can_id & match.full_mask)
+    if match.channel is not None:
+        wanted = [i for i, name in enumerate(frames.channels) if name == match.channel]
+        hit &= np.isin(frames.channel, wanted)
+    return np.flatnonzero(hit)
+
+
+def _width(channel: str) -> int:
+    return CHANNEL_WIDTH.get(channel, 3)

@@ -1,0 +1,314 @@
+"""Configuration and databases -> a `Router`. What does not fit is a ConfigError with its line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from msgspec import Struct
+
+from imucald import config as cfg
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
+from imucald.can.dbc.database import Database, Message, Signal, load_database
+from imucald.can.dbc.decode import compile_decode
+from imucald.can.dbc.scaling import raw_limits
+from imucald.config import LoadedConfig
+from imucald.core.errors import ConfigError, DatabaseError
+from imucald.inputs.expression import Expression
+from imucald.inputs.protection_settings import guard_for
+from imucald.inputs.quantities import Conversion
+from imucald.inputs.router import Router
+from imucald.inputs.routes import Component, MessageRoute, RawRoute, Route, Tap
+from imucald.inputs.units import Unit, find_unit, unit_names
+
+Place = tuple[str | int, ...]
+
+DIMENSIONS = {
+    "accel": "acceleration",
+    "gyro": "angular_rate",
+    "mag": "magnetic_field",
+    "speed": "speed",
+    "wheel_speeds": "speed",
+    "steering": "angle",
+    "yaw_rate": "angular_rate",
+    "lateral_accel": "acceleration",
+    "longitudinal_accel": "acceleration",
+    "reverse": "flag",
+    "brake": "flag",
+    "temperature": "temperature",
+    "heading": "angle",
+}
+_TRIADS = {"accelerometer": "accel", "gyroscope": "gyro", "magnetometer": "mag"}
+_SCALARS = {
+    "speed": "speed",
+    "steering_wheel_angle": "steering",
+    "yaw_rate": "yaw_rate",
+    "lateral_acceleration": "lateral_accel",
+    "longitudinal_acceleration": "longitudinal_accel",
+    "reverse": "reverse",
+    "brake": "brake",
+    "temperature": "temperature",
+    "heading": "heading",
+}
+_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+_SENSORS = ("accel", "gyro")
+"""Channels whose end-of-range values mean a saturated sensor."""
+
+
+class Wanted(Struct, frozen=True):
+    """One number that the configuration asks for."""
+
+    channel: str
+    dimension: str
+    rank: int
+    slot: int
+    width: int
+    planar: bool
+    source: cfg.Source
+    place: Place
+
+
+class Loaded(Struct):
+    """A database of the configuration, read."""
+
+    entry: cfg.Database
+    database: Database
+    place: Place
+
+
+@dataclass
+class _Group:
+    """What is asked of one message."""
+
+    message: Message
+    channel: str | None
+    j1939: bool | None
+    names: list[str] = field(default_factory=list)
+    wanted: list[tuple[Wanted, int, Conversion]] = field(default_factory=list)
+
+
+def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
+    """Every number that the configuration's `signals` section names."""
+    for key, channel in _TRIADS.items():
+        triads: Sequence[cfg.Triad] | None = getattr(signals, key)
+        for rank, triad in enumerate(triads or ()):
+            place: Place = ("signals", key, rank)
+            yield from _axes(channel, DIMENSIONS[channel], rank, triad, place)
+    for sensor_index, sensor in enumerate(signals.parallel):
+        triad = cfg.Triad(x=sensor.x, y=sensor.y, z=sensor.z)
+        place = ("signals", "parallel", sensor_index)
+        yield from _axes(f"parallel/{sensor.name}", sensor.kind, 0, triad, place)
+    for key, channel in _SCALARS.items():
+        sources: Sequence[cfg.Source] | None = getattr(signals, key)
+        for rank, source in enumerate(sources or ()):
+            place = ("signals", key, rank)
+            yield Wanted(channel, DIMENSIONS[channel], rank, 0, 1, False, source, place)
+    if signals.wheel_speeds is not None:
+        for slot, key in enumerate(_WHEELS):
+            source = getattr(signals.wheel_speeds, key)
+            place = ("signals", "wheel_speeds", key)
+            yield Wanted("wheel_speeds", "speed", 0, slot, 4, False, source, place)
+
+
+def _axes(
+    channel: str, dimension: str, rank: int, triad: cfg.Triad, place: Place
+) -> Iterator[Wanted]:
+    planar = triad.z is None
+    for slot, axis in enumerate("xyz"):
+        source: cfg.Source | None = getattr(triad, axis)
+        if source is not None:
+            here = (*place, axis)
+            yield Wanted(channel, dimension, rank, slot, 3, planar, source, here)
+
+
+def load_databases(loaded: LoadedConfig) -> list[Loaded]:
+    """Read the configuration's databases; ConfigError at its line where one cannot be read."""
+    found = []
+    for i, entry in enumerate(loaded.config.database):
+        place: Place = ("database", i)
+        try:
+            database = load_database([loaded.database_path(entry)])
+        except DatabaseError as error:
+            raise loaded.error(place, str(error)) from None
+        found.append(Loaded(entry, database, place))
+    return found
+
+
+def compile_router(loaded: LoadedConfig) -> Router:
+    """Build the router that a configuration describes.
+
+    Raises ConfigError, with line and remedy, where a message, a signal or a unit does not fit.
+    """
+    databases = load_databases(loaded)
+    groups: dict[tuple[str, str | None], _Group] = {}
+    routes: list[Route] = []
+    for wanted in wanted_numbers(loaded.config.signals):
+        if wanted.source.raw is not None:
+            routes.append(_raw_route(loaded, wanted, wanted.source.raw))
+        else:
+            _add_signal(loaded, databases, groups, wanted)
+    _refuse_unknown_messages(loaded, groups)
+    _refuse_split_planar(loaded, groups.values())
+    routes += [_message_route(loaded, group) for group in groups.values()]
+    signals = loaded.config.signals
+    return Router(
+        routes,
+        derive_speed=signals.speed is None and signals.wheel_speeds is not None,
+        derive_reverse=signals.reverse is None and _signed_speed(groups.values()),
+    )
+
+
+def _signed_speed(groups: Iterable[_Group]) -> bool:
+    """Whether a speed signal can be negative: reverse is then read from its sign."""
+    return any(
+        w.channel == "speed" and g.message.signal(g.names[i]).is_signed
+        for g in groups
+        for w, i, _ in g.wanted
+    )
+
+
+def _add_signal(
+    loaded: LoadedConfig,
+    databases: Sequence[Loaded],
+    groups: dict[tuple[str, str | None], _Group],
+    wanted: Wanted,
+) -> None:
+    path = wanted.source.signal or ""
+    holder, message, signal = _find(loaded, databases, wanted, path)
+    channel = wanted.source.channel or holder.entry.channel
+    group = groups.setdefault((message.name, channel), _Group(message, channel, holder.entry.j1939))
+    if signal.name not in group.names:
+        group.names.append(signal.name)
+    conversion = _conversion(loaded, wanted, signal)
+    group.wanted.append((wanted, group.names.index(signal.name), conversion))
+
+
+def _find(
+    loaded: LoadedConfig, databases: Sequence[Loaded], wanted: Wanted, path: str
+) -> tuple[Loaded, Message, Signal]:
+    problem = ""
+    for holder in databases:
+        try:
+            message, signal = holder.database.signal(path)
+        except DatabaseError as error:
+            problem = problem if "has no signal" in problem else str(error)
+            continue
+        return holder, message, signal
+    raise loaded.error(wanted.place, problem)
+
+
+def _conversion(loaded: LoadedConfig, wanted: Wanted, signal: Signal | None) -> Conversion:
+    source = wanted.source
+    text = source.unit if source.unit is not None else signal.unit if signal else None
+    try:
+        unit = _unit(text, wanted.dimension)
+    except ConfigError as error:
+        where = "" if source.unit is not None else " in the database; set 'unit:' here"
+        raise loaded.error(wanted.place, f"{error}{where}") from None
+    low, high = source.range if source.range is not None else (-math.inf, math.inf)
+    not_available = source.not_available
+    if signal is not None and isinstance(signal.invalid_raw, int):
+        not_available = (*not_available, signal.invalid_raw)
+    equals = source.equals
+    return Conversion(
+        unit=unit,
+        sign=float(source.sign),
+        offset=source.offset,
+        low=low,
+        high=high,
+        rails=_rails(signal, source) if wanted.channel in _SENSORS else None,
+        not_available=not_available,
+        on_values=(equals,) if isinstance(equals, int | float) else equals,
+        on_above=source.above,
+    )
+
+
+def _unit(text: str | None, dimension: str) -> Unit:
+    if not text and dimension != "flag":
+        names = ", ".join(unit_names(dimension))
+        raise ConfigError(f"no unit is stated (one of {names})")
+    return find_unit(text or "", dimension)
+
+
+def _rails(signal: Signal | None, source: cfg.Source) -> tuple[float, float] | None:
+    """Physical values at which the sensor has run into its end."""
+    if signal is None or signal.is_float:
+        return None
+    ends = [raw * signal.scale + signal.offset for raw in raw_limits(signal)]
+    low, high = float(min(ends)), float(max(ends))
+    if source.range is None and signal.minimum is not None and signal.maximum is not None:
+        low, high = max(low, signal.minimum), min(high, signal.maximum)
+    return (low, high) if low < high else None
+
+
+def _raw_route(loaded: LoadedConfig, wanted: Wanted, raw: cfg.RawSource) -> RawRoute:
+    try:
+        when = Expression(raw.when) if raw.when is not None else None
+        value = Expression(raw.value)
+    except ConfigError as error:
+        raise loaded.error((*wanted.place, "raw"), str(error)) from None
+    if wanted.source.unit is None and wanted.dimension != "flag":
+        names = ", ".join(unit_names(wanted.dimension))
+        raise loaded.error(wanted.place, f"a raw source needs 'unit:' (one of {names})")
+    match = IdMatch(
+        raw.id | (CAN_EFF_FLAG if raw.is_extended else 0),
+        CAN_EFF_MASK if raw.is_extended else CAN_SFF_MASK,
+        wanted.source.channel,
+    )
+    component = Component(0, _conversion(loaded, wanted, None))
+    tap = Tap(wanted.channel, wanted.rank, (component,), (wanted.slot,), wanted.width == 1)
+    return RawRoute(f"id 0x{raw.id:X}", match, when, value, tap)
+
+
+def _message_route(loaded: LoadedConfig, group: _Group) -> MessageRoute:
+    protection = loaded.config.messages.get(group.message.name)
+    place: Place = ("messages", group.message.name)
+    try:
+        j1939 = group.j1939 if group.message.can_id & CAN_EFF_FLAG else None
+        plan = compile_decode(group.message, group.names, j1939, group.channel)
+        guard = guard_for(group.message, protection)
+    except (DatabaseError, ConfigError) as error:
+        raise loaded.error(place, str(error)) from None
+    return MessageRoute(plan, guard, list(_taps(group)))
+
+
+def _taps(group: _Group) -> Iterator[Tap]:
+    keys = dict.fromkeys((w.channel, w.rank) for w, _, _ in group.wanted)
+    for channel, rank in keys:
+        members = sorted(
+            (m for m in group.wanted if (m[0].channel, m[0].rank) == (channel, rank)),
+            key=lambda m: m[0].slot,
+        )
+        first = members[0][0]
+        needed = first.width - first.planar
+        complete = len(members) == needed
+        yield Tap(
+            channel,
+            rank,
+            tuple(Component(index, conversion) for _, index, conversion in members),
+            tuple(w.slot for w, _, _ in members),
+            complete,
+            first.planar and complete,
+        )
+
+
+def _refuse_unknown_messages(
+    loaded: LoadedConfig, groups: dict[tuple[str, str | None], _Group]
+) -> None:
+    used = {name for name, _ in groups}
+    for name in loaded.config.messages:
+        if name not in used:
+            known = ", ".join(sorted(used))
+            raise loaded.error(
+                ("messages", name), f"no signal is taken from this message (from: {known})"
+            )
+
+
+def _refuse_split_planar(loaded: LoadedConfig, groups: Iterable[_Group]) -> None:
+    for group in groups:
+        planar = [w for w, _, _ in group.wanted if w.planar]
+        if len(planar) % 2:
+            raise loaded.error(
+                planar[0].place, "x and y of an accelerometer without z must be in one message"
+            )

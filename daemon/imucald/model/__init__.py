@@ -1,0 +1,1 @@
+"""The model file: every parameter of vehicle, road and sensors."""

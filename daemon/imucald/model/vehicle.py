@@ -1,0 +1,190 @@
+"""Parameters of the vehicle, the road and the driver (sections of the model file).
+
+SI units unless the name says otherwise. Defaults are those of a compact passenger car on
+ordinary roads; the sources are named where a figure is not plain.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from imucald.model.section import (
+    ZERO,
+    Fraction,
+    NonNegative,
+    Positive,
+    Section,
+    Vector3,
+)
+
+RouteKind = Literal["mixed", "city", "motorway", "straight_only", "circles", "parked"]
+DrivingSide = Literal["right", "left"]
+RoadLength = Annotated[float, Field(ge=15.0)]
+"""Shorter waves are roughness."""
+
+
+FASTEST_MPS = 36.0
+"""Drivers do not go faster than this, whatever the route."""
+
+
+class Chassis(Section):
+    """Single-track vehicle. The understeer gradient and the rear stiffness give the front one."""
+
+    mass_kg: Positive = 1450.0
+    yaw_inertia_kgm2: Positive = 2300.0
+    wheelbase_m: Positive = 2.68
+    cg_to_front_m: Positive = 1.20
+    track_m: Positive = 1.53
+    steering_ratio: Positive = 15.5
+    """Steering-wheel angle over road-wheel angle."""
+    rear_cornering_stiffness_npr: Positive = 110e3
+    """Lateral force over slip angle of the rear axle [N/rad]."""
+    understeer_gradient: float = 0.0025
+    """K in delta = L/R + K * a_y [rad/(m/s^2)]; 0.0025 is 1.4 deg/g."""
+    friction: Annotated[float, Field(ge=0.15)] = 0.95
+    """Tyre force saturates at friction times axle load."""
+    tyre_saturation: bool = True
+    """False: tyres stay linear."""
+    single_track: bool = True
+    """False: the vehicle follows the path exactly (no sideslip, no lag)."""
+
+    @property
+    def cg_to_rear_m(self) -> float:
+        """Distance from the centre of gravity to the rear axle [m]."""
+        return self.wheelbase_m - self.cg_to_front_m
+
+    @property
+    def front_cornering_stiffness_npr(self) -> float:
+        """Front axle stiffness [N/rad] from K = m/L (l_r/C_f - l_f/C_r)."""
+        m, L = self.mass_kg, self.wheelbase_m
+        rear = self.cg_to_front_m / self.rear_cornering_stiffness_npr
+        return self.cg_to_rear_m / (self.understeer_gradient * L / m + rear)
+
+    @model_validator(mode="after")
+    def _plausible(self) -> Chassis:
+        if self.cg_to_front_m >= self.wheelbase_m:
+            raise ValueError("cg_to_front_m must be shorter than wheelbase_m")
+        limit = -self.wheelbase_m / FASTEST_MPS**2
+        if self.understeer_gradient < limit:
+            raise ValueError(
+                f"understeer_gradient below {limit:.4f} makes a vehicle that spins at speed"
+            )
+        return self
+
+
+class Suspension(Section):
+    """Sprung body on its springs: roll and pitch as second-order systems, and a quarter car.
+
+    The body turns about a centre that moves with the road frame; the lever arm of the sensor is
+    counted from there.
+    """
+
+    squat_dive: bool = True
+    squat_gradient: float = 0.0035
+    """Nose-up angle per forward specific force [rad/(m/s^2)]; 0.0035 is 2 deg/g."""
+    dive_gradient: float = 0.0040
+    """Nose-down angle per braking specific force [rad/(m/s^2)]."""
+    pitch_frequency_hz: Positive = 1.7
+    pitch_damping: Positive = 0.35
+    body_roll: bool = True
+    roll_gradient: float = 0.0080
+    """Roll out of the turn per lateral specific force [rad/(m/s^2)]; 0.008 is 4.5 deg/g."""
+    roll_frequency_hz: Positive = 1.8
+    roll_damping: Positive = 0.35
+    heave_frequency_hz: Positive = 1.4
+    heave_damping: Positive = 0.30
+    wheel_hop_hz: Positive = 11.0
+    unsprung_ratio: Positive = 0.12
+    """Unsprung over sprung mass; with `wheel_hop_hz` it gives the tyre's stiffness."""
+
+
+class Road(Section):
+    """Slope, crown, superelevation and roughness of the road."""
+
+    grade: bool = True
+    grade_rms: NonNegative = 0.02
+    """rms of the slope along the road (tangent), about its mean."""
+    grade_mean: float = 0.0
+    """Mean slope (tangent), positive uphill."""
+    grade_length_m: RoadLength = 110.0
+    """Distance over which the slope forgets itself (second-order Gauss-Markov); longer waves on
+    fast roads."""
+    bank: bool = True
+    crown_mean: float = 0.012
+    """Mean cross fall towards the kerb (tangent)."""
+    bank_rms: NonNegative = 0.015
+    """rms of the cross fall about its mean."""
+    bank_length_m: RoadLength = 60.0
+    superelevation: Fraction = 0.3
+    """Share of the centripetal acceleration that banked curves take off, outside cities."""
+    superelevation_max: NonNegative = 0.05
+    roughness: bool = True
+    roughness_n0: NonNegative = 48e-6
+    """Displacement spectral density at 0.1 cycles/m [m^3]; ISO 8608: A 16e-6, B 64e-6, C 256e-6."""
+
+
+class Route(Section):
+    """Where the drive goes and how the driver drives."""
+
+    kind: RouteKind = "mixed"
+    driving_side: DrivingSide = "right"
+    standing_first_s: NonNegative = 20.0
+    """Standing before the first motion; 0 begins with the vehicle already moving."""
+    standing_last_s: NonNegative = 10.0
+    """Standing at the end, where the drive's length allows it."""
+    launch_mps2: tuple[Positive, Positive] = (0.8, 2.5)
+    """Range of accelerations from rest."""
+    braking_mps2: tuple[Positive, Positive] = (0.8, 3.3)
+    lateral_mps2: tuple[Positive, Positive] = (1.2, 3.6)
+    """Range of lateral accelerations that the driver accepts in bends."""
+    stop_mean_s: Positive = 18.0
+    """Mean time of a stop (log-normal spread)."""
+    speed_factor: Positive = 1.0
+    """All target speeds are multiplied by it."""
+    speed_wander: NonNegative = 0.05
+    """rms of the relative wander of the driver's speed."""
+    steering_wander_mps2: NonNegative = 0.10
+    """rms lateral acceleration of the driver's small steering corrections."""
+    gear_shifts: bool = True
+    reversing: bool = True
+    """Now and then a manoeuvre in reverse gear."""
+    circle_radius_m: Positive = 14.0
+    """Radius of the `circles` route."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Route:
+        for name in ("launch_mps2", "braking_mps2", "lateral_mps2"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name}: the lower bound comes first")
+        return self
+
+
+class MountShift(Section):
+    """The sensor is turned at a time; the angles are about the vehicle's axes."""
+
+    t_s: NonNegative
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+
+class Mount(Section):
+    """How the sensor sits: intrinsic Z-Y-X angles of R_vehicle_from_sensor, and where."""
+
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+    lever_arm: bool = True
+    lever_arm_m: Vector3 = ZERO
+    """Sensor from the body's centre of rotation (below the centre of gravity), vehicle axes."""
+    shifts: tuple[MountShift, ...] = Field(default=())
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Mount:
+        times = [shift.t_s for shift in self.shifts]
+        if times != sorted(times):
+            raise ValueError("shifts must be in order of time")
+        return self

@@ -1,0 +1,322 @@
+"""Which way is up, in sensor axes: carried by the gyroscope, drawn to the accelerometer.
+
+The specific force is f_s = R^T m + g u + b with u the vertical in sensor axes and m the motion
+(dv/dt, v r, -v q). u follows du/dt = -omega x u exactly, whatever the slope; so with a gyroscope
+the slope's changes are known and leave f_s. The pull to the accelerometer (time constant
+`PULL_S`) holds u against the gyroscope's errors. What is left, the innovation
+
+    e = f_s - g u - R^T m,
+
+answers to an accelerometer bias b by (I - B) b, where B follows the same equation as u: in a
+turn the true vertical turns against the sensor and a bias does not, which tells them apart
+(the alignment of inertial navigation; Groves, Principles of GNSS, Inertial and Multisensor
+Integrated Navigation Systems, ch. 14).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
+from imucald.mount.gravity_step import StepWatch
+from imucald.mount.signal_blocks import HOP, Prepared
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+PULL_S = 16.0
+"""Time constant of the pull to the accelerometer [s]."""
+PULL_NO_GYRO_S = 12.0
+"""The same where no gyroscope carries the vertical."""
+FORCE_LARGE = 0.25
+"""An innovation beyond counts less [m/s^2] (Huber)."""
+COLOUR, COLOUR_PIECES = 25.0, 4.0
+"""The innovation is not white: the bias's variance is so much larger, until pieces of road tell."""
+SETTLE_TICKS = 25
+"""The first ticks take the mean."""
+MOST_ALONE, MOST_BLIND = 120, 10
+"""After so many ticks that the gyroscope carried the vertical alone, or that nothing did in a hop,
+no step is looked for ..."""
+SETTLING_HOPS = 8
+"""... for three time constants of the pull."""
+SEEKING_HOPS = 3
+"""After nothing carried the vertical it is found anew, and for so long nothing rests on it."""
+DRIFT_S = 150.0
+"""Time constant with which a drifting gyro bias is followed while driving [s]."""
+FORCE_NOISE = 0.06
+"""Innovation of a tick while nothing happens [m/s^2], rms."""
+FORCE_SHARE = 0.12
+"""Share of the motion that the model may miss (gains, squat, sideslip)."""
+BLOCK = 8
+"""Ticks that are carried on as one; a hop holds a whole number of them."""
+_PULL = {True: TICK_S / PULL_S, False: TICK_S / PULL_NO_GYRO_S}
+
+
+def _followed(pull: float) -> tuple[Array, Array]:
+    """What a first-order lag leaves of a hop: (HOP, HOP) of its values, (HOP,) of its state."""
+    decay = np.asarray((1.0 - pull) ** np.arange(HOP), dtype=np.float64)
+    lag = np.arange(HOP)[:, None] - np.arange(HOP)[None, :] - 1
+    taken = np.where(lag >= 0, pull * (1.0 - pull) ** np.maximum(lag, 0), 0.0)
+    left = np.asarray(np.eye(HOP) - taken, dtype=np.float64)
+    return left, decay
+
+
+def _turned(step: Array) -> Array:
+    """Rotations (n, 3, 3) by small rotation vectors (n, 3), to second order."""
+    turn: Array = 0.5 * step[:, :, None] * step[:, None, :]
+    x, y, z = step[:, 0], step[:, 1], step[:, 2]
+    rest = 1.0 - (turn[:, 0, 0] + turn[:, 1, 1] + turn[:, 2, 2])
+    turn[:, 0, 0] += rest
+    turn[:, 1, 1] += rest
+    turn[:, 2, 2] += rest
+    turn[:, 0, 1] -= z
+    turn[:, 0, 2] += y
+    turn[:, 1, 2] -= x
+    turn[:, 1, 0] += z
+    turn[:, 2, 0] -= y
+    turn[:, 2, 1] += x
+    return turn
+
+
+_REMAINING = {with_gyro: _followed(pull) for with_gyro, pull in _PULL.items()}
+
+
+class UpTracker:
+    """State: (3, 4) = u and B = d u / d (b / g)."""
+
+    def __init__(self) -> None:
+        self._state: Array | None = None
+        self._n = 0
+        self.bias_information = np.zeros((3, 3))
+        self.bias_score = np.zeros(3)
+        self._open_information = np.zeros((3, 3))
+        self._open_score = np.zeros(3)
+        self._open_ticks = 0
+        self.drift = np.zeros(3)
+        self._taken: Array | None = None
+        self._use: Flags = np.zeros(HOP, dtype=bool)
+        self._alone = self._settling = self._seeking = 0
+        self._closed: list[tuple[Array, Array]] = []
+        self._end = np.eye(3)
+        self.watch = StepWatch()
+
+    def restart(self) -> None:
+        """Forget the vertical (time jumped), keep what is known of the bias."""
+        self._state = None
+        self._n = 0
+        self.watch.restart()
+
+    @property
+    def up(self) -> Array | None:
+        """The vertical in sensor axes, about unit length; (3,) or None."""
+        return None if self._state is None else self._state[:, 0]
+
+    @property
+    def seeking(self) -> bool:
+        """Whether the vertical was lost and is being found anew."""
+        return self._seeking > 0
+
+    def advance(self, p: Prepared, motion: Array | None, bias: Array | None, sure: bool) -> Array:
+        """Carry the vertical through a hop; return f_s - g u (N, 3), motion still in it.
+
+        motion: (N, 3) expected motion force in sensor axes, or None while R is not known.
+        sure: R is known well enough to learn the bias from what it leaves over.
+        bias: what is known of the accelerometer's bias (3,) [m/s^2]; its answer is taken off.
+        """
+        turn = _turned(-TICK_S * (p.rate - self.drift) * p.ok_rate[:, None])
+        force = p.force if motion is None else p.force - motion
+        pull = _PULL[bool(p.ok_rate.any())]
+        # without its speed nobody knows how much of the force is the vehicle's motion
+        self._use = p.learn if motion is None else p.learn & (p.ok_speed | p.rest)
+        self._note_holes(p.ok_rate)
+        before = np.zeros((3, 3)) if self._state is None else self._state[:, 1:]
+        states = self._carry(turn, force, self._use, pull)
+        if motion is not None and p.ok_rate.any():
+            if sure:
+                self._learn_bias(p, states, force, motion)
+                if self._settling:
+                    self.watch.restart()
+                else:
+                    self._watch(p, before, states, force, motion, bias)
+            self._follow_drift(p, states, force, bias, pull)
+        lone: Array = p.force - GRAVITY * states[:, :, 0]
+        if bias is not None:
+            lone -= (np.eye(3) - states[:, :, 1:4]) @ bias
+        return lone
+
+    def _note_holes(self, ok_rate: Flags) -> None:
+        """After a long one the vertical has yet to come back from where it was left alone."""
+        self._settling = max(self._settling - 1, 0)
+        at = np.flatnonzero(self._use)
+        alone = self._alone + (int(at[0]) if len(at) else len(self._use))
+        if alone > MOST_ALONE or np.count_nonzero(~ok_rate) > MOST_BLIND:
+            self._settling = SETTLING_HOPS
+        self._seeking = max(self._seeking - 1, 0)
+        if self._state is not None and np.count_nonzero(~ok_rate & ~self._use) > MOST_BLIND:
+            self._n, self._seeking = 0, SEEKING_HOPS
+        self._alone = len(self._use) - 1 - int(at[-1]) if len(at) else alone
+
+    def _carry(self, turn: Array, force: Array, use: Flags, pull: float) -> Array:
+        """Turn the state tick by tick and draw it to the force; return it as before each draw.
+
+        Columns: u, B, and what is left of the state at the hop's beginning (N, 3, 7).
+
+        With T the turn and g the gain of a tick, y_i = (1 - g_i) T_i y_(i-1) + g_i target_i. That
+        is affine, so blocks of ticks are put together first, all at once, and then carried on.
+        """
+        n = len(turn)
+        states = np.zeros((n, 3, 7))
+        self._end = np.eye(3)
+        first = 0
+        if self._state is None:
+            if not use.any():
+                return states
+            first = int(np.argmax(use))
+            self._state = np.concatenate([force[first, :, None] / GRAVITY, np.eye(3)], axis=1)
+        count = self._n + np.cumsum(use)
+        gain = np.where(count > SETTLE_TICKS, pull, np.maximum(pull, 1.0 / np.maximum(count, 1)))
+        gain = np.where(use, gain, 0.0)[:, None, None]
+        self._n = int(count[-1])
+        whole = np.empty((n, 3, 7))  # turn, then target
+        whole[:, :, :3] = (1.0 - gain) * turn
+        if first:
+            whole[:first, :, :3] = np.eye(3)  # nothing to turn yet
+        whole[:, :, 3] = (gain[:, 0] / GRAVITY) * force
+        whole[:, :, 4:] = gain * np.eye(3)
+        blocks = whole.reshape(-1, BLOCK, 3, 7)
+        alone = blocks[:, :, :, :3].copy()
+        for j in range(1, BLOCK):
+            before = alone[:, j] @ blocks[:, j - 1]
+            before[:, :, 3:] += blocks[:, j, :, 3:]
+            blocks[:, j] = before
+        starts = np.empty((len(blocks), 1, 3, 7))
+        state = np.concatenate([self._state, np.eye(3)], axis=1)
+        np.matmul(turn[0], state, out=states[0])
+        for block, end in enumerate(blocks[:, -1]):
+            starts[block, 0] = state
+            state = end[:, :3] @ state
+            state[:, :4] += end[:, 3:]
+        drawn = blocks[:, :, :, :3] @ starts
+        drawn[:, :, :, :4] += blocks[:, :, :, 3:]
+        np.matmul(turn[1:], drawn.reshape(n, 3, 7)[:-1], out=states[1:])
+        states[:first] = 0.0
+        self._state, self._end = state[:, :4], state[:, 4:]
+        return states
+
+    def remaining(self, motion: Array, p: Prepared) -> Array:
+        """What a wrong R leaves of motion (N, k) in the force, after the vertical took its part.
+
+        The vertical follows the force less the expected motion, so an error e of R shows as
+        e x (m - G), with G the motion as the vertical follows it (turning while it does so left
+        out).
+        """
+        with_gyro = bool(p.ok_rate.any())
+        state = self._taken
+        if state is None:
+            state = np.zeros(motion.shape[1])
+        keep, decay = _REMAINING[with_gyro]
+        if self._use.all() and len(motion) == len(decay):
+            out: Array = keep @ motion - decay[:, None] * state
+            self._taken = motion[-1] - (1.0 - _PULL[with_gyro]) * out[-1]
+            return out
+        out = np.empty_like(motion)
+        for i, use in enumerate(self._use.tolist()):
+            out[i] = motion[i] - state
+            if use:
+                state = state + _PULL[with_gyro] * out[i]
+        self._taken = state
+        return out
+
+    def _follow_drift(
+        self, p: Prepared, states: Array, force: Array, bias: Array | None, pull: float
+    ) -> None:
+        """Gyro bias about the level axes, from the innovation that it keeps up (Mahony's integral).
+
+        Held against the pull k, a rate error d leaves the innovation e / g with k u x e / g = d.
+        """
+        if p.rest.any():
+            self.drift *= 0.5  # at rest it is measured
+            return
+        use = p.learn & p.ok_speed
+        if self._n < 300 or use.sum() < 0.8 * len(use):
+            return
+        innovation = force - GRAVITY * states[:, :, 0]
+        if bias is not None:
+            innovation = innovation - (np.eye(3) - states[:, :, 1:4]) @ bias
+        mean = np.clip(innovation.mean(axis=0), -FORCE_LARGE, FORCE_LARGE) / GRAVITY
+        (ux, uy, uz), (mx, my, mz) = states[-1, :, 0].tolist(), mean.tolist()
+        across = np.array([uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx])
+        self.drift += across * (pull / TICK_S * len(p.t) * TICK_S / DRIFT_S)
+
+    def _learn_bias(self, p: Prepared, states: Array, force: Array, motion: Array) -> None:
+        use = p.learn & p.ok_speed & ~p.rest
+        if not use.any() or self._n < 100:
+            return
+        answer = np.eye(3) - states[:, :, 1:4]
+        size = np.abs(answer).max(axis=(1, 2))
+        if size.max() < 0.02:
+            return
+        share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
+        weight = use / (FORCE_NOISE * FORCE_NOISE + share2)
+        innovation = force - GRAVITY * states[:, :, 0]
+        size = np.sqrt((innovation * innovation).sum(axis=1))
+        weight /= np.maximum(size / FORCE_LARGE, 1.0)
+        weighted = answer * weight[:, None, None]
+        self._open_information += np.einsum("nki,nkj->ij", weighted, answer)
+        self._open_score += np.einsum("nki,nk->i", weighted, innovation)
+        self._open_ticks += len(p.t)
+        if self._open_ticks >= 400:
+            self._closed.append((self._open_information, self._open_score))
+            self._open_information = np.zeros((3, 3))
+            self._open_score = np.zeros(3)
+            self._open_ticks = 0
+
+    def _watch(
+        self,
+        p: Prepared,
+        before: Array,
+        states: Array,
+        force: Array,
+        motion: Array,
+        bias: Array | None,
+    ) -> None:
+        innovation = force - GRAVITY * states[:, :, 0]
+        if bias is not None:
+            innovation = innovation - (np.eye(3) - states[:, :, 1:4]) @ bias
+        share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
+        weight = (self._use & p.ok_rate) / (FORCE_NOISE * FORCE_NOISE + share2)
+        size = np.sqrt((innovation * innovation).sum(axis=1))
+        weight /= np.maximum(size / (2.0 * FORCE_LARGE), 1.0)
+        self.watch.add(before, states, self._end, innovation, weight)
+
+    def bias(self, prior_std: float) -> tuple[Array, Array]:
+        """Accelerometer bias [m/s^2] (3,) and covariance (3, 3), sandwich over 40 s pieces."""
+        prior = np.eye(3) / (prior_std * prior_std)
+        if self._state is not None:
+            # along the vertical it tilts nothing, and squat would pass for it
+            up = self._state[:, 0]
+            prior += np.outer(up, up) * 1e6
+        information = self._open_information.copy()
+        score = self._open_score.copy()
+        for a, b in self._closed:
+            information += a
+            score += b
+        covariance = np.asarray(np.linalg.inv(information + prior), dtype=np.float64)
+        value = covariance @ score
+        if len(self._closed) < 2:
+            scale = COLOUR
+        else:
+            a = np.array([c[0] for c in self._closed])
+            b = np.array([c[1] for c in self._closed])
+            left = b - a @ value
+            model = np.trace(a.sum(axis=0) @ covariance)
+            spread = np.einsum("ni,ij,nj->", left, covariance, left)
+            k = len(a)
+            seen = k * spread / max(model, 0.05)
+            scale = (COLOUR * COLOUR_PIECES + seen) / (COLOUR_PIECES + k)
+        scale = max(scale, 1.0)
+        covariance = np.asarray(np.linalg.inv(information / scale + prior), dtype=np.float64)
+        value = covariance @ (score / scale)
+        return value, covariance

@@ -1,0 +1,160 @@
+"""A step in gravity that the gyroscope did not see: the sensor was moved against the vehicle.
+
+The vertical that the gyroscope carries (`evidence_up`) goes along with every slope and every
+lean of the body. If the sensor is moved between two samples, gravity points elsewhere from then
+on in sensor axes, as if a bias d had come at that time; the innovation answers to it by
+C(t) d = (I - B(t)) d, where B follows the equation of the vertical from zero at that time. So d
+is fitted by least squares for each of the last hops' beginnings as the time of the step (a
+generalised likelihood ratio test, Willsky and Jones, IEEE Trans. Autom. Control 21, 1976). How
+large d is without any step is learnt from the drive itself, for every age and axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.rotations import Matrix3
+from imucald.core.samples import GRAVITY
+
+Array = NDArray[np.float64]
+
+AGES = 10
+"""Hops since the step that are tried (64 s): the pull forgets a step in 16 s."""
+FIRST_AGE = 4
+"""Younger candidates take a gust or a bad road for a step."""
+SPREAD_PRIOR, SPREAD_WEIGHT = 0.05, 20.0
+"""Size of d without a step [m/s^2], and its weight in hops until the drive has told."""
+SPREAD_MEMORY = 600.0
+"""Hops over which the spread is learnt (an hour)."""
+SETTLED = 45
+"""Hops before the first test."""
+LIMIT = 7.5
+"""A step by itself is as many spreads; smaller ones count beside other evidence (`shift`)."""
+OTHER_AXIS = 0.25
+"""Share of the other axis in the spread squared: what is rough along is rough across."""
+TRAIL = 96
+"""Hops that are remembered (10 min): pieces of road may have pauses between them."""
+AROUND = 6
+"""A piece of road begins with a window of the three hops before, and may hold a change late."""
+LEAST = 0.15
+"""A step is at least that large [m/s^2]: 0.9 deg."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step found: axis (0 roll, 1 pitch), size [rad], in spreads, hops ago."""
+
+    axis: int
+    size: float
+    deviations: float
+    hops: int
+
+
+_SIGNS = np.array([1.0, -1.0])
+
+
+class StepTrail:
+    """How far a step stood out at each of the last hops, in roll and in pitch, both ways."""
+
+    def __init__(self) -> None:
+        self._both = np.zeros((TRAIL, 2, 2))  # by age; roll, pitch; the largest, the least
+
+    def go_on(self) -> None:
+        """A hop has gone by."""
+        self._both[1:] = self._both[:-1].copy()
+        self._both[0] = 0.0
+
+    def add(self, spreads: Array) -> None:
+        """Take how far steps stand out now, from `FIRST_AGE` hops ago on (ages, 2)."""
+        part = self._both[FIRST_AGE - 1 : FIRST_AGE - 1 + len(spreads)]
+        np.maximum(part[:, :, 0], spreads, out=part[:, :, 0])
+        np.minimum(part[:, :, 1], spreads, out=part[:, :, 1])
+
+    def near(self, age: int) -> Array:
+        """The largest and the least (roll and pitch, 2) about so many hops ago."""
+        newest = max(age - 1 - AROUND, 0)
+        part = self._both[newest : age - 1 + AROUND]
+        if not len(part):
+            return np.zeros((2, 2))
+        return np.stack([part[:, :, 0].max(axis=0), part[:, :, 1].min(axis=0)], axis=1)
+
+
+class StepWatch:
+    """Fits of d for the last hops' beginnings, renewed hop by hop."""
+
+    def __init__(self) -> None:
+        self._start = np.zeros((AGES, 3, 3))  # B at the candidate's time, carried on
+        self._score = np.zeros((AGES, 3))
+        self._information = np.zeros((AGES, 3, 3))
+        self._square = np.full((AGES, 2), SPREAD_PRIOR**2)
+        self._hops = 0
+        self._seen = 0
+        self.trail = StepTrail()
+
+    def start_from(self, other: StepWatch) -> None:
+        """Begin with another's experience of what is usual, but without its candidates."""
+        self._square, self._seen = other._square.copy(), other._seen
+
+    def restart(self) -> None:
+        """The vertical starts anew: no candidate reaches back beyond."""
+        self._hops = 0
+        self.trail = StepTrail()
+
+    def add(
+        self, before: Array, states: Array, end: Array, innovation: Array, weight: Array
+    ) -> None:
+        """Take a hop.
+
+        before: B at its beginning (3, 3); states: (N, 3, 7) of `UpTracker`; end: what is left of
+        the state at the beginning (3, 3). innovation: (N, 3); weight: (N,).
+        """
+        for kept in (self._start, self._score, self._information):
+            kept[1:] = kept[:-1].copy()
+            kept[0] = 0.0
+        self._start[0] = before
+        self._hops += 1
+        n = len(weight)
+        carried = (states[:, :, 4:].reshape(3 * n, 3) @ self._start).reshape(AGES, n, 3, 3)
+        answer = ((np.eye(3) - states[:, :, 1:4]) + carried).reshape(AGES, 3 * n, 3)
+        weights = np.repeat(weight, 3)
+        weighted = (answer * weights[:, None]).transpose(0, 2, 1)
+        self._score += weighted @ innovation.reshape(3 * n)
+        self._information += weighted @ answer
+        self._start = end @ self._start
+
+    def found(self, R_vehicle_from_sensor: Matrix3) -> Step | None:
+        """The step that stands out most, if any does; learns the usual spread as well."""
+        R = R_vehicle_from_sensor
+        self.trail.go_on()
+        ages = min(self._hops, AGES)
+        if ages == 0:
+            return None
+        information = (R @ self._information[:ages] @ R.T)[:, :2, :2]
+        score = (self._score[:ages] @ R.T)[:, :2]
+        prior = np.eye(2) / (4.0 * SPREAD_PRIOR) ** 2
+        size = np.asarray(
+            np.linalg.solve(information + prior, score[:, :, None])[:, :, 0], np.float64
+        )
+        usual = self._square[:ages]
+        deviations = size / np.sqrt(usual + OTHER_AXIS * usual[:, ::-1])
+        self._learn(size, ages)
+        if self._seen < SETTLED or ages < FIRST_AGE:
+            return None
+        # gravity seen to the left: the sensor rolled to the right about x; ahead: about -y
+        turned, spreads = size[:, ::-1] * _SIGNS, deviations[:, ::-1] * _SIGNS
+        self.trail.add(spreads[FIRST_AGE - 1 :])
+        large = np.abs(spreads) * (np.abs(turned) > LEAST)
+        large[: FIRST_AGE - 1] = 0.0
+        age, axis = divmod(int(np.argmax(large)), 2)
+        if large[age, axis] < LIMIT:
+            return None
+        return Step(axis, float(turned[age, axis]) / GRAVITY, float(spreads[age, axis]), age + 1)
+
+    def _learn(self, size: Array, ages: int) -> None:
+        self._seen += 1
+        part = 1.0 / min(SPREAD_WEIGHT + self._seen, SPREAD_MEMORY)
+        now = self._square[:ages]
+        now += part * (np.minimum(size * size, 9.0 * now) - now)

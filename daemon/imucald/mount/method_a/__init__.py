@@ -1,0 +1,1 @@
+"""Method A: the published solver (CN 201610826380), kept as published."""

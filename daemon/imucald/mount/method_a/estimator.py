@@ -1,0 +1,339 @@
+"""Method A online: a `MountEstimator` that runs the published solver on ticks.
+
+Static test -> tilt -> straight variable-speed motion -> target angle -> correction, as published,
+with what stands on top of it since the first day: the gate on v r, v r subtracted, dv/dt from
+speed for sign and weight, several stops combined, and the wandering offset removed.
+Bad samples are never learnt from: a block that holds one is dropped whole.
+"""
+
+from __future__ import annotations
+
+import math
+from math import isnan
+
+import numpy as np
+
+from imucald.core.rotations import Matrix3, rotation_from_angles
+from imucald.core.samples import GRAVITY
+from imucald.motion.speed import Block, BlockMaker
+from imucald.motion.straight import YawRateSource
+from imucald.motion.ticks import (
+    ACCEL_BAD,
+    ACCEL_MAX_X,
+    ACCEL_MAX_Y,
+    ACCEL_MAX_Z,
+    ACCEL_MIN_X,
+    ACCEL_MIN_Y,
+    ACCEL_MIN_Z,
+    ACCEL_N,
+    ACCEL_X,
+    ACCEL_Y,
+    ACCEL_Z,
+    BRAKE,
+    LATERAL,
+    LATERAL_N,
+    REVERSE,
+    SPEED,
+    SPEED_AGE,
+    SPEED_BAD,
+    SPEED_N,
+    T,
+    TickRow,
+)
+from imucald.mount.estimate import Correction, MountEstimate, MountState
+from imucald.mount.method_a.gate import StraightGate, WanderingOffset
+from imucald.mount.method_a.manoeuvres import (
+    Angle,
+    Manoeuvre,
+    ManoeuvreBook,
+    combined,
+    combined_axis,
+)
+from imucald.mount.method_a.settings import PublishedSettings
+from imucald.mount.method_a.sign import SignEvidence
+from imucald.mount.method_a.states import Knowledge, judged, waiting_for
+from imucald.mount.method_a.tilt import TiltKeeper
+from imucald.mount.method_a.yaw import rotation_about_up
+from imucald.mount.slewing import SlewedRotation
+
+NAN = math.nan
+Vector = tuple[float, float, float]
+
+MANOEUVRES_KEPT = 150
+"""Manoeuvres that are kept (about an hour of city); the oldest goes first."""
+MANOEUVRE_SECONDS = 8.0
+"""A longer one counts as several [s]."""
+SHORTEST_MANOEUVRE = 1.0
+"""A shorter one is a bump [s]."""
+MANOEUVRE_HOLE = 1.5
+"""Time without an accepted block that ends a manoeuvre [s]."""
+LONGEST_HOLE_TICKS = 5
+"""Ticks for which the last specific force stands in: a 10 Hz sensor jitters."""
+STUCK_TICKS = 10
+"""Ticks without any change of the force, while driving, after which the sensor is stuck."""
+PLAUSIBLE_FORCE = (0.3 * GRAVITY, 3.0 * GRAVITY)
+"""Size of a tick's mean specific force on a vehicle that drives [m/s^2]."""
+NEAR_FULL_SCALE = 0.98
+UNKNOWN_SIGN_STD = math.pi / 2.0
+"""Standard deviation of a yaw that may be off by 180 deg [rad]."""
+
+
+class PublishedEstimator:
+    """The published solver as an estimator of the mount; see `mount.estimate.MountEstimator`."""
+
+    def __init__(self, settings: PublishedSettings | None = None) -> None:
+        s = self._settings = settings or PublishedSettings()
+        self._tilt = TiltKeeper(s)
+        self._blocks = BlockMaker(s.block_s, s.speed_delay, s.speed_timeout)
+        self._yaw_source = YawRateSource(s.steering_ratio, s.wheelbase, "steering" in s.recognisers)
+        self._offset = WanderingOffset(s.remove_offset_after)
+        self._gate = StraightGate(s, self._offset)
+        self._sign = SignEvidence(s.sign_sources)
+        self._signed = ManoeuvreBook(MANOEUVRES_KEPT)
+        self._unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
+        self._applied = SlewedRotation(s.slew)
+        self._known = Knowledge()
+        self._target: Matrix3 | None = None
+        self._state = MountState.WAITING
+        self._reverse_known = False
+        self._restart_stream()
+        self._solve()
+
+    # The verbs.
+
+    @property
+    def correction(self) -> Correction | None:
+        """R_vehicle_from_sensor to apply now, row by row; None until usable."""
+        return self._applied.correction
+
+    @property
+    def state(self) -> MountState:
+        """The present state."""
+        return self._state
+
+    def gap(self) -> None:
+        """Time jumped: open windows, blocks and manoeuvres are dropped, knowledge stays."""
+        self._restart_stream()
+
+    def _restart_stream(self) -> None:
+        self._tilt.restart()
+        self._blocks.restart()
+        self._yaw_source.restart()
+        self._offset.restart()
+        self._gate.restart()
+        self._sign.restart()
+        self._open: Manoeuvre | None = None
+        self._force: Vector | None = None
+        self._holes = self._stuck = 0
+        self._speed, self._speed_t = NAN, -math.inf
+        self._reverse = False
+        self._brake = self._lateral = NAN
+        self._straight_s = 0.0
+
+    def step(self, tick: TickRow) -> None:
+        """Take one tick."""
+        self._take_vehicle(tick)
+        clean = self._take_force(tick)
+        force = self._force
+        if force is not None:
+            tilt = self._tilt
+            if tilt.step(tick, force, clean, self._speed):
+                self._solve()
+            if tilt.departed:
+                self._sign.depart(tick[T])
+            yaw_rate = self._yaw_source.step(tick, tilt.up, self._speed, tilt.still)
+            x, y, z = force
+            block = self._blocks.step(tick[T], x, y, z, yaw_rate, clean)
+            if block is not None:
+                self._take_block(block)
+        self._applied.step()
+
+    def estimate(self) -> MountEstimate:
+        """Return the present state of knowledge."""
+        known, s = self._known, self._settings
+        reasons = waiting_for(known, s)
+        covariance = None
+        if self._target is not None and known.tilt is not None and known.angle is not None:
+            yaw_std = known.angle.std if known.sign_known else UNKNOWN_SIGN_STD
+            tilt_variance = known.tilt.std**2
+            covariance = np.diag([tilt_variance + s.crown_std**2, tilt_variance, yaw_std**2])
+        return MountEstimate(
+            state=self._state,
+            R_vehicle_from_sensor=self._target,
+            covariance=covariance,
+            waiting_for={name: text for name, (text, _) in reasons.items()},
+            missing={name: code for name, (_, code) in reasons.items()},
+            details={
+                "method": "published",
+                "stops": self._tilt.stops,
+                "manoeuvres": len(self._signed),
+                "manoeuvres_without_speed": len(self._unsigned),
+                "sign_votes": dict(self._sign.votes.counts),
+                "yaw_rate_source": self._yaw_source.source,
+            },
+        )
+
+    # What a tick brings.
+
+    def _take_vehicle(self, tick: TickRow) -> None:
+        if not isnan(tick[REVERSE]):
+            self._reverse = tick[REVERSE] > 0.5
+            self._reverse_known = True
+        if not isnan(tick[BRAKE]):
+            self._brake = tick[BRAKE]
+        if tick[LATERAL_N] > 0.0:
+            self._lateral = tick[LATERAL]
+        t = tick[T]
+        if tick[SPEED_N] > 0.0 and tick[SPEED_BAD] == 0.0 and self._settings.use_speed:
+            self._speed = -tick[SPEED] if self._reverse else tick[SPEED]
+            self._speed_t = t
+            self._blocks.add_speed(t - tick[SPEED_AGE], self._speed)
+        elif t - self._speed_t > self._settings.speed_timeout:
+            self._speed = NAN
+
+    def _take_force(self, tick: TickRow) -> bool:
+        """Keep the tick's specific force; return whether it can be learnt from."""
+        if tick[ACCEL_BAD] > 0.0:
+            return False
+        if tick[ACCEL_N] == 0.0:
+            self._holes += 1
+            if self._holes > LONGEST_HOLE_TICKS:
+                self._force = None
+                self._blocks.restart()
+            return False if self._holes > LONGEST_HOLE_TICKS else self._force is not None
+        self._holes = 0
+        z = GRAVITY if self._settings.planar else tick[ACCEL_Z]
+        force = (tick[ACCEL_X], tick[ACCEL_Y], z)
+        size = math.sqrt(force[0] * force[0] + force[1] * force[1] + z * z)
+        if not PLAUSIBLE_FORCE[0] <= size <= PLAUSIBLE_FORCE[1] or self._saturated(tick):
+            return False
+        same = force == self._force and tick[ACCEL_MIN_X] == tick[ACCEL_MAX_X]
+        self._stuck = self._stuck + 1 if same else 0
+        self._force = force
+        self._gate.push(force)
+        return self._stuck < STUCK_TICKS or not abs(self._speed) > self._settings.standstill_speed
+
+    def _saturated(self, tick: TickRow) -> bool:
+        limit = NEAR_FULL_SCALE * self._settings.accel_range
+        if limit == math.inf:
+            return False
+        highest = max(tick[ACCEL_MAX_X], tick[ACCEL_MAX_Y], tick[ACCEL_MAX_Z])
+        lowest = min(tick[ACCEL_MIN_X], tick[ACCEL_MIN_Y], tick[ACCEL_MIN_Z])
+        return highest >= limit or lowest <= -limit
+
+    # What a block brings.
+
+    def _take_block(self, block: Block) -> None:
+        s, dt = self._settings, block.t1 - block.t0
+        mx, my, mz, m_dvdt, m_lateral = self._offset.mean()
+        ready = self._offset.ready
+        f = (block.fx - mx, block.fy - my, block.fz - mz)
+        if block.clean and ready:
+            self._sign.take_turn(block, f, self._tilt.up, self._reverse)
+        steering = self._yaw_source.steering
+        straight = block.clean and self._gate.is_straight(
+            block, steering, self._lateral, self._tilt.level
+        )
+        if not straight:
+            self._offset.fade(dt)
+            if self._gate.is_turning(block):
+                self._straight_s = 0.0
+            self._close()
+            return
+        known = not isnan(block.dvdt)
+        dvdt = block.dvdt if known else 0.0
+        lateral = block.speed * block.yaw_rate if s.subtract_lateral else 0.0
+        lateral = 0.0 if isnan(lateral) else lateral
+        self._offset.add(block, dvdt, lateral, with_speed=known)
+        self._straight_s += dt
+        if not ready or self._tilt.still or self._straight_s < s.settle:
+            self._close()
+            return
+        braking = self._brake > 0.5
+        self._sign.take_straight(block, f, self._tilt.up, self._reverse, braking)
+        if known and "speed" in s.sign_sources:
+            self._collect(block, f, dvdt - m_dvdt, lateral - m_lateral)
+        else:
+            self._collect_without_sign(block, f)
+
+    def _collect(self, block: Block, f: Vector, along: float, lateral: float) -> None:
+        s, m = self._settings, self._open
+        slowest = s.min_speed if self._reverse_known else s.min_speed_unknown_gear
+        if abs(block.speed) < slowest or max(abs(along), abs(block.dvdt)) < s.min_speed_change:
+            return
+        if m is not None and m.peak * block.dvdt < 0.0 and abs(block.dvdt) >= s.min_speed_change:
+            self._close()  # from braking to accelerating: another manoeuvre
+        m = self._manoeuvre(block, signed=True)
+        weight = 1.0 if s.wander_speed <= 0.0 else 1.0 / (1.0 + abs(block.speed) / s.wander_speed)
+        m.add(block, f, along, lateral, weight)
+        if abs(block.dvdt) > abs(m.peak):
+            m.peak = block.dvdt
+
+    def _collect_without_sign(self, block: Block, f: Vector) -> None:
+        x, y, _ = (self._tilt.level @ np.array(f)).tolist()
+        size = math.hypot(x, y)
+        if size >= self._settings.min_speed_change:
+            m = self._manoeuvre(block, signed=False)
+            m.add(block, f, 0.0, 0.0, 1.0)
+            m.peak = max(m.peak, size)
+
+    def _manoeuvre(self, block: Block, signed: bool) -> Manoeuvre:
+        """Return the open manoeuvre if the block belongs to it, else a new one."""
+        m = self._open
+        if m is not None and (
+            m.signed != signed
+            or m.seconds >= MANOEUVRE_SECONDS
+            or block.t0 - m.stop > MANOEUVRE_HOLE
+        ):
+            self._close()
+        if self._open is None:
+            self._open = Manoeuvre(block.t0, signed)
+        return self._open
+
+    def _close(self) -> None:
+        """End the open manoeuvre; if it was one, count it and solve again."""
+        m, self._open = self._open, None
+        if m is None or abs(m.peak) < self._settings.manoeuvre_peak:
+            return
+        if m.seconds >= SHORTEST_MANOEUVRE:
+            (self._signed if m.signed else self._unsigned).add(m)
+            self._solve()
+
+    # The solution.
+
+    def _solve(self) -> None:
+        """Combine all manoeuvres under the present tilt into the target angle; set the state."""
+        tilt, level = self._tilt.tilt, self._tilt.level
+        angle, sign_known = None, False
+        if tilt is not None:
+            angle, sign_known = self._target_angle(level)
+        if angle is not None:
+            lean = rotation_from_angles(-self._settings.crown, 0.0, 0.0)
+            self._target = lean @ rotation_about_up(angle.value) @ level
+        self._known = Knowledge(
+            tilt=tilt,
+            angle=angle,
+            sign_known=sign_known,
+            stops=self._tilt.stops,
+            manoeuvres=max(len(self._signed), len(self._unsigned)),
+        )
+        self._state = judged(self._known, self._state, self._settings)
+        if self._state in {MountState.USABLE, MountState.FINE} and self._target is not None:
+            self._applied.aim(self._target)
+
+    def _target_angle(self, level: Matrix3) -> tuple[Angle | None, bool]:
+        """Return lambda and whether its sign is known; manoeuvres with speed are preferred."""
+        signed = combined(self._signed.pointers(level))
+        if not self._unsigned or len(self._signed) >= self._settings.usable_manoeuvres:
+            return signed, signed is not None
+        books = (self._unsigned, self._signed)
+        axis = combined_axis(np.concatenate([book.axis_pointers(level) for book in books]))
+        if axis is None:
+            return None, False
+        forward = math.cos(axis.value) * level[0] - math.sin(axis.value) * level[1]
+        x, y, z = forward.tolist()
+        votes = self._sign.votes
+        ahead, back = votes.count((x, y, z))
+        if back > ahead:
+            axis = axis._replace(value=axis.value + math.pi)
+        return axis, votes.sign((x, y, z)) != 0.0

@@ -1,0 +1,171 @@
+"""Which blocks of motion the published solver may learn from (method A, step 4, and beyond it)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from math import isnan
+
+import numpy as np
+
+from imucald.core.rotations import Matrix3
+from imucald.motion.speed import Block
+from imucald.motion.straight import angles_agree
+from imucald.mount.method_a.settings import PublishedSettings
+
+Vector = tuple[float, float, float]
+
+OFFSET_SETTLED_S = 2.0
+"""Straight motion that the offset needs before it is good [s]; less where it forgets sooner."""
+OFFSET_BLOCKS = 4.0
+"""The offset's time constant in blocks, at least: a 1 Hz speed makes blocks of 1 s."""
+OFFSET_WITHOUT_SPEED_S = 2.0
+"""And at least this without speed [s]: the mean then takes part of the manoeuvre with it."""
+OFFSET_FADE_S = 15.0
+"""Time constant at which the offset's weight fades while motion is not straight [s]."""
+UNEXPLAINED_NOISE = 0.4
+"""Horizontal force that road and a slow speed leave unexplained on a straight road [m/s^2]."""
+TURN_FACTOR = 1.5
+"""A limit must be exceeded by this factor to call motion a turn, so that noise does not."""
+
+
+class WanderingOffset:
+    """Fading mean of force and of (dv/dt, v r) over straight motion.
+
+    Slope, bank and bias wander slowly; taking the same mean off force and motion removes them and
+    leaves the relation between the two as it is. tau: time constant [s]; 0: nothing is taken off.
+    """
+
+    def __init__(self, tau: float) -> None:
+        self._tau = tau
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget: what follows is not continuous with what was."""
+        self._sums = [0.0] * 5
+        self._weight = 0.0
+
+    @property
+    def ready(self) -> bool:
+        """Whether the mean rests on enough straight motion."""
+        return self._weight >= min(OFFSET_SETTLED_S, 0.6 * self._tau)
+
+    def mean(self) -> list[float]:
+        """Return the mean fx, fy, fz, dv/dt, v r [m/s^2]."""
+        if self._weight <= 0.0:
+            return [0.0] * 5
+        return [s / self._weight for s in self._sums]
+
+    def add(self, block: Block, dvdt: float, lateral: float, with_speed: bool) -> None:
+        """Take a straight block with its dv/dt and v r [m/s^2]."""
+        if self._tau > 0.0:
+            dt = block.t1 - block.t0
+            least = OFFSET_BLOCKS * dt if with_speed else OFFSET_WITHOUT_SPEED_S
+            keep = math.exp(-dt / max(self._tau, least))
+            values = (block.fx, block.fy, block.fz, dvdt, lateral)
+            self._sums = [s * keep + v * dt for s, v in zip(self._sums, values, strict=True)]
+            self._weight = self._weight * keep + dt
+
+    def fade(self, dt: float) -> None:
+        """Count a block that is not straight: what was known of the offset ages."""
+        keep = math.exp(-dt / OFFSET_FADE_S)
+        self._sums = [s * keep for s in self._sums]
+        self._weight *= keep
+
+
+class StraightGate:
+    """Says whether a block is straight motion.
+
+    The preferred recogniser whose signal is there decides, and the gate on lateral acceleration
+    must agree: v r where both are known, else the vehicle's own lateral acceleration, else the
+    horizontal force that dv/dt does not explain.
+    """
+
+    def __init__(self, settings: PublishedSettings, offset: WanderingOffset) -> None:
+        self._settings = settings
+        self._offset = offset
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the window of angles."""
+        kept = self._settings.consistency_window + self._settings.consistency_smoothing
+        self._recent: deque[Vector] = deque(maxlen=kept)
+
+    def push(self, force: Vector) -> None:
+        """Take a tick's specific force (3,), sensor axes [m/s^2]."""
+        self._recent.append(force)
+
+    def is_straight(
+        self, block: Block, steering: float, own_lateral: float, level: Matrix3
+    ) -> bool:
+        """Judge a block.
+
+        steering: wheel angle [rad] or NaN; own_lateral: the vehicle's lateral acceleration [m/s^2]
+        or NaN; level: rotation sensor -> level (3, 3).
+        """
+        lateral = block.speed * block.yaw_rate
+        if not self._lateral_is_small(block, lateral, own_lateral, level):
+            return False
+        s = self._settings
+        for recogniser in s.recognisers:
+            if recogniser == "yaw_rate" and not isnan(block.yaw_rate):
+                gated = s.lateral_limit > 0.0 and not isnan(lateral)
+                limit = s.yaw_rate_limit if gated else s.yaw_rate_limit_without_speed
+                return abs(block.yaw_rate) <= limit
+            if recogniser == "steering" and not isnan(steering):
+                return abs(steering) <= s.steering_limit
+            if recogniser == "consistency":
+                return self._window_agrees(level)
+        return False
+
+    def is_turning(self, block: Block) -> bool:
+        """Say whether a block is well beyond the limits of yaw rate and lateral acceleration."""
+        s = self._settings
+        lateral = abs(block.speed * block.yaw_rate)
+        if lateral > TURN_FACTOR * s.lateral_limit > 0.0:
+            return True
+        limit = s.yaw_rate_limit_without_speed if isnan(lateral) else s.yaw_rate_limit
+        return abs(block.yaw_rate) > TURN_FACTOR * limit
+
+    def _lateral_is_small(
+        self, block: Block, lateral: float, own_lateral: float, level: Matrix3
+    ) -> bool:
+        limit = self._settings.lateral_limit
+        if limit <= 0.0:
+            return True
+        if not isnan(lateral):
+            return abs(lateral) <= limit
+        if not isnan(own_lateral):
+            return abs(own_lateral) <= limit
+        return self._unexplained(block, level) <= limit + UNEXPLAINED_NOISE
+
+    def _unexplained(self, block: Block, level: Matrix3) -> float:
+        """Horizontal force beyond what dv/dt explains [m/s^2]; 0 where that cannot be said."""
+        if isnan(block.dvdt) or not self._offset.ready:
+            return 0.0
+        mx, my, mz, m_dvdt, _ = self._offset.mean()
+        x, y, _ = (level @ np.array((block.fx - mx, block.fy - my, block.fz - mz))).tolist()
+        along = block.dvdt - m_dvdt
+        return math.sqrt(max(x * x + y * y - along * along, 0.0))
+
+    def _window_agrees(self, level: Matrix3) -> bool:
+        """Recogniser 3: the angles of the last window agree, offset taken off, smoothed.
+
+        Motion that does not vary has no angle. It counts as straight, for the offset's sake, and
+        is too weak to give a target angle.
+        """
+        n = self._settings.consistency_smoothing
+        if len(self._recent) <= n:
+            return False
+        forces = np.array(self._recent)
+        if self._offset.ready:
+            forces = forces - np.array(self._offset.mean()[:3])
+        sums = np.cumsum(forces, axis=0)
+        smooth = ((sums[n:] - sums[:-n]) / n) @ level.T
+        sizes = np.hypot(smooth[:, 0], smooth[:, 1])
+        least = self._settings.min_speed_change
+        if not self._offset.ready or float(sizes.max()) < least:
+            return True
+        strong = sizes >= 0.5 * least
+        angles = np.arctan2(smooth[strong, 1], smooth[strong, 0])
+        return angles_agree(angles, self._settings.consistency_spread)

@@ -1,0 +1,147 @@
+"""Levelling: gravity at rest gives the tilt (method A, steps 2 and 3).
+
+One stop gives mount tilt + slope of the road + accelerometer bias. Beyond the publication several
+stops are combined: slopes are a new draw at each place and average out, the bias does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from imucald.core.errors import EstimateError
+from imucald.core.rotations import levelling_rotation
+from imucald.core.samples import GRAVITY
+
+Vector = tuple[float, float, float]
+
+PLACES_KEPT = 40
+"""Places of rest that are kept; the oldest goes first, so a slow creep of the mount is followed."""
+SLOPE_PRIOR_PLACES = 4.0
+"""Weight of the preset slope spread against the observed one, in places."""
+OUTLIER_SPREADS = 2.5
+"""A place further than this many spreads from the mean (a ramp, a kerb) counts less."""
+
+
+def tilt_angles(static_force: ArrayLike) -> tuple[float, float, float]:
+    """Angles alpha, beta, gamma [rad] of the static components J (3,) (method A, step 2).
+
+    *Reconstructed*: the publication's text lacks the formula; this is the usual tilt-sensing form,
+    alpha = atan2(Jx, hypot(Jy, Jz)), beta = atan2(Jy, hypot(Jx, Jz)),
+    gamma = atan2(hypot(Jx, Jy), Jz).
+    """
+    x, y, z = (float(c) for c in np.asarray(static_force, dtype=float))
+    return (
+        math.atan2(x, math.hypot(y, z)),
+        math.atan2(y, math.hypot(x, z)),
+        math.atan2(math.hypot(x, y), z),
+    )
+
+
+def levelled(accel: ArrayLike, static_force: ArrayLike) -> NDArray[np.float64]:
+    """Turn samples (N, 3) by the tilt: R', with x and y in the horizontal plane (step 3).
+
+    The exact rotation that takes J (3,) to (0, 0, |J|).
+    """
+    J = np.asarray(static_force, dtype=float)
+    if J.shape != (3,) or not np.all(np.isfinite(J)) or float(J @ J) == 0.0:
+        raise EstimateError("levelling needs a static specific force of shape (3,) that is not 0")
+    result: NDArray[np.float64] = np.asarray(accel, dtype=float) @ levelling_rotation(J).T
+    return result
+
+
+class Tilt(NamedTuple):
+    """Unit vector up in sensor axes, its standard deviation per axis [rad], places behind it."""
+
+    up: Vector
+    std: float
+    places: int
+
+
+class StopBook:
+    """Combines the static windows of several stops into one tilt.
+
+    slope_std: preset spread of road slope per axis [rad]; bias_std: of the accelerometer [m/s^2].
+    average: combine all stops; otherwise the last one decides, as published.
+    """
+
+    def __init__(self, slope_std: float, bias_std: float, average: bool = True) -> None:
+        self._slope_std = slope_std
+        self._bias_std = bias_std / GRAVITY
+        self._average = average
+        self._sums: deque[list[float]] = deque(maxlen=PLACES_KEPT if average else 1)
+        self.seen = 0
+
+    def add(self, force: Vector, count: float, new_place: bool) -> None:
+        """Take a static window: mean force (3,) [m/s^2] of `count` samples.
+
+        new_place: the vehicle has moved since the last window; otherwise both are one stop.
+        """
+        if new_place or not self._sums:
+            self._sums.append([0.0, 0.0, 0.0, 0.0])
+            self.seen += 1
+        cell = self._sums[-1]
+        for i in range(3):
+            cell[i] += count * force[i]
+        cell[3] += count
+
+    def tilt(self) -> Tilt | None:
+        """Return the tilt from all stops so far, or None before the first."""
+        if not self._sums:
+            return None
+        sums = np.array(self._sums)[:, :3]
+        ups = sums / np.sqrt(np.sum(sums * sums, axis=1))[:, None]
+        weights = np.ones(len(ups))
+        up, spread = ups[0], self._slope_std
+        for _ in range(3):
+            mean = weights @ ups
+            up = mean / math.sqrt(float(mean @ mean))
+            away = np.sqrt(np.maximum(np.sum((ups - up) ** 2, axis=1), 1e-12))
+            square = float(weights @ away**2) / 2.0  # two axes
+            prior = SLOPE_PRIOR_PLACES
+            total = float(np.sum(weights))
+            spread = math.sqrt((prior * self._slope_std**2 + square) / (prior + total - 1.0))
+            limit = OUTLIER_SPREADS * math.sqrt(2.0) * spread
+            weights = np.minimum(1.0, limit / away)
+        effective = float(np.sum(weights)) ** 2 / float(np.sum(weights**2))
+        std = math.sqrt(spread**2 / effective + self._bias_std**2)
+        return Tilt((float(up[0]), float(up[1]), float(up[2])), std, len(ups))
+
+
+class LongRunLevel:
+    """Fall-back without a stop: the mean specific force of a long drive is gravity.
+
+    Over time T speed changes add at most dv / T and slopes average; this says how little is known.
+    """
+
+    SPEED_CHANGE = 30.0
+    """Change of velocity [m/s] that the mean may contain, in any direction."""
+    CORRELATION_S = 30.0
+    """Time over which a road's slope stays the same [s]."""
+
+    def __init__(self, slope_std: float, bias_std: float) -> None:
+        self._slope_std = slope_std
+        self._bias_std = bias_std / GRAVITY
+        self._x = self._y = self._z = 0.0
+        self.seconds = 0.0
+
+    def add(self, x: float, y: float, z: float, seconds: float) -> None:
+        """Take a mean specific force [m/s^2] over some seconds."""
+        self._x += x * seconds
+        self._y += y * seconds
+        self._z += z * seconds
+        self.seconds += seconds
+
+    def tilt(self) -> Tilt | None:
+        """Return the tilt from the whole drive, or None where nothing was added."""
+        norm = math.sqrt(self._x**2 + self._y**2 + self._z**2)
+        if self.seconds <= 0.0 or norm <= 0.0:
+            return None
+        motion = self.SPEED_CHANGE / (GRAVITY * self.seconds)
+        slopes = max(1.0, self.seconds / self.CORRELATION_S)
+        variance = motion**2 + 4.0 * self._slope_std**2 / slopes + self._bias_std**2
+        return Tilt((self._x / norm, self._y / norm, self._z / norm), math.sqrt(variance), 0)

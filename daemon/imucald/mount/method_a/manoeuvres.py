@@ -1,0 +1,161 @@
+"""Manoeuvres: what one braking or one acceleration says about the target angle, and their sum.
+
+A published sample angle with v*r taken off is lambda_i = atan2(v r, dv/dt) - atan2(R'y, R'x), and
+the circular mean of those, weighted by |R'| |(dv/dt, v r)|, is the argument of the sum of
+conj(R') (dv/dt + i v r). A manoeuvre keeps that sum in sensor axes, before levelling, so that a
+better tilt later re-reads every earlier manoeuvre. Uncertainty comes from how manoeuvres differ
+from one another: samples within one share its slope, its bank and its driver.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.rotations import Matrix3
+from imucald.motion.speed import Block
+
+Pointers = NDArray[np.complex128]
+
+PRIOR_SPREAD = math.radians(4.0)
+"""Spread of single manoeuvres about the truth that is expected before there are any [rad]."""
+PRIOR_MANOEUVRES = 2.0
+"""Weight of that expectation, in manoeuvres."""
+SMALLEST_SPREAD = math.radians(0.8)
+"""Robust limits never shrink below this [rad]."""
+ROBUST_SPREADS = 1.5
+"""A manoeuvre further than this many spreads from the rest counts less (Huber)."""
+ROBUST_ROUNDS = 4
+COUNTED_LIMITS = 2.0
+"""Deviations count up to this many robust limits: one that disagrees must not hide from the
+interval, nor blow it up."""
+LEAST_AGREEMENT = 0.6
+"""Resultant below which manoeuvres are of two minds (turns among them, say): the spread about their
+mean then tells nothing."""
+TWO_MINDS_STD = math.radians(45.0)
+FLOOR_STD = math.radians(0.15)
+"""What manoeuvres share, so that no number of them averages it: cross-axis error, delay [rad]."""
+MEDIAN_TO_STD = 1.4826
+"""Normal distribution: standard deviation over median absolute deviation."""
+
+
+class Manoeuvre:
+    """Sums over the blocks of one straight braking or acceleration, in sensor axes.
+
+    sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each times dt
+    and the block's weight.
+    signed: speed says which way is forward; peak: largest change of speed in it [m/s^2].
+    """
+
+    def __init__(self, start: float, signed: bool) -> None:
+        self.start = self.stop = start
+        self.signed = signed
+        self.peak = 0.0
+        self.seconds = 0.0
+        self.sums = [0.0] * 12
+
+    def add(
+        self, block: Block, f: Sequence[float], dvdt: float, lateral: float, weight: float
+    ) -> None:
+        """Take a block: force less offset (3,) [m/s^2], dv/dt and v r likewise [m/s^2]."""
+        dt = block.t1 - block.t0
+        x, y, z = f
+        motion = (
+            x * dvdt, y * dvdt, z * dvdt, x * lateral, y * lateral, z * lateral,
+            x * x, y * y, z * z, x * y, x * z, y * z,
+        )  # fmt: skip
+        self.sums = [
+            total + weight * dt * value for total, value in zip(self.sums, motion, strict=True)
+        ]
+        self.seconds += dt
+        self.stop = block.t1
+
+
+class ManoeuvreBook:
+    """The last manoeuvres, at most `kept`; the oldest goes first."""
+
+    def __init__(self, kept: int) -> None:
+        self._sums: deque[list[float]] = deque(maxlen=kept)
+
+    def __len__(self) -> int:
+        return len(self._sums)
+
+    def add(self, manoeuvre: Manoeuvre) -> None:
+        """Keep a manoeuvre that is over."""
+        self._sums.append(manoeuvre.sums)
+
+    def pointers(self, R_level_from_sensor: Matrix3) -> Pointers:
+        """Sum of conj(R') (dv/dt + i v r) of each: its argument is the manoeuvre's lambda."""
+        sums = np.array(self._sums).reshape(-1, 12)
+        along = sums[:, 0:3] @ R_level_from_sensor[:2].T
+        lateral = sums[:, 3:6] @ R_level_from_sensor[:2].T
+        x, y = along[:, 0] + lateral[:, 1], lateral[:, 0] - along[:, 1]
+        result: Pointers = x + 1j * y
+        return result
+
+    def axis_pointers(self, R_level_from_sensor: Matrix3) -> Pointers:
+        """Sum of conj(R')^2: half its argument is lambda up to 180 deg; isotropic noise cancels."""
+        moments = np.array(self._sums).reshape(-1, 12)[:, 6:]
+        a, b = R_level_from_sensor[0], R_level_from_sensor[1]
+        squares = moments @ (_products(a, a) - _products(b, b))
+        result: Pointers = squares - 2j * (moments @ _products(a, b))
+        return result
+
+
+def _products(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coefficients of a' M b over M's xx, yy, zz, xy, xz, yz."""
+    i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+    both = np.where(np.arange(6) < 3, 0.5, 1.0) * (a[i] * b[j] + a[j] * b[i])
+    return np.asarray(both, dtype=np.float64)
+
+
+class Angle(NamedTuple):
+    """A combined angle [rad], its standard deviation [rad], and manoeuvres behind it."""
+
+    value: float
+    std: float
+    manoeuvres: int
+
+
+def combined(pointers: Pointers, turns: float = 1.0) -> Angle | None:
+    """Combine pointers (N,) robustly into one angle; None where there is nothing to combine.
+
+    turns: how often a pointer goes round while the angle goes round once (2 for an axis).
+
+    The spread over manoeuvres (with a prior worth two) over their effective number gives the
+    standard deviation; Huber weights keep a manoeuvre that disagrees from deciding.
+    """
+    sizes = np.abs(pointers)
+    if len(sizes) == 0 or not float(sizes.max()) > 0.0:
+        return None
+    units = pointers / np.where(sizes > 0.0, sizes, 1.0)
+    weights = sizes
+    away = np.zeros(len(sizes))
+    mean = complex(np.sum(pointers))
+    limit = math.pi
+    for _ in range(ROBUST_ROUNDS):
+        away = np.angle(units * mean.conjugate())
+        typical = MEDIAN_TO_STD * float(np.median(np.abs(away)))
+        limit = ROBUST_SPREADS * max(turns * SMALLEST_SPREAD, typical)
+        weights = sizes * np.minimum(1.0, limit / np.maximum(np.abs(away), 1e-12))
+        mean = complex(np.sum(units * weights))
+    total = float(np.sum(weights))
+    effective = total * total / float(weights @ weights)
+    spread = np.minimum(np.abs(away), COUNTED_LIMITS * limit)
+    square = float(sizes @ (spread * spread)) / float(np.sum(sizes))
+    freedom = PRIOR_MANOEUVRES + effective - 1.0
+    variance = (PRIOR_MANOEUVRES * (turns * PRIOR_SPREAD) ** 2 + effective * square) / freedom
+    std = math.sqrt(variance / effective / turns**2 + FLOOR_STD**2)
+    if abs(complex(np.sum(pointers))) < LEAST_AGREEMENT * float(np.sum(sizes)):
+        std = max(std, TWO_MINDS_STD)
+    return Angle(math.atan2(mean.imag, mean.real) / turns, std, len(sizes))
+
+
+def combined_axis(pointers: Pointers) -> Angle | None:
+    """Combine axis pointers (see `ManoeuvreBook`): the angle is known up to 180 deg."""
+    return combined(pointers, turns=2.0)

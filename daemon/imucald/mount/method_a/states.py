@@ -1,0 +1,86 @@
+"""States of the published solver with their hysteresis, and what each angle still waits for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from imucald.mount.estimate import Missing, MountState
+from imucald.mount.method_a.levelling import Tilt
+from imucald.mount.method_a.manoeuvres import Angle
+from imucald.mount.method_a.settings import PublishedSettings
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known: tilt and target angle, whether its sign is, and the counts behind them."""
+
+    tilt: Tilt | None = None
+    angle: Angle | None = None
+    sign_known: bool = False
+    stops: int = 0
+    manoeuvres: int = 0
+
+
+def judged(known: Knowledge, before: MountState, s: PublishedSettings) -> MountState:
+    """Return the state; one that was reached is left only beyond its limit times hysteresis.
+
+    A calibration that was usable and no longer is becomes suspect: it is still applied.
+    """
+    if _within(known, s, fine=False, reached=before):
+        fine = _within(known, s, fine=True, reached=before)
+        return MountState.FINE if fine else MountState.USABLE
+    if before >= MountState.USABLE:
+        return MountState.SUSPECT
+    return MountState.WAITING if known.tilt is None else MountState.LEVELLED
+
+
+def _within(known: Knowledge, s: PublishedSettings, fine: bool, reached: MountState) -> bool:
+    tilt, angle = known.tilt, known.angle
+    if tilt is None or angle is None or not known.sign_known:
+        return False
+    if fine:
+        kept = reached == MountState.FINE
+        count, yaw_std, tilt_std = s.fine_manoeuvres, s.fine_yaw_std, s.fine_tilt_std
+    else:
+        kept = reached in {MountState.USABLE, MountState.FINE}
+        count, yaw_std, tilt_std = s.usable_manoeuvres, s.usable_yaw_std, s.usable_tilt_std
+    slack = s.hysteresis if kept else 1.0
+    return (
+        angle.manoeuvres >= count and angle.std <= yaw_std * slack and tilt.std <= tilt_std * slack
+    )
+
+
+def waiting_for(known: Knowledge, s: PublishedSettings) -> dict[str, tuple[str, Missing]]:
+    """One reason per angle, in words and as a code; no entry where nothing is missing."""
+    reasons: dict[str, tuple[str, Missing]] = {}
+    if known.tilt is None:
+        reason = f"standstill of {s.static.seconds:g} s not seen yet", Missing.STANDSTILL
+        reasons["roll"] = reasons["pitch"] = reason
+    elif known.tilt.std > s.fine_tilt_std and not s.planar:
+        text = f"waiting for stops in other places, slope averages out ({known.stops} seen)"
+        reasons["roll"] = reasons["pitch"] = text, Missing.STANDSTILL
+    yaw = _waiting_for_yaw(known, s)
+    if yaw is not None:
+        reasons["yaw"] = yaw
+    return reasons
+
+
+def _waiting_for_yaw(known: Knowledge, s: PublishedSettings) -> tuple[str, Missing] | None:
+    angle = known.angle
+    count = known.manoeuvres if angle is None else angle.manoeuvres
+    what = f"straight acceleration above {s.manoeuvre_peak:g} m/s2"
+    seen = f"waiting for {what} ({count} of {s.usable_manoeuvres} seen)"
+    if known.tilt is None:
+        return f"levelling first, then {seen}", Missing.STANDSTILL
+    if angle is None or count < s.usable_manoeuvres:
+        return seen, Missing.ACCELERATION
+    if not known.sign_known:
+        text = "waiting for forward or backward: brake switch, a turn, or moving off from rest"
+        return text, Missing.DIRECTION_OF_TRAVEL
+    if angle.std > s.usable_yaw_std:
+        std = math.degrees(angle.std)
+        return f"manoeuvres do not agree yet ({count} seen, +-{std:.1f} deg)", Missing.AGREEMENT
+    if count < s.fine_manoeuvres or angle.std > s.fine_yaw_std:
+        return f"waiting for more {what} ({count} seen)", Missing.ACCELERATION
+    return None

@@ -1,0 +1,110 @@
+"""The tilt that the published solver levels with: stops as they come, or the mean of the drive."""
+
+from __future__ import annotations
+
+import math
+from math import isnan
+
+import numpy as np
+
+from imucald.core.rotations import Matrix3, levelling_rotation
+from imucald.motion.standstill import StandstillDetector
+from imucald.motion.ticks import TICK_S, TickRow
+from imucald.mount.method_a.levelling import LongRunLevel, StopBook, Tilt
+from imucald.mount.method_a.settings import PublishedSettings
+
+Vector = tuple[float, float, float]
+
+UP_MEMORY_S = 20.0
+"""Time constant of the vertical before the first levelling [s]."""
+UP_SETTLED_TICKS = 50.0
+"""Ticks after which that vertical is good enough to project a gyro on."""
+
+
+class TiltKeeper:
+    """Watches for standstill and keeps the tilt.
+
+    still: the vehicle stands now; departed: it began to move in this tick;
+    tilt: what is known, or None; level: rotation sensor -> level (3, 3), the best there is;
+    up: unit vector up in sensor axes, or None; stops: how many were seen.
+    """
+
+    def __init__(self, settings: PublishedSettings) -> None:
+        s = self._settings = settings
+        self._stops = StopBook(s.slope_std, s.accel_bias_std, s.average_stops)
+        self._long_run = LongRunLevel(s.slope_std, s.accel_bias_std)
+        self._standstill = StandstillDetector(s.static)
+        self._moved = self._moved_s = math.inf
+        self._sum = (0.0, 0.0, 0.0)
+        self._ticks = 0.0
+        self.still = self.departed = False
+        self.tilt: Tilt | None = None
+        self.level: Matrix3 = np.eye(3)
+        self.up: Vector | None = None
+        if s.planar:
+            self._take(Tilt((0.0, 0.0, 1.0), s.planar_tilt_std, 0))
+
+    @property
+    def stops(self) -> int:
+        """Stops seen, in different places."""
+        return self._stops.seen
+
+    def restart(self) -> None:
+        """Time jumped: an open window is dropped, the tilt stays."""
+        self._standstill.restart()
+        self.still = self.departed = False
+
+    def step(self, tick: TickRow, force: Vector, clean: bool, speed: float) -> bool:
+        """Take a tick; return whether the tilt has changed.
+
+        force (3,) [m/s^2], and whether it may be learnt from; speed [m/s] or NaN.
+        """
+        s = self._settings
+        stopped = None if isnan(speed) else abs(speed) <= s.standstill_speed
+        if not clean:
+            self._standstill.restart()
+        window = self._standstill.step(tick, stopped) if clean else None
+        changed = False
+        if window is not None and not s.planar:
+            far = self._moved > s.place_distance
+            far = far or (stopped is None and self._moved_s > s.place_seconds)
+            self._stops.add((window.x, window.y, window.z), window.samples, far)
+            self._moved = self._moved_s = 0.0
+            changed = self._take(self._stops.tilt())
+        still = self._standstill.still
+        self.departed = self.still and not still
+        self.still = still
+        if not still:
+            self._moved_s += TICK_S
+            self._moved += 0.0 if stopped is None else abs(speed) * TICK_S
+        if clean and not s.planar and not self._stops.seen:
+            changed = self._without_stop(force, still)
+        return changed
+
+    def _without_stop(self, force: Vector, still: bool) -> bool:
+        """Keep the vertical from a slow mean; level with the mean of a long drive."""
+        keep = 1.0 - TICK_S / UP_MEMORY_S
+        x, y, z = self._sum
+        x, y, z = x * keep + force[0], y * keep + force[1], z * keep + force[2]
+        self._sum = (x, y, z)
+        self._ticks += 1.0
+        if self._ticks >= UP_SETTLED_TICKS:
+            norm = math.sqrt(x * x + y * y + z * z)
+            self.up = (x / norm, y / norm, z / norm)
+            if self.tilt is None and self._ticks % UP_SETTLED_TICKS == 0.0:
+                self.level = levelling_rotation(self.up)
+        if still:
+            return False
+        run = self._long_run
+        before = int(run.seconds)
+        run.add(force[0], force[1], force[2], TICK_S)
+        if run.seconds < self._settings.level_without_stop_after or int(run.seconds) == before:
+            return False
+        return self._take(run.tilt())
+
+    def _take(self, tilt: Tilt | None) -> bool:
+        if tilt is None:
+            return False
+        self.tilt, self.up = tilt, tilt.up
+        self.level = levelling_rotation(tilt.up)
+        return True

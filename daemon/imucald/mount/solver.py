@@ -1,0 +1,308 @@
+"""All evidence brought together: from hops of signals to one rotation with its variances."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.rotations import (
+    Matrix3,
+    levelling_rotation,
+    orthonormalised,
+    rotation_from_angles,
+    rotation_from_vector,
+)
+from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
+from imucald.mount import evidence_spectra as sp
+from imucald.mount.common_errors import shared_errors
+from imucald.mount.delay import DelaySearch
+from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.mount.evidence_gravity import GravityEvidence
+from imucald.mount.evidence_response import ResponseEvidence
+from imucald.mount.evidence_spectra import MEASURED, WINDOW, spectra
+from imucald.mount.fusion import Fused, Sharing, fuse
+from imucald.mount.gravity_observer import UpTracker
+from imucald.mount.gravity_step import Step
+from imucald.mount.prior_drives import EarlierDrives
+from imucald.mount.road_segments import Piece
+from imucald.mount.saved_information import KeptEvidence, kept_pieces, named_flows, together
+from imucald.mount.shift import NO_STEPS, SPANS, Flow, Shift, largest_change
+from imucald.mount.signal_blocks import HOP, Prepared
+
+Array = NDArray[np.float64]
+
+_TAKEN = [sp.A2, sp.V2, sp.R2, sp.AA, sp.AV, sp.AH, sp.VH]
+"""Terms that are not taken off the force before the vertical follows it."""
+LEAST_POWER = 1e-3
+"""A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
+CROSS_FALL_SHARE, SLOPE_SHARE = 1.7, 1.5
+"""Superelevation, squat and leaning of the body widen the spread of slopes."""
+WARMING_STD = 0.04
+"""The bias moves by that much with temperature [m/s^2]."""
+SIGN_SURE = 0.3
+"""Correlation of lateral force and turning from which forward is told from backward."""
+NO_GYRO_SHARE = 1.5
+"""Without a gyroscope slopes stay in the force: variances are so much larger."""
+PRINCIPAL_STD = 0.008
+"""What the principal axis may be off [rad]: the force across the vehicle is not only noise."""
+SETTLED_HOPS = 20
+"""Until then (128 s) each fit goes round twice: the rotation still moves much."""
+DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
+"""Windows after which the delay is sought: first, and then every so many."""
+SURE_STD = 0.035
+"""Yaw this well known [rad] leaves little of the motion over."""
+
+
+class Solution:
+    """Holds the evidence of one mounting and fits R to it.
+
+    R takes the sensor to axes whose z is the mean vertical of the roads driven: the crown is
+    still in it.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._settings = s = settings
+        self.up = UpTracker()
+        self.gravity = GravityEvidence()
+        self.response = ResponseEvidence()
+        self.delay_speed = DelaySearch(s.delays.get("speed", DelayPrior()))
+        self.delay_turn = DelaySearch(s.delays.get("yaw_rate", DelayPrior(0.05, 0.1)))
+        self.own_gyro = True
+        self.turn_rate: Array = np.zeros(HOP)
+        self._window = np.zeros((WINDOW, MEASURED))
+        self._mask = np.zeros(WINDOW, dtype=bool)
+        self.R: Matrix3 | None = None
+        self.yaw_known = False
+        self.fused: Fused | None = None
+        self.pieces: dict[str, Piece] = {}
+        self.bias: Array | None = None
+        self.hops = 0
+        self._sharing = Sharing(shared_errors(settings))
+        self.earlier: EarlierDrives | None = None
+        self._tilt_bias = (0.0, 0.0)
+        self._began: deque[int] = deque([0], maxlen=int(SPANS[-1]))  # hops, of pieces of road
+        self.response.delays = (self.delay_speed.value, 0.0)
+        self._lever_arm = np.array(settings.lever_arm)
+        self._last_rate: Array | None = None
+
+    def start_from(self, other: Solution) -> None:
+        """Begin with another's rotation, gains and delay, but without its evidence."""
+        self.R, self.yaw_known = other.R, other.yaw_known
+        self.response.start_from(other.response)
+        self.delay_speed, self.delay_turn = other.delay_speed, other.delay_turn
+        self.response.without_speed = other.response.without_speed
+        self.up.watch.start_from(other.up.watch)
+        self.earlier = other.earlier
+
+    def gap(self) -> None:
+        """Time jumped."""
+        self.up.restart()
+        self._window[:] = 0.0
+        self._mask[:] = False
+        self._last_rate = None
+
+    def add(self, p: Prepared) -> tuple[Array, Array]:
+        """Take a hop; return dv/dt and v r (N,), zero where they are not to be trusted."""
+        self.hops += 1
+        R = self.R if self.yaw_known else None
+        if R is not None and self._lever_arm.any():
+            p = replace(p, force=p.force - self._carried(p, R))
+        up = self.up.up
+        r = self._turn_rate(p, up)
+        turn = p.speed * r
+        gains = self.gains()
+        motion = None
+        if R is not None and not self.response.without_speed:
+            planned = np.zeros((HOP, 3))
+            planned[:, 0] = gains[0] * p.accel * p.ok_speed
+            planned[:, 1] = gains[1] * turn * p.ok_speed
+            motion = planned @ R
+        lone = self.up.advance(p, motion, self.bias, self.sure())
+        self.gravity.add(p, turn)
+        piece = self.response.piece
+        self._slide(p, lone, turn, r)
+        if self.response.piece != piece:
+            self.gravity.close_piece()
+            self._began.append(self.hops)
+        use = p.learn & p.ok_speed
+        self.turn_rate = r
+        if self.response.without_speed and R is not None:
+            return lone @ R[0] * use, turn * use
+        return p.accel * use, turn * use
+
+    def _carried(self, p: Prepared, R: Matrix3) -> Array:
+        """Force at the end of the known lever arm more than at its root, sensor axes (N, 3).
+
+        dw/dt x l + w x (w x l); the derivative is a central difference, which is not late.
+        """
+        rate = p.rate @ R.T
+        before = rate[:1] if self._last_rate is None else self._last_rate
+        self._last_rate = rate[-1:]
+        change = np.gradient(np.concatenate([before, rate]), TICK_S, axis=0)[1:]
+        arm = self._lever_arm
+        carried = np.cross(change, arm) + np.cross(rate, np.cross(rate, arm))
+        return np.asarray((carried * p.ok_rate[:, None]) @ R)
+
+    def sure(self) -> bool:
+        """Whether yaw is known well enough for what is left over to speak of the bias."""
+        return self.fused is not None and self.yaw_known and self.fused.variance[2] < SURE_STD**2
+
+    def _turn_rate(self, p: Prepared, up: Array | None) -> Array:
+        if up is not None and p.ok_rate.mean() > 0.5:
+            self.own_gyro = True
+            return np.asarray(p.rate @ up)
+        self.own_gyro = False
+        return p.yaw_rate * p.ok_yaw
+
+    def gains(self) -> tuple[float, float]:
+        """Mean gains of dv/dt and v r in the low bands."""
+        g = self.response.gains
+        return float(g[0, 2:6].mean()), float(g[1, 2:6].mean())
+
+    def _slide(self, p: Prepared, lone: Array, turn: Array, r: Array) -> None:
+        w, m = self._window, self._mask
+        w[:-HOP] = w[HOP:].copy()
+        m[:-HOP] = m[HOP:].copy()
+        w[-HOP:, :3] = lone
+        w[-HOP:, 3] = p.accel
+        w[-HOP:, 4] = turn
+        rate = p.rate * p.ok_rate[:, None]
+        w[-HOP:, 5:8] = rate * p.speed[:, None]
+        w[-HOP:, 8:11] = rate
+        a = p.accel
+        terms = np.stack([a * a, turn * turn, r * r, a * np.abs(a), a * turn, a, turn], axis=1)
+        w[-HOP:, _TAKEN] = self.up.remaining(terms, p)
+        w[-HOP:, sp.AR] = a * r
+        w[-HOP:, sp.VR] = turn * r
+        m[-HOP:] = p.learn & p.ok_speed & (not self.up.seeking)
+        if m.sum() < 64:
+            return
+        s = spectra(w, m, keep_mean=self.own_gyro and self.yaw_known)
+        power = s[:, 3:5].real ** 2 + s[:, 3:5].imag ** 2
+        if not self.response.without_speed and power.sum() < LEAST_POWER * HOP:
+            return
+        self.response.add(s)
+        self.delay_speed.add(s[:, 3], s[:, :3])
+        if not self.own_gyro:
+            self.delay_turn.add(s[:, 4], s[:, :3])
+        n = self.delay_speed.windows
+        if n in DELAY_AFTER or n % DELAY_AGAIN == 0:
+            tau = self.delay_speed.search()
+            late = 0.0 if self.own_gyro else self.delay_turn.search()
+            was = self.response.delays
+            if abs(tau - was[0]) > 0.02 or abs(late - was[1]) > 0.02:
+                self.response.set_delays(tau, late)
+
+    def fit(self) -> None:
+        """Fit the rotation to all evidence so far."""
+        if not self.gravity.known:
+            return
+        s = self._settings
+        cross = s.accel_cross_axis_std
+        spread = math.sqrt(s.accel_bias_std**2 + WARMING_STD**2 + (GRAVITY * cross) ** 2)
+        bias, bias_cov = self.up.bias(spread)
+        if not self.yaw_known:
+            self._start()
+        for _ in range(2 if self.hops < SETTLED_HOPS else 1):
+            if self.R is None:
+                return
+            pieces = self.response.fit(self.R) if self.yaw_known else {}
+            gains = self.gains() if self.yaw_known else (0.0, 0.0)
+            ex, ey = self.gravity.tilt(self.R, bias, gains)
+            b = self.R @ bias_cov @ self.R.T / GRAVITY**2
+            known = self.yaw_known and not self.response.without_speed
+            slope = self.gravity.variance(s.slope_std, s.slope_length, 0.1 if known else 1.0)
+            if "roll_axis" in pieces and "roll_turn" in pieces:
+                # both see the same noise, the pitch rate of the road: the better one speaks
+                worse = max(("roll_axis", "roll_turn"), key=lambda k: pieces[k].variance)
+                pieces[worse] = Piece(pieces[worse].value, pieces[worse].variance * 1e4, 0.0)
+            pieces["roll_gravity"] = Piece(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
+            pieces["pitch_gravity"] = Piece(ey, SLOPE_SHARE * slope + b[0, 0], 0.0)
+            if not self.own_gyro:
+                for name in ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn"):
+                    if name in pieces:
+                        wide = NO_GYRO_SHARE * pieces[name].variance
+                        pieces[name] = replace(pieces[name], variance=wide)
+            if self.response.without_speed and "yaw_dvdt" in pieces:
+                piece = pieces["yaw_dvdt"]
+                pieces["yaw_dvdt"] = replace(piece, variance=piece.variance + PRINCIPAL_STD**2)
+            self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
+            if self.earlier is None:
+                fused = fuse(pieces, self._sharing)
+            else:
+                fused = self.earlier.fused(pieces, self.R, self._tilt_bias)
+            self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
+            self.pieces, self.fused = pieces, fused
+        self.bias, self.bias_cov = bias, bias_cov
+
+    def step(self) -> Step | None:
+        """A step in gravity that the gyroscope did not see, in the last minute; asked every hop."""
+        if self.R is None or not self.sure() or not self.own_gyro:
+            self.up.watch.trail.go_on()
+            return None
+        return self.up.watch.found(self.R)
+
+    def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
+        """The change of the mount that the last minutes' evidence speaks for most."""
+        if self.R is None or self.bias is None or not self.yaw_known:
+            return None
+        if self.response.without_speed:
+            return largest_change(self.response.flows, (2,))
+        flows = self._gravity_flows(self.R, self.bias)
+        found, fresh = self.response.flows + flows, None
+        if self.earlier is not None:
+            fresh = max(len(flow.score) for flow in found)
+            found = self.earlier.flows(named_flows(found), self.R)
+        return largest_change(found, axes, self._steps(), self._settings.unevenness, fresh)
+
+    def _steps(self) -> Array:
+        """How far steps in gravity stood out when the last pieces of road began."""
+        steps, began = NO_STEPS.copy(), list(self._began)
+        for k, span in enumerate(SPANS[: max(len(began) - 1, 0)].tolist()):
+            steps[k] = self.up.watch.trail.near(self.hops - began[-span])
+        return steps
+
+    def _gravity_flows(self, R: Matrix3, bias: Array) -> list[Flow]:
+        s = self._settings
+        across, along = (s.slope_std * times for times in s.unevenness)
+        return self.gravity.flows(R, bias, self.gains(), (across, along), s.slope_length)
+
+    def join(self, kept: KeptEvidence) -> None:
+        """Bring in what earlier drives found; it stays apart and can be left again."""
+        if self.yaw_known and kept.without_speed == self.response.without_speed:
+            crown_std = self._settings.crown_std
+            self.earlier = EarlierDrives(kept, shared_errors(self._settings), crown_std)
+
+    def kept(self) -> KeptEvidence | None:
+        """What to keep for the next start, earlier drives' evidence included."""
+        if self.R is None or self.fused is None or self.bias is None or not self.yaw_known:
+            return None
+        gravity = self._gravity_flows(self.R, self.bias)
+        flows = named_flows(self.response.flows + gravity)
+        pieces = kept_pieces(self.pieces, flows, self.fused.error, self._tilt_bias)
+        now = KeptEvidence(self.R, self.response.without_speed, pieces)
+        return together(None if self.earlier is None else self.earlier.kept, now)
+
+    def _start(self) -> None:
+        """Find a first rotation: level by gravity, yaw from the direction of the responses."""
+        level = levelling_rotation(self.gravity.mean_force())
+        self.R = level
+        if self.response.without_speed:
+            direction, sureness = self.response.principal_direction(level)
+            if self.response.windows >= 6 and sureness > SIGN_SURE:
+                self.R = rotation_from_angles(0.0, 0.0, -direction) @ level
+                self.yaw_known = True
+            return
+        to_a, to_v, power_a, power_v = self.response.direction_sums()
+        a, v = level @ to_a, level @ to_v
+        forward = complex(a[0], a[1]) + complex(v[1], -v[0])
+        if self.response.windows < 2 or power_a + power_v < 20.0:
+            return
+        yaw = -math.atan2(forward.imag, forward.real)
+        self.R = rotation_from_angles(0.0, 0.0, yaw) @ level
+        self.yaw_known = True

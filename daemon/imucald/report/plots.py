@@ -1,0 +1,267 @@
+"""Pictures of one signal as SVG: residual against time, its driver, and frequency."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from imucald.diagnosis.result import SignalPicture
+from imucald.report.decimation import envelope, log_bins, telling_stretch, trend
+from imucald.report.wording import unit_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Dashes = str | tuple[int, tuple[float, float]]
+
+BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
+"""Vermilion, blue, near black, grey: told apart with any colour blindness (Okabe and Ito)."""
+
+LAYOUT_FONT = "DejaVu Sans"
+"""Comes with matplotlib, so pictures are laid out alike anywhere; it is wide."""
+READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
+METADATA = ("Date", "Creator", "Format", "Type")
+PATH = re.compile(r'( d=")([^"]*)"')
+FINE = re.compile(r"(\.\d\d)\d+")
+
+STYLE: dict[Any, Any] = {
+    "text.parse_math": False,  # names come from databases: a dollar sign is no formula
+    "svg.fonttype": "none",
+    "svg.hashsalt": "imucald",
+    "font.family": "sans-serif",
+    "font.sans-serif": [LAYOUT_FONT],
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#888888",
+    "axes.labelcolor": "#333333",
+    "axes.linewidth": 0.7,
+    "xtick.color": "#555555",
+    "ytick.color": "#555555",
+    "axes.grid": True,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.6,
+    "axes.formatter.useoffset": False,
+    "axes.unicode_minus": True,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+}
+
+TIME_BINS = 420
+SPECTRUM_BINS = 160
+DRIVER_BINS = 24
+DRIVER_LEAST = 12
+STRETCH_S = 45.0
+MINUTES_FROM_S = 300.0
+"""Longer axes are in minutes."""
+DECADES = 6
+"""Shown of a spectrum, from its highest value down."""
+FEW_DECADES = 60.0
+"""An axis with a smaller range has ticks at 2 and 5 too."""
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+EXTREME = 99.7
+"""Percentile of the residual's size that sets the axis: single spikes may leave the picture."""
+
+
+def time_picture(p: SignalPicture) -> str:
+    """Residual before and after, against time: range and mean in short stretches."""
+    return _drawn(_draw_time, p, (9.6, 2.5))
+
+
+def stretch_picture(p: SignalPicture) -> str:
+    """Measured and predicted, in the stretch where the residual falls most."""
+    return _drawn(_draw_stretch, p, (9.6, 2.5))
+
+
+def driver_picture(p: SignalPicture) -> str:
+    """Residual against the input that it goes with: mean and spread in bins."""
+    return _drawn(_draw_driver, p, (4.7, 2.9))
+
+
+def spectrum_picture(p: SignalPicture) -> str:
+    """Residual spectrum before and after, with the noise floor."""
+    return _drawn(_draw_spectrum, p, (4.7, 2.9))
+
+
+def _drawn(
+    draw: Callable[[Axes, SignalPicture], None], p: SignalPicture, size: tuple[float, float]
+) -> str:
+    with mpl.rc_context(STYLE), warnings.catch_warnings():
+        # Letters of other scripts are missing in the font of the layout, not in the reader's.
+        warnings.filterwarnings("ignore", message="Glyph .* missing")
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasSVG(figure)
+        draw(figure.add_subplot(), p)
+        out = io.StringIO()
+        figure.savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
+    return _shortened(out.getvalue())
+
+
+def _shortened(svg: str) -> str:
+    """Drop what a browser does not need: half the size, the same picture.
+
+    Paths keep hundredths of a point; text takes the reader's fonts.
+    """
+    start = svg.index("<svg")
+    return PATH.sub(lambda m: m[1] + FINE.sub(r"\1", m[2]) + '"', svg[start:]).replace(
+        f"'{LAYOUT_FONT}'", READERS_FONTS
+    )
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """One model's prediction, and how it is drawn."""
+
+    name: str
+    predicted: Array
+    density: Array
+    colour: str
+    mark: str
+    dashes: Dashes
+    shade: float
+
+
+def _curves(p: SignalPicture) -> list[_Curve]:
+    """Before and after; one only where nothing was extended."""
+    before = _Curve("before", p.predicted_before, p.spectrum_before, BEFORE, "s", (0, (5, 2)), 0.28)
+    after = _Curve("after", p.predicted_after, p.spectrum_after, AFTER, "o", "solid", 0.4)
+    if not is_extended(p):
+        return [replace(after, name="")]
+    return [before, after]
+
+
+def is_extended(p: SignalPicture) -> bool:
+    """Return whether the extended model predicts anything else of this signal."""
+    return not np.array_equal(p.predicted_before, p.predicted_after, equal_nan=True)
+
+
+def _draw_time(axes: Axes, p: SignalPicture) -> None:
+    factor = _time_axis(axes, p.t)
+    for order, curve in enumerate(_curves(p), 1):
+        band = envelope(p.t, p.measured - curve.predicted, TIME_BINS)
+        t, colour = factor * band.t, curve.colour
+        axes.fill_between(t, band.low, band.high, color=colour, alpha=curve.shade, lw=0,
+                          zorder=order)  # fmt: skip
+        axes.plot(t, band.mean, color=colour, lw=1.1, zorder=order + 2, label=curve.name)
+    axes.axhline(0.0, color=FLOOR, lw=0.7)
+    _limit(axes, [p.measured - curve.predicted for curve in _curves(p)])
+    axes.margins(x=0.005)
+    axes.set_ylabel(f"residual [{unit_text(p.unit)}]")
+    _legend(axes)
+
+
+def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
+    before, after = p.measured - p.predicted_before, p.measured - p.predicted_after
+    rows = telling_stretch(p.t, before, after, STRETCH_S)
+    t = p.t[rows]
+    axes.plot(t, p.measured[rows], color=MEASURED, lw=1.0, label="measured")
+    known = np.isfinite(p.measured[rows])
+    for curve in _curves(p):
+        predicted = np.where(known, curve.predicted[rows], np.nan)
+        axes.plot(t, predicted, color=curve.colour, lw=1.2, ls=curve.dashes,
+                  label=f"predicted {curve.name}".strip())  # fmt: skip
+    axes.margins(x=0.005)
+    axes.xaxis.set_major_formatter(FuncFormatter(_clock_text))
+    axes.set_xlabel("time [min:s]")
+    axes.set_ylabel(f"[{unit_text(p.unit)}]")
+    _legend(axes)
+
+
+def _draw_driver(axes: Axes, p: SignalPicture) -> None:
+    for curve in _curves(p):
+        line = trend(p.driver, p.measured - curve.predicted, DRIVER_BINS, DRIVER_LEAST)
+        axes.fill_between(line.x, line.low, line.high, color=curve.colour, alpha=0.2, lw=0)
+        axes.plot(line.x, line.mean, color=curve.colour, lw=1.2, marker=curve.mark, ms=3,
+                  label=curve.name)  # fmt: skip
+    axes.axhline(0.0, color=FLOOR, lw=0.7)
+    axes.set_xlabel(unit_text(p.driver_name))
+    axes.set_ylabel(f"residual [{unit_text(p.unit)}]")
+    _legend(axes)
+
+
+def _draw_spectrum(axes: Axes, p: SignalPicture) -> None:
+    floor = _Curve("noise floor", p.measured, p.spectrum_floor, FLOOR, "", (0, (1, 1.5)), 0.0)
+    for curve in (*_curves(p), floor):
+        line = log_bins(p.frequency, curve.density, SPECTRUM_BINS)
+        axes.plot(*line, color=curve.colour, lw=1.2, ls=curve.dashes,
+                  label=curve.name or "residual")  # fmt: skip
+    if any(len(line.get_xdata()) for line in axes.lines):  # type: ignore[arg-type]
+        for axis, scale in ((axes.xaxis, axes.set_xscale), (axes.yaxis, axes.set_yscale)):
+            scale("log")
+            axis.set_major_formatter(FuncFormatter(_power_text))
+            axis.set_minor_formatter(NullFormatter())
+        _trim_depth(axes)
+        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            if high < FEW_DECADES * low:
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel(f"density [({unit_text(p.unit)})²/Hz]")
+    _legend(axes)
+
+
+def _time_axis(axes: Axes, t: Array) -> float:
+    """Label the axis; return the factor from seconds."""
+    known = t[np.isfinite(t)]
+    long = len(known) > 0 and float(np.ptp(known)) > MINUTES_FROM_S
+    axes.set_xlabel("time [min]" if long else "time [s]")
+    return 1.0 / 60.0 if long else 1.0
+
+
+def _limit(axes: Axes, residuals: list[Array]) -> None:
+    every = np.abs(np.concatenate(residuals))
+    every = every[np.isfinite(every)]
+    size = 1.15 * float(np.percentile(every, EXTREME)) if len(every) else 0.0
+    if size > 0.0:
+        axes.set_ylim(-size, size)
+
+
+def _trim_depth(axes: Axes) -> None:
+    """Show so many decades from the top: beyond the sensor's band nothing is to be seen."""
+    low, high = axes.get_ylim()
+    tops = [np.max(line.get_ydata()) for line in axes.lines if len(line.get_ydata())]  # type: ignore[arg-type]
+    if tops:
+        high = 2.0 * float(max(tops))
+        axes.set_ylim(max(low, high * 10.0**-DECADES), high)
+
+
+def _power_text(x: float, _: object) -> str:
+    """`0.02`, `10`, or a power of ten with raised digits: there is no formula text here."""
+    if x <= 0.0:
+        return ""
+    power = math.floor(math.log10(x) + 1e-9)
+    if -3 < power < 4:
+        return f"{x:g}"
+    factor = round(x / 10.0**power)
+    return ("" if factor == 1 else f"{factor}·") + "10" + str(power).translate(RAISED)
+
+
+def _clock_text(seconds: float, _: object) -> str:
+    """`23:06`, with tenths where the stretch is short."""
+    sign, seconds = ("-" if seconds < 0 else ""), abs(round(seconds, 1))
+    minutes, rest = divmod(seconds, 60.0)
+    return (
+        f"{sign}{minutes:.0f}:{rest:02.0f}"
+        if rest % 1 == 0
+        else f"{sign}{minutes:.0f}:{rest:04.1f}"
+    )
+
+
+def _legend(axes: Axes) -> None:
+    """Above the axes, in one row; none for a single curve that needs no name."""
+    lines, _ = axes.get_legend_handles_labels()
+    if lines:
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(lines),
+                    borderaxespad=0.1, handlelength=2.2, columnspacing=1.4)  # fmt: skip

@@ -1,0 +1,1 @@
+"""From frames to frames: pipeline, engine, consumers, output, replay."""

@@ -1,0 +1,73 @@
+"""What runs beside the mount calibration on the same samples.
+
+A companion takes samples one by one, in the same order live as in replay, and gives frames at ends
+of ticks. The engine knows companions only by the protocol here; `companions` has those there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, Protocol
+
+from imucald.inputs.router import ColumnSamples, Sample
+from imucald.mount.estimate import Correction, MountEstimate
+from imucald.runtime.output.sender import OutFrame
+
+ORDER = ("reverse", "speed", "heading", "gyro", "mag", "accel")
+"""Samples of one frame are handed on in this order."""
+_RANK = {channel: rank for rank, channel in enumerate(ORDER)}
+
+
+class Companion(Protocol):
+    """Takes samples, gives frames. Pure: no I/O, no clock."""
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """The channels it wants (see `samples`)."""
+        ...
+
+    def sample(
+        self, t: float, channel: str, values: Sequence[float], correction: Correction | None
+    ) -> None:
+        """Take a sample at stream time t [s], as the sensor gave it, and the rotation in force."""
+        ...
+
+    def mounted(self, estimate: MountEstimate) -> None:
+        """Take a snapshot of the mount, before the tick that it was taken at the end of."""
+        ...
+
+    def tick(self, k: int) -> list[OutFrame]:
+        """Tick k has ended: return the frames that are due."""
+        ...
+
+    def gap(self) -> None:
+        """Time jumped: nothing before this may be differenced with what follows."""
+        ...
+
+    def summary(self) -> tuple[str, Mapping[str, Any]]:
+        """Key and content of the result."""
+        ...
+
+
+def in_order(samples: Sequence[Sample]) -> Sequence[Sample]:
+    """Samples of one frame in the order companions take them."""
+    return samples if len(samples) < 2 else sorted(samples, key=lambda s: _RANK.get(s[0], 99))
+
+
+def events_of(
+    samples: Mapping[str, ColumnSamples], wanted: Collection[str]
+) -> list[tuple[int, float, str, Sequence[float]]]:
+    """Row, time, channel and values of the wanted channels' samples, in the order of `in_order`."""
+    found: list[tuple[int, int, float, str, Sequence[float]]] = []
+    for channel, series in samples.items():
+        if channel in wanted:
+            values = series.values if series.values.ndim == 2 else series.values[:, None]
+            rank = _RANK[channel]
+            found += [
+                (row, rank, t, channel, value)
+                for row, t, value in zip(
+                    series.row.tolist(), series.t.tolist(), values.tolist(), strict=True
+                )
+            ]
+    found.sort(key=lambda event: event[:2])
+    return [(row, t, channel, values) for row, _, t, channel, values in found]

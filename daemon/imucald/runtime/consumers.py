@@ -1,0 +1,279 @@
+"""The companions there are (attitude, direction of travel); imported only where one is on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from imucald.attitude.compensated import CompensatedAttitude
+from imucald.attitude.estimate import SETTLED_STD, AttitudeEstimate, AttitudeState
+from imucald.attitude.filter import AttitudeFilter
+from imucald.attitude.plausible import is_plausible
+from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
+from imucald.config import Config, LoadedConfig
+from imucald.config.attitude import Attitude
+from imucald.motion.ticks import TICK_RATE
+from imucald.mount.estimate import Correction, MountEstimate
+from imucald.runtime.consumer import ORDER, Companion
+from imucald.runtime.output.attitude_frames import AttitudeFrames
+from imucald.runtime.output.output_frames import OutputFrames
+from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.travel_frames import TravelFrames
+from imucald.travel_direction.direction import TravelDirection
+from imucald.travel_direction.settings import (
+    ChoiceSettings,
+    ModernSettings,
+    StepSettings,
+    TravelSettings,
+)
+
+
+def companions_for(loaded: LoadedConfig, output: OutputFrames) -> list[Companion]:
+    """What a configuration switches on. Raises ConfigError where an input is missing."""
+    config = loaded.config
+    signals = config.signals
+    found: list[Companion] = []
+    for key, frames in (("attitude", output.attitude), ("travel_direction", output.travel)):
+        if frames is not None and any(triad.z is None for triad in signals.accelerometer):
+            raise loaded.error((key, "enabled"), "needs all three axes of the accelerometer")
+    if output.attitude is not None:
+        place = ("attitude", "enabled")
+        if signals.gyroscope is None:
+            raise loaded.error(place, "needs signals.gyroscope")
+        source = config.attitude.filter.heading
+        if source == "signal" and signals.heading is None:
+            raise loaded.error(("attitude", "filter", "heading"), "needs signals.heading")
+        if source == "magnetometer" and signals.magnetometer is None:
+            raise loaded.error(("attitude", "filter", "heading"), "needs signals.magnetometer")
+        found.append(AttitudeCompanion(config, output.attitude))
+    if output.travel is not None:
+        if signals.magnetometer is None and signals.heading is None:
+            raise loaded.error(
+                ("travel_direction", "enabled"), "needs signals.magnetometer or signals.heading"
+            )
+        found.append(TravelCompanion(config, output.travel))
+    return found
+
+
+class AttitudeCompanion:
+    """Methods B and C on the corrected samples."""
+
+    channels = frozenset(ORDER)
+
+    def __init__(self, config: Config, frames: AttitudeFrames) -> None:
+        settings = attitude_settings(config)
+        self.filter = (
+            CompensatedAttitude(settings)
+            if config.attitude.method == "compensation"
+            else AttitudeFilter(settings)
+        )
+        self._frames = frames
+        self._every = round(TICK_RATE / config.attitude.rate)
+        self._correction: Correction | None = None
+        self._mount_std: tuple[float, float, float] | None = None
+        self.rejected = 0
+        """Samples that were left out because they cannot be."""
+
+    def sample(
+        self, t: float, channel: str, values: Sequence[float], correction: Correction | None
+    ) -> None:
+        """Take a sample; those of the sensor are turned into vehicle axes first."""
+        if not is_plausible(channel, values):
+            self.rejected += 1
+            return
+        if correction != self._correction:
+            self._turn(correction)
+        if channel == "speed":
+            self.filter.speed(t, values[0])
+        elif channel == "reverse":
+            self.filter.reverse(values[0] > 0.5)
+        elif channel == "heading":
+            self.filter.heading(t, values[0])
+        elif correction is not None:
+            x, y, z = values
+            a, b, c, d, e, f, g, h, i = correction
+            turned = (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)
+            if channel == "gyro":
+                self.filter.gyro(t, turned)
+            elif channel == "accel":
+                self.filter.accel(t, turned)
+            else:
+                self.filter.mag(t, turned)
+
+    def _turn(self, correction: Correction | None) -> None:
+        if correction is None:
+            self.filter.reset()
+        elif self._correction is not None:
+            self.filter.turned(self._correction, correction)
+        self._correction = correction
+
+    def mounted(self, estimate: MountEstimate) -> None:
+        """Take what the mount's angles are worth: the vehicle's axes are known no better."""
+        self._mount_std = estimate.std
+
+    def tick(self, k: int) -> list[OutFrame]:
+        """Attitude frames at their rate."""
+        if (k + 1) % self._every:
+            return []
+        known = self._correction is not None and self._mount_std is not None
+        return self._frames.frames(self._estimate((k + 1) / TICK_RATE) if known else None)
+
+    def _estimate(self, now: float | None = None) -> AttitudeEstimate:
+        """The attitude of the vehicle: that of the corrected axes, with the doubt about them."""
+        e = self.filter.estimate(now)
+        if self._mount_std is None:
+            return e
+        x, y, z = self._mount_std
+        roll, pitch, heading = math.hypot(e.std[0], x), math.hypot(e.std[1], y), e.std[2]
+        state = e.state
+        if state is AttitudeState.FULL:
+            heading = math.hypot(heading, z)
+        if state > AttitudeState.SETTLING and max(roll, pitch) > SETTLED_STD:
+            state = AttitudeState.SETTLING
+        return replace(
+            e, state=state, std=(roll, pitch, heading), grade_std=math.hypot(e.grade_std, y)
+        )
+
+    def gap(self) -> None:
+        """Time jumped: the attitude starts anew."""
+        self.filter.reset()
+
+    def summary(self) -> tuple[str, Mapping[str, Any]]:
+        """The attitude at the end."""
+        if self._correction is None or not self.filter.running:
+            return "attitude", {"state": AttitudeState.NOT_AVAILABLE.name.lower()}
+        e = self._estimate()
+
+        def number(value: float, factor: float = 180.0 / math.pi) -> float | None:
+            return None if math.isnan(value) else round(value * factor, 5)
+
+        return "attitude", {
+            "state": e.state.name.lower(),
+            "roll_deg": number(e.roll),
+            "pitch_deg": number(e.pitch),
+            "heading_deg": number(e.heading),
+            "std_deg": [number(std) for std in e.std],
+            "gyro_bias_deg_s": [number(b) for b in e.bias],
+            "grade_percent": number(e.grade, 100.0),
+            "sensor_check": self.filter.checked,
+            "rejected_samples": self.rejected,
+        }
+
+
+class TravelCompanion:
+    """Method D on the samples of a carried terminal, in its own axes."""
+
+    channels = frozenset(("gyro", "mag", "heading", "accel"))
+
+    def __init__(self, config: Config, frames: TravelFrames) -> None:
+        self.travel = TravelDirection(travel_settings(config))
+        self._frames = frames
+        self._sent_steps = 0
+        self._every = round(TICK_RATE)
+
+    def sample(
+        self, t: float, channel: str, values: Sequence[float], correction: Correction | None
+    ) -> None:
+        """Take a sample."""
+        self.travel.sample(t, channel, values)
+
+    def mounted(self, estimate: MountEstimate) -> None:
+        """Ignore the mount: a carried terminal has none."""
+
+    def tick(self, k: int) -> list[OutFrame]:
+        """A frame after each tick with a new step, and one a second."""
+        travel = self.travel
+        if travel.steps == self._sent_steps and (k + 1) % self._every:
+            return []
+        self._sent_steps = travel.steps
+        return self._frames.frames(travel.last, travel.state((k + 1) / TICK_RATE), travel.steps)
+
+    def gap(self) -> None:
+        """Time jumped."""
+        self.travel.gap()
+
+    def summary(self) -> tuple[str, Mapping[str, Any]]:
+        """Steps and the last direction."""
+        last = self.travel.last
+        heading = None if last is None or last.heading is None else math.degrees(last.heading)
+        return "travel_direction", {
+            "steps": self.travel.steps,
+            "rejected_samples": self.travel.rejected,
+            "heading_deg": None if heading is None else round(heading, 2),
+        }
+
+
+def attitude_settings(config: Config) -> AttitudeSettings:
+    """Settings of methods B and C."""
+    attitude: Attitude = config.attitude
+    c, f = attitude.compensation, attitude.filter
+    delay = config.calibration.speed_delay or 0.0
+    return AttitudeSettings(
+        CompensationSettings(
+            average=c.average,
+            interval=c.interval,
+            timeout=c.timeout,
+            delay=delay if c.delay is None else c.delay,
+            lever_arm=c.lever_arm,
+            speed_is=c.speed_is,
+            centripetal=c.centripetal,
+            speed_noise=c.speed_noise,
+            speed_scale=c.speed_scale,
+            creep_speed=c.creep_speed,
+            lever_uncertainty=c.lever_uncertainty,
+        ),
+        FilterSettings(
+            heading=f.heading,
+            declination=math.radians(f.declination_deg),
+            check=f.check,
+            check_level=f.check_level,
+            start=f.start,
+            longest_step=f.longest_step,
+            rest_update=f.rest_update,
+            rest_accel_spread=f.rest_accel_spread,
+            rest_gyro_spread=math.radians(f.rest_gyro_spread_deg_s),
+            gyro_noise=math.radians(f.gyro_noise_deg_s),
+            gyro_start=math.radians(f.gyro_start_deg_s),
+            gyro_random=math.radians(f.gyro_random_deg_s),
+            gyro_random_time=f.gyro_random_time,
+            gyro_scale=f.gyro_scale,
+            accel_noise=f.accel_noise,
+            accel_random=f.accel_random or config.calibration.accelerometer_bias,
+            accel_random_time=f.accel_random_time,
+            unknown_motion=f.unknown_motion,
+            heading_noise=math.radians(f.heading_noise_deg),
+            magnetometer_noise=math.radians(f.magnetometer_noise_deg),
+            gate=f.gate,
+        ),
+        attitude.squat,
+        attitude.grade_time,
+    )
+
+
+def travel_settings(config: Config) -> TravelSettings:
+    """Settings of method D and its alternative."""
+    travel = config.travel_direction
+    steps, choice, other = travel.steps, travel.choice, travel.alternative
+    return TravelSettings(
+        method=travel.method,
+        convention=travel.convention,
+        declination=math.radians(travel.declination_deg),
+        step=StepSettings(
+            steps.shortest, steps.longest, steps.threshold, steps.corner_hz, steps.gravity_time
+        ),
+        choice=ChoiceSettings(
+            math.radians(choice.turn_deg),
+            math.radians(choice.tilt_on_turn_deg),
+            math.radians(choice.differ_deg),
+            math.radians(choice.tilt_deg),
+        ),
+        modern=ModernSettings(
+            gravity_time=other.gravity_time,
+            compass_time=other.compass_time,
+            lead=math.radians(other.lead_deg),
+            memory_steps=other.memory_steps,
+            carry_change=math.radians(other.carry_change_deg),
+        ),
+    )

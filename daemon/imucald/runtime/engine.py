@@ -1,0 +1,429 @@
+"""Frames in, frames out: router, pipeline and output put together. No I/O, no clock.
+
+The live daemon feeds frames one by one (`frame`), replay feeds chunks of columns (`columns`). Both
+give the same frames in the same order; the two may be mixed on one engine.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.columns import FrameColumns
+from imucald.core.errors import EstimateError
+from imucald.inputs.router import Routed, Router, Sample
+from imucald.motion.ticks import TICK_RATE, tick_index
+from imucald.mount.estimate import Correction, MountEstimator
+from imucald.runtime.consumer import Companion, events_of, in_order
+from imucald.runtime.output.output_columns import (
+    OutPart,
+    corrected_count,
+    merged,
+    rotated,
+    rotated_columns,
+)
+from imucald.runtime.output.output_frames import STATUS_FRAMES, Health, OutputFrames
+from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.pipeline import Pipeline, Snapshot, TickCorrections
+from imucald.runtime.timebase import Piece, TimeBase
+
+if TYPE_CHECKING:
+    from imucald.compensation.preprocessing import Stages
+
+MISSING_TICKS = 10
+"""An input that gave no sample for so many ticks is missing: one second."""
+
+Turned = tuple[float, float, float] | None
+"""A sample in vehicle axes; None: no correction yet."""
+_SENSORS = {"accel": "accelerometer_missing", "gyro": "gyroscope_missing", "speed": "speed_missing"}
+
+
+@dataclass(frozen=True)
+class LinkHealth:
+    """What only the bus link knows; all zero in replay."""
+
+    lost: int = 0
+    frames_lost: bool = False
+    id_conflict: bool = False
+    send_failed: bool = False
+
+
+class Engine:
+    """One sensor on one bus.
+
+    on_snapshot: called with every snapshot of the estimate (for terminals and state files).
+    link_health: asked whenever a health frame is made.
+    companions: run beside, on the same samples.
+    new_estimator: makes the estimator of `restart_calibration`.
+    stages: take out of the signals what a model file knows of them.
+    """
+
+    def __init__(
+        self,
+        router: Router,
+        estimator: MountEstimator,
+        output: OutputFrames,
+        status_rate: int = 1,
+        on_snapshot: Callable[[Snapshot], None] | None = None,
+        link_health: Callable[[], LinkHealth] = LinkHealth,
+        companions: Sequence[Companion] = (),
+        new_estimator: Callable[[], MountEstimator] | None = None,
+        stages: Stages | None = None,
+    ) -> None:
+        self.router = router
+        self.output = output
+        self.stages = stages
+        evidence = None if stages is None else stages.evidence
+        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), evidence)
+        self.timebase = TimeBase()
+        self.companions = tuple(companions)
+        self._accompanied = frozenset(c for one in self.companions for c in one.channels)
+        self.sent = 0
+        """Frames given out."""
+        self._on_snapshot = on_snapshot
+        self._link_health = link_health
+        self._new_estimator = new_estimator
+        self._watched = {c: 0 for c in _SENSORS if c in router.channels}  # tick of last sample
+        self._rejected_total = 0
+        self._rejections: deque[int] = deque()  # ticks of the last second's rejections
+
+    @property
+    def model_key(self) -> str:
+        """Names what a model changes of the estimate; "" without one."""
+        return "" if self.stages is None else self.stages.compensation.estimate_key
+
+    # one frame -----------------------------------------------------------------------------
+
+    def frame(self, stamp: float, can_id: int, data: bytes) -> list[OutFrame]:
+        """Take one frame; return the frames to send.
+
+        stamp: reception time [s], wall clock. can_id with the flag for 29 bits.
+        """
+        t, gap = self.timebase.one(stamp)
+        out: list[OutFrame] = []
+        k = tick_index(t)
+        if k > self.pipeline.k or gap:
+            out += self._advance(k, gap)
+        samples, rejected = self.router.frame(t, can_id, data)
+        if self.stages is not None:
+            samples, refused = self.stages.frame(t, samples, self.router.rejected)
+            rejected += refused
+        for channel in rejected:
+            self.pipeline.reject(channel)
+        self._count_rejections(k)
+        self._accompany(t, samples)
+        pipeline = self.pipeline
+        turned: dict[str, Turned] = {}
+        for channel, values in samples:
+            pipeline.add(t, channel, values)
+            if channel in self._watched:
+                self._watched[channel] = k
+            if channel in self.output.triads:
+                turned[channel] = rotated(pipeline.correction, values)
+        if self.stages is not None and turned:
+            turned = self.stages.corrected(t, turned)
+        for channel in self.output.triads:
+            if channel in turned:
+                out.append(self.output.corrected(channel, turned[channel], pipeline.quality))
+        for channel in self.output.triads:
+            if channel in rejected and channel not in turned:
+                out.append(self.output.corrected(channel, None, 0))
+        self.sent += len(out)
+        return out
+
+    def idle(self, elapsed: float) -> list[OutFrame]:
+        """No frame of ours came for `elapsed` seconds: close the ticks that have passed."""
+        k = tick_index(self.timebase.idle(elapsed))
+        out = self._advance(k, False)
+        self.sent += len(out)
+        return out
+
+    def _advance(self, k: int, gap: bool) -> list[OutFrame]:
+        """Close all ticks before k: status frames, then those of the companions."""
+        pipeline = self.pipeline
+        first = pipeline.k
+        snapshots = pipeline.gap(k) if gap else pipeline.advance(k)
+        if gap and self.stages is not None:
+            self.stages.gap()
+        out = self._statuses(snapshots)
+        if self.companions:
+            out += self._companion_ticks(first, k, snapshots)
+            if gap:
+                for companion in self.companions:
+                    companion.gap()
+        return out
+
+    def _companion_ticks(
+        self, first: int, stop: int, snapshots: Sequence[Snapshot]
+    ) -> list[OutFrame]:
+        taken = {snapshot.k: snapshot.estimate for snapshot in snapshots}
+        out: list[OutFrame] = []
+        for k in range(first, stop):
+            for companion in self.companions:
+                if k in taken:
+                    companion.mounted(taken[k])
+                out += companion.tick(k)
+        return out
+
+    def _accompany(self, t: float, samples: Sequence[Sample]) -> None:
+        if not self.companions:
+            return
+        correction = self.pipeline.correction
+        for channel, values in in_order(samples):
+            for companion in self.companions:
+                if channel in companion.channels:
+                    companion.sample(t, channel, values, correction)
+
+    def heartbeat(self) -> list[OutFrame]:
+        """Status frames while no stream time passes: nothing was heard yet, or not for long."""
+        pipeline = self.pipeline
+        link = self._link_health()
+        out = self.output.status(
+            pipeline.estimator.estimate(),
+            False,
+            self._health(dict.fromkeys(self._watched, True), False, self._rejected_total, link),
+        )
+        self.sent += len(out)
+        return out
+
+    def _count_rejections(self, k: int) -> None:
+        total = self.router.rejected.total()
+        if total > self._rejected_total:
+            self._rejections.append(k)
+            self._rejected_total = total
+
+    # starting again ------------------------------------------------------------------------
+
+    def restart_calibration(self) -> MountEstimator:
+        """Forget the estimate and begin anew; all counters go on. Return the former estimator.
+
+        Raises EstimateError where the engine was made without `new_estimator`.
+        """
+        if self._new_estimator is None:
+            raise EstimateError("this engine cannot make a new estimator")
+        return self.pipeline.replace(self._new_estimator())
+
+    def resume_calibration(self, former: MountEstimator) -> None:
+        """Take back an estimator that `restart_calibration` returned, as it was then."""
+        former.gap()
+        self.pipeline.replace(former)
+
+    # columns -------------------------------------------------------------------------------
+
+    def columns(self, frames: FrameColumns, keep: bool = True) -> FrameColumns | None:
+        """Take a chunk of frames; return the frames to send (None with keep=False)."""
+        parts = [
+            part
+            for piece in self.timebase.columns(frames.t)
+            for part in self._piece(piece, frames, keep)
+        ]
+        if not keep:
+            return None
+        return merged(parts, frames)
+
+    def _piece(self, piece: Piece, frames: FrameColumns, keep: bool) -> Iterator[OutPart]:
+        base = piece.start
+        if piece.gap:
+            first = self.pipeline.k
+            snapshots = self.pipeline.gap(tick_index(float(piece.t[0])))
+            if self.stages is not None:
+                self.stages.gap()
+            yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
+            out = self._companion_ticks(first, self.pipeline.k, snapshots)
+            yield from self._frame_parts(out, base)
+            for companion in self.companions:
+                companion.gap()
+        whole = base == 0 and piece.stop == len(frames)
+        chunk = frames if whole else frames.take(slice(base, piece.stop))
+        routed = self.router.columns(piece.t, chunk)
+        if self.stages is not None:
+            routed = self.stages.columns(routed, piece.t, self.router.rejected)
+        ticks = np.floor(piece.t * TICK_RATE).astype(np.int64)
+        times = {c: piece.t[rows] for c, rows in routed.rejected.items()}
+        first = self.pipeline.k
+        wanted = keep or bool(self.companions) or self._on_snapshot is not None
+        corrections, snapshots = self.pipeline.run(
+            routed.samples, times, float(piece.t[-1]), wanted
+        )
+        if not wanted:
+            self.sent += STATUS_FRAMES * self.pipeline.snapshots_due(first)
+        events = np.floor(routed.events * TICK_RATE)
+        yield from self._status_parts(
+            snapshots,
+            lambda k: base + int(np.searchsorted(ticks, k, side="right")),
+            events,
+            routed,
+        )
+        self._rejected_total = self.router.rejected.total()
+        recent = sorted(set(events[events > ticks[-1] - 2 * MISSING_TICKS].tolist()))
+        self._rejections.extend(map(int, recent))
+        for channel in self._watched:
+            if channel in routed.samples:
+                last = float(routed.samples[channel].t[-1])
+                self._watched[channel] = tick_index(last)
+        if self.companions:
+            yield from self._companion_parts(routed, corrections, snapshots, ticks, base)
+        if keep:
+            yield from self._corrected_parts(routed, corrections, ticks, base)
+        else:
+            self.sent += sum(corrected_count(routed, c) for c in self.output.triads)
+
+    def _corrected_parts(
+        self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64], base: int
+    ) -> Iterator[OutPart]:
+        corrected = self._corrected(routed, corrections, ticks)
+        for order, channel in enumerate(self.output.triads):
+            series = routed.samples.get(channel)
+            bad = routed.rejected.get(channel)
+            if series is None and bad is None:
+                continue
+            row = np.zeros(0, np.int64) if series is None else series.row
+            turned = corrected.get(channel, np.zeros((0, 3)))
+            quality = corrections.quality[ticks[row] - corrections.first]
+            if bad is not None:
+                bad = np.setdiff1d(bad, row)
+                row = np.concatenate([row, bad])
+                by_row = np.argsort(row, kind="stable")
+                row = row[by_row]
+                turned = np.concatenate([turned, np.full((len(bad), 3), np.nan)])[by_row]
+                quality = np.concatenate([quality, np.zeros(len(bad), np.uint8)])[by_row]
+            can_id, data = self.output.corrected_columns(channel, turned, quality)
+            # not-available frames of a row come after its corrected ones, as in `frame`
+            missing = np.isin(row, bad) if bad is not None else np.zeros(len(row), bool)
+            rank = np.where(missing, len(self.output.triads), 0) + order + 1
+            yield OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
+            self.sent += len(row)
+
+    def _corrected(
+        self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64]
+    ) -> dict[str, NDArray[np.float64]]:
+        """Corrected samples (N, 3) by channel."""
+        found = {c: routed.samples[c] for c in self.output.triads if c in routed.samples}
+        turned = {
+            channel: rotated_columns(
+                corrections.rotations[ticks[series.row] - corrections.first], series.values
+            )
+            for channel, series in found.items()
+        }
+        return turned if self.stages is None else self.stages.corrected_columns(found, turned)
+
+    def _companion_parts(
+        self,
+        routed: Routed,
+        corrections: TickCorrections,
+        snapshots: Sequence[Snapshot],
+        ticks: NDArray[np.int64],
+        base: int,
+    ) -> Iterator[OutPart]:
+        """Companions take samples one by one here too; their frames stand as status frames do."""
+        rotations: list[Correction | None] = [
+            None if row[0] != row[0] else tuple(row) for row in corrections.rotations.tolist()
+        ]
+        k = first = corrections.first
+        due = {snapshot.k: snapshot for snapshot in snapshots}
+
+        def close(k: int) -> Iterator[OutPart]:
+            out = self._companion_ticks(k, k + 1, [due[k]] if k in due else ())
+            row = base + int(np.searchsorted(ticks, k, side="right"))
+            return self._frame_parts(out, row)
+
+        for row, t, channel, values in events_of(routed.samples, self._accompanied):
+            tick = int(ticks[row])
+            while k < tick:
+                yield from close(k)
+                k += 1
+            for companion in self.companions:
+                if channel in companion.channels:
+                    companion.sample(t, channel, values, rotations[tick - first])
+        while k < int(ticks[-1]):
+            yield from close(k)
+            k += 1
+
+    def _frame_parts(self, out: list[OutFrame], row: int) -> Iterator[OutPart]:
+        """Frames that come before those of a row's samples."""
+        if out:
+            yield OutPart(
+                np.full(len(out), row),
+                np.zeros(len(out), np.int64),
+                np.array([can_id for can_id, _ in out], dtype=np.uint32),
+                np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
+            )
+            self.sent += len(out)
+
+    def _status_parts(
+        self,
+        snapshots: list[Snapshot],
+        row_of: Callable[[int], int],
+        events: NDArray[np.float64],
+        routed: Routed | None = None,
+    ) -> Iterator[OutPart]:
+        """Status frames with the health as it was at each snapshot, not at the chunk's end."""
+        before = self._rejected_total
+        for snapshot in snapshots:
+            seen = events[events <= snapshot.k]
+            recent = bool(np.any(seen > snapshot.k - MISSING_TICKS)) or self._recent(snapshot.k)
+            last = {c: self._last_sample(c, snapshot.k, routed) for c in self._watched}
+            out = self._status(snapshot, before + len(seen), recent, last)
+            yield OutPart(
+                np.full(len(out), row_of(snapshot.k)),
+                np.zeros(len(out), np.int64),  # one frame may close many ticks: as they come
+                np.array([can_id for can_id, _ in out], dtype=np.uint32),
+                np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
+            )
+            self.sent += len(out)
+
+    def _last_sample(self, channel: str, k: int, routed: Routed | None) -> int:
+        """Tick of the channel's last sample up to the end of tick k."""
+        series = routed.samples.get(channel) if routed is not None else None
+        if series is None:
+            return self._watched[channel]
+        n = int(np.searchsorted(np.floor(series.t * TICK_RATE), k, side="right"))
+        return tick_index(float(series.t[n - 1])) if n else self._watched[channel]
+
+    # status --------------------------------------------------------------------------------
+
+    def health(self) -> Health:
+        """What a health frame would say now; before the first frame of ours all is missing."""
+        k, silent = self.pipeline.k, not self.timebase.started
+        missing = {c: silent or k - last >= MISSING_TICKS for c, last in self._watched.items()}
+        return self._health(missing, self._recent(k), self._rejected_total, self._link_health())
+
+    def _statuses(self, snapshots: list[Snapshot]) -> list[OutFrame]:
+        out: list[OutFrame] = []
+        for snapshot in snapshots:
+            recent = self._recent(snapshot.k)
+            out += self._status(snapshot, self._rejected_total, recent, self._watched)
+        return out
+
+    def _recent(self, k: int) -> bool:
+        while self._rejections and self._rejections[0] <= k - MISSING_TICKS:
+            self._rejections.popleft()
+        return bool(self._rejections) and self._rejections[0] <= k
+
+    def _status(
+        self, snapshot: Snapshot, rejected: int, recent: bool, last: dict[str, int]
+    ) -> list[OutFrame]:
+        if self._on_snapshot is not None:
+            self._on_snapshot(snapshot)
+        missing = {c: snapshot.k - k >= MISSING_TICKS for c, k in last.items()}
+        health = self._health(missing, recent, rejected, self._link_health())
+        return self.output.status(snapshot.estimate, snapshot.usable, health)
+
+    @staticmethod
+    def _health(
+        missing: Mapping[str, bool], recent: bool, rejected: int, link: LinkHealth
+    ) -> Health:
+        return Health(
+            **{_SENSORS[c]: is_missing for c, is_missing in missing.items()},
+            input_rejected=recent,
+            rejected=rejected,
+            frames_lost=link.frames_lost,
+            id_conflict=link.id_conflict,
+            send_failed=link.send_failed,
+            lost=link.lost,
+        )

@@ -1,0 +1,70 @@
+"""Frames to send while they are still columns: turned samples, and parts put in order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.columns import FrameColumns
+from imucald.inputs.router import Routed
+from imucald.mount.estimate import Correction
+
+
+@dataclass(frozen=True, eq=False)
+class OutPart:
+    """Frames to send with the input row they belong to and their rank within it.
+
+    Status frames have rank 0: they stand before the corrected frames of the row that brought them
+    about.
+    """
+
+    row: NDArray[np.int64]
+    rank: NDArray[np.int64]
+    can_id: NDArray[np.uint32]
+    data: NDArray[np.uint8]
+
+
+def corrected_count(routed: Routed, channel: str) -> int:
+    """Corrected and not-available frames that a channel comes to."""
+    series, bad = routed.samples.get(channel), routed.rejected.get(channel)
+    rows = np.zeros(0, np.int64) if series is None else series.row
+    return len(rows) + (0 if bad is None else len(np.setdiff1d(bad, rows)))
+
+
+def merged(parts: list[OutPart], frames: FrameColumns) -> FrameColumns:
+    """All parts in the order of rows, then ranks; each frame has its row's time of `frames`."""
+    if not parts:
+        return frames.take(slice(0, 0))
+    row = np.concatenate([p.row for p in parts])
+    rank = np.concatenate([p.rank for p in parts])
+    order = np.lexsort((rank, row))
+    row = row[order]
+    data = np.concatenate([p.data for p in parts])[order]
+    return FrameColumns(
+        t=frames.t[np.minimum(row, len(frames) - 1)],
+        can_id=np.concatenate([p.can_id for p in parts])[order],
+        length=np.full(len(row), data.shape[1], np.uint8),
+        data=data,
+        channel=np.zeros(len(row), np.uint8),
+        channels=frames.channels[:1] or ("can0",),
+    )
+
+
+def rotated(correction: Correction | None, v: Sequence[float]) -> tuple[float, float, float] | None:
+    """Rotate one sample; None where there is no correction."""
+    if correction is None:
+        return None
+    x, y, z = v
+    a, b, c, d, e, f, g, h, i = correction
+    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+
+def rotated_columns(rotations: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotate (N, 3) by (N, 9); the same operations in the same order as `rotated`."""
+    x, y, z = v[:, 0], v[:, 1], v[:, 2]
+    r = rotations.T
+    rows = [r[3 * i] * x + r[3 * i + 1] * y + r[3 * i + 2] * z for i in range(3)]
+    return np.stack(rows, axis=1)

@@ -1,0 +1,223 @@
+"""The frames that imucald sends: layout from ``imucald_out.dbc``, ids and protection configured.
+
+Corrected samples go out as they come, one frame a sample; status frames with each snapshot. A value
+that is not usable is sent as not available, never as a number. Columns of frames and single
+frames are the same bytes, counters included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.config import Config
+from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
+from imucald.runtime.output.sender import (
+    NOT_AVAILABLE_SIGNED,
+    NOT_AVAILABLE_UNSIGNED,
+    OutFrame,
+    Sender,
+    output_database,
+)
+
+if TYPE_CHECKING:
+    from imucald.runtime.output.attitude_frames import AttitudeFrames
+    from imucald.runtime.output.travel_frames import TravelFrames
+
+__all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
+
+STATUS_FRAMES = 3
+"""Frames that each snapshot is sent in: mount, deviation, health."""
+REJECTED_MAX = 65534
+LOST_MAX = 4094
+
+_TO_DEG = 180.0 / math.pi
+_LAYOUTS: Mapping[str, tuple[str, tuple[str, str, str], float]] = {
+    "acceleration": ("IMUCALD_Acceleration", ("AccelX", "AccelY", "AccelZ"), 1.0),
+    "angular_rate": ("IMUCALD_AngularRate", ("RateX", "RateY", "RateZ"), _TO_DEG),
+    "magnetic_field": ("IMUCALD_MagneticField", ("FieldX", "FieldY", "FieldZ"), 1e6),
+}
+"""Per kind of sensor: message, signals, factor from SI to the message's unit."""
+
+_HEALTH_FLAGS = (
+    "AccelerometerMissing",
+    "GyroscopeMissing",
+    "SpeedMissing",
+    "InputRejected",
+    "FramesLost",
+    "IdConflict",
+    "SendFailed",
+)
+
+
+@dataclass(frozen=True)
+class Health:
+    """What the health frame says besides the calibration."""
+
+    accelerometer_missing: bool = False
+    gyroscope_missing: bool = False
+    speed_missing: bool = False
+    input_rejected: bool = False
+    frames_lost: bool = False
+    id_conflict: bool = False
+    send_failed: bool = False
+    rejected: int = 0
+    lost: int = 0
+
+    @property
+    def flags(self) -> tuple[bool, ...]:
+        """The flags in the frame's order."""
+        return (
+            self.accelerometer_missing,
+            self.gyroscope_missing,
+            self.speed_missing,
+            self.input_rejected,
+            self.frames_lost,
+            self.id_conflict,
+            self.send_failed,
+        )
+
+
+class OutputFrames:
+    """Encodes everything that imucald sends for one configuration.
+
+    triads: the channels that get a corrected frame, in the order they are sent in.
+    attitude, travel: frames of methods B and C, and of D, where they are configured.
+    """
+
+    def __init__(self, config: Config) -> None:
+        output, signals = config.output, config.signals
+        ids = output.ids
+        kinds: dict[str, tuple[str, int]] = {"accel": ("acceleration", ids.acceleration)}
+        if signals.gyroscope is not None:
+            kinds["gyro"] = ("angular_rate", ids.angular_rate)
+        if signals.magnetometer is not None:
+            kinds["mag"] = ("magnetic_field", ids.magnetic_field)
+        for sensor in signals.parallel:
+            kinds[f"parallel/{sensor.name}"] = (sensor.kind, sensor.id)
+        self.triads = tuple(kinds)
+        self._checksum = output.checksum
+        self._senders = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
+        self._factors = {c: _LAYOUTS[kind][2] for c, (kind, _) in kinds.items()}
+        self._mount = self._signed("IMUCALD_Mount", ids.mount, "Mount{}", ANGLES)
+        self._deviation = Sender(
+            "IMUCALD_MountDeviation",
+            ("DeviationX", "DeviationY", "DeviationZ", "State"),
+            ids.mount_deviation,
+            output.checksum,
+            {f"Deviation{a}": NOT_AVAILABLE_UNSIGNED for a in "XYZ"},
+        )
+        self._health = Sender(
+            "IMUCALD_Health",
+            (
+                "State",
+                *(f"Waiting{a.capitalize()}" for a in ANGLES),
+                *_HEALTH_FLAGS,
+                "RejectedCount",
+                "LostCount",
+            ),
+            ids.health,
+            output.checksum,
+            {},
+        )
+
+        self.attitude = _attitude_frames(config)
+        self.travel = _travel_frames(config)
+
+    @property
+    def can_ids(self) -> frozenset[int]:
+        """Every id that is sent, with the flag for 29 bits."""
+        ids = {s.can_id for s in self._all_senders()}
+        for more in (self.attitude, self.travel):
+            if more is not None:
+                ids |= more.can_ids
+        return frozenset(ids)
+
+    def _all_senders(self) -> list[Sender]:
+        return [*self._senders.values(), self._mount, self._deviation, self._health]
+
+    def prepare(self) -> None:
+        """Compile all messages now, so that the first frame is as quick as the others."""
+        for sender in self._all_senders():
+            sender.prepare()
+
+    def _triad(self, kind: str, can_id: int) -> Sender:
+        name, signals, _ = _LAYOUTS[kind]
+        return Sender(
+            name,
+            (*signals, "Quality"),
+            can_id,
+            self._checksum,
+            dict.fromkeys(signals, NOT_AVAILABLE_SIGNED),
+        )
+
+    def _signed(self, name: str, can_id: int, pattern: str, parts: Sequence[str]) -> Sender:
+        signals = [pattern.format(part.capitalize()) for part in parts]
+        return Sender(
+            name,
+            (*signals, "State"),
+            can_id,
+            self._checksum,
+            dict.fromkeys(signals, NOT_AVAILABLE_SIGNED),
+        )
+
+    def corrected(self, channel: str, values: Sequence[float] | None, quality: int) -> OutFrame:
+        """Frame of one corrected sample in SI (None: not available)."""
+        sender = self._senders[channel]
+        if values is None:
+            return sender.frame((None, None, None, 0))
+        factor = self._factors[channel]
+        x, y, z = values
+        return sender.frame((x * factor, y * factor, z * factor, quality))
+
+    def corrected_columns(
+        self, channel: str, values: NDArray[np.float64], quality: NDArray[np.uint8]
+    ) -> tuple[int, NDArray[np.uint8]]:
+        """Id and payloads (N, 8) of corrected samples (N, 3) in SI; NaN is not available."""
+        sender = self._senders[channel]
+        factor = self._factors[channel]
+        columns = [values[:, i] * factor for i in range(3)]
+        return sender.can_id, sender.columns([*columns, quality.astype(np.float64)])
+
+    def status(self, estimate: MountEstimate, usable: bool, health: Health) -> list[OutFrame]:
+        """The status frames for one snapshot; angles are there where they are usable."""
+        state = int(estimate.state)
+        angles = estimate.angles if usable else None
+        std = estimate.std if usable else None
+        nothing: tuple[None, None, None] = (None, None, None)
+        angle_values = [v * _TO_DEG for v in angles] if angles else nothing
+        std_values = [min(v * _TO_DEG, 327.67) for v in std] if std else nothing
+        waiting = [int(estimate.missing.get(a, _default(estimate, a))) for a in ANGLES]
+        counts = (min(health.rejected, REJECTED_MAX), min(health.lost, LOST_MAX))
+        return [
+            self._mount.frame((*angle_values, state)),
+            self._deviation.frame((*std_values, state)),
+            self._health.frame((state, *waiting, *map(float, health.flags), *counts)),
+        ]
+
+
+def _attitude_frames(config: Config) -> AttitudeFrames | None:
+    if not config.attitude.enabled:
+        return None
+    from imucald.runtime.output.attitude_frames import AttitudeFrames  # noqa: PLC0415 - a lighter start without
+
+    return AttitudeFrames(config)
+
+
+def _travel_frames(config: Config) -> TravelFrames | None:
+    if not config.travel_direction.enabled:
+        return None
+    from imucald.runtime.output.travel_frames import TravelFrames  # noqa: PLC0415 - a lighter start without
+
+    return TravelFrames(config)
+
+
+def _default(estimate: MountEstimate, angle: str) -> Missing:
+    if angle in estimate.waiting_for:
+        return Missing.OTHER
+    return Missing.NOTHING if estimate.state != MountState.WAITING else Missing.OTHER

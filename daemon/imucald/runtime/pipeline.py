@@ -1,0 +1,209 @@
+"""The pipeline: time-stamped samples in, corrections out. It opens nothing and reads no clock.
+
+Samples are gathered into ticks; at the end of each tick the estimator learns from it and says which
+rotation holds during the next one. The live daemon adds samples one by one (`add`), replay adds
+whole columns (`run`); both give the same corrections to the last bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.samples import Samples, Series
+from imucald.motion.ticks import (
+    SPEED,
+    SPEED_N,
+    TICK_RATE,
+    TickAccumulator,
+    tick_index,
+    ticks_from_samples,
+)
+from imucald.mount.estimate import Correction, MountEstimate, MountEstimator, MountState
+
+if TYPE_CHECKING:
+    from imucald.compensation.tick_preprocessing import EvidenceStage
+
+Quality = int
+"""0 not available, 1 restored, 2 usable, 3 fine, 4 suspect: what the frames carry."""
+
+_QUALITY = {
+    MountState.USABLE: 2,
+    MountState.FINE: 3,
+    MountState.SUSPECT: 4,
+    MountState.RECALIBRATING: 4,
+    MountState.RESTORED: 1,
+}
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What the estimator said at the end of tick k."""
+
+    k: int
+    estimate: MountEstimate
+    usable: bool
+    """Whether a correction is in force from this tick on."""
+
+    @property
+    def t(self) -> float:
+        """Stream time of the end of the tick [s]."""
+        return (self.k + 1) / TICK_RATE
+
+
+@dataclass(frozen=True)
+class TickCorrections:
+    """The corrections in force during ticks `first`, `first` + 1, ...
+
+    rotations: (n, 9), rows of R_vehicle_from_sensor, NaN where not usable; quality: (n,).
+    """
+
+    first: int
+    rotations: NDArray[np.float64]
+    quality: NDArray[np.uint8]
+
+
+class Pipeline:
+    """Samples to ticks to estimator to corrections, for one sensor.
+
+    status_ticks: a snapshot of the estimate is taken every so many ticks.
+    evidence: what a model knows is taken out of ticks before the estimator sees them.
+    """
+
+    def __init__(
+        self,
+        estimator: MountEstimator,
+        status_ticks: int = 10,
+        evidence: EvidenceStage | None = None,
+    ) -> None:
+        self.estimator = estimator
+        self._evidence = evidence
+        self.correction: Correction | None = estimator.correction
+        self.quality: Quality = 0
+        self.first_usable: float | None = None
+        """Stream time [s] at which the correction became usable, and fine, for the first time."""
+        self.first_fine: float | None = None
+        self.k = 0
+        """The open tick."""
+        self.speed: tuple[int, float] | None = None
+        """The last tick in which speed was known, and its mean [m/s]."""
+        self.status_ticks = status_ticks
+        self._ticks = TickAccumulator()
+        self._judge()
+
+    # live ----------------------------------------------------------------------------------
+
+    def add(self, t: float, channel: str, values: Sequence[float]) -> None:
+        """Add one sample of the open tick (see `advance`)."""
+        self._ticks.add(channel, t, values)
+
+    def reject(self, channel: str) -> None:
+        """Count a rejected sample of the open tick."""
+        self._ticks.reject(channel)
+
+    def advance(self, k: int) -> list[Snapshot]:
+        """Close all ticks before tick k, which becomes the open one; return the snapshots due."""
+        snapshots: list[Snapshot] = []
+        while self.k < k:
+            self._close(self._ticks.close(self.k), snapshots)
+        return snapshots
+
+    def gap(self, k: int) -> list[Snapshot]:
+        """Time was discontinuous: close all ticks before k, where a new segment begins."""
+        snapshots = self.advance(k)
+        self.estimator.gap()
+        if self._evidence is not None:
+            self._evidence.gap()
+        return snapshots
+
+    def replace(self, estimator: MountEstimator) -> MountEstimator:
+        """Go on with another estimator from the open tick on; return the one so far."""
+        former, self.estimator = self.estimator, estimator
+        self.correction = estimator.correction
+        self.first_usable = self.first_fine = None
+        self._judge()
+        return former
+
+    # columns -------------------------------------------------------------------------------
+
+    def run(
+        self,
+        samples: Samples,
+        rejected: Mapping[str, NDArray[np.float64]],
+        t_last: float,
+        with_snapshots: bool = True,
+    ) -> tuple[TickCorrections, list[Snapshot]]:
+        """Add columns of samples up to stream time t_last [s], whose tick stays open.
+
+        Samples are those since the last call; rejected: channel to times [s].
+        Returns the corrections from the tick that was open to the one that is now, and snapshots
+        (none without `with_snapshots`, which saves their time).
+        """
+        first, last = self.k, tick_index(t_last)
+        rows = [self.correction]
+        quality = [self.quality]
+        snapshots: list[Snapshot] = []
+        taken = snapshots if with_snapshots else None
+        self._add_tick(samples, rejected, first)
+        if last > first:
+            self._close(self._ticks.close(first), taken)
+            rows.append(self.correction)
+            quality.append(self.quality)
+            for row in ticks_from_samples(samples, first + 1, last, rejected).tolist():
+                self._close(row, taken)
+                rows.append(self.correction)
+                quality.append(self.quality)
+            self._add_tick(samples, rejected, last)
+        nothing = (np.nan,) * 9
+        rotations = np.array([nothing if row is None else row for row in rows])
+        return TickCorrections(first, rotations, np.array(quality, dtype=np.uint8)), snapshots
+
+    def _add_tick(
+        self, samples: Samples, rejected: Mapping[str, NDArray[np.float64]], k: int
+    ) -> None:
+        for channel, series in samples.items():
+            part = _of_tick(series, k)
+            values = part.values.tolist()
+            for t, value in zip(part.t.tolist(), values, strict=True):
+                self._ticks.add(channel, t, value if isinstance(value, list) else (value,))
+        for channel, times in rejected.items():
+            for _ in range(int(np.count_nonzero(np.floor(times * TICK_RATE) == k))):
+                self._ticks.reject(channel)
+
+    # both ----------------------------------------------------------------------------------
+
+    def snapshots_due(self, first: int) -> int:
+        """How many snapshots fell due while tick `first` and those up to now were open."""
+        return self.k // self.status_ticks - first // self.status_ticks
+
+    def _close(self, row: Sequence[float], snapshots: list[Snapshot] | None) -> None:
+        estimator = self.estimator
+        if row[SPEED_N]:
+            self.speed = self.k, row[SPEED]
+        if self._evidence is not None:
+            row = self._evidence.row(row, self.correction)
+        estimator.step(row)
+        self.correction = estimator.correction
+        self._judge()
+        self.k += 1
+        if snapshots is not None and self.k % self.status_ticks == 0:
+            snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0))
+
+    def _judge(self) -> None:
+        if self.correction is None:
+            self.quality = 0
+            return
+        self.quality = _QUALITY.get(self.estimator.state, 2)
+        if self.first_usable is None:
+            self.first_usable = (self.k + 1) / TICK_RATE
+        if self.first_fine is None and self.quality == _QUALITY[MountState.FINE]:
+            self.first_fine = (self.k + 1) / TICK_RATE
+
+
+def _of_tick(series: Series, k: int) -> Series:
+    low, high = np.searchsorted(np.floor(series.t * TICK_RATE), [k, k + 1])
+    return Series(series.t[low:high], series.values[low:high])

@@ -1,0 +1,98 @@
+"""A configuration made ready to run: router, estimator and output frames as one engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec.structs import astuple, replace
+
+from imucald.can.columns import CAN_EFF_MASK, IdMatch
+from imucald.config import LoadedConfig, load_config
+from imucald.core.errors import ConfigError
+from imucald.inputs.wiring import compile_router
+from imucald.runtime.consumer import Companion
+from imucald.runtime.engine import Engine, LinkHealth
+from imucald.runtime.estimators import estimator_for
+from imucald.runtime.output.output_frames import OutputFrames
+from imucald.runtime.pipeline import Snapshot
+
+if TYPE_CHECKING:
+    from imucald.compensation import Compensation
+
+
+def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
+    """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError."""
+    loaded = load_config(path)
+    if not databases:
+        return loaded
+    if len(databases) != len(loaded.config.database):
+        raise ConfigError(
+            f"{path} names {len(loaded.config.database)} database(s), {len(databases)} given"
+        )
+    entries = tuple(
+        replace(entry, path=str(database.resolve()))
+        for entry, database in zip(loaded.config.database, databases, strict=True)
+    )
+    return loaded.with_databases(entries)
+
+
+def make_engine(
+    loaded: LoadedConfig,
+    on_snapshot: Callable[[Snapshot], None] | None = None,
+    link_health: Callable[[], LinkHealth] = LinkHealth,
+) -> Engine:
+    """Build the engine of a configuration. Raises ConfigError with the place of a mistake."""
+    config = loaded.config
+    router = compile_router(loaded)
+    output = OutputFrames(config)
+    _refuse_shared_ids(loaded, output, router.matches)
+    compensation = open_compensation(loaded)
+    rates = [f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate"]
+    derived = config.signals.speed is None
+    return Engine(
+        router,
+        estimator_for(config, compensation),
+        output,
+        config.output.status_rate,
+        on_snapshot,
+        link_health,
+        _companions(loaded, output),
+        lambda: estimator_for(config, compensation),
+        None if compensation is None else compensation.stages(router.channels, derived, rates),
+    )
+
+
+def open_compensation(loaded: LoadedConfig) -> Compensation | None:
+    """Read the configuration's model file, where it names one. Raises ConfigError."""
+    path, model = loaded.model_path, loaded.config.model
+    if path is None or model is None:
+        return None
+    from imucald.compensation import compensation_from_model  # noqa: PLC0415 - not without a model
+
+    if not path.is_file():
+        raise loaded.error(("model",), f"{path}: there is no such file")
+    found = compensation_from_model(path, model.compensate_suspension)
+    return found.with_speed_delay(loaded.config.calibration.speed_delay)
+
+
+def _companions(loaded: LoadedConfig, output: OutputFrames) -> Sequence[Companion]:
+    if not (loaded.config.attitude.enabled or loaded.config.travel_direction.enabled):
+        return ()
+    from imucald.runtime.consumers import companions_for  # noqa: PLC0415 - a lighter start without them
+
+    return companions_for(loaded, output)
+
+
+def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, inputs: list[IdMatch]) -> None:
+    taken = dict.fromkeys(astuple(loaded.config.output.ids), "an output frame")
+    for index, sensor in enumerate(loaded.config.signals.parallel):
+        if sensor.id in taken:
+            text = f"0x{sensor.id:X} is already the id of {taken[sensor.id]}; choose another"
+            raise loaded.error(("signals", "parallel", index, "id"), text)
+        taken[sensor.id] = f"parallel sensor {sensor.name}"
+    for can_id in sorted(output.can_ids):
+        if any(not (can_id ^ match.can_id) & match.full_mask for match in inputs):
+            text = f"0x{can_id & CAN_EFF_MASK:X} is both an input and an output id; choose another"
+            raise loaded.error(("output", "ids"), text)

@@ -1,0 +1,95 @@
+"""What a run came to, as the JSON that tools rely on and as a table for people."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.runtime.engine import Engine
+
+_DEG = 180.0 / math.pi
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Frames of a run: read at all, and rejected by reason."""
+
+    read: int
+    used: int
+    rejected: Mapping[str, int]
+
+
+def summary(engine: Engine, counts: Counts, duration: float, lead: float = 0.0) -> dict[str, Any]:
+    """Result of a run, with the keys documented in docs/json.md.
+
+    duration: seconds of driving. lead: how long before our first frame the log began [s].
+    """
+    estimate = engine.pipeline.estimator.estimate()
+    pipeline = engine.pipeline
+    more = dict(companion.summary() for companion in engine.companions)
+    if engine.stages is not None:
+        more["model"] = engine.stages.summary()
+    return {
+        "mount": mount_dict(estimate),
+        "state": estimate.state.name.lower(),
+        "waiting_for": {a: estimate.waiting_for[a] for a in ANGLES if a in estimate.waiting_for},
+        "first_usable_s": _after(pipeline.first_usable, lead),
+        "first_fine_s": _after(pipeline.first_fine, lead),
+        "frames": {
+            "read": counts.read,
+            "used": counts.used,
+            "rejected": dict(sorted(counts.rejected.items())),
+        },
+        "duration_s": round(duration, 6),
+        "signals": {
+            channel: {"samples": n, "rate_hz": round(n / duration, 3) if duration > 0 else None}
+            for channel, n in sorted(engine.router.sample_counts.items())
+        },
+        "details": plain(estimate.details),
+        **more,
+    }
+
+
+def _after(t: float | None, lead: float) -> float | None:
+    return None if t is None else round(t + lead, 3)
+
+
+def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
+    """Angles, quaternion and deviations; None where there is none yet."""
+    angles, quaternion, std = estimate.angles, estimate.quaternion, estimate.std
+    result: dict[str, Any] = {
+        f"{name}_deg": None if angles is None else round(angles[i] * _DEG, 4)
+        for i, name in enumerate(ANGLES)
+    }
+    result["quaternion_wxyz"] = None if quaternion is None else [round(q, 8) for q in quaternion]
+    result["std_deg"] = {
+        axis: None if std is None or not math.isfinite(std[i]) else round(std[i] * _DEG, 4)
+        for i, axis in enumerate("xyz")
+    }
+    return result
+
+
+def plain(value: object, digits: int | None = 6) -> Any:
+    """Details as JSON can carry them: plain numbers, text, lists, mappings; not finite is null.
+
+    digits: decimals that are kept; None for all.
+    """
+    if isinstance(value, Mapping):
+        return {str(k): plain(v, digits) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v, digits) for v in value]
+    if isinstance(value, bool | int | str) or value is None:
+        return value
+    number = float(value)  # type: ignore[arg-type]
+    if not math.isfinite(number):
+        return None
+    return number if digits is None else round(number, digits)
+
+
+def as_json(result: Mapping[str, Any]) -> str:
+    """The JSON text of a summary; no NaN, UTF-8, two spaces."""
+    return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=False) + "\n"

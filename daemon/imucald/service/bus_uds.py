@@ -1,0 +1,199 @@
+"""Diagnostics on the bus: the server of `imucald.uds` on the running daemon.
+
+Off by default. The loop hands in the frames of the request ids and sends what comes out; see
+`live.Extra`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import struct
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
+from imucald.config import LoadedConfig
+from imucald.config.uds import Diagnostics
+from imucald.core.errors import ConfigError
+from imucald.runtime.engine import Engine
+from imucald.runtime.output.sender import OutFrame
+from imucald.service.uds_host import Host, LiveSubject
+from imucald.uds.dtc_memory import Status, TroubleMemory
+from imucald.uds.identifiers import Identifier
+from imucald.uds.isotp_channel import IsoTpChannel, flagged
+from imucald.uds.security import KeyFunction
+from imucald.uds.server import Server
+
+JUDGE_S: Final = 0.2
+"""The tests of the trouble codes are made so often [s]."""
+TRANSPORT_COUNTERS_IDENTIFIER: Final = 0xFD0C
+TRANSPORT_COUNTERS: Final = (
+    "frames",
+    "dropped",
+    "requests",
+    "response_given_up",
+    "functional_response_dropped",
+)
+
+
+class BusDiagnostics:
+    """Server, transport and trouble codes of one daemon. A `live.Extra`."""
+
+    def __init__(
+        self,
+        host: Host,
+        config: Diagnostics,
+        key_function: KeyFunction | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        troubles: TroubleMemory | None = None,
+    ) -> None:
+        self.subject = LiveSubject(host, clock)
+        self.server = Server(
+            self.subject,
+            clock,
+            key_function,
+            config.security.attempts,
+            config.security.delay,
+            more={
+                TRANSPORT_COUNTERS_IDENTIFIER: Identifier(
+                    "transport counters", lambda _: self._transport_counted()
+                )
+            },
+            troubles=troubles,
+        )
+        self.channel = IsoTpChannel(
+            config.request_id,
+            config.response_id,
+            config.functional_id,
+            self.server.handle,
+            clock,
+        )
+        self._host = host
+        self._clock = clock
+        self._next_judgement = clock()
+        self._keys_refused = 0
+
+    @property
+    def ids(self) -> frozenset[int]:
+        """Ids that are listened to, with the flag for 29 bits."""
+        return self.channel.ids
+
+    @property
+    def matches(self) -> list[IdMatch]:
+        """The same for the bus link."""
+        return [
+            IdMatch(i, CAN_EFF_MASK if i & CAN_EFF_FLAG else CAN_SFF_MASK) for i in sorted(self.ids)
+        ]
+
+    @property
+    def own_ids(self) -> frozenset[int]:
+        """Ids that nobody else may send."""
+        return frozenset({self.channel.response_id})
+
+    @property
+    def wait(self) -> float:
+        """How long it can do without `poll` [s]."""
+        return min(self.channel.wait, JUDGE_S)
+
+    def frame(self, can_id: int, data: bytes) -> list[OutFrame]:
+        """Take a frame of one of `ids`; return what is to be sent."""
+        return self.channel.frame(can_id, data)
+
+    def poll(self) -> list[OutFrame]:
+        """Let time pass; return what is to be sent."""
+        now = self._clock()
+        if now >= self._next_judgement:
+            self._next_judgement = now + JUDGE_S
+            self.server.poll()
+            self.server.troubles.update(now, self.subject.symptoms())
+            self._tell_refused_keys()
+        return self.channel.poll()
+
+    def status(self) -> dict[str, Any]:
+        """What `imucald status` tells of it."""
+        server, counters = self.server, self.server.counters
+        return {
+            "session": server.session.name.lower(),
+            "unlocked": server.security.unlocked,
+            "requests": counters.requests,
+            "refused": counters.refused,
+            "keys_refused": server.security.refused,
+            "transport": dict(sorted(self.channel.counters.items())),
+            "trouble_codes": {
+                trouble.display: f"{record.status:02X}"
+                for trouble, record in server.troubles
+                if record.status & (Status.TEST_FAILED | Status.PENDING | Status.CONFIRMED)
+            },
+        }
+
+    def _tell_refused_keys(self) -> None:
+        if self.server.security.refused != self._keys_refused:
+            self._keys_refused = self.server.security.refused
+            self._host.tell_tester(f"keys of a tester refused so far: {self._keys_refused}")
+
+    @staticmethod
+    def check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
+        """Raise ConfigError where a diagnostic id is one of an engine's inputs or outputs."""
+        _check_identifiers(loaded, engine)
+
+    def _transport_counted(self) -> bytes:
+        counters = self.channel.counters
+        known = [counters[name] for name in TRANSPORT_COUNTERS]
+        errors = counters.total() - sum(known)
+        return struct.pack(f">{len(known) + 1}I", *(min(n, 0xFFFF_FFFF) for n in (*known, errors)))
+
+
+def diagnostics_for(
+    host: Host,
+    loaded: LoadedConfig,
+    engine: Engine,
+    clock: Callable[[], float] = time.monotonic,
+    troubles: TroubleMemory | None = None,
+) -> BusDiagnostics:
+    """The diagnostics of a configuration.
+
+    host: asked only later, when it runs. troubles: a memory that is there already. Raises
+    ConfigError with the place of a mistake.
+    """
+    config = loaded.config.diagnostics
+    _check_identifiers(loaded, engine)
+    key_function = None
+    if config.security.key_function is not None:
+        key_function = _load_key_function(loaded, config.security.key_function)
+    try:
+        return BusDiagnostics(host, config, key_function, clock, troubles)
+    except ImportError:
+        text = "needs the package can-isotp: pip install 'imucald[diagnostics]'"
+        raise loaded.error(("diagnostics", "enabled"), text) from None
+
+
+def _check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
+    config = loaded.config.diagnostics
+    for key in ("request_id", "response_id", "functional_id"):
+        can_id = getattr(config, key)
+        if can_id is None:
+            continue
+        wire_id = flagged(can_id)
+        if wire_id in engine.output.can_ids:
+            raise _shared(loaded, key, "an output id")
+        if any(not (wire_id ^ m.can_id) & m.full_mask for m in engine.router.matches):
+            raise _shared(loaded, key, "an input id")
+
+
+def _shared(loaded: LoadedConfig, key: str, what: str) -> ConfigError:
+    can_id = getattr(loaded.config.diagnostics, key)
+    return loaded.error(("diagnostics", key), f"0x{can_id:X} is {what} too; choose another")
+
+
+def _load_key_function(loaded: LoadedConfig, name: str) -> KeyFunction:
+    place = ("diagnostics", "security", "key_function")
+    module_name, _, function_name = name.partition(":")
+    try:
+        function = getattr(importlib.import_module(module_name), function_name)
+    except Exception as error:  # whatever that module does when it is imported
+        raise loaded.error(place, f"{name} cannot be imported: {error}") from None
+    if not callable(function):
+        raise loaded.error(place, f"{name} is not a function")
+    found: KeyFunction = function
+    return found

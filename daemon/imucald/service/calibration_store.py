@@ -1,0 +1,296 @@
+"""Keeps the calibration across restarts: decides when it is saved, writes it beside the loop.
+
+A disk may take seconds to confirm; the loop must not wait for it. One thread does nothing but
+write the newest state that it was given.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+
+from imucald.core.errors import EstimateError
+from imucald.mount.estimate import KeepsEvidence, MountEstimator, MountState
+from imucald.mount.restored import RestoredEstimator, StoredMount
+from imucald.runtime.summary import plain
+from imucald.service.journal import INFO, NOTICE, WARNING
+from imucald.service.state import SavedState, StateStore
+
+if TYPE_CHECKING:
+    from imucald.mount.saved_information import KeptEvidence
+
+SAVE_PERIOD_S = 10.0
+"""A changing estimate is saved so often [s]: what a cut of power may cost."""
+SAME_ANGLE = math.radians(0.002)
+"""An estimate that has moved by less [rad] ..."""
+SAME_VARIANCE = 0.01
+"""... and whose variances have changed by less than this share is not saved again."""
+SHIFTS_KEPT = 32
+"""Remounts that are remembered."""
+STOP_WAIT_S = 0.6
+"""How long a stop waits for the disk [s]; it has a second in all."""
+
+_GOOD = frozenset({MountState.USABLE, MountState.FINE})
+_BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
+_OFFSETS = ("accel_bias", "gyro_bias", "yaw_rate_offset", "steering_offset", "speed_delay")
+SUMS = "sums"
+"""Where among a saved state's evidence the sums are that an estimator goes on with."""
+_EVIDENCE: tuple[str, ...] = (
+    "evidence_std_deg",
+    "evidence_share",
+    "launches_and_brakings",
+    "left_turns",
+)
+_EVIDENCE += ("right_turns", "stops", "distance", "manoeuvres")
+
+Say = Callable[[str, int], None]
+Content = TypeVar("Content")
+
+
+class Writer(Generic[Content]):
+    """A thread that saves the newest content it was given; started with the first.
+
+    save: writes it; OSError where the disk does not take it.
+    """
+
+    def __init__(self, save: Callable[[Content], object]) -> None:
+        self.saves = 0
+        self.failures = 0
+        self.last_error = ""
+        self._save = save
+        self._next: Content | None = None
+        self._busy = False
+        self._ended = False
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+
+    def put(self, content: Content) -> None:
+        """Have this saved soon; what still waits is replaced. Never blocks for the disk."""
+        with self._changed:
+            self._next = content
+            self._changed.notify_all()
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="state", daemon=True)
+            self._thread.start()
+
+    def flush(self, limit: float) -> bool:
+        """Wait until all is written, at most `limit` [s]; whether it is."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._next is None and not self._busy, limit)
+
+    def close(self, limit: float) -> bool:
+        """Write what waits and end the thread, within `limit` [s]; whether all is written."""
+        done = self.flush(limit)
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        return done
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._next is not None or self._ended)
+                content, self._next = self._next, None
+                if content is None:
+                    return
+                self._busy = True
+            try:
+                self._save(content)
+                self.saves += 1
+                self.last_error = ""
+            except OSError as error:
+                self.failures += 1
+                self.last_error = error.strerror or str(error)
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+
+
+class StateKeeper:
+    """Restores an estimator from the store, and saves what it finds.
+
+    say: takes a line for the log and its priority. clock: monotonic [s]. wall: wall clock [s].
+    """
+
+    def __init__(
+        self,
+        store: StateStore,
+        say: Say,
+        period: float = SAVE_PERIOD_S,
+        clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+    ) -> None:
+        self.store = store
+        self.writer = Writer[SavedState](self._write)
+        self.problems: tuple[str, ...] = ()
+        """What of the state could not be believed at the start."""
+        self.restored = False
+        self._say = say
+        self._period = period
+        self._clock, self._wall = clock, wall
+        self._last = SavedState((), (), "usable")
+        self._known = False  # whether `_last` is a state
+        self._last_put = -math.inf
+        self._before = MountState.WAITING
+        self._driven_before = 0.0
+        self._told_error = ""
+
+    def _write(self, state: SavedState) -> None:
+        self.store.save(state)
+
+    def restore(self, estimator: MountEstimator) -> MountEstimator:
+        """Return the estimator with the saved mount in front, or as it is."""
+        loaded = self.store.load()
+        self.problems = loaded.problems
+        for problem in loaded.problems:
+            self._say(f"saved state: {problem}", WARNING)
+        saved = loaded.state
+        if saved is None:
+            self._say(f"no saved state in {self.store.folder}; starting from nothing", INFO)
+            return estimator
+        self._last, self._known, self.restored = saved, True, True
+        self._driven_before = saved.driven_s
+        text = f"mount restored from generation {loaded.generation}"
+        self._say(text + (", doubted when it was saved" if saved.doubted else ""), NOTICE)
+        return RestoredEstimator(estimator, stored_mount(saved, self._evidence(saved)))
+
+    def _evidence(self, saved: SavedState) -> KeptEvidence | None:
+        """The sums among the evidence; without them the mount serves all the same."""
+        sums = saved.evidence.get(SUMS)
+        if sums is None:
+            return None
+        from imucald.mount.saved_information import kept_from  # noqa: PLC0415 - not without any
+
+        try:
+            return kept_from(sums)
+        except EstimateError as error:
+            self._say(f"saved state: {error}; the mount is used without it", WARNING)
+            return None
+
+    def update(self, estimator: MountEstimator, driven_s: float) -> None:
+        """Take the present estimate; save it if it is due. driven_s: since the start [s]."""
+        state, changed = estimator.state, estimator.state is not self._before
+        if self._wanted(state, changed):
+            self._save(estimator, self._driven_before + driven_s)
+        self._before = state
+        self._tell_errors()
+
+    def _wanted(self, state: MountState, changed: bool) -> bool:
+        if state in _BAD:  # once; what was good before is kept, as doubted
+            return changed and self._known
+        if state not in _GOOD:
+            return False
+        return changed or self._clock() - self._last_put >= self._period
+
+    def _save(self, estimator: MountEstimator, driven_s: float) -> None:
+        self._last_put = self._clock()
+        if estimator.state in _BAD:
+            shift = {"at": round(self._wall(), 1), "driven_s": round(driven_s, 1)}
+            shifts = (*self._last.shifts, shift)[-SHIFTS_KEPT:]
+            self._last = replace(self._last, doubted=True, shifts=shifts)
+        else:
+            saved = saved_state(estimator, driven_s, self._wall(), self._last.shifts)
+            if saved is None or self._is_saved(saved):
+                return
+            self._last, self._known = saved, True
+        self.writer.put(self._last)
+
+    def _is_saved(self, state: SavedState) -> bool:
+        """Whether as good as the same was saved: a vehicle that stands wears out no memory."""
+        if not self._known or self.writer.last_error:
+            return False
+        then = self._last
+        same = (state.state, state.doubted, state.shifts) == (then.state, then.doubted, then.shifts)
+        moved = np.abs(np.subtract(state.rotation, then.rotation)).max()
+        variance, before = (np.array(s.covariance)[::4] for s in (state, then))
+        firmer = np.abs(variance / before - 1.0).max()
+        return same and bool(moved < SAME_ANGLE and firmer < SAME_VARIANCE)
+
+    def forget(self) -> None:
+        """Keep nothing of what was saved: it is set aside, and not loaded again."""
+        self.writer.flush(STOP_WAIT_S)
+        self._known = False
+        try:
+            self.store.forget()
+        except OSError as error:
+            self._say(f"the saved state could not be set aside: {error}", WARNING)
+
+    def close(self, estimator: MountEstimator, driven_s: float) -> None:
+        """Save the last estimate; wait for the disk, but not for long."""
+        if estimator.state in _GOOD:
+            self._save(estimator, self._driven_before + driven_s)
+        if not self.writer.close(STOP_WAIT_S):
+            self._say("the disk did not take the state in time; the one before stands", WARNING)
+        self._tell_errors()
+
+    def _tell_errors(self) -> None:
+        error = self.writer.last_error
+        if error != self._told_error:
+            self._told_error = error
+            text = f"the state cannot be saved in {self.store.folder}: {error}; going on without"
+            self._say(text if error else "the state can be saved again", WARNING)
+
+    def status(self) -> dict[str, Any]:
+        """What `imucald status` tells of it."""
+        return {
+            "folder": str(self.store.folder),
+            "generation": self.store.generation,
+            "restored_at_start": self.restored,
+            "saves": self.writer.saves,
+            "failures": self.writer.failures,
+            "last_error": self.writer.last_error,
+            "problems": list(self.problems),
+            "remounts": len(self._last.shifts) if self._known else 0,
+        }
+
+
+def stored_mount(saved: SavedState, evidence: KeptEvidence | None) -> StoredMount:
+    """A saved state as the estimator takes it, with the sums that were in it."""
+    return StoredMount(
+        np.array(saved.rotation).reshape(3, 3),
+        np.array(saved.covariance).reshape(3, 3),
+        MountState[saved.state.upper()],
+        saved.doubted,
+        evidence,
+    )
+
+
+def kept_evidence(estimator: MountEstimator) -> KeptEvidence | None:
+    """What the estimator can go on with after a restart, where it keeps that."""
+    if isinstance(estimator, RestoredEstimator | KeepsEvidence):
+        return estimator.kept_evidence()
+    return None
+
+
+def saved_state(
+    estimator: MountEstimator,
+    driven_s: float,
+    wall: float,
+    shifts: Sequence[Mapping[str, Any]] = (),
+) -> SavedState | None:
+    """An estimator's estimate as it is saved; None where it cannot be."""
+    estimate, sums = estimator.estimate(), kept_evidence(estimator)
+    R, C = estimate.R_vehicle_from_sensor, estimate.covariance
+    if R is None or C is None or not (np.isfinite(R).all() and np.isfinite(C).all()):
+        return None
+    details = estimate.details
+    symmetric = 0.5 * (C + C.T)
+    return SavedState(
+        rotation=tuple(R.ravel().tolist()),
+        covariance=tuple(symmetric.ravel().tolist()),
+        state=estimate.state.name.lower(),
+        saved_at=round(wall, 1),
+        driven_s=round(driven_s, 1),
+        offsets={k: plain(details[k], None) for k in _OFFSETS if k in details},
+        shifts=tuple(shifts),
+        evidence={
+            **{k: plain(details[k], None) for k in _EVIDENCE if k in details},
+            **({} if sums is None else {SUMS: sums.plain()}),
+        },
+    )

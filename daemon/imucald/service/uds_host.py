@@ -1,0 +1,190 @@
+"""The running calibration, as the diagnostic server asks for it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from msgspec import to_builtins
+
+from imucald import __version__
+from imucald.can.link.link import LinkCounters
+from imucald.config import LoadedConfig
+from imucald.motion.ticks import TICK_RATE
+from imucald.mount.estimate import MountEstimate, MountEstimator, MountState
+from imucald.runtime.engine import Engine
+from imucald.uds.host import Counts, Identity, Symptoms
+
+SPEED_AGE_TICKS: Final = 2.0 * TICK_RATE
+"""Speed is known when a sample came within this: for sources that send one a second."""
+STANDING_SPEED: Final = 0.1
+"""A vehicle that is slower stands [m/s]: less than the first step of a coarse speed signal."""
+START_S: Final = 2.0
+"""An input is not missed before it had so long to come [s]."""
+_MOVED: Final = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
+
+
+class Host(Protocol):
+    """What runs the calibration; engine and configuration change when it reads its file again."""
+
+    @property
+    def engine(self) -> Engine:
+        """The engine that runs now."""
+        ...
+
+    @property
+    def loaded(self) -> LoadedConfig:
+        """The configuration that is in force."""
+        ...
+
+    @property
+    def link_counters(self) -> LinkCounters:
+        """What the bus link counts."""
+        ...
+
+    @property
+    def state_corrupt(self) -> bool | None:
+        """Whether a saved state was found and not believed; None where none is kept."""
+        ...
+
+    def forget_state(self) -> None:
+        """Keep nothing of what was saved."""
+        ...
+
+    def tell_tester(self, text: str) -> None:
+        """Write what a tester did into the log; those lines may come without end."""
+        ...
+
+
+class LiveSubject:
+    """The running calibration, as the server asks for it. See `diagnostics.subject.Subject`."""
+
+    def __init__(self, host: Host, clock: Callable[[], float]) -> None:
+        self._host = host
+        self._clock = clock
+        self._began = clock()
+        self._former: tuple[object, MountEstimator] | None = None
+        self._estimate: tuple[MountEstimator, int, MountEstimate] | None = None
+        self._known_as: tuple[LoadedConfig, Identity] | None = None
+
+    @property
+    def identity(self) -> Identity:
+        """Software, vehicle and configuration."""
+        loaded = self._host.loaded
+        if self._known_as is None or self._known_as[0] is not loaded:
+            made = Identity(__version__, loaded.config.vehicle.id, configuration_identity(loaded))
+            self._known_as = loaded, made
+        return self._known_as[1]
+
+    @property
+    def quality(self) -> int:
+        """Quality of the correction in force."""
+        return self._host.engine.pipeline.quality
+
+    @property
+    def standing(self) -> bool | None:
+        """Whether the vehicle stands, by a speed not older than two seconds."""
+        pipeline = self._host.engine.pipeline
+        if pipeline.speed is None:
+            return None
+        tick, speed = pipeline.speed
+        return None if pipeline.k - tick > SPEED_AGE_TICKS else abs(speed) < STANDING_SPEED
+
+    @property
+    def uptime(self) -> float:
+        """Seconds since the start."""
+        return self._clock() - self._began
+
+    def estimate(self) -> MountEstimate:
+        """The present state of knowledge; worked out once a tick, however often it is asked."""
+        pipeline = self._host.engine.pipeline
+        known = self._estimate
+        if known is None or known[0] is not pipeline.estimator or known[1] != pipeline.k:
+            known = pipeline.estimator, pipeline.k, pipeline.estimator.estimate()
+            self._estimate = known
+        return known[2]
+
+    def counts(self) -> Counts:
+        """Counters of engine and link."""
+        engine, link = self._host.engine, self._host.link_counters
+        rejected = engine.router.rejected
+        return Counts(
+            received=link.received,
+            used=engine.router.used,
+            sent=link.sent,
+            rejected=rejected.total(),
+            lost=link.lost,
+            conflicts=link.conflicts,
+            faults=rejected,
+        )
+
+    def symptoms(self) -> Symptoms:
+        """What the trouble codes are made from."""
+        engine = self._host.engine
+        health, channels = engine.health(), engine.router.channels
+        missing = {
+            "accelerometer": health.accelerometer_missing,
+            "gyroscope": health.gyroscope_missing,
+            "speed": health.speed_missing,
+        }
+        watched = {"accel": "accelerometer", "gyro": "gyroscope", "speed": "speed"}
+        if self.uptime < START_S:
+            watched = {}
+        return Symptoms(
+            usable=engine.pipeline.quality > 0,
+            moved=engine.pipeline.estimator.state in _MOVED,
+            missing={name: missing[name] for c, name in watched.items() if c in channels},
+            counts=self.counts(),
+            state_corrupt=self._host.state_corrupt,
+        )
+
+    def begin_calibration(self) -> None:
+        """Begin anew and keep the former estimator aside."""
+        self._former = self._settings(), self._host.engine.restart_calibration()
+        self._host.tell_tester("a tester began the calibration anew")
+
+    def return_to_former(self) -> bool:
+        """Take the former estimator back, unless it was made for other settings."""
+        if self._former is None or self._former[0] != self._settings():
+            return False
+        self._host.engine.resume_calibration(self._former[1])
+        self._former = None
+        self._host.tell_tester("a tester took the former calibration back")
+        return True
+
+    def accept_calibration(self) -> None:
+        """Let go of the former estimator."""
+        self._former = None
+
+    def _settings(self) -> object:
+        """All that an estimator depends on; the file may be read again meanwhile."""
+        config = self._host.loaded.config
+        return config.signals, config.calibration, config.vehicle
+
+    def forget(self) -> None:
+        """Begin anew and keep nothing."""
+        self._former = None
+        self._host.engine.restart_calibration()
+        self._host.forget_state()
+        self._host.tell_tester("a tester reset the calibration")
+
+
+def configuration_identity(loaded: LoadedConfig) -> bytes:
+    """32 bytes (SHA-256) over the settings in force and the databases they name.
+
+    Defaults count as if they were written; comments and the order of keys do not.
+    """
+    digest = hashlib.sha256()
+    settings = {k: v for k, v in to_builtins(loaded.config).items() if k != "database"}
+    digest.update(json.dumps(settings, sort_keys=True).encode())
+    for database in loaded.config.database:
+        path = loaded.database_path(database)
+        described = {k: v for k, v in to_builtins(database).items() if k != "path"}
+        digest.update(json.dumps(described).encode())
+        try:
+            digest.update(hashlib.sha256(path.read_bytes()).digest())
+        except OSError:  # it was there when it was loaded
+            digest.update(b"unreadable")
+    return digest.digest()

@@ -1,0 +1,120 @@
+"""The alternative to the publication: attitude by gyroscope, axis by power, sign by phase.
+
+In a level frame the step's forward acceleration swings at the step's frequency, sideways sway at
+half of it. So each cycle gives, at its own frequency, an axis by power, and by phase against the
+vertical the sign. Both are averaged over some steps in a frame that turns with the terminal:
+whoever turns takes it along, and the way it is carried changes rarely.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.attitude.right_forward_up import Vector
+from imucald.travel_direction.cycles import POINTS, Cycle
+from imucald.travel_direction.settings import ModernSettings
+
+Array = NDArray[np.complex128]
+
+SWING_POWER = 0.5
+"""Mean square of the angular rate from which on a terminal swings [(rad/s)^2]: a leg has 0.7."""
+TWO_PI = 2.0 * math.pi
+
+
+class ModernDirection:
+    """Direction of travel from step cycles in the level frame.
+
+    Angles are clockwise from its y axis.
+    """
+
+    def __init__(self, settings: ModernSettings) -> None:
+        self.settings = settings
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget how the terminal is carried."""
+        self._axis = 0j  # doubled angle, weighed by power
+        self._sign = 0j  # angle, by phase
+        self._power = 0.0
+        self._turned = math.nan
+        self._up: Vector | None = None
+        self._before: tuple[float, Array] | None = None
+
+    def take(self, cycle: Cycle, turned: float, up_in_terminal: Vector) -> float | None:
+        """Return the direction after this cycle [0, 2 pi); None: not known.
+
+        turned: angle turned so far about the vertical, clockwise [rad]; up_in_terminal: (3,).
+        """
+        self._carried(up_in_terminal)
+        change = 0.0 if math.isnan(self._turned) else turned - self._turned
+        self._turned = turned
+        turn = cmath.exp(1j * change)
+        keep = math.exp(-1.0 / self.settings.memory_steps)
+        east, north, up = self._swing(cycle)
+        vertical = abs(up)
+        if vertical == 0.0:
+            return None
+        power = abs(east) ** 2 + abs(north) ** 2
+        axis = complex(abs(north) ** 2 - abs(east) ** 2, 2.0 * (north * east.conjugate()).real)
+        swung, swing_axis = self._pendulum(cycle)
+        power += swung
+        axis -= swing_axis  # legs and arms swing about an axis across the direction of travel
+        # the part that leads the vertical by so much, signed
+        lead = up.conjugate() / vertical * cmath.exp(-1j * self.settings.lead)
+        sign = complex((north * lead).real, (east * lead).real)
+        self._axis = keep * self._axis * turn * turn + axis
+        self._sign = keep * self._sign * turn + sign
+        self._power = keep * self._power + power
+        if self._axis == 0j or self._sign == 0j:
+            return None
+        angle = 0.5 * cmath.phase(self._axis)
+        if math.cos(angle - cmath.phase(self._sign)) < 0.0:
+            angle += math.pi
+        return angle % TWO_PI
+
+    def _swing(self, cycle: Cycle) -> tuple[complex, complex, complex]:
+        """Amplitudes at the step's frequency, in x, y, up.
+
+        Mean of this step and the one before it: sway at half the frequency leaks into both with
+        opposite signs, one being the left foot's and the other the right one's.
+        """
+        first = np.fft.fft(cycle.level, axis=0)[1] / POINTS
+        before, self._before = self._before, (cycle.t1, first)
+        if before is not None and abs(cycle.t0 - before[0]) < 0.1 * cycle.duration:
+            first = 0.5 * (first + before[1])
+        east, north, up = (complex(c) for c in first)
+        return east, north, up
+
+    @staticmethod
+    def _pendulum(cycle: Cycle) -> tuple[float, complex]:
+        """Power of turns about horizontal axes, and the same with their doubled angle.
+
+        It counts from the swing of a leg or an arm on; a terminal held still only trembles.
+        """
+        x, y = cycle.turning[:, 0], cycle.turning[:, 1]
+        xx, yy, xy = (float(np.mean(c)) for c in (x * x, y * y, x * y))
+        power = xx + yy
+        part = power / (power + SWING_POWER)
+        return part * power, part * complex(yy - xx, 2.0 * xy)
+
+    @property
+    def trust(self) -> float:
+        """How much the steps agree, 0 to 1."""
+        return min(abs(self._axis) / self._power, 1.0) if self._power > 0.0 else 0.0
+
+    def _carried(self, up: Vector) -> None:
+        if self._up is not None:
+            cosine = sum(a * b for a, b in zip(up, self._up, strict=True))
+            if cosine < math.cos(self.settings.carry_change):
+                self.restart()
+                self._up = up
+                return
+            k = 1.0 / self.settings.memory_steps
+            mixed = [b + k * (a - b) for a, b in zip(up, self._up, strict=True)]
+            size = math.sqrt(sum(c * c for c in mixed)) or 1.0
+            up = (mixed[0] / size, mixed[1] / size, mixed[2] / size)
+        self._up = up

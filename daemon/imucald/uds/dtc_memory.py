@@ -1,0 +1,234 @@
+"""The memory of trouble codes, with the status bits of ISO 14229-1, and the tests that fill it.
+
+An operation cycle is one run of the daemon.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from imucald.uds.dtc import (
+    ACCELEROMETER_MISSING,
+    CHECKSUM_FAILING,
+    COUNTER_FAILING,
+    GYROSCOPE_MISSING,
+    ID_CONFLICT,
+    NOT_CALIBRATED,
+    SENSOR_MOVED,
+    SPEED_MISSING,
+    STATE_CORRUPT,
+    TROUBLES,
+    Trouble,
+)
+from imucald.uds.host import Symptoms
+
+WINDOW_S: Final = 10.0
+"""Faults of frames are counted over so long [s]; none for so long, and the test is passed."""
+FAULTS: Final = 3
+"""So many in the window fail the test: single ones are what a bus's noise makes."""
+AGED_OUT: Final = 40
+"""Cycles in a row without a failure after which a confirmed code is let go."""
+CHECKSUM_FAULTS: Final = ("checksum",)
+COUNTER_FAULTS: Final = (
+    "counter_invalid",
+    "counter_repeated",
+    "counter_reversed",
+    "counter_jump",
+)
+
+
+class Status(enum.IntFlag):
+    """Bits of a code's status."""
+
+    TEST_FAILED = 0x01
+    FAILED_THIS_CYCLE = 0x02
+    PENDING = 0x04
+    CONFIRMED = 0x08
+    NOT_COMPLETED_SINCE_CLEAR = 0x10
+    FAILED_SINCE_CLEAR = 0x20
+    NOT_COMPLETED_THIS_CYCLE = 0x40
+
+
+AVAILABLE: Final = 0x7F
+"""All bits but the one that asks for a warning lamp."""
+CLEARED: Final = Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYCLE
+
+
+_MISSING: Mapping[str, Trouble] = {
+    "accelerometer": ACCELEROMETER_MISSING,
+    "gyroscope": GYROSCOPE_MISSING,
+    "speed": SPEED_MISSING,
+}
+
+
+class FaultRate:
+    """Judges a growing counter: failed by `limit` faults within the window, passed by none.
+
+    Between the two, and before any frame was there to be judged, it says None.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._total = 0
+        self._recent: deque[float] = deque(maxlen=limit)
+        self._alive_since: float | None = None
+
+    def judge(self, now: float, total: int, alive: bool) -> bool | None:
+        """Whether the test fails. total: the counter; alive: something was there to be judged."""
+        self._recent.extend([now] * min(max(total - self._total, 0), self._limit))
+        self._total = total
+        if len(self._recent) == self._limit and now - self._recent[0] < WINDOW_S:
+            return True
+        if not alive:
+            self._alive_since = None
+            return None
+        if self._alive_since is None:
+            self._alive_since = now
+        quiet_since = max([self._alive_since, *self._recent])
+        return False if now - quiet_since >= WINDOW_S else None
+
+    def forget(self) -> None:
+        """Only what comes from now on counts."""
+        self._recent.clear()
+
+
+@dataclass
+class Record:
+    """What is remembered of one code. occurrences, aged: 0 to 255."""
+
+    status: Status = CLEARED
+    occurrences: int = 0
+    aged: int = 0
+    """Cycles in a row that ended without a failure, while confirmed."""
+    failing_since: float | None = None
+
+    def failed(self, now: float, confirm_after: float) -> None:
+        """The test failed."""
+        if not self.status & Status.TEST_FAILED:
+            self.occurrences = min(self.occurrences + 1, 255)
+            self.failing_since = now
+        self.status &= ~CLEARED
+        self.status |= Status.TEST_FAILED | Status.FAILED_THIS_CYCLE
+        self.status |= Status.PENDING | Status.FAILED_SINCE_CLEAR
+        if self.failing_since is None or now - self.failing_since >= confirm_after:
+            self.status |= Status.CONFIRMED
+            self.aged = 0
+
+    def passed(self) -> None:
+        """The test was passed."""
+        self.status &= ~(CLEARED | Status.TEST_FAILED)
+        self.failing_since = None
+
+    def new_cycle(self) -> None:
+        """A new run begins."""
+        failed = bool(self.status & Status.FAILED_THIS_CYCLE)
+        completed = not self.status & Status.NOT_COMPLETED_THIS_CYCLE
+        if completed and not failed:
+            self.status &= ~Status.PENDING
+            if self.status & Status.CONFIRMED:
+                self.aged = min(self.aged + 1, 255)
+                if self.aged >= AGED_OUT:
+                    self.status &= ~Status.CONFIRMED
+                    self.aged = 0
+        self.status &= ~(Status.FAILED_THIS_CYCLE | Status.TEST_FAILED)
+        self.status |= Status.NOT_COMPLETED_THIS_CYCLE
+        self.failing_since = None
+
+
+@dataclass
+class TroubleMemory:
+    """All codes. `update` is called some times a second with what is known now."""
+
+    _records: dict[int, Record] = field(
+        default_factory=lambda: {t.number: Record() for t in TROUBLES}
+    )
+    _rates: dict[int, FaultRate] = field(
+        default_factory=lambda: {
+            CHECKSUM_FAILING.number: FaultRate(FAULTS),
+            COUNTER_FAILING.number: FaultRate(FAULTS),
+            ID_CONFLICT.number: FaultRate(1),
+        }
+    )
+    _used: int = 0
+    _alive_at: float = float("-inf")
+
+    def __iter__(self) -> Iterator[tuple[Trouble, Record]]:
+        return ((trouble, self._records[trouble.number]) for trouble in TROUBLES)
+
+    def find(self, number: int) -> Record | None:
+        """The record of a code."""
+        return self._records.get(number)
+
+    def clear(self, number: int | None = None) -> None:
+        """Forget one code, or all; a test that still fails sets its code again."""
+        for key in self._records if number is None else (number,):
+            self._records[key] = Record()
+            if key in self._rates:
+                self._rates[key].forget()
+
+    def update(self, now: float, symptoms: Symptoms) -> None:
+        """Judge all tests. now: monotonic [s]."""
+        for trouble, failed in self._results(now, symptoms):
+            record = self._records[trouble.number]
+            if failed:
+                record.failed(now, trouble.confirm_after)
+            elif failed is not None:
+                record.passed()
+
+    def _results(self, now: float, s: Symptoms) -> Iterator[tuple[Trouble, bool | None]]:
+        yield NOT_CALIBRATED, not s.usable
+        yield SENSOR_MOVED, True if s.moved else (False if s.usable else None)
+        yield STATE_CORRUPT, s.state_corrupt
+        for name, is_missing in s.missing.items():
+            yield _MISSING[name], is_missing
+        faults, alive = s.counts.faults, self._is_alive(now, s.counts.used)
+        yield (
+            CHECKSUM_FAILING,
+            self._rate(CHECKSUM_FAILING, now, _sum(faults, CHECKSUM_FAULTS), alive),
+        )
+        yield COUNTER_FAILING, self._rate(COUNTER_FAILING, now, _sum(faults, COUNTER_FAULTS), alive)
+        yield ID_CONFLICT, self._rate(ID_CONFLICT, now, s.counts.conflicts, True)
+
+    def _rate(self, trouble: Trouble, now: float, total: int, alive: bool) -> bool | None:
+        return self._rates[trouble.number].judge(now, total, alive)
+
+    def _is_alive(self, now: float, used: int) -> bool:
+        """Whether good frames came within the last second."""
+        if used != self._used:
+            self._used, self._alive_at = used, now
+        return now - self._alive_at < 1.0
+
+    # over restarts ---------------------------------------------------------------------------
+
+    def saved(self) -> dict[str, Any]:
+        """What to keep over a restart, as JSON can carry it."""
+        return {
+            f"{number:06X}": [int(r.status), r.occurrences, r.aged]
+            for number, r in self._records.items()
+        }
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Take back what `saved` gave, as of an earlier cycle; what makes no sense is passed by."""
+        for number, record in self._records.items():
+            kept = _kept(saved.get(f"{number:06X}"))
+            if kept is not None:
+                record.status = Status(kept[0])
+                record.occurrences, record.aged = kept[1:]
+                record.new_cycle()
+
+
+def _sum(faults: Mapping[str, int], reasons: tuple[str, ...]) -> int:
+    return sum(faults.get(reason, 0) for reason in reasons)
+
+
+def _kept(found: object) -> tuple[int, int, int] | None:
+    """Status, occurrences and cycles without failure, where that is what was found."""
+    if not isinstance(found, list) or len(found) != 3:
+        return None
+    status, occurrences, aged = found
+    plain = all(type(number) is int and 0 <= number <= 255 for number in found)
+    return (status, occurrences, aged) if plain and status <= AVAILABLE else None

@@ -1,0 +1,158 @@
+"""Read data by identifier (service 0x22): what can be read, and how it is written.
+
+Numbers are big endian, as everywhere in ISO 14229. What is not known has its own raw value.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from imucald.mount.estimate import ANGLES
+from imucald.uds.codes import Answer, Nrc
+from imucald.uds.host import Subject
+
+MAX_IDENTIFIERS = 16
+"""In one request: bounds the work and the response."""
+MAX_RESPONSE = 512
+"""Bytes of a response; a longer one is refused."""
+VIN_BYTES = 17
+
+ANGLE_NOT_KNOWN = -0x8000
+DEVIATION_NOT_KNOWN = 0xFFFF
+DEGREES_PER_ANGLE_BIT = 0.01
+DEGREES_PER_DEVIATION_BIT = 0.005
+
+COUNTED_FAULTS = (
+    "short_frame",
+    "checksum",
+    "counter_invalid",
+    "counter_repeated",
+    "counter_reversed",
+    "counter_jump",
+    "timeout",
+    "untrusted",
+    "not_available",
+    "not_finite",
+    "saturated",
+    "out_of_range",
+)
+"""Reasons in the order of the identifier that tells their counts."""
+
+
+@dataclass(frozen=True)
+class Identifier:
+    """A data identifier: its name, and the bytes to answer with (None: not supported now)."""
+
+    name: str
+    read: Callable[[Subject], bytes | None]
+
+
+def _angles(subject: Subject) -> bytes:
+    """As in the mount frame: only while a correction is in force."""
+    angles = subject.estimate().angles if subject.quality else None
+    raw = (ANGLE_NOT_KNOWN,) * 3 if angles is None else [_angle(a) for a in angles]
+    return struct.pack(">3h", *raw)
+
+
+def _angle(value: float) -> int:
+    raw = round(math.degrees(value) / DEGREES_PER_ANGLE_BIT)
+    return raw if -0x7FFF <= raw <= 0x7FFF else ANGLE_NOT_KNOWN
+
+
+def _deviations(subject: Subject) -> bytes:
+    """Also before anything is usable: they show how far it is."""
+    std = subject.estimate().std
+    raw = (DEVIATION_NOT_KNOWN,) * 3 if std is None else [_deviation(s) for s in std]
+    return struct.pack(">3H", *raw)
+
+
+def _deviation(value: float) -> int:
+    if not math.isfinite(value):
+        return DEVIATION_NOT_KNOWN
+    return min(round(math.degrees(value) / DEGREES_PER_DEVIATION_BIT), DEVIATION_NOT_KNOWN - 1)
+
+
+def _quaternion(subject: Subject) -> bytes:
+    found = subject.estimate().quaternion if subject.quality else None
+    return struct.pack(">4f", *(found or (math.nan,) * 4))
+
+
+def _state(subject: Subject) -> bytes:
+    return bytes([subject.estimate().state])
+
+
+def _waiting(subject: Subject) -> bytes:
+    missing = subject.estimate().missing
+    return bytes([missing.get(angle, 0) for angle in ANGLES])
+
+
+def _counters(subject: Subject) -> bytes:
+    c = subject.counts()
+    return _u32(c.received, c.used, c.rejected, c.lost, c.conflicts, c.sent)
+
+
+def _faults(subject: Subject) -> bytes:
+    faults = subject.counts().faults
+    return _u32(*(faults.get(reason, 0) for reason in COUNTED_FAULTS))
+
+
+def _u32(*values: int) -> bytes:
+    return struct.pack(f">{len(values)}I", *(min(v, 0xFFFF_FFFF) for v in values))
+
+
+def _vin(subject: Subject) -> bytes | None:
+    """The vehicle's identity, where it has the form of a VIN."""
+    text = subject.identity.vehicle
+    ok = len(text) == VIN_BYTES and text.isascii() and text.isalnum()
+    return text.encode("ascii") if ok else None
+
+
+IDENTIFIERS: Mapping[int, Identifier] = {
+    0xF18A: Identifier("system supplier", lambda _: b"imucald"),
+    0xF190: Identifier("VIN", _vin),
+    0xF195: Identifier("software version", lambda s: s.identity.version.encode("utf-8")),
+    0xFD00: Identifier("mount angles", _angles),
+    0xFD01: Identifier("mount deviations", _deviations),
+    0xFD02: Identifier("mount quaternion", _quaternion),
+    0xFD03: Identifier("calibration state", _state),
+    0xFD04: Identifier("quality", lambda s: bytes([s.quality])),
+    0xFD05: Identifier("waiting reasons", _waiting),
+    0xFD06: Identifier("configuration identity", lambda s: s.identity.configuration),
+    0xFD07: Identifier("vehicle identity", lambda s: s.identity.vehicle.encode("utf-8")),
+    0xFD08: Identifier("frame counters", _counters),
+    0xFD09: Identifier("rejections by reason", _faults),
+    0xFD0A: Identifier("uptime", lambda s: _u32(int(s.uptime))),
+}
+"""The server adds the active session (0xF186) and its own counters (0xFD0B)."""
+
+
+class ReadData:
+    """The service. own: identifiers that the server itself can tell."""
+
+    def __init__(self, subject: Subject, own: Mapping[int, Identifier]) -> None:
+        self._subject = subject
+        self._identifiers = {**IDENTIFIERS, **own}
+
+    def answer(self, data: bytes) -> Answer:
+        """Answer a request for one or more identifiers; those not known are left out."""
+        if not data or len(data) % 2:
+            return Nrc.INCORRECT_LENGTH
+        wanted = [number for (number,) in struct.iter_unpack(">H", data)]
+        if len(wanted) > MAX_IDENTIFIERS:
+            return Nrc.INCORRECT_LENGTH
+        found = b"".join(self._records(wanted))
+        if not found:
+            return Nrc.OUT_OF_RANGE
+        return found if len(found) < MAX_RESPONSE else Nrc.RESPONSE_TOO_LONG
+
+    def _records(self, wanted: Sequence[int]) -> list[bytes]:
+        records = []
+        for number in wanted:
+            identifier = self._identifiers.get(number)
+            content = None if identifier is None else identifier.read(self._subject)
+            if content is not None:
+                records.append(struct.pack(">H", number) + content)
+        return records

@@ -1,0 +1,212 @@
+"""ISO-TP (ISO 15765-2) in the daemon's loop: frames in, frames out, no thread, bounded in all.
+
+The segments are handled by the `can-isotp` package. Everything that comes in may be hostile, so
+how many frames are looked at, how long a request or response is and how long it may take are all
+limited, and what is refused is counted.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Any, Final
+
+from imucald.can.columns import CAN_EFF_FLAG
+from imucald.config import STANDARD_ID_MAX
+from imucald.runtime.output.sender import OutFrame
+
+MAX_REQUEST: Final = 128
+"""Longest request [bytes]: twice the longest that has a meaning; others are told "overflow"."""
+FRAMES_PER_SECOND: Final = 500.0
+"""Frames that are looked at, on average: many times what a tester sends, little work for us."""
+FRAMES_AT_ONCE: Final = 200.0
+"""The same in a burst."""
+SEND_WINDOW_S: Final = 0.05
+FRAMES_PER_WINDOW: Final = 16
+"""Frames sent in a window: what an interface's queue takes beside the corrected frames."""
+PADDING: Final = 0xCC
+"""Fills frames up to 8 bytes (ISO 15765-2)."""
+LONGEST_RESPONSE_S: Final = 10.0
+"""A receiver that keeps a response waiting for longer is given up [s]."""
+BUSY_WAIT_S: Final = 0.005
+"""How soon to come back while a response is being sent [s]."""
+SINGLE_FRAME_BYTES: Final = 7
+
+Handler = Callable[[bytes, bool], bytes | None]
+"""Request, and whether it was sent to all nodes -> response or None."""
+
+
+def import_isotp() -> Any:
+    """Import can-isotp without python-can, which it would load for buses that are not used here.
+
+    Raises ImportError where it is not installed.
+    """
+    absent = "can" not in sys.modules
+    if absent:
+        sys.modules["can"] = None  # type: ignore[assignment]
+    try:
+        import isotp  # noqa: PLC0415
+    finally:
+        if absent:
+            del sys.modules["can"]
+    return isotp
+
+
+def flagged(can_id: int) -> int:
+    """An id as links write it: with the flag where it has 29 bits."""
+    return can_id | (CAN_EFF_FLAG if can_id > STANDARD_ID_MAX else 0)
+
+
+class IsoTpChannel:
+    """Requests of one tester, one after the other.
+
+    handle: answers a request. clock: monotonic [s]. Ids as configured, without flag.
+    Raises ImportError where can-isotp is not installed.
+    """
+
+    def __init__(
+        self,
+        request_id: int,
+        response_id: int,
+        functional_id: int | None,
+        handle: Handler,
+        clock: Callable[[], float],
+    ) -> None:
+        self.counters: Counter[str] = Counter()
+        """Frames, requests, what was dropped, and the transport's errors by name."""
+        self.request_id = flagged(request_id)
+        self.response_id = flagged(response_id)
+        self.functional_id = None if functional_id is None else flagged(functional_id)
+        self._handle = handle
+        self._clock = clock
+        self._allowance = FRAMES_AT_ONCE
+        self._counted_at = clock()
+        self._sending_since: float | None = None
+        self._in: deque[Any] = deque(maxlen=1)
+        self._out: list[OutFrame] = []
+        isotp = import_isotp()
+        self._message = isotp.CanMessage
+        self._extended = response_id > STANDARD_ID_MAX
+        self._raw_request_id = request_id
+        mode = isotp.AddressingMode
+        self._stack = isotp.TransportLayerLogic(
+            rxfn=lambda _timeout: self._in.popleft() if self._in else None,
+            txfn=self._sent,
+            address=isotp.Address(
+                mode.Normal_29bits if self._extended else mode.Normal_11bits,
+                txid=response_id,
+                rxid=request_id,
+            ),
+            error_handler=self._failed,
+            params={
+                "max_frame_size": MAX_REQUEST,
+                "tx_padding": PADDING,
+                "rate_limit_enable": True,
+                "rate_limit_max_bitrate": round(64 * FRAMES_PER_WINDOW / SEND_WINDOW_S),
+                "rate_limit_window_size": SEND_WINDOW_S,
+                "logger_name": _silent_logger(),
+            },
+        )
+
+    @property
+    def ids(self) -> frozenset[int]:
+        """The ids that are listened to, with the flag for 29 bits."""
+        return frozenset(i for i in (self.request_id, self.functional_id) if i is not None)
+
+    @property
+    def wait(self) -> float:
+        """How long it can do without `poll` [s]."""
+        return float("inf") if self._sending_since is None else BUSY_WAIT_S
+
+    def frame(self, can_id: int, data: bytes) -> list[OutFrame]:
+        """Take a frame of one of `ids`; return what is to be sent."""
+        if not self._is_allowed():
+            self.counters["dropped"] += 1
+            return []
+        self.counters["frames"] += 1
+        if can_id == self.functional_id:
+            self._take_functional(data)
+        else:
+            self._in.append(
+                self._message(self._raw_request_id, len(data), data, extended_id=self._extended)
+            )
+            self._process()
+            while (request := self._stack.recv()) is not None:
+                self._answer(bytes(request), to_all=False)
+        return self._taken()
+
+    def poll(self) -> list[OutFrame]:
+        """Let time pass: go on with a response; return what is to be sent."""
+        since = self._sending_since
+        if since is not None and self._clock() - since > LONGEST_RESPONSE_S:
+            self._give_up()
+        if since is not None or self._stack.is_rx_active():
+            self._process()
+        return self._taken()
+
+    def _is_allowed(self) -> bool:
+        """Whether one more frame is looked at now."""
+        now = self._clock()
+        earned = (now - self._counted_at) * FRAMES_PER_SECOND
+        self._allowance = min(self._allowance + earned, FRAMES_AT_ONCE)
+        self._counted_at = now
+        if self._allowance < 1.0:
+            return False
+        self._allowance -= 1.0
+        return True
+
+    def _take_functional(self, data: bytes) -> None:
+        """A request to all nodes is one frame; anything else is not answered."""
+        length = data[0] if data else 0
+        if not 1 <= length <= SINGLE_FRAME_BYTES or len(data) <= length:
+            self.counters["not_a_functional_request"] += 1
+            return
+        self._answer(data[1 : 1 + length], to_all=True)
+
+    def _answer(self, request: bytes, to_all: bool) -> None:
+        self.counters["requests"] += 1
+        response = self._handle(request, to_all)
+        if response is None:
+            return
+        if self._stack.transmitting():
+            if to_all:  # a response on its way to one tester is worth more
+                self.counters["functional_response_dropped"] += 1
+                return
+            self._give_up()  # the tester asks anew: it does not wait for the rest
+        self._stack.send(response)
+        self._sending_since = self._clock()
+        self._process(receive=False)
+
+    def _give_up(self) -> None:
+        self.counters["response_given_up"] += 1
+        self._stack.stop_sending()
+        self._stack.clear_tx_queue()
+        self._sending_since = None
+
+    def _process(self, receive: bool = True) -> None:
+        try:
+            self._stack.process(0.0, do_rx=receive)
+        except Exception:  # others' code at work on hostile input: it must not end the daemon
+            self.counters["transport_failed"] += 1
+            self._stack.reset()
+        if not self._stack.transmitting():
+            self._sending_since = None
+
+    def _sent(self, message: Any) -> None:
+        self._out.append((self.response_id, bytes(message.data)))
+
+    def _taken(self) -> list[OutFrame]:
+        out, self._out = self._out, []
+        return out
+
+    def _failed(self, error: Exception) -> None:
+        self.counters[type(error).__name__] += 1
+
+
+def _silent_logger() -> str:
+    """Name of a logger that says nothing: each damaged frame would be a line; they are counted."""
+    logger = logging.getLogger("imucald.isotp")
+    logger.disabled = True
+    return logger.name

@@ -1,0 +1,103 @@
+"""Routine control (service 0x31): calibrate anew, and reset.
+
+Both change what the daemon sends, so both ask for an unlocked server and a vehicle that stands.
+"""
+
+from __future__ import annotations
+
+import enum
+import struct
+from collections.abc import Callable
+from typing import Final
+
+from imucald.uds.codes import Answer, Nrc
+from imucald.uds.host import Subject
+from imucald.uds.identifiers import IDENTIFIERS
+
+START: Final = 0x01
+STOP: Final = 0x02
+RESULTS: Final = 0x03
+
+CALIBRATE: Final = 0xF010
+"""Begin anew under supervision; stopping it takes the former calibration back."""
+RESET: Final = 0xF011
+"""Forget the calibration, the saved one too; done at once, cannot be taken back."""
+
+USABLE_QUALITY: Final = 2
+RESULT_IDENTIFIERS: Final = (0xFD03, 0xFD04, 0xFD05, 0xFD00, 0xFD01)
+"""Results end with state, quality, waiting reasons, angles, deviations, as these are read."""
+
+
+class RoutineStatus(enum.IntEnum):
+    """How a routine is; the number in its results."""
+
+    RUNNING = 1
+    COMPLETED = 2
+    STOPPED = 3
+
+
+class Routines:
+    """The service. unlocked: whether security access was given."""
+
+    def __init__(self, subject: Subject, unlocked: Callable[[], bool]) -> None:
+        self._subject = subject
+        self._unlocked = unlocked
+        self._status: dict[int, RoutineStatus] = {}
+        self._begin = {CALIBRATE: self._calibrate, RESET: self._reset}
+
+    def poll(self) -> None:
+        """See whether the calibration is there; called before each request too."""
+        if self._runs(CALIBRATE) and self._subject.quality >= USABLE_QUALITY:
+            self._status[CALIBRATE] = RoutineStatus.COMPLETED
+            self._subject.accept_calibration()
+
+    def answer(self, data: bytes) -> Answer:
+        """Answer a request; data: sub-function, routine, options."""
+        sub, routine = data[0], int.from_bytes(data[1:3], "big")
+        if routine not in self._begin:
+            return Nrc.OUT_OF_RANGE
+        if sub != RESULTS and not self._unlocked():
+            return Nrc.SECURITY_ACCESS_DENIED
+        if len(data) != 3:
+            return Nrc.INCORRECT_LENGTH
+        if sub == RESULTS:
+            return self._results(routine)
+        return self._start(routine) if sub == START else self._stop(routine)
+
+    def _start(self, routine: int) -> Answer:
+        if self._runs(routine):
+            return Nrc.REQUEST_SEQUENCE_ERROR
+        if not self._subject.standing:
+            return Nrc.CONDITIONS_NOT_CORRECT
+        self._status[routine] = self._begin[routine]()
+        return self._echo(START, routine)
+
+    def _stop(self, routine: int) -> Answer:
+        if not self._runs(routine):
+            return Nrc.REQUEST_SEQUENCE_ERROR
+        if not self._subject.standing or not self._subject.return_to_former():
+            return Nrc.CONDITIONS_NOT_CORRECT
+        self._status[routine] = RoutineStatus.STOPPED
+        return self._echo(STOP, routine)
+
+    def _results(self, routine: int) -> Answer:
+        if routine not in self._status:
+            return Nrc.REQUEST_SEQUENCE_ERROR
+        parts = [IDENTIFIERS[number].read(self._subject) or b"" for number in RESULT_IDENTIFIERS]
+        return self._echo(RESULTS, routine) + b"".join(parts)
+
+    def _calibrate(self) -> RoutineStatus:
+        self._subject.begin_calibration()
+        return RoutineStatus.RUNNING
+
+    def _reset(self) -> RoutineStatus:
+        if self._runs(CALIBRATE):
+            self._status[CALIBRATE] = RoutineStatus.STOPPED
+        self._subject.forget()
+        return RoutineStatus.COMPLETED
+
+    def _runs(self, routine: int) -> bool:
+        return self._status.get(routine) is RoutineStatus.RUNNING
+
+    def _echo(self, sub: int, routine: int) -> bytes:
+        return struct.pack(">BHB", sub, routine, self._status[routine])

@@ -1,0 +1,107 @@
+"""Security access (service 0x27): seed, key, wrong attempts and the delay they cost."""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Callable
+
+from imucald.uds.codes import Answer, Nrc
+
+REQUEST_SEED = 0x01
+SEND_KEY = 0x02
+SEED_BYTES = 16
+"""As long as an AES block, for key functions that encrypt it."""
+MAX_KEY_BYTES = 64
+
+KeyFunction = Callable[[bytes], bytes]
+"""Seed to key. It runs in the daemon's loop: it must be quick and wait for nothing."""
+
+
+class Security:
+    """Locked until a tester has shown that it can turn a seed into its key.
+
+    key_function: None refuses everybody. random: so many unpredictable bytes.
+    attempts: wrong keys that are borne before the delay [s]. clock: monotonic [s].
+    Attempts are counted over all sessions: a new session is no new chance.
+    """
+
+    def __init__(
+        self,
+        key_function: KeyFunction | None,
+        random: Callable[[int], bytes],
+        clock: Callable[[], float],
+        attempts: int = 3,
+        delay: float = 10.0,
+    ) -> None:
+        self.unlocked = False
+        self.refused = 0
+        """Keys that were wrong, and requests that came during the delay."""
+        self._key_function = key_function
+        self._random = random
+        self._clock = clock
+        self._attempts = attempts
+        self._delay = delay
+        self._wrong = 0
+        self._closed_until = float("-inf")
+        self._seed: bytes | None = None
+
+    def lock(self) -> None:
+        """Ask for the key again."""
+        self.unlocked = False
+        self._seed = None
+
+    def answer(self, data: bytes) -> Answer:
+        """Answer a request; data: from the sub-function on."""
+        if data[0] == REQUEST_SEED:
+            return self._give_seed(data)
+        return self._take_key(data[1:])
+
+    def _give_seed(self, data: bytes) -> Answer:
+        if len(data) != 1:
+            return Nrc.INCORRECT_LENGTH
+        if self._key_function is None:
+            return Nrc.CONDITIONS_NOT_CORRECT
+        if self._is_closed():
+            return Nrc.DELAY_NOT_EXPIRED
+        if self.unlocked:
+            return bytes([REQUEST_SEED]) + bytes(SEED_BYTES)  # zeros: nothing to unlock
+        self._seed = self._random(SEED_BYTES)
+        return bytes([REQUEST_SEED]) + self._seed
+
+    def _take_key(self, key: bytes) -> Answer:
+        if not 1 <= len(key) <= MAX_KEY_BYTES:
+            return Nrc.INCORRECT_LENGTH
+        if self._is_closed():
+            return Nrc.DELAY_NOT_EXPIRED
+        seed, self._seed = self._seed, None  # a seed is good for one key
+        if seed is None:
+            return Nrc.REQUEST_SEQUENCE_ERROR
+        expected = self._expected(seed)
+        if expected and hmac.compare_digest(expected, key):
+            self.unlocked = True
+            self._wrong = 0
+            return bytes([SEND_KEY])
+        return self._wrong_key()
+
+    def _expected(self, seed: bytes) -> bytes:
+        """The key; empty where the function fails, which refuses every key."""
+        if self._key_function is None:
+            return b""
+        try:
+            return bytes(self._key_function(seed))
+        except Exception:  # somebody else's code, fed by anybody on the bus: it must not end us
+            return b""
+
+    def _wrong_key(self) -> Nrc:
+        self.refused += 1
+        self._wrong += 1
+        if self._wrong < self._attempts:
+            return Nrc.INVALID_KEY
+        self._wrong = self._attempts - 1  # after the delay: one more attempt, then closed again
+        self._closed_until = self._clock() + self._delay
+        return Nrc.EXCEEDED_ATTEMPTS
+
+    def _is_closed(self) -> bool:
+        closed = self._clock() < self._closed_until
+        self.refused += closed
+        return closed

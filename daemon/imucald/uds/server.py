@@ -1,0 +1,194 @@
+"""The server: sessions, which service may be asked for when, and how a refusal is told.
+
+The order in which a request is judged is that of ISO 14229-1: service, session, length,
+sub-function, then what the service itself asks for.
+"""
+
+from __future__ import annotations
+
+import secrets
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from imucald.uds.codes import (
+    EVERY_SESSION,
+    EXTENDED_ONLY,
+    NEGATIVE,
+    POSITIVE,
+    SUPPRESS,
+    Answer,
+    Nrc,
+    Session,
+    Sid,
+)
+from imucald.uds.dtc_memory import TroubleMemory
+from imucald.uds.dtc_services import (
+    BY_MASK,
+    COUNT_BY_MASK,
+    EXTENDED_DATA,
+    SUPPORTED,
+    ClearTroubles,
+    ReadTroubles,
+)
+from imucald.uds.host import Subject
+from imucald.uds.identifiers import Identifier, ReadData
+from imucald.uds.routines import RESULTS, START, STOP, Routines
+from imucald.uds.security import REQUEST_SEED, SEND_KEY, KeyFunction, Security
+
+S3_S: Final = 5.0
+"""A session ends when nothing was asked for so long [s]."""
+P2_MS: Final = 50
+"""A response is on its way within that time [ms]: one turn of the daemon's loop at most."""
+P2_STAR_10MS: Final = 500
+"""The same after "response pending", which is never said [10 ms]."""
+
+NOT_TOLD_TO_ALL: Final = frozenset(
+    {
+        Nrc.SERVICE_NOT_SUPPORTED,
+        Nrc.SUB_FUNCTION_NOT_SUPPORTED,
+        Nrc.OUT_OF_RANGE,
+        Nrc.SUB_FUNCTION_NOT_IN_SESSION,
+        Nrc.SERVICE_NOT_IN_SESSION,
+    }
+)
+"""Refusals that answer no request to all nodes: it was meant for others."""
+
+
+@dataclass(frozen=True)
+class Service:
+    """One service. answer: given the request without the service's number.
+
+    shortest: bytes of the shortest request. sub_functions: None where it has none.
+    """
+
+    answer: Callable[[bytes], Answer]
+    sessions: frozenset[Session] = EVERY_SESSION
+    shortest: int = 2
+    sub_functions: frozenset[int] | None = None
+
+
+@dataclass
+class ServerCounters:
+    """Requests since the start; those nobody answers are in `refused` too."""
+
+    requests: int = 0
+    refused: int = 0
+    ended_sessions: int = 0
+    """Sessions that ended because nothing was asked."""
+
+
+class Server:
+    """Answers requests about one subject.
+
+    clock: monotonic [s]. random: so many unpredictable bytes. more: identifiers that can be read
+    beside those of the subject. troubles: a memory that is there already. See `Security` for the
+    rest.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        clock: Callable[[], float],
+        key_function: KeyFunction | None = None,
+        attempts: int = 3,
+        delay: float = 10.0,
+        random: Callable[[int], bytes] = secrets.token_bytes,
+        more: Mapping[int, Identifier] | None = None,
+        troubles: TroubleMemory | None = None,
+    ) -> None:
+        self.session = Session.DEFAULT
+        self.troubles = TroubleMemory() if troubles is None else troubles
+        self.counters = ServerCounters()
+        self.security = Security(key_function, random, clock, attempts, delay)
+        self._clock = clock
+        self._last_request = clock()
+        self._routines = Routines(subject, lambda: self.security.unlocked)
+        own = {
+            0xF186: Identifier("active session", lambda _: bytes([self.session])),
+            0xFD0B: Identifier("diagnostics counters", lambda _: self._counted()),
+            **(more or {}),
+        }
+        self._services: Mapping[int, Service] = {
+            Sid.SESSION_CONTROL: Service(
+                self._session_control, sub_functions=frozenset(map(int, Session))
+            ),
+            Sid.TESTER_PRESENT: Service(_tester_present, sub_functions=frozenset({0})),
+            Sid.READ_DATA: Service(ReadData(subject, own).answer, shortest=3),
+            Sid.CLEAR_TROUBLES: Service(ClearTroubles(self.troubles).answer, shortest=4),
+            Sid.READ_TROUBLES: Service(
+                ReadTroubles(self.troubles).answer,
+                sub_functions=frozenset({COUNT_BY_MASK, BY_MASK, EXTENDED_DATA, SUPPORTED}),
+            ),
+            Sid.SECURITY_ACCESS: Service(
+                self.security.answer,
+                sessions=EXTENDED_ONLY,
+                sub_functions=frozenset({REQUEST_SEED, SEND_KEY}),
+            ),
+            Sid.ROUTINE_CONTROL: Service(
+                self._routines.answer,
+                sessions=EXTENDED_ONLY,
+                shortest=4,
+                sub_functions=frozenset({START, STOP, RESULTS}),
+            ),
+        }
+
+    def handle(self, request: bytes, to_all: bool = False) -> bytes | None:
+        """Answer a request, or say nothing. to_all: it was sent by functional addressing."""
+        self.poll()
+        if not request or request[0] & POSITIVE:  # responses of others are no requests
+            return None
+        self._last_request = self._clock()
+        self.counters.requests += 1
+        answer, suppressed = self._judge(request)
+        if isinstance(answer, Nrc):
+            self.counters.refused += 1
+            silent = to_all and answer in NOT_TOLD_TO_ALL
+            return None if silent else bytes([NEGATIVE, request[0], answer])
+        return None if suppressed else bytes([request[0] + POSITIVE]) + answer
+
+    def poll(self) -> None:
+        """Let time pass: end a session in which nothing was asked."""
+        self._routines.poll()
+        if self.session is not Session.DEFAULT and self._clock() - self._last_request > S3_S:
+            self.counters.ended_sessions += 1
+            self._enter(Session.DEFAULT)
+
+    def _judge(self, request: bytes) -> tuple[Answer, bool]:
+        """The answer, and whether a positive one is not to be sent."""
+        service = self._services.get(request[0])
+        if service is None:
+            return Nrc.SERVICE_NOT_SUPPORTED, False
+        if self.session not in service.sessions:
+            return Nrc.SERVICE_NOT_IN_SESSION, False
+        if service.sub_functions is None:
+            short = len(request) < service.shortest
+            return (Nrc.INCORRECT_LENGTH if short else service.answer(request[1:])), False
+        if len(request) < 2:
+            return Nrc.INCORRECT_LENGTH, False
+        sub, suppressed = request[1] & ~SUPPRESS, bool(request[1] & SUPPRESS)
+        if sub not in service.sub_functions:
+            return Nrc.SUB_FUNCTION_NOT_SUPPORTED, False
+        if len(request) < service.shortest:
+            return Nrc.INCORRECT_LENGTH, False
+        return service.answer(bytes([sub]) + request[2:]), suppressed
+
+    def _session_control(self, data: bytes) -> Answer:
+        if len(data) != 1:
+            return Nrc.INCORRECT_LENGTH
+        self._enter(Session(data[0]))
+        return struct.pack(">BHH", data[0], P2_MS, P2_STAR_10MS)
+
+    def _enter(self, session: Session) -> None:
+        self.session = session
+        self.security.lock()
+
+    def _counted(self) -> bytes:
+        c = self.counters
+        values = (c.requests, c.refused, self.security.refused, c.ended_sessions)
+        return struct.pack(">4I", *(min(v, 0xFFFF_FFFF) for v in values))
+
+
+def _tester_present(data: bytes) -> Answer:
+    return bytes(data) if len(data) == 1 else Nrc.INCORRECT_LENGTH

@@ -1,0 +1,350 @@
+"""`imucald check` tells what is decoded, and notices planted mistakes in units, signs and axes."""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucald import cli
+from imucald.can.columns import FrameColumns
+from imucald.can.logs.log_reader import CandumpWriter, LogReader
+from imucald.can.python_can import can
+from imucald.check import Check
+from imucald.commands.check_view import print_report
+from imucald.config import parse_config
+from imucald.runtime.session import open_config
+from imucald.simulation import random_model, simulate
+from imucald.simulation.bus_frames import BusEncoder, example_config
+from imucald.simulation.can_log import EPOCH_S, bus_frames
+from paths import ROOT
+
+DATA = ROOT.parent / "shared" / "data"
+EXAMPLE = ROOT / "config" / "examples" / "simulated.yaml"
+MINUTES = 4.0
+
+Frames = list[FrameColumns]
+
+
+@pytest.fixture(scope="module")
+def frames() -> Frames:
+    drive = simulate(random_model(6, standing_first=True), 6, MINUTES)
+    return list(bus_frames(drive, BusEncoder(example_config())))
+
+
+def checked(frames: Frames, change: Callable[[str], str] = str) -> dict[str, Any]:
+    check = Check(parse_config(change(EXAMPLE.read_text()), EXAMPLE))
+    for chunk in frames:
+        check.feed(chunk)
+    return check.report()
+
+
+def told(report: dict[str, Any], *levels: str) -> dict[str, str]:
+    """Findings by quantity, those of a level joined."""
+    found: dict[str, str] = {}
+    for row in report["findings"]:
+        if row["level"] in levels:
+            found[row["quantity"]] = found.get(row["quantity"], "") + row["text"] + ". "
+    return found
+
+
+def replacing(old: str, new: str) -> Callable[[str], str]:
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new)
+
+    return change
+
+
+def test_a_right_configuration_gives_no_warning(frames: Frames) -> None:
+    report = checked(frames)
+    assert report["usable"]
+    assert told(report, "error", "warning") == {}
+    good = told(report, "ok")
+    assert "at rest" in good["accelerometer"]
+    assert "right-handed" in good["accelerometer"]
+    assert "yaw_rate" in good["gyroscope"]
+
+
+def test_rates_units_and_ranges_are_those_of_the_log(frames: Frames) -> None:
+    report = checked(frames)
+    rows = {row["quantity"]: row for row in report["quantities"]}
+    speed = rows["speed"]
+    assert (speed["source"], speed["id"]) == ("ESC_Speed.VehicleSpeed", "0x1A0")
+    assert (speed["unit"], speed["si_unit"]) == ("km/h", "m/s")
+    assert speed["factor"] == pytest.approx(1 / 3.6)
+    assert speed["in_unit"]["max"] == pytest.approx(3.6 * speed["in_si"]["max"], rel=1e-5)
+    assert rows["accelerometer.x"]["samples"] == pytest.approx(MINUTES * 6000, abs=5)
+    messages = {row["name"]: row for row in report["messages"]}
+    assert messages["IMU_Accel"]["cycle_s"] == pytest.approx(0.01, rel=0.01)
+    assert messages["ESC_Speed"]["stated_cycle_s"] == 0.02
+    sent = sum(len(chunk) for chunk in frames)
+    assert report["frames"]["read"] == report["frames"]["used"] == sent
+    assert report["duration_s"] == pytest.approx(60 * MINUTES, abs=0.1)
+    json.dumps(report, allow_nan=False)
+
+
+SIGNAL = "{{signal: {0}, {1}}}"
+MISTAKES = {
+    "yaw rate the other way round": (
+        ("ESC_Dynamics.YawRate", "sign: -1"), "yaw_rate", "opposite sign"),
+    "yaw rate in another unit": (
+        ("ESC_Dynamics.YawRate", "unit: rad/s"), "yaw_rate", "deg against rad"),
+    "steering the other way round": (
+        ("EPS_SteeringAngle.SteeringWheelAngle", "sign: -1"),
+        "steering_wheel_angle", "opposite sign"),
+    "lateral acceleration the other way round": (
+        ("ESC_Dynamics.LateralAccel", "sign: -1"), "lateral_acceleration", "opposite sign"),
+    "longitudinal acceleration the other way round": (
+        ("ESC_Dynamics.LongitudinalAccel", "sign: -1"), "longitudinal_acceleration", "negative"),
+    "longitudinal acceleration in another unit": (
+        ("ESC_Dynamics.LongitudinalAccel", "unit: m/s^2"), "longitudinal_acceleration",
+        "too little"),
+    "speed in another unit": (
+        ("ESC_Speed.VehicleSpeed", "unit: m/s"), "speed", "km/h against m/s"),
+    "miles for kilometres": (
+        ("ESC_Speed.VehicleSpeed", "unit: mph"), "speed", "mph against km/h"),
+    "brake inverted": (("ESC_Brake.BrakePressed", "equals: 0"), "brake", "accelerates"),
+    "reverse inverted": (("TCU_Gear.GearPosition", "equals: 0"), "reverse", "18 km/h"),
+    "one axis of the accelerometer inverted": (
+        ("IMU_Accel.AccelY", "sign: -1"), "accelerometer", "left-handed"),
+    "one axis of the gyroscope inverted": (
+        ("IMU_Gyro.RateY", "sign: -1"), "gyroscope", "axis"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_planted_mistake_is_named_and_nothing_else(frames: Frames, mistake: str) -> None:
+    (signal, change), quantity, words = MISTAKES[mistake]
+    planted = SIGNAL.format(signal, change)
+    old = "{signal: TCU_Gear.GearPosition, equals: 1}" if quantity == "reverse" else signal
+    report = checked(frames, replacing(f": {old}", f": {planted}"))
+    found = told(report, "error", "warning")
+    # of two triads that disagree, which one is wrong cannot always be told
+    assert set(found) - {"gyroscope"} == {quantity} - {"gyroscope"}
+    assert words in found[quantity]
+    assert report["usable"]
+
+
+def test_a_wrong_unit_of_the_accelerometer_is_an_error(frames: Frames) -> None:
+    def change(text: str) -> str:
+        for axis in "XYZ":
+            text = text.replace(f" IMU_Accel.Accel{axis}", f" {{signal: IMU_Accel.Accel{axis}, "
+                                "unit: g}")  # fmt: skip
+        return text
+
+    report = checked(frames, change)
+    assert not report["usable"]
+    assert "g against m/s²" in told(report, "error")["accelerometer"]
+    assert told(report, "warning") == {}
+
+
+def test_exchanged_wheels_are_noticed(frames: Frames) -> None:
+    def change(text: str) -> str:
+        return text.replace("Left\n", "@\n").replace("Right\n", "Left\n").replace("@\n", "Right\n")
+
+    found = told(checked(frames, change), "error", "warning")
+    assert list(found) == ["wheel_speeds"]
+    assert "exchanged" in found["wheel_speeds"]
+
+
+def test_wrong_checksum_settings_leave_nothing_and_say_why(frames: Frames) -> None:
+    report = checked(frames, replacing("id_bytes: 2", "id_bytes: 4"))
+    assert not report["usable"]
+    errors, warnings = told(report, "error"), told(report, "warning")
+    assert "no sample" in errors["accelerometer"]
+    assert "id_bytes" in warnings["accelerometer"]
+    assert report["frames"]["rejected"]["checksum"] > 0
+
+
+def test_what_is_missing_is_told_with_its_cost(frames: Frames) -> None:
+    keep = ("accelerometer", "x:", "y:", "z:")
+
+    def change(text: str) -> str:
+        head, _, rest = text.partition("signals:\n")
+        lines = rest.splitlines()[:4]
+        assert all(line.strip().startswith(keep) for line in lines)
+        return head + "signals:\n" + "\n".join(lines) + "\n"
+
+    report = checked(frames, change)
+    assert report["usable"]
+    assert "first motion" in told(report, "warning")["speed"]
+    assert "steady angles" in told(report, "note")["gyroscope"]
+
+
+def test_a_message_that_does_not_come_is_told(frames: Frames) -> None:
+    without = [chunk.take(chunk.can_id != 0x1A0) for chunk in frames]
+    report = checked(without)
+    assert "no frame of ESC_Speed (0x1A0) came" in told(report, "warning")["speed"]
+
+
+def test_other_ids_and_taken_output_ids_are_told(frames: Frames) -> None:
+    first = frames[0]
+    foreign = first.take(slice(0, 50))
+    foreign = FrameColumns(
+        foreign.t,
+        np.where(np.arange(50) < 20, 0x640, 0x123).astype(np.uint32),
+        foreign.length,
+        foreign.data,
+        foreign.channel,
+        foreign.channels,
+    )
+    report = checked([foreign, *frames])
+    assert "0x640" in told(report, "warning")["output.ids"]
+    assert report["output"][0] == {"frame": "acceleration", "id": "0x640", "seen": 20}
+    assert (report["frames"]["other_ids"], report["frames"]["other_frames"]) == (2, 50)
+
+
+def test_a_channel_mix_up_is_told(frames: Frames) -> None:
+    change = replacing("ESC_Brake.BrakePressed", "{signal: ESC_Brake.BrakePressed, channel: can7}")
+    report = checked(frames[:1], change)
+    assert "comes on can0, the configuration says can7" in told(report, "warning")["brake"]
+
+
+def test_an_empty_log_is_not_usable() -> None:
+    report = checked([])
+    assert not report["usable"]
+    json.dumps(report, allow_nan=False)
+
+
+def test_figures_are_those_of_numpy_whatever_the_chunks(frames: Frames) -> None:
+    whole = checked(frames)
+    pieces = [chunk.take(slice(i, i + 997)) for chunk in frames for i in range(0, len(chunk), 997)]
+    cut = checked(pieces)
+    for one, other in zip(whole["quantities"], cut["quantities"], strict=True):
+        for key in ("min", "mean", "max"):
+            assert one["in_si"][key] == pytest.approx(other["in_si"][key], rel=1e-5, abs=1e-9)
+    assert [f["text"] for f in whole["findings"]] == [f["text"] for f in cut["findings"]]
+
+
+def test_a_fuzzed_bus_is_survived_and_counted() -> None:
+    """Random bytes under our ids and any others: a report, finite and complete."""
+    rng = np.random.default_rng(5)
+    n = 60_000
+    known = np.array([0x200, 0x201, 0x1A0, 0x130, 0xC2, 0x1B0, 0x1D0, 0x1E0, 0x640], np.uint32)
+    anything = rng.integers(0, 2**29, n, dtype=np.uint32) | np.uint32(0x8000_0000)
+    ids = np.where(rng.random(n) < 0.5, rng.choice(known, n), anything)
+    t = np.cumsum(rng.exponential(0.001, n)) + 20.0 * (rng.random(n) < 1e-4).cumsum()
+    chunk = FrameColumns(
+        t - 30.0 * (np.arange(n) > n // 2),  # and the clock is set back once
+        ids.astype(np.uint32),
+        rng.integers(0, 9, n, dtype=np.uint8),
+        rng.integers(0, 256, (n, 8), dtype=np.uint8),
+        np.zeros(n, np.uint8),
+        ("can0",),
+    )
+    report = checked([chunk.take(slice(i, i + 7000)) for i in range(0, n, 7000)])
+    json.dumps(report, allow_nan=False)
+    frames = report["frames"]
+    assert frames["read"] == n
+    assert frames["rejected"]["short_frame"] > 0
+    assert frames["rejected"]["checksum"] > 0
+    assert frames["other_ids"] <= 20_000
+    assert frames["other_frames"] > 0.4 * n
+
+
+# the command -----------------------------------------------------------------------------------
+
+
+def test_the_command_prints_tables_and_its_status(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "drive.log"
+    with CandumpWriter(log) as writer:
+        for chunk in frames[:2]:
+            writer.write_columns(chunk)
+    assert cli.main(["check", "--config", str(EXAMPLE), str(log)]) == 0
+    text = capsys.readouterr().out
+    for word in ("IMU_Accel", "0x200", "km/h", "m/s", "can be used", "0x640 acceleration"):
+        assert word in text
+    assert cli.main(["check", "--config", str(EXAMPLE), "--json", str(log)]) == 0
+    assert json.loads(capsys.readouterr().out)["usable"] is True
+    log.write_text("(1600000000.000000) can0 123#00\n")
+    assert cli.main(["check", "--config", str(EXAMPLE), str(log)]) == 1
+
+
+def test_the_command_listens_on_a_bus(frames: Frames, capsys: pytest.CaptureFixture[str]) -> None:
+    stop = threading.Event()
+
+    def car() -> None:
+        chunk = frames[0]
+        with can.Bus(interface="virtual", channel="check-live", preserve_timestamps=True) as bus:
+            i = 0
+            while not stop.wait(0.01):
+                for _ in range(5):  # our 470 frames a second, whenever the listener begins
+                    data = chunk.data[i, : chunk.length[i]].tobytes()
+                    stamp = EPOCH_S + float(chunk.t[i])
+                    can_id = int(chunk.can_id[i])
+                    bus.send(can.Message(stamp, can_id, is_extended_id=False, data=data))
+                    i += 1
+
+    thread = threading.Thread(target=car)
+    thread.start()
+    try:
+        arguments = ["check", "--config", str(EXAMPLE), "--json", "--seconds", "1"]
+        status = cli.main([*arguments, "--interface", "virtual", "--channel", "check-live"])
+    finally:
+        stop.set()
+        thread.join()
+    report = json.loads(capsys.readouterr().out)
+    assert status == 0
+    assert report["frames"]["used"] > 50
+    assert {row["quantity"] for row in report["quantities"] if row["samples"]} >= {
+        "accelerometer.x",
+        "speed",
+    }
+
+
+def test_names_in_brackets_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    """Names come from databases, which are not ours: they are never taken for styles."""
+    report = checked([])
+    report["messages"][0]["name"] = "[/bold]A[red]"
+    report["findings"].append({"level": "note", "quantity": "speed[1]", "text": "[/x] [on blue]"})
+    print_report(report)
+    text = capsys.readouterr().out
+    for words in ("[/bold]A[red]", "speed[1]: [/x] [on blue]", "cycle [ms]"):
+        assert words in text
+
+
+def test_log_and_bus_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["check", "--config", str(EXAMPLE), "x.log", "--channel", "can0"]
+    assert cli.main(arguments) == 1
+    assert "not both" in capsys.readouterr().err
+
+
+# real drives -----------------------------------------------------------------------------------
+
+
+def real(name: str) -> dict[str, Any]:
+    log = DATA / name / "drive.log.gz"
+    if not log.exists():
+        pytest.skip(f"the real drive {name} is not here")
+    check = Check(open_config(ROOT / "config" / "examples" / f"{name}.yaml"))
+    for chunk in LogReader([log], None):
+        check.feed(chunk)
+    return check.report()
+
+
+def test_css_drive_is_right_handed_and_in_the_right_units() -> None:
+    report = real("css_canmod_164")
+    assert report["usable"]
+    assert told(report, "error", "warning") == {}
+    assert "right-handed" in told(report, "ok")["accelerometer"]
+    rows = {(row["quantity"], row["preference"]): row for row in report["quantities"]}
+    assert rows["speed", 0]["in_unit"]["max"] == 88.0
+    assert rows["speed", 1]["samples"] > 2000
+    assert rows["accelerometer.x", 0]["in_si"]["mean"] == pytest.approx(9.81, abs=0.3)
+
+
+def test_wrx_drive_has_the_signs_that_its_configuration_states() -> None:
+    report = real("wrx_sti")
+    assert told(report, "error", "warning") == {}
+    assert "wheel_speeds" in told(report, "ok")["yaw_rate"]
+    rows = {row["quantity"]: row for row in report["quantities"]}
+    assert rows["steering_wheel_angle"]["in_si"]["max"] == pytest.approx(math.radians(457.3), 1e-3)

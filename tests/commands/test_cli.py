@@ -1,0 +1,269 @@
+"""The command line: helps that read well, and damaged configurations told by their line."""
+
+from __future__ import annotations
+
+import copy
+import random
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import shuttle
+from imucald import cli
+from imucald.can.dbc.database import Database, load_database
+from imucald.config import parse_config
+from imucald.core.errors import ConfigError
+from imucald.inputs import wiring
+from imucald.runtime.session import make_engine
+from paths import ROOT
+
+START = ROOT / "config" / "imucald.yaml"
+HELP_S = 3.0
+"""A help takes 0.2 s on an idle machine; this is for a busy one."""
+
+
+@pytest.mark.parametrize("command", ["", *cli.COMMANDS])
+def test_every_help_comes_quickly_and_fits_eighty_columns(command: str) -> None:
+    arguments = [command] if command else []
+    began = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-m", "imucald", *arguments, "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"COLUMNS": "80", "PATH": ""},
+    )
+    assert time.monotonic() - began < HELP_S
+    assert max(len(line) for line in done.stdout.splitlines()) <= 80
+    words = " ".join(done.stdout.split())
+    assert cli.COMMANDS.get(command, "First steps: imucald demo")[1:] in words
+
+
+def test_every_option_has_a_help_text() -> None:
+    subparsers = cli.build_parser()._subparsers
+    assert subparsers is not None
+    (choices,) = [a.choices for a in subparsers._group_actions if a.choices]
+    for name, parser in dict(choices).items():  # type: ignore[call-overload]
+        for action in parser._actions:
+            assert action.help, f"{name}: {action.dest}"
+
+
+def test_the_command_list_says_what_each_does(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    for name in ("run", "replay", "check", "simulate", "demo", "schema"):
+        assert re.search(rf"^ +{name} ", text, re.MULTILINE)
+
+
+def test_wrong_usage_is_status_two(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["replaay"])
+    assert stop.value.code == 2
+    assert "replaay" in capsys.readouterr().err
+
+
+def test_a_missing_file_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["check", "--config", "nowhere.yaml", "x.log"]) == 1
+    text = capsys.readouterr().err
+    assert text.count("\n") == 1
+    assert "nowhere.yaml" in text
+
+
+def test_output_that_knows_ascii_only_is_served(tmp_path: Path) -> None:
+    log = tmp_path / "drive.log"
+    commands = [["simulate", "--minutes", "0.3", "--out", str(log)],
+                ["check", "--config", str(START), str(log)],
+                ["replay", "--config", str(START), str(log)]]  # fmt: skip
+    for command in commands:
+        done = subprocess.run(
+            [sys.executable, "-m", "imucald", *command],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={"PYTHONIOENCODING": "ascii", "PATH": ""},
+        )
+        assert done.returncode == 0, done.stderr
+        assert "Traceback" not in done.stderr
+
+
+# mistakes with their place ---------------------------------------------------------------------
+
+BASE = f"""\
+database: {ROOT / "dbc" / "imucald_example.dbc"}
+vehicle:
+  driving_side: right
+signals:
+  accelerometer:
+    x: IMU_Accel.AccelX
+    y: IMU_Accel.AccelY
+    z: IMU_Accel.AccelZ
+  gyroscope: {{x: IMU_Gyro.RateX, y: IMU_Gyro.RateY, z: IMU_Gyro.RateZ}}
+  speed:
+    - ESC_Speed.VehicleSpeed
+    - raw: {{id: 0x7E8, when: "data[1] == 0x41", value: "data[3]"}}
+      unit: km/h
+  reverse: {{signal: TCU_Gear.GearPosition, equals: 1}}
+messages:
+  IMU_Accel:
+    counter: {{signal: AccelCounter}}
+    checksum: {{kind: crc8_j1850, signal: AccelChecksum, id_bytes: 2}}
+output:
+  ids: {{acceleration: 0x640}}
+calibration:
+  states: {{usable_yaw_deg: 1.0}}
+"""
+MISTAKES = [
+    ("driving_side: right", "driving_side: rihgt", 3, "vehicle.driving_side", "'left'"),
+    ("driving_side: right", "driving_seid: right", 3, "vehicle.driving_seid", "driving_side"),
+    ("IMU_Accel.AccelY", "IMU_Accel.AccelV", 7, "accelerometer", "AccelX"),
+    ("IMU_Accel.AccelY", "IMU_Acel.AccelY", 7, "accelerometer", "IMU_Accel"),
+    ("    x: IMU_Accel.AccelX\n", "", 5, "accelerometer.x", "is missing"),
+    ("unit: km/h", "unit: kg", 11, "speed[1]", "km/h"),
+    ("data[3]", "data[99]", 12, "speed[1].raw", "data[99]"),
+    ("data[3]", "open(1)", 12, "speed[1].raw", "not allowed"),
+    ("signal: AccelCounter", "signal: Counter", 17, "messages.IMU_Accel", "AccelCounter"),
+    ("id_bytes: 2", "id_bytes: 7", 18, "checksum.id_bytes", "4"),
+    ("kind: crc8_j1850", "kind: crc9", 18, "checksum.kind", "crc8_j1850"),
+    ("acceleration: 0x640", "acceleration: 0x200", 20, "output.ids", "0x200"),
+    ("acceleration: 0x640", "acceleration: 0x641", 20, "output.ids", "same id"),
+    ("usable_yaw_deg: 1.0", "usable_yaw_deg: -1", 22, "states.usable_yaw_deg", "greater"),
+    ("  reverse:", "reverse:", 14, "reverse", "unknown key"),
+    ("vehicle:", "vehicle: [", 3, "YAML", ""),
+    (
+        "  IMU_Accel:\n    counter",
+        "  IMU_Gyros:\n    counter",
+        16,
+        "messages.IMU_Gyros",
+        "IMU_Gyro",
+    ),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "line", "key", "remedy"), MISTAKES)
+def test_a_mistake_is_told_by_file_line_key_and_remedy(
+    old: str, new: str, line: int, key: str, remedy: str
+) -> None:
+    assert old in BASE
+    with pytest.raises(ConfigError) as raised:
+        make_engine(parse_config(BASE.replace(old, new, 1), Path("car.yaml")))
+    text = str(raised.value)
+    where = re.match(r"car\.yaml:(\d+): ", text)
+    assert where, text
+    assert abs(int(where[1]) - line) <= 1, text
+    assert key in text
+    assert remedy in text
+
+
+def test_several_mistakes_are_told_at_once() -> None:
+    text = BASE.replace("right", "up").replace("1.0", "x")
+    with pytest.raises(ConfigError) as raised:
+        parse_config(text, Path("car.yaml"))
+    assert len(str(raised.value).splitlines()) == 2
+
+
+# damage ----------------------------------------------------------------------------------------
+
+JUNK: list[Any] = [
+    None, True, -1, 0, 1e308, -1e-308, 2**70, "", "x", "IMU_Accel.AccelX", "a.b", "data[0]", "∞",
+    "\x7f", [], {}, [1, 2], {"x": 1}, {"signal": "IMU_Accel.AccelX"}, [[[]]], ".inf", "1_0", "0o7",
+    "2020-01-01", "!!python/object:os.system", "y" * 300,
+]  # fmt: skip
+
+
+BASE_DATA = yaml.safe_load(BASE)
+
+
+def places(data: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    if not isinstance(data, dict | list):
+        return [at]
+    pairs = data.items() if isinstance(data, dict) else enumerate(data)
+    return [at, *(place for key, value in pairs for place in places(value, (*at, key)))]
+
+
+def with_junk(rng: random.Random) -> str:
+    data = copy.deepcopy(BASE_DATA)
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        *parents, last = rng.choice(places(data)[1:])
+        holder = data
+        for key in parents:
+            holder = holder[key]
+        action = rng.random()
+        if action < 0.6:
+            holder[last] = rng.choice(JUNK)
+        elif action < 0.8 or isinstance(holder, list):
+            del holder[last]
+        else:
+            holder[str(rng.choice(JUNK))] = holder.pop(last)
+    return yaml.safe_dump(data, allow_unicode=True)
+
+
+def with_damaged_text(rng: random.Random) -> str:
+    text = BASE
+    for _ in range(rng.choice((1, 1, 2, 5, 20))):
+        i = rng.randrange(len(text))
+        action = rng.randrange(4)
+        if action == 0:
+            text = text[:i] + text[i + rng.choice((1, 2, 30)) :]
+        elif action == 1:
+            text = text[:i] + rng.choice("{}[]:,&*!|>#%@`'\"\n\t -0é\0\x85") + text[i:]
+        elif action == 2:
+            lines = text.split("\n")
+            k = rng.randrange(len(lines))
+            lines[k] = rng.choice(("", "  ", "    ")) + lines[k].strip()
+            text = "\n".join(lines)
+        else:
+            text = text[:i] + text[rng.randrange(len(text)) :][:40] + text[i:]
+        text = text or "x"
+    return text
+
+
+@pytest.mark.parametrize("damage", [with_junk, with_damaged_text])
+def test_damaged_configurations_give_an_error_with_place_or_work(
+    damage: Callable[[random.Random], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thousand of each kind: nothing but ConfigError ever comes out, and it names the file."""
+    known: dict[tuple[Path, ...], Database] = {}
+
+    def cached(paths: list[Path]) -> Database:
+        key = tuple(paths)
+        if key not in known:
+            known[key] = load_database(paths)
+        return known[key]
+
+    monkeypatch.setattr(wiring, "load_database", cached)
+    rng = random.Random(7)
+    outcomes = {"error": 0, "works": 0}
+    for _ in range(1000):
+        text = damage(rng)
+        problem = ""
+        try:
+            make_engine(parse_config(text, Path("car.yaml")))
+        except ConfigError as error:
+            problem = str(error)
+        assert not problem or re.match(r"car\.yaml:\d+: \S", problem), (text, problem)
+        outcomes["error" if problem else "works"] += 1
+    assert outcomes["error"] > 300
+    assert outcomes["works"] > 30
+
+
+@pytest.mark.parametrize("command", ["replay", "check"])
+def test_a_reader_that_has_had_enough_is_no_error(command: str, tmp_path: Path) -> None:
+    config = shuttle.write(tmp_path, cycles=1)
+    work = [sys.executable, "-m", "imucald", command, str(tmp_path / "shuttle.log")]
+    with subprocess.Popen(
+        [*work, "--config", str(config)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        assert process.wait(60) == 0
+        assert process.stderr is not None
+        assert b"Traceback" not in process.stderr.read()

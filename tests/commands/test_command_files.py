@@ -1,0 +1,212 @@
+"""What commands do about files that are missing, cannot be written, or would be destroyed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from imucald import cli
+from imucald.can.logs.log_reader import LogReader
+from imucald.can.python_can import can
+from paths import ROOT
+
+START = str(ROOT / "config" / "imucald.yaml")
+
+
+HEARS_CTRL_C = """
+import signal, sys
+from imucald import cli
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(cli.main())
+"""
+"""A shell ignores the signal in what it runs in the background, and children inherit that."""
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    log = tmp_path_factory.mktemp("files") / "drive.log"
+    assert cli.main(["simulate", "--minutes", "0.2", "--out", str(log)]) == 0
+    return log.read_bytes()
+
+
+@pytest.fixture
+def log(simulated: bytes, tmp_path: Path) -> Path:
+    path = tmp_path / "drive.log"
+    path.write_bytes(simulated)
+    return path
+
+
+@pytest.fixture
+def told(capsys: pytest.CaptureFixture[str]):
+    def told(*arguments: object) -> tuple[int, str]:
+        status = cli.main([str(a) for a in arguments])
+        return status, capsys.readouterr().err
+
+    return told
+
+
+def replay(log: object, *more: object) -> tuple[object, ...]:
+    return ("replay", "--config", START, log, *more)
+
+
+@pytest.mark.parametrize("option", ["--out", "--json"])
+@pytest.mark.parametrize("target", ["nowhere/x", "."])
+def test_a_file_that_cannot_be_written_is_told_before_the_work(told, log, tmp_path, option, target):
+    status, text = told(*replay(log, option, tmp_path / target))
+    assert status == 1
+    assert text.count("\n") == 1
+    assert "cannot be written" in text
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_a_full_disk_is_one_line(told, log):
+    status, text = told(*replay(log, "--json", "/dev/full"))
+    assert status == 1
+    assert text == "imucald: /dev/full: cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize("option", ["--out", "--json"])
+def test_the_log_itself_is_never_overwritten(told, log, simulated, tmp_path, option):
+    link = tmp_path / "same.log"
+    link.hardlink_to(log)
+    for name in (log, tmp_path / "." / log.name, link):
+        status, text = told(*replay(log, option, name))
+        assert status == 1
+        assert "would overwrite" in text
+        assert log.read_bytes() == simulated
+
+
+def test_nor_one_output_by_the_other(told, log, tmp_path):
+    same = tmp_path / "same"
+    assert told(*replay(log, "--out", same, "--json", same))[0] == 1
+    assert told(*replay(log, "--out", "-", "--json", "-"))[0] == 1
+    assert not same.exists()
+
+
+def test_a_second_log_that_is_missing_is_told_before_the_first_is_read(told, log, tmp_path):
+    out = tmp_path / "out.log"
+    status, text = told(*replay(log, tmp_path / "none.log", "--out", out))
+    assert status == 1
+    assert "none.log: cannot be opened" in text
+    assert not out.exists()
+
+
+def test_an_output_cut_by_an_error_is_named(told, log, tmp_path):
+    log.write_bytes(log.read_bytes() + b"no frame\n")
+    out = tmp_path / "out.log"
+    status, text = told(*replay(log, "--strict", "--out", out))
+    assert status == 1
+    assert f"{out} is not complete" in text
+
+
+@pytest.mark.parametrize("content", [b"", b"\0\xff binary \n" * 5, b"a,b,c\n1,2,3\n"])
+def test_a_log_without_any_frame_is_an_error_with_a_result(told, tmp_path, content):
+    log, result = tmp_path / "none.log", tmp_path / "result.json"
+    log.write_bytes(content)
+    status, text = told(*replay(log, "--json", result))
+    assert status == 1
+    assert f"{log}: holds no CAN frame" in text
+    assert json.loads(result.read_text())["frames"]["read"] == 0
+
+
+def test_a_log_of_other_frames_is_said_to_be_one(told, tmp_path):
+    log = tmp_path / "other.log"
+    log.write_text("(1600000000.000000) can0 7F0#00\n")
+    status, text = told(*replay(log))
+    assert status == 0
+    assert "no usable frame of this configuration" in text
+
+
+@pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf"])
+def test_a_speed_that_is_none_is_refused(told, log, speed):
+    status, text = told(*replay(log, "--speed", speed, "--interface", "virtual"))
+    assert status == 1
+    assert "--speed must be positive" in text
+
+
+def test_with_speed_the_frames_go_out_on_the_bus_at_that_pace(told, log, tmp_path):
+    out = tmp_path / "out.log"
+    bus = ("--interface", "virtual", "--channel", "paced")
+    with can.Bus(interface="virtual", channel="paced") as listener:
+        began = time.monotonic()
+        assert told(*replay(log, "--speed", "20", *bus, "--out", out, "--quiet")) == (0, "")
+        assert time.monotonic() - began > 12.0 / 20.0 * 0.9
+        heard = []
+        while (message := listener.recv(0.0)) is not None:
+            heard.append((message.arbitration_id, bytes(message.data)))
+    (written,) = LogReader([out])
+    assert len(heard) > 1000
+    assert heard == [
+        (can_id, row[:length].tobytes())
+        for can_id, row, length in zip(
+            written.can_id.tolist(), written.data, written.length.tolist(), strict=True
+        )
+    ]
+
+
+def test_a_bus_without_speed_is_refused_rather_than_ignored(told, log):
+    status, text = told(*replay(log, "--interface", "virtual", "--channel", "x"))
+    assert status == 1
+    assert "--speed" in text
+
+
+def test_frames_on_standard_output_are_not_mixed_with_tables(log):
+    done = subprocess.run(
+        [sys.executable, "-m", "imucald", *map(str, replay(log, "--out", "-"))],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) > 100
+    assert all(line.startswith("(") for line in lines)
+
+
+def test_run_tells_of_an_unwritable_result_before_it_opens_the_bus(told, tmp_path):
+    bus = ("--interface", "virtual", "--channel", "files", "--seconds", "0.1")
+    status, text = told("run", "--config", START, *bus, "--json", tmp_path / "nowhere" / "x.json")
+    assert status == 1
+    assert text.count("\n") == 1
+
+
+def test_simulate_does_not_overwrite_what_it_reads(told, tmp_path):
+    model = tmp_path / "model.yaml"
+    log = tmp_path / "a.log"
+    wrote = told("simulate", "--minutes", "0.05", "--out", log, "--write-model", model)
+    assert wrote == (0, "")
+    before = model.read_bytes()
+    for wrong in (("--out", model), ("--out", log, "--write-model", model)):
+        assert told("simulate", "--minutes", "0.05", "--model", model, *wrong)[0] == 1
+        assert model.read_bytes() == before
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_ctrl_c_says_that_the_output_is_cut(log, tmp_path):
+    out = tmp_path / "out.log"
+    paced = ("--speed", "0.5", "--interface", "virtual", "--channel", "ctrl-c", "--out", out)
+    process = subprocess.Popen(
+        [sys.executable, "-c", HEARS_CTRL_C, *map(str, replay(log, *paced))],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    end = time.monotonic() + 30.0
+    while not out.exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    text = process.communicate(timeout=30.0)[1]
+    assert process.returncode == 130
+    assert text == f"imucald: {out} is not complete\nimucald: interrupted\n"
+
+
+def test_zero_seconds_are_none_not_for_ever(told):
+    bus = ("--interface", "virtual", "--channel", "zero")
+    began = time.monotonic()
+    assert told("run", "--config", START, *bus, "--seconds", "0")[0] == 0
+    assert time.monotonic() - began < 5.0
