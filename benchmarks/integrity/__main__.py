@@ -101,6 +101,8 @@ def _read(path: Path) -> list[dict[str, Any]]:
     """Outcomes so far, the last of each case; a line that was broken off is left out."""
     latest: dict[str, dict[str, Any]] = {}
     for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        if not text:
+            continue
         try:
             line = json.loads(text)
         except json.JSONDecodeError:
@@ -114,6 +116,7 @@ def _run(wanted: list[Case], path: Path, jobs: int) -> None:
     left = [case for case in wanted if case.key not in done]
     began = told = time.monotonic()
     with path.open("a", encoding="utf-8") as file:
+        file.write("\n")  # the last line may have been broken off
         for i, (case, line) in enumerate(_outcomes(left, jobs), start=1):
             if line is None:
                 print(f"{case.base}: absent, not judged", file=sys.stderr)

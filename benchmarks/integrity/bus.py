@@ -93,7 +93,11 @@ def _database(cycles: bool, gyro_factor: float) -> Path:
             rf"\g<1> ({0.01 * gyro_factor:.9g},0) [0|0]",
             text,
         )
-    return made_once("integrity.dbc", text, lambda path: path.write_text(text, "utf-8") and None)
+
+    def write(path: Path) -> None:
+        path.write_text(text, "utf-8")
+
+    return made_once("integrity.dbc", text, write)
 
 
 def _yaml(channels: Collection[str], side: str, database: Path) -> str:
@@ -129,7 +133,7 @@ def frames(
     one.
     """
     seconds = int(duration_s)
-    t = (np.arange(seconds) + 0.5) * PROBE_S
+    t: Array = (np.arange(seconds, dtype=np.float64) + 0.5) * PROBE_S
     lengths = probe_lengths(seconds)
     with_probes = dict(samples)
     for axis, name in enumerate(("probe_x", "probe_y")):

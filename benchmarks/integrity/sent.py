@@ -36,7 +36,8 @@ class Triad:
     @property
     def good(self) -> NDArray[np.bool_]:
         """Frames that say of themselves that they can be used."""
-        return (self.quality == USABLE) | (self.quality == FINE)
+        good: NDArray[np.bool_] = (self.quality == USABLE) | (self.quality == FINE)
+        return good
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def sent(frames: FrameColumns, loaded: LoadedConfig, seconds: int) -> Sent:
     accel = _triad(parts, "IMUCALD_Acceleration", ids.acceleration)
     has_gyro = loaded.config.signals.gyroscope is not None
     gyro = _triad(parts, "IMUCALD_AngularRate", ids.angular_rate) if has_gyro else None
-    middles = np.arange(seconds) + 0.5
+    middles: Array = np.arange(seconds, dtype=np.float64) + 0.5
     std = _latest(
         parts, "IMUCALD_MountDeviation", ids.mount_deviation,
         [f"Deviation{axis}" for axis in "XYZ"], middles,
