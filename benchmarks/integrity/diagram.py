@@ -62,7 +62,7 @@ def _region() -> Iterator[str]:
 def _points(cells: Counter[tuple[int, int]]) -> Iterator[str]:
     size = PIXELS_DECADE / BIN_DECADE
     most = math.log1p(max(cells.values(), default=1))
-    top = int(SIDE / size)
+    top = int(SIDE / size) - 1
     for (i, j), n in sorted(cells.items()):
         shade = 0.15 + 0.85 * math.log1p(n) / most
         x, y = LEFT + min(i, top) * size, TOP + SIDE - (min(j, top) + 1) * size
