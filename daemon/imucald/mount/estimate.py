@@ -15,7 +15,7 @@ from imucald.core.rotations import Matrix3, angles_from_rotation, quaternion_fro
 from imucald.motion.ticks import TickRow
 
 if TYPE_CHECKING:
-    from imucald.mount.saved_information import KeptEvidence
+    from imucald.mount.saved_information import SavedInformation
 
 ANGLES = ("roll", "pitch", "yaw")
 BETWEEN_DRIVES_STD = (math.radians(0.3), math.radians(0.3), math.radians(0.15))
@@ -130,22 +130,22 @@ class MountEstimator(Protocol):
 
 
 @runtime_checkable
-class KeepsEvidence(Protocol):
+class SavesInformation(Protocol):
     """What a `MountEstimator` has beside its verbs if its evidence outlives the process."""
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of earlier drives' evidence against this one's; None without any."""
+        """Chi-square (3) of prior drives' evidence against this one's; None without any."""
         ...
 
-    def kept_evidence(self) -> KeptEvidence | None:
+    def saved_information(self) -> SavedInformation | None:
         """What all evidence comes to, for the next start; None where there is too little."""
         ...
 
-    def join_evidence(self, kept: KeptEvidence) -> None:
-        """Go on with what earlier drives found as well."""
+    def join_information(self, kept: SavedInformation) -> None:
+        """Go on with what prior drives found as well."""
         ...
 
-    def leave_evidence(self) -> None:
+    def drop_information(self) -> None:
         """Go on with this drive's evidence alone."""
         ...
