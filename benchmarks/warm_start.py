@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from imucald.core.rotations import rotation_from_vector, vector_from_rotation
 from imucald.model.vehicle import MountShift
 from imucald.motion.ticks import ticks_from_samples
-from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState, SavesInformation
+from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
-from imucald.mount.saved_information import saved_from
+from imucald.mount.saved_information import SavesInformation, saved_from
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.session import open_config
 from imucald.simulation import Drive, Model, random_model, simulate

@@ -16,7 +16,6 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +28,9 @@ from imucald.mount.estimate import (
     MountEstimate,
     MountEstimator,
     MountState,
-    SavesInformation,
 )
+from imucald.mount.saved_information import SavedInformation, SavesInformation
 from imucald.mount.slewing import SlewedRotation
-
-if TYPE_CHECKING:
-    from imucald.mount.saved_information import SavedInformation
 
 COMPARE_TICKS = 10
 """The two are compared so often: once a second."""

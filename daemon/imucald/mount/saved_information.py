@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,28 @@ class SavedInformation:
                 for name, p in self.sources.items()
             },
         }
+
+
+@runtime_checkable
+class SavesInformation(Protocol):
+    """What a `MountEstimator` has beside its verbs if its evidence outlives the process."""
+
+    @property
+    def contradiction(self) -> float | None:
+        """Chi-square (3) of prior drives' evidence against this one's; None without any."""
+        ...
+
+    def saved_information(self) -> SavedInformation | None:
+        """What all evidence comes to, for the next start; None where there is too little."""
+        ...
+
+    def join_information(self, kept: SavedInformation) -> None:
+        """Go on with what prior drives found as well."""
+        ...
+
+    def drop_information(self) -> None:
+        """Go on with this drive's evidence alone."""
+        ...
 
 
 def axis_of(name: str) -> int:

@@ -11,19 +11,17 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from imucald.core.errors import EstimateError
-from imucald.mount.estimate import MountEstimator, MountState, SavesInformation
+from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.restored import RestoredEstimator, StoredMount
+from imucald.mount.saved_information import SavedInformation, SavesInformation, saved_from
 from imucald.runtime.summary import plain
 from imucald.service.journal import INFO, NOTICE, WARNING
 from imucald.service.state import SavedState, StateStore
-
-if TYPE_CHECKING:
-    from imucald.mount.saved_information import SavedInformation
 
 SAVE_PERIOD_S = 10.0
 """A changing estimate is saved so often [s]: what a cut of power may cost."""
@@ -165,8 +163,6 @@ class StateKeeper:
         sums = saved.evidence.get(SUMS)
         if sums is None:
             return None
-        from imucald.mount.saved_information import saved_from  # noqa: PLC0415 - not without any
-
         try:
             return saved_from(sums)
         except EstimateError as error:
