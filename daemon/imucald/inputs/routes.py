@@ -50,14 +50,14 @@ class Tap(Struct, frozen=True):
     complete: bool
     planar: bool = False
 
-    def one(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
+    def scalar(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
         """Values in SI and code (see `quantities.REASONS`) from the numbers of one frame."""
         values = []
         for component in self.components:
             number = physical[component.index]
             if number is None:
                 return (), ABSENT
-            value, code = component.conversion.one(raw[component.index] or 0, number)
+            value, code = component.conversion.scalar(raw[component.index] or 0, number)
             if code:
                 return (), code
             values.append(value)
@@ -65,14 +65,14 @@ class Tap(Struct, frozen=True):
             values.append(PLANAR_Z)
         return values, 0
 
-    def columns(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+    def array(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
         """Values (N,) or (N, k) in SI and codes (N,); the first fault of a row counts."""
         n = len(columns[self.components[0].index][1])
         codes = np.zeros(n, dtype=np.int8)
         values = np.empty((n, len(self.components) + self.planar))
         for i, component in enumerate(self.components):
             raw, physical, present = columns[component.index]
-            values[:, i], found = component.conversion.columns(raw, physical)
+            values[:, i], found = component.conversion.array(raw, physical)
             if present is not None:
                 found = np.where(present, found, ABSENT)
             if found.any():
@@ -82,7 +82,7 @@ class Tap(Struct, frozen=True):
         return (values[:, 0] if values.shape[1] == 1 else values), codes
 
 
-class Route(Protocol):
+class SignalRoute(Protocol):
     """How frames of one kind become numbers."""
 
     @property
