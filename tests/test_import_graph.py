@@ -58,7 +58,7 @@ KNOWN: Mapping[str, set[str]] = {
         "simulation: simulation.bus_frames -> can.columns",
         "simulation: simulation.bus_frames -> can.dbc.database",
         "simulation: simulation.bus_frames -> can.dbc.encode",
-        "simulation: simulation.bus_frames -> can.dbc.scaling",
+        "simulation: simulation.bus_frames -> can.dbc.resolved_signal",
         "simulation: simulation.bus_frames -> can.e2e.protection",
         "simulation: simulation.bus_frames -> inputs.quantities",
         "simulation: simulation.bus_frames -> inputs.routes",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.dbc.decode import DecodePlan
-from imucald.can.e2e.protection import REASONS, MessageGuard
+from imucald.can.e2e.protection import REASONS, MessageChecker
 from imucald.core.samples import GRAVITY
 from imucald.inputs.expression import Expression
 from imucald.inputs.quantities import Conversion
@@ -115,16 +115,16 @@ class SignalRoute(Protocol):
 class MessageRoute:
     """Frames that a database describes."""
 
-    def __init__(self, plan: DecodePlan, guard: MessageGuard, taps: Sequence[Tap]) -> None:
+    def __init__(self, plan: DecodePlan, checker: MessageChecker, taps: Sequence[Tap]) -> None:
         self.name = plan.message.name
         self.match = plan.id_match
         self.plan = plan
-        self.guard = guard
+        self.checker = checker
         self.taps = tuple(sorted(taps, key=lambda tap: tap.rank))
 
     def check(self, t: float, data: bytes) -> str | None:
         """Length, checksum, counter, time-out."""
-        return self.guard.check(t, data) or ""
+        return self.checker.check(t, data) or ""
 
     def numbers(self, data: bytes) -> tuple[Raw, Physical]:
         """Decode one frame."""
@@ -135,7 +135,7 @@ class MessageRoute:
         self, t: NDArray[np.float64], frames: FrameColumns
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
         """`check` on columns."""
-        codes = self.guard.check_columns(t, frames.data, frames.length)
+        codes = self.checker.check_columns(t, frames.data, frames.length)
         ok = codes == 0
         if ok.all():
             return ok, {}

@@ -12,11 +12,11 @@ from imucald import config as cfg
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
 from imucald.can.dbc.database import Database, Message, Signal, load_database
 from imucald.can.dbc.decode import compile_decode
-from imucald.can.dbc.scaling import raw_limits
+from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
 from imucald.inputs.expression import Expression
-from imucald.inputs.protection_settings import guard_for
+from imucald.inputs.protection_settings import checker_for
 from imucald.inputs.quantities import Conversion
 from imucald.inputs.router import Router
 from imucald.inputs.routes import Component, MessageRoute, RawRoute, SignalRoute, Tap
@@ -269,10 +269,10 @@ def _message_route(loaded: LoadedConfig, group: _MessageSignals) -> MessageRoute
     try:
         j1939 = group.j1939 if group.message.can_id & CAN_EFF_FLAG else None
         plan = compile_decode(group.message, group.names, j1939, group.channel)
-        guard = guard_for(group.message, protection)
+        checker = checker_for(group.message, protection)
     except (DatabaseError, ConfigError) as error:
         raise loaded.error(place, str(error)) from None
-    return MessageRoute(plan, guard, list(_taps(group)))
+    return MessageRoute(plan, checker, list(_taps(group)))
 
 
 def _taps(group: _MessageSignals) -> Iterator[Tap]:
