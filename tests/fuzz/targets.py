@@ -132,14 +132,14 @@ def saved_dtcs(data: bytes) -> None:
     """A file of saved trouble codes under a right checksum, restored into the memory."""
     path = FOLDER / "dtcs"
     path.write_bytes(f"{dtc_store.MAGIC} {hashlib.sha256(data).hexdigest()}\n".encode() + data)
-    keeper = dtc_store.TroubleKeeper(path, lambda line: None)
+    keeper = dtc_store.TroubleKeeper(path, lambda _line: None)
     keeper.close()
     for file in FOLDER.glob("dtcs*"):
         file.unlink()
 
 
 def isotp_frames(data: bytes) -> None:
-    """Frames of a tester, cut from the bytes by a length byte each, through transport and server."""
+    """Frames of a tester, cut from the bytes, through transport and server."""
     from uds_subject import Bench
 
     bench = Bench()
