@@ -10,7 +10,7 @@ import pytest
 from imucald.core.samples import GRAVITY
 from imucald.motion.at_rest import is_idle, keeps_steady
 from imucald.motion.plausible import is_plausible, is_saturated, saturated_axes
-from imucald.motion.signal_health import Fault, SignalHealth
+from imucald.motion.signal_health import SignalFault, SignalHealth
 from imucald.motion.stuck import HELD_TICKS, HeldForce
 from imucald.motion.ticks import ACCEL, GYRO, SPEED, WHEEL_SPREAD, empty_rows
 
@@ -56,7 +56,7 @@ def test_saturation_is_found_axis_by_axis_and_taken_with_its_neighbours(axis: in
     rows[20, ACCEL.max_x + axis] = 29.9
     rows[40, ACCEL.min_x + axis] = -29.9
     bad = untrusted(clipping, rows)
-    found = clipping.found["accel", Fault.SATURATED]
+    found = clipping.found["accel", SignalFault.SATURATED]
     assert np.argwhere(found).tolist() == [[20, axis], [40, axis]]
     assert np.flatnonzero(bad).tolist() == [*range(17, 24), *range(37, 44)]
     assert clipping.counts == {"saturated": 2}
@@ -74,9 +74,9 @@ def test_what_no_road_vehicle_does_is_found_by_signal() -> None:
     rows[5, ACCEL.x : ACCEL.z + 1] = (0.0, 0.0, 0.2 * GRAVITY)
     rows[30:, SPEED.mean] += 20.0
     bad = untrusted(wild, rows)
-    assert np.flatnonzero(wild.found["accel", Fault.IMPLAUSIBLE]).tolist() == [5]
-    assert np.flatnonzero(wild.found["speed", Fault.SPEED_JUMP]).tolist() == [29, 30]
-    assert not wild.found["gyro", Fault.IMPLAUSIBLE].any()
+    assert np.flatnonzero(wild.found["accel", SignalFault.IMPLAUSIBLE]).tolist() == [5]
+    assert np.flatnonzero(wild.found["speed", SignalFault.SPEED_JUMP]).tolist() == [29, 30]
+    assert not wild.found["gyro", SignalFault.IMPLAUSIBLE].any()
     assert np.flatnonzero(bad).tolist() == [5, *range(19, 41)]
     assert untrusted(wild, drive(), 5.0).all(), "turning faster than any road vehicle"
 
@@ -106,7 +106,7 @@ def test_a_frozen_sensor_in_a_moving_vehicle_is_stuck_and_the_other_is_not() -> 
     rows[30:, GYRO.x : GYRO.z + 1] = rows[30, GYRO.x : GYRO.z + 1]
     assert np.flatnonzero(frozen.stuck("gyro", rows)).tolist() == [*range(30, N)]
     assert not frozen.stuck("accel", rows).any()
-    assert frozen.found["gyro", Fault.STUCK][30:].all()
+    assert frozen.found["gyro", SignalFault.STUCK][30:].all()
     frozen.restart()
     assert not frozen.found
 

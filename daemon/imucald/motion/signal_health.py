@@ -35,7 +35,7 @@ CURVE_SHARE = 1.5
 """In a curve they may differ by this times track times yaw rate."""
 
 
-class Fault(enum.StrEnum):
+class SignalFault(enum.StrEnum):
     """Why a tick of a signal is not to be trusted."""
 
     IMPOSSIBLE = "impossible"  # a number that cannot be, or none
@@ -46,11 +46,11 @@ class Fault(enum.StrEnum):
     SPEED_JUMP = "speed_jump"
 
 
-HOLD_TICKS: Mapping[Fault, int] = {
-    Fault.IMPLAUSIBLE: 0,
-    Fault.SATURATED: 3,
-    Fault.WHEEL_SLIP: 10,
-    Fault.SPEED_JUMP: 10,
+HOLD_TICKS: Mapping[SignalFault, int] = {
+    SignalFault.IMPLAUSIBLE: 0,
+    SignalFault.SATURATED: 3,
+    SignalFault.WHEEL_SLIP: 10,
+    SignalFault.SPEED_JUMP: 10,
 }
 """Ticks around a fault that are not learnt from either; in the order in which they are counted."""
 
@@ -80,7 +80,7 @@ class SignalHealth:
         }
         self._speed = StuckSpeed()
         self.counts: Counter[str] = Counter()
-        self.found: dict[tuple[str, Fault], Flags] = {}
+        self.found: dict[tuple[str, SignalFault], Flags] = {}
 
     def restart(self) -> None:
         """Time jumped: what comes next is compared with nothing before."""
@@ -96,7 +96,7 @@ class SignalHealth:
             bad = (rows[:, count] > 0) & ~sound
             if bad.any():
                 rows[bad, count] = 0.0
-                self.counts[Fault.IMPOSSIBLE.value] += int(bad.sum())
+                self.counts[SignalFault.IMPOSSIBLE.value] += int(bad.sum())
 
     def stuck(self, signal: str, rows: Array) -> Flags:
         """Ticks (N,) at which "accel", "gyro" or "speed" is stuck; rows: (N, COLUMNS)."""
@@ -104,8 +104,8 @@ class SignalHealth:
             flags = self._speed.flags(rows, self._new.stop - self._new.start)
         else:
             flags = self._sensors[signal].flags(rows)
-        self.found[signal, Fault.STUCK] = flags
-        self._count(Fault.STUCK, flags[self._new])
+        self.found[signal, SignalFault.STUCK] = flags
+        self._count(SignalFault.STUCK, flags[self._new])
         return flags
 
     def untrusted(
@@ -126,11 +126,11 @@ class SignalHealth:
         size2 = (force * force).sum(axis=1)
         wild = np.abs(np.gradient(speed, TICK_S)) > MAX_ROAD_DVDT
         self.found |= {
-            ("accel", Fault.IMPLAUSIBLE): ok_force & ((size2 < low**2) | (size2 > high**2)),
-            ("gyro", Fault.IMPLAUSIBLE): turning > MAX_ROAD_RATE,
-            ("accel", Fault.SATURATED): saturated_axes(rows, self._accel_range),
-            ("wheel_speeds", Fault.WHEEL_SLIP): self._slipping(rows, speed, turning),
-            ("speed", Fault.SPEED_JUMP): ok_speed & wild,
+            ("accel", SignalFault.IMPLAUSIBLE): ok_force & ((size2 < low**2) | (size2 > high**2)),
+            ("gyro", SignalFault.IMPLAUSIBLE): turning > MAX_ROAD_RATE,
+            ("accel", SignalFault.SATURATED): saturated_axes(rows, self._accel_range),
+            ("wheel_speeds", SignalFault.WHEEL_SLIP): self._slipping(rows, speed, turning),
+            ("speed", SignalFault.SPEED_JUMP): ok_speed & wild,
         }
         out = np.zeros(len(rows), dtype=bool)
         for fault, hold in HOLD_TICKS.items():
@@ -147,7 +147,7 @@ class SignalHealth:
         allowed += CURVE_SHARE * self._track * turning
         return known & (np.nan_to_num(rows[:, WHEEL_SPREAD.mean]) > allowed)
 
-    def _anywhere(self, fault: Fault, n: int) -> Flags:
+    def _anywhere(self, fault: SignalFault, n: int) -> Flags:
         """Ticks (N,) with a fault of any signal and axis."""
         out = np.zeros(n, dtype=bool)
         for (_, kind), flags in self.found.items():
@@ -155,7 +155,7 @@ class SignalHealth:
                 out |= flags.any(axis=1) if flags.ndim > 1 else flags
         return out
 
-    def _count(self, fault: Fault, flags: Flags) -> bool:
+    def _count(self, fault: SignalFault, flags: Flags) -> bool:
         """Add the flagged ticks to a reason's number; True if there are any."""
         if not flags.any():
             return False
