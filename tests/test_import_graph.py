@@ -59,7 +59,7 @@ KNOWN: Mapping[str, set[str]] = {
         "simulation: simulation.bus_frames -> can.dbc.database",
         "simulation: simulation.bus_frames -> can.dbc.encode",
         "simulation: simulation.bus_frames -> can.dbc.resolved_signal",
-        "simulation: simulation.bus_frames -> can.e2e.protection",
+        "simulation: simulation.bus_frames -> can.e2e.protector",
         "simulation: simulation.bus_frames -> inputs.quantities",
         "simulation: simulation.bus_frames -> inputs.routes",
         "simulation: simulation.bus_frames -> inputs.wiring",
@@ -75,7 +75,7 @@ KNOWN: Mapping[str, set[str]] = {
     "class": {
         "Attitude: config.attitude, simulation.road",
         "Bus: config.network, model.sensors",
-        "Checksum: can.e2e.checksums, config.network",
+        "Checksum: can.e2e.crc, config.network",
         "Compensation: compensation.compensation, config.attitude",
         "Counts: runtime.summary, uds.host",
         "Cycle: diagnosis.faults.cycle, travel_direction.cycles",
