@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.terms import Vector3
+from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.compensation.sensors import SensorStage
-from imucald.compensation.terms import Vector3
 from imucald.compensation.tick_preprocessing import EvidenceStage
 from imucald.compensation.vehicle import Corrected, VehicleStage
 from imucald.inputs.router import ColumnSamples, Routed, Sample
+from imucald.model.section import Vector3
 
 if TYPE_CHECKING:
     from imucald.compensation.compensation import Compensation

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from imucald.compensation.held_repeats import Repeats
 from imucald.compensation.scalars import ScalarCompensator, wheels_column, wheels_one
 from imucald.compensation.smoothing import Smoothed
-from imucald.compensation.terms import ScalarTerms, Terms, TriadTerms, Vector3
+from imucald.compensation.terms import ScalarTerms, Terms, TriadTerms
 from imucald.compensation.triads import TriadCompensator
 from imucald.core.samples import Series
 from imucald.inputs.quantities import LIMITS
+from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 Order = NDArray[np.int64] | NDArray[np.float64]

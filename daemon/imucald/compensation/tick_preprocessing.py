@@ -12,9 +12,9 @@ from collections.abc import Sequence
 
 from imucald.compensation.held_repeats import Repeats
 from imucald.compensation.suspension import Leaning
-from imucald.compensation.terms import Vector3
 from imucald.compensation.time_alignment import Retiming
 from imucald.compensation.vehicle import less_lean_rate, on_road
+from imucald.model.section import Vector3
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms, Vector3
+from imucald.compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms
+from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 
