@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import sys
 
-import can
 import cantools.database
+
+import can
 
 
 def main() -> None:
