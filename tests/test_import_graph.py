@@ -58,7 +58,6 @@ KNOWN: Mapping[str, set[str]] = {
         "uds: uds.isotp_channel -> runtime.output.sender",
     },
     "circle": {
-        "compensation.compensation <-> compensation.preprocessing",
         "diagnosis.bent <-> diagnosis.contest <-> diagnosis.search <-> diagnosis.shifts",
         "mount.estimate <-> mount.saved_information",
     },

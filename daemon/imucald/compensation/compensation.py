@@ -113,7 +113,8 @@ class Compensation:
         """
         vehicle = self.vehicle_stage(channels, ("gyro", *parallel_rates))
         return Stages(
-            self,
+            self.name,
+            self.estimate_key,
             self.sensor_stage(derived_speed),
             None if vehicle.neutral else vehicle,
             self.evidence_stage(),
