@@ -40,7 +40,7 @@ NEVER = {
 }
 """Rooms that never reach these rooms, directly or through others."""
 
-LAZY_LIBRARIES = {"asammdf", "can", "isotp", "jinja2", "matplotlib", "pydantic", "rich", "scipy"}
+LAZY_LIBRARIES = {"asammdf", "can", "isotp", "jinja2", "matplotlib", "rich", "scipy", "yaml"}
 """Large libraries, which a function may import when it needs them."""
 
 LAZY_ROOMS = {"commands"}
@@ -55,20 +55,8 @@ KNOWN: Mapping[str, set[str]] = {
         "config.attitude -> travel_direction.settings",
         "config.calibration -> mount.estimator_settings",
         "config.calibration -> mount.method_a.settings",
-        "simulation: simulation.bus_frames -> can.columns",
-        "simulation: simulation.bus_frames -> can.dbc.database",
-        "simulation: simulation.bus_frames -> can.dbc.encode",
-        "simulation: simulation.bus_frames -> can.dbc.resolved_signal",
-        "simulation: simulation.bus_frames -> can.e2e.protector",
-        "simulation: simulation.bus_frames -> inputs.quantities",
-        "simulation: simulation.bus_frames -> inputs.routes",
-        "simulation: simulation.bus_frames -> inputs.wiring",
-        "simulation: simulation.can_log -> can.columns",
-        "simulation: simulation.can_log -> can.logs.candump_writer",
-        "simulation: simulation.traffic -> can.columns",
     },
     "circle": {
-        "compensation.compensation <-> compensation.preprocessing",
         "diagnosis.bent <-> diagnosis.contest <-> diagnosis.search <-> diagnosis.shifts",
     },
     "class": {
@@ -83,7 +71,6 @@ KNOWN: Mapping[str, set[str]] = {
         "Model: config.base, model.model",
         "MountShift: diagnosis.causes.mount_shift, model.vehicle",
         "RoadGrade: attitude.grade, diagnosis.causes.road_grade",
-        "Sender: runtime.output.sender, simulation.play",
         "Source: check.source, config.signals",
         "TravelDirection: config.attitude, travel_direction.direction",
         "Triad: config.signals, model.sensors",
@@ -93,6 +80,8 @@ KNOWN: Mapping[str, set[str]] = {
         "can.dbc.database._nearest: difflib",
         "can.logs.candump_writer._open: gzip",
         "config.root.json_schema: config.schema",
+        "core.typed.typed: core.explain",
+        "core.yaml_lines.read_yaml: core.yaml_parser",
         "report.page._breakable: markupsafe",
         "report.page._pictures: report.plots",
         "runtime.estimators.estimator_for: mount.estimator",
