@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import sys
 
-import cantools.database
-
 import can
+import cantools.database
 
 
 def main() -> None:

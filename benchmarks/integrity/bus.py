@@ -22,8 +22,8 @@ from imucald.config import LoadedConfig, parse_config
 from imucald.core.samples import Samples, Series
 from imucald.model.model import Model
 from imucald.simulation import Drive, Truth, random_model
-from imucald.simulation.bus_frames import BusEncoder
-from imucald.simulation.traffic import joined
+from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.other_units import joined
 
 Array = NDArray[np.float64]
 
