@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from benchmarks.integrity import __main__ as command
 from benchmarks.integrity import faults
-from benchmarks.integrity.bases import Base
+from benchmarks.integrity.bases import Base, measured
 from benchmarks.integrity.bus import configuration, frames
 from benchmarks.integrity.cases import QUICK, ROWS, Case, cases, put
 from benchmarks.integrity.diagram import diagram
@@ -28,12 +28,16 @@ from benchmarks.integrity.judge import (
 from benchmarks.integrity.outcome import rows
 from benchmarks.integrity.page import report, written
 from benchmarks.integrity.sent import sent
+from benchmarks.measured import DATA
 
+from imucald.can.logs.log_reader import LogReader
 from imucald.core.rotations import vector_from_rotation
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
+from imucald.runtime.replay import Replay
+from imucald.runtime.session import make_engine, open_config
 from imucald.simulation import random_model, simulate
 
 AT_ONCE = Allowed()
@@ -312,6 +316,20 @@ def test_a_sound_drive_is_right_and_a_turned_reference_is_not(base):
     assert misleading(sound).sum() == 0.0
     turned = faults.remount(10.0)(base, put_at(0.0, 2))
     assert misleading(rows(base, turned, found)).sum() == pytest.approx(sound.good.sum())
+
+
+def test_a_measured_log_in_the_judges_frames_gives_what_its_own_frames_give():
+    log = measured("second_world/01_none")
+    if log is None:
+        pytest.skip("the drives of second_world are not here")
+    loaded = configuration(frozenset(log.samples), False)
+    found = sent(frames(log.samples, log.duration_s, loaded, None, 0), loaded, log.seconds)
+    folder = DATA / "second_world" / "01_none"
+    engine = make_engine(open_config(folder / "car.yaml"))
+    Replay(engine, LogReader([folder / "can.log.gz"], engine.router.matches)).run()
+    R = engine.pipeline.estimator.estimate().R_vehicle_from_sensor
+    between = np.degrees(vector_from_rotation(R @ found.rotation[-1].T))
+    assert np.abs(between).max() < 0.05
 
 
 # running ---------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ def report(lines: Sequence[Line]) -> str:
     there = [row for row in ROWS if by_row[row.name]]
     quiet = [x for x in lines if x["row"] == QUIET.name]
     recorded = [x for x in lines if x["row"] == AS_RECORDED.name]
-    out: list[str] = []
+    out = [_drives(lines), ""]
     if quiet:
         out += ["### Without a fault", "", *_quiet(quiet), ""]
     if there:
@@ -39,6 +39,15 @@ def report(lines: Sequence[Line]) -> str:
     if recorded:
         out += ["### Logs as they were recorded", "", *_recorded(recorded), ""]
     return "\n".join(out)
+
+
+def _drives(lines: Sequence[Line]) -> str:
+    seeds = sorted(
+        {int(x["base"]) for x in lines if x["base"].isdigit() and x["row"] != QUIET.name}
+    )
+    logs = {x["base"] for x in lines if not x["base"].isdigit() and x["row"] != AS_RECORDED.name}
+    drives = f"{len(seeds)} simulated drives from seed {seeds[0]} on" if seeds else "No drives"
+    return f"{drives} and {len(logs)} logs have had faults put in, in {len(lines)} runs."
 
 
 def written(page: str, text: str) -> str:
