@@ -247,7 +247,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     options = parser.parse_args()
     size = replace(QUICK if options.quick else Size(), first=options.first)
-    if tuned := tuned_on(size.seeds()):
+    if tuned := tuned_on(sorted(size.seeds())):
         parser.error(
             f"--first {size.first}: {len(tuned)} of its seeds were tuned on ({tuned[0]} ...)"
         )
