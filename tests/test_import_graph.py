@@ -100,8 +100,6 @@ KNOWN: Mapping[str, set[str]] = {
     },
     "function": set(),
     "import in a function": {
-        "can.dbc.database._nearest: difflib",
-        "can.logs.candump_writer._open: gzip",
         "config.root.json_schema: config.schema",
         "config.root.parse_config: config.explain",
         "config.yaml_lines.read_yaml: config.yaml_parser",
