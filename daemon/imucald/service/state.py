@@ -64,7 +64,7 @@ class SavedState:
     state: "usable" or "fine". doubted: it was suspect when it was saved. saved_at: wall clock [s],
     for people only. driven_s: seconds of driving behind it. offsets: of sensors and signals, SI.
     shifts: history of remounts, newest last. evidence: what the estimate rests on, for people, and
-    as "sums" what the estimator goes on with (`mount.kept_evidence`).
+    as "sums" what the estimator goes on with (`mount.saved_information`).
     """
 
     rotation: tuple[float, ...]
