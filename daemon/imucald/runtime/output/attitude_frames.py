@@ -6,6 +6,7 @@ import math
 
 from imucald.attitude.estimate import AttitudeEstimate, AttitudeState
 from imucald.config import Config
+from imucald.core.angles import DEG_PER_RAD
 from imucald.runtime.output.sender import (
     NOT_AVAILABLE_SIGNED,
     NOT_AVAILABLE_UNSIGNED,
@@ -13,7 +14,6 @@ from imucald.runtime.output.sender import (
     Sender,
 )
 
-_TO_DEG = 180.0 / math.pi
 DEVIATION_MAX = 327.67
 """Largest deviation that its signals hold [deg]."""
 GRADE_DEVIATION_MAX = 655.34
@@ -64,13 +64,13 @@ class AttitudeFrames:
             senders = (self._angles, self._deviation, self._rates, self._grade)
             return [s.frame(nothing) for s in senders]
         e, state = estimate, int(estimate.state)
-        angles = (e.roll * _TO_DEG, e.pitch * _TO_DEG, bearing(e.heading), state)
-        std = (*(min(s * _TO_DEG, DEVIATION_MAX) for s in e.std), state)
-        rates = (*(rate * _TO_DEG for rate in e.rate), state)
+        angles = (e.roll * DEG_PER_RAD, e.pitch * DEG_PER_RAD, bearing(e.heading), state)
+        std = (*(min(s * DEG_PER_RAD, DEVIATION_MAX) for s in e.std), state)
+        rates = (*(rate * DEG_PER_RAD for rate in e.rate), state)
         grade = (
             100.0 * e.grade,
             min(100.0 * e.grade_std, GRADE_DEVIATION_MAX),
-            min(max(e.rate_std) * _TO_DEG, RATE_DEVIATION_MAX),
+            min(max(e.rate_std) * DEG_PER_RAD, RATE_DEVIATION_MAX),
             state,
         )
         return [
@@ -88,5 +88,5 @@ def bearing(heading: float) -> float:
     """A heading [rad] in degrees, such that it does not round up to 360."""
     if math.isnan(heading):
         return heading
-    degrees = (heading * _TO_DEG) % 360.0
+    degrees = (heading * DEG_PER_RAD) % 360.0
     return degrees if degrees < 360.0 - 0.5 * HEADING_LSB else 0.0

@@ -7,7 +7,6 @@ frames are the same bytes, counters included.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config import Config
+from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
 from imucald.runtime.output.sender import (
     NOT_AVAILABLE_SIGNED,
@@ -36,10 +36,9 @@ STATUS_FRAMES = 3
 REJECTED_MAX = 65534
 LOST_MAX = 4094
 
-_TO_DEG = 180.0 / math.pi
 _LAYOUTS: Mapping[str, tuple[str, tuple[str, str, str], float]] = {
     "acceleration": ("IMUCALD_Acceleration", ("AccelX", "AccelY", "AccelZ"), 1.0),
-    "angular_rate": ("IMUCALD_AngularRate", ("RateX", "RateY", "RateZ"), _TO_DEG),
+    "angular_rate": ("IMUCALD_AngularRate", ("RateX", "RateY", "RateZ"), DEG_PER_RAD),
     "magnetic_field": ("IMUCALD_MagneticField", ("FieldX", "FieldY", "FieldZ"), 1e6),
 }
 """Per kind of sensor: message, signals, factor from SI to the message's unit."""
@@ -190,8 +189,8 @@ class OutputFrames:
         angles = estimate.angles if usable else None
         std = estimate.std if usable else None
         nothing: tuple[None, None, None] = (None, None, None)
-        angle_values = [v * _TO_DEG for v in angles] if angles else nothing
-        std_values = [min(v * _TO_DEG, 327.67) for v in std] if std else nothing
+        angle_values = [v * DEG_PER_RAD for v in angles] if angles else nothing
+        std_values = [min(v * DEG_PER_RAD, 327.67) for v in std] if std else nothing
         waiting = [int(estimate.missing.get(a, _default(estimate, a))) for a in ANGLES]
         counts = (min(health.rejected, REJECTED_MAX), min(health.lost, LOST_MAX))
         return [
