@@ -33,8 +33,9 @@ from benchmarks.integrity.cases import PARTS, QUICK, Case, Size, cases
 from benchmarks.integrity.diagram import diagram
 from benchmarks.integrity.page import PAGE, report, worst, written
 from benchmarks.measured import FOLDER, ROOT
+from benchmarks.mount_accuracy.seeds import tuned_on
 
-INTERRUPTED = 130
+INTERRUPTED, USAGE = 130, 2
 SHOWS_ONLY = ("__main__.py", "page.py", "diagram.py")
 TOLD_EVERY_S = 30.0
 
@@ -45,6 +46,9 @@ def main() -> int:
     given = {k: getattr(options, k) for k in ("drives", "first", "hours", "logs")}
     size = replace(size, **{k: v for k, v in given.items() if v is not None})
     wanted = list(cases(size, tuple(options.only)))
+    if tuned := tuned_on(sorted({int(case.base) for case in wanted if case.base.isdigit()})):
+        print(f"--first {size.first}: seed {tuned[0]} was tuned on", file=sys.stderr)
+        return USAGE
     if options.row:
         wanted = [case for case in wanted if case.row in options.row]
     if options.base:
