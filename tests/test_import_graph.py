@@ -109,7 +109,7 @@ KNOWN: Mapping[str, set[str]] = {
         "runtime.estimators.estimator_for: mount.method_a.estimator",
         "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames",
         "runtime.output.output_frames._travel_frames: runtime.output.travel_frames",
-        "runtime.session._companions: runtime.consumers",
+        "runtime.session._consumers: runtime.consumers",
         "runtime.session.open_compensation: compensation",
         "service.calibration_store._evidence: mount.saved_information",
         "service.service._new_uds: service.bus_uds",

@@ -75,12 +75,12 @@ def _need_compass(loaded: LoadedConfig) -> None:
 
 def _steps(reader: LogReader, router: Router, travel: TravelDirection) -> list[Step]:
     from imucald.runtime.consumer import events_of
-    from imucald.runtime.consumers import TravelCompanion
+    from imucald.runtime.consumers import TravelConsumer
     from imucald.runtime.timebase import TimeBase
 
     timebase = TimeBase()
     steps: list[Step] = []
-    channels = TravelCompanion.channels
+    channels = TravelConsumer.channels
     for chunk in reader:
         for piece in timebase.columns(chunk.t):
             if piece.gap:

@@ -12,7 +12,7 @@ from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
-from imucald.runtime.consumer import Companion
+from imucald.runtime.consumer import Consumer
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.output.output_frames import OutputFrames
@@ -58,7 +58,7 @@ def make_engine(
         config.output.status_rate,
         on_snapshot,
         link_health,
-        _companions(loaded, output),
+        _consumers(loaded, output),
         lambda: estimator_for(config, compensation),
         None if compensation is None else compensation.stages(router.channels, derived, rates),
     )
@@ -77,12 +77,12 @@ def open_compensation(loaded: LoadedConfig) -> Compensation | None:
     return found.with_speed_delay(loaded.config.calibration.speed_delay)
 
 
-def _companions(loaded: LoadedConfig, output: OutputFrames) -> Sequence[Companion]:
+def _consumers(loaded: LoadedConfig, output: OutputFrames) -> Sequence[Consumer]:
     if not (loaded.config.attitude.enabled or loaded.config.travel_direction.enabled):
         return ()
-    from imucald.runtime.consumers import companions_for  # noqa: PLC0415 - a lighter start without them
+    from imucald.runtime.consumers import consumers_for  # noqa: PLC0415 - a lighter start without them
 
-    return companions_for(loaded, output)
+    return consumers_for(loaded, output)
 
 
 def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, inputs: list[IdMatch]) -> None:
