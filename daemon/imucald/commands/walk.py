@@ -82,11 +82,11 @@ def _steps(reader: LogReader, router: Router, travel: TravelDirection) -> list[S
     steps: list[Step] = []
     channels = TravelConsumer.channels
     for chunk in reader:
-        for piece in timebase.columns(chunk.t):
-            if piece.gap:
+        for segment in timebase.segments(chunk.t):
+            if segment.gap:
                 travel.gap()
-            part = chunk.take(slice(piece.start, piece.stop))
-            samples = router.columns(piece.t, part).samples
+            part = chunk.take(slice(segment.start, segment.stop))
+            samples = router.columns(segment.t, part).samples
             for _, t, channel, values in events_of(samples, channels):
                 step = travel.sample(t, channel, values)
                 if step is not None:

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from imucald.inputs.router import ColumnSamples, Sample
 from imucald.mount.estimate import Correction, MountEstimate
-from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.output_message import OutFrame
 
 ORDER = ("reverse", "speed", "heading", "gyro", "mag", "accel")
 """Samples of one frame are handed on in this order."""

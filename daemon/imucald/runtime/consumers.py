@@ -1,4 +1,4 @@
-"""The consumers there are (attitude, direction of travel); imported only where one is on."""
+"""The consumers there are (attitude, direction of travel); for those that are switched on."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from imucald.mount.estimate import Correction, MountEstimate
 from imucald.runtime.consumer import ORDER, Consumer
 from imucald.runtime.output.attitude_frames import AttitudeFrames
 from imucald.runtime.output.output_frames import OutputFrames
-from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.output.travel_frames import TravelFrames
 from imucald.travel_direction.direction import TravelDirection
 from imucald.travel_direction.settings import (

@@ -27,9 +27,9 @@ from imucald.runtime.output.output_columns import (
     merged,
 )
 from imucald.runtime.output.output_frames import STATUS_FRAMES, Health, OutputFrames
-from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.pipeline import Pipeline, Snapshot, TickCorrections
-from imucald.runtime.timebase import Piece, TimeBase
+from imucald.runtime.timebase import TimeBase, TimeSegment
 
 if TYPE_CHECKING:
     from imucald.compensation.preprocessing import Stages
@@ -103,7 +103,7 @@ class Engine:
 
         stamp: reception time [s], wall clock. can_id with the flag for 29 bits.
         """
-        t, gap = self.timebase.one(stamp)
+        t, gap = self.timebase.stream_time(stamp)
         out: list[OutFrame] = []
         k = tick_index(t)
         if k > self.pipeline.k or gap:
@@ -219,18 +219,18 @@ class Engine:
         """Take a chunk of frames; return the frames to send (None with keep=False)."""
         parts = [
             part
-            for piece in self.timebase.columns(frames.t)
-            for part in self._piece(piece, frames, keep)
+            for segment in self.timebase.segments(frames.t)
+            for part in self._segment(segment, frames, keep)
         ]
         if not keep:
             return None
         return merged(parts, frames)
 
-    def _piece(self, piece: Piece, frames: FrameColumns, keep: bool) -> Iterator[OutPart]:
-        base = piece.start
-        if piece.gap:
+    def _segment(self, segment: TimeSegment, frames: FrameColumns, keep: bool) -> Iterator[OutPart]:
+        base = segment.start
+        if segment.gap:
             first = self.pipeline.k
-            snapshots = self.pipeline.gap(tick_index(float(piece.t[0])))
+            snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
             if self.stages is not None:
                 self.stages.gap()
             yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
@@ -238,17 +238,17 @@ class Engine:
             yield from self._frame_parts(out, base)
             for consumer in self.consumers:
                 consumer.gap()
-        whole = base == 0 and piece.stop == len(frames)
-        chunk = frames if whole else frames.take(slice(base, piece.stop))
-        routed = self.router.columns(piece.t, chunk)
+        whole = base == 0 and segment.stop == len(frames)
+        chunk = frames if whole else frames.take(slice(base, segment.stop))
+        routed = self.router.columns(segment.t, chunk)
         if self.stages is not None:
-            routed = self.stages.columns(routed, piece.t, self.router.rejected)
-        ticks = np.floor(piece.t * TICK_RATE).astype(np.int64)
-        times = {c: piece.t[rows] for c, rows in routed.rejected.items()}
+            routed = self.stages.columns(routed, segment.t, self.router.rejected)
+        ticks = np.floor(segment.t * TICK_RATE).astype(np.int64)
+        times = {c: segment.t[rows] for c, rows in routed.rejected.items()}
         first = self.pipeline.k
         wanted = keep or bool(self.consumers) or self._on_snapshot is not None
         corrections, snapshots = self.pipeline.run(
-            routed.samples, times, float(piece.t[-1]), wanted
+            routed.samples, times, float(segment.t[-1]), wanted
         )
         if not wanted:
             self.sent += STATUS_FRAMES * self.pipeline.snapshots_due(first)
