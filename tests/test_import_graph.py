@@ -57,8 +57,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "5 ms",
     "runtime.session._companions: runtime.consumers": "9 ms: attitude and direction of travel",
     "runtime.session.open_compensation: compensation": "11 ms, 3.9 MiB: few have a model file",
-    "service.service._new_diagnostics: service.bus_uds": "14 ms, 4.7 MiB: few have UDS",
-    "service.service._new_diagnostics: service.dtc_store": "3 ms: few have UDS",
+    "service.service._new_uds: service.bus_uds": "14 ms, 4.7 MiB: few have UDS",
 }
 """Modules of ours that a function may import, with what a start without them saves: the daemon is
 ready within 0.3 s and takes less than 50 MiB, with those parts only that its configuration uses.
@@ -102,11 +101,6 @@ KNOWN: Mapping[str, set[str]] = {
         "core.yaml_lines.read_yaml: core.yaml_parser",
         "report.page._breakable: markupsafe",
         "report.page._pictures: report.plots",
-        "runtime.estimators.estimator_for: mount.estimator",
-        "runtime.estimators.estimator_for: mount.method_a.estimator",
-        "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames",
-        "runtime.output.output_frames._travel_frames: runtime.output.travel_frames",
-        "runtime.session._companions: runtime.consumers",
         "runtime.session.open_compensation: compensation",
         "service.service._new_uds: service.bus_uds",
     },
