@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import welch
 
 from imucald.core.samples import GRAVITY
-from imucald.simulation import Model, simulate
+from imucald.simulation import VehicleModel, simulate
 
 CLEAN = {
     f"{sensor}.{key}": value
@@ -28,7 +28,7 @@ PARKED = {"route.kind": "parked", "road.grade": False, "road.bank": False}
 
 def run(changes=None, seed=1, minutes=2.0, **more):
     wanted = CLEAN | (changes or {}) | {k.replace("__", "."): v for k, v in more.items()}
-    return simulate(Model().with_changes(wanted), seed, minutes)
+    return simulate(VehicleModel().with_changes(wanted), seed, minutes)
 
 
 def lag_between(a, b, rate):

@@ -30,7 +30,7 @@ class Gap(Section, frozen=True):
     duration_s: Positive
 
 
-class Message(Section, frozen=True):
+class Transmission(Section, frozen=True):
     """When a signal's frames come: common to all signals."""
 
     enabled: bool = True
@@ -50,7 +50,7 @@ class Message(Section, frozen=True):
     """Stretches in which the value does not change although frames come."""
 
 
-class Triad(Message, frozen=True):
+class TriaxialSensor(Transmission, frozen=True):
     """Three-axis inertial sensor; units are those of the sensor (m/s^2, or rad/s)."""
 
     rate_hz: RateHz = 100.0
@@ -74,7 +74,7 @@ class Triad(Message, frozen=True):
     """Quantisation step."""
 
 
-class Accelerometer(Triad, frozen=True):
+class Accelerometer(TriaxialSensor, frozen=True):
     """Accelerometer [m/s^2]; figures of a consumer MEMS part."""
 
     noise_density: NonNegative = 0.0018
@@ -88,7 +88,7 @@ class Accelerometer(Triad, frozen=True):
     """Amplitude of the engine's second order in idle, about 25 Hz."""
 
 
-class Gyroscope(Triad, frozen=True):
+class Gyroscope(TriaxialSensor, frozen=True):
     """Gyroscope [rad/s]."""
 
     noise_density: NonNegative = 0.00012
@@ -102,7 +102,7 @@ class Gyroscope(Triad, frozen=True):
     """rms of angular vibration at 20 m/s."""
 
 
-class Temperature(Message, frozen=True):
+class Temperature(Transmission, frozen=True):
     """Sensor temperature: first-order warm-up."""
 
     rate_hz: RateHz = 1.0
@@ -112,7 +112,7 @@ class Temperature(Message, frozen=True):
     lsb: NonNegative = 0.5
 
 
-class Speed(Message, frozen=True):
+class Speed(Transmission, frozen=True):
     """Vehicle speed as broadcast: from the rear wheels."""
 
     scale: float = 0.0
@@ -125,7 +125,7 @@ class Speed(Message, frozen=True):
     """First-order filter in the sending unit."""
 
 
-class WheelSpeeds(Message, frozen=True):
+class WheelSpeeds(Transmission, frozen=True):
     """Four wheel speeds, with curve differences and drive or brake slip."""
 
     scale: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -141,7 +141,7 @@ class WheelSpeeds(Message, frozen=True):
     """Largest slip in such a stretch."""
 
 
-class Scalar(Message, frozen=True):
+class Scalar(Transmission, frozen=True):
     """A vehicle signal with offset and scale error."""
 
     offset: float = 0.0
@@ -182,7 +182,7 @@ class LongitudinalAccel(LateralAccel, frozen=True):
     """Longitudinal acceleration of the stability control [m/s^2]: a sensor in the body."""
 
 
-class Flag(Message, frozen=True):
+class Flag(Transmission, frozen=True):
     """A switch (reverse gear, brake pedal)."""
 
     rate_hz: RateHz = 10.0
@@ -197,7 +197,7 @@ class Heading(Scalar, frozen=True):
     noise: NonNegative = 0.01
 
 
-class Magnetometer(Message, frozen=True):
+class Magnetometer(Transmission, frozen=True):
     """Magnetometer [T] in sensor axes, parallel to the accelerometer."""
 
     enabled: bool = False
@@ -209,7 +209,7 @@ class Magnetometer(Message, frozen=True):
     lsb: NonNegative = 0.02e-6
 
 
-class Bus(Section, frozen=True):
+class BusLoad(Section, frozen=True):
     """The CAN bus that a log is written for."""
 
     bitrate: Positive = 500_000.0

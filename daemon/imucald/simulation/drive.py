@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from imucald.core.errors import ConfigError
 from imucald.core.rotations import Matrix3, angles_from_rotation, quaternion_from_rotation
 from imucald.core.samples import Samples, Series
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 from imucald.model.section import ZERO
 from imucald.simulation.body import BodyMotion, Lean, body_motion, lean, road_force
 from imucald.simulation.driver import Driving, drive_route
@@ -98,7 +98,7 @@ class Drive:
 
     samples: Samples
     truth: Truth
-    model: Model
+    model: VehicleModel
     seed: int
 
     @property
@@ -112,7 +112,7 @@ class Drive:
         return {"seed": self.seed, **self.truth.summary(), "model": parameters}
 
 
-def simulate(model: Model, seed: int, minutes: float) -> Drive:
+def simulate(model: VehicleModel, seed: int, minutes: float) -> Drive:
     """Simulate a drive. The same model, seed and length give the same numbers.
 
     Times begin at 0; samples are in sensor axes and SI units (see `imucald.core.samples`).
@@ -151,7 +151,7 @@ def simulate(model: Model, seed: int, minutes: float) -> Drive:
 
 
 def _body(
-    model: Model, seed: int, driving: Driving, handling: Handling, road: Attitude
+    model: VehicleModel, seed: int, driving: Driving, handling: Handling, road: Attitude
 ) -> tuple[Lean, BodyMotion]:
     rate = model.grid_hz
     force = road_force(driving.speed, driving.acceleration, handling, road)
@@ -170,7 +170,7 @@ def _heading(seed: int, body: BodyMotion, rate: float) -> Array:
 
 
 def _truth(
-    model: Model,
+    model: VehicleModel,
     driving: Driving,
     handling: Handling,
     road: Attitude,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.core.samples import GRAVITY
-from imucald.model.vehicle import Chassis, Road, Route, Suspension
+from imucald.model.vehicle import Chassis, DriveRoute, Road, Suspension
 from imucald.simulation.filters import Array, bilinear, filtered, gauss_markov, generator, smoothed
 
 REFERENCE_WAVENUMBER = 0.1
@@ -58,7 +58,7 @@ def slope_distance(speed: Array, rate: float) -> Array:
 
 
 def road_attitude(
-    road: Road, route: Route, seed: int, distance: Array, curve_accel: Array, rate: float
+    road: Road, route: DriveRoute, seed: int, distance: Array, curve_accel: Array, rate: float
 ) -> Attitude:
     """Slope and cross fall along a distance [m], see `slope_distance`.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.model.sensors import Message
+from imucald.model.sensors import Transmission
 from imucald.simulation.filters import Array, generator
 
 SHARED_PHASE = {"accel": "imu", "gyro": "imu"}
@@ -33,7 +33,7 @@ class Timing:
     source: NDArray[np.int64]
 
 
-def frame_timing(message: Message, name: str, seed: int, duration_s: float) -> Timing:
+def frame_timing(message: Transmission, name: str, seed: int, duration_s: float) -> Timing:
     """Draw the timing of a message over a drive."""
     frame = SHARED_FRAME.get(name, name)
     unit = SHARED_PHASE.get(name, frame)

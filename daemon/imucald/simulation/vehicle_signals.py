@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import Series
-from imucald.model.model import Model
-from imucald.model.sensors import Message, Scalar
+from imucald.model.model import VehicleModel
+from imucald.model.sensors import Scalar, Transmission
 from imucald.simulation.body import BodyMotion, Lean
 from imucald.simulation.driver import Driving
 from imucald.simulation.filters import Array, butterworth, first_order, generator
@@ -24,7 +24,7 @@ class VehicleSignals:
     """Makes each signal of the vehicle from its motion."""
 
     def __init__(
-        self, model: Model, seed: int, driving: Driving, handling: Handling, body: BodyMotion
+        self, model: VehicleModel, seed: int, driving: Driving, handling: Handling, body: BodyMotion
     ) -> None:
         self._model, self._seed = model, seed
         self._driving, self._handling, self._body = driving, handling, body
@@ -80,7 +80,7 @@ class VehicleSignals:
         values = quantised(values + mag.noise_t * noise, mag.lsb)
         return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
 
-    def _sample(self, name: str, message: Message, *columns: Array) -> tuple[Array, ...]:
+    def _sample(self, name: str, message: Transmission, *columns: Array) -> tuple[Array, ...]:
         """Return stamps and the sampled columns (before loss and sticking are applied)."""
         timing = frame_timing(message, name, self._seed, self._duration)
         when = timing.sampled - message.delay_s
@@ -148,7 +148,7 @@ class VehicleSignals:
         return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
 
     def _flag(self, name: str, on: NDArray[np.bool_]) -> Series:
-        message: Message = getattr(self._model, name)
+        message: Transmission = getattr(self._model, name)
         t, values = self._sample(name, message, on.astype(float))
         return Series(t, np.rint(values))
 
