@@ -61,13 +61,11 @@ KNOWN: Mapping[str, set[str]] = {
         "diagnosis.bent <-> diagnosis.contest <-> diagnosis.search <-> diagnosis.shifts",
     },
     "class": {
-        "Attitude: config.attitude, simulation.road",
         "Checksum: can.e2e.crc, config.network",
         "Compensation: compensation.compensation, config.attitude",
         "Counts: runtime.summary, uds.host",
         "Cycle: diagnosis.faults.cycle, travel_direction.cycles",
         "Database: can.dbc.database, config.network",
-        "Handling: diagnosis.handling, simulation.single_track",
         "RoadGrade: attitude.grade, diagnosis.causes.road_grade",
         "Service: service.service, uds.server",
         "Source: check.source, config.signals",

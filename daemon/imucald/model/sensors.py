@@ -24,7 +24,7 @@ DelayS = Annotated[float, Meta(ge=0.0, le=2.0)]
 
 
 class Gap(Section, frozen=True):
-    """A stretch of time."""
+    """A span of time."""
 
     start_s: NonNegative
     duration_s: Positive
@@ -39,15 +39,15 @@ class Transmission(Section, frozen=True):
     delay_s: DelayS = 0.0
     """Age of the value when its frame is sent, on top of the low-pass."""
     jitter_s: NonNegative = 0.0005
-    """Mean lateness of a frame (exponential): arbitration and task scheduling."""
+    """Mean delay of a frame on the bus (exponential): arbitration and task scheduling."""
     clock_drift_ppm: float = 0.0
     """Error of the sending unit's clock."""
     loss: Fraction = 0.0
     """Probability that a frame is lost."""
     dropouts: tuple[Gap, ...] = ()
-    """Stretches without frames."""
+    """Segments without frames."""
     stuck: tuple[Gap, ...] = ()
-    """Stretches in which the value does not change although frames come."""
+    """Segments in which the value does not change although frames come."""
 
 
 class TriaxialSensor(Transmission, frozen=True):
@@ -135,10 +135,10 @@ class WheelSpeeds(Transmission, frozen=True):
     slip_per_mps2: NonNegative = 0.003
     """Slip of the driven (front) or braked (all) wheels per longitudinal specific force."""
     slip_events: tuple[Gap, ...] = ()
-    """Stretches in which the wheels slip and disagree, as on ice with the brakes' control at work;
+    """Segments in which the wheels slip and disagree, as on ice with the brakes' control at work;
     the speed signal suffers with the rear wheels."""
     slip_event_size: Fraction = 0.4
-    """Largest slip in such a stretch."""
+    """Largest slip in such a segment."""
 
 
 class Scalar(Transmission, frozen=True):

@@ -219,15 +219,15 @@ class RouteBuilder:
             self.stop(self.stop_time(), 14.0)
 
     def motorway(self, length: float) -> None:
-        """Add slip roads and a stretch of motorway with lane changes and slow traffic."""
+        """Add slip roads and a segment of motorway with lane changes and slow traffic."""
         near = self._near_side
         self.bend(self.uniform(45.0, 90.0), self.uniform(1.2, 3.5), 16.0, near, banked=True)
         done, cruise = 0.0, self.uniform(27.0, 34.0)
         self.straight(200.0, 24.0)
         self.lane_change(26.0, -near)
         while done < length:
-            stretch = self.uniform(300.0, 1200.0)
-            self.straight(stretch, cruise, banked=True)
+            segment = self.uniform(300.0, 1200.0)
+            self.straight(segment, cruise, banked=True)
             if self.chance(0.6):
                 self.lane_change(cruise, self.side())
             if self.chance(0.6):
@@ -236,9 +236,9 @@ class RouteBuilder:
             if self.chance(0.25):
                 slow = self.uniform(100.0, 500.0)
                 self.straight(slow, cruise * self.uniform(0.45, 0.8), banked=True)
-                stretch += slow
+                segment += slow
             cruise = float(np.clip(cruise + self.uniform(-2.5, 2.5), 25.0, 35.0))
-            done += stretch
+            done += segment
         self.lane_change(24.0, near)
         self.bend(self.uniform(45.0, 90.0), self.uniform(0.8, 2.0), 16.0, near, banked=True)
 
@@ -251,7 +251,7 @@ def build_path(route: DriveRoute, seed: int, duration_s: float) -> Path | None:
     if route.kind == "mixed":
         builder.straight(builder.uniform(15.0, 60.0), 8.3)
     while builder.least_time_s < duration_s or builder.is_empty:
-        _STRETCHES[route.kind](builder, route)
+        _KINDS[route.kind](builder, route)
     return builder.path()
 
 
@@ -290,7 +290,7 @@ def _circles(builder: RouteBuilder, route: DriveRoute) -> None:
     )
 
 
-_STRETCHES: dict[str, Callable[[RouteBuilder, DriveRoute], None]] = {
+_KINDS: dict[str, Callable[[RouteBuilder, DriveRoute], None]] = {
     "mixed": _mixed,
     "city": _city,
     "motorway": _motorway,

@@ -1,4 +1,4 @@
-"""When frames come: cycle, clock drift, lateness, losses, drop-outs, stuck values."""
+"""When frames come: cycle, clock drift, latency, losses, drop-outs, stuck values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from imucald.simulation.filters import Array, generator
 SHARED_PHASE = {"accel": "imu", "gyro": "imu"}
 """Accelerometer and gyroscope are sampled by one unit, at the same moments."""
 SHARED_FRAME = dict.fromkeys(("yaw_rate", "lateral_accel", "longitudinal_accel"), "dynamics")
-"""The stability control sends its sensors in one frame: same moments, same lateness, same loss."""
+"""The stability control sends its sensors in one frame: same moments, same latency, same loss."""
 GYRO_AFTER_ACCEL_S = 0.00025
 """The gyroscope's frame follows the accelerometer's: one frame at 500 kbit/s."""
 
