@@ -40,7 +40,7 @@ NEVER = {
 }
 """Rooms that never reach these rooms, directly or through others."""
 
-LAZY_LIBRARIES = {"asammdf", "can", "isotp", "jinja2", "matplotlib", "pydantic", "rich", "scipy"}
+LAZY_LIBRARIES = {"asammdf", "can", "isotp", "jinja2", "matplotlib", "rich", "scipy", "yaml"}
 """Large libraries, which a function may import when it needs them."""
 
 LAZY_ROOMS = {"commands"}
@@ -57,8 +57,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "5 ms",
     "runtime.session._companions: runtime.consumers": "9 ms: attitude and direction of travel",
     "runtime.session.open_compensation: compensation": "11 ms, 3.9 MiB: few have a model file",
-    "service.service._new_diagnostics: service.bus_uds": "14 ms, 4.7 MiB: few have UDS",
-    "service.service._new_diagnostics: service.dtc_store": "3 ms: few have UDS",
+    "service.service._new_uds: service.bus_uds": "14 ms, 4.7 MiB: few have UDS",
 }
 """Modules of ours that a function may import, with what a start without them saves: the daemon is
 ready within 0.3 s and takes less than 50 MiB, with those parts only that its configuration uses.
@@ -73,21 +72,8 @@ KNOWN: Mapping[str, set[str]] = {
         "config.attitude -> travel_direction.settings",
         "config.calibration -> mount.estimator_settings",
         "config.calibration -> mount.method_a.settings",
-        "simulation: simulation.bus_frames -> can.columns",
-        "simulation: simulation.bus_frames -> can.dbc.database",
-        "simulation: simulation.bus_frames -> can.dbc.encode",
-        "simulation: simulation.bus_frames -> can.dbc.resolved_signal",
-        "simulation: simulation.bus_frames -> can.e2e.protector",
-        "simulation: simulation.bus_frames -> inputs.quantities",
-        "simulation: simulation.bus_frames -> inputs.routes",
-        "simulation: simulation.bus_frames -> inputs.wiring",
-        "simulation: simulation.can_log -> can.columns",
-        "simulation: simulation.can_log -> can.logs.candump_writer",
-        "simulation: simulation.traffic -> can.columns",
-        "uds: uds.isotp_channel -> runtime.output.sender",
     },
     "circle": {
-        "compensation.compensation <-> compensation.preprocessing",
         "diagnosis.bent <-> diagnosis.contest <-> diagnosis.search <-> diagnosis.shifts",
     },
     "class": {
@@ -95,7 +81,6 @@ KNOWN: Mapping[str, set[str]] = {
         "Bus: config.network, model.sensors",
         "Checksum: can.e2e.crc, config.network",
         "Compensation: compensation.compensation, config.attitude",
-        "Counts: runtime.summary, uds.host",
         "Cycle: diagnosis.faults.cycle, travel_direction.cycles",
         "Database: can.dbc.database, config.network",
         "Handling: diagnosis.handling, simulation.single_track",
@@ -103,8 +88,6 @@ KNOWN: Mapping[str, set[str]] = {
         "Model: config.base, model.model",
         "MountShift: diagnosis.causes.mount_shift, model.vehicle",
         "RoadGrade: attitude.grade, diagnosis.causes.road_grade",
-        "Sender: runtime.output.sender, simulation.play",
-        "Service: service.service, uds.server",
         "Source: check.source, config.signals",
         "TravelDirection: config.attitude, travel_direction.direction",
         "Triad: config.signals, model.sensors",

@@ -362,8 +362,7 @@ def test_two_times_the_cross_axis_error_widens_the_interval():
 def test_a_known_lever_arm_does_not_turn_the_mount(seed):
     model, found = random_model(seed, standing_first=True), {}
     for name, arm in (("none", (0.0, 0.0, 0.0)), ("far", (3.5, 0.6, 0.4))):
-        mount = model.mount.model_copy(update={"lever_arm_m": arm})
-        made = simulate(model.model_copy(update={"mount": mount}), seed, MINUTES)
+        made = simulate(model.with_changes({"mount.lever_arm_m": arm}), seed, MINUTES)
         ticks = ticks_from_samples(made.samples, 0, int(MINUTES * 600))
         found[name] = after(ticks).estimate().R_vehicle_from_sensor
         if name == "far":

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from imucald.compensation.held_repeats import Repeats
+from imucald.compensation.held_repeats import HeldRepeats
 from imucald.compensation.suspension import Leaning
 from imucald.compensation.time_alignment import Retiming
 from imucald.compensation.vehicle import less_lean_rate, on_road
@@ -35,7 +35,7 @@ class EvidenceStage:
         self._retiming = retiming
         self._leaning = leaning
         self._taken: tuple[float, float] | None = None
-        self._repeats = tuple(Repeats(SAME) for _ in _SENSORS)
+        self._repeats = tuple(HeldRepeats(SAME) for _ in _SENSORS)
 
     def gap(self) -> None:
         """Time jumped: nothing before is joined with what follows."""

@@ -14,7 +14,7 @@ from imucald.runtime.engine import Engine
 
 
 @dataclass(frozen=True)
-class Counts:
+class RunCounts:
     """Frames of a run: read at all, and rejected by reason."""
 
     read: int
@@ -22,7 +22,9 @@ class Counts:
     rejected: Mapping[str, int]
 
 
-def summary(engine: Engine, counts: Counts, duration: float, lead: float = 0.0) -> dict[str, Any]:
+def summary(
+    engine: Engine, counts: RunCounts, duration: float, lead: float = 0.0
+) -> dict[str, Any]:
     """Result of a run, with the keys documented in docs/json.md.
 
     duration: seconds of driving. lead: how long before our first frame the log began [s].

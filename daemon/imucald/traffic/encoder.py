@@ -1,6 +1,6 @@
 """Samples -> frames, through the configuration that decodes them: the reader's way, backwards.
 
-What `bus.wiring` compiles for reading says which signal is which quantity, in which unit, with
+What `inputs.wiring` compiles for reading says which signal is which quantity, in which unit, with
 which counter and checksum; here the same routes are run in the other direction. So a simulated log
 can be written in the frames of any vehicle that has a configuration.
 """
