@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imucald.model.model import Model
+    from imucald.model.model import VehicleModel
     from imucald.simulation.drive import Drive
     from imucald.traffic.encoder import BusEncoder
 
@@ -151,7 +151,7 @@ def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> Non
     print(f"{options.channel}: {frames} frames sent")
 
 
-def chosen_model(options: argparse.Namespace) -> Model:
+def chosen_model(options: argparse.Namespace) -> VehicleModel:
     """Return the model that the options ask for: file or drawn, then changed."""
     from imucald.model.model import load_model
     from imucald.simulation.random_model import random_model

@@ -31,7 +31,7 @@ def summary(
     """
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline
-    more = dict(companion.summary() for companion in engine.companions)
+    more = dict(consumer.summary() for consumer in engine.consumers)
     if engine.stages is not None:
         more["model"] = engine.stages.summary()
     return {

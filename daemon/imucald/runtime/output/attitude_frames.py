@@ -7,11 +7,11 @@ import math
 from imucald.attitude.estimate import AttitudeEstimate, AttitudeState
 from imucald.config import Config
 from imucald.core.angles import DEG_PER_RAD
-from imucald.runtime.output.sender import (
+from imucald.runtime.output.output_message import (
     NOT_AVAILABLE_SIGNED,
     NOT_AVAILABLE_UNSIGNED,
     OutFrame,
-    Sender,
+    OutputMessage,
 )
 
 DEVIATION_MAX = 327.67
@@ -29,22 +29,22 @@ class AttitudeFrames:
     def __init__(self, config: Config) -> None:
         ids, checksum = config.output.ids, config.output.checksum
 
-        def sender(name: str, can_id: int, signals: dict[str, int]) -> Sender:
-            return Sender(name, (*signals, "State"), can_id, checksum, signals)
+        def message(name: str, can_id: int, signals: dict[str, int]) -> OutputMessage:
+            return OutputMessage(name, (*signals, "State"), can_id, checksum, signals)
 
         low, high = NOT_AVAILABLE_SIGNED, NOT_AVAILABLE_UNSIGNED
-        self._angles = sender(
+        self._angles = message(
             "IMUCALD_Attitude", ids.attitude, {"Roll": low, "Pitch": low, "Heading": high}
         )
-        self._deviation = sender(
+        self._deviation = message(
             "IMUCALD_AttitudeDeviation",
             ids.attitude_deviation,
             dict.fromkeys(("DeviationRoll", "DeviationPitch", "DeviationHeading"), high),
         )
-        self._rates = sender(
+        self._rates = message(
             "IMUCALD_Rates", ids.rates, dict.fromkeys((f"FreeRate{a}" for a in "XYZ"), low)
         )
-        self._grade = sender(
+        self._grade = message(
             "IMUCALD_Grade",
             ids.grade,
             {"Grade": low, "DeviationGrade": high, "DeviationRate": high},
@@ -53,16 +53,16 @@ class AttitudeFrames:
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""
-        senders = (self._angles, self._deviation, self._rates, self._grade)
-        return frozenset(s.can_id for s in senders)
+        messages = (self._angles, self._deviation, self._rates, self._grade)
+        return frozenset(s.can_id for s in messages)
 
     def frames(self, estimate: AttitudeEstimate | None) -> list[OutFrame]:
         """The four frames; None: nothing is known. Angles are there from *settling* on."""
         if estimate is None or estimate.state < AttitudeState.SETTLING:
             state = 0 if estimate is None else int(estimate.state)
             nothing = (None, None, None, state)
-            senders = (self._angles, self._deviation, self._rates, self._grade)
-            return [s.frame(nothing) for s in senders]
+            messages = (self._angles, self._deviation, self._rates, self._grade)
+            return [s.frame(nothing) for s in messages]
         e, state = estimate, int(estimate.state)
         angles = (e.roll * DEG_PER_RAD, e.pitch * DEG_PER_RAD, bearing(e.heading), state)
         std = (*(min(s * DEG_PER_RAD, DEVIATION_MAX) for s in e.std), state)
@@ -74,8 +74,8 @@ class AttitudeFrames:
             state,
         )
         return [
-            sender.frame([None if math.isnan(v) else v for v in values])
-            for sender, values in (
+            message.frame([None if math.isnan(v) else v for v in values])
+            for message, values in (
                 (self._angles, angles),
                 (self._deviation, std),
                 (self._rates, rates),
