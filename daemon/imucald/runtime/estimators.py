@@ -12,7 +12,7 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.method_a.settings import PublishedSettings
 
 if TYPE_CHECKING:
-    from imucald.compensation import Compensation
+    from imucald.compensation import ModelCompensation
 
 CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""
@@ -20,7 +20,7 @@ _KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
 """Sign of the roll that a road's crown gives a vehicle that keeps to this side."""
 
 
-def estimator_for(config: Config, compensation: Compensation | None = None) -> MountEstimator:
+def estimator_for(config: Config, compensation: ModelCompensation | None = None) -> MountEstimator:
     """Return the estimator that a configuration asks for, told what its model knows."""
     if config.calibration.estimator == "published":
         from imucald.mount.method_a.estimator import PublishedEstimator  # noqa: PLC0415 - a lighter start
