@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 import sys
 from pathlib import Path
@@ -202,7 +203,7 @@ def _report(log: Path, truth: Path, drive: Drive, frames: int) -> str:
     from imucald.core.rotations import angles_from_rotation
 
     angles = angles_from_rotation(drive.truth.mounts[0][1])
-    roll, pitch, yaw = (f"{57.29577951308232 * angle:.2f}" for angle in angles)
+    roll, pitch, yaw = (f"{math.degrees(angle):.2f}" for angle in angles)
     summary = drive.truth.summary()
     lines = [
         f"{log}: {frames} frames, {drive.duration_s:.0f} s, {summary['distance_m']:.0f} m driven",
