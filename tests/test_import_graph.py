@@ -75,7 +75,6 @@ KNOWN: Mapping[str, set[str]] = {
     },
     "class": {
         "Checksum: can.e2e.crc, config.network",
-        "Compensation: compensation.compensation, config.attitude",
         "Cycle: diagnosis.faults.cycle, travel_direction.cycles",
         "Database: can.dbc.database, config.network",
         "RoadGrade: attitude.grade, diagnosis.causes.road_grade",

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imucald.compensation import Compensation, compensation_from_model
+from imucald.compensation import ModelCompensation, compensation_from_model
 from imucald.compensation.trial import CorrectedDrive, corrected_drive, corrected_with
 from imucald.compensation.truth_error import DriveErrors, drive_errors, true_signals
 from imucald.mount.estimator_settings import EstimatorSettings
@@ -36,7 +36,7 @@ def driven(seed: int, changes) -> Drive:
     return _driven(seed, json.dumps(changes))
 
 
-def corrected(drive: Drive, compensation: Compensation | None) -> CorrectedDrive:
+def corrected(drive: Drive, compensation: ModelCompensation | None) -> CorrectedDrive:
     side = drive.model.route.driving_side
     return corrected_drive(drive.samples, compensation, EstimatorSettings(driving_side=side))
 
@@ -119,7 +119,7 @@ def test_a_known_delay_of_speed_need_not_be_learnt():
 
 
 def test_nothing_of_the_noise_is_made_louder():
-    """Single samples, vibration and all: with lever arm and leaning no axis is worse."""
+    """Single samples, vibration and all: with lever arm and suspension no axis is worse."""
     drive = driven(31, {"mount.lever_arm_m": [1.5, 0.3, 0.5]})
     data = drive.model.dump()
     bare = {**data, "mount": {}, "suspension": {}}
