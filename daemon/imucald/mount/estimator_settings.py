@@ -67,7 +67,7 @@ class EstimatorSettings:
     wheelbase: float = 2.7
     """[m]"""
     understeer: float = UNDERSTEER
-    """K / L in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
+    """K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
     track: float = 1.55
     """Distance between left and right wheels [m]."""
     accel_range: float = math.inf
