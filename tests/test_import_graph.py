@@ -78,7 +78,6 @@ KNOWN: Mapping[str, set[str]] = {
         "Cycle: diagnosis.faults.cycle, travel_direction.cycles",
         "Database: can.dbc.database, config.network",
         "RoadGrade: attitude.grade, diagnosis.causes.road_grade",
-        "Source: check.source, config.signals",
         "TravelDirection: config.attitude, travel_direction.direction",
     },
     "function": set(),

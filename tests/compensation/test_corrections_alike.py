@@ -9,6 +9,7 @@ import random
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -49,6 +50,7 @@ def chunks(rng: random.Random, n: int):
         start = stop
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_the_sensors_stage(seed):
@@ -116,6 +118,7 @@ def by_columns(stage: SensorCorrection, frames):
     return [{c: out[row][c] for c, _ in samples} for row, (_, samples) in enumerate(frames)]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_the_vehicles_stage(seed):

@@ -48,6 +48,7 @@ def rows(frames):
         yield t, can_id, data[:length].tobytes()
 
 
+@pytest.mark.slow
 def test_frames_on_a_virtual_bus_equal_those_of_replay_byte_for_byte(tmp_path):
     config = simulated(tmp_path)
     frames = drive_frames().take(slice(0, 24_000))
@@ -92,6 +93,7 @@ def test_frames_on_a_virtual_bus_equal_those_of_replay_byte_for_byte(tmp_path):
     assert without != expected, "the model does something"
 
 
+@pytest.mark.slow
 def test_the_full_estimator_gets_the_same_ticks_live_and_in_columns(tmp_path):
     config = simulated(tmp_path, "full")
     frames = drive_frames()

@@ -117,6 +117,7 @@ def test_what_cannot_be_used_is_told():
     assert "needs" not in with_all
 
 
+@pytest.mark.slow
 def test_reading_a_model_loads_none_of_the_simulation_and_nothing_without_one(tmp_path):
     model = written(tmp_path, VehicleModel().to_yaml())
     text = CONFIG.read_text().replace("../../", f"{CONFIG.parent.parent.parent}/")

@@ -69,6 +69,7 @@ def flawed(changes) -> tuple[dict[str, Series], dict[str, Series]]:
     return raw, compensation_from_model(model.dump()).samples(raw)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", sorted(EXACT))
 def test_what_the_model_knows_is_gone(channel):
     raw, found = flawed(EXACT[channel])
