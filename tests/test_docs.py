@@ -236,8 +236,8 @@ def test_the_limits_of_usable_and_fine_are_those_of_the_configuration() -> None:
     text = (DOCS / "output-frames.md").read_text()
     full = full_settings(load_config(ROOT / "config" / "imucald.yaml").config)
     for name, yaw_std, tilt_std in (
-        ("usable", full.usable_std, full.usable_tilt_std),
-        ("fine", full.fine_std, full.fine_tilt_std),
+        ("usable", full.limits.usable_yaw, full.limits.usable_tilt),
+        ("fine", full.limits.fine_yaw, full.limits.fine_tilt),
     ):
         yaw, tilt = (round(math.degrees(std), 6) for std in (yaw_std, tilt_std))
         assert f"for *{name}* (yaw {yaw} deg, tilt {tilt} deg" in text

@@ -51,10 +51,6 @@ MIN_BODY_LINES = 6
 
 KNOWN: Mapping[str, set[str]] = {
     "room": {
-        "config.attitude -> attitude.settings",
-        "config.attitude -> travel_direction.settings",
-        "config.calibration -> mount.estimator_settings",
-        "config.calibration -> mount.method_a.settings",
         "simulation: simulation.bus_frames -> can.columns",
         "simulation: simulation.bus_frames -> can.dbc.database",
         "simulation: simulation.bus_frames -> can.dbc.encode",
@@ -75,11 +71,9 @@ KNOWN: Mapping[str, set[str]] = {
     },
     "class": {
         "Angle: commands.demo_drive, mount.method_a.manoeuvres",
-        "Attitude: config.attitude, simulation.road",
         "Block: can.logs.candump_block, motion.speed",
         "Bus: config.network, model.sensors",
         "Checksum: can.e2e.checksums, config.network",
-        "Compensation: compensation.compensation, config.attitude",
         "Counts: runtime.summary, uds.host",
         "Cycle: diagnosis.faults.cycle, travel_direction.cycles",
         "Database: can.dbc.database, config.network",
@@ -96,7 +90,6 @@ KNOWN: Mapping[str, set[str]] = {
         "Source: check.source, config.signals",
         "SteeringOffset: diagnosis.causes.steering_offset, mount.steering",
         "Step: mount.gravity_step, travel_direction.direction",
-        "TravelDirection: config.attitude, travel_direction.direction",
         "Triad: config.signals, model.sensors",
     },
     "function": set(),

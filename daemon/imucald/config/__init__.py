@@ -8,7 +8,7 @@ aliases are bounded before anything is built from them.
 from __future__ import annotations
 
 from imucald.config.base import EXTENDED_ID_MAX, STANDARD_ID_MAX
-from imucald.config.calibration import Calibration
+from imucald.config.calibration import CalibrationSettings
 from imucald.config.network import (
     Bus,
     Checksum,
@@ -17,7 +17,7 @@ from imucald.config.network import (
     MessageProtection,
     Output,
     OutputIds,
-    Vehicle,
+    VehicleSettings,
 )
 from imucald.config.root import Config, LoadedConfig, json_schema, load_config, parse_config
 from imucald.config.signals import ParallelSensor, RawSource, Signals, Source, Triad, Wheels
@@ -26,7 +26,7 @@ __all__ = [
     "EXTENDED_ID_MAX",
     "STANDARD_ID_MAX",
     "Bus",
-    "Calibration",
+    "CalibrationSettings",
     "Checksum",
     "Config",
     "Counter",
@@ -40,7 +40,7 @@ __all__ = [
     "Signals",
     "Source",
     "Triad",
-    "Vehicle",
+    "VehicleSettings",
     "Wheels",
     "json_schema",
     "load_config",

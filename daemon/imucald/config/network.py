@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from msgspec import Meta, field, structs
 
-from imucald.config.base import CanId, Model, Positive
+from imucald.config.base import CanId, Model, Part, Positive
 
 
 class Database(Model, frozen=True):
@@ -109,7 +110,7 @@ class ModelFile(Model, frozen=True):
     """The body's squat, dive and roll are taken out of the corrected signals."""
 
 
-class Vehicle(Model, frozen=True):
+class VehicleSettings(Model, frozen=True):
     """What is known about the vehicle."""
 
     id: Annotated[str, Meta(max_length=64)] = "vehicle"
@@ -126,3 +127,17 @@ class Vehicle(Model, frozen=True):
     """Steering-wheel angle over road-wheel angle."""
     track: Positive = 1.55
     """[m]; how much the wheels may differ in a curve."""
+
+    crown_mean = Part("crown_percent")
+    crown_spread = Part("crown_spread_percent")
+
+    @property
+    def kerb(self) -> float:
+        """Sign of the roll that the crown of a road gives this vehicle; 0 where unknown."""
+        return {"right": 1.0, "left": -1.0}.get(self.driving_side, 0.0)
+
+    @property
+    def crown_std(self) -> float:
+        """Spread of the crown's roll [rad]: with an unknown side its mean is in it too."""
+        spread = self.crown_spread
+        return spread if self.kerb else math.hypot(self.crown_mean, spread)

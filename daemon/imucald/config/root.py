@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 
-from imucald.config.attitude import Attitude, TravelDirection
+from imucald.config.attitude import AttitudeSettings, TravelDirectionSettings
 from imucald.config.base import Model
-from imucald.config.calibration import Calibration
+from imucald.config.calibration import CalibrationSettings
 from imucald.config.network import (
     Bus,
     Database,
@@ -18,7 +18,7 @@ from imucald.config.network import (
     MessageProtection,
     ModelFile,
     Output,
-    Vehicle,
+    VehicleSettings,
 )
 from imucald.config.shorthand import spelled_out
 from imucald.config.signals import Signals
@@ -34,17 +34,30 @@ _WHOLE = "configuration"
 class Config(Model, frozen=True, kw_only=True):
     """A whole configuration file."""
 
-    vehicle: Vehicle = Vehicle()
+    vehicle: VehicleSettings = VehicleSettings()
     model: ModelFile | None = None
     database: Databases
     signals: Signals
     messages: dict[str, MessageProtection] = msgspec.field(default_factory=dict)
     bus: Bus = Bus()
-    calibration: Calibration = Calibration()
+    calibration: CalibrationSettings = CalibrationSettings()
     output: Output = Output()
-    attitude: Attitude = Attitude()
-    travel_direction: TravelDirection = TravelDirection()
+    attitude: AttitudeSettings = AttitudeSettings()
+    travel_direction: TravelDirectionSettings = TravelDirectionSettings()
     diagnostics: Diagnostics = Diagnostics()
+
+    def __post_init__(self) -> None:
+        """Fill in the defaults that are another key's value."""
+        calibration, attitude = self.calibration, self.attitude
+        compensation, of_filter = attitude.compensation, attitude.filter
+        if compensation.delay is None:
+            delay = calibration.speed_delay or 0.0
+            compensation = msgspec.structs.replace(compensation, delay=delay)
+        if of_filter.accel_random is None:
+            random = calibration.accelerometer_bias
+            of_filter = msgspec.structs.replace(of_filter, accel_random=random)
+        attitude = msgspec.structs.replace(attitude, compensation=compensation, filter=of_filter)
+        msgspec.structs.force_setattr(self, "attitude", attitude)
 
 
 class LoadedConfig:

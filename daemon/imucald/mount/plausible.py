@@ -61,7 +61,7 @@ def forbidden(
     bad: Flags = ok_force & ((size2 < FORCE_LOW**2) | (size2 > FORCE_HIGH**2))
     bad |= curve > MAX_RATE
     tally(counts, "implausible", bad)
-    high = NEAR_FULL_SCALE * settings.accel_range
+    high = NEAR_FULL_SCALE * settings.calibration.full_scale
     top, low = slice(tk.ACCEL_MAX_X, tk.ACCEL_MAX_X + 3), slice(tk.ACCEL_MIN_X, tk.ACCEL_MIN_X + 3)
     clipped = (np.maximum(rows[:, top], -rows[:, low]) > high).any(axis=1)
     clipped |= rows[:, tk.ACCEL_BAD] > 0
@@ -70,7 +70,7 @@ def forbidden(
     slip = rows[:, tk.WHEELS_N] > 0
     if slip.any():
         allowed = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(speed)
-        allowed += CURVE_SHARE * settings.track * curve
+        allowed += CURVE_SHARE * settings.vehicle.track * curve
         slip &= np.nan_to_num(rows[:, tk.WHEEL_SPREAD]) > allowed
         if tally(counts, "wheel_slip", slip):
             bad |= spread_out(slip, HOLD_TICKS)

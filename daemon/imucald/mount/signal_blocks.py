@@ -273,9 +273,10 @@ class SignalBlockMaker:
             self.seen.add("yaw_rate")
             return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE], YAW_GAP)
         s = self._settings
-        if s.steering_ratio is None or not ok_angle.any():
+        if not s.uses_steering or not ok_angle.any():
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
-        bend = s.steering_ratio * s.wheelbase * (1.0 + s.understeer / s.wheelbase * speed * speed)
+        base = s.vehicle.wheelbase
+        bend = s.vehicle.steering_ratio * base * (1.0 + s.understeer / base * speed * speed)
         return speed * (angle - self.steering_offset) / bend, ok_angle
 
     def _rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:

@@ -106,9 +106,10 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     usable = SLACK if before in {MountState.USABLE, MountState.FINE} else 1.0
     if known.straight < NEEDED and usable == 1.0:
         return MountState.LEVELLED
-    if yaw < fine * s.fine_std and tilt < fine * s.fine_tilt_std:
+    limits = s.limits
+    if yaw < fine * limits.fine_yaw and tilt < fine * limits.fine_tilt:
         return MountState.FINE
-    if yaw < usable * s.usable_std and tilt < usable * s.usable_tilt_std:
+    if yaw < usable * limits.usable_yaw and tilt < usable * limits.usable_tilt:
         return MountState.USABLE
     return MountState.LEVELLED
 
@@ -125,13 +126,13 @@ def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[
     if not known.gravity:
         text = "waiting for a standstill or for driving", Missing.STANDSTILL
         out = {"roll": text, "pitch": text}
-    if known.std[2] > s.fine_std or known.straight < NEEDED:
+    if known.std[2] > s.limits.fine_yaw or known.straight < NEEDED:
         out["yaw"] = _yaw_reason(known, s)
     if "roll" in out:
         return out
-    if known.std[0] > s.fine_tilt_std:
+    if known.std[0] > s.limits.fine_tilt:
         out["roll"] = _roll_reason(known)
-    if known.std[1] > s.fine_tilt_std:
+    if known.std[1] > s.limits.fine_tilt:
         out["pitch"] = _pitch_reason(known)
     return out
 
@@ -148,7 +149,7 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
     if known.straight < NEEDED:
         text = f"waiting for {_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION
-    if known.std[2] > s.usable_std:
+    if known.std[2] > s.limits.usable_yaw:
         return f"waiting for more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
     return f"waiting for more driving to be fine (+-{_deg(known.std[2])} deg)", Missing.MORE_DRIVING
 
