@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from imucald.config.base import Angle, Model, NotNegative, Positive, Radians, Share
+from imucald.config.base import Angle, NotNegative, Positive, Radians, Settings, Share
 
 AxisConvention = Literal["force", "gravity"]
 """What an accelerometer at rest reads on the axis that points up: +g, or -g."""
 
 
-class CompensationSettings(Model, frozen=True):
+class CompensationSettings(Settings, frozen=True):
     """Method B: how motion is taken out of the accelerometer."""
 
     average: Positive = 0.2
@@ -39,7 +39,7 @@ class CompensationSettings(Model, frozen=True):
     """How well the lever arm is known, side-slip included [m]."""
 
 
-class FilterSettings(Model, frozen=True):
+class FilterSettings(Settings, frozen=True):
     """Method C: the nine-state filter."""
 
     heading: Literal["free", "signal", "magnetometer"] = "free"
@@ -94,7 +94,7 @@ class FilterSettings(Model, frozen=True):
     magnetometer_noise = Radians("magnetometer_noise_deg")
 
 
-class AttitudeSettings(Model, frozen=True):
+class AttitudeSettings(Settings, frozen=True):
     """Attitude of the vehicle: methods B and C on the corrected samples."""
 
     enabled: bool = False
@@ -111,7 +111,7 @@ class AttitudeSettings(Model, frozen=True):
     filter: FilterSettings = FilterSettings()
 
 
-class StepSettings(Model, frozen=True):
+class StepSettings(Settings, frozen=True):
     """Method D, step 1: step cycles."""
 
     shortest: Positive = 0.28
@@ -126,7 +126,7 @@ class StepSettings(Model, frozen=True):
     """Time constant of its mean [s]."""
 
 
-class ChoiceSettings(Model, frozen=True):
+class ChoiceSettings(Settings, frozen=True):
     """Method D, steps 2 and 5: the choice between the two headings."""
 
     turn_deg: Positive = 60.0
@@ -144,7 +144,7 @@ class ChoiceSettings(Model, frozen=True):
     tilt = Radians("tilt_deg")
 
 
-class AlternativeSettings(Model, frozen=True):
+class AlternativeSettings(Settings, frozen=True):
     """The alternative beside method D."""
 
     gravity_time: Positive = 3.0
@@ -162,7 +162,7 @@ class AlternativeSettings(Model, frozen=True):
     carry_change = Radians("carry_change_deg")
 
 
-class TravelDirectionSettings(Model, frozen=True):
+class TravelDirectionSettings(Settings, frozen=True):
     """Direction of travel of a carried terminal: method D, on samples in terminal axes."""
 
     enabled: bool = False

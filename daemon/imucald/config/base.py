@@ -11,7 +11,7 @@ STANDARD_ID_MAX = 0x7FF
 EXTENDED_ID_MAX = 0x1FFF_FFFF
 
 
-class Model(Struct, frozen=True, forbid_unknown_fields=True):
+class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """Unknown keys are mistakes; nothing changes once it is read.
 
     msgspec makes and checks these: what it costs a start is a tenth of what pydantic takes.

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from imucald.config.base import Model, NotNegative, Positive, Radians, RadiansOrNone
+from imucald.config.base import NotNegative, Positive, Radians, RadiansOrNone, Settings
 
 
-class StaticTestSettings(Model, frozen=True):
+class StaticTestSettings(Settings, frozen=True):
     """Method A, steps 1 to 3: when the vehicle stands, and its tilt from gravity."""
 
     samples: Annotated[int, Meta(ge=2, le=100_000)] = 20
@@ -27,7 +27,7 @@ class StaticTestSettings(Model, frozen=True):
     """All stops count (beyond the publication); else the last one decides."""
 
 
-class StraightMotionSettings(Model, frozen=True):
+class StraightMotionSettings(Settings, frozen=True):
     """Method A, step 4: which motion counts as straight and of variable speed."""
 
     recognise_by: Annotated[
@@ -55,7 +55,7 @@ class StraightMotionSettings(Model, frozen=True):
     consistency_range = Radians("consistency_range_deg")
 
 
-class TargetAngleSettings(Model, frozen=True):
+class TargetAngleSettings(Settings, frozen=True):
     """Method A, step 5: the yaw angle and its sign."""
 
     sign_from: Annotated[
@@ -68,7 +68,7 @@ class TargetAngleSettings(Model, frozen=True):
     """Time constant of the mean that is removed, since slope and bias wander [s]; 0: never."""
 
 
-class StateLimits(Model, frozen=True):
+class StateLimits(Settings, frozen=True):
     """From which standard deviations on the estimate is used; left again at 1.4 times.
 
     Where they are not given, each estimator has its own.
@@ -85,7 +85,7 @@ class StateLimits(Model, frozen=True):
     fine_tilt = RadiansOrNone("fine_tilt_deg")
 
 
-class CalibrationSettings(Model, frozen=True):
+class CalibrationSettings(Settings, frozen=True):
     """How the mount is found."""
 
     estimator: Literal["full", "published"] = "full"

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, field, structs
 
-from imucald.config.base import CanId, Model, Part, Positive
+from imucald.config.base import CanId, Part, Positive, Settings
 
 
-class Database(Model, frozen=True):
+class DatabaseSettings(Settings, frozen=True):
     """A CAN database file, relative to the configuration file."""
 
     path: str
@@ -20,10 +20,10 @@ class Database(Model, frozen=True):
     """Match 29-bit ids by PGN, whatever the source address; default: as the database says."""
 
 
-Databases = Annotated[tuple[Database, ...], Meta(min_length=1)]
+Databases = Annotated[tuple[DatabaseSettings, ...], Meta(min_length=1)]
 
 
-class Counter(Model, frozen=True):
+class Counter(Settings, frozen=True):
     """Alive counter of a message."""
 
     signal: str
@@ -33,7 +33,7 @@ class Counter(Model, frozen=True):
     """Largest step that is still believed (frames lost in between)."""
 
 
-class Checksum(Model, frozen=True):
+class ChecksumSettings(Settings, frozen=True):
     """Checksum of a message."""
 
     kind: Literal["none", "xor", "crc8_j1850", "e2e_p1", "e2e_p2", "e2e_p5", "e2e_p11"]
@@ -48,19 +48,19 @@ class Checksum(Model, frozen=True):
     """E2E: first byte of the header in the frame."""
 
 
-class MessageProtection(Model, frozen=True):
+class MessageProtection(Settings, frozen=True):
     """What is known about a message's cycle and protection."""
 
     cycle_time: Positive | None = None
     """[s]; default: GenMsgCycleTime of the database, else none is assumed."""
     timeout_cycles: Annotated[float, Meta(ge=1.5, le=1000)] = 10.0
     counter: Counter | None = None
-    checksum: Checksum | None = None
+    checksum: ChecksumSettings | None = None
     recover_after: Annotated[int, Meta(ge=0, le=1000)] = 3
     """Good frames in a row after a fault before the message is believed again."""
 
 
-class Bus(Model, frozen=True):
+class BusSettings(Settings, frozen=True):
     """The bus that `imucald run` listens and sends on."""
 
     interface: str = "socketcan"
@@ -71,7 +71,7 @@ class Bus(Model, frozen=True):
     """Further arguments of python-can's bus."""
 
 
-class OutputIds(Model, frozen=True):
+class OutputIds(Settings, frozen=True):
     """Identifiers of the frames that imucald sends (see dbc/imucald_out.dbc)."""
 
     acceleration: CanId = 0x640
@@ -92,7 +92,7 @@ class OutputIds(Model, frozen=True):
             raise ValueError("two output frames have the same id")
 
 
-class Output(Model, frozen=True):
+class Output(Settings, frozen=True):
     """What is sent."""
 
     ids: OutputIds = OutputIds()
@@ -101,7 +101,7 @@ class Output(Model, frozen=True):
     checksum: Literal["crc8_j1850", "xor", "none"] = "crc8_j1850"
 
 
-class ModelFile(Model, frozen=True):
+class ModelFile(Settings, frozen=True):
     """The model file of the vehicle: what it knows is taken out of the signals."""
 
     path: str
@@ -110,7 +110,7 @@ class ModelFile(Model, frozen=True):
     """The body's squat, dive and roll are taken out of the corrected signals."""
 
 
-class VehicleSettings(Model, frozen=True):
+class VehicleSettings(Settings, frozen=True):
     """What is known about the vehicle."""
 
     id: Annotated[str, Meta(max_length=64)] = "vehicle"

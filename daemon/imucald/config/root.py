@@ -9,12 +9,12 @@ from typing import Any
 import msgspec
 
 from imucald.config.attitude import AttitudeSettings, TravelDirectionSettings
-from imucald.config.base import Model
+from imucald.config.base import Settings
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.network import (
-    Bus,
-    Database,
+    BusSettings,
     Databases,
+    DatabaseSettings,
     MessageProtection,
     ModelFile,
     Output,
@@ -31,7 +31,7 @@ from imucald.core.yaml_lines import read_yaml, read_yaml_file
 _WHOLE = "configuration"
 
 
-class Config(Model, frozen=True, kw_only=True):
+class Config(Settings, frozen=True, kw_only=True):
     """A whole configuration file."""
 
     vehicle: VehicleSettings = VehicleSettings()
@@ -39,7 +39,7 @@ class Config(Model, frozen=True, kw_only=True):
     database: Databases
     signals: Signals
     messages: dict[str, MessageProtection] = msgspec.field(default_factory=dict)
-    bus: Bus = Bus()
+    bus: BusSettings = BusSettings()
     calibration: CalibrationSettings = CalibrationSettings()
     output: Output = Output()
     attitude: AttitudeSettings = AttitudeSettings()
@@ -71,7 +71,7 @@ class LoadedConfig:
         self.path = path
         self._marks = marks
 
-    def database_path(self, database: Database) -> Path:
+    def database_path(self, database: DatabaseSettings) -> Path:
         """Return a database's absolute path: relative ones are relative to the configuration."""
         return self._resolved(database.path)
 
@@ -85,7 +85,7 @@ class LoadedConfig:
         base = self.path.parent if self.path is not None else Path.cwd()
         return (base / path).resolve()
 
-    def with_databases(self, entries: tuple[Database, ...]) -> LoadedConfig:
+    def with_databases(self, entries: tuple[DatabaseSettings, ...]) -> LoadedConfig:
         """The same configuration with other database entries."""
         config = msgspec.structs.replace(self.config, database=entries)
         return LoadedConfig(config, self.path, self._marks)

@@ -14,7 +14,7 @@ from imucald.can.e2e.protection import (
     e2e_counter,
 )
 from imucald.can.e2e.protection_spec import E2E_COUNTER_MODULUS
-from imucald.config import Checksum, MessageProtection
+from imucald.config import ChecksumSettings, MessageProtection
 from imucald.core.errors import ConfigError
 
 _E2E = {"e2e_p1": 1, "e2e_p2": 2, "e2e_p5": 5, "e2e_p11": 11}
@@ -61,7 +61,7 @@ def _counter(
 
 
 def _checksum(
-    message: Message, checksum: Checksum | None
+    message: Message, checksum: ChecksumSettings | None
 ) -> tuple[checksums.ChecksumSpec | None, int | None]:
     if checksum is None or checksum.kind == "none":
         return None, None
@@ -79,7 +79,7 @@ def _checksum(
     return make(message.length, field.first_bit // 8, id_bytes), None
 
 
-def _e2e(message: Message, checksum: Checksum, profile: int) -> checksums.ChecksumSpec:
+def _e2e(message: Message, checksum: ChecksumSettings, profile: int) -> checksums.ChecksumSpec:
     bit = 8 * checksum.offset
     data_id = checksum.data_id
     if profile == 2:
