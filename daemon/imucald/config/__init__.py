@@ -1,7 +1,7 @@
 """YAML -> typed settings. Every mistake is one clear line with its place in the file and a remedy.
 
-The settings below are the configuration reference's source: `imucald schema` prints their JSON schema
-and ``docs/configuration.md`` is checked against them. Files are untrusted: size, nesting and
+The settings below are the configuration reference's source: `imucald schema` prints their JSON
+schema and ``docs/configuration.md`` is checked against them. Files are untrusted: size, nesting and
 aliases are bounded before anything is built from them.
 """
 

@@ -18,9 +18,9 @@ class CompensationSettings(Settings, frozen=True):
     average: Positive = 0.2
     """Time over which speed is averaged [s]."""
     interval: Annotated[float, Meta(gt=0, le=4.0)] = 1.0
-    """Shortest time between two averages that are differenced [s]."""
+    """Shortest time between two averages that are differenced [s]: coarse speed, quietly."""
     timeout: Annotated[float, Meta(gt=0, le=4.0)] = 3.0
-    """Speed older than this is not known [s]."""
+    """Speed older than this is not known [s]; OBD-II answers come once a second."""
     delay: Annotated[float, Meta(ge=-0.5, le=1.2)] | None = None
     """How late speed is against the accelerometer [s]; default: calibration.speed_delay, or 0."""
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -32,7 +32,7 @@ class CompensationSettings(Settings, frozen=True):
     speed_noise: Positive = 0.03
     """Standard deviation of an averaged speed [m/s]."""
     speed_scale: Share = 0.02
-    """Relative uncertainty of speed."""
+    """Relative uncertainty of speed: tyre radius, slip."""
     creep_speed: NotNegative = 1.0
     """Below this a speed signal may still say zero [m/s]."""
     lever_uncertainty: NotNegative = 1.0
@@ -51,13 +51,13 @@ class FilterSettings(Settings, frozen=True):
     check_level: bool = False
     """The check is made on level ground: the whole mean is the accelerometer's error."""
     start: Positive = 5.0
-    """Rest that the start needs [s]."""
+    """Rest that the start needs [s]; of motion, where the vehicle does not stand."""
     longest_step: Positive = 0.5
     """Gyroscope samples further apart than this are a gap [s]."""
     rest_update: bool = True
     """The gyroscope at rest tells its zero error (beyond the publication)."""
     rest_accel_spread: Positive = 0.25
-    """Largest standard deviation of the accelerometer at rest [m/s^2]."""
+    """Largest standard deviation of the accelerometer at rest [m/s^2]: an engine may run."""
     rest_gyro_spread_deg_s: Positive = 0.5
     """The same of the gyroscope."""
     gyro_noise_deg_s: Positive = 0.01
@@ -81,7 +81,7 @@ class FilterSettings(Settings, frozen=True):
     heading_noise_deg: Positive = 2.0
     """Standard deviation of a heading signal."""
     magnetometer_noise_deg: Positive = 10.0
-    """Standard deviation of a heading from the magnetometer."""
+    """Standard deviation of a heading from the magnetometer: steel deflects it."""
     gate: Positive = 4.0
     """Innovations beyond so many standard deviations widen their own noise."""
 
@@ -106,7 +106,7 @@ class AttitudeSettings(Settings, frozen=True):
     squat: float = 0.0
     """Nose-up pitch of the body per forward specific force [rad/(m/s^2)], for the grade."""
     grade_time: Positive = 1.0
-    """Time constant of the road grade [s]."""
+    """Time constant of the road grade [s]: longer than the body swings."""
     compensation: CompensationSettings = CompensationSettings()
     filter: FilterSettings = FilterSettings()
 
@@ -115,15 +115,15 @@ class StepSettings(Settings, frozen=True):
     """Method D, step 1: step cycles."""
 
     shortest: Positive = 0.28
-    """Shortest step cycle [s]."""
+    """Shortest step cycle [s]: a run."""
     longest: Annotated[float, Meta(gt=0, le=5.0)] = 1.2
-    """Longest [s]."""
+    """Longest [s]: slower is not walking."""
     threshold: Positive = 0.35
     """The vertical acceleration must swing so far either side of its mean [m/s^2]."""
     corner_hz: Positive = 3.0
-    """Low-pass of the vertical acceleration."""
+    """Low-pass of the vertical acceleration: a brisk step passes, a heel's shock does not."""
     gravity_time: Positive = 1.5
-    """Time constant of its mean [s]."""
+    """Time constant of its mean [s]: longer than a stride."""
 
 
 class ChoiceSettings(Settings, frozen=True):
@@ -152,7 +152,8 @@ class AlternativeSettings(Settings, frozen=True):
     compass_time: Positive = 20.0
     """Time constant with which a heading signal turns it [s]."""
     lead_deg: Angle = 120.0
-    """By how much forward leads vertical acceleration at the step's frequency."""
+    """By how much forward leads vertical acceleration at the step's frequency: a quarter period in
+    the trunk, more in a hand. Only the sign depends on it."""
     memory_steps: Positive = 20.0
     """Steps after which the direction within the terminal is forgotten to 1/e."""
     carry_change_deg: Positive = 35.0

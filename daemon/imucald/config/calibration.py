@@ -22,7 +22,7 @@ class StaticTestSettings(Settings, frozen=True):
     threshold_at_zero_speed: tuple[Positive, Positive, Positive] = (1.2, 1.2, 1.2)
     """The same where speed is known to be zero: a running engine shakes the sensor."""
     standstill_speed: Positive = 0.3
-    """Speed up to which the vehicle stands [m/s]."""
+    """Speed up to which the vehicle stands [m/s]: one step of an OBD-II speed is 0.28 m/s."""
     average_stops: bool = True
     """All stops count (beyond the publication); else the last one decides."""
 
@@ -35,19 +35,23 @@ class StraightMotionSettings(Settings, frozen=True):
     ] = ("yaw_rate", "steering", "consistency")
     """In order of preference; the first whose signal is there decides."""
     yaw_rate_limit_deg_s: Positive = 2.0
+    """Yaw rate of straight motion where v r is known and gated as well."""
     yaw_rate_limit_without_speed_deg_s: Positive = 1.0
+    """The same where speed is unknown: 1 deg/s at 20 m/s is 0.35 m/s^2."""
     steering_limit_deg: Positive = 10.0
+    """Angle of the steering wheel in straight motion."""
     lateral_limit: NotNegative = 0.6
     """Largest |v r| [m/s^2]; 0 switches this gate off."""
     min_speed_change: Positive = 0.25
-    """Smallest |dv/dt| [m/s^2]."""
+    """Smallest |dv/dt| [m/s^2]: below, slope and noise decide the angle."""
     manoeuvre_peak: Positive = 0.8
     """|dv/dt| that a manoeuvre must reach to count [m/s^2]."""
     min_speed: Positive = 1.0
-    """[m/s]"""
+    """Slower than this nothing is learnt: manoeuvring, clutch, signal dead zone [m/s]."""
     consistency_window: Annotated[int, Meta(ge=2, le=1000)] = 15
     """Successive angles, ten a second, that must agree."""
     consistency_range_deg: Positive = 25.0
+    """Range within which they agree."""
 
     yaw_rate_limit = Radians("yaw_rate_limit_deg_s")
     yaw_rate_limit_without_speed = Radians("yaw_rate_limit_without_speed_deg_s")
@@ -91,7 +95,7 @@ class CalibrationSettings(Settings, frozen=True):
     estimator: Literal["full", "published"] = "full"
     """"published" is method A alone; "full" fuses all the evidence there is."""
     accelerometer_bias: Positive = 0.0981
-    """Standard deviation of the accelerometer's zero error [m/s^2]."""
+    """Standard deviation of the accelerometer's zero error [m/s^2]: 10 mg."""
     accelerometer_range: Positive | None = None
     """Full scale [m/s^2]; nothing is learnt close to it."""
     cross_axis: Annotated[float, Meta(ge=0, le=0.05)] = 0.0
