@@ -34,7 +34,7 @@ from imucald.attitude.sensor_check import find_rests, six_parameters
 from imucald.config import load_config
 from imucald.config.attitude import AttitudeSettings, FilterSettings
 from imucald.core.samples import GRAVITY
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 from imucald.simulation.drive import simulate
 from imucald.simulation.filters import generator
 
@@ -111,7 +111,7 @@ def drive_of(seed: int, kind: str, minutes: float = MINUTES) -> tuple[list[Event
     c = SETTINGS.filter
     bias = c.gyro_start * rng.standard_normal(3)
     walk = math.radians(DRIFT) / math.sqrt(300.0)
-    model = Model().with_changes(
+    model = VehicleModel().with_changes(
         {
             "route.kind": kind,
             "gyro.bias": tuple(bias.tolist()),
@@ -142,7 +142,7 @@ def drives() -> bool:
     for seed in range(1, RUNS + 1):
         kind = ("mixed", "city", "motorway")[seed % 3]
         events, truth, bias = drive_of(seed, kind)
-        attitude = AttitudeFilter()
+        attitude = AttitudeFilter(SETTINGS)
         found: list[tuple[float, ...]] = []
         at_300: list[Array] = []
 
@@ -224,7 +224,7 @@ def parked() -> bool:
         "gyro.bias_walk": 1e-6,
         "accel.bias_walk": 1e-4,
     }
-    events, truth = simulated(simulate(Model().with_changes(changes), 5, 60.0))
+    events, truth = simulated(simulate(VehicleModel().with_changes(changes), 5, 60.0))
     raw = accelerometer_only(events)
     both, _ = filtered(events, SETTINGS)
 

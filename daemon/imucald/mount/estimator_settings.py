@@ -1,6 +1,7 @@
 """What the full estimator is told about sensor, vehicle and road: priors, limits, delays.
 
-Every figure is a prior or a promise that the intervals rest on; none is learnt from truth.
+Every figure is a prior or a promise that the intervals rest on; `priors` says where each comes
+from.
 """
 
 from __future__ import annotations
@@ -12,6 +13,13 @@ from typing import ClassVar, NamedTuple
 
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.network import VehicleSettings
+from imucald.mount.priors import (
+    ACCEL_SCALE_STD,
+    GYRO_MISALIGNMENT_STD,
+    SLOPE_LENGTH,
+    SLOPE_STD,
+    UNDERSTEER,
+)
 
 
 @dataclass(frozen=True)
@@ -77,16 +85,16 @@ class EstimatorSettings(MountSettings):
         fine_tilt=math.radians(0.7),
     )
 
-    slope_std: float = 0.02
+    slope_std: float = SLOPE_STD
     """Road slope along and (about its mean) across the vehicle, rms tangent."""
-    slope_length: float = 200.0
+    slope_length: float = SLOPE_LENGTH
     """Distance over which the slope forgets itself [m]."""
     unevenness: tuple[float, float] = (1.0, 1.0)
     """How many times `slope_std` the roads' tangents across and along are, where a model says that
     they are more uneven; what is taken for a moved sensor bears it in mind."""
-    accel_scale_std: float = 0.003
+    accel_scale_std: float = ACCEL_SCALE_STD
     """Scale error per axis of the accelerometer (part): in a tilted sensor a cross-axis error."""
-    gyro_misalignment_std: float = 0.002
+    gyro_misalignment_std: float = GYRO_MISALIGNMENT_STD
     """Turn of the gyroscope's triad against the accelerometer's [rad]."""
     delays: Mapping[str, DelayPrior] = field(
         default_factory=lambda: {"speed": DelayPrior(0.1, 0.3), "yaw_rate": DelayPrior(0.05, 0.1)}
@@ -94,7 +102,7 @@ class EstimatorSettings(MountSettings):
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of the sensor from the body's centre of rotation, vehicle axes [m], where a model knows it;
     what it is beyond that is found as nuisance."""
-    understeer: float = 0.0025
+    understeer: float = UNDERSTEER
     """K / L in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
     uses_steering: bool = False
     """Whether the angle of the steering wheel may stand for the yaw rate."""

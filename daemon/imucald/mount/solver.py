@@ -29,6 +29,7 @@ from imucald.mount.fusion import CommonCovariance, Fused, fuse
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.prior_drives import PriorDrives
+from imucald.mount.priors import BIAS_DRIFT_STD
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import SavedInformation, named_series, saved_sources, together
 from imucald.mount.shift import NO_STEPS, SPANS, ScoreSeries, Shift, largest_change
@@ -42,8 +43,6 @@ MIN_POWER = 1e-3
 """A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
 CROSS_FALL_SHARE, SLOPE_SHARE = 1.7, 1.5
 """Superelevation, squat and leaning of the body widen the spread of slopes."""
-WARMING_STD = 0.04
-"""The bias moves by that much with temperature [m/s^2]."""
 SIGN_SURE = 0.3
 """Correlation of lateral force and turning from which forward is told from backward."""
 NO_GYRO_SHARE = 1.5
@@ -205,7 +204,7 @@ class MountSolver:
         s = self._settings
         cross = s.calibration.cross_axis
         spread = math.sqrt(
-            s.calibration.accelerometer_bias**2 + WARMING_STD**2 + (GRAVITY * cross) ** 2
+            s.calibration.accelerometer_bias**2 + BIAS_DRIFT_STD**2 + (GRAVITY * cross) ** 2
         )
         bias, bias_cov = self.vertical.bias(spread)
         if not self.yaw_known:
