@@ -100,8 +100,7 @@ def test_a_file_of_a_megabyte_is_judged_in_a_second(text, reason):
 
 def test_a_database_with_a_name_that_no_file_can_have_is_one_line(tmp_path):
     path = tmp_path / "a.yaml"
-    path.write_text('database: "a\\0b.dbc"\nsignals: {accel: {x: M.X, y: M.Y, z: M.Z}}\n')
+    path.write_text('database: "a\\0b.dbc"\nsignals: {accelerometer: {x: M.X, y: M.Y, z: M.Z}}\n')
+    loaded = load_config(path)
     with pytest.raises((ConfigError, DatabaseError)):
-        from imucald.inputs.wiring import compile_router
-
-        compile_router(load_config(path))
+        compile_router(loaded)
