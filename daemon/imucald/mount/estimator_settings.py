@@ -103,6 +103,6 @@ class EstimatorSettings(MountSettings):
     """Of the sensor from the body's centre of rotation, vehicle axes [m], where a model knows it;
     what it is beyond that is found as nuisance."""
     understeer: float = UNDERSTEER
-    """K / L in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
+    """K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
     uses_steering: bool = False
     """Whether the angle of the steering wheel may stand for the yaw rate."""
