@@ -133,6 +133,7 @@ def test_errors_are_as_large_as_it_says():
     assert np.all((total / runs > low) & (total / runs < high)), (total / runs, low, high)
 
 
+@pytest.mark.slow
 def test_a_day_leaves_a_covariance():
     """Sixty thousand updates with tilt only: symmetric, positive, bounded; yaw stays a number."""
     kalman = NineStateFilter(FilterSettings())
