@@ -11,11 +11,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imucald.compensation import Compensation, compensation_from_model
+from imucald.compensation import ModelCompensation, compensation_from_model
 from imucald.compensation.trial import CorrectedDrive, corrected_drive, corrected_with
 from imucald.compensation.truth_error import DriveErrors, drive_errors, true_signals
-from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
+from mount_settings import full
 
 SEEDS = (31, 32)
 MINUTES = 8.0
@@ -36,9 +36,9 @@ def driven(seed: int, changes) -> Drive:
     return _driven(seed, json.dumps(changes))
 
 
-def corrected(drive: Drive, compensation: Compensation | None) -> CorrectedDrive:
+def corrected(drive: Drive, compensation: ModelCompensation | None) -> CorrectedDrive:
     side = drive.model.route.driving_side
-    return corrected_drive(drive.samples, compensation, EstimatorSettings(driving_side=side))
+    return corrected_drive(drive.samples, compensation, full(vehicle={"driving_side": side}))
 
 
 def before_and_after(changes, seeds, own_mount=True) -> tuple[list[DriveErrors], ...]:
@@ -124,7 +124,7 @@ def test_a_known_delay_of_speed_need_not_be_learnt():
 
 @pytest.mark.slow
 def test_nothing_of_the_noise_is_made_louder():
-    """Single samples, vibration and all: with lever arm and leaning no axis is worse."""
+    """Single samples, vibration and all: with lever arm and suspension no axis is worse."""
     drive = driven(31, {"mount.lever_arm_m": [1.5, 0.3, 0.5]})
     data = drive.model.dump()
     bare = {**data, "mount": {}, "suspension": {}}

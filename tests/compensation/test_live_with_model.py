@@ -253,5 +253,5 @@ def test_the_long_form_and_the_switch(bench):
     )
     stages = make_engine(open_config(bench.config)).stages
     assert stages.vehicle is None
-    assert stages.evidence is not None, "the mount is found without the leaning all the same"
+    assert stages.evidence is not None, "the mount is found without the suspension all the same"
     assert any("compensate_suspension" in note for note in stages.notes)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.config.attitude import TravelDirectionSettings
 from imucald.core.rotations import Vector, times, transposed_times
 from imucald.motion.plausible import is_plausible
 from imucald.travel_direction.attitude import TerminalAttitude
@@ -26,7 +27,6 @@ from imucald.travel_direction.published import (
     levelling_angles,
     projected,
 )
-from imucald.travel_direction.settings import TravelSettings
 
 TWO_PI = 2.0 * math.pi
 STALE_S = 2.0
@@ -65,13 +65,13 @@ class Step:
 class TravelDirection:
     """The whole of method D and the alternative, for one terminal."""
 
-    def __init__(self, settings: TravelSettings | None = None) -> None:
-        self.settings = settings or TravelSettings()
+    def __init__(self, settings: TravelDirectionSettings | None = None) -> None:
+        self.settings = settings or TravelDirectionSettings()
         s = self.settings
-        self.cycles = StepCycles(s.step)
+        self.cycles = StepCycles(s.steps)
         self.published = PublishedDirection(s.choice, s.convention)
-        self.modern = ModernDirection(s.modern)
-        self.attitude = TerminalAttitude(s.modern)
+        self.modern = ModernDirection(s.alternative)
+        self.attitude = TerminalAttitude(s.alternative)
         self.last: Step | None = None
         """The newest step."""
         self.rejected = 0

@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.config.attitude import AxisConvention, ChoiceSettings
 from imucald.travel_direction.cycles import POINTS, Cycle
-from imucald.travel_direction.settings import AxisConvention, ChoiceSettings
 
 Array = NDArray[np.float64]
 
