@@ -29,7 +29,7 @@ TWO_PI = 2.0 * math.pi
 
 
 def tilt(mean: Array) -> tuple[float, float]:
-    """Pitch and roll of the publication (*reconstructed*) from a mean acceleration (3,), any unit."""
+    """Pitch and roll of the publication (*reconstructed*) from a mean acceleration (3,)."""
     x, y, z = (float(c) for c in mean)
     return math.atan2(y, math.hypot(x, z)), math.atan2(x, math.hypot(y, z))
 
