@@ -68,10 +68,7 @@ KNOWN: Mapping[str, set[str]] = {
     "circle": {
         "diagnosis.bent <-> diagnosis.contest <-> diagnosis.search <-> diagnosis.shifts",
     },
-    "class": {
-        "Cycle: diagnosis.faults.cycle, travel_direction.cycles",
-        "RoadGrade: attitude.grade, diagnosis.causes.road_grade",
-    },
+    "class": set(),
     "function": set(),
     "import in a function": set(),
 }
