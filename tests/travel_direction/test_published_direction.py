@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from imucald.config.attitude import ChoiceSettings
 from imucald.travel_direction.cycles import POINTS, StepCycle
-from imucald.travel_direction.published import (
+from imucald.travel_direction.method_d import (
     PublishedDirection,
     compass_of,
     correlation_angle,

@@ -37,7 +37,7 @@ from imucald.core.rotations import (
     transposed_times,
 )
 from imucald.core.samples import GRAVITY
-from imucald.motion.at_rest import PARKED_GRAVITY, PARKED_SAMPLE_STD
+from imucald.motion.rest_thresholds import PARKED_GRAVITY, PARKED_SAMPLE_STD
 
 START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)

@@ -17,13 +17,12 @@ from imucald.config.network import (
     Databases,
     DatabaseSettings,
     MessageProtection,
-    ModelFile,
     Output,
-    VehicleSettings,
 )
 from imucald.config.shorthand import spelled_out
 from imucald.config.signals import Signals
 from imucald.config.uds import Diagnostics
+from imucald.config.vehicle import ModelFile, VehicleSettings
 from imucald.core.errors import ConfigError
 from imucald.core.locations import Marks, Place, located
 from imucald.core.typed import typed

@@ -16,11 +16,11 @@ import numpy as np
 
 from imucald.config.attitude import TravelDirectionSettings
 from imucald.core.rotations import Vector, times, transposed_times
-from imucald.motion.plausible import is_plausible
+from imucald.motion.physical_limits import is_plausible
 from imucald.travel_direction.attitude import TerminalAttitude
 from imucald.travel_direction.cycles import StepCycle, StepCycles
 from imucald.travel_direction.gyro_step_axis import GyroStepAxis
-from imucald.travel_direction.published import (
+from imucald.travel_direction.method_d import (
     PublishedDirection,
     PublishedResult,
     compass_of,

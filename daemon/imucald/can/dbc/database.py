@@ -22,7 +22,7 @@ from imucald.can.columns import CAN_EFF_FLAG
 from imucald.can.dbc.database_limits import MAX_FILE_BYTES, refuse_heavy
 from imucald.core import file_cache as database_cache
 from imucald.core.errors import DatabaseError
-from imucald.core.lean_import import standing_in
+from imucald.core.partial_import import standing_in
 
 ByteOrder = Literal["little_endian", "big_endian"]
 
