@@ -83,7 +83,10 @@ class LoadedConfig:
 
     def _resolved(self, path: str) -> Path:
         base = self.path.parent if self.path is not None else Path.cwd()
-        return (base / path).resolve()
+        try:
+            return (base / path).resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a NUL in the name
+            raise ConfigError(f"{_name(self.path)}: {path!r} is no path: {error}") from None
 
     def with_databases(self, entries: tuple[DatabaseSettings, ...]) -> LoadedConfig:
         """The same configuration with other database entries."""
