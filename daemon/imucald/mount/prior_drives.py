@@ -58,6 +58,11 @@ class PriorDrives:
         ]
         self._shared = (*both, *between)
 
+    @property
+    def segments(self) -> int:
+        """Road segments of the best known kind."""
+        return max((len(p.score) for p in self.kept.sources.values()), default=0)
+
     def fused(
         self, sources: Mapping[str, AngleEvidence], R: Matrix3, bias: tuple[float, float]
     ) -> Fused:

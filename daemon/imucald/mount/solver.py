@@ -31,7 +31,7 @@ from imucald.mount.prior_drives import PriorDrives
 from imucald.mount.priors import BIAS_DRIFT_STD
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import SavedInformation, named_series, saved_sources, together
-from imucald.mount.shift import NO_STEPS, SPANS, ScoreSeries, Shift, largest_change
+from imucald.mount.shift import MIN_BEFORE, NO_STEPS, SPANS, ScoreSeries, Shift, largest_change
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
@@ -256,6 +256,13 @@ class MountSolver:
             self.vertical.steps.history.go_on()
             return None
         return self.vertical.steps.found(self.R)
+
+    @property
+    def armed(self) -> bool:
+        """Whether a change of each angle would be seen: enough road before, and after."""
+        segments = self.response.segment
+        before = 0 if self.prior_drives is None else self.prior_drives.segments
+        return segments >= SPANS[0] and segments + before >= max(MIN_BEFORE) + SPANS[0]
 
     def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
         """The change of the mount that the last minutes' evidence speaks for most."""
