@@ -33,7 +33,7 @@ OPPOSITE = -0.3
 """The same where slope and a speed of few samples are in the signals: the wrong sign only."""
 LIKE = 0.6
 """From here on they do (`check` asks for as much)."""
-TO_ACCUSE, TO_ACQUIT = 3, 2
+TO_ACCUSE, TO_ACQUIT = 2, 2
 """Unlike pieces, of those remembered, that make a fault; like ones in a row that end it."""
 REMEMBERED = 5
 WRONG_UNIT = 1.9
@@ -45,6 +45,9 @@ MIN_FORCE = 30.0
 """The same of v r and dv/dt [(m/s^2)^2 ticks]: 3 s at 1 m/s^2."""
 MAX_BLOCKS = 40
 """A piece that does not fill within so many blocks (4 min) begins anew: noise adds up as well."""
+TURNS, HARD_TURNS = 1.2, 2.0
+"""Sizes of v r [m/s^2] from which the force in turns is asked for its sign, and for its gain: a bend
+banked by 8 % takes 0.8 m/s^2 of it away (AASHTO, superelevation)."""
 MOVING = 2.0
 """Below this speed [m/s] steering and turning say little of one another."""
 
@@ -156,12 +159,14 @@ class Contradictions:
         self._settings = settings
         self.yaw_rate = PairWatch(MIN_TURNING)
         self.steering = PairWatch(MIN_TURNING, unit_known=False)
-        self.turns = PairWatch(MIN_FORCE)
+        self.turns = PairWatch(MIN_FORCE, unit_known=False)
+        self.hard_turns = PairWatch(MIN_FORCE)
         self.speed = PairWatch(MIN_FORCE, OPPOSITE)
 
     def restart_forces(self) -> None:
         """The rotation is found anew."""
         self.turns.restart()
+        self.hard_turns.restart()
         self.speed.restart()
 
     def add(
@@ -180,13 +185,16 @@ class Contradictions:
         if own_gyro or measured_yaw_rate:
             s, v = self._settings, self._settings.vehicle
             angle = p.steering - steering_offset
-            turning = (v.steering_ratio, v.wheelbase, s.understeer)
-            steered = yaw_rate_with_understeer(p.speed, angle, *turning)
+            vehicle = (v.steering_ratio, v.wheelbase, s.understeer)
+            steered = yaw_rate_with_understeer(p.speed, angle, *vehicle)
             self.steering.add(steered, turn_rate, p.ok_steering & moving & (p.ok_rate | p.ok_yaw))
         if R is not None:
             force = p.force @ np.asarray(R).T
             use = moving & p.ok_force & p.learn
-            self.turns.add(p.speed * turn_rate, force[:, 1], use & (p.ok_rate | p.ok_yaw))
+            turn = p.speed * turn_rate
+            turning = use & (p.ok_rate | p.ok_yaw)
+            self.turns.add(turn, force[:, 1], turning & (np.abs(turn) > TURNS))
+            self.hard_turns.add(turn, force[:, 1], turning & (np.abs(turn) > HARD_TURNS))
             ahead = force[:, 0] - force[:, 0].mean()
             self.speed.add(p.accel - p.accel.mean(), ahead, use)
 
@@ -204,7 +212,7 @@ class Contradictions:
             found.append(StandingFault.FORCE_SPEED)
         if self.yaw_rate.odd_gain:
             found.append(StandingFault.GYRO_GAIN)
-        elif self.turns.odd_gain:
+        elif self.hard_turns.odd_gain:
             gyro_unknown = not self.yaw_rate.pieces
             is_speed = self.speed.odd_gain or not gyro_unknown
             found.append(StandingFault.SPEED_GAIN if is_speed else StandingFault.GYRO_GAIN)
@@ -214,7 +222,7 @@ class Contradictions:
 
     @property
     def _pairs(self) -> tuple[PairWatch, ...]:
-        return self.yaw_rate, self.steering, self.turns, self.speed
+        return self.yaw_rate, self.steering, self.turns, self.hard_turns, self.speed
 
     @property
     def doubtful(self) -> bool:

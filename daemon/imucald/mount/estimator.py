@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from imucald.core.rotations import rotation_from_vector
 from imucald.motion.ticks import TickRow
 from imucald.mount.contradictions import WORDS, Contradictions, StandingFault
+from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
 from imucald.mount.estimate import ANGLES, Correction, Missing, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
@@ -91,6 +92,8 @@ class FullEstimator:
         self._contradictions = Contradictions(self._settings)
         self._large = LargeChangeDetector(self._settings)
         self._faults: tuple[StandingFault, ...] = ()
+        self._faults_seen: list[tuple[int, StandingFault]] = []
+        self._segment = 0
         self._failures = 0
         self._failed_for = 0
         self._known = MountKnowledge(accelerometer=False)
@@ -157,6 +160,10 @@ class FullEstimator:
         is_refitting = self._refit is not None
         if is_turn or is_young:
             self._solver.fit()
+        if self._solver.response.segment != self._segment:
+            self._segment = self._solver.response.segment
+            self._solver.p_constant = P_CONSTANT_AGAIN if self._shifts else P_CONSTANT
+            self._solver.follow_creep()
         if self._look_for_large_change(p):
             return
         if not is_refitting and not self._looked_again:
@@ -179,13 +186,15 @@ class FullEstimator:
             "yaw_rate" in signals.seen,
         )
         before, self._faults = self._faults, self._contradictions.faults
+        new = [fault for fault in self._faults if fault not in before]
+        self._faults_seen += [(self._blocks, fault) for fault in new]
         if before and not self._faults:
             self._begin_without_rotation([p])
 
     def _look_for_large_change(self, p: SignalBlock) -> bool:
         """Look for a turn by several degrees, and for gravity far from the vertical."""
         solver, large = self._solver, self._large
-        if solver.R is None or not solver.yaw_known or self._state not in GOOD:
+        if solver.R is None or not solver.yaw_known or (self._moved and self._refit is not None):
             large.restart()
             return False
         if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
@@ -193,11 +202,13 @@ class FullEstimator:
             return True
         large.add(p, solver.R, p.speed * solver.turn_rate, solver.gains(), self._has_speed)
         change = large.while_standing(p, solver.R)
+        if self._state not in GOOD:
+            return False  # nothing is served as good, and the fit is young
         if change is None:
             change = large.found((0, 1, 2) if solver.own_gyro else (0, 1))
         if change is None:
             return False
-        self._take_shift(change, change.blocks)
+        self._take_shift(change, max(change.blocks - 1, 1))  # the oldest holds the change itself
         return True
 
     @property
@@ -294,7 +305,8 @@ class FullEstimator:
         fused = solver.fused
         std = (math.inf, math.inf, math.inf)
         if fused is not None:
-            x, y, z = (math.sqrt(v) for v in fused.variance.tolist())
+            more = np.zeros(3) if solver.creep is None else solver.creep.variance
+            x, y, z = (math.sqrt(v) for v in (fused.variance + more).tolist())
             std = (x, y, z if solver.yaw_known else math.inf)
         self._known = MountKnowledge(
             gravity=fused is not None,
@@ -324,9 +336,9 @@ class FullEstimator:
 
     def _may_be_fine(self) -> bool:
         """Whether every test is armed, the signals were seen to agree, and little has happened."""
-        if len(self._shifts) > SHIFTS_ALLOWED or self._signals.without_speed:
+        if len(self._shifts) > SHIFTS_ALLOWED or not self._solver.armed:
             return False
-        return self._solver.armed and self._contradictions.agreed
+        return self._signals.without_speed or self._contradictions.agreed
 
     def _state_by(self, found: MountState) -> MountState:
         """The state to report for the one that the evidence gives."""
@@ -349,6 +361,9 @@ class FullEstimator:
             return np.eye(3), np.eye(3)
         R = rotation_from_vector([-s.crown, 0.0, 0.0]) @ solver.R
         variance = solver.fused.variance.copy()
+        if solver.creep is not None:
+            R = rotation_from_vector(solver.creep.level) @ R
+            variance += solver.creep.variance
         if not solver.yaw_known:
             variance[2] = (math.pi / math.sqrt(3.0)) ** 2
         covariance = np.diag(variance)
@@ -426,6 +441,9 @@ class FullEstimator:
                     "deviations": shift.deviations,
                 }
                 for block, shift in self._shifts
+            ],
+            "faults": [
+                {"t": block * BLOCK_S, "fault": fault.value} for block, fault in self._faults_seen
             ],
             "frozen_ticks": dict(signals.health.counts),
         }

@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 REMEMBERED = 50
 """Blocks (320 s)."""
-LEAST_BEFORE = 5
-"""Blocks that a change is held against."""
+LEAST_BEFORE = (5, 5, 3)
+"""Blocks that a change is held against; a change as large shows in yaw in a few."""
 MOST_AFTER = 12
 """Blocks since the change that are tried (77 s)."""
 LEAST_TICKS = 32
@@ -51,6 +51,8 @@ with 560 blocks an hour and a dozen tries each, of which two or three are indepe
 MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(4.0))
 """Smaller changes are left to `shift` [rad]: no mean slope of half a minute differs so much from
 that of the minutes before but on mountain roads (10 %)."""
+AGREEING = 0.4
+"""Every block since a change shows at least that share of it: one gust, one bad road is none."""
 STANDING_TURN = math.radians(3.0)
 """A vehicle that stands does not turn or tilt by so much [rad]; people getting in make a half."""
 STANDING_TICKS = 12
@@ -158,12 +160,13 @@ class LargeChangeDetector:
     ) -> LargeChange | None:
         n = len(e)
         best: LargeChange | None = None
-        for after in range(1 if axis == 2 else 2, min(MOST_AFTER, n - LEAST_BEFORE) + 1):
+        for after in range(2, min(MOST_AFTER, n - LEAST_BEFORE[axis]) + 1):
             k = n - after
             wa, wb = float(w[k:].sum()), float(w[:k].sum())
             new, old = float(w[k:] @ e[k:]) / wa, float(w[:k] @ e[:k]) / wb
             size = new - old
-            if abs(size) < MIN_SIZE[axis]:
+            each_share = (e[k:] - old) / size if size else np.zeros(after)
+            if abs(size) < MIN_SIZE[axis] or float(each_share.min()) < AGREEING:
                 continue
             left = e[:k] - old
             if axis == 2:
