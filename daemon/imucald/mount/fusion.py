@@ -76,12 +76,14 @@ def probable_scale2(
     sources: Mapping[str, AngleEvidence],
     sharing: CommonCovariance,
     candidates: Sequence[tuple[float, float]],
+    uneven: Mapping[str, float],
 ) -> float:
     """Mean square of the scale of the scaled errors, from how far sources contradict one another.
 
     candidates: scales and their prior probabilities. Each is weighed by the likelihood of the
     differences between the sources of an angle (of which the angle itself is free; restricted
     maximum likelihood, Patterson and Thompson, Biometrika 58, 1971), over all angles.
+    uneven: what sources differ by for other reasons [rad].
     """
     log = np.array([math.log(p) for _, p in candidates])
     before, sharing.scale2 = sharing.scale2, 0.0
@@ -90,6 +92,7 @@ def probable_scale2(
         if len(names) < 2:
             continue
         known, extra = sharing.covariance(sources, names), sharing.scaled(names)
+        known += np.diag([uneven.get(name, 0.0) ** 2 for name in names])
         values = np.array([sources[name].value for name in names])
         for k, (scale, _) in enumerate(candidates):
             V = known + scale * scale * extra
@@ -104,11 +107,16 @@ def probable_scale2(
     return float(weight @ squares / weight.sum())
 
 
-def fuse(sources: Mapping[str, AngleEvidence], sharing: CommonCovariance) -> Fused:
+def fuse(
+    sources: Mapping[str, AngleEvidence],
+    sharing: CommonCovariance,
+    base: CommonCovariance | None = None,
+) -> Fused:
     """Best linear unbiased mean per angle; a source's name begins with its angle.
 
     The weights are V^-1 1 / (1' V^-1 1), V being the sources' variances plus what they share; a
-    negative weight is not taken.
+    negative weight is not taken. base: what the weights are made of, where `sharing` holds errors
+    that are only probable: these widen the interval and move nothing.
     """
     error, variance = np.zeros(3), np.full(3, np.inf)
     shares: dict[str, dict[str, float]] = {}
@@ -118,7 +126,8 @@ def fuse(sources: Mapping[str, AngleEvidence], sharing: CommonCovariance) -> Fus
             continue
         V = sharing.covariance(sources, names)
         inverse = np.linalg.inv(V)
-        weight = np.maximum(inverse.sum(axis=1), 0.0)
+        even = inverse if base is None else np.linalg.inv(base.covariance(sources, names))
+        weight = np.maximum(even.sum(axis=1), 0.0)
         weight /= weight.sum()
         values = np.array([sources[name].value for name in names])
         error[i] = weight @ values

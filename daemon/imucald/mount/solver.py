@@ -32,7 +32,15 @@ from imucald.mount.prior_drives import PriorDrives
 from imucald.mount.priors import BIAS_DRIFT_STD, CROSS_AXIS
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import SavedInformation, named_series, saved_sources, together
-from imucald.mount.shift import MIN_BEFORE, NO_STEPS, SPANS, ScoreSeries, Shift, largest_change
+from imucald.mount.shift import (
+    MIN_BEFORE,
+    NO_STEPS,
+    SPANS,
+    UNEVEN_STD,
+    ScoreSeries,
+    Shift,
+    largest_change,
+)
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
@@ -61,6 +69,8 @@ SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
 """Windows after which the delay is sought: first, and then every so many."""
+UNEVEN_TILT = {name: std for name, std in UNEVEN_STD.items() if not name.startswith("yaw")}
+"""What roads make sources of roll and pitch differ by, beside what the sensor does."""
 SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
@@ -89,6 +99,7 @@ class MountSolver:
         self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
         self.blocks = 0
+        self._certain = CommonCovariance(common_errors(settings))
         self._sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
         if settings.calibration.cross_axis > 0.0:
             self._sharing.scale2 = 0.0  # configured: in the common errors
@@ -250,9 +261,11 @@ class MountSolver:
                 sources["yaw_dvdt"] = replace(source, variance=source.variance + PRINCIPAL_STD**2)
             self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
             if s.calibration.cross_axis == 0.0:
-                self._sharing.scale2 = probable_scale2(sources, self._sharing, CROSS_AXIS)
+                self._sharing.scale2 = probable_scale2(
+                    sources, self._sharing, CROSS_AXIS, UNEVEN_TILT
+                )
             if self.prior_drives is None:
-                fused = fuse(sources, self._sharing)
+                fused = fuse(sources, self._sharing, self._certain)
             else:
                 fused = self.prior_drives.fused(
                     sources, self.R, self._tilt_bias, math.sqrt(self._sharing.scale2)
