@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.motion.ticks import TickRow
-from imucald.mount.contradictions import WORDS, Contradictions, StandingFault
+from imucald.mount.contradictions import Contradictions, StandingFault
 from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
-from imucald.mount.estimate import ANGLES, Correction, Missing, MountEstimate, MountState
+from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep

@@ -117,9 +117,7 @@ def _behind(one: ScoreSeries, kept: SavedSource, part: float) -> ScoreSeries:
 def _on_both_sides(shared: Sequence[CommonError], times: float = 1.0) -> list[CommonError]:
     """Errors that a drive shares with those before."""
     return [
-        CommonError(
-            times * s.std, {**s.signs, **{name + BEFORE: x for name, x in s.signs.items()}}
-        )
+        CommonError(times * s.std, {**s.signs, **{name + BEFORE: x for name, x in s.signs.items()}})
         for s in shared
     ]
 
