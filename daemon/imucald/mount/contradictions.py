@@ -70,7 +70,7 @@ WORDS = {
     StandingFault.TURN_STEERING: "the vehicle does not turn as it is steered: the sign of the "
     "steering angle, reverse without a signal, or signs of the sensor",
     StandingFault.FORCE_TURNS: "the force in turns is not where turning says: a sign or exchanged "
-    "axes of accelerometer or gyroscope",
+    "axes of accelerometer or gyroscope, or a mount that moves",
     StandingFault.FORCE_SPEED: "the force does not follow the change of speed",
     StandingFault.GYRO_GAIN: "the gyroscope's unit is wrong",
     StandingFault.SPEED_GAIN: "the speed's unit is wrong",
@@ -89,11 +89,10 @@ class PairWatch:
         self.accused = False
         self.odd_gain = False
 
-    def restart(self) -> None:
-        """What comes next is of another kind: nothing is known of it."""
+    def forget(self) -> None:
+        """Remember no piece; what stands stands until new ones acquit."""
         self._sums[:], self._blocks = 0.0, 0
         self._pieces.clear()
-        self.accused = self.odd_gain = False
 
     @property
     def pieces(self) -> int:
@@ -163,11 +162,10 @@ class Contradictions:
         self.hard_turns = PairWatch(MIN_FORCE)
         self.speed = PairWatch(MIN_FORCE, OPPOSITE)
 
-    def restart_forces(self) -> None:
-        """The rotation is found anew."""
-        self.turns.restart()
-        self.hard_turns.restart()
-        self.speed.restart()
+    def forget_forces(self) -> None:
+        """The rotation is found anew; what stands against the old one stands until it agrees."""
+        for pair in (self.turns, self.hard_turns, self.speed):
+            pair.forget()
 
     def add(
         self,
