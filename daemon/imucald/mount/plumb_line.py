@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from imucald.motion.at_rest import ZERO_SPEED
+from imucald.motion.rest_thresholds import ZERO_SPEED
 from imucald.motion.ticks import ACCEL, SPEED, TickRow
 from imucald.mount.estimate import Correction
 from imucald.mount.large_change import OFF_VERTICAL
