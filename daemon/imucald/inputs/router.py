@@ -102,9 +102,7 @@ class Router:
     @property
     def measured_axes(self) -> dict[str, int]:
         """How many axes of each channel come from signals: a planar accelerometer has two."""
-        return {
-            tap.channel: 2 if tap.planar else _width(tap.channel) for tap in self._taps()
-        }
+        return {tap.channel: 2 if tap.planar else _width(tap.channel) for tap in self._taps()}
 
     # one frame -----------------------------------------------------------------------------
 
