@@ -259,6 +259,16 @@ class SampleHealth:
         before, self._moved = self._moved, moves
         return moves and before
 
+    def summary(self) -> dict[str, Any]:
+        """Each watched sensor's faults now, and those that were told; for JSON."""
+        return {
+            "sensors": {
+                channel: {str(fault): axes for fault, axes in self.faults.get(channel, {}).items()}
+                for channel in self._sensors
+            },
+            "events": [event.as_dict() for event in self.events],
+        }
+
     def _keep(self, sensor: _Sensor, found: Mapping[SignalFault, str], now: float) -> None:
         """Go on with the faults found and those that have not been gone for long enough."""
         faults = dict(sensor.faults)

@@ -12,7 +12,7 @@ from bisect import insort
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.motion.hops import HOP_S, SIDES, HopRows
+from imucald.motion.hops import HOP_S, SIDES, WINDOW_HOPS, HopRows
 from imucald.motion.physical_limits import ROAD_FORCE
 
 Array = NDArray[np.float64]
@@ -27,13 +27,15 @@ MIN_RUNS = 50
 """Runs from which their lengths are known."""
 LEAST_TIMES = 3.0
 """No run shorter than so many times the longest before is stuck, however many there were."""
-FINE_STEP = 0.5
-"""At rest a step of at most so much of the noise is needed: then every seventh pair is equal."""
+FINE_STEP = 0.6
+"""At rest a step of at most so much of the noise is needed: room for a sensor 1.7 times quieter."""
 DEAD_HOPS = 40
 """An axis that never changed is dead after so many hops of driving (20 s): no road is that smooth,
 whatever the sensor's step."""
-MIN_MOVING_HOPS = 60
-"""Hops of driving from which the tail of an axis is known (30 s)."""
+MIN_WINDOW_HOPS = 30
+"""Hops of driving in a window from which the tail of an axis is known (15 s)."""
+LEAST_STEPS = 16
+"""A signal of fewer steps from end to end has no tail."""
 LEAST_AT_EXTREME = 5
 PILE = 1.3
 """An extreme is a rail where more samples are on it than on the steps below, so many times."""
@@ -140,32 +142,47 @@ class StuckAxis:
 class Rail:
     """Whether the largest value of an axis, of one side, is the end of its range.
 
-    Peaks that meet in one step of a tail, and samples that stay there, are improbable; on a rail
-    they are the rule. Only driving counts. It is no rail as soon as a value lies beyond.
+    Peaks that meet in one step of a tail, and samples that stay there while other axes move, are
+    improbable; on a rail they are the rule. Only driving counts, window by window, so that what was
+    reached before the rail was there does not hide it; an extreme that comes again in a later one
+    goes on counting. It is no rail when a value lies beyond.
     """
 
     def __init__(self) -> None:
+        self._former: dict[float, tuple[int, int, int, list[int]]] = {}
+        self._extreme, self._at_it = -math.inf, 0
+        self._begin(-1)
+        self._rail = -math.inf
+        self.found = False
+
+    def _begin(self, window: int) -> None:
+        self._window = window
+        if self._at_it:
+            self._former[self._extreme] = self._at_it, self._ties, self._arrivals, self._below
+        self._is_known = False
         self._extreme = -math.inf
-        self._at_it = self._ties = self._arrivals = 0
+        self._at_it = self._ties = self._arrivals = self._before = 0
         self._below = [0, 0]
         self._last = -2
         self._peaks: list[float] = []
-        self.found = False
 
-    @property
-    def least_peak(self) -> float:
-        """A hop's largest value that is lower says nothing."""
-        return self._peaks[0] if len(self._peaks) == REMEMBERED else -math.inf
+    def least_peak(self, window: int) -> float:
+        """A hop's largest value that is lower says nothing in that window."""
+        if window != self._window or len(self._peaks) < REMEMBERED:
+            return -math.inf
+        return self._peaks[0]
 
     def step(self, rows: HopRows, h: int, side: int, axis: int, hop: int, runs: Runs) -> bool:
         """Take hop h of the rows, the `hop`th of driving; whether its largest value is a rail."""
         at = h, side, axis
         top, extreme = float(rows.top[at]), float(rows.extreme[at])
         step = float(rows.step[h, axis])
-        if self.found and top > self._extreme + 0.5 * step:
+        if self.found and top > self._rail + 0.5 * step:
             self.found = False
         if hop < 0:
             return self.found
+        if rows.window[h] != self._window:
+            self._begin(int(rows.window[h]))
         if extreme > self._extreme:
             self._raise(extreme, step)
         peaks = self._peaks
@@ -179,7 +196,9 @@ class Rail:
             self._ties += int(rows.ties[at])
             self._arrivals += hop - self._last > 1
             self._last = hop
-            self.found = self.found or self._is_rail(step, hop, runs)
+            steps = float(rows.extreme[h, :, axis].sum()) / step
+            if not self.found and steps >= LEAST_STEPS and self._is_rail(step, hop, runs):
+                self.found, self._rail = True, extreme
         return self.found
 
     def _raise(self, extreme: float, step: float) -> None:
@@ -195,14 +214,21 @@ class Rail:
         self._extreme = extreme
         self._at_it = self._ties = self._arrivals = 0
         self._last = -2
+        self._is_known = extreme in self._former
+        if self._is_known:
+            self._at_it, self._ties, self._arrivals, self._below = self._former[extreme]
+        self._former = {v: n for v, n in self._former.items() if v > extreme}
+        self._before = self._arrivals
 
     def _is_rail(self, step: float, hop: int, runs: Runs) -> bool:
         if self._at_it < LEAST_AT_EXTREME or self._at_it <= PILE * max(self._below):
             return False
         surprise = TIES_COUNT * self._ties * runs.rate()
-        low = self._peaks[-min(BROAD * self._arrivals, len(self._peaks))]
+        now = self._arrivals - self._before
+        low = self._peaks[-min(BROAD * now, len(self._peaks))]
         scale = (self._extreme - low) / math.log(BROAD)
-        if self._arrivals > 1 and scale > 0.0 and hop >= MIN_MOVING_HOPS:
+        is_late = self._is_known or hop % WINDOW_HOPS >= MIN_WINDOW_HOPS
+        if self._arrivals > 1 and scale > 0.0 and is_late:
             surprise -= (self._arrivals - 1) * math.log(-math.expm1(-step / scale))
         return surprise > SURPRISE
 
@@ -216,7 +242,8 @@ class Rails:
 
     def due(self, rows: HopRows, moving: Flags) -> list[list[tuple[int, int]]]:
         """Of each hop the sides and axes that `step` has to look at."""
-        least = np.array([[rail.least_peak for rail in side] for side in self._rails])
+        window = int(rows.window[-1])
+        least = np.array([[rail.least_peak(window) for rail in side] for side in self._rails])
         known = np.array([[rail.found for rail in side] for side in self._rails])
         near = (rows.top > least) | (rows.below.sum(axis=1) > 0) | (rows.at_it > 0)
         near &= moving[:, None, None]

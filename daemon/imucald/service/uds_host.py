@@ -134,12 +134,19 @@ class LiveHost:
         watched = {"accel": "accelerometer", "gyro": "gyroscope", "speed": "speed"}
         if self.uptime < START_S:
             watched = {}
+        faults = engine.pipeline.health.faults
+        sensors = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
         return Symptoms(
             usable=engine.pipeline.quality > 0,
             moved=engine.pipeline.estimator.state in _MOVED,
             missing={name: missing[name] for c, name in watched.items() if c in channels},
             counts=self.counts(),
             state_corrupt=self._service.state_corrupt,
+            faulty={
+                name: [str(fault) for fault in faults.get(c, ())]
+                for c, name in sensors.items()
+                if c in channels
+            },
         )
 
     def begin_calibration(self) -> None:
