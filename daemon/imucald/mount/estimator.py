@@ -411,13 +411,9 @@ class FullEstimator:
         for angle, text in self._troubles().items():
             words[angle], codes[angle] = text, Missing.OTHER
         if self._solver.fused is None:
-            return MountEstimate(
-                self._state, waiting_for=words, missing=codes, faults=self.faults
-            )
+            return MountEstimate(self._state, waiting_for=words, missing=codes, faults=self.faults)
         R, covariance = self._answer()
-        return MountEstimate(
-            self._state, R, covariance, words, codes, self._details(), self.faults
-        )
+        return MountEstimate(self._state, R, covariance, words, codes, self._details(), self.faults)
 
     def _troubles(self) -> dict[str, str]:
         """What more driving does not mend, per angle: contradictions, and a mount that moves."""
