@@ -325,10 +325,15 @@ class FullEstimator:
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
         )
         found = judged(self._known, self._state, self._settings)
+        was_good = self._state in GOOD
         self._state = self._state_by(self._allowed(found))
-        if self._state in GOOD:
+        if self._state not in GOOD:
+            return
+        self._served.aim(self._answer()[0])
+        if was_good or self._served.has_arrived:
             self._moved = False
-            self._served.aim(self._answer()[0])
+        else:  # good again, but what is applied is still on the way from what was wrong
+            self._state = MountState.RECALIBRATING
 
     def _allowed(self, found: MountState) -> MountState:
         """No *fine* before the tests can see, and nothing good in the face of a contradiction."""

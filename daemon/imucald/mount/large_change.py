@@ -38,10 +38,14 @@ TILT_NOISE = math.radians(0.5)
 """A block's tilt beside the road's slope: squat, gains, what is missed of the motion [rad]."""
 FORCE_NOISE2 = 0.25**2 * 5.0
 """Squared noise of the force times the ticks over which it hangs together [(m/s^2)^2]."""
-YAW_NOISE = math.radians(1.5)
-"""A block's yaw beside that noise: sideslip, delay [rad]."""
-LEAST_MOTION = 12.0
-"""A block with less squared motion says nothing of yaw [(m/s^2)^2 ticks]."""
+YAW_NOISE = math.radians(3.5)
+"""A block's yaw beside that noise [rad]: sideslip, and a speed that comes 0.1 to 0.3 s late where
+braking goes over into a bend of 2 s turns the force by 0.05 to 0.1."""
+MAX_RATE = 0.25
+"""Turning faster than this [rad/s] a lever arm of 1.5 m adds more than 0.1 m/s^2 along."""
+LEAST_MOTION = 3.0
+"""A block with less squared motion says nothing of yaw [(m/s^2)^2 ticks]; its deviation is 16 deg
+there, 8 deg at four times as much."""
 PRIOR_BLOCKS = 10.0
 """The spread is taken as the prior's with that weight."""
 LIMITS = (6.0, 6.0, 6.0)
@@ -53,6 +57,8 @@ MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(4.0))
 that of the minutes before but on mountain roads (10 %)."""
 AGREEING = 0.4
 """Every block since a change shows at least that share of it: one gust, one bad road is none."""
+CLEAR_YAW = 1.0 / (math.radians(8.0) ** 2 + YAW_NOISE**2)
+"""Of blocks that know yaw that well [1/rad^2]; at least one must be there."""
 STANDING_TURN = math.radians(3.0)
 """A vehicle that stands does not turn or tilt by so much [rad]; people getting in make a half."""
 STANDING_TICKS = 12
@@ -113,10 +119,7 @@ class LargeChangeDetector:
             float((force[:, 1] - gains[1] * v).mean()),
             float(force[:, 2].mean()),
         )
-        a, v = a - a.mean(), v - v.mean()
-        fx, fy = force[:, 0] - force[:, 0].mean(), force[:, 1] - force[:, 1].mean()
-        power = float(a @ a + v @ v)
-        yaw = math.atan2(float(v @ fx - a @ fy), float(a @ fx + v @ fy))
+        yaw, power = _direction(force, a, v, np.abs(v) < MAX_RATE * np.abs(p.speed[use]))
         metres = float(np.abs(p.speed[use]).sum()) * TICK_S
         known = 1.0 / (FORCE_NOISE2 / power + YAW_NOISE**2) if power > LEAST_MOTION else 0.0
         row = np.array([math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw])
@@ -165,8 +168,10 @@ class LargeChangeDetector:
             wa, wb = float(w[k:].sum()), float(w[:k].sum())
             new, old = float(w[k:] @ e[k:]) / wa, float(w[:k] @ e[:k]) / wb
             size = new - old
-            each_share = (e[k:] - old) / size if size else np.zeros(after)
-            if abs(size) < MIN_SIZE[axis] or float(each_share.min()) < AGREEING:
+            if abs(size) < MIN_SIZE[axis]:
+                continue
+            clear = w[k:] >= (CLEAR_YAW if axis == 2 else 0.0)
+            if not clear.any() or float(((e[k:] - old)[clear] / size).min()) < AGREEING:
                 continue
             left = e[:k] - old
             if axis == 2:
@@ -215,6 +220,15 @@ class LargeChangeDetector:
             return None
         self._stopped_at, self._turned = None, np.zeros(3)
         return LargeChange(axis, float(e[axis]), float(e[axis]) / (STANDING_TURN / 6.0), 1)
+
+
+def _direction(force: Array, a: Array, v: Array, use: NDArray[np.bool_]) -> tuple[float, float]:
+    """By how much the force's answer is turned from a and v (n,) [rad], and their power."""
+    if np.count_nonzero(use) < LEAST_TICKS:
+        return 0.0, 0.0
+    a, v, f = a[use] - a[use].mean(), v[use] - v[use].mean(), force[use] - force[use].mean(axis=0)
+    turned = math.atan2(float(v @ f[:, 0] - a @ f[:, 1]), float(a @ f[:, 0] + v @ f[:, 1]))
+    return turned, float(a @ a + v @ v)
 
 
 OFF_VERTICAL = math.radians(25.0)
