@@ -238,17 +238,21 @@ def hung_once():
     }
 
 
+def reload_and_wait(word):
+    """Reload, and wait until it is told how that went."""
+    shell("systemctl", "reload", UNIT)
+    wait(lambda: word in shell("journalctl", "-u", UNIT, "-n", "3"))
+
+
 def reloaded():
     pid, before = show("MainPID"), status()
     config = pathlib.Path("/etc/imucald/vcan0.yaml")
     good = config.read_text()
     config.write_text(good.replace("status_rate: 10", "status_rate: 5"))
-    shell("systemctl", "reload", UNIT)
-    time.sleep(0.5)
+    reload_and_wait("was read again")
     after = status()
     config.write_text(good + "nonsense: 1\n")
-    shell("systemctl", "reload", UNIT)
-    time.sleep(0.5)
+    reload_and_wait("not reloaded")
     still = status()
     config.write_text(good)
     return {
@@ -265,7 +269,7 @@ def stopped():
     os.kill(int(show("MainPID")), signal.SIGTERM)
     wait(lambda: show("ActiveState") == "inactive")
     took = time.monotonic() - began
-    files = sorted(path.name.rsplit(".", 1)[1] for path in STATE.iterdir())
+    files = sorted(path.name.rsplit(".", 1)[1] for path in STATE.glob("*.state.*"))
     shell("systemctl", "start", UNIT)
     after = status()
     return {

@@ -171,10 +171,19 @@ class CalibrationStore:
         except OSError as error:
             self._say(f"the saved state could not be set aside: {error}", WARNING)
 
-    def close(self, estimator: MountEstimator, driven_s: float) -> None:
+    def save_now(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the last estimate; wait for the disk, but not for long."""
         if estimator.state in _GOOD:
             self._save(estimator, self._driven_before + driven_s)
+        self.writer.flush(STOP_WAIT_S)
+
+    def end(self) -> None:
+        """Save nothing more; what is on its way is written."""
+        self.writer.close(0.0)
+
+    def close(self, estimator: MountEstimator, driven_s: float) -> None:
+        """Save the last estimate and end; wait for the disk, but not for long."""
+        self.save_now(estimator, driven_s)
         if not self.writer.close(STOP_WAIT_S):
             self._say("the disk did not take the state in time; the one before stands", WARNING)
         self.writer.report()
