@@ -27,7 +27,8 @@ KNOWN: dict[str, frozenset[str]] = {
         "accel": f"{_TRIAD} vibration_mps2 engine_mps2",
         "gyro": f"{_TRIAD} g_sensitivity vibration_radps",
         "mag": f"{_MESSAGE} field_horizontal_t field_down_t hard_iron_t noise_t lsb",
-        "speed": f"{_MESSAGE} scale lsb dead_band_mps noise_mps time_constant_s",
+        "speed": f"{_MESSAGE} scale lsb dead_band_mps noise_mps time_constant_s "
+        "delay_rate",
         "wheel_speeds": f"{_MESSAGE} scale lsb dead_band_mps noise_mps slip_per_mps2 slip_events "
         "slip_event_size",
         "steering": _SCALAR,
@@ -41,5 +42,5 @@ KNOWN: dict[str, frozenset[str]] = {
     }.items()
 }
 """Sections whose keys are looked at, with all keys that they have."""
-OTHERS = frozenset({"grid_hz", "route", "bus"})
+OTHERS = frozenset({"grid_hz", "route", "bus", "known_to"})
 """What only a simulated drive needs."""

@@ -1,238 +1,331 @@
-"""Forward selection of causes: each step asks which cause the drives speak for most.
+"""From a table of blocks to names: candidates compete on data that their fit did not see.
 
-At each step all drives are linearised at the best point so far; every form of every cause is
-tried by its evidence. What is far from linear (`bent`: delays, low-passes; `shifts`: a shift at an
-unknown time) is tried away from the point as well, and `contest` decides between what only fits of
-their own can tell apart. A cause that no longer pays is dropped again.
+A cause is named when its held-out gain exceeds 4 nats without the best block in fifteen, one of its
+intervals lies wholly outside the tolerance, and its value is plausible. Rivals within two standard
+errors of the paired difference are named with it. Then it is freed, and the question is asked anew.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.stats import t as student
 
-from imucald.diagnosis.bent import far_trials
-from imucald.diagnosis.cause import Cause, Parameter, Variant
-from imucald.diagnosis.causes import mount_shift
-from imucald.diagnosis.contest import FAMILIES, rivals_of, winner
-from imucald.diagnosis.evidence import Fit
+from imucald.diagnosis.blocks import Table, table_of
+from imucald.diagnosis.causes import CAUSES, PARAMETERS, Cause
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.linear import Linearised, linearise
-from imucald.diagnosis.shifts import shift_trials, timed
-from imucald.diagnosis.trial import ACCEPT, Found, Trial, signal_of, within
+from imucald.diagnosis.model_file import (
+    Changes,
+    extended,
+    level_effect,
+    with_delay_rate,
+    with_shifts,
+)
+from imucald.diagnosis.score import (
+    Estimate,
+    Hypothesis,
+    Problem,
+    box_fit,
+    estimate,
+    fitted,
+    held_out,
+    paired,
+    quantile,
+    without_best,
+)
+from imucald.diagnosis.shift import Shift, find_shift
+from imucald.diagnosis.signals import Array, Drive
+from imucald.model.model import Model
 
-PRIOR = math.log(0.01)
-"""Log prior odds that a given cause is at work."""
-ALIKE = 3.0
-"""Explanations within this log evidence of the best are look-alikes: odds of 20 to 1."""
-MOST_CAUSES = 8
-STEPS, MOST_STEPS = 2, 5
-"""Gauss-Newton steps after each accepted cause; more, and with noise and derivatives of every point
-on the way, where the response is bent."""
-SETTLED = 0.5
-"""Steps end where no parameter moves by more than this many of its tolerances."""
+LEAST_NATS = 4.0
+"""A factor of 50 on data that the fit did not see."""
+ALIKE_SE = 2.0
+MOST_NAMED = 6
+REFITS = 3
+CREEP_STEPS = 8
+SMALL_STEP = 0.05
+"""A refit has settled when nothing moves by more than this share of its tolerance."""
+LIKELY = 0.05
+"""Error rate of a single question from which something is likely."""
+
+Tick = Callable[[str], None]
 
 
-class Search:
-    """Finds the causes that the drives show.
+@dataclass(frozen=True)
+class Trial:
+    """What freeing a hypothesis' parameters came to."""
 
-    forwards: one per drive. candidates: causes that may be named. tick: told after each step.
-    """
+    hypothesis: Hypothesis
+    estimate: Estimate
+    gain: Array
+    """(B,) nats by which each block is likelier, by a fit that did not see it."""
+    shown: float
+    """Sum of it without the best blocks."""
+    tolerance: Array
+    plausible: Array
+    single: float
+    """Quantile of one question asked alone."""
 
-    def __init__(
-        self,
-        forwards: Sequence[Forward],
-        causes: Sequence[Cause],
-        candidates: Sequence[Cause],
-        tick: Callable[[str], None],
-    ) -> None:
-        self.forwards, self.tick = forwards, tick
-        self.parameters: tuple[Parameter, ...] = tuple(
-            p for cause in causes for p in cause.parameters
-        )
-        self.base = forwards[0].base() | {mount_shift.TIME: 0.0}
-        self.variants = [v for cause in candidates for v in _seen(cause.variants(), forwards[0])]
-        self.forms = {c.name: sum(v.cause == c.name for v in self.variants) for c in candidates}
-        self.index = {p.key: i for i, p in enumerate(self.parameters)}
+    @property
+    def outside(self) -> bool:
+        """An interval lies wholly outside the tolerance."""
+        return self._outside(self.estimate.quantile)
 
-    def run(self) -> Found:
-        """Search until nothing more pays."""
-        found = self._at([], dict(self.base))
-        while len(found.active) < MOST_CAUSES:
-            trials = self.trials(found)
-            rivals = [trial for trial in trials[:1] if trial.score >= ACCEPT]
-            rivals = rivals_of(rivals + far_trials(self, found, trials) + trials[1:])
-            if not rivals:
-                break
-            self.tick(rivals[0].variant.cause)
-            best = winner(self, found, [self._with(found, trial) for trial in rivals])
-            if best is None:
-                break
-            found = self._pruned(best, best.active[:-1])
-        return self._pruned(found, found.active)
+    def _outside(self, q: float) -> bool:
+        e = self.estimate
+        low, high = e.value - q * e.se, e.value + q * e.se
+        out = (low > self.tolerance) | (high < -self.tolerance)
+        return bool(np.any(out[: self.hypothesis.lead or len(out)]))
 
-    def _with(self, found: Found, trial: Trial) -> Found:
-        """Refit with one more cause."""
-        values = dict(found.point.values)
-        values.update(trial.start)
-        refit = self._refit([*found.active, trial.variant], values, found.scores, found.point)
-        refit.scores[trial.variant.cause] = trial.score
-        return refit
+    @property
+    def likely(self) -> bool:
+        """The same at the error rate of a single question."""
+        return self._outside(self.single)
 
-    # one step --------------------------------------------------------------------------------
+    @property
+    def is_plausible(self) -> bool:
+        """What leaves its tolerance stays within what a vehicle or a sensor can have."""
+        v, tau = self.estimate.value, self.tolerance
+        low, high = self.plausible.T
+        return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
 
-    def trials(self, found: Found) -> list[Trial]:
-        """Try every form of every cause that is not active; best first."""
-        taken = {key for variant in found.active for key in variant.keys}
-        tried = [
-            self._linear(found, variant)
-            for variant in self.variants
-            if variant.cause != "mount_shift" and not taken & set(variant.keys)
-        ]
-        if "mount_shift" in self.forms and not taken & set(mount_shift.KEYS):
-            tried += shift_trials(self, found)
-        return sorted(tried, key=lambda trial: -trial.score)
+    @property
+    def named(self) -> bool:
+        """Passes all that one hypothesis passes by itself."""
+        return self.shown > LEAST_NATS and self.outside
 
-    def parameter(self, key: str) -> Parameter:
-        """Return the parameter of a key."""
-        return self.parameters[self.index[key]]
 
-    def prior(self, variant: Variant) -> float:
-        """Log prior odds of one form of a cause."""
-        return PRIOR - math.log(max(self.forms[variant.cause], 1))
+@dataclass
+class State:
+    """What is known so far."""
 
-    def temper(self, found: Found, keys: Sequence[str]) -> float:
-        """How much fewer the data count for some parameters, from their stretches' scatter."""
-        return float(np.mean([found.tempers[self.index[key]] for key in keys])) if keys else 1.0
+    drives: Sequence[Drive]
+    stated: Model
+    """The model file that is put to the test."""
+    model: Model
+    """The same with what was found."""
+    bounds: dict[str, tuple[float, float]]
+    """Boxes from direct evidence, as departures from `model`."""
+    changes: dict[str, float] = field(default_factory=dict)
+    """Found departures from `stated`, by key."""
+    named: list[Trial] = field(default_factory=list)
+    rivals: dict[str, list[Trial]] = field(default_factory=dict)
+    implausible: list[Trial] = field(default_factory=list)
+    likely: list[Trial] = field(default_factory=list)
+    last: list[Trial] = field(default_factory=list)
+    """All trials beside what was found: what each could have been."""
+    shift: Shift | None = None
+    table: Table | None = None
+    forwards: list[Forward] = field(default_factory=list)
 
-    def _linear(self, found: Found, variant: Variant) -> Trial:
-        evidence, temper = found.point.evidence, self.temper(found, variant.keys)
-        without = evidence.fit(found.keys, temper=temper)
-        with_it = evidence.fit([*found.keys, *variant.keys], temper=temper)
-        score = with_it.log_evidence - without.log_evidence + self.prior(variant)
-        if not self._is_within(found, variant, with_it):
-            score = -math.inf
-        return Trial(variant, score, {})
+    @property
+    def free(self) -> list[str]:
+        """Parameters that were found to be off."""
+        return list(self.changes)
 
-    def is_possible(
-        self, found: Found, variant: Variant, others: Sequence[str], temper: float
-    ) -> bool:
-        """Whether a cause, fitted beside other keys, would be something that it can be."""
-        fit = found.point.evidence.fit([*others, *variant.keys], temper=temper)
-        return self._is_within(found, variant, fit)
+    def evaluated(self) -> Problem:
+        """Put the drives beside the model as it is now."""
+        self.table, self.forwards = table_of(self.drives, self.model)
+        return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
 
-    def _is_within(self, found: Found, variant: Variant, fit: Fit) -> bool:
-        for key in variant.keys:
-            p = self.parameter(key)
-            value = found.point.values[key] + float(fit.x[self.index[key]])
-            if abs(value - within(p, value)) > p.tolerance:
-                return False
-        return True
+    def apply(self, changes: Changes) -> None:
+        """Move the model by found departures."""
+        for key, x in changes.items():
+            self.changes[key] = self.changes.get(key, 0.0) + x
+        middle = self.forwards[0].middle_s if self.forwards else 0.0
+        self.model = extended(self.stated, with_delay_rate(self.changes, middle))
 
-    def std(self, found: Found, keys: Sequence[str]) -> dict[str, float]:
-        """Standard deviation of fitted parameters, model error included."""
-        covariance = found.point.evidence.fit(found.keys).covariance
-        made = {}
+
+def hypotheses(table: Table, model: Model, skip: Sequence[str]) -> list[Hypothesis]:
+    """The catalogue's causes as far as their signals are there."""
+    made = []
+    for cause in CAUSES:
+        for keys in cause.variants:
+            if not all(key in table.keys for key in keys) or set(keys) & set(skip):
+                continue
+            if not all(_shows(table, key) for key in keys):
+                continue
+            made.append(_hypothesis(cause, keys, model))
+    return made
+
+
+def _shows(table: Table, key: str) -> bool:
+    i = table.keys.index(key) + 1
+    return bool(table.gram[:, i, i].sum() * table.tolerance[i - 1] ** 2 > 0.0)
+
+
+def _hypothesis(cause: Cause, keys: tuple[str, ...], model: Model) -> Hypothesis:
+    """A gain of the accelerometer moves what it reads of one g with it."""
+    if cause.name not in {"accel_scale", "accel_cross_axis"}:
+        return Hypothesis(cause.name, keys, lead=cause.lead)
+    moved = tuple({key: 1.0, **level_effect(model, key)} for key in keys)
+    return Hypothesis(cause.name, keys, moved)
+
+
+def tried(problem: Problem, h: Hypothesis, base: Array, questions: int) -> Trial:
+    """Free a hypothesis and score it."""
+    gain = base - held_out(problem, h)
+    index = problem.table.index(h.keys)
+    t = problem.table
+    return Trial(h, estimate(problem, h, questions), gain, without_best(gain),
+                 t.tolerance[index], t.plausible[index],
+                 float(student.ppf(1.0 - 0.5 * LIKELY, t.blocks - 1)))  # fmt: skip
+
+
+def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str] = ()) -> None:
+    """Name what pays, one after another; then refit all, and let go what no longer pays."""
+    dropped: list[str] = []
+    while len(state.named) < MOST_NAMED and not late():
+        problem = state.evaluated()
+        state.last = _trials(problem, state, [*skip, *dropped])
+        best = _winner(state.last)
+        shift = find_shift(problem, problem.table.levels)
+        if shift is not None and shift.named and (best is None or shift.shown > best.shown):
+            # Either side of a shift is another drive: nothing else is asked of this one.
+            state.shift = shift
+            state.model = with_shifts(state.model, shift_steps(shift))
+            state.evaluated()
+            break
+        if best is None:
+            break
+        alike = _alike(best, state.last)
+        chosen = next((t for t in [best, *alike] if t.is_plausible), None)
+        if chosen is None:
+            state.implausible.append(best)
+            break
+        name = chosen.hypothesis.name
+        tick(f"found {name.replace('_', ' ')}, looking further")
+        state.rivals[name] = [t for t in alike if t is not chosen and t.is_plausible]
+        if best is not chosen:
+            state.rivals[name].append(best)
+        state.named.append(chosen)
+        state.apply(_changes(problem, chosen.hypothesis))
+        refit(state)
+        dropped += _let_go(state)
+    state.likely = [
+        t for t in state.last if t.shown > LEAST_NATS and t.likely and not t.outside
+        and t.is_plausible and t.hypothesis.name not in {x.hypothesis.name for x in state.named}
+    ]  # fmt: skip
+
+
+def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
+    asked = hypotheses(problem.table, state.model, [*state.free, *skip])
+    base = held_out(problem)
+    return [tried(problem, h, base, len(asked)) for h in asked]
+
+
+def _winner(trials: Sequence[Trial]) -> Trial | None:
+    """The one with most gain of those that pass; of one cause's forms the simplest that does."""
+    passing = [t for t in trials if t.named]
+    if not passing:
+        return None
+    best = max(passing, key=lambda t: t.gain.sum())
+    same = [t for t in passing if t.hypothesis.name == best.hypothesis.name]
+    simple = [t for t in same if _is_near(best, t)]
+    return min(simple, key=lambda t: (len(t.hypothesis.keys), -t.gain.sum()))
+
+
+def _is_near(best: Trial, other: Trial) -> bool:
+    behind, se = paired(best.gain, other.gain)
+    return behind <= ALIKE_SE * se or behind <= LEAST_NATS / 2.0
+
+
+def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
+    """Other causes that do as well within two standard errors; one form of each."""
+    found: dict[str, Trial] = {}
+    for t in sorted(trials, key=lambda t: -t.gain.sum()):
+        name = t.hypothesis.name
+        if name == best.hypothesis.name or name in found or not t.named:
+            continue
+        if _is_near(best, t):
+            found[name] = t
+    return list(found.values())
+
+
+def _changes(problem: Problem, h: Hypothesis) -> dict[str, float]:
+    """Departures of a hypothesis' own parameters, with what moves with them."""
+    x = fitted(problem, h)
+    own = problem.own(h)
+    changes: dict[str, float] = {}
+    for k, key in enumerate(h.keys):
+        moved = h.directions[k] if h.directions else {key: 1.0}
+        for name, factor in moved.items():
+            changes[name] = changes.get(name, 0.0) + factor * float(x[own[k]])
+    return changes
+
+
+def refit(state: State) -> None:
+    """All found parameters together, the model evaluated anew where it is now."""
+    for _ in range(REFITS):
+        problem = state.evaluated()
+        total = problem.table.gram.sum(axis=0)
+        x = box_fit(total[1:, 1:], total[1:, 0], problem.low, problem.high)
+        keys = [k for k in state.free if k in problem.table.keys]
+        moves = {k: float(x[problem.table.keys.index(k)]) for k in keys}
+        state.apply(moves)
+        if all(abs(v) < SMALL_STEP * _size(problem, k) for k, v in moves.items()):
+            break
+
+
+def shift_steps(shift: Shift) -> list[tuple[float, Array]]:
+    """A step, or a creep as a staircase."""
+    if shift.kind == "step":
+        return [(shift.start_s, shift.turn)]
+    times = np.linspace(0.0, 1.0, CREEP_STEPS + 2)[1:-1]
+    starts = shift.low_s + times * (shift.high_s - shift.low_s)
+    return [(float(t), shift.turn / CREEP_STEPS) for t in starts]
+
+
+def _size(problem: Problem, key: str) -> float:
+    return float(problem.table.tolerance[problem.table.keys.index(key)])
+
+
+def _let_go(state: State) -> list[str]:
+    """Causes that no longer pay beside the later ones are put back; returns their parameters."""
+    if len(state.named) < 2:
+        return []
+    problem = state.evaluated()
+    base = held_out(problem)
+    gone: list[str] = []
+    for trial in state.named[:-1]:
+        keys = [k for k in trial.hypothesis.keys if k in problem.table.keys]
+        low, high = problem.low.copy(), problem.high.copy()
         for key in keys:
-            i = self.index[key]
-            p = self.parameters[i]
-            departure = found.point.values[key] - self.base[key]
-            made[key] = math.sqrt(
-                float(covariance[i, i]) * float(found.tempers[i])
-                + (p.share * departure) ** 2
-                + (p.floor * p.tolerance) ** 2
-            )
-        return made
-
-    def refit(self, active: list[Variant], found: Found) -> Found:
-        """Keep some of the active causes only; the others go back to the model file's values."""
-        values = dict(self.base)
-        kept = {key for variant in active for key in variant.keys} | {mount_shift.TIME}
-        values.update({k: v for k, v in found.point.values.items() if k in kept})
-        names = {variant.cause for variant in active}
-        scores = {k: s for k, s in found.scores.items() if k in names}
-        return self._refit(active, values, scores, found.point, found.alike)
-
-    # fitting ---------------------------------------------------------------------------------
-
-    def _at(self, active: list[Variant], values: dict[str, float]) -> Found:
-        point = linearise(self.forwards, self.parameters, values, self.base)
-        evidence = point.evidence
-        all_free = evidence.fit(evidence.keys)
-        return Found(active, {}, point, evidence.dispersion(all_free.x))
-
-    def _refit(
-        self,
-        active: list[Variant],
-        values: dict[str, float],
-        scores: dict[str, float],
-        near: Linearised,
-        alike: Sequence[tuple[str, ...]] = (),
-    ) -> Found:
-        """Move to the best point of a set of causes. near: a point with derivatives and noise."""
-        keys = [key for variant in active for key in variant.keys]
-        bent = bool(active) and any(active[-1].cause in family for family in FAMILIES)
-        if bent:
-            near = self._at(active, values).point
-        for _ in range(MOST_STEPS if bent else STEPS):
-            before = values
-            values = self._stepped(active, keys, values, near)
-            moved = (abs(values[p.key] - before[p.key]) / p.tolerance
-                     for p in self.parameters if p.key in keys)  # fmt: skip
-            if bent and max(moved, default=0.0) < SETTLED:
-                break
-            if bent:
-                near = self._at(active, values).point
-        found = self._at(active, values)
-        found.scores = dict(scores)
-        found.alike = list(alike)
-        return found
-
-    def _stepped(
-        self,
-        active: Sequence[Variant],
-        keys: Sequence[str],
-        values: dict[str, float],
-        near: Linearised,
-    ) -> dict[str, float]:
-        """One Gauss-Newton step of some keys, with noise and other derivatives of a point near."""
-        point = linearise(self.forwards, self.parameters, values, self.base, near, moved=keys)
-        fit = point.evidence.fit(keys)
-        stepped = dict(values)
-        for p, x in zip(self.parameters, fit.x, strict=True):
-            if p.key in keys:
-                stepped[p.key] = within(p, stepped[p.key] + float(x))
-        if any(v.cause == "mount_shift" for v in active):
-            stepped = timed(self, point, stepped)
-        return stepped
-
-    def _pruned(self, found: Found, doubted: Sequence[Variant]) -> Found:
-        """Drop causes that no longer pay beside the others."""
-        for variant in list(doubted):
-            rest = [v for v in found.active if v is not variant]
-            if self.loss(found, variant) < ACCEPT:
-                values = dict(found.point.values)
-                for key in variant.keys:
-                    values[key] = self.base[key]
-                scores = {k: s for k, s in found.scores.items() if k != variant.cause}
-                found = self._refit(rest, values, scores, found.point, found.alike)
-        return found
-
-    def loss(self, found: Found, variant: Variant) -> float:
-        """Log posterior odds that would be lost without an active cause."""
-        evidence, temper = found.point.evidence, self.temper(found, variant.keys)
-        rest = [key for v in found.active if v is not variant for key in v.keys]
-        full = evidence.fit(found.keys, temper=temper).log_evidence
-        return full - evidence.fit(rest, temper=temper).log_evidence + self.prior(variant)
+            i = problem.table.keys.index(key)
+            low[i] = -state.changes[key] - problem.table.tolerance[i]
+            high[i] = -state.changes[key] + problem.table.tolerance[i]
+        without = held_out(replace(problem, low=np.minimum(low, high), high=np.maximum(low, high)))
+        if without_best(without - base) < LEAST_NATS:
+            gone += keys
+    if gone:
+        state.named = [t for t in state.named if not set(t.hypothesis.keys) & set(gone)]
+        for key in gone:
+            state.changes.pop(key, None)
+        state.apply({})
+        refit(state)
+    return gone
 
 
-def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:
-    """Forms whose parameters change something in this drive."""
-    scalars = forward.track.scalars
-    absent = {name for name in ("steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
-              if name not in scalars}  # fmt: skip
-    if forward.track.gyro is None:
-        absent.add("gyro")
-    return [v for v in variants if v.keys and not any(signal_of(key) in absent for key in v.keys)]
+def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
+    """By found parameter: departure from the stated model, deviation, quantile; others fitted."""
+    if state.table is None or not state.changes:
+        return {}
+    problem = state.evaluated()
+    keys = tuple(k for k in state.free if k in problem.table.keys)
+    if not keys:
+        return {}
+    e: Estimate = estimate(problem, Hypothesis("all", keys), len(PARAMETERS))
+    q = quantile(problem.table.blocks, 1)
+    return {
+        key: (state.changes[key], float(se), q) for key, se in zip(keys, e.se, strict=True)
+    }
+
+
+def questions(trials: Sequence[Trial]) -> Mapping[str, Trial]:
+    """The best trial of each cause, most gain first."""
+    best: dict[str, Trial] = {}
+    for t in sorted(trials, key=lambda t: -t.shown):
+        best.setdefault(t.hypothesis.name, t)
+    return best

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from imucald.config import MAX_FILE_BYTES, Marks, read_yaml
 from imucald.core.errors import ConfigError
-from imucald.model.section import Positive, Section
+from imucald.model.section import NonNegative, Positive, Section
 from imucald.model.sensors import (
     Accelerometer,
     Bus,
@@ -54,6 +54,9 @@ class Model(Section):
     mag: Magnetometer = Magnetometer()
     temperature: Temperature = Temperature()
     bus: Bus = Bus()
+    known_to: dict[str, NonNegative] = Field(default_factory=dict)
+    """Half widths within which numbers of this file are true, by the keys of `imucald diagnose`, in
+    their SI units; others are held to what its catalogue takes for an honest file."""
 
     @model_validator(mode="after")
     def _fine_enough(self) -> Model:
