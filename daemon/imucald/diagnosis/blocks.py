@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import dct
 
 from imucald.diagnosis.causes import PARAMETERS
-from imucald.diagnosis.forward import Forward, Residuals
+from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.model_file import plausible, tolerance
 from imucald.diagnosis.signals import STEP_S, Array, Drive, Mask
 from imucald.model.model import Model
@@ -35,6 +35,7 @@ LEAST_SHARE = 0.6
 """Of a block's rows that must be there."""
 MOVING_MPS, MOVING_SHARE = 1.5, 0.15
 """A block in which the vehicle hardly moves says nothing but what stops say."""
+SLOW_BAND_HZ = 0.2
 SMOOTH = 7
 """Coefficients of the spectrum that are averaged."""
 PASSES = 3
@@ -71,12 +72,24 @@ class Table:
     plausible: Array
     """(P, 2)"""
     top_hz: Mapping[str, float]
-    rms: Mapping[str, float]
-    """Of each equation as it stands, in its unit and band, with the tilt taken out."""
-    floor: Mapping[str, float]
-    """The same after a fit of everything: what no parameter explains."""
+    seconds: float
+    """Length of a block."""
+    plain: Mapping[str, Array]
+    """(B, 2, P+1, P+1) by equation: in its own unit, below and above `SLOW_BAND_HZ`."""
     levels: Array
     """(B, 2) mean tilt of each block, forward and left: force less what motion explains, over g."""
+
+    def rms(self, equation: str, x: Array | None = None, band: int | None = None) -> float:
+        """Residual of an equation [its unit] with parameters x (P,), or (B, P) a block."""
+        gram = self.plain[equation]
+        z = np.zeros((len(gram), gram.shape[2]))
+        z[:, 0] = 1.0
+        if x is not None:
+            z[:, 1:] = -x
+        power = np.einsum("bi,bkij,bj->bk", z, gram, z)
+        there = self.by_equation[equation][:, 0, 0] > 0.0
+        chosen = power[there] if band is None else power[there][:, band : band + 1]
+        return float(np.sqrt(np.maximum(chosen.sum() / max(int(there.sum()), 1), 0.0)))
 
     @property
     def blocks(self) -> int:
@@ -99,6 +112,8 @@ class _Rows:
     X: Array
     tilt: Array | None
     good: Mask
+    seconds: float
+    """Length of a block."""
 
 
 def table_of(drives: Sequence[Drive], model: Model) -> tuple[Table, list[Forward]]:
@@ -144,7 +159,7 @@ def _rows(
     """Residual and columns of each equation, transformed."""
     base = f.residuals({})
     masks = f.usable()
-    f.settle(_tilts(base, masks))
+    f.settle(f.tilts(base, masks))
     settled = f.residuals({}, by_inertia=True)
     made = {}
     for name, x in base.of.items():
@@ -155,8 +170,9 @@ def _rows(
             tilt = np.stack([_cosine(z, mask, count) for z in base.tilt[name]], axis=2)
         good = mask.mean(axis=1) >= LEAST_SHARE
         made[name] = _Rows(
-            _cosine(x, mask, count), np.zeros((f.blocks, count, len(keys))), tilt, good
-        )
+            _cosine(x, mask, count), np.zeros((f.blocks, count, len(keys))), tilt, good,
+            f.rows * STEP_S,
+        )  # fmt: skip
     for j, key in enumerate(keys):
         step = tolerance(model, key) or PARAMETERS[key].tolerance
         moved = f.residuals({key: step}, by_inertia=True)
@@ -173,30 +189,13 @@ def _cosine(x: Array, mask: Mask, count: int) -> Array:
     return made
 
 
-def _tilts(base: Residuals, masks: Mapping[str, Mask]) -> Array:
-    """(B, 2) tilt of each block by plain least squares."""
-    blocks = next(iter(base.of.values())).shape[0]
-    tilt = np.zeros((blocks, 2))
-    for b in range(blocks):
-        rows = []
-        values = []
-        for name, (first, second) in base.tilt.items():
-            good = masks[name][b]
-            rows.append(np.column_stack([first[b][good], second[b][good]]))
-            values.append(base.of[name][b][good])
-        if sum(map(len, values)) > 10:
-            solved = np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)
-            tilt[b] = solved[0]
-    return tilt
-
-
 def _joined(parts: Sequence[_Rows]) -> _Rows:
     tilt = None
     if parts[0].tilt is not None:
         tilt = np.concatenate([p.tilt for p in parts if p.tilt is not None])
     return _Rows(
         np.concatenate([p.y for p in parts]), np.concatenate([p.X for p in parts]), tilt,
-        np.concatenate([p.good for p in parts]),
+        np.concatenate([p.good for p in parts]), parts[0].seconds,
     )  # fmt: skip
 
 
@@ -212,34 +211,20 @@ def _weighed(
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     wide = np.abs(bounds).max(axis=1)
     free = np.zeros(len(keys))
-    weights = {
-        name: np.ones((rows.y.shape[0], rows.y.shape[1])) * rows.good[:, None]
-        for name, rows in parts.items()
-    }
-    rms: dict[str, float] = {}
-    floor: dict[str, float] = {}
     for _ in range(PASSES):
-        for name, rows in parts.items():
-            left = _without_tilt(parts, free)[name]
-            weights[name] = _weights(left, rows.good)
+        left = _without_tilt(parts, free)
+        weights = {name: _weights(left[name], rows.good) for name, rows in parts.items()}
         gram = _gram(parts, weights)
         total = sum(gram.values()).sum(axis=0) if gram else np.zeros((1, 1))
         ridge = np.diag(1.0 / wide**2)
         free = np.linalg.solve(total[1:, 1:] + ridge, total[0, 1:])
-    before, after = _without_tilt(parts, 0.0 * free), _without_tilt(parts, free)
-    for name, rows in parts.items():
-        n = max(int(rows.good.sum()), 1)
-        samples = rows.y.shape[1] * 0 + round(BLOCK_S / STEP_S)
-        rms[name] = float(np.sqrt((before[name][rows.good] ** 2).sum() / (n * samples)))
-        floor[name] = float(np.sqrt((after[name][rows.good] ** 2).sum() / (n * samples)))
-    used = {name: g for name, g in gram.items()}
-    whole = np.asarray(sum(used.values()))
+    whole = np.asarray(sum(gram.values()))
     count = sum((w > 0.0).sum(axis=1) for w in weights.values())
     keep = np.asarray(count) > 0
     return Table(
-        keys, whole[keep], {n: g[keep] for n, g in used.items()}, np.asarray(count)[keep],
-        start[keep], drive[keep], moving[keep], tolerances, bounds, top, rms, floor,
-        levels[keep],
+        keys, whole[keep], {n: g[keep] for n, g in gram.items()}, np.asarray(count)[keep],
+        start[keep], drive[keep], moving[keep], tolerances, bounds, top,
+        next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()}, levels[keep],
     )  # fmt: skip
 
 
@@ -247,17 +232,20 @@ def _without_tilt(parts: Mapping[str, _Rows], x: Array) -> dict[str, Array]:
     """Residual rows (B, K) less X x, the tilt fitted anew."""
     left = {name: rows.y - rows.X @ x for name, rows in parts.items()}
     tilted = [n for n in TILTED if n in parts]
-    blocks = next(iter(left.values())).shape[0]
-    for b in range(blocks):
-        Z = np.concatenate([_tilt_of(parts[n])[b] for n in tilted])
-        y = np.concatenate([left[n][b] for n in tilted])
-        y = y - Z @ np.linalg.lstsq(Z, y, rcond=None)[0]
-        at = 0
-        for n in tilted:
-            k = left[n].shape[1]
-            left[n][b] = y[at : at + k]
-            at += k
+    if not tilted:
+        return left
+    Z = np.concatenate([_tilt_of(parts[n]) for n in tilted], axis=1)
+    y = np.concatenate([left[n] for n in tilted], axis=1)[:, :, None]
+    y = (y - Z @ np.linalg.solve(_inner(Z), np.swapaxes(Z, 1, 2) @ y))[:, :, 0]
+    at = 0
+    for n in tilted:
+        k = left[n].shape[1]
+        left[n], at = y[:, at : at + k], at + k
     return left
+
+
+def _inner(Z: Array) -> Array:
+    return np.asarray(np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(2))
 
 
 def _tilt_of(rows: _Rows) -> Array:
@@ -281,6 +269,30 @@ def _weights(left: Array, good: Mask) -> Array:
     return made
 
 
+def _plain(parts: Mapping[str, _Rows]) -> dict[str, Array]:
+    """Gram matrices in the equations' own units (squares per sample), in two bands."""
+    made: dict[str, Array] = {}
+    tilted = [n for n in TILTED if n in parts]
+    full = {
+        n: np.concatenate([r.y[:, :, None], r.X], axis=2) * r.good[:, None, None]
+        for n, r in parts.items()
+    }
+    if tilted:
+        A = np.concatenate([full[n] for n in tilted], axis=1)
+        Z = np.concatenate([_tilt_of(parts[n]) * parts[n].good[:, None, None] for n in tilted], 1)
+        A = A - Z @ np.linalg.solve(_inner(Z), np.swapaxes(Z, 1, 2) @ A)
+        at = 0
+        for n in tilted:
+            k = parts[n].y.shape[1]
+            full[n], at = A[:, at : at + k], at + k
+    for n, a in full.items():
+        # Coefficient k of a block of T seconds lies at k / 2T.
+        cut = max(1, round(2.0 * SLOW_BAND_HZ * parts[n].seconds))
+        halves = [np.swapaxes(b, 1, 2) @ b for b in (a[:, :cut], a[:, cut:])]
+        made[n] = np.stack(halves, axis=1) / (parts[n].seconds / STEP_S)
+    return made
+
+
 def _gram(parts: Mapping[str, _Rows], weights: Mapping[str, Array]) -> dict[str, Array]:
     """(B, P+1, P+1) by equation; those with gravity are one, named by the first."""
     made: dict[str, Array] = {}
@@ -290,8 +302,7 @@ def _gram(parts: Mapping[str, _Rows], weights: Mapping[str, Array]) -> dict[str,
     if both:
         A = np.concatenate(both, axis=1)
         Z = np.concatenate([_tilt_of(parts[n]) * weights[n][:, :, None] for n in tilted], axis=1)
-        inner = np.swapaxes(Z, 1, 2) @ Z + 1e-9 * np.eye(2)
-        A = A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A)
+        A = A - Z @ np.linalg.solve(_inner(Z), np.swapaxes(Z, 1, 2) @ A)
         at = 0
         for n in tilted:
             k = parts[n].y.shape[1]

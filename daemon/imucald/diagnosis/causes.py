@@ -48,6 +48,10 @@ class Cause:
     """The manoeuvre that tells it from its look-alikes."""
     generic: bool = False
     """A gain, an offset or a delay of a signal, without a physical reason."""
+    together: tuple[str, ...] = ()
+    """Parameters that are tried as one number besides."""
+    drift: bool = False
+    """Tried as an even growth over the drive."""
     lead: int = 0
     """How many of the first parameters must be off for the name to hold; 0: any of them."""
 
@@ -143,18 +147,24 @@ def _each(prefix: str, names: Iterable[str]) -> tuple[tuple[str, ...], ...]:
 CAUSES: tuple[Cause, ...] = (
     Cause("accel_bias", (_keys("accel.bias"),), "The accelerometer's zero is off.",
           "curves both ways and stops facing both ways on one slope"),
-    Cause("accel_scale", (*_each("accel.scale", "012"), _keys("accel.scale", "012")),
-          "The accelerometer's gain is off.", "hard braking and the sensor at rest on each side"),
+    Cause("accel_scale", _each("accel.scale", "012"),
+          "The accelerometer's gain is off.", "hard braking and the sensor at rest on each side",
+          together=_keys("accel.scale", "012")),
     Cause("accel_cross_axis", _each("accel.cross_axis", "012345"),
           "One axis of the accelerometer sees part of another.",
           "braking without curves and curves without braking"),
     Cause("accel_bias_temperature", (_keys("accel.bias_temperature"),),
           "The accelerometer's zero moves with its temperature.", "a cold and a warm start"),
+    Cause("accel_bias_drift", (_keys("accel.bias"),),
+          "The accelerometer's zero drifts along the drive.", "a longer drive, and a cold start",
+          drift=True),
     Cause("gyro_bias", (_keys("gyro.bias"),), "The gyroscope's zero is off.", "stops"),
-    Cause("gyro_scale", (*_each("gyro.scale", "012"), _keys("gyro.scale", "012")),
-          "The gyroscope's gain is off.", "steady circles, and a turn of known angle"),
-    Cause("g_sensitivity", (*_each("gyro.g_sensitivity", "012"), _keys("gyro.g_sensitivity", "012")),
-          "The gyroscope's zero moves with the force on it.", "stops between hard braking"),
+    Cause("gyro_scale", _each("gyro.scale", "012"),
+          "The gyroscope's gain is off.", "steady circles, and a turn of known angle",
+          together=_keys("gyro.scale", "012")),
+    Cause("g_sensitivity", _each("gyro.g_sensitivity", "012"),
+          "The gyroscope's zero moves with the force on it.", "stops between hard braking",
+          together=_keys("gyro.g_sensitivity", "012")),
     Cause("gyro_bias_temperature", (_keys("gyro.bias_temperature"),),
           "The gyroscope's zero moves with its temperature.", "stops after a cold start"),
     Cause("mount_rotation", (("mount.turn.z",), ("mount.turn.x", "mount.turn.y")),

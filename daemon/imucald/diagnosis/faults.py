@@ -107,10 +107,11 @@ def _piled(name: str, series: Series, model: Model) -> Iterator[Fault]:
         return
     share = float(hit.mean())
     size = float(min(abs(r) for r in rails))
+    shown = ", ".join(f"{r:.4g}" for r in rails)
     unit = "m/s^2" if "accel" in name else "rad/s"
     yield Fault(
         "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)},
-        f"Values pile up at {size:.4g} {unit}: {100 * share:.2g} % of the samples.",
+        f"Values pile up at {shown} {unit}: {100 * share:.2g} % of the samples.",
         {f"{name}.full_scale": size} if name in ("accel", "gyro") else {},
         _spans(series.t, hit), 0.5 * float(hit.sum()),
     )  # fmt: skip

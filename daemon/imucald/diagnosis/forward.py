@@ -167,6 +167,39 @@ class Forward:
         """Choose the signals that columns are made of. tilt: (B, 2) z0 of each block."""
         self._reference = _Motion(self, {}, False).reference(tilt)
 
+    def tilts(self, base: Residuals, masks: Mapping[str, Mask]) -> Array:
+        """(B, 2) tilt of each block by plain least squares."""
+        tilt = np.zeros((self.blocks, 2))
+        for b in range(self.blocks):
+            rows, values = [], []
+            for name, (first, second) in base.tilt.items():
+                good = masks[name][b]
+                rows.append(np.column_stack([first[b][good], second[b][good]]))
+                values.append(base.of[name][b][good])
+            if sum(map(len, values)) > 10:
+                A, y = np.concatenate(rows), np.concatenate(values)
+                tilt[b] = np.linalg.lstsq(A, y, rcond=None)[0]
+        return tilt
+
+    def yaw_rate(self) -> Array:
+        """(N,) yaw rate of the vehicle that the equations use [rad/s]."""
+        return np.asarray(_Motion(self, {}, False).r)
+
+    def measured(self) -> dict[str, Array]:
+        """What each equation's sensor says, with the model file's errors taken off."""
+        m = _Motion(self, {}, False)
+        found = {f"accel_{axis}": m.force[:, i] for i, axis in enumerate("xyz")}
+        found["accel_x"] = m._as_speed_sees(m.force[:, 0])
+        if m.rate is not None:
+            found |= {f"gyro_{axis}": m.rate[:, i] for i, axis in enumerate("xyz")}
+        if self.has_turning:
+            found["yaw_rate"] = m._yaw_rate()
+        for name in ("lateral_accel", "longitudinal_accel"):
+            if self.drive.has(name):
+                found[name] = self._scalar(name, {})
+        found["speed"] = np.abs(m.v)
+        return found
+
     def levels(self) -> Array:
         """(B, 2) mean of u over each block as the forces tell it, without the gyroscope's carry."""
         motion = _Motion(self, {}, False)

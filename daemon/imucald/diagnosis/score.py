@@ -109,7 +109,9 @@ class Problem:
             for name, x in (h.directions[k] if h.directions else {key: 1.0}).items():
                 D[self.table.keys.index(name) + 1, k] = x
         if h.directions:
-            # The direction takes the key's place in the box.
+            # The direction takes the place of its kin in the box.
+            kin = {n for d in h.directions for n in d if _family(n) == _family(h.keys[0])}
+            index = self.table.index(sorted(kin))
             low[index], high[index] = -SILENT * high[index], SILENT * high[index]
         m = np.ones(len(gram)) if h.pattern is None else h.pattern
         cross = (gram @ D) * m[:, None, None]
@@ -128,6 +130,10 @@ class Problem:
         if h.is_plain:
             return self.table.index(h.keys)
         return list(range(len(self.table.keys), len(self.table.keys) + len(h.keys)))
+
+
+def _family(key: str) -> str:
+    return key.rpartition(".")[0]
 
 
 def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = None) -> Array:

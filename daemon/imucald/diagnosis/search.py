@@ -92,9 +92,15 @@ class Trial:
         return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
 
     @property
+    def is_testable(self) -> bool:
+        """The data tell its parameters more sharply than plausibility does."""
+        e = self.estimate
+        return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
+
+    @property
     def named(self) -> bool:
         """Passes all that one hypothesis passes by itself."""
-        return self.shown > LEAST_NATS and self.outside
+        return self.shown > LEAST_NATS and self.outside and self.is_testable
 
 
 @dataclass
@@ -108,8 +114,12 @@ class State:
     """The same with what was found."""
     bounds: dict[str, tuple[float, float]]
     """Boxes from direct evidence, as departures from `model`."""
+    at_rest: dict[str, float] = field(default_factory=dict)
+    """Departures from `stated` that stops show; every fit keeps within `bounds` of them."""
     changes: dict[str, float] = field(default_factory=dict)
     """Found departures from `stated`, by key."""
+    held: set[str] = field(default_factory=set)
+    """Parameters that moved by a direction: kept within their interval by `bounds`."""
     named: list[Trial] = field(default_factory=list)
     rivals: dict[str, list[Trial]] = field(default_factory=dict)
     implausible: list[Trial] = field(default_factory=list)
@@ -122,8 +132,8 @@ class State:
 
     @property
     def free(self) -> list[str]:
-        """Parameters that were found to be off."""
-        return list(self.changes)
+        """Parameters that were found to be off, and are fitted with all others."""
+        return [key for key in self.changes if key not in self.held]
 
     def evaluated(self) -> Problem:
         """Put the drives beside the model as it is now."""
@@ -135,19 +145,28 @@ class State:
         for key, x in changes.items():
             self.changes[key] = self.changes.get(key, 0.0) + x
         middle = self.forwards[0].middle_s if self.forwards else 0.0
-        self.model = extended(self.stated, with_delay_rate(self.changes, middle))
+        every = dict(self.at_rest)
+        for key, x in self.changes.items():
+            every[key] = every.get(key, 0.0) + x
+        self.model = extended(self.stated, with_delay_rate(every, middle))
+        if self.shift is not None:
+            self.model = with_shifts(self.model, shift_steps(self.shift))
 
 
 def hypotheses(table: Table, model: Model, skip: Sequence[str]) -> list[Hypothesis]:
     """The catalogue's causes as far as their signals are there."""
     made = []
     for cause in CAUSES:
-        for keys in cause.variants:
-            if not all(key in table.keys for key in keys) or set(keys) & set(skip):
+        if cause.drift and f"{cause.name}!" in skip:
+            continue
+        for keys in (*cause.variants, *([cause.together] if cause.together else [])):
+            if not all(key in table.keys for key in keys):
                 continue
-            if not all(_shows(table, key) for key in keys):
+            if (set(keys) & set(skip) and not cause.drift) or not any(
+                _shows(table, key) for key in keys
+            ):
                 continue
-            made.append(_hypothesis(cause, keys, model))
+            made.append(_hypothesis(cause, keys, model, table))
     return made
 
 
@@ -156,12 +175,33 @@ def _shows(table: Table, key: str) -> bool:
     return bool(table.gram[:, i, i].sum() * table.tolerance[i - 1] ** 2 > 0.0)
 
 
-def _hypothesis(cause: Cause, keys: tuple[str, ...], model: Model) -> Hypothesis:
+def _hypothesis(
+    cause: Cause, keys: tuple[str, ...], model: Model, table: Table
+) -> Hypothesis:
     """A gain of the accelerometer moves what it reads of one g with it."""
-    if cause.name not in {"accel_scale", "accel_cross_axis"}:
+    if cause.drift:
+        return Hypothesis(cause.name, keys, pattern=_ramp(table))
+    level = cause.name in {"accel_scale", "accel_cross_axis"}
+    if keys == cause.together:
+        whole: dict[str, float] = dict.fromkeys(keys, 1.0)
+        for key in keys if level else ():
+            for name, x in level_effect(model, key).items():
+                whole[name] = whole.get(name, 0.0) + x
+        return Hypothesis(cause.name, keys[:1], (whole,))
+    if not level:
         return Hypothesis(cause.name, keys, lead=cause.lead)
     moved = tuple({key: 1.0, **level_effect(model, key)} for key in keys)
     return Hypothesis(cause.name, keys, moved)
+
+
+def _ramp(table: Table) -> Array:
+    """From 0 to 1 over each drive's time."""
+    made = np.zeros(table.blocks)
+    for i in set(table.drive.tolist()):
+        own = table.drive == i
+        t = table.start_s[own]
+        made[own] = (t - t.min()) / max(float(np.ptp(t)), 1.0)
+    return made
 
 
 def tried(problem: Problem, h: Hypothesis, base: Array, questions: int) -> Trial:
@@ -201,17 +241,22 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         if best is not chosen:
             state.rivals[name].append(best)
         state.named.append(chosen)
-        state.apply(_changes(problem, chosen.hypothesis))
+        if chosen.hypothesis.pattern is not None:
+            # The model file has no place for a drift: like a shift, it ends the search.
+            break
+        _take(state, problem, chosen)
         refit(state)
         dropped += _let_go(state)
-    state.likely = [
-        t for t in state.last if t.shown > LEAST_NATS and t.likely and not t.outside
-        and t.is_plausible and t.hypothesis.name not in {x.hypothesis.name for x in state.named}
+    _demote(state)
+    state.likely += [
+        t for t in questions(state.last).values() if t.shown > LEAST_NATS and t.likely
+        and not t.outside and t.is_plausible
+        and t.hypothesis.name not in {x.hypothesis.name for x in (*state.named, *state.likely)}
     ]  # fmt: skip
 
 
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
-    asked = hypotheses(problem.table, state.model, [*state.free, *skip])
+    asked = hypotheses(problem.table, state.model, [*state.changes, *skip])
     base = held_out(problem)
     return [tried(problem, h, base, len(asked)) for h in asked]
 
@@ -242,6 +287,24 @@ def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
         if _is_near(best, t):
             found[name] = t
     return list(found.values())
+
+
+def _take(state: State, problem: Problem, chosen: Trial) -> None:
+    """Move the model by a named hypothesis; a direction is evaluated once more where it led."""
+    h = chosen.hypothesis
+    if not h.directions:
+        state.apply(_changes(problem, h))
+        return
+    freed = set(state.free)
+    for _ in range(2):
+        state.apply(_changes(problem, h))
+        state.held |= {k for d in h.directions for k in d} - freed
+        problem = state.evaluated()
+    half = chosen.estimate.quantile * chosen.estimate.se
+    for k, d in enumerate(h.directions):
+        for key in d:
+            if key.rpartition(".")[0] == h.keys[0].rpartition(".")[0]:
+                state.bounds[key] = (-float(half[k]), float(half[k]))
 
 
 def _changes(problem: Problem, h: Hypothesis) -> dict[str, float]:
@@ -290,6 +353,8 @@ def _let_go(state: State) -> list[str]:
     base = held_out(problem)
     gone: list[str] = []
     for trial in state.named[:-1]:
+        if not trial.hypothesis.is_plain:
+            continue
         keys = [k for k in trial.hypothesis.keys if k in problem.table.keys]
         low, high = problem.low.copy(), problem.high.copy()
         for key in keys:
@@ -321,6 +386,27 @@ def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
     return {
         key: (state.changes[key], float(se), q) for key, se in zip(keys, e.se, strict=True)
     }
+
+
+def _demote(state: State) -> None:
+    """What does not hold beside all others, with all others' errors, is no more than likely."""
+    estimates = final_estimates(state)
+    for trial in list(state.named):
+        h = trial.hypothesis
+        if not h.is_plain:
+            continue
+        known = [(estimates[k], tau) for k, tau in zip(h.keys, trial.tolerance, strict=True)
+                 if k in estimates]  # fmt: skip
+        known = known[: h.lead or len(known)]
+        q = trial.estimate.quantile
+        if any(abs(x) - q * se > tau for (x, se, _), tau in known):
+            continue
+        state.named.remove(trial)
+        state.likely.append(trial)
+        for key in h.keys:
+            state.changes.pop(key, None)
+        state.apply({})
+        refit(state)
 
 
 def questions(trials: Sequence[Trial]) -> Mapping[str, Trial]:

@@ -75,7 +75,7 @@ def find_shift(problem: Problem, levels: Array) -> Shift | None:
     steps = [(np.arange(blocks) >= k).astype(float) for k in places]
     scores = [_in_sample(problem, p) + _level_gain(levels, p) for p in steps]
     best = int(np.argmax(scores))
-    ramp = np.linspace(-0.5, 0.5, blocks)
+    ramp = np.linspace(0.0, 1.0, blocks)
     found = _shift(problem, levels, steps[best], "step", table, places[best])
     creeping = _in_sample(problem, ramp) + _level_gain(levels, ramp)
     if creeping > scores[best] + np.log(len(places)):

@@ -1,0 +1,241 @@
+"""The diagnosis: show, name, extend, measure. The whole path from samples to verdict.
+
+samples -> faults (samples and stamps) -> rest (stops) -> search (shift, causes, rivals)
+        -> what is left -> the written file -> what it brings
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucald.core.errors import EstimateError
+from imucald.core.samples import Samples
+from imucald.diagnosis import outcome
+from imucald.diagnosis.adequacy import goes_against, what_is_left
+from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.direct import Rest, rest_of
+from imucald.diagnosis.faults import Fault, find_faults, spoilt
+from imucald.diagnosis.gain import gain_of
+from imucald.diagnosis.model_file import extended, tolerance, with_delay_rate, with_shifts
+from imucald.diagnosis.pictures import pictures_of
+from imucald.diagnosis.result import Diagnosis, FoundCause
+from imucald.diagnosis.score import Hypothesis, Problem, estimate, quantile
+from imucald.diagnosis.search import State, final_estimates, search, shift_steps
+from imucald.diagnosis.signals import Drive, drive_of
+from imucald.model.model import Model
+
+Progress = Callable[[float, str], None]
+LIMIT_S = 300.0
+"""Processor time after which the search ends with what it has."""
+GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
+LEAST_BLOCKS = 4
+LITTLE_MIN = 10.0
+HALF = 0.5
+"""A file is not held to less than this share of a tolerance: one drive's pieces share warmth, load
+and weather."""
+
+
+def diagnose(
+    drives: Sequence[Samples],
+    model: Model,
+    progress: Progress | None = None,
+    limit_s: float = LIMIT_S,
+) -> Diagnosis:
+    """Say what the simulation with this model gets wrong beside measured drives of one vehicle.
+
+    drives: SI samples, sensor axes (see `imucald.core.samples`); at least `accel` and `speed`, and
+    minutes of them. limit_s: processor time after which what was found so far is told.
+    Raises EstimateError where nothing can be diagnosed.
+    """
+    if not drives:
+        raise EstimateError("diagnosis needs at least one drive")
+    tell = progress or _silent
+    until = time.process_time() + limit_s
+    late = _Late(until)
+    tell(0.02, "samples and time stamps")
+    faults, model_now = _faults(drives, model)
+    tell(0.08, "stops")
+    parts = [drive_of(s, spoilt(f)) for s, f in zip(drives, faults, strict=True)]
+    rest = rest_of(parts, model_now, len(GYRO_BIAS))
+    state = _started(parts, model_now, rest)
+    tell(0.12, "forward model and residuals")
+    first = state.evaluated()
+    before, forwards_before = first.table, state.forwards
+    _refuse_short(before)
+    steps = [0.15]
+
+    def tick(text: str) -> None:
+        steps[0] = min(steps[0] + 0.12, 0.75)
+        tell(steps[0], text)
+
+    tick("which causes pay on data that their fit did not see")
+    wrong = goes_against(forwards_before)
+    if not wrong:
+        search(state, tick, late, GYRO_BIAS if rest else ())
+    tell(0.8, "what is left")
+    problem = state.evaluated()
+    structure = tuple(wrong) or (*outcome.implausible(state), *what_is_left(problem, state))
+    told = _told(state, rest, faults, model)
+    tell(0.88, "what the written file brings")
+    written = _written(state, problem)
+    problem = state.evaluated()
+    gain, signals = gain_of(before, problem, state.free, state.forwards)
+    if state.shift is not None:
+        gain = replace(gain, held_out_log_likelihood=float(state.shift.gain.sum()))
+    sets = outcome.look_alikes(state)
+    recommended = bool(told) and not gain.worse and (
+        gain.held_out_log_likelihood > 0.0 or not state.free
+    )
+    tell(0.95, "pictures")
+    return Diagnosis(
+        verdict=outcome.verdict_of(told, sets, structure),
+        causes=tuple(sorted(told, key=lambda c: -c.evidence["held_out_nats"])),
+        look_alikes=sets,
+        to_separate=outcome.manoeuvres(sets),
+        signals=signals,
+        gain=gain,
+        duration_s=float(sum(d.duration_s for d in parts)),
+        likely=tuple(outcome.told_trial(state, t, {}) for t in state.likely),
+        candidates=outcome.told_rest_of(state),
+        structure=structure,
+        notes=tuple(_notes(parts, problem.table, late)),
+        pictures=pictures_of(forwards_before, state.forwards),
+        model_before=model,
+        model_after=written,
+        recommended=recommended,
+        complete=not late.was,
+    )
+
+
+def _silent(share: float, text: str) -> None:
+    """Where no one asks for progress."""
+
+
+@dataclass
+class _Late:
+    """Whether the time is over; remembers that it was asked too late."""
+
+    until: float
+    was: bool = False
+
+    def __call__(self) -> bool:
+        self.was |= time.process_time() > self.until
+        return self.was
+
+
+def _faults(drives: Sequence[Samples], model: Model) -> tuple[list[list[Fault]], Model]:
+    """Faults of each drive, and the model file that says so."""
+    found = [find_faults(samples, model) for samples in drives]
+    changes: dict[str, object] = {}
+    for part in found:
+        for fault in part:
+            changes |= fault.changes
+    return found, model.with_changes(changes) if changes else model
+
+
+def _started(parts: Sequence[Drive], model: Model, rest: Rest | None) -> State:
+    """Stops first: what they say of the gyroscope's zero bounds every fit."""
+    state = State(parts, model, model, {})
+    if rest is None:
+        return state
+    if not _is_off(rest, model):
+        state.bounds = rest.bounds()
+        return state
+    half = rest.quantile * rest.se
+    state.at_rest = {k: float(x) for k, x in zip(GYRO_BIAS, rest.rate, strict=True)}
+    state.bounds = {k: (-float(h), float(h)) for k, h in zip(GYRO_BIAS, half, strict=True)}
+    state.apply({})
+    return state
+
+
+def _is_off(rest: Rest, model: Model) -> bool:
+    tau = np.array([tolerance(model, key) for key in GYRO_BIAS])
+    return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > tau))
+
+
+def _refuse_short(table: Table) -> None:
+    if table.blocks < LEAST_BLOCKS:
+        raise EstimateError(
+            f"only {table.blocks} stretches of driving hold all that is needed: give longer drives"
+        )
+
+
+def _told(
+    state: State, rest: Rest | None, faults: Sequence[Sequence[Fault]], model: Model
+) -> list[FoundCause]:
+    """All causes that are certain: direct evidence, shift, fit."""
+    estimates = final_estimates(state)
+    told = [outcome.told_trial(state, t, estimates) for t in state.named]
+    if rest is not None and state.at_rest:
+        told.append(outcome.told_rest(rest, model))
+    if state.shift is not None and state.table is not None:
+        told.append(outcome.told_shift(state.shift, state.table))
+    for part in faults:
+        told += [outcome.told_fault(fault, model) for fault in part]
+    return _merged(told)
+
+
+def _merged(told: Sequence[FoundCause]) -> list[FoundCause]:
+    """One entry a cause, also where several signals or variants have it."""
+    made: dict[str, FoundCause] = {}
+    for one in told:
+        known = made.get(one.name)
+        if known is None:
+            made[one.name] = one
+            continue
+        made[one.name] = replace(
+            max(known, one, key=lambda c: c.evidence["held_out_nats"]),
+            parameters={**known.parameters, **one.parameters},
+            signals=tuple(dict.fromkeys((*known.signals, *one.signals))),
+            text=known.text if known.text == one.text else f"{known.text} {one.text}",
+            against=tuple(dict.fromkeys((*known.against, *one.against))),
+        )
+    return list(made.values())
+
+
+def _written(state: State, problem: Problem) -> Model:
+    """The extended model file, with how well this drive knows what it found."""
+    known: dict[str, float] = {}
+    table, q = problem.table, quantile(problem.table.blocks, 1)
+    for key in state.free:
+        if key in table.keys:
+            e = estimate(problem, Hypothesis("", (key,)), 1)
+            tau = float(table.tolerance[table.keys.index(key)])
+            known[key] = max(float(q * e.se[0]), HALF * tau)
+    if not state.changes and not state.at_rest and state.shift is None:
+        return state.stated
+    changes = {**state.at_rest}
+    for key, x in state.changes.items():
+        changes[key] = changes.get(key, 0.0) + x
+    middle = state.forwards[0].middle_s
+    written = extended(state.stated, with_delay_rate(changes, middle), known)
+    return written if state.shift is None else with_shifts(written, shift_steps(state.shift))
+
+
+def _notes(parts: Sequence[Drive], table: Table, late: _Late) -> list[str]:
+    notes = []
+    if not parts[0].has("gyro"):
+        notes.append(
+            "No gyroscope: the road's slope stays in what is compared. Only faults, delays and the "
+            "vehicle's own signals were examined; no scale and no bias is named."
+        )
+    if not (parts[0].has("steering") and (parts[0].has("yaw_rate") or parts[0].has("gyro"))):
+        notes.append("No steering angle beside a yaw rate: handling was not examined.")
+    if not parts[0].has("temperature"):
+        notes.append("No temperature: drift with it was not examined.")
+    if parts[0].has("gyro") and not any(p.stops for p in parts):
+        notes.append("No stop that speed and gyroscope agree on: the gyroscope's zero is told by "
+                     "driving alone, ten times less sharply.")  # fmt: skip
+    minutes = float(table.moving.sum()) * (table.seconds / 60.0)
+    if minutes < LITTLE_MIN:
+        notes.append(f"Only {minutes:.1f} min of driving: small errors do not show in that.")
+    top = ", ".join(f"{name} {hz:.2g}" for name, hz in table.top_hz.items() if name in table.plain)
+    notes.append(f"Compared up to [Hz]: {top}.")
+    if late.was:
+        notes.append("The time limit ended the search: there may be more than is told here.")
+    return notes
+

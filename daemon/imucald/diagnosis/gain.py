@@ -1,0 +1,124 @@
+"""What the written model file brings by itself, on data that no fit saw.
+
+Folds of the data give the found parameters without seeing the rest; the rest is predicted with
+these and nothing else: no tolerance is used, nothing is fitted beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from imucald.diagnosis.blocks import TILTED, Table
+from imucald.diagnosis.forward import UNITS, Forward
+from imucald.diagnosis.result import Gain, SignalGain
+from imucald.diagnosis.score import Problem, box_fit, folds, losses
+from imucald.diagnosis.signals import Array
+
+Z95 = 1.959964
+WORSE_SE = 2.0
+LEFT_SE, LEFT_SHARE = 3.0, 0.3
+
+
+def found_by_fold(problem: Problem, free: Sequence[str]) -> Array:
+    """(B, P) departures of the found parameters by a fit that did not see each block's fold."""
+    table = problem.table
+    index = table.index([k for k in free if k in table.keys])
+    total = table.gram.sum(axis=0)
+    fold = folds(table.blocks)
+    made = np.zeros((table.blocks, len(table.keys)))
+    if not index:
+        return made
+    for k in range(int(fold.max()) + 1):
+        rest = total - table.gram[fold == k].sum(axis=0)
+        x = box_fit(rest[1:, 1:], rest[1:, 0], problem.low, problem.high)
+        made[np.ix_(fold == k, index)] = x[index]
+    return made
+
+
+def _fold_losses(table: Table, x: Array) -> Array:
+    return np.array([losses(table.gram[b : b + 1], x[b])[0] for b in range(table.blocks)])
+
+
+def gain_of(
+    before: Table, after: Problem, free: Sequence[str], forwards: Sequence[Forward]
+) -> tuple[Gain, dict[str, SignalGain]]:
+    """Compare the stated model file with the written one. before, after: tables at these models."""
+    table = after.table
+    x = found_by_fold(after, free)
+    signals, worse = {}, []
+    left = _left(forwards)
+    for name in table.plain:
+        if name not in before.plain or before.rms(name) == 0.0:
+            continue
+        one = SignalGain(
+            before.rms(name), table.rms(name, x), _floor(table, name), UNITS[name],
+            before.rms(name, band=0), table.rms(name, x, 0), left.get(name, ""),
+        )  # fmt: skip
+        signals[name] = one
+        if _is_worse(before, table, name, x):
+            worse.append(name)
+    same = before.blocks == table.blocks
+    if not same or not free:
+        return Gain(0.0, (0.0, 0.0), tuple(worse if free else ())), signals
+    d = _weighted_losses(before, table) - _fold_losses(table, x)
+    spread = Z95 * float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf
+    total = float(d.sum())
+    return Gain(total, (total - spread, total + spread), tuple(worse)), signals
+
+
+def _weighted_losses(before: Table, after: Table) -> Array:
+    """Losses of the stated model in the weights of the written one: scaled by equation."""
+    made = np.zeros(before.blocks)
+    for name, gram in after.by_equation.items():
+        power = after.plain[name][:, :, 0, 0].sum(axis=1)
+        stated = before.plain[name][:, :, 0, 0].sum(axis=1)
+        weight = np.divide(gram[:, 0, 0], power, out=np.zeros_like(power), where=power > 0.0)
+        made += 0.5 * weight * stated
+    return made
+
+
+def _is_worse(before: Table, after: Table, name: str, x: Array) -> bool:
+    """By two standard errors of the difference over blocks, and by more than one in a hundred."""
+    z = np.concatenate([np.ones((after.blocks, 1)), -x], axis=1)
+    new = np.einsum("bi,bkij,bj->b", z, after.plain[name], z)
+    old = before.plain[name][:, :, 0, 0].sum(axis=1)
+    if len(new) != len(old):
+        return False
+    d = new - old
+    se = float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf
+    return bool(d.sum() > WORSE_SE * se and d.sum() > 0.02 * old.sum())
+
+
+def _floor(table: Table, name: str) -> float:
+    """After a fit of everything to this signal's own blocks."""
+    total = table.gram.sum(axis=0)
+    wide = np.abs(table.plausible).max(axis=1)
+    x = np.linalg.solve(total[1:, 1:] + np.diag(1.0 / wide**2), total[1:, 0])
+    return min(table.rms(name, x), table.rms(name))
+
+
+def _left(forwards: Sequence[Forward]) -> Mapping[str, str]:
+    """An offset and a drift that are left of each equation, beyond what blocks scatter."""
+    said = {}
+    f = max(forwards, key=lambda f: f.blocks)
+    masks = f.usable()
+    for name, residual in f.residuals({}).of.items():
+        if name in TILTED:
+            continue
+        good = masks[name].mean(axis=1) > 0.5
+        if good.sum() < 8:
+            continue
+        means = np.array([residual[b][masks[name][b]].mean() for b in np.flatnonzero(good)])
+        t = np.flatnonzero(good) - np.flatnonzero(good).mean()
+        scatter = float(np.std(np.diff(means)) / np.sqrt(2.0))
+        slope = float(t @ means / (t @ t))
+        parts = []
+        # Slow roads and drifts last over neighbours: counted as one in four.
+        if abs(means.mean()) > LEFT_SE * scatter * 2.0 / np.sqrt(len(means)):
+            parts.append(f"offset {means.mean():+.2g} {UNITS[name]}")
+        if abs(slope) * np.sqrt(t @ t) > LEFT_SE * 2.0 * scatter:
+            parts.append(f"drift {slope * len(means):+.2g} {UNITS[name]} over the drive")
+        said[name] = ", ".join(parts)
+    return said

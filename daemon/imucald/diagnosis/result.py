@@ -1,0 +1,219 @@
+"""What a diagnosis says: verdict, causes, look-alikes, gain, and the pictures' numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.model.model import Model
+
+Verdict = Literal["found", "ambiguous", "unknown", "nothing"]
+Certainty = Literal["certain", "likely"]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """A parameter's value with its standard deviation, both in `unit`."""
+
+    value: float
+    std: float
+    unit: str
+    stated: float = 0.0
+    """What the model file says."""
+    tolerance: float = 0.0
+    """By how much an honest model file may be wrong."""
+
+
+@dataclass(frozen=True)
+class FoundCause:
+    """A cause that the measured drives show."""
+
+    name: str
+    parameters: Mapping[str, Estimated]
+    signals: tuple[str, ...]
+    """The signals that it touches, as in `Diagnosis.signals`."""
+    evidence: Mapping[str, float]
+    """`held_out_nats`: by how much likelier it makes data that its fit did not see, without the
+    best stretches; `sigma`: departure in units of its standard deviation; `quantile`: how many of
+    these the interval has on each side."""
+    text: str
+    """One sentence for a person."""
+    certainty: Certainty = "certain"
+    against: tuple[str, ...] = ()
+    """What speaks against it, in sentences."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A cause that was not named."""
+
+    name: str
+    outcome: Literal["within tolerance", "not decidable here", "does not pay", "not plausible"]
+    nats: float
+    """By which it makes data that its fit did not see likelier, without the best stretches."""
+    text: str
+    """Its value, and the size that these drives could have shown."""
+
+
+@dataclass(frozen=True)
+class SignalGain:
+    """Residual of one measured signal, rms in `unit`; *after* is the written file alone."""
+
+    rms_before: float
+    rms_after: float
+    noise_floor: float
+    """What a fit of everything that the catalogue has would leave."""
+    unit: str
+    slow_before: float = math.nan
+    """The same below 0.2 Hz."""
+    slow_after: float = math.nan
+    left: str = ""
+    """What is left, in words: an offset, a drift."""
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What the extended model is worth on data that its fit did not use."""
+
+    held_out_log_likelihood: float
+    """Nats by which the held-out stretches are likelier with the written file alone."""
+    interval: tuple[float, float]
+    """95 % interval of that, over whole stretches."""
+    worse: tuple[str, ...] = ()
+    """Signals that the extended model predicts worse."""
+
+
+GOES_AGAINST = "goes against the model"
+"""Kind of structure where a signal moves against what is predicted."""
+NOT_PLAUSIBLE = "not plausible"
+"""Kind where a cause explains the numbers, but cannot be: a cause is missing."""
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Something left in a residual that no candidate explains."""
+
+    signal: str
+    kind: str
+    """Such as `peak`, `bursts`, `drift`, `not plausible`."""
+    size: float
+    """In standard deviations of what chance would give, or as a ratio to the expected power."""
+    text: str
+
+
+@dataclass(frozen=True)
+class SignalPicture:
+    """Numbers to draw for one signal; arrays (N,) on `t` unless said otherwise."""
+
+    signal: str
+    unit: str
+    t: Array
+    """[s] from the first drive's start; drives follow each other."""
+    measured: Array
+    predicted_before: Array
+    predicted_after: Array
+    driver_name: str
+    """The input that the residual goes with most, such as `dv/dt [m/s^2]`."""
+    driver: Array
+    frequency: Array
+    """(F,) [Hz]"""
+    spectrum_before: Array
+    """(F,) one-sided residual density, unit^2/Hz; likewise the two below."""
+    spectrum_after: Array
+    spectrum_floor: Array
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The outcome of `diagnose`."""
+
+    verdict: Verdict
+    causes: tuple[FoundCause, ...]
+    look_alikes: tuple[tuple[str, ...], ...]
+    to_separate: str
+    signals: Mapping[str, SignalGain]
+    gain: Gain
+    duration_s: float
+    likely: tuple[FoundCause, ...] = ()
+    """Causes that are likely, and not written into the model file."""
+    candidates: tuple[Candidate, ...] = ()
+    structure: tuple[Structure, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What the person should know: signals absent, drives too short, stretches left out."""
+    pictures: tuple[SignalPicture, ...] = ()
+    model_before: Model = field(default_factory=Model)
+    model_after: Model = field(default_factory=Model)
+    recommended: bool = False
+    """The extended model predicts held-out data better, and no signal worse."""
+    complete: bool = True
+    """False where the time limit ended the search."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what tools rely on: plain numbers, lists and texts; nothing infinite."""
+        return {
+            "verdict": self.verdict,
+            "complete": self.complete,
+            "causes": [_cause_json(cause) for cause in self.causes],
+            "likely": [_cause_json(cause) for cause in self.likely],
+            "look_alikes": [list(names) for names in self.look_alikes],
+            "to_separate": self.to_separate,
+            "signals": {
+                name: {
+                    "rms_before": _plain(s.rms_before),
+                    "rms_after": _plain(s.rms_after),
+                    "slow_before": _plain(s.slow_before),
+                    "slow_after": _plain(s.slow_after),
+                    "noise_floor": _plain(s.noise_floor),
+                    "unit": s.unit,
+                    "left": s.left,
+                }
+                for name, s in self.signals.items()
+            },
+            "gain": {
+                "held_out_log_likelihood": _plain(self.gain.held_out_log_likelihood),
+                "interval": [_plain(x) for x in self.gain.interval],
+                "worse": list(self.gain.worse),
+                "recommended": self.recommended,
+            },
+            "duration_s": _plain(self.duration_s),
+            "structure": [
+                {"signal": s.signal, "kind": s.kind, "size": _plain(s.size), "text": s.text}
+                for s in self.structure
+            ],
+            "candidates": [
+                {"name": c.name, "outcome": c.outcome, "nats": _plain(c.nats), "text": c.text}
+                for c in self.candidates
+            ],
+            "notes": list(self.notes),
+        }
+
+
+def _cause_json(cause: FoundCause) -> dict[str, Any]:
+    return {
+        "name": cause.name,
+        "certainty": cause.certainty,
+        "parameters": {
+            name: {
+                "value": _plain(p.value),
+                "std": _plain(p.std),
+                "unit": p.unit,
+                "stated": _plain(p.stated),
+                "tolerance": _plain(p.tolerance),
+            }
+            for name, p in cause.parameters.items()
+        },
+        "signals": list(cause.signals),
+        "evidence": {name: _plain(x) for name, x in cause.evidence.items()},
+        "text": cause.text,
+        "against": list(cause.against),
+    }
+
+
+def _plain(x: float | None) -> float | None:
+    return None if x is None or not math.isfinite(x) else round(float(x), 9)
