@@ -30,7 +30,7 @@ from imucald.compensation import Compensation, compensation_from_model
 from imucald.compensation.trial import corrected_drive, corrected_with
 from imucald.compensation.truth_error import drive_errors
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.simulation import Drive, Model, random_model, simulate
+from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 FIRST_SEED = 7000
 FROM_S = 180.0
@@ -100,9 +100,9 @@ EFFECTS: Mapping[str, Effect] = {
 }
 
 
-def with_effect(model: Model, effect: Effect, part: float = 1.0) -> Model:
+def with_effect(model: VehicleModel, effect: Effect, part: float = 1.0) -> VehicleModel:
     """The model with so much of the effect added."""
-    data = model.model_dump()
+    data = model.dump()
     changes: dict[str, Any] = {}
     for key, added in effect.added.items():
         section, name = key.split(".")
@@ -156,7 +156,7 @@ def rows_of(effect: Effect, seeds: Sequence[int], minutes: float) -> list[Row]:
         drive = simulate(with_effect(base, effect), seed, minutes)
         known = (None, base, with_effect(base, effect), with_effect(base, effect, 1.1))
         for rows, model in zip(found, known, strict=True):
-            compensation = None if model is None else compensation_from_model(model.model_dump())
+            compensation = None if model is None else compensation_from_model(model.dump())
             rows.append(errors(drive, effect, compensation))
     return [Row(np.array(rows)) for rows in found]
 

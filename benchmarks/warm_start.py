@@ -23,14 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.rotations import rotation_from_vector, vector_from_rotation
-from imucald.model.vehicle import MountShift
 from imucald.motion.ticks import ticks_from_samples
-from imucald.mount.estimate import BETWEEN_DRIVES_STD, KeepsEvidence, MountEstimator, MountState
+from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
-from imucald.mount.saved_information import kept_from
+from imucald.mount.saved_information import SavesInformation, saved_from
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.session import open_config
-from imucald.simulation import Drive, Model, random_model, simulate
+from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
 MOVED_DEG = (0.0, 2.0, 5.0, 8.0)
@@ -71,12 +70,12 @@ def stored_after(estimator: MountEstimator, rows: list[list[float]]) -> StoredMo
     for row in rows:
         estimator.step(row)
     found = estimator.estimate()
-    assert isinstance(estimator, KeepsEvidence)
-    kept = estimator.kept_evidence()
+    assert isinstance(estimator, SavesInformation)
+    kept = estimator.saved_information()
     R, covariance = found.R_vehicle_from_sensor, found.covariance
     if found.state not in GOOD or R is None or covariance is None or kept is None:
         return None
-    return StoredMount(R, covariance, found.state, evidence=kept_from(kept.plain()))
+    return StoredMount(R, covariance, found.state, evidence=saved_from(kept.plain()))
 
 
 def moved(stored: StoredMount, turn: NDArray[np.float64]) -> StoredMount:
@@ -91,11 +90,11 @@ def moved(stored: StoredMount, turn: NDArray[np.float64]) -> StoredMount:
     )
 
 
-def turned_while_driving(model: Model, axis: NDArray[np.float64]) -> Model:
+def turned_while_driving(model: VehicleModel, axis: NDArray[np.float64]) -> VehicleModel:
     """The same vehicle, whose sensor is turned about an axis of the vehicle in the drive."""
     roll, pitch, yaw = (TURNED_DEG * axis).tolist()
-    shift = MountShift(t_s=TURNED_AT_S, roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw)
-    return model.model_copy(update={"mount": model.mount.model_copy(update={"shifts": (shift,)})})
+    shift = {"t_s": TURNED_AT_S, "roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw}
+    return model.with_changes({"mount.shifts": [shift]})
 
 
 def course(

@@ -23,7 +23,7 @@ from imucald.mount.estimate import MountState
 from imucald.runtime.estimators import full_settings
 from imucald.runtime.output.output_frames import OutputFrames, output_database
 from imucald.runtime.session import make_engine
-from imucald.runtime.summary import Counts, summary
+from imucald.runtime.summary import RunCounts, summary
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -165,7 +165,13 @@ def test_shipped_configurations_work(path: Path) -> None:
     for entry in loaded.config.database:
         if not loaded.database_path(entry).exists():
             pytest.skip(f"{entry.path} is not here")
-    make_engine(loaded)
+    engine = make_engine(loaded)
+    signals = yaml.safe_load(path.read_text())["signals"]
+    channels = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
+    for channel, name in {**channels, "speed": "speed", "steering": "steering_wheel_angle"}.items():
+        assert (channel in engine.router.channels) == (name in signals), name
+    assert list(engine.output.triads[:3]) == [c for c, name in channels.items() if name in signals]
+    assert engine.router.matches
 
 
 def test_the_packaged_example_is_the_one_in_the_examples() -> None:
@@ -267,7 +273,7 @@ def test_the_consumers_check_accepts_ours_and_refuses_damage() -> None:
 
 def test_the_json_keys_are_documented_and_in_the_example() -> None:
     engine = make_engine(load_config(ROOT / "config" / "imucald.yaml"))
-    result = summary(engine, Counts(0, 0, {}), 0.0)
+    result = summary(engine, RunCounts(0, 0, {}), 0.0)
     (example,) = blocks(DOCS / "json.md", "json")
     shown = json.loads(example)
     assert list(shown) == list(result)

@@ -17,7 +17,7 @@ from imucald.compensation.trial import corrected_drive
 from imucald.core.rotations import vector_from_rotation
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.result import Diagnosis, FoundCause
-from imucald.model.model import Model, model_from_mapping
+from imucald.model.model import VehicleModel, model_from_mapping
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def outcome(case: Case) -> dict[str, Any]:
         result["vehicle"] = vehicle_gain(drive, baseline, diagnosis)
         if case.effects:
             twin = hidden_drive(case.seed, (), case.minutes)
-            result["vehicle"]["without"] = daemon(twin, baseline.model_dump(mode="json"))
+            result["vehicle"]["without"] = daemon(twin, baseline.dump())
     return result
 
 
@@ -92,7 +92,7 @@ def _true_key(cause: str, name: str, unit: str) -> tuple[str, float]:
 
 def _stated(model: Mapping[str, Any]) -> dict[str, float]:
     """Numbers of the baseline by dotted key, with indices."""
-    full = model_from_mapping(dict(model), "baseline").model_dump()
+    full = model_from_mapping(dict(model), "baseline").dump()
     found: dict[str, float] = {}
 
     def walk(key: str, value: Any) -> None:
@@ -112,18 +112,20 @@ def _stated(model: Mapping[str, Any]) -> dict[str, float]:
 # what it is worth to the vehicle ---------------------------------------------------------------
 
 
-def vehicle_gain(drive: HiddenDrive, baseline: Model, diagnosis: Diagnosis) -> dict[str, Any]:
+def vehicle_gain(
+    drive: HiddenDrive, baseline: VehicleModel, diagnosis: Diagnosis
+) -> dict[str, Any]:
     """Mount angle and corrected force of the daemon: no model, the baseline, the extended model.
 
     What an effect does to the mount shows beside the same drive without it, which is added there.
     """
-    models: dict[str, Model | None] = {
+    models: dict[str, VehicleModel | None] = {
         "none": None,
         "before": baseline,
         "after": diagnosis.model_after,
     }
     return {
-        name: daemon(drive, None if model is None else model.model_dump(mode="json"))
+        name: daemon(drive, None if model is None else model.dump())
         for name, model in models.items()
     }
 

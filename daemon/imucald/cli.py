@@ -22,19 +22,14 @@ from imucald.core.errors import ImucaldError
 PROCESS_SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads cost more time than they save
     "OMP_NUM_THREADS": "1",
-    "PYDANTIC_DISABLE_PLUGINS": "__all__",  # none is used, and looking for them takes time
 }
-"""Set for this process, where the user has not; read when numpy and pydantic (which only the
-simulation uses) are imported."""
+"""Set for this process, where the user has not; read when numpy is imported."""
 
-LARGE_LIBRARIES = ("scipy", "pydantic")
+LARGE_LIBRARIES = ("scipy",)
 """Needed for simulation and diagnosis only: an installation on a vehicle may lack them."""
 
 GC_THRESHOLD = 50_000
 """Containers made before the collector looks for cycles: starting makes many that all stay."""
-
-DEFAULT_COLUMNS = 80
-"""Width of help texts where there is no terminal."""
 
 COMMANDS = {
     "run": "calibrate on a live bus and send corrected frames",
@@ -58,28 +53,15 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
         description="Finds out how an inertial sensor sits in a vehicle, from what the CAN bus "
         "tells, and sends its signals corrected to vehicle axes.",
         epilog="'imucald COMMAND --help' tells more. First steps: imucald demo.",
-        formatter_class=_formatter,
     )
     parser.add_argument("--version", action="version", version=f"imucald {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
         about = f"{text[0].upper()}{text[1:]}."
-        sub = subparsers.add_parser(name, help=text, description=about, formatter_class=_formatter)
+        sub = subparsers.add_parser(name, help=text, description=about)
         if command is None or name == command:
             _command(name).add_arguments(sub)
     return parser
-
-
-def _formatter(prog: str) -> argparse.HelpFormatter:
-    """As argparse makes it (for every option), without importing shutil for the width."""
-    try:
-        columns = int(os.environ.get("COLUMNS", "")) or DEFAULT_COLUMNS
-    except ValueError:
-        try:
-            columns = os.get_terminal_size(sys.__stdout__.fileno()).columns  # type: ignore[union-attr]
-        except (AttributeError, OSError, ValueError):
-            columns = DEFAULT_COLUMNS
-    return argparse.HelpFormatter(prog, width=columns - 2)
 
 
 def _command(name: str) -> ModuleType:
@@ -103,9 +85,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"imucald: {error}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:
-        if error.name not in LARGE_LIBRARIES:
+        library = (error.name or "").partition(".")[0]
+        if library not in LARGE_LIBRARIES:
             raise
-        text = f"needs {error.name}, which is not installed here (the .deb leaves it out)"
+        text = f"needs {library}, which is not installed here (the .deb leaves it out)"
         print(f"imucald: {options.command} {text}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

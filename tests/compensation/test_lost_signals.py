@@ -9,13 +9,13 @@ from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.samples import Samples, Series
-from imucald.simulation import Drive, Model, random_model, simulate
+from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 MINUTES = 15.0
 
 
 @functools.cache
-def leaning_drive() -> tuple[Model, Drive]:
+def leaning_drive() -> tuple[VehicleModel, Drive]:
     """A drive in a vehicle that leans more than most, and its model."""
     seed = 51
     model = random_model(seed).with_changes(
@@ -42,7 +42,7 @@ def test_a_lost_accelerometer_makes_a_leaning_body_no_moved_sensor(lost, seconds
     model, drive = leaning_drive()
     starts = np.arange(200.0, 60.0 * MINUTES - 20.0, 40.0)
     samples = without(drive.samples, lost, starts, seconds)
-    compensation = compensation_from_model(model.model_dump(mode="json"))
+    compensation = compensation_from_model(model.dump())
     estimate = corrected_drive(samples, compensation).estimate
     assert estimate is not None
     assert estimate.details["shifts"] == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 import sys
 from pathlib import Path
@@ -12,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from imucald.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imucald.model.model import Model
-    from imucald.simulation.bus_frames import BusEncoder
+    from imucald.model.model import VehicleModel
     from imucald.simulation.drive import Drive
+    from imucald.traffic.encoder import BusEncoder
 
 ROUTES = ("mixed", "city", "motorway", "straight_only", "circles", "parked")
 MAX_MINUTES = 600.0
@@ -92,8 +93,8 @@ def run(options: argparse.Namespace) -> int:
     """Simulate, write log, truth and perhaps the model; say what was written."""
     from imucald.commands.files import check_files, write_text
     from imucald.config import load_config
-    from imucald.simulation.bus_frames import BusEncoder, example_config
     from imucald.simulation.drive import simulate
+    from imucald.traffic.encoder import BusEncoder, example_config
 
     if not 0.0 < options.minutes <= MAX_MINUTES:
         raise ConfigError(f"--minutes must be between 0 and {MAX_MINUTES:g}")
@@ -122,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
 def _write_log(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
     from imucald.commands.files import told_when_cut, write_text
     from imucald.commands.terminal import countdown
-    from imucald.simulation.can_log import write_log
+    from imucald.traffic.can_log import write_log
 
     with countdown("writing", drive.duration_s) as progress, told_when_cut(options.out):
         frames = write_log(drive, options.out, encoder, options.background, progress)
@@ -140,7 +141,7 @@ def _truth_beside(log: Path | None) -> Path | None:
 def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
     from imucald.can.link.link import Link
     from imucald.commands.terminal import countdown
-    from imucald.simulation.play import play
+    from imucald.traffic.play import play
 
     with (
         Link(options.interface, options.channel, receive=()) as link,
@@ -150,7 +151,7 @@ def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> Non
     print(f"{options.channel}: {frames} frames sent")
 
 
-def chosen_model(options: argparse.Namespace) -> Model:
+def chosen_model(options: argparse.Namespace) -> VehicleModel:
     """Return the model that the options ask for: file or drawn, then changed."""
     from imucald.model.model import load_model
     from imucald.simulation.random_model import random_model
@@ -190,7 +191,7 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
 
 
 def _change(text: str) -> tuple[str, Any]:
-    from imucald.config import read_yaml
+    from imucald.core.yaml_lines import read_yaml
 
     key, equals, value = text.partition("=")
     if not equals:
@@ -202,7 +203,7 @@ def _report(log: Path, truth: Path, drive: Drive, frames: int) -> str:
     from imucald.core.rotations import angles_from_rotation
 
     angles = angles_from_rotation(drive.truth.mounts[0][1])
-    roll, pitch, yaw = (f"{57.29577951308232 * angle:.2f}" for angle in angles)
+    roll, pitch, yaw = (f"{math.degrees(angle):.2f}" for angle in angles)
     summary = drive.truth.summary()
     lines = [
         f"{log}: {frames} frames, {drive.duration_s:.0f} s, {summary['distance_m']:.0f} m driven",

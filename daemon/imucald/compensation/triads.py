@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms, Vector3
+from imucald.compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms
+from imucald.core.rotations import times, times_columns
+from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 
@@ -35,7 +37,7 @@ class TriadCompensator:
         x, y, z = self.terms.bias_temperature
         self._bias = a + warmth * x, b + warmth * y, c + warmth * z
 
-    def one(self, t: float, v: Sequence[float]) -> Vector3 | None:
+    def sample(self, t: float, v: Sequence[float]) -> Vector3 | None:
         """One sample at t [s]; None where it is refused."""
         x, y, z = v
         if self._rails:
@@ -47,8 +49,7 @@ class TriadCompensator:
         y -= q
         z -= r
         if self._mixes:
-            a, b, c, d, e, f, g, h, i = self.terms.inverse
-            x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+            x, y, z = times(self.terms.inverse, (x, y, z))
         limit = self._limit
         if -limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit:
             return x, y, z
@@ -57,7 +58,7 @@ class TriadCompensator:
     def columns(
         self, v: Array, warmest: tuple[NDArray[np.int64], Array]
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Samples (N, 3) as `one` has them, and which are refused (N,).
+        """Samples (N, 3) as `sample` has them, and which are refused (N,).
 
         warmest: for each sample how many of the temperatures (M,) [degC] had come before it.
         """
@@ -67,11 +68,9 @@ class TriadCompensator:
             warmth = (degc - REFERENCE_DEGC)[:, None]
             own = np.array([self.terms.bias]) + warmth * np.array([self.terms.bias_temperature])
             bias = np.concatenate([bias, own])[before]
-        x, y, z = (v[:, i] - bias[:, i] for i in range(3))
+        values = v - bias
         if self._mixes:
-            a, b, c, d, e, f, g, h, i = self.terms.inverse
-            x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-        values = np.stack([x, y, z], axis=1)
+            values = times_columns(np.array([self.terms.inverse]), values)
         # not "larger than": NaN must be refused as well
         refused = ~(np.abs(values).max(axis=1) <= self._limit) if len(v) else np.zeros(0, bool)
         if self._rails:

@@ -17,7 +17,7 @@ from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.model_file import plausible, tolerance
 from imucald.diagnosis.signals import STEP_S, Array, Drive, Mask
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 BLOCK_S, SHORT_BLOCK_S = 30.0, 20.0
 FEW_S = 600.0
@@ -116,7 +116,7 @@ class _Rows:
     """Length of a block."""
 
 
-def table_of(drives: Sequence[Drive], model: Model) -> tuple[Table, list[Forward]]:
+def table_of(drives: Sequence[Drive], model: VehicleModel) -> tuple[Table, list[Forward]]:
     """Evaluate all drives against a model file."""
     total = sum(drive.duration_s for drive in drives)
     seconds = BLOCK_S if total > FEW_S else SHORT_BLOCK_S
@@ -154,7 +154,7 @@ def _moving(f: Forward) -> Array:
 
 
 def _rows(
-    f: Forward, model: Model, keys: Sequence[str], top: Mapping[str, float]
+    f: Forward, model: VehicleModel, keys: Sequence[str], top: Mapping[str, float]
 ) -> dict[str, _Rows]:
     """Residual and columns of each equation, transformed."""
     base = f.residuals({})
@@ -203,7 +203,7 @@ def _joined(parts: Sequence[_Rows]) -> _Rows:
 
 
 def _weighed(
-    parts: Mapping[str, _Rows], keys: tuple[str, ...], model: Model, drive: NDArrayInt,
+    parts: Mapping[str, _Rows], keys: tuple[str, ...], model: VehicleModel, drive: NDArrayInt,
     start: Array, moving: Array, top: Mapping[str, float], levels: Array,
 ) -> Table:  # fmt: skip
     """Divide each equation by its noise: found from what is left of a fit of everything."""

@@ -26,7 +26,7 @@ from imucald.diagnosis.result import Diagnosis, FoundCause
 from imucald.diagnosis.score import Hypothesis, Problem, estimate, quantile
 from imucald.diagnosis.search import State, final_estimates, search, shift_steps
 from imucald.diagnosis.signals import Drive, drive_of
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]
 LIMIT_S = 300.0
@@ -41,7 +41,7 @@ and weather."""
 
 def diagnose(
     drives: Sequence[Samples],
-    model: Model,
+    model: VehicleModel,
     progress: Progress | None = None,
     limit_s: float = LIMIT_S,
 ) -> Diagnosis:
@@ -127,7 +127,7 @@ class _Late:
         return self.was
 
 
-def _faults(drives: Sequence[Samples], model: Model) -> tuple[list[list[Fault]], Model]:
+def _faults(drives: Sequence[Samples], model: VehicleModel) -> tuple[list[list[Fault]], VehicleModel]:
     """Faults of each drive, and the model file that says so."""
     found = [find_faults(samples, model) for samples in drives]
     changes: dict[str, object] = {}
@@ -137,7 +137,7 @@ def _faults(drives: Sequence[Samples], model: Model) -> tuple[list[list[Fault]],
     return found, model.with_changes(changes) if changes else model
 
 
-def _started(parts: Sequence[Drive], model: Model, rest: Rest | None) -> State:
+def _started(parts: Sequence[Drive], model: VehicleModel, rest: Rest | None) -> State:
     """Stops first: what they say of the gyroscope's zero bounds every fit."""
     state = State(parts, model, model, {})
     if rest is None:
@@ -152,7 +152,7 @@ def _started(parts: Sequence[Drive], model: Model, rest: Rest | None) -> State:
     return state
 
 
-def _is_off(rest: Rest, model: Model) -> bool:
+def _is_off(rest: Rest, model: VehicleModel) -> bool:
     tau = np.array([tolerance(model, key) for key in GYRO_BIAS])
     return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > tau))
 
@@ -165,7 +165,7 @@ def _refuse_short(table: Table) -> None:
 
 
 def _told(
-    state: State, rest: Rest | None, faults: Sequence[Sequence[Fault]], model: Model
+    state: State, rest: Rest | None, faults: Sequence[Sequence[Fault]], model: VehicleModel
 ) -> list[FoundCause]:
     """All causes that are certain: direct evidence, shift, fit."""
     estimates = final_estimates(state)
@@ -197,7 +197,7 @@ def _merged(told: Sequence[FoundCause]) -> list[FoundCause]:
     return list(made.values())
 
 
-def _written(state: State, problem: Problem) -> Model:
+def _written(state: State, problem: Problem) -> VehicleModel:
     """The extended model file, with how well this drive knows what it found."""
     known: dict[str, float] = {}
     table, q = problem.table, quantile(problem.table.blocks, 1)

@@ -15,7 +15,7 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import DEG
 from imucald.diagnosis.model_file import mounts, sensor_of
 from imucald.diagnosis.signals import Array, Drive
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 FEW_STOPS = 3
 LEAST_SE = 0.04 * DEG
@@ -46,7 +46,7 @@ class Rest:
         }
 
 
-def rest_of(drives: Sequence[Drive], model: Model, questions: int) -> Rest | None:
+def rest_of(drives: Sequence[Drive], model: VehicleModel, questions: int) -> Rest | None:
     """Means over all stops; None without a gyroscope or a stop."""
     rates, warmth = [], []
     sensor = sensor_of(model, "gyro", {})
@@ -89,7 +89,7 @@ def _slope(kelvin: Array, table: Array) -> tuple[Array | None, Array | None]:
     return slope, se
 
 
-def gravity_at_rest(drives: Sequence[Drive], model: Model) -> tuple[float, float, int] | None:
+def gravity_at_rest(drives: Sequence[Drive], model: VehicleModel) -> tuple[float, float, int] | None:
     """Size of gravity at rest less the standard one [m/s^2], its deviation, number of stops."""
     sensor = sensor_of(model, "accel", {})
     inverse = np.linalg.inv(sensor.gain)

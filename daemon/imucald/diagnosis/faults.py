@@ -13,7 +13,7 @@ import numpy as np
 
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
@@ -55,7 +55,7 @@ class Fault:
 
 
 def find_faults(
-    samples: Samples, model: Model, stated_cycle: Mapping[str, float] | None = None
+    samples: Samples, model: VehicleModel, stated_cycle: Mapping[str, float] | None = None
 ) -> list[Fault]:
     """Everything that is wrong with samples and stamps beyond what the model file says."""
     moving = _moving(samples)
@@ -87,7 +87,7 @@ def _moving(samples: Samples) -> tuple[Array, Array]:
 # pile-up -----------------------------------------------------------------------------------------
 
 
-def _piled(name: str, series: Series, model: Model) -> Iterator[Fault]:
+def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     """A value at the end of a signal's range that is held far oftener than those beside it."""
     table = series.values.reshape(len(series.t), -1)
     still = np.zeros(len(table), dtype=bool)
@@ -211,7 +211,7 @@ def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool
 # stamps ------------------------------------------------------------------------------------------
 
 
-def _timed(name: str, series: Series, model: Model) -> Iterator[Fault]:
+def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     """Lost frames, doubled frames, and a cycle that is not the stated one."""
     message = getattr(model, name)
     period = float(np.median(np.diff(series.t)))

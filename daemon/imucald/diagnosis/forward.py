@@ -33,7 +33,7 @@ from imucald.diagnosis.model_file import (
     value,
 )
 from imucald.diagnosis.signals import STEP_S, Array, Drive, Mask
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 REFERENCE_DEGC = 25.0
 SLOW_MPS = 2.5
@@ -61,7 +61,7 @@ class Residuals:
 class Forward:
     """Residuals of one drive against a model file, block by block."""
 
-    def __init__(self, drive: Drive, model: Model, rows: int) -> None:
+    def __init__(self, drive: Drive, model: VehicleModel, rows: int) -> None:
         self.drive, self.model = drive, model
         self.rows = rows
         self.blocks = len(drive.t) // rows
@@ -475,6 +475,6 @@ def _from_middle(x: Array) -> Array:
     return made
 
 
-def steps_of(model: Model, key: str, size: float) -> float:
+def steps_of(model: VehicleModel, key: str, size: float) -> float:
     """By how much a parameter is moved for its column: its tolerance, never nothing."""
     return size if math.isfinite(size) and size > 0.0 else max(abs(value(model, key)), 1e-3) * 1e-2

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from imucald.core.rotations import (
@@ -22,7 +23,7 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.signals import Array
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 Changes = Mapping[str, float]
 TRIADS = ("accel", "gyro")
@@ -45,7 +46,7 @@ class Sensor:
     """(3,) g-sensitivity, on the diagonal."""
 
 
-def sensor_of(model: Model, name: str, changes: Changes) -> Sensor:
+def sensor_of(model: VehicleModel, name: str, changes: Changes) -> Sensor:
     """Return what the model file says of a triad; scale and cross-axis with changes."""
     triad = getattr(model, name)
     gain = np.eye(3)
@@ -69,7 +70,7 @@ def along_vehicle(changes: Changes, key: str) -> Array:
     return np.array([changes.get(f"{key}.{axis}", 0.0) for axis in "xyz"])
 
 
-def mounts(model: Model) -> list[tuple[float, Matrix3]]:
+def mounts(model: VehicleModel) -> list[tuple[float, Matrix3]]:
     """From time [s] on, R_vehicle_from_sensor."""
     m = model.mount
     R = rotation_from_angles(*(math.radians(x) for x in (m.roll_deg, m.pitch_deg, m.yaw_deg)))
@@ -81,12 +82,12 @@ def mounts(model: Model) -> list[tuple[float, Matrix3]]:
     return found
 
 
-def mount_of(model: Model) -> Matrix3:
+def mount_of(model: VehicleModel) -> Matrix3:
     """R_vehicle_from_sensor at the start of the drive; (3, 3)."""
     return mounts(model)[0][1]
 
 
-def age(model: Model, name: str) -> float:
+def age(model: VehicleModel, name: str) -> float:
     """How old a signal is when it comes [s]: its delay, and that of its low-pass."""
     message = getattr(model, name)
     seconds = float(message.delay_s)
@@ -96,7 +97,7 @@ def age(model: Model, name: str) -> float:
     return seconds + float(getattr(message, "time_constant_s", 0.0))
 
 
-def value(model: Model, key: str) -> float:
+def value(model: VehicleModel, key: str) -> float:
     """A number of the model file; 0 where a key has no place, or is a vector's component."""
     place: Any = model
     for part in key.split("."):
@@ -109,7 +110,7 @@ def value(model: Model, key: str) -> float:
     return float(place[0]) if isinstance(place, tuple) else float(place)
 
 
-def _vector_value(model: Model, key: str) -> float:
+def _vector_value(model: VehicleModel, key: str) -> float:
     """Component along the vehicle of a vector that the file has in sensor axes."""
     parent, _, axis = key.rpartition(".")
     section, _, name = parent.partition(".")
@@ -119,7 +120,7 @@ def _vector_value(model: Model, key: str) -> float:
     return float((mount_of(model) @ np.array(stated))["xyz".index(axis)])
 
 
-def tolerance(model: Model, key: str) -> float:
+def tolerance(model: VehicleModel, key: str) -> float:
     """By how much the model file may be wrong: what it says itself (`known_to`), or the table."""
     row = PARAMETERS[key]
     stated = model.known_to.get(key)
@@ -128,7 +129,7 @@ def tolerance(model: Model, key: str) -> float:
     return row.tolerance * (abs(value(model, key)) if row.relative else 1.0)
 
 
-def plausible(model: Model, key: str) -> tuple[float, float]:
+def plausible(model: VehicleModel, key: str) -> tuple[float, float]:
     """Departures that a vehicle or a sensor can have."""
     row = PARAMETERS[key]
     size = abs(value(model, key)) if row.relative else 1.0
@@ -138,7 +139,7 @@ def plausible(model: Model, key: str) -> tuple[float, float]:
 # writing -----------------------------------------------------------------------------------------
 
 
-def extended(model: Model, changes: Changes, known_to: Mapping[str, float] | None = None) -> Model:
+def extended(model: VehicleModel, changes: Changes, known_to: Mapping[str, float] | None = None) -> VehicleModel:
     """The model file with changes. known_to: half widths within which keys are now known."""
     made: dict[str, Any] = {}
     R = mount_of(model)
@@ -169,7 +170,7 @@ def extended(model: Model, changes: Changes, known_to: Mapping[str, float] | Non
     return model.with_changes(made)
 
 
-def _is_plain(model: Model, key: str) -> bool:
+def _is_plain(model: VehicleModel, key: str) -> bool:
     """Whether a key is one number of the file, or the wheels' scale."""
     if key.endswith("delay_s"):
         return False
@@ -182,7 +183,7 @@ def _sum(stated: Sequence[float], change: Array) -> tuple[float, ...]:
 
 
 def _write_triad(
-    made: dict[str, Any], model: Model, name: str, changes: Changes, R: Matrix3
+    made: dict[str, Any], model: VehicleModel, name: str, changes: Changes, R: Matrix3
 ) -> None:
     """Changes of a triad; those along the vehicle's axes are turned into the sensor's."""
     triad = getattr(model, name)
@@ -199,7 +200,7 @@ def _write_triad(
             made[f"{name}.{what}"] = _sum(getattr(triad, what), change)
 
 
-def _at_one_g(model: Model, name: str, changes: Changes, R: Matrix3) -> Array:
+def _at_one_g(model: VehicleModel, name: str, changes: Changes, R: Matrix3) -> Array:
     """Zero error that makes a change of gain turn about one g upright, as changes mean it."""
     level = R.T @ np.array([0.0, 0.0, GRAVITY])
     if name == "gyro":
@@ -208,7 +209,7 @@ def _at_one_g(model: Model, name: str, changes: Changes, R: Matrix3) -> Array:
     return np.asarray(-change @ level)
 
 
-def level_effect(model: Model, key: str) -> dict[str, float]:
+def level_effect(model: VehicleModel, key: str) -> dict[str, float]:
     """Zero error along the vehicle that a gain of the accelerometer makes of one g: per unit."""
     R = mount_of(model)
     change = sensor_of(model, "accel", {key: 1.0}).gain - sensor_of(model, "accel", {}).gain
@@ -216,7 +217,7 @@ def level_effect(model: Model, key: str) -> dict[str, float]:
     return {f"accel.bias.{axis}": float(x) for axis, x in zip("xyz", offset, strict=True)}
 
 
-def _delays(model: Model, changes: Changes) -> dict[str, Any]:
+def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
     """Delays, none negative: what is younger than the file says makes all others older."""
     moved = [key for key in changes if key.endswith("delay_s") and changes[key] != 0.0]
     if not moved:
@@ -232,26 +233,26 @@ def _delays(model: Model, changes: Changes) -> dict[str, Any]:
     }
 
 
-def rear_slip(model: Model) -> float:
+def rear_slip(model: VehicleModel) -> float:
     """Sideslip at the rear axle per speed and lateral acceleration: m l_f / (L C_r) [s^2/m]."""
     c = model.chassis
     return c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * c.rear_cornering_stiffness_npr)
 
 
-def _stiffness(model: Model, change: float) -> float:
+def _stiffness(model: VehicleModel, change: float) -> float:
     c = model.chassis
     slip = max(rear_slip(model) + change, 2e-4)
     return float(c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * slip))
 
 
-def with_shifts(model: Model, shifts: Sequence[tuple[float, Array]]) -> Model:
+def with_shifts(model: VehicleModel, shifts: Sequence[tuple[float, Array]]) -> VehicleModel:
     """The model file with turns (3,) [rad] about the vehicle's axes at times [s]."""
     added = []
     for t, turn in shifts:
         angles = [math.degrees(x) for x in angles_from_rotation(rotation_from_vector(turn))]
         roll, pitch, yaw = (round(x, 4) for x in angles)
         added.append({"t_s": max(t, 0.0), "roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw})
-    data = [s.model_dump() for s in model.mount.shifts] + added
+    data = [msgspec.to_builtins(s) for s in model.mount.shifts] + added
     return model.with_changes({"mount.shifts": tuple(sorted(data, key=lambda s: s["t_s"]))})
 
 

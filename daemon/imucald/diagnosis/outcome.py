@@ -22,7 +22,7 @@ from imucald.diagnosis.result import (
 )
 from imucald.diagnosis.search import State, Trial, questions
 from imucald.diagnosis.shift import KEYS, Shift
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 SEEN_SHARE = 0.02
 """A signal shows a cause where it carries this share of what the cause explains."""
@@ -90,7 +90,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     return said
 
 
-def told_fault(fault: Fault, model: Model) -> FoundCause:
+def told_fault(fault: Fault, model: VehicleModel) -> FoundCause:
     """A fault that shows in samples and stamps."""
     parameters = {}
     for key, (x, std, unit) in fault.values.items():
@@ -101,13 +101,13 @@ def told_fault(fault: Fault, model: Model) -> FoundCause:
     )
 
 
-def _stated(model: Model, key: str) -> float:
+def _stated(model: VehicleModel, key: str) -> float:
     section, _, name = key.partition(".")
     x = getattr(getattr(model, section), name, None)
     return float(x) if isinstance(x, int | float) else math.nan
 
 
-def told_rest(rest: Rest, model: Model) -> FoundCause:
+def told_rest(rest: Rest, model: VehicleModel) -> FoundCause:
     """A zero error of the gyroscope, read at stops."""
     parameters = {
         f"gyro.bias.{axis}": Estimated(

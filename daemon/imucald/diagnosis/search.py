@@ -37,7 +37,7 @@ from imucald.diagnosis.score import (
 )
 from imucald.diagnosis.shift import Shift, find_shift
 from imucald.diagnosis.signals import Array, Drive
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 LEAST_NATS = 4.0
 """A factor of 50 on data that the fit did not see."""
@@ -108,9 +108,9 @@ class State:
     """What is known so far."""
 
     drives: Sequence[Drive]
-    stated: Model
+    stated: VehicleModel
     """The model file that is put to the test."""
-    model: Model
+    model: VehicleModel
     """The same with what was found."""
     bounds: dict[str, tuple[float, float]]
     """Boxes from direct evidence, as departures from `model`."""
@@ -153,7 +153,7 @@ class State:
             self.model = with_shifts(self.model, shift_steps(self.shift))
 
 
-def hypotheses(table: Table, model: Model, skip: Sequence[str]) -> list[Hypothesis]:
+def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[Hypothesis]:
     """The catalogue's causes as far as their signals are there."""
     made = []
     for cause in CAUSES:
@@ -176,7 +176,7 @@ def _shows(table: Table, key: str) -> bool:
 
 
 def _hypothesis(
-    cause: Cause, keys: tuple[str, ...], model: Model, table: Table
+    cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table
 ) -> Hypothesis:
     """A gain of the accelerometer moves what it reads of one g with it."""
     if cause.drift:

@@ -1,20 +1,26 @@
-"""The model file: every parameter of a simulated drive, each effect on or off."""
+"""The model file: every parameter of a simulated drive, each effect on or off.
+
+It is read, validated, changed and written here only. `written` is the same file as it is served
+while driving: only what stands in it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-import yaml
-from pydantic import Field, ValidationError, model_validator
+import msgspec
+from msgspec import Meta
 
-from imucald.config import MAX_FILE_BYTES, Marks, read_yaml
 from imucald.core.errors import ConfigError
-from imucald.model.section import NonNegative, Positive, Section
+from imucald.core.typed import typed
+from imucald.core.yaml_lines import read_yaml_file
+from imucald.model.plain import plain
+from imucald.model.section import NonNegative, Section
 from imucald.model.sensors import (
     Accelerometer,
-    Bus,
+    BusLoad,
     Flag,
     Gyroscope,
     Heading,
@@ -27,15 +33,18 @@ from imucald.model.sensors import (
     WheelSpeeds,
     YawRate,
 )
-from imucald.model.vehicle import Chassis, Mount, Road, Route, Suspension
+from imucald.model.vehicle import Chassis, DriveRoute, Mount, Road, Suspension
+
+WHOLE = "model file"
+"""What texts call it where no key is to blame."""
 
 
-class Model(Section):
+class VehicleModel(Section, frozen=True):
     """All parameters of a drive but its seed and length. Immutable: see `with_changes`."""
 
-    grid_hz: Positive = Field(default=200.0, ge=50.0, le=2000.0)
+    grid_hz: Annotated[float, Meta(ge=50.0, le=2000.0)] = 200.0
     """Rate of the physics; must not be below the inertial sensor's."""
-    route: Route = Route()
+    route: DriveRoute = DriveRoute()
     chassis: Chassis = Chassis()
     suspension: Suspension = Suspension()
     road: Road = Road()
@@ -53,28 +62,33 @@ class Model(Section):
     heading: Heading = Heading()
     mag: Magnetometer = Magnetometer()
     temperature: Temperature = Temperature()
-    bus: Bus = Bus()
-    known_to: dict[str, NonNegative] = Field(default_factory=dict)
+    bus: BusLoad = BusLoad()
+    known_to: dict[str, NonNegative] = msgspec.field(default_factory=dict)
     """Half widths within which numbers of this file are true, by the keys of `imucald diagnose`, in
     their SI units; others are held to what its catalogue takes for an honest file."""
 
-    @model_validator(mode="after")
-    def _fine_enough(self) -> Model:
+    def __post_init__(self) -> None:
         fastest = max(self.accel.rate_hz, self.gyro.rate_hz)
         if self.grid_hz < fastest:
             raise ValueError(f"grid_hz must be at least the inertial sensor's rate, {fastest:g}")
-        return self
+
+    def dump(self) -> dict[str, Any]:
+        """Return every key and its value as plain data (mappings, lists, numbers, texts)."""
+        data: dict[str, Any] = plain(msgspec.to_builtins(self))
+        return data
 
     def to_yaml(self) -> str:
         """Return the model as the text of a model file."""
-        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+        import yaml  # noqa: PLC0415 - only who writes a file needs it
 
-    def with_changes(self, changes: Mapping[str, Any]) -> Model:
+        return yaml.safe_dump(self.dump(), sort_keys=False)
+
+    def with_changes(self, changes: Mapping[str, Any]) -> VehicleModel:
         """Return a copy with dotted keys replaced, as ``{"mount.yaw_deg": 30.0}``.
 
         Raises ConfigError for an unknown key or a value out of its range.
         """
-        data = self.model_dump()
+        data = self.dump()
         for key, value in changes.items():
             *parents, last = key.split(".")
             place: Any = data
@@ -86,41 +100,18 @@ class Model(Section):
         return model_from_mapping(data, "model")
 
 
-def model_from_mapping(data: object, place: str) -> Model:
-    """Return the model that a mapping (parsed YAML) describes; ConfigError names each mistake."""
-    return _validated(data, place, {})
+def model_from_mapping(data: Mapping[str, Any], name: str) -> VehicleModel:
+    """Return the model that a mapping (parsed YAML) describes; ConfigError names each mistake.
+
+    name: what the texts call it.
+    """
+    return typed(plain(data), VehicleModel, {}, name, WHOLE)
 
 
-def load_model(path: Path | str) -> Model:
-    """Read a model file. Raises ConfigError with file, line, key and reason."""
-    try:
-        size = Path(path).stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise ConfigError(f"{path}: {size} bytes is too long for a model file")
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text: {error.reason}") from None
-    data, marks = read_yaml(text, str(path))
-    return _validated({} if data is None else data, str(path), marks)
+def load_model(path: Path | str) -> VehicleModel:
+    """Read a model file; what it leaves out has its default.
 
-
-def _validated(data: object, place: str, marks: Marks) -> Model:
-    try:
-        return Model.model_validate(data)
-    except ValidationError as error:
-        lines = [
-            _describe(place, item["loc"], item["msg"], marks)
-            for item in error.errors(include_url=False, include_context=False)
-        ]
-        raise ConfigError("\n".join(lines)) from None
-
-
-def _describe(place: str, key: tuple[str | int, ...], reason: str, marks: Marks) -> str:
-    known = next((key[:n] for n in range(len(key), 0, -1) if key[:n] in marks), None)
-    where = place if known is None else f"{place}:{marks[known]}"
-    name = ".".join(str(part) for part in key) or "model"
-    reason = reason.removeprefix("Value error, ").replace("Extra inputs are not permitted",
-                                                          "unknown key; leave it out")  # fmt: skip
-    return f"{where}: {name}: {reason[:1].lower()}{reason[1:]}"
+    Raises ConfigError with one line for each mistake: file, line, key, reason, remedy.
+    """
+    data, marks = read_yaml_file(Path(path), WHOLE)
+    return typed({} if data is None else data, VehicleModel, marks, str(path), WHOLE)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from msgspec import Meta
 
 from imucald.model.section import (
     ZERO,
@@ -19,18 +19,18 @@ from imucald.model.section import (
     Vector3,
 )
 
-RateHz = Annotated[float, Field(ge=0.2, le=1000.0)]
-DelayS = Annotated[float, Field(ge=0.0, le=2.0)]
+RateHz = Annotated[float, Meta(ge=0.2, le=1000.0)]
+DelayS = Annotated[float, Meta(ge=0.0, le=2.0)]
 
 
-class Gap(Section):
-    """A stretch of time."""
+class Gap(Section, frozen=True):
+    """A span of time."""
 
     start_s: NonNegative
     duration_s: Positive
 
 
-class Message(Section):
+class Transmission(Section, frozen=True):
     """When a signal's frames come: common to all signals."""
 
     enabled: bool = True
@@ -39,18 +39,18 @@ class Message(Section):
     delay_s: DelayS = 0.0
     """Age of the value when its frame is sent, on top of the low-pass."""
     jitter_s: NonNegative = 0.0005
-    """Mean lateness of a frame (exponential): arbitration and task scheduling."""
+    """Mean delay of a frame on the bus (exponential): arbitration and task scheduling."""
     clock_drift_ppm: float = 0.0
     """Error of the sending unit's clock."""
     loss: Fraction = 0.0
     """Probability that a frame is lost."""
     dropouts: tuple[Gap, ...] = ()
-    """Stretches without frames."""
+    """Segments without frames."""
     stuck: tuple[Gap, ...] = ()
-    """Stretches in which the value does not change although frames come."""
+    """Segments in which the value does not change although frames come."""
 
 
-class Triad(Message):
+class TriaxialSensor(Transmission, frozen=True):
     """Three-axis inertial sensor; units are those of the sensor (m/s^2, or rad/s)."""
 
     rate_hz: RateHz = 100.0
@@ -64,7 +64,7 @@ class Triad(Message):
     """Random walk of the bias [unit/sqrt(s)]."""
     scale: Vector3 = ZERO
     """Relative scale error per axis."""
-    cross_axis: Annotated[tuple[float, ...], Field(min_length=6, max_length=6)] = (0.0,) * 6
+    cross_axis: tuple[float, float, float, float, float, float] = (*ZERO, *ZERO)
     """Off-diagonal errors xy, xz, yx, yz, zx, zy: part of the second axis seen in the first."""
     lowpass_hz: Positive | None = None
     """Bandwidth of the second-order Butterworth filter in the sensor; null: none."""
@@ -74,7 +74,7 @@ class Triad(Message):
     """Quantisation step."""
 
 
-class Accelerometer(Triad):
+class Accelerometer(TriaxialSensor, frozen=True):
     """Accelerometer [m/s^2]; figures of a consumer MEMS part."""
 
     noise_density: NonNegative = 0.0018
@@ -88,7 +88,7 @@ class Accelerometer(Triad):
     """Amplitude of the engine's second order in idle, about 25 Hz."""
 
 
-class Gyroscope(Triad):
+class Gyroscope(TriaxialSensor, frozen=True):
     """Gyroscope [rad/s]."""
 
     noise_density: NonNegative = 0.00012
@@ -102,7 +102,7 @@ class Gyroscope(Triad):
     """rms of angular vibration at 20 m/s."""
 
 
-class Temperature(Message):
+class Temperature(Transmission, frozen=True):
     """Sensor temperature: first-order warm-up."""
 
     rate_hz: RateHz = 1.0
@@ -112,7 +112,7 @@ class Temperature(Message):
     lsb: NonNegative = 0.5
 
 
-class Speed(Message):
+class Speed(Transmission, frozen=True):
     """Vehicle speed as broadcast: from the rear wheels."""
 
     scale: float = 0.0
@@ -123,27 +123,27 @@ class Speed(Message):
     noise_mps: NonNegative = 0.01
     time_constant_s: NonNegative = 0.0
     """First-order filter in the sending unit."""
-    delay_rate: Annotated[float, Field(ge=-0.01, le=0.01)] = 0.0
+    delay_rate: Annotated[float, Meta(ge=-0.01, le=0.01)] = 0.0
     """Growth of the delay [s/s]: the speed's stamps and the sensor's come of two clocks."""
 
 
-class WheelSpeeds(Message):
+class WheelSpeeds(Transmission, frozen=True):
     """Four wheel speeds, with curve differences and drive or brake slip."""
 
-    scale: Annotated[tuple[float, ...], Field(min_length=4, max_length=4)] = (0.0,) * 4
+    scale: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     lsb: NonNegative = 0.01 / 3.6
     dead_band_mps: NonNegative = 0.4
     noise_mps: NonNegative = 0.02
     slip_per_mps2: NonNegative = 0.003
     """Slip of the driven (front) or braked (all) wheels per longitudinal specific force."""
     slip_events: tuple[Gap, ...] = ()
-    """Stretches in which the wheels slip and disagree, as on ice with the brakes' control at work;
+    """Segments in which the wheels slip and disagree, as on ice with the brakes' control at work;
     the speed signal suffers with the rear wheels."""
     slip_event_size: Fraction = 0.4
-    """Largest slip in such a stretch."""
+    """Largest slip in such a segment."""
 
 
-class Scalar(Message):
+class Scalar(Transmission, frozen=True):
     """A vehicle signal with offset and scale error."""
 
     offset: float = 0.0
@@ -154,7 +154,7 @@ class Scalar(Message):
     lowpass_hz: Positive | None = None
 
 
-class Steering(Scalar):
+class Steering(Scalar, frozen=True):
     """Steering-wheel angle [rad]."""
 
     rate_hz: RateHz = 100.0
@@ -162,7 +162,7 @@ class Steering(Scalar):
     delay_s: DelayS = 0.01
 
 
-class YawRate(Scalar):
+class YawRate(Scalar, frozen=True):
     """Vehicle yaw rate of the stability control [rad/s]: about the body's vertical axis."""
 
     noise: NonNegative = 0.001
@@ -171,7 +171,7 @@ class YawRate(Scalar):
     lowpass_hz: Positive | None = 15.0
 
 
-class LateralAccel(Scalar):
+class LateralAccel(Scalar, frozen=True):
     """Lateral acceleration of the stability control [m/s^2]: a sensor in the rolling body."""
 
     noise: NonNegative = 0.03
@@ -180,18 +180,18 @@ class LateralAccel(Scalar):
     lowpass_hz: Positive | None = 15.0
 
 
-class LongitudinalAccel(LateralAccel):
+class LongitudinalAccel(LateralAccel, frozen=True):
     """Longitudinal acceleration of the stability control [m/s^2]: a sensor in the body."""
 
 
-class Flag(Message):
+class Flag(Transmission, frozen=True):
     """A switch (reverse gear, brake pedal)."""
 
     rate_hz: RateHz = 10.0
     delay_s: DelayS = 0.02
 
 
-class Heading(Scalar):
+class Heading(Scalar, frozen=True):
     """Heading, clockwise from north [rad]."""
 
     enabled: bool = False
@@ -199,7 +199,7 @@ class Heading(Scalar):
     noise: NonNegative = 0.01
 
 
-class Magnetometer(Message):
+class Magnetometer(Transmission, frozen=True):
     """Magnetometer [T] in sensor axes, parallel to the accelerometer."""
 
     enabled: bool = False
@@ -211,7 +211,7 @@ class Magnetometer(Message):
     lsb: NonNegative = 0.02e-6
 
 
-class Bus(Section):
+class BusLoad(Section, frozen=True):
     """The CAN bus that a log is written for."""
 
     bitrate: Positive = 500_000.0

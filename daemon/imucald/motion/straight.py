@@ -13,25 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imucald.core.errors import EstimateError
-from imucald.motion.ticks import (
-    GYRO_BAD,
-    GYRO_N,
-    GYRO_X,
-    GYRO_Y,
-    GYRO_Z,
-    STEERING,
-    STEERING_N,
-    YAW_RATE,
-    YAW_RATE_N,
-    TickRow,
-)
+from imucald.motion.at_rest import MAX_ZERO_OFFSET
+from imucald.motion.ticks import GYRO, STEERING, YAW_RATE, TickRow
 
 NAN = math.nan
-LARGEST_GYRO_OFFSET = math.radians(5.0)
-"""A mean rate beyond this at rest [rad/s] is a turntable or a ferry, not an offset."""
 OFFSET_MEMORY = 600
 """Ticks at rest after which an offset forgets: it drifts with temperature."""
-LONGEST_HOLD_TICKS = 10
+MAX_HOLD_TICKS = 10
 """Ticks for which a slow signal's last value stands for the present one."""
 
 
@@ -82,6 +70,23 @@ def yaw_rate_from_steering(
     return speed * math.tan(steering / steering_ratio) / wheelbase
 
 
+def yaw_rate_with_understeer(
+    speed: NDArray[np.float64],
+    steering: NDArray[np.float64],
+    steering_ratio: float,
+    wheelbase: float,
+    understeer: float,
+) -> NDArray[np.float64]:
+    """The same of columns (N,), tyres that slip in a bend included, for small angles.
+
+    r = v delta / (n L (1 + K v^2 / L)); understeer: K [rad/(m/s^2)] (Gillespie, Fundamentals of
+    Vehicle Dynamics, ch. 6).
+    """
+    bend = steering_ratio * wheelbase * (1.0 + understeer / wheelbase * speed * speed)
+    result: NDArray[np.float64] = speed * steering / bend
+    return result
+
+
 class ZeroOffset:
     """Mean of a signal at rest, slowly forgetting."""
 
@@ -118,17 +123,17 @@ class YawRateSource:
     def restart(self) -> None:
         """Forget held values, keep the offsets."""
         self._rate = NAN
-        self._rate_age = LONGEST_HOLD_TICKS + 1
+        self._rate_age = MAX_HOLD_TICKS + 1
         self._gyro: tuple[float, float, float] | None = None
-        self._gyro_age = LONGEST_HOLD_TICKS + 1
+        self._gyro_age = MAX_HOLD_TICKS + 1
         self._steering = NAN
-        self._steering_age = LONGEST_HOLD_TICKS + 1
+        self._steering_age = MAX_HOLD_TICKS + 1
         self.source = ""
 
     @property
     def steering(self) -> float:
         """Steering-wheel angle [rad], or NaN where it is not known now."""
-        return self._steering if self._steering_age <= LONGEST_HOLD_TICKS else NAN
+        return self._steering if self._steering_age <= MAX_HOLD_TICKS else NAN
 
     def step(
         self,
@@ -142,10 +147,10 @@ class YawRateSource:
         up: unit vector up in sensor axes; speed [m/s] or NaN; at_rest: the vehicle stands now.
         """
         self._take(tick, at_rest)
-        if self._rate_age <= LONGEST_HOLD_TICKS:
+        if self._rate_age <= MAX_HOLD_TICKS:
             self.source = "yaw_rate"
             return self._rate - self._offset.value
-        if self._gyro is not None and self._gyro_age <= LONGEST_HOLD_TICKS and up is not None:
+        if self._gyro is not None and self._gyro_age <= MAX_HOLD_TICKS and up is not None:
             self.source = "gyro"
             (x, y, z), (ox, oy, oz) = self._gyro, self._gyro_offset
             return (x - ox.value) * up[0] + (y - oy.value) * up[1] + (z - oz.value) * up[2]
@@ -157,21 +162,21 @@ class YawRateSource:
         return NAN
 
     def _take(self, tick: TickRow, at_rest: bool) -> None:
-        if tick[YAW_RATE_N] > 0.0:
-            self._rate, self._rate_age = tick[YAW_RATE], 0
-            if at_rest and abs(self._rate) < LARGEST_GYRO_OFFSET:
+        if tick[YAW_RATE.n] > 0.0:
+            self._rate, self._rate_age = tick[YAW_RATE.mean], 0
+            if at_rest and abs(self._rate) < MAX_ZERO_OFFSET:
                 self._offset.add(self._rate)
         else:
             self._rate_age += 1
-        if tick[GYRO_N] > 0.0 and tick[GYRO_BAD] == 0.0:
-            self._gyro = (tick[GYRO_X], tick[GYRO_Y], tick[GYRO_Z])
+        if tick[GYRO.n] > 0.0 and tick[GYRO.bad] == 0.0:
+            self._gyro = (tick[GYRO.x], tick[GYRO.y], tick[GYRO.z])
             self._gyro_age = 0
-            if at_rest and max(map(abs, self._gyro)) < LARGEST_GYRO_OFFSET:
+            if at_rest and max(map(abs, self._gyro)) < MAX_ZERO_OFFSET:
                 for offset, value in zip(self._gyro_offset, self._gyro, strict=True):
                     offset.add(value)
         else:
             self._gyro_age += 1
-        if tick[STEERING_N] > 0.0:
-            self._steering, self._steering_age = tick[STEERING], 0
+        if tick[STEERING.n] > 0.0:
+            self._steering, self._steering_age = tick[STEERING.mean], 0
         else:
             self._steering_age += 1

@@ -1,56 +1,60 @@
 """From ticks to even signals: force, rate, speed, dv/dt and yaw rate on one 10 Hz grid.
 
-Works in hops of `HOP` ticks, `LAG` ticks late, so that signals slower than the grid can be
-interpolated between samples on both sides. Says for every tick whether it may be learnt from.
+Works in blocks of `BLOCK_TICKS` ticks, `LAG` ticks late, so that signals slower than the grid can
+be interpolated between samples on both sides. Says for every tick whether it may be learnt from.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
-from imucald.motion.ticks import TICK_S, TickRow
+from imucald.motion.at_rest import (
+    PARKED_FORCE_CHANGE,
+    PARKED_FORCE_STD,
+    PARKED_RATE_STD,
+    ZERO_SPEED,
+    keeps_steady,
+)
+from imucald.motion.signal_health import SignalHealth
+from imucald.motion.straight import yaw_rate_with_understeer
+from imucald.motion.ticks import TICK_S, TickRow, empty_rows
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.offsets import Offsets
-from imucald.mount.plausible import forbidden, tally
-from imucald.mount.stuck import StuckSensor, StuckSpeed
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-HOP = 64
-"""Ticks per hop: 6.4 s between two looks at the data, whose cost is per look."""
-HOP_S = HOP * TICK_S
+BLOCK_TICKS = 64
+"""Ticks per block: 6.4 s between two looks at the data, whose cost is per look."""
+BLOCK_S = BLOCK_TICKS * TICK_S
 LAG = 16
 """Ticks the work runs behind: a speed of 1 Hz with jitter must have come."""
 BEFORE = 24
-"""Ticks of context in front of a hop."""
+"""Ticks of context in front of a block."""
 KEEP = BEFORE + LAG
 ACCEL_GAP = 0.35
 """Longest hole bridged in accelerometer or gyroscope [s]; 5 Hz with one loss."""
 SPEED_GAP = 2.3
 """Longest hole bridged in speed [s]; 1 Hz with one loss."""
 YAW_GAP = 0.5
-REST_SPEED = 0.05
-"""A speed below is standstill [m/s]."""
 REST_TICKS = 12
 """Speed must have been zero that long before it counts as rest: braking jerk dies out."""
 STEADY_TICKS = 32
-"""Without speed, rest is judged over such parts of a hop."""
+"""Without speed, rest is judged over such parts of a block."""
 NOMINAL_SPEED = 12.0
 """Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""
-HOPS_WITHOUT_SPEED = 4
+BLOCKS_WITHOUT_SPEED = 4
 """Hops without any speed after which the estimator does without (26 s)."""
 
 
 @dataclass
-class Prepared:
-    """One hop of signals; N = HOP. Values where a flag is False are finite but meaningless."""
+class SignalBlock:
+    """One block, N = BLOCK_TICKS; where a flag is False, values are finite and mean nothing."""
 
     t: Array
     force: Array  # (N, 3) [m/s^2] sensor axes
@@ -69,30 +73,10 @@ class Prepared:
     had_rate: Flags  # as ok_rate, but also while the bias was not known
     gyro_bias: Array  # (3,) what was taken off the rate
 
-    def with_gyro_bias(self, gyro_bias: Array) -> Prepared:
-        """The same hop as if that gyro bias [rad/s] (3,) had been known."""
+    def with_gyro_bias(self, gyro_bias: Array) -> SignalBlock:
+        """The same block as if that gyro bias [rad/s] (3,) had been known."""
         rate = self.rate + (self.gyro_bias - gyro_bias)
         return replace(self, rate=rate, ok_rate=self.had_rate, gyro_bias=gyro_bias)
-
-
-def empty_rows(n: int) -> Array:
-    """Rows of ticks without any sample, (n, COLUMNS)."""
-    accumulator = tk.TickAccumulator()
-    return np.tile(np.array(accumulator.close(0)), (n, 1))
-
-
-_SENSORS = (
-    (tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_Z + 1, 400.0),
-    (tk.ACCEL_N, tk.ACCEL_AGE, tk.ACCEL_AGE + 1, 1.01 * TICK_S),
-    (tk.GYRO_N, tk.GYRO_X, tk.GYRO_Z + 1, 60.0),
-    (tk.GYRO_N, tk.GYRO_AGE, tk.GYRO_AGE + 1, 1.01 * TICK_S),
-    (tk.SPEED_N, tk.SPEED, tk.SPEED + 1, 150.0),
-    (tk.SPEED_N, tk.SPEED_AGE, tk.SPEED_AGE + 1, 1.01 * TICK_S),
-    (tk.STEERING_N, tk.STEERING, tk.STEERING + 1, 100.0),
-    (tk.YAW_RATE_N, tk.YAW_RATE, tk.YAW_RATE + 1, 20.0),
-)
-"""Count, first and last number of each sensor in a tick, and the largest size there can be."""
-_EMPTY = empty_rows(1)[0]
 
 
 def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
@@ -114,73 +98,59 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
     return out, ok
 
 
-def _steady(x: Array, limit: float) -> Flags:
-    """Where signals (N, 3) keep within a standard deviation, part by part."""
-    spread = x.reshape(-1, STEADY_TICKS, 3).std(axis=1).max(axis=1)
-    return np.repeat(spread < limit, STEADY_TICKS)
-
-
-class SignalPreparer:
-    """Keeps the last ticks and cuts them into hops."""
+class SignalBlockMaker:
+    """Keeps the last ticks and cuts them into blocks."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self._rows = np.tile(_EMPTY, (KEEP + HOP, 1))
+        self._rows = empty_rows(KEEP + BLOCK_TICKS)
         self._n = KEEP
         self.offsets = Offsets()
         self.steering_offset = 0.0
-        self.frozen: Counter[str] = Counter()
         self._reverse = 0.0
         self._rest_run = 0
-        self._stuck_accel = StuckSensor(tk.ACCEL_N, tk.ACCEL_X, moving=True)
-        self._stuck_gyro = StuckSensor(tk.GYRO_N, tk.GYRO_X, moving=False)
-        self._stuck_speed = StuckSpeed()
+        new = slice(BEFORE, BEFORE + BLOCK_TICKS)
+        self.health = SignalHealth(new, settings.accel_range, settings.track)
         self.seen: set[str] = set()
-        self.hops = 0
+        self.blocks = 0
 
     @property
     def without_speed(self) -> bool:
         """Whether there has been no speed signal, for long enough to do without."""
-        return self.hops > HOPS_WITHOUT_SPEED and "speed" not in self.seen
+        return self.blocks > BLOCKS_WITHOUT_SPEED and "speed" not in self.seen
 
     def push(self, tick: TickRow) -> bool:
-        """Take a tick; True when a hop is complete and `hop` is to be called."""
+        """Take a tick; True when a block is complete and `block` is to be called."""
         self._rows[self._n] = tick
         self._n += 1
-        return self._n == KEEP + HOP
+        return self._n == KEEP + BLOCK_TICKS
 
     def restart(self) -> None:
         """Forget the kept ticks: time jumped."""
-        self._rows[:] = _EMPTY
+        self._rows[:] = empty_rows(1)
         self._n = KEEP
         self._rest_run = 0
-        self._stuck_accel.restart()
-        self._stuck_gyro.restart()
-        self._stuck_speed.restart()
+        self.health.restart()
 
-    def hop(self) -> Prepared:
-        """Return the signals of the next hop."""
+    def block(self) -> SignalBlock:
+        """Return the signals of the next block."""
         rows = self._rows
-        self._drop_impossible(rows[KEEP:])
-        part = slice(BEFORE - 1, BEFORE + HOP + 1)  # one more at both ends, for dv/dt
+        self.health.drop_impossible(rows[KEEP:])
+        part = slice(BEFORE - 1, BEFORE + BLOCK_TICKS + 1)  # one more at both ends, for dv/dt
         end = rows[-1, tk.T]
         t = end + (np.arange(len(rows)) - (len(rows) - 1)) * TICK_S
         at = t[part] - 0.5 * TICK_S
-        mid = slice(1, HOP + 1)
-        force, ok_force = self._vector(
-            t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, self._stuck_accel
-        )
-        rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, self._stuck_gyro)
-        self.hops += 1
+        mid = slice(1, BLOCK_TICKS + 1)
+        force, ok_force = self._vector(t, at, "accel", tk.ACCEL)
+        rate, ok_rate = self._vector(t, at, "gyro", tk.GYRO)
+        self.blocks += 1
         speed, ok_speed = self._speed(t, at)
         yaw_rate, ok_yaw = self._yaw_rate(t, at, speed)
         accel = (speed[2:] - speed[:-2]) / (2.0 * TICK_S)
         rest = self._rest(speed[mid], ok_speed[mid], force[mid], rate[mid], ok_rate[mid])
         curve = np.maximum(np.abs(yaw_rate), np.sqrt((rate * rate).sum(axis=1)) * ok_rate)
-        bad = forbidden(
-            rows[part], force, ok_force, speed, ok_speed, curve, self._settings, self.frozen
-        )
-        prepared = Prepared(
+        bad = self.health.untrusted(rows[part], force, ok_force, speed, ok_speed, curve)
+        prepared = SignalBlock(
             t=t[part][mid],
             force=force[mid],
             rate=rate[mid],
@@ -200,94 +170,88 @@ class SignalPreparer:
         )
         if self.without_speed:
             prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
-            prepared.accel = np.zeros(HOP)
+            prepared.accel = np.zeros(BLOCK_TICKS)
             prepared.ok_speed = prepared.ok_force
         self._take_offsets(prepared)
-        rows[:KEEP] = rows[HOP:].copy()
+        rows[:KEEP] = rows[BLOCK_TICKS:].copy()
         self._n = KEEP
         return prepared
 
-    def _drop_impossible(self, new: Array) -> None:
-        """A sensor's tick with a number that cannot be (or is none) counts as empty."""
-        for count, first, stop, largest in _SENSORS:
-            sound = np.abs(new[:, first:stop]).max(axis=1) <= largest  # False for NaN
-            bad = (new[:, count] > 0) & ~sound
-            if bad.any():
-                new[bad, count] = 0.0
-                self.frozen["impossible"] += int(bad.sum())
-
     def _vector(
-        self, t: Array, at: Array, n: int, first: int, age: int, stuck: StuckSensor
+        self, t: Array, at: Array, signal: str, columns: tk.AccelColumns | tk.GyroColumns
     ) -> tuple[Array, Flags]:
         rows = self._rows
-        spoilt = stuck.flags(rows)
-        tally(self.frozen, "stuck", spoilt[BEFORE : BEFORE + HOP])
-        has = (rows[:, n] > 0) & ~spoilt
+        has = (rows[:, columns.n] > 0) & ~self.health.stuck(signal, rows)
+        mean = slice(columns.x, columns.z + 1)
         if has.all():
-            times = t - rows[:, age]
-            values = rows[:, first : first + 3]
+            times = t - rows[:, columns.age]
+            values = rows[:, mean]
         else:
-            times = t[has] - rows[has, age]
-            values = rows[has, first : first + 3]
+            times = t[has] - rows[has, columns.age]
+            values = rows[has, mean]
         return bridged(at, times, values, ACCEL_GAP)
 
     def _speed(self, t: Array, at: Array) -> tuple[Array, Flags]:
         rows = self._rows
-        has = rows[:, tk.SPEED_N] > 0
+        has = rows[:, tk.SPEED.n] > 0
         if has.any():
             self.seen.add("speed")
-        stuck = self._stuck_speed.flags(rows, HOP)
-        tally(self.frozen, "stuck", stuck[BEFORE : BEFORE + HOP])
-        has &= ~stuck
-        speed, ok = bridged(at, t[has] - rows[has, tk.SPEED_AGE], rows[has, tk.SPEED], SPEED_GAP)
+        has &= ~self.health.stuck("speed", rows)
+        speed, ok = bridged(
+            at, t[has] - rows[has, tk.SPEED.age], rows[has, tk.SPEED.mean], SPEED_GAP
+        )
         known = rows[:, tk.REVERSE]
         if not np.isnan(known).all():
             self.seen.add("reverse")
         if self._reverse or (known > 0.5).any():
-            reverse = self._held(known)[BEFORE - 1 : BEFORE + HOP + 1]
+            reverse = self._held(known)[BEFORE - 1 : BEFORE + BLOCK_TICKS + 1]
             speed = np.where(reverse > 0.5, -speed, speed)
         return speed, ok
 
     def _held(self, known: Array) -> Array:
-        """Reverse gear, the last known value held; remembers the one at the hop's start."""
+        """Reverse gear, the last known value held; remembers the one at the block's start."""
         out = np.empty(len(known))
         value = self._reverse
         for i, k in enumerate(known.tolist()):
             if not math.isnan(k):
                 value = k
             out[i] = value
-            if i == HOP - 1:
+            if i == BLOCK_TICKS - 1:
                 self._reverse = value
         return out
 
     def _yaw_rate(self, t: Array, at: Array, speed: Array) -> tuple[Array, Flags]:
         rows = self._rows
-        has = rows[:, tk.STEERING_N] > 0
+        has = rows[:, tk.STEERING.n] > 0
         angle, ok_angle = np.zeros(len(at)), np.zeros(len(at), dtype=bool)
         if has.any():
             self.seen.add("steering")
-            angle, ok_angle = bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING], YAW_GAP)
+            angle, ok_angle = bridged(
+                at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING.mean], YAW_GAP
+            )
         self._steering = angle, ok_angle
-        has = rows[:, tk.YAW_RATE_N] > 0
+        has = rows[:, tk.YAW_RATE.n] > 0
         if has.any():
             self.seen.add("yaw_rate")
-            return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE], YAW_GAP)
+            return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE.mean], YAW_GAP)
         s = self._settings
         if s.steering_ratio is None or not ok_angle.any():
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
-        bend = s.steering_ratio * s.wheelbase * (1.0 + s.understeer / s.wheelbase * speed * speed)
-        return speed * (angle - self.steering_offset) / bend, ok_angle
+        steered = angle - self.steering_offset
+        turning = (s.steering_ratio, s.wheelbase, s.understeer)
+        return yaw_rate_with_understeer(speed, steered, *turning), ok_angle
 
     def _rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
         """At rest: speed zero (where there is one) and the force still."""
         rest = np.zeros(len(speed), dtype=bool)
         if ok.any():
-            still = ok & (np.abs(speed) < REST_SPEED)
+            still = ok & (np.abs(speed) < ZERO_SPEED)
         else:
             move = np.abs(np.diff(force, axis=0, prepend=force[:1])).max(axis=1)
-            still = (move < 0.12) & _steady(force, 0.06)
+            still = move < PARKED_FORCE_CHANGE
+            still &= keeps_steady(force, PARKED_FORCE_STD, STEADY_TICKS)
             if ok_rate.any():
-                still &= _steady(rate, 0.01)
+                still &= keeps_steady(rate, PARKED_RATE_STD, STEADY_TICKS)
         run = self._rest_run
         for i, s in enumerate(still.tolist()):
             run = run + 1 if s else 0
@@ -295,7 +259,7 @@ class SignalPreparer:
         self._rest_run = run
         return rest
 
-    def _take_offsets(self, p: Prepared) -> None:
+    def _take_offsets(self, p: SignalBlock) -> None:
         """Learn the offsets at rest and take them off."""
         offsets = self.offsets
         use = p.rest & p.ok_rate & p.learn

@@ -1,4 +1,4 @@
-"""The companions there are (attitude, direction of travel); imported only where one is on."""
+"""The consumers there are (attitude, direction of travel); for those that are switched on."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from typing import Any
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import SETTLED_STD, AttitudeEstimate, AttitudeState
 from imucald.attitude.filter import AttitudeFilter
-from imucald.attitude.plausible import is_plausible
 from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
 from imucald.config import Config, LoadedConfig
 from imucald.config.attitude import Attitude
+from imucald.core.rotations import times
+from imucald.motion.plausible import is_plausible
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import Correction, MountEstimate
-from imucald.runtime.consumer import ORDER, Companion
+from imucald.runtime.consumer import ORDER, Consumer
 from imucald.runtime.output.attitude_frames import AttitudeFrames
 from imucald.runtime.output.output_frames import OutputFrames
-from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.output.travel_frames import TravelFrames
 from imucald.travel_direction.direction import TravelDirection
 from imucald.travel_direction.settings import (
@@ -30,11 +31,11 @@ from imucald.travel_direction.settings import (
 )
 
 
-def companions_for(loaded: LoadedConfig, output: OutputFrames) -> list[Companion]:
+def consumers_for(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
     """What a configuration switches on. Raises ConfigError where an input is missing."""
     config = loaded.config
     signals = config.signals
-    found: list[Companion] = []
+    found: list[Consumer] = []
     for key, frames in (("attitude", output.attitude), ("travel_direction", output.travel)):
         if frames is not None and any(triad.z is None for triad in signals.accelerometer):
             raise loaded.error((key, "enabled"), "needs all three axes of the accelerometer")
@@ -47,17 +48,17 @@ def companions_for(loaded: LoadedConfig, output: OutputFrames) -> list[Companion
             raise loaded.error(("attitude", "filter", "heading"), "needs signals.heading")
         if source == "magnetometer" and signals.magnetometer is None:
             raise loaded.error(("attitude", "filter", "heading"), "needs signals.magnetometer")
-        found.append(AttitudeCompanion(config, output.attitude))
+        found.append(AttitudeConsumer(config, output.attitude))
     if output.travel is not None:
         if signals.magnetometer is None and signals.heading is None:
             raise loaded.error(
                 ("travel_direction", "enabled"), "needs signals.magnetometer or signals.heading"
             )
-        found.append(TravelCompanion(config, output.travel))
+        found.append(TravelConsumer(config, output.travel))
     return found
 
 
-class AttitudeCompanion:
+class AttitudeConsumer:
     """Methods B and C on the corrected samples."""
 
     channels = frozenset(ORDER)
@@ -92,9 +93,7 @@ class AttitudeCompanion:
         elif channel == "heading":
             self.filter.heading(t, values[0])
         elif correction is not None:
-            x, y, z = values
-            a, b, c, d, e, f, g, h, i = correction
-            turned = (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)
+            turned = times(correction, values)
             if channel == "gyro":
                 self.filter.gyro(t, turned)
             elif channel == "accel":
@@ -162,7 +161,7 @@ class AttitudeCompanion:
         }
 
 
-class TravelCompanion:
+class TravelConsumer:
     """Method D on the samples of a carried terminal, in its own axes."""
 
     channels = frozenset(("gyro", "mag", "heading", "accel"))

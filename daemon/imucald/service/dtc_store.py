@@ -1,4 +1,4 @@
-"""Keeps the trouble codes over restarts: one small file beside the saved state.
+"""Keeps the DTCs over restarts: one small file beside the saved state.
 
 The codes say what a workshop should look at, nothing is driven by them: one generation is enough,
 and a file that cannot be believed is set aside and begun anew.
@@ -8,17 +8,24 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from imucald.core.digest import sha256
-from imucald.service.calibration_store import Writer
-from imucald.uds.dtc_memory import TroubleMemory
+from imucald.core.atomic_file import (
+    free_name,
+    read_file,
+    split_checksum,
+    with_checksum,
+    write_file,
+)
+from imucald.service.journal import WARNING
+from imucald.service.state_writer import Say, StateWriter
+from imucald.uds.dtc_memory import DtcMemory
 
 MAGIC: Final = "imucald-troubles 1"
+"""The first word is older than the name of this module; files that are there begin with it."""
 MAX_BYTES: Final = 1 << 16
 """A longer file is not ours."""
 PERIOD_S: Final = 10.0
@@ -27,27 +34,24 @@ PERIOD_S: Final = 10.0
 CLOSE_WAIT_S: Final = 0.2
 """How long a stop waits for the disk [s]; the calibration's state waits longer."""
 
-Say = Callable[[str], None]
 
-
-class TroubleKeeper:
+class DtcStore:
     """The memory of one daemon, read from its file at the start and written when it changes.
 
-    path: None keeps nothing. say: takes a line for the log. clock: monotonic [s].
+    path: None keeps nothing. say: takes a line for the log and its priority. clock: monotonic [s].
     """
 
     def __init__(
         self, path: Path | None, say: Say, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.memory = TroubleMemory()
+        self.memory = DtcMemory()
         self.path = path
         self._say = say
         self._clock = clock
         self._next = clock()
-        self._writer: Writer[bytes] | None = None
-        self._told = ""
+        self.writer: StateWriter[bytes] | None = None
         if path is not None:
-            self._writer = Writer(lambda data: write_whole(path, data))
+            self.writer = StateWriter(lambda data: write_file(path, data), "the DTC memory", say)
             self.memory.restore(self._read(path))
         self._written = self.memory.saved()
 
@@ -59,70 +63,53 @@ class TroubleKeeper:
     def close(self) -> None:
         """Write what changed last; waits for the disk, but not for long."""
         self._put()
-        if self._writer is not None:
-            self._writer.close(CLOSE_WAIT_S)
-            self._tell_errors(self._writer)
+        if self.writer is not None:
+            self.writer.close(CLOSE_WAIT_S)
+            self.writer.report()
 
     def _put(self) -> None:
-        if self._writer is None:
+        if self.writer is None:
             return
-        self._tell_errors(self._writer)
+        self.writer.report()
         now = self.memory.saved()
         if now != self._written:
             self._written, self._next = now, self._clock() + PERIOD_S
-            self._writer.put(encoded(now))
+            self.writer.put(encoded(now))
 
-    def _tell_errors(self, writer: Writer[bytes]) -> None:
-        if writer.last_error != self._told:
-            self._told = writer.last_error
-            if self._told:
-                self._say(f"the trouble codes cannot be saved: {self._told}; going on without")
+    def status(self) -> dict[str, Any] | None:
+        """Saves, failures and the last error; None where nothing is kept."""
+        return None if self.writer is None else self.writer.status()
 
     def _read(self, path: Path) -> Mapping[str, Any]:
         try:
-            with path.open("rb") as file:
-                data = file.read(MAX_BYTES + 1)
+            data = read_file(path, MAX_BYTES)
         except FileNotFoundError:
             return {}
         except OSError as error:
-            self._say(f"trouble codes: {path} cannot be read: {error.strerror}")
+            self._say(f"DTCs: {path} cannot be read: {error.strerror}", WARNING)
             return {}
         found = decoded(data)
         if found is None:
-            number = 1
-            while (aside := path.with_name(f"{path.name}.corrupt.{number}")).exists():
-                number += 1
+            aside = free_name(path, "corrupt")
             with contextlib.suppress(OSError):
                 path.rename(aside)
-            self._say(f"trouble codes: {path} is damaged; set aside as {aside.name}")
+            self._say(f"DTCs: {path} is damaged; set aside as {aside.name}", WARNING)
         return found or {}
 
 
 def encoded(records: Mapping[str, Any]) -> bytes:
     """The bytes of a file: one line with version and checksum, then JSON."""
     body = json.dumps(records).encode()
-    return f"{MAGIC} {sha256(body).hexdigest()}\n".encode() + body
+    return with_checksum(MAGIC, body)
 
 
 def decoded(data: bytes) -> Mapping[str, Any] | None:
     """The records in a file's bytes, or None where it is damaged."""
-    head, _, body = data.partition(b"\n")
-    expected = f"{MAGIC} {sha256(body).hexdigest()}"
-    if len(data) > MAX_BYTES or head != expected.encode():
+    title, body, is_right = split_checksum(data)
+    if len(data) > MAX_BYTES or title != MAGIC.encode() or not is_right:
         return None
     try:
         found = json.loads(body)
     except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Replace a file by a whole one that is on the disk; OSError where that fails."""
-    temporary = path.with_name(path.name + ".tmp")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import Columns, Field, write_bits, write_column
-from imucald.can.e2e.checksums import Checksum
-from imucald.can.e2e.protection_spec import ProtectionSpec
+from imucald.can.e2e.crc import Checksum
+from imucald.can.e2e.protection import ProtectionSpec
 from imucald.core.errors import EncodeError
 
 
-class OutputProtector:
+class MessageProtector:
     """Puts alive counter, data id and checksum into the encoded frames of one message.
 
     The counter starts at 0 and goes up by one with each frame, one by one or in columns.

@@ -12,13 +12,8 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imucald.can.columns import CAN_EFF_FLAG, CLASSIC_BYTES, IdMatch
-from imucald.can.link.socketcan import (
-    CAN_ERR_FLAG,
-    CAN_RTR_FLAG,
-    LONGEST_BATCH,
-    Frame,
-)
+from imucald.can.columns import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, CLASSIC_BYTES, IdMatch
+from imucald.can.link.socketcan import MAX_BATCH, Frame
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError
 
@@ -86,7 +81,7 @@ class Adapter:
             while message is not None:
                 if message.is_rx:  # some adapters hand back what we sent
                     frames.append((_stamp(message), _can_id(message), bytes(message.data)))
-                if len(frames) >= LONGEST_BATCH:
+                if len(frames) >= MAX_BATCH:
                     break
                 message = receive(0.0)
         except can.CanError as error:

@@ -1,0 +1,68 @@
+"""What every log format is: a reader of files with certain endings, and what it counts.
+
+A new format is a new file with a `LogFormat`, named in `log_reader.FORMATS`; one that python-can
+reads needs only its ending in `python_can_logs`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import ClassVar, Final, Protocol
+
+from imucald.can.columns import Channels, FrameColumns
+from imucald.can.id_filter import IdFilters
+from imucald.core.errors import LogError
+
+MAX_PROBLEMS: Final = 20
+"""Texts kept: enough to see what is wrong, and bounded whatever the file holds."""
+
+
+class ReadStatistics:
+    """Counts over all files of one reader."""
+
+    def __init__(self, strict: bool) -> None:
+        """strict: raise LogError at the first rejection instead of counting it."""
+        self.strict = strict
+        self.frames_read = 0
+        self.first_stamp: float | None = None
+        """Time stamp of the first valid frame [s]."""
+        self.ignored: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
+        self.problems: list[str] = []
+
+    def reject(self, reason: str, text: str) -> None:
+        """Count one rejection; `text` begins with its place. Raises LogError where strict."""
+        if self.strict:
+            raise LogError(text)
+        self.rejected[reason] += 1
+        if len(self.problems) < MAX_PROBLEMS:
+            self.problems.append(text)
+
+    def stamp(self, t: float) -> None:
+        """Take note of a valid frame's time stamp [s]: the first one is kept."""
+        if self.first_stamp is None:
+            self.first_stamp = t
+
+    def ignore(self, kind: str) -> None:
+        """Count one valid frame that carries no data (remote, error) or is not for us (XL)."""
+        self.frames_read += 1
+        self.ignored[kind] += 1
+
+
+class LogFormat(Protocol):
+    """A reader of one recording's files, which share filters, channels and statistics."""
+
+    endings: ClassVar[tuple[str, ...]]
+    """Of file names, in small letters; ``.gz`` behind them does not count."""
+
+    def __init__(
+        self, filters: IdFilters, channels: Channels, statistics: ReadStatistics
+    ) -> None: ...
+
+    def read(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+        """Yield a file's wanted frames, empty chunks among them; `report` gets the bytes read.
+
+        Raises LogError for a file that is no log at all; what is bad in one goes to statistics.
+        """

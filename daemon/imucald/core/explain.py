@@ -1,0 +1,149 @@
+"""What validation found wrong, said to the one who wrote the file.
+
+msgspec stops at the first mistake. Here the data are gone through field by field, each checked by
+msgspec alone, so that all mistakes are reported at once, each at its place. Loaded only when there
+is a mistake (see `typed`).
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator
+from functools import cache
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+import msgspec
+from msgspec import Struct
+
+from imucald.core.locations import Marks, Place, located
+
+_NAMES = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "bool": "true or false",
+    "null": "nothing",
+    "array": "a list",
+    "object": "a mapping",
+}
+_BOUNDS = {">": "greater than", ">=": "at least", "<": "less than", "<=": "at most"}
+
+Mistake = tuple[Place, str]
+
+
+def explain(
+    data: Any, full: Any, kind: Any, marks: Marks, name: str, whole: str, at: Place = ()
+) -> Iterator[str]:
+    """One line for each mistake: file, line, key, reason, remedy.
+
+    full: the data as checked, with all short forms spelled out; data: as they were written.
+    kind: the type that they shall have. at: the key that they stand at.
+    """
+    reported: set[Mistake] = set()
+    for long_place, reason in _mistakes(full, kind, ()):
+        place = (*at, *_real_place(long_place, data))
+        if (place, reason) not in reported:
+            reported.add((place, reason))
+            yield f"{located(name, marks, place, whole)}: {reason}"
+
+
+def _real_place(long_place: Place, data: Any) -> Place:
+    """Drop what spelling out added to the path (the index of a single source, its key)."""
+    place: list[str | int] = []
+    here = data
+    last = len(long_place) - 1
+    for i, part in enumerate(long_place):
+        if isinstance(here, dict) and (part in here or (i == last and isinstance(part, str))):
+            place.append(part)
+            here = here.get(part)
+        elif isinstance(here, list) and isinstance(part, int) and part < len(here):
+            place.append(part)
+            here = here[part]
+    return tuple(place)
+
+
+def _mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
+    """Mistakes of a value that shall be of a kind (a type, with constraints)."""
+    bare = _bare(kind)
+    if value is None and NoneType in get_args(bare):
+        return
+    inner = list(_inner_mistakes(value, bare, place))
+    if inner:
+        yield from inner
+        return
+    try:
+        msgspec.convert(value, kind)
+    except (ValueError, OverflowError) as error:  # msgspec.ValidationError is a ValueError
+        yield place, _reason(value, bare, str(error))
+
+
+def _inner_mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
+    """Mistakes of what a mapping or list holds."""
+    for part in map(_bare, get_args(kind) if _is_union(kind) else (kind,)):
+        arguments = get_args(part)
+        if isinstance(part, type) and issubclass(part, Struct) and isinstance(value, dict):
+            yield from _of_fields(value, part, place)
+        elif get_origin(part) is tuple and isinstance(value, list):
+            every = arguments[1:] == (...,)
+            if every or len(arguments) == len(value):
+                for index, one in enumerate(value):
+                    kind_of_one = arguments[0] if every else arguments[index]
+                    yield from _mistakes(one, kind_of_one, (*place, index))
+        elif get_origin(part) is dict and isinstance(value, dict):
+            for key, one in value.items():
+                yield from _mistakes(one, arguments[1], (*place, key))
+
+
+def _of_fields(value: dict[Any, Any], model: type[Struct], place: Place) -> Iterator[Mistake]:
+    hints = _hints(model)
+    for key, one in value.items():
+        if key in hints:
+            yield from _mistakes(one, hints[key], (*place, key))
+        else:
+            yield (*place, key), _unknown(str(key), list(hints))
+    for field in msgspec.structs.fields(model):
+        if field.required and field.name not in value:
+            yield (*place, field.name), "is missing"
+
+
+def _unknown(key: str, allowed: list[str]) -> str:
+    close = difflib.get_close_matches(key, allowed, n=1)
+    hint = f"did you mean '{close[0]}'?" if close else "allowed: " + ", ".join(sorted(allowed))
+    return f"unknown key; {hint}"
+
+
+def _reason(value: Any, kind: Any, text: str) -> str:
+    choices = get_args(kind) if get_origin(kind) is Literal else ()
+    if choices:
+        reason = "must be one of " + ", ".join(map(repr, choices))
+    else:
+        reason = _plain(text.partition(" - at `")[0])
+    is_plain = isinstance(value, str | int | float | bool) or value is None
+    return f"{reason} (here: {value!r})" if is_plain else reason
+
+
+def _plain(text: str) -> str:
+    """A message of msgspec, such as "Expected `float` > 0.0", in the words of YAML."""
+
+    def named(match: re.Match[str]) -> str:
+        return " or ".join(_NAMES.get(name, name) for name in match[1].split(" | "))
+
+    text = re.sub(r"`([^`]*)`", named, text.replace("Expected ", "must be ", 1))
+    text = re.sub(r" ([<>]=?) ", lambda match: f" {_BOUNDS[match[1]]} ", text)
+    return f"{text[:1].lower()}{text[1:]}"
+
+
+def _bare(kind: Any) -> Any:
+    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+
+
+def _is_union(kind: Any) -> bool:
+    return NoneType in get_args(kind)
+
+
+@cache
+def _hints(model: type[Struct]) -> dict[str, Any]:
+    """Type of each key, constraints included."""
+    return get_type_hints(model, include_extras=True)

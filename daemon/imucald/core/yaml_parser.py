@@ -1,0 +1,90 @@
+"""YAML text to plain data with the line of every key. The text is untrusted."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import yaml
+
+from imucald.core.errors import ConfigError
+from imucald.core.locations import Marks, Place
+
+MAX_DEPTH = 30
+"""Deepest accepted nesting."""
+
+_EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+")
+"""Numbers that YAML 1.1, unlike 1.2, takes for text: 1e-3."""
+
+
+def parse_yaml(text: str, name: str) -> tuple[Any, Marks]:
+    """Parse YAML to plain data and the line of every key.
+
+    Aliases, repeated keys and deep nesting are refused: no configuration needs them, and they are
+    how a file becomes a bomb. Raises ConfigError with the line.
+    """
+    try:
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
+        try:
+            if "*" in text:
+                _refuse_aliases(text, type(loader), name)
+            node = loader.get_single_node()
+            marks: Marks = {}
+            data = None if node is None else _build(loader, node, (), marks, name)
+        finally:
+            loader.dispose()
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = mark.line + 1 if mark is not None else 1
+        problem = getattr(error, "problem", None) or str(error).splitlines()[0]
+        if _has_tab(text, line):
+            problem += "; indent with spaces, not tabs"
+        raise ConfigError(f"{name}:{line}: not valid YAML: {problem}") from None
+    except (RecursionError, ValueError, OverflowError) as error:
+        raise ConfigError(f"{name}:1: not usable YAML: {error}") from None
+    return data, marks
+
+
+def _refuse_aliases(text: str, loader: type, name: str) -> None:
+    for event in yaml.parse(text, Loader=loader):
+        if isinstance(event, yaml.AliasEvent):
+            line = event.start_mark.line + 1 if event.start_mark else 1
+            raise ConfigError(f"{name}:{line}: YAML aliases (*name) are not accepted")
+
+
+def _has_tab(text: str, line: int) -> bool:
+    lines = text.splitlines()
+    return line <= len(lines) and "\t" in lines[line - 1]
+
+
+def _build(loader: Any, node: yaml.Node, place: Place, marks: Marks, name: str) -> Any:
+    line = node.start_mark.line + 1
+    marks.setdefault(place, line)
+    if len(place) > MAX_DEPTH:
+        raise ConfigError(f"{name}:{line}: nested too deeply")
+    if isinstance(node, yaml.SequenceNode):
+        return [_build(loader, n, (*place, i), marks, name) for i, n in enumerate(node.value)]
+    if isinstance(node, yaml.MappingNode):
+        result: dict[str, Any] = {}
+        for key_node, value_node in node.value:
+            key_line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise ConfigError(f"{name}:{key_line}: a key must be a plain word")
+            key = key_node.value
+            if key in result:
+                raise ConfigError(f"{name}:{key_line}: the key '{key}' stands here a second time")
+            marks[(*place, key)] = key_line
+            result[key] = _build(loader, value_node, (*place, key), marks, name)
+        return result
+    value = _scalar(loader, node)
+    if value is not None and not isinstance(value, str | int | float | bool):
+        raise ConfigError(f"{name}:{line}: {node.value!r} is neither text nor number")
+    return value
+
+
+def _scalar(loader: Any, node: yaml.Node) -> Any:
+    value = loader.construct_object(node)
+    is_plain = isinstance(node, yaml.ScalarNode) and node.style not in ("'", '"', "|", ">")
+    if is_plain and isinstance(value, str) and _EXPONENT.fullmatch(value):
+        return float(value)
+    return value

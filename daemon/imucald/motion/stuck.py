@@ -1,0 +1,176 @@
+"""Signals that are stuck: a sensor or a sender that says the same again and again.
+
+What they say is wrong by as much as the truth has changed, and at the end they jump. Three kinds
+of signal, three tests: a sensor's noise always moves (`StuckSensor`, over blocks of ticks;
+`HeldForce`, tick by tick), a speed that is rounded does not (`StuckSpeed`).
+`compensation.held_repeats` finds nothing: it keeps a stuck sensor recognisable.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.rotations import Vector
+from imucald.motion import ticks as tk
+from imucald.motion.at_rest import DRIVING_SPEED, ROLLING_SPEED
+from imucald.motion.ticks import ACCEL, TICK_S, TickRow
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+STUCK_TICKS = 12
+"""Identical means of a sensor for that long are a stuck signal: noise always moves."""
+STUCK_MOVING_TICKS = 5
+"""So many of them while the vehicle rolls."""
+HELD_TICKS = 10
+"""Ticks of one force that never moved within a tick either: then a second is enough."""
+STUCK_HOLE = 4
+"""Ticks from one sample to the next, at most: 2.5 Hz."""
+SAME = 1e-9
+"""Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
+MIN_STUCK_S = 1.2
+"""Nothing shorter is called stuck."""
+STEADIEST = 0.01
+"""No vehicle on a road keeps its speed better than that [m/s^2]."""
+TIMES_USUAL = 4.0
+"""And so many times the usual run."""
+RUNS_REMEMBERED = 200
+MIN_RUNS = 50
+"""Before so many nothing is called stuck."""
+FINE = 0.1
+"""So many of the changes are finer than what counts as the signal's step: rounding splits steps."""
+SAME_SPEED = 1e-6
+"""[m/s]"""
+
+
+class StuckSensor:
+    """Flags ticks of a sensor that has said the same for STUCK_TICKS or longer, also in motion.
+
+    At rest a coarse sensor may well be still; one that got stuck before the vehicle stopped is
+    stuck there. The tick after it is flagged as well: its mean may be half of stuck samples.
+
+    count, first: columns of its samples' number and of its first axis. moving: whether the vehicle
+    is taken to move where no speed has been heard.
+    """
+
+    def __init__(self, count: int, first: int, moving: bool) -> None:
+        self._count, self._axes, self._moving = count, slice(first, first + 3), moving
+        self._held: Array | None = None  # (3,) values at which it is stuck
+
+    def restart(self) -> None:
+        """Time jumped: what it says next is new."""
+        self._held = None
+
+    def flags(self, rows: Array) -> Flags:
+        """Ticks (N,) at which it is stuck; rows: (N, COLUMNS)."""
+        flags = np.zeros(len(rows), dtype=bool)
+        at = np.flatnonzero(rows[:, self._count] > 0)
+        values = rows[at, self._axes]
+        same = (np.abs(np.diff(values, axis=0)) < SAME).all(axis=1)
+        if same.any():
+            self._flag_runs(rows, at, values, same & (np.diff(at) <= STUCK_HOLE), flags)
+        self._held = values[-1].copy() if len(at) and flags[at[-1]] else None
+        return one_more(flags)
+
+    def _flag_runs(
+        self, rows: Array, at: NDArray[np.int64], values: Array, same: Flags, flags: Flags
+    ) -> None:
+        said = rows[:, tk.SPEED.n] > 0
+        heard = np.maximum.accumulate(np.where(said, np.arange(len(rows)), 0))
+        moving = np.abs(rows[heard, tk.SPEED.mean]) > ROLLING_SPEED
+        moving = np.where(rows[heard, tk.SPEED.n] > 0, moving, self._moving and not said.any())
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
+        for first, last in edges.reshape(-1, 2):
+            part = slice(at[first], at[last] + 1)
+            held = self._held
+            known = held is not None and bool((np.abs(values[first] - held) < SAME).all())
+            driven = int(moving[part].sum()) >= STUCK_MOVING_TICKS
+            if known or (part.stop - part.start >= STUCK_TICKS and driven):
+                flags[part] = True
+
+
+class HeldForce:
+    """Counts ticks in which the force was the same, and did not move within the tick either."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Time jumped."""
+        self._force: Vector | None = None
+        self._ticks = 0
+
+    def step(self, tick: TickRow, force: Vector) -> bool:
+        """Take a tick and its mean force; return whether it is stuck, if the vehicle moves."""
+        same = force == self._force and tick[ACCEL.min_x] == tick[ACCEL.max_x]
+        self._ticks = self._ticks + 1 if same else 0
+        self._force = force
+        return self._ticks >= HELD_TICKS
+
+
+def one_more(flags: Flags) -> Flags:
+    """Flags with the tick after each flagged one."""
+    out = flags.copy()
+    out[1:] |= flags[:-1]
+    return out
+
+
+class StuckSpeed:
+    """Flags ticks at which the speed is stuck while the vehicle drives.
+
+    How long a sound speed says the same depends on its resolution: to stay within one step s for T
+    seconds a vehicle has to keep its acceleration under s / T. A sender that repeats each value
+    some times has longer runs all the time; those do not count. Both are learnt.
+    """
+
+    def __init__(self) -> None:
+        self._runs: deque[tuple[float, float]] = deque(maxlen=RUNS_REMEMBERED)
+        """Of those that ended while driving: how long they lasted [s], the change after [m/s]."""
+        self._value, self._lasted = math.nan, 0.0
+
+    def restart(self) -> None:
+        """Time jumped: the run before is over."""
+        self._value = math.nan
+
+    def flags(self, rows: Array, leaving: int) -> Flags:
+        """Ticks (N,) with a speed that is stuck; rows: (N, COLUMNS), `leaving` leave next."""
+        out = np.zeros(len(rows), dtype=bool)
+        at = np.flatnonzero(rows[:, tk.SPEED.n] > 0)
+        if not len(at):
+            return out
+        speed = rows[at, tk.SPEED.mean]
+        change = np.abs(np.diff(speed))
+        ends = np.append(np.flatnonzero(change > SAME_SPEED), len(at) - 1)
+        first, run = 0, (math.nan, 0.0)
+        limit = self._limit()
+        for last in ends.tolist():
+            lasted = float(at[last] - at[first]) * TICK_S
+            if first == 0 and abs(speed[0] - self._value) <= SAME_SPEED:
+                lasted += self._lasted
+            driving = abs(float(speed[first])) > DRIVING_SPEED
+            stuck = driving and lasted > limit
+            if stuck:
+                out[at[first] : at[last] + 1] = True
+            if at[first] < leaving <= at[last]:
+                before = int(np.searchsorted(at[first : last + 1], leaving))
+                begun = lasted - float(at[last] - at[first + before]) * TICK_S
+                run = float(speed[first]), begun
+            elif driving and not stuck and at[last] < leaving and last < len(change):
+                until = lasted + float(at[last + 1] - at[last]) * TICK_S
+                self._runs.append((until, float(change[last])))
+            first = last + 1
+        self._value, self._lasted = run
+        return one_more(out)
+
+    def _limit(self) -> float:
+        """A run longer than that is stuck [s]; never, until the signal is known."""
+        if len(self._runs) < MIN_RUNS:
+            return math.inf
+        lasted, change = np.array(self._runs).T
+        usual = float(lasted @ lasted / lasted.sum())  # as seen at any time: long ones weigh more
+        step = float(np.quantile(change, FINE))
+        return max(MIN_STUCK_S, step / STEADIEST, TIMES_USUAL * usual)

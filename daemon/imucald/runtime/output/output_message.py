@@ -1,0 +1,97 @@
+"""One output message: encode, then protect with counter and checksum.
+
+Messages are compiled when their first frame is made, or by `prepare`: a replay that keeps no frames
+never reads the database of what is sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache, cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.columns import CAN_EFF_FLAG
+from imucald.can.dbc.database import Database, Message, load_database_text
+from imucald.can.dbc.encode import EncodePlan, compile_encode
+from imucald.can.e2e.checksums import crc8_j1850, xor_checksum
+from imucald.can.e2e.crc import ChecksumSpec
+from imucald.can.e2e.protection import ProtectionSpec, counter_of
+from imucald.can.e2e.protector import MessageProtector
+from imucald.config import STANDARD_ID_MAX
+
+OutFrame = tuple[int, bytes]
+"""CAN id (with the flag for 29 bits) and payload."""
+
+OUTPUT_DATABASE = Path(__file__).parents[2] / "data" / "imucald_out.dbc"
+NOT_AVAILABLE_SIGNED = -32768
+NOT_AVAILABLE_UNSIGNED = 65535
+
+
+@cache
+def output_database() -> Database:
+    """The database of what imucald sends."""
+    text = OUTPUT_DATABASE.read_text("utf-8")
+    return load_database_text(text, "dbc", "imucald_out.dbc")
+
+
+class OutputMessage:
+    """Makes the frames of one message; a value that does not fit is sent as not available.
+
+    message: its name in `output_database`. not_available: raw value by signal name.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        signals: Sequence[str],
+        can_id: int,
+        checksum: str,
+        not_available: Mapping[str, int],
+    ) -> None:
+        self.can_id = can_id | (CAN_EFF_FLAG if can_id > STANDARD_ID_MAX else 0)
+        self._message = message
+        self._signals = tuple(signals)
+        self._not_available = not_available
+        self._kind = checksum
+        self._bare_id = can_id
+
+    @cached_property
+    def _plan(self) -> EncodePlan:
+        message = output_database().message(self._message)
+        return compile_encode(message, self._signals, self._not_available)
+
+    @cached_property
+    def _protector(self) -> MessageProtector:
+        message = output_database().message(self._message)
+        return MessageProtector(
+            ProtectionSpec(
+                size=message.length,
+                counter=counter_of(message.signal("Counter")),
+                checksum=_checksum(self._kind, self._bare_id, message),
+            )
+        )
+
+    def prepare(self) -> None:
+        """Compile now, so that the first frame is as quick as the others."""
+        _ = self._plan, self._protector
+
+    def frame(self, values: Sequence[float | None]) -> OutFrame:
+        """Frame of one set of values, in the message's units; None is not available."""
+        return self.can_id, self._protector.protect(self._plan.encode(values))
+
+    def payloads(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.uint8]:
+        """Payloads (N, length) of columns (N,); NaN is not available."""
+        return self._protector.protect_columns(self._plan.encode_columns(columns))
+
+
+def _checksum(kind: str, can_id: int, message: Message) -> ChecksumSpec | None:
+    position = message.length - 1
+    id_bytes = can_id.to_bytes(4 if can_id > STANDARD_ID_MAX else 2, "big")
+    if kind == "crc8_j1850":
+        return crc8_j1850(message.length, position, id_bytes)
+    if kind == "xor":
+        return xor_checksum(message.length, position, id_bytes)
+    return None

@@ -1,0 +1,87 @@
+"""A drive on the bus: frames in order, as columns, one by one, or as a candump log."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from msgspec.structs import replace
+
+from imucald.can.columns import FrameColumns
+from imucald.can.logs.candump_writer import CandumpWriter
+from imucald.simulation.drive import Drive
+from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.other_units import arbitrated, background, joined
+
+EPOCH_S = 1_600_000_000.0
+"""Stamp of the start of a drive: logs with relative times begin here."""
+BLOCK_S = 30.0
+"""Frames are made in blocks, so that memory does not grow with background traffic."""
+
+Progress = Callable[[float], None]
+"""Called with the seconds of the drive that are written."""
+
+
+def bus_frames(
+    drive: Drive, encoder: BusEncoder, with_background: bool = False
+) -> Iterator[FrameColumns]:
+    """Frames of a drive in the order of the bus, block by block; t in seconds from its start.
+
+    Each channel of the recording is a bus of its own; other units' traffic is on the first.
+    """
+    ours = joined(list(encoder.frames(drive)))
+    ours = ours.take(np.argsort(ours.t, kind="stable"))
+    rate = drive.model.bus.background_frames_per_s if with_background else 0.0
+    busy_until = [0.0] * len(ours.channels)
+    edges = np.arange(0.0, drive.duration_s + 2.0 * BLOCK_S, BLOCK_S)
+    for start, stop in itertools.pairwise(edges.tolist()):
+        first, last = np.searchsorted(ours.t, [start, stop])
+        block = ours.take(slice(int(first), int(last)))
+        if rate > 0.0:
+            others = background(drive.seed, rate, encoder.ids, start, min(stop, drive.duration_s))
+            block = joined([block, _on_channel(others, ours.channels)])
+        parts = []
+        for index, free in enumerate(busy_until):
+            part = block.take(block.channel == index)
+            if len(part):
+                parts.append(arbitrated(part, drive.model.bus.bitrate, free))
+                busy_until[index] = float(parts[-1].t[-1])
+        if parts:
+            merged = parts[0] if len(parts) == 1 else joined(parts)
+            yield merged.take(np.argsort(merged.t, kind="stable"))
+
+
+def live_frames(
+    drive: Drive, encoder: BusEncoder, with_background: bool = False
+) -> Iterator[tuple[float, int, bytes]]:
+    """Frames one by one: (seconds from the drive's start, id with the 29-bit flag, payload)."""
+    for block in bus_frames(drive, encoder, with_background):
+        width = block.data.shape[1]
+        raw = block.data.tobytes()
+        rows = zip(block.t.tolist(), block.can_id.tolist(), block.length.tolist(), strict=True)
+        for i, (t, can_id, length) in enumerate(rows):
+            yield t, can_id, raw[i * width : i * width + length]
+
+
+def write_log(
+    drive: Drive,
+    path: Path,
+    encoder: BusEncoder,
+    with_background: bool = False,
+    progress: Progress | None = None,
+) -> int:
+    """Write a drive as a candump log; return the number of frames. LogError where it cannot be."""
+    with CandumpWriter(path) as writer:
+        for block in bus_frames(drive, encoder, with_background):
+            writer.write_columns(replace(block, t=block.t + EPOCH_S))
+            if progress is not None:
+                progress(float(block.t[-1]))
+    return writer.frames_written
+
+
+def _on_channel(frames: FrameColumns, channels: tuple[str, ...]) -> FrameColumns:
+    return FrameColumns(
+        frames.t, frames.can_id, frames.length, frames.data, frames.channel, channels[:1], frames.fd
+    )
