@@ -50,6 +50,8 @@ class Cause:
     """A gain, an offset or a delay of a signal, without a physical reason."""
     together: tuple[str, ...] = ()
     """Parameters that are tried as one number besides."""
+    with_it: tuple[tuple[str, float], ...] = ()
+    """What moves besides in one more form of it: key and factor."""
     drift: bool = False
     """Tried as an even growth over the drive."""
     lead: int = 0
@@ -74,7 +76,10 @@ _DELAY = "one cycle of 50 Hz and a task's: 30 ms"
 _TYRE = "wear of 8 mm on a radius of 310 mm is 2.5 %, load and pressure 0.5 %; calibrated: 1 %"
 
 _ROWS: tuple[Parameter, ...] = (
-    *_axes("accel.bias", "m/s^2", 0.04, f"0.2 to 0.4 mg/K over 10 to 20 K, {MEMS}", 1.0, ("accel",)),
+    *_axes("accel.bias", "m/s^2", 0.06, f"0.4 mg/K over 10 K, and 0.2 % of one g by axes that are"
+           f" not square, {MEMS}", 1.0, ("accel",), "xy"),
+    *_axes("accel.bias", "m/s^2", 0.09, f"0.4 mg/K over 10 K, and 0.5 % of one g by the gain, {MEMS}",
+           1.0, ("accel",), "z"),
     *_axes("accel.scale", "1", 0.01, f"sensitivity after calibration, {MEMS}", 0.12, _IMU, "012"),
     *_axes("accel.cross_axis", "1", 0.01, f"cross-axis sensitivity 1 %, {MEMS}", 0.10, _IMU,
            "012345"),
@@ -103,7 +108,7 @@ _ROWS: tuple[Parameter, ...] = (
          "steering"),
     _one("lateral_accel.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "lateral_accel"),
     _one("longitudinal_accel.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "longitudinal_accel"),
-    _one("wheel_speeds.scale", "1", 0.005, "tyres of one car beside each other", -0.1, 0.1,
+    _one("wheel_speeds.scale", "1", 0.005, "tyres of one car beside each other", -0.12, 0.12,
          "wheel_speeds"),
     _one("steering.offset", "rad", 0.7 * DEG, "alignment; the crown's pull", -30 * DEG, 30 * DEG,
          "steering"),
@@ -114,10 +119,10 @@ _ROWS: tuple[Parameter, ...] = (
     _one("yaw_rate.offset", "rad/s", 0.1 * DEG, "ESC sensors' zero, after standstill", -5 * DEG,
          5 * DEG, "yaw_rate"),
     _one("yaw_rate.scale", "1", 0.01, "ESC sensors' sensitivity", -0.25, 0.25, "yaw_rate"),
-    _one("lateral_accel.offset", "m/s^2", 0.05, "ESC sensors' zero", -1.0, 1.0, "lateral_accel"),
+    _one("lateral_accel.offset", "m/s^2", 0.2, "ESC sensors: zero 0.05, mounting 1 deg", -1.0, 1.0, "lateral_accel"),
     _one("lateral_accel.scale", "1", 0.02, "ESC sensors' sensitivity", -0.15, 0.15,
          "lateral_accel"),
-    _one("longitudinal_accel.offset", "m/s^2", 0.05, "ESC sensors' zero", -1.0, 1.0,
+    _one("longitudinal_accel.offset", "m/s^2", 0.2, "ESC sensors: zero 0.05, mounting 1 deg", -1.0, 1.0,
          "longitudinal_accel"),
     _one("longitudinal_accel.scale", "1", 0.02, "ESC sensors' sensitivity", -0.15, 0.15,
          "longitudinal_accel"),
@@ -173,7 +178,8 @@ CAUSES: tuple[Cause, ...] = (
     Cause("lever_arm", (_keys("mount.lever_arm_m", "012"),),
           "The sensor sits elsewhere in the vehicle.", "tight turns with changing yaw rate"),
     Cause("wheel_speed_scale", (("speed.scale",),),
-          "The speed's gain is off (tyre radius).", "a measured kilometre, or GNSS speed"),
+          "The speed's gain is off (tyre radius).", "a measured kilometre, or GNSS speed",
+          with_it=(("wheel_speeds.scale", -1.0),)),
     Cause("signal_delay", (*_each("speed", ("delay_s",)), *_each("yaw_rate", ("delay_s",)),
           *_each("steering", ("delay_s",)), *_each("lateral_accel", ("delay_s",)),
           *_each("longitudinal_accel", ("delay_s",)), *_each("accel", ("delay_s",)),

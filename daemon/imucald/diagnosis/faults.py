@@ -33,8 +33,8 @@ DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.05
 """A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
 is asked for each value (OBD-II) has none."""
-CLOCK_PPM, CLOCK_UNKNOWN_PPM = 100.0, 10_000.0
-"""Two crystals of +-50 ppm. Further off than 1 % the model states another rate: no fault."""
+CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
+"""Two crystals of +-100 ppm over temperature and age. Further off than 1 % the model states another rate: no fault."""
 
 
 @dataclass(frozen=True)

@@ -425,7 +425,9 @@ class _Motion:
         if drive.has("wheel_speeds"):
             own = np.array(f.model.wheel_speeds.scale)
             wheels = f._raw("wheel_speeds", age(f.model, "wheel_speeds")) / (1.0 + own)
+            # Tyres that are smaller than stated make wheels and speed too fast alike.
             scale = 1.0 + self.changes.get("wheel_speeds.scale", 0.0)
+            scale *= 1.0 + self.changes.get("speed.scale", 0.0)
             found["speed"] = np.abs(self.v) - wheels[:, 2:].mean(axis=1) / scale
         if drive.has("steering") and f.has_turning:
             found["yaw_rate"] = self._yaw_rate() - self._by_steering()
@@ -454,7 +456,7 @@ class _Motion:
         rear, length, m = c.rear_cornering_stiffness_npr, c.wheelbase_m, c.mass_kg
         a, b, inertia = c.cg_to_front_m, c.cg_to_rear_m, c.yaw_inertia_kgm2
         front = b / max(gradient * length / m + a / rear, 1e-9)
-        v = np.maximum(v, 1.0)
+        v = np.maximum(v, SLOW_MPS)
         damping = (front + rear) / (m * v) + (a * a * front + b * b * rear) / (inertia * v)
         square = front * rear * length * (length + gradient * v * v) / (m * inertia * v * v)
         return np.asarray(damping / square - m * a * v / (rear * length) + RELAXATION_S)

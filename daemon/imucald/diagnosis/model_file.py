@@ -158,10 +158,11 @@ def extended(model: VehicleModel, changes: Changes, known_to: Mapping[str, float
         if key.startswith("_") or key in made or not _is_plain(model, key) or x == 0.0:
             continue
         stated = value(model, key)
-        if key == "wheel_speeds.scale":
-            made[key] = tuple(s + x for s in model.wheel_speeds.scale)
-        else:
+        if key != "wheel_speeds.scale":
             made[key] = stated + x
+    wheels = changes.get("wheel_speeds.scale", 0.0) + changes.get("speed.scale", 0.0)
+    if wheels:
+        made["wheel_speeds.scale"] = tuple(s + wheels for s in model.wheel_speeds.scale)
     slip = changes.get("_tyre.rear_slip", 0.0)
     if slip:
         made["chassis.rear_cornering_stiffness_npr"] = _stiffness(model, slip)

@@ -242,18 +242,19 @@ def estimate(problem: Problem, h: Hypothesis, questions: int) -> Estimate:
     ways = (inner, inner + lag + lag.T, total[1:, 1:])
     spread = [np.diag(inverse @ (way + np.diag(prior)) @ inverse)[own] for way in ways]
     se = np.sqrt(np.maximum(np.max(spread, axis=0), 0.0))
-    wander = _wander(gram, prior, x, own)
-    se = np.sqrt(se**2 + wander**2 / QUARTERS)
+    wander, share = _wander(gram, prior, x, own)
+    se = np.sqrt(se**2 + wander**2 * share)
     return Estimate(x[own], se, quantile(B, questions), wander)
 
 
-def _wander(gram: Array, prior: Array, x: Array, own: Sequence[int]) -> Array:
-    """Scatter of the parameters between quarters of the data beyond what each may scatter."""
+def _wander(gram: Array, prior: Array, x: Array, own: Sequence[int]) -> tuple[Array, Array]:
+    """Scatter of the parameters between quarters of the data beyond what each may scatter, and
+    which share of its square the mean keeps: random effects (DerSimonian and Laird 1986)."""
     parts = np.array_split(np.arange(len(gram)), QUARTERS)
     values, variances = [], []
     for part in parts:
         if len(part) < 2:
-            return np.zeros(len(own))
+            return np.zeros(len(own)), np.ones(len(own))
         total = gram[part].sum(axis=0)
         H = total[1:, 1:] + np.diag(prior)
         H += RIDGE * np.diag(np.maximum(np.diag(H), 1e-30))
@@ -263,8 +264,14 @@ def _wander(gram: Array, prior: Array, x: Array, own: Sequence[int]) -> Array:
         inner = np.maximum(np.diag(inverse @ (score.T @ score) @ inverse), np.diag(inverse))
         values.append(step[list(own)])
         variances.append(inner[list(own)])
-    excess = np.var(values, axis=0, ddof=1) - np.mean(variances, axis=0)
-    return np.asarray(np.sqrt(np.maximum(excess, 0.0)))
+    w = 1.0 / np.maximum(np.array(variances), 1e-30)
+    total_w = w.sum(axis=0)
+    mean = (w * values).sum(axis=0) / total_w
+    excess = (w * (np.array(values) - mean) ** 2).sum(axis=0) - (len(parts) - 1)
+    spare = total_w - (w**2).sum(axis=0) / total_w
+    variance = np.maximum(excess, 0.0) / np.maximum(spare, 1e-30)
+    variance[spare <= 1e-9 * total_w] = 0.0
+    return np.sqrt(variance), np.asarray((w**2).sum(axis=0) / total_w**2)
 
 
 def without_best(gain: Array, one_in: int = 15) -> float:

@@ -43,6 +43,8 @@ LEAST_NATS = 4.0
 """A factor of 50 on data that the fit did not see."""
 ALIKE_SE = 2.0
 MOST_NAMED = 6
+LEVELLED = ("accel_scale", "accel_cross_axis")
+BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
 REFITS = 3
 CREEP_STEPS = 8
 SMALL_STEP = 0.05
@@ -96,6 +98,13 @@ class Trial:
         """The data tell its parameters more sharply than plausibility does."""
         e = self.estimate
         return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
+
+    @property
+    def could_be(self) -> bool:
+        """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
+        beyond = np.abs(self.estimate.value) > self.tolerance
+        beyond = beyond[: self.hypothesis.lead or len(beyond)]
+        return bool(self.shown > LEAST_NATS and np.any(beyond)) and self.is_testable
 
     @property
     def named(self) -> bool:
@@ -166,7 +175,11 @@ def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[H
                 _shows(table, key) for key in keys
             ):
                 continue
-            made.append(_hypothesis(cause, keys, model, table))
+            beside = dict(cause.with_it)
+            if beside and set(beside) <= set(table.keys) and not set(beside) & set(skip):
+                made.append(Hypothesis(cause.name, keys, ({keys[0]: 1.0, **beside},)))
+            level = cause.name in LEVELLED and not set(BIAS) & set(skip)
+            made.append(_hypothesis(cause, keys, model, table, level))
     return made
 
 
@@ -176,12 +189,12 @@ def _shows(table: Table, key: str) -> bool:
 
 
 def _hypothesis(
-    cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table
+    cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table, level: bool
 ) -> Hypothesis:
-    """A gain of the accelerometer moves what it reads of one g with it."""
+    """level: a gain of the accelerometer moves what it reads of one g with it. Once its zero was
+    found to be off, only motion tells the gain."""
     if cause.drift:
         return Hypothesis(cause.name, keys, pattern=_ramp(table))
-    level = cause.name in {"accel_scale", "accel_cross_axis"}
     if keys == cause.together:
         whole: dict[str, float] = dict.fromkeys(keys, 1.0)
         for key in keys if level else ():
@@ -231,14 +244,14 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         if best is None:
             break
         alike = _alike(best, state.last)
-        chosen = next((t for t in [best, *alike] if t.is_plausible), None)
+        chosen = next((t for t in [best, *alike, *_behind(best, state.last)] if t.is_plausible), None)
         if chosen is None:
             state.implausible.append(best)
             break
         name = chosen.hypothesis.name
         tick(f"found {name.replace('_', ' ')}, looking further")
         state.rivals[name] = [t for t in alike if t is not chosen and t.is_plausible]
-        if best is not chosen:
+        if best is not chosen and best.is_plausible:
             state.rivals[name].append(best)
         state.named.append(chosen)
         if chosen.hypothesis.pattern is not None:
@@ -282,11 +295,19 @@ def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
     found: dict[str, Trial] = {}
     for t in sorted(trials, key=lambda t: -t.gain.sum()):
         name = t.hypothesis.name
-        if name == best.hypothesis.name or name in found or not t.named:
+        if name == best.hypothesis.name or name in found or not t.could_be:
             continue
         if _is_near(best, t):
             found[name] = t
     return list(found.values())
+
+
+def _behind(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
+    """What passes with half the gain of an explanation that cannot be: it is tried first."""
+    if best.is_plausible:
+        return []
+    passing = [t for t in trials if t.named and t.gain.sum() > 0.5 * best.gain.sum()]
+    return sorted(passing, key=lambda t: -t.gain.sum())
 
 
 def _take(state: State, problem: Problem, chosen: Trial) -> None:
