@@ -30,7 +30,7 @@ PARTNER_SHARE = 0.5
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Frames that a bus and a logger may lose without a fault."""
 DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
-NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.05
+NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
 """A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
 is asked for each value (OBD-II) has none."""
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
@@ -270,7 +270,7 @@ def _cycle(t: Array) -> tuple[float, float, Array] | None:
             return None
         cycle = slope
     left = at - at.mean() - cycle * centred
-    if np.std(left) > WANDER_S + cycle:
+    if np.std(left) > WANDER_S + 0.3 * cycle:
         return None
     # Stamps wander slowly: halves of the drive are compared, not samples.
     half = len(count) // 2

@@ -58,6 +58,9 @@ class Estimate:
     se: Array
     """Largest of sandwich, sandwich with lag one, model-based; with the wander between quarters."""
     quantile: float
+    pull: float
+    """By how many deviations the box pulls at the parameters: the root of twice the rise of the
+    loss when they are put back into it, over-dispersion and wander taken off."""
     wander: Array
     """Scatter between quarters of the data beyond what chance gives."""
 
@@ -244,7 +247,38 @@ def estimate(problem: Problem, h: Hypothesis, questions: int) -> Estimate:
     se = np.sqrt(np.maximum(np.max(spread, axis=0), 0.0))
     wander, share = _wander(gram, prior, x, own)
     se = np.sqrt(se**2 + wander**2 * share)
-    return Estimate(x[own], se, quantile(B, questions), wander)
+    pull = _pull(problem, h, x, own, wander**2 * share)
+    return Estimate(x[own], se, quantile(B, questions), pull, wander)
+
+
+def _pull(problem: Problem, h: Hypothesis, x: Array, own: Sequence[int], more: Array) -> float:
+    """Profile likelihood with the others in their box, so that none counts beyond its tolerance.
+
+    The rise of the loss is divided by how much the blocks scatter more than the weights say
+    (sandwich over model-based variance), and by `more` (k,), the variance between quarters.
+    """
+    gram, low, high = problem.widened(h)
+    total = gram.sum(axis=0)
+    H, c = total[1:, 1:], total[1:, 0]
+    base = problem.table.gram.sum(axis=0)
+    null = box_fit(base[1:, 1:], base[1:, 0], problem.low, problem.high)
+    rise = (c @ x - 0.5 * x @ H @ x) - (base[1:, 0] @ null - 0.5 * null @ base[1:, 1:] @ null)
+    width = high - low
+    inside = np.flatnonzero((x > low + 1e-6 * width) & (x < high - 1e-6 * width))
+    inside = np.union1d(inside, own)
+    at = [int(np.flatnonzero(inside == i)[0]) for i in own]
+    part = H[np.ix_(inside, inside)]
+    part = part + RIDGE * np.diag(np.maximum(np.diag(part), 1e-30))
+    inverse = np.linalg.pinv(part)
+    score = (gram[:, 1:, 0] - gram[:, 1:, 1:] @ x)[:, inside]
+    B = len(gram)
+    inner = score.T @ score * (B / max(B - len(own) - 1, 1))
+    lag = score[1:].T @ score[:-1]
+    model = np.maximum(np.diag(inverse)[at], 1e-300)
+    ways = [np.diag(inverse @ way @ inverse)[at] for way in (inner, inner + lag + lag.T)]
+    spread = max(1.0, float(np.max((np.max(ways, axis=0) + more) / model)))
+    # k parameters at once rise by k more without a reason.
+    return float(np.sqrt(max(2.0 * rise / spread - (len(own) - 1), 0.0)))
 
 
 def _wander(gram: Array, prior: Array, x: Array, own: Sequence[int]) -> tuple[Array, Array]:

@@ -72,19 +72,18 @@ class Trial:
 
     @property
     def outside(self) -> bool:
-        """An interval lies wholly outside the tolerance."""
-        return self._outside(self.estimate.quantile)
+        """The box of honest files is left by more than chance."""
+        return self._beyond and self.estimate.pull > self.estimate.quantile
 
-    def _outside(self, q: float) -> bool:
-        e = self.estimate
-        low, high = e.value - q * e.se, e.value + q * e.se
-        out = (low > self.tolerance) | (high < -self.tolerance)
-        return bool(np.any(out[: self.hypothesis.lead or len(out)]))
+    @property
+    def _beyond(self) -> bool:
+        beyond = np.abs(self.estimate.value) > self.tolerance
+        return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
 
     @property
     def likely(self) -> bool:
         """The same at the error rate of a single question."""
-        return self._outside(self.single)
+        return self._beyond and self.estimate.pull > self.single
 
     @property
     def is_plausible(self) -> bool:
@@ -102,9 +101,7 @@ class Trial:
     @property
     def could_be(self) -> bool:
         """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
-        beyond = np.abs(self.estimate.value) > self.tolerance
-        beyond = beyond[: self.hypothesis.lead or len(beyond)]
-        return bool(self.shown > LEAST_NATS and np.any(beyond)) and self.is_testable
+        return self.shown > LEAST_NATS and self._beyond and self.is_testable
 
     @property
     def named(self) -> bool:
@@ -138,6 +135,7 @@ class State:
     shift: Shift | None = None
     table: Table | None = None
     forwards: list[Forward] = field(default_factory=list)
+    _evaluated: VehicleModel | None = None
 
     @property
     def free(self) -> list[str]:
@@ -146,7 +144,9 @@ class State:
 
     def evaluated(self) -> Problem:
         """Put the drives beside the model as it is now."""
-        self.table, self.forwards = table_of(self.drives, self.model)
+        if self.table is None or self._evaluated != self.model:
+            self.table, self.forwards = table_of(self.drives, self.model)
+            self._evaluated = self.model
         return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
 
     def apply(self, changes: Changes) -> None:
