@@ -43,8 +43,8 @@ class Case:
 def cases(part: str, draws: int) -> Iterator[Case]:
     """Cases of a part, in the order of the run: every log and effect early."""
     if part == "nulls":
-        for log in filter(is_there, LOGS):
-            for pieces in (2, 3):
+        for pieces in (2, 3):
+            for log in filter(is_there, LOGS):
                 yield from (Case(part, log, "", 0, 0, pieces, i) for i in range(pieces))
     elif part == "measured":
         for draw in range(draws):

@@ -27,7 +27,9 @@ AFTER = BEFORE.with_changes(
 
 ROLL = FoundCause(
     name="body_roll",
-    parameters={"suspension.roll_gradient": Estimated(0.01712345678, 0.00031, "rad/(m/s^2)", 0.008, 0.0025)},
+    parameters={
+        "suspension.roll_gradient": Estimated(0.01712345678, 0.00031, "rad/(m/s^2)", 0.008, 0.0025)
+    },
     signals=("accel_y", "gyro_x"),
     evidence={"held_out_nats": 812.4, "sigma": 29.4, "quantile": 3.9},
     text="The body rolls otherwise than the model's.",
@@ -99,7 +101,9 @@ def found(**changes) -> Diagnosis:
         duration_s=1800.0,
         candidates=(
             Candidate("gyro_scale", "within tolerance", -2.0, "gyro.scale.2 off by 0.001 +- 0.001"),
-            Candidate("accel_scale", "not decidable here", 3.2, "accel.scale.0 off by 0.01 +- 0.02"),
+            Candidate(
+                "accel_scale", "not decidable here", 3.2, "accel.scale.0 off by 0.01 +- 0.02"
+            ),
         ),
         notes=("no temperature signal: drift with temperature was not looked for",),
         pictures=(

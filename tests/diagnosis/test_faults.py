@@ -64,7 +64,9 @@ def test_a_sensor_that_does_not_change_while_driving_is_stuck():
     found = causes(samples)
     assert list(found) == ["stuck_signal:gyro"]
     assert found["stuck_signal:gyro"].values["_gyro.stuck_s"][0] == pytest.approx(4.0, abs=0.1)
-    assert found["stuck_signal:gyro"].changes["gyro.stuck"][0]["start_s"] == pytest.approx(100, abs=1)
+    assert found["stuck_signal:gyro"].changes["gyro.stuck"][0]["start_s"] == pytest.approx(
+        100, abs=1
+    )
 
 
 def test_zeros_at_standstill_are_natural():
@@ -95,7 +97,9 @@ def test_frames_that_come_twice_are_no_faster_clock():
     samples["accel"] = Series(times[order], np.concatenate([x, x[again]])[order])
     found = causes(samples)
     assert list(found) == ["duplicated_frames:accel"]
-    assert found["duplicated_frames:accel"].values["_accel.doubled"][0] == pytest.approx(0.01, abs=0.002)
+    assert found["duplicated_frames:accel"].values["_accel.doubled"][0] == pytest.approx(
+        0.01, abs=0.002
+    )
 
 
 @pytest.mark.parametrize(("ppm", "found"), [(1500.0, True), (60.0, False), (50_000.0, False)])

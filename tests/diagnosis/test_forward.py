@@ -61,7 +61,12 @@ def test_gravity_carried_by_the_gyroscope_takes_the_road_out():
     yaw_only = (drive.samples["gyro"].values @ R[2])[:, None] * R[2]
     still["gyro"] = Series(drive.samples["gyro"].t, yaw_only)
     blind = Forward(drive_of(still), model, ROWS)
-    assert np.std(residual("accel_y", forward())) < 0.7 * np.std(residual("accel_y", blind))
+
+    def slow(f: Forward) -> float:
+        y = residual("accel_y", f)
+        return float(np.std(y[: len(y) // 20 * 20].reshape(-1, 20).mean(axis=1)))
+
+    assert slow(forward()) < 0.5 * slow(blind)
 
 
 def test_a_turn_of_the_mount_about_level_axes_is_invisible_where_gravity_is_carried():
@@ -178,13 +183,12 @@ def test_stops_are_those_that_speed_and_gyroscope_agree_on():
 
 
 def test_a_speed_that_leads_makes_all_others_late():
-    model = VehicleModel().with_changes({"speed.delay_s": 0.05})
+    model = VehicleModel().with_changes({"speed.delay_s": 0.05, "wheel_speeds.delay_s": 0.05})
     after = extended(model, {"speed.delay_s": -0.2})
     assert after.speed.delay_s == 0.0
     assert after.accel.delay_s == pytest.approx(0.15)
     assert after.gyro.delay_s == pytest.approx(0.15)
-    # The wheels are on the same bus.
-    assert after.wheel_speeds.delay_s == pytest.approx(0.0, abs=0.06)
+    assert after.wheel_speeds.delay_s == 0.0, "the wheels are on the same bus"
 
 
 def test_a_growing_delay_is_told_from_the_start():

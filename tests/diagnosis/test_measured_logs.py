@@ -75,7 +75,9 @@ def test_half_an_hour_beside_its_own_first_half_shows_no_more_than_its_clocks():
 def test_a_bias_hidden_in_a_measured_drive_is_found_with_its_size():
     samples, model = kingston()
     shifted = dict(samples)
-    shifted["accel"] = Series(samples["accel"].t, samples["accel"].values + 0.25 * mount_of(model)[0])
+    shifted["accel"] = Series(
+        samples["accel"].t, samples["accel"].values + 0.25 * mount_of(model)[0]
+    )
     bias = said(diagnose([shifted], model))["accel_bias"].parameters["accel.bias.x"]
     assert bias.value - bias.stated == pytest.approx(0.25, abs=0.04)
 
@@ -89,9 +91,13 @@ def test_a_remount_hidden_in_a_measured_drive_is_found_as_one():
         t, v = samples[name].t, samples[name].values.copy()
         late = t > middle
         along = (v[late] @ axis)[:, None] * axis
-        v[late] = along + np.cos(angle) * (v[late] - along) + np.sin(angle) * np.cross(axis, v[late])
+        v[late] = (
+            along + np.cos(angle) * (v[late] - along) + np.sin(angle) * np.cross(axis, v[late])
+        )
         turned[name] = Series(t, v)
     shift = said(diagnose([turned], model))
     assert "mount_shift" in shift
-    assert shift["mount_shift"].parameters["mount.shifts.t_s"].value == pytest.approx(middle, abs=60.0)
+    assert shift["mount_shift"].parameters["mount.shifts.t_s"].value == pytest.approx(
+        middle, abs=60.0
+    )
     assert not {"accel_scale", "wheel_speed_scale", "gyro_scale", "gyro_bias"} & set(shift)

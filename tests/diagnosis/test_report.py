@@ -120,7 +120,9 @@ def test_a_file_that_makes_anything_worse_is_not_recommended():
 
 
 def test_what_is_likely_stands_apart():
-    text = page(made.found(causes=(made.BIAS,), likely=(replace(made.ROLL, certainty="likely"),))).text
+    text = page(
+        made.found(causes=(made.BIAS,), likely=(replace(made.ROLL, certainty="likely"),))
+    ).text
     assert "Likely, and not written into the file: body roll." in text
     assert text.index("Certain") < text.index("At the error rate of a single question")
 

@@ -133,7 +133,9 @@ def _read(loaded: LoadedConfig, log: str, options: argparse.Namespace) -> Record
 
 
 def _diagnosed(
-    loaded: LoadedConfig, recordings: Sequence[Recording], model: VehicleModel | None,
+    loaded: LoadedConfig,
+    recordings: Sequence[Recording],
+    model: VehicleModel | None,
     options: argparse.Namespace,
 ) -> Diagnosis:
     from imucald.commands.diagnose_view import share_bar

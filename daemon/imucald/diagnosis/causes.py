@@ -70,7 +70,7 @@ def _one(key: str, unit: str, tolerance: float, source: str, low: float, high: f
 
 
 _IMU = ("accel", "gyro")
-_TURN = "superelevation of streets turns the axis of turning by that (AASHTO: up to 4 %)"
+_TURN = "the axis of turning of a measured van lies 3 to 4 deg beside what an INS says"
 _TAPE = "a tape measure against an unknown centre of gravity"
 _DELAY = "one cycle of 50 Hz and a task's: 30 ms"
 _TYRE = "wear of 8 mm on a radius of 310 mm is 2.5 %, load and pressure 0.5 %; calibrated: 1 %"
@@ -92,7 +92,7 @@ _ROWS: tuple[Parameter, ...] = (
            0.5 * DEG, _IMU, "012"),
     *_axes("gyro.bias_temperature", "rad/s/K", 0.01 * DEG, f"0.01 (deg/s)/K, {MEMS}", 0.3 * DEG,
            (*_IMU, "temperature")),
-    *_axes("mount.turn", "rad", 2.3 * DEG, _TURN, 20.0 * DEG, _IMU, "xy"),
+    *_axes("mount.turn", "rad", 4.5 * DEG, _TURN, 20.0 * DEG, _IMU, "xy"),
     *_axes("mount.turn", "rad", 0.5 * DEG, "an INS beside one measured drive: 0.3 deg", 20.0 * DEG,
            _IMU, "z"),
     _one("mount.lever_arm_m.0", "m", 0.3, _TAPE, -4.0, 3.0, *_IMU),
@@ -172,7 +172,7 @@ CAUSES: tuple[Cause, ...] = (
           together=_keys("gyro.g_sensitivity", "012")),
     Cause("gyro_bias_temperature", (_keys("gyro.bias_temperature"),),
           "The gyroscope's zero moves with its temperature.", "stops after a cold start"),
-    Cause("mount_rotation", (("mount.turn.z",), ("mount.turn.x", "mount.turn.y")),
+    Cause("mount_rotation", (("mount.turn.z",),),
           "The sensor sits turned against what the model file says.",
           "straight braking and slow tight turns"),
     Cause("lever_arm", (_keys("mount.lever_arm_m", "012"),),

@@ -87,8 +87,8 @@ def diagnose(
     if state.shift is not None:
         gain = replace(gain, held_out_log_likelihood=float(state.shift.gain.sum()))
     sets = outcome.look_alikes(state)
-    recommended = bool(told) and not gain.worse and (
-        gain.held_out_log_likelihood > 0.0 or not state.free
+    recommended = (
+        bool(told) and not gain.worse and (gain.held_out_log_likelihood > 0.0 or not state.free)
     )
     tell(0.95, "pictures")
     return Diagnosis(
@@ -127,7 +127,9 @@ class _Late:
         return self.was
 
 
-def _faults(drives: Sequence[Samples], model: VehicleModel) -> tuple[list[list[Fault]], VehicleModel]:
+def _faults(
+    drives: Sequence[Samples], model: VehicleModel
+) -> tuple[list[list[Fault]], VehicleModel]:
     """Faults of each drive, and the model file that says so."""
     found = [find_faults(samples, model) for samples in drives]
     changes: dict[str, object] = {}
@@ -238,4 +240,3 @@ def _notes(parts: Sequence[Drive], table: Table, late: _Late) -> list[str]:
     if late.was:
         notes.append("The time limit ended the search: there may be more than is told here.")
     return notes
-

@@ -89,7 +89,9 @@ def _slope(kelvin: Array, table: Array) -> tuple[Array | None, Array | None]:
     return slope, se
 
 
-def gravity_at_rest(drives: Sequence[Drive], model: VehicleModel) -> tuple[float, float, int] | None:
+def gravity_at_rest(
+    drives: Sequence[Drive], model: VehicleModel
+) -> tuple[float, float, int] | None:
     """Size of gravity at rest less the standard one [m/s^2], its deviation, number of stops."""
     sensor = sensor_of(model, "accel", {})
     inverse = np.linalg.inv(sensor.gain)

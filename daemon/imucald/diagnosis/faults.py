@@ -203,9 +203,7 @@ def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool
     here = np.unique(bins[inside] - bins[0])
     if len(here) < 4:
         return False
-    return bool(
-        np.any(np.std(means[here], axis=0) > PARTNER_SHARE * np.std(means, axis=0))
-    )
+    return bool(np.any(np.std(means[here], axis=0) > PARTNER_SHARE * np.std(means, axis=0)))
 
 
 # stamps ------------------------------------------------------------------------------------------

@@ -358,9 +358,7 @@ class _Motion:
 
     # equations -----------------------------------------------------------------------------------
 
-    def longitudinal(
-        self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]
-    ) -> None:
+    def longitudinal(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
         """Forward force against the speed's slope."""
         f, x = self.f, self.force[:, 0] + self.r * self.v_y
         if self.rate is None:
@@ -424,7 +422,9 @@ class _Motion:
             found["lateral_accel"] = f._scalar("lateral_accel", self.changes) - self.force[:, 1]
         if drive.has("wheel_speeds"):
             own = np.array(f.model.wheel_speeds.scale)
-            wheels = f._raw("wheel_speeds", age(f.model, "wheel_speeds")) / (1.0 + own)
+            # Wheels and speed come of one unit, and are late together.
+            late = age(f.model, "wheel_speeds") + self.changes.get("speed.delay_s", 0.0)
+            wheels = f._raw("wheel_speeds", late) / (1.0 + own)
             # Tyres that are smaller than stated make wheels and speed too fast alike.
             scale = 1.0 + self.changes.get("wheel_speeds.scale", 0.0)
             scale *= 1.0 + self.changes.get("speed.scale", 0.0)

@@ -139,7 +139,9 @@ def plausible(model: VehicleModel, key: str) -> tuple[float, float]:
 # writing -----------------------------------------------------------------------------------------
 
 
-def extended(model: VehicleModel, changes: Changes, known_to: Mapping[str, float] | None = None) -> VehicleModel:
+def extended(
+    model: VehicleModel, changes: Changes, known_to: Mapping[str, float] | None = None
+) -> VehicleModel:
     """The model file with changes. known_to: half widths within which keys are now known."""
     made: dict[str, Any] = {}
     R = mount_of(model)

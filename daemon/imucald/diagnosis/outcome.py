@@ -128,9 +128,7 @@ def told_rest(rest: Rest, model: VehicleModel) -> FoundCause:
 def told_shift(shift: Shift, table: Table) -> FoundCause:
     """A turn of the sensor in mid-drive."""
     parameters = {
-        f"mount.shifts.{angle}_deg": Estimated(
-            float(x) * DEG, float(se) * DEG, "deg", 0.0, 0.3
-        )
+        f"mount.shifts.{angle}_deg": Estimated(float(x) * DEG, float(se) * DEG, "deg", 0.0, 0.3)
         for angle, x, se in zip(("roll", "pitch", "yaw"), shift.turn, shift.se, strict=True)
     }
     parameters["mount.shifts.t_s"] = Estimated(

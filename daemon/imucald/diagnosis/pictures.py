@@ -15,9 +15,7 @@ from imucald.diagnosis.signals import STEP_S, Array
 SEGMENT = 256
 
 
-def pictures_of(
-    before: Sequence[Forward], after: Sequence[Forward]
-) -> tuple[SignalPicture, ...]:
+def pictures_of(before: Sequence[Forward], after: Sequence[Forward]) -> tuple[SignalPicture, ...]:
     """One picture a signal, the drives one after another."""
     parts = [_one(a, b) for a, b in zip(before, after, strict=True)]
     starts = np.concatenate([[0.0], np.cumsum([f.t[-1] - f.t[0] + STEP_S for f in before])])
@@ -27,9 +25,7 @@ def pictures_of(
     for name in parts[0]:
         if any(name not in part for part in parts):
             continue
-        measured, old, new = (
-            np.concatenate([part[name][i] for part in parts]) for i in range(3)
-        )
+        measured, old, new = (np.concatenate([part[name][i] for part in parts]) for i in range(3))
         driver = _closest(old, drivers)
         f, power = _spectrum(old)
         _, power_new = _spectrum(new)

@@ -77,7 +77,8 @@ class Trial:
 
     @property
     def _beyond(self) -> bool:
-        beyond = np.abs(self.estimate.value) > self.tolerance
+        """A value lies beyond its tolerance, by a deviation at least."""
+        beyond = np.abs(self.estimate.value) > self.tolerance + self.estimate.se
         return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
 
     @property
@@ -244,7 +245,9 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         if best is None:
             break
         alike = _alike(best, state.last)
-        chosen = next((t for t in [best, *alike, *_behind(best, state.last)] if t.is_plausible), None)
+        chosen = next(
+            (t for t in [best, *alike, *_behind(best, state.last)] if t.is_plausible), None
+        )
         if chosen is None:
             state.implausible.append(best)
             break
@@ -404,9 +407,7 @@ def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
         return {}
     e: Estimate = estimate(problem, Hypothesis("all", keys), len(PARAMETERS))
     q = quantile(problem.table.blocks, 1)
-    return {
-        key: (state.changes[key], float(se), q) for key, se in zip(keys, e.se, strict=True)
-    }
+    return {key: (state.changes[key], float(se), q) for key, se in zip(keys, e.se, strict=True)}
 
 
 def _demote(state: State) -> None:
@@ -419,8 +420,7 @@ def _demote(state: State) -> None:
         known = [(estimates[k], tau) for k, tau in zip(h.keys, trial.tolerance, strict=True)
                  if k in estimates]  # fmt: skip
         known = known[: h.lead or len(known)]
-        q = trial.estimate.quantile
-        if any(abs(x) - q * se > tau for (x, se, _), tau in known):
+        if any(abs(x) > tau + se for (x, se, _), tau in known):
             continue
         state.named.remove(trial)
         state.likely.append(trial)

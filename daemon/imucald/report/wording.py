@@ -120,12 +120,12 @@ def key_title(key: str) -> str:
     quantity = QUANTITIES.get(name.rpartition(".")[2], name.rpartition(".")[2].replace("_", " "))
     if not rest.endswith(f".{axis}") or axis == rest:
         axis = ""
-    kind = (
-        name if name in AXES else "sensor" if axis.isdigit() else "vector"
-    )
+    kind = name if name in AXES else "sensor" if axis.isdigit() else "vector"
     way = AXES[kind].get(axis, axis.removesuffix("_deg").replace("_", " "))
-    title = quantity if part in ("mount", "chassis", "suspension") else (
-        f"{PARTS.get(part, part.replace('_', ' '))} {quantity}"
+    title = (
+        quantity
+        if part in ("mount", "chassis", "suspension")
+        else (f"{PARTS.get(part, part.replace('_', ' '))} {quantity}")
     )
     return f"{title}, {way}" if way else title
 
