@@ -2,8 +2,8 @@
 
     python -m benchmarks.diagnosis [--only PART ...] [--draws N] [--seconds S] [--write]
 
-Outcomes are kept in a file and not made again: a run that is stopped goes on where it was. --seconds
-ends a part's run after so much processor time; what was not reached is said.
+Outcomes are kept in a file and not made again: a run that is stopped goes on where it was.
+--seconds ends a part's run after so much processor time; what was not reached is said.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
 from benchmarks.diagnosis.measured_logs import LOGS, is_there
 from benchmarks.diagnosis.outside_effects import OUTSIDE
@@ -43,21 +44,18 @@ class Case:
 def cases(part: str, draws: int) -> Iterator[Case]:
     """Cases of a part, in the order of the run: every log and effect early."""
     if part == "nulls":
-        for pieces in (2, 3):
-            for log in filter(is_there, LOGS):
-                yield from (Case(part, log, "", 0, 0, pieces, i) for i in range(pieces))
+        for pieces, log in product((2, 3), filter(is_there, LOGS)):
+            yield from (Case(part, log, "", 0, 0, pieces, i) for i in range(pieces))
     elif part == "measured":
-        for draw in range(draws):
-            for level in (1, 2, 0, 3):
-                for effect in EFFECTS:
-                    for i, log in enumerate(filter(is_there, LOGS)):
-                        # Halves take turns, so that both are model and test.
-                        piece = (i + level + draw) % 2
-                        yield Case(part, log, effect, level, draw, 2, piece)
+        logs = [log for log in LOGS if is_there(log)]
+        for draw, level, effect, (i, log) in product(
+            range(draws), (1, 2, 0, 3), EFFECTS, enumerate(logs)
+        ):
+            # Halves take turns, so that both are model and test.
+            yield Case(part, log, effect, level, draw, 2, (i + level + draw) % 2)
     elif part == "outside":
-        for draw in range(draws):
-            for effect in OUTSIDE:
-                yield from (Case(part, log, effect, 1, draw, 2, draw % 2)
+        for draw, effect in product(range(draws), OUTSIDE):
+            yield from (Case(part, log, effect, 1, draw, 2, draw % 2)
                             for log in filter(is_there, LOGS))  # fmt: skip
     elif part == "second_world":
         folder = DATA / "second_world"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ class Log:
     def pieces(self, count: int) -> list[Samples]:
         """Equal pieces; times stay those of the whole."""
         edges = np.linspace(0.0, self.recording.duration_s + 1.0, count + 1)
-        return [cut(self.recording.samples, a, b) for a, b in zip(edges, edges[1:], strict=False)]
+        return [cut(self.recording.samples, a, b) for a, b in pairwise(edges)]
 
 
 def is_there(name: str) -> bool:

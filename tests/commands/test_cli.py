@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import random
 import re
 import subprocess
@@ -29,6 +30,7 @@ HELP_S = 3.0
 """A help takes 0.2 s on an idle machine; this is for a busy one."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["", *cli.COMMANDS])
 def test_every_help_comes_quickly_and_fits_eighty_columns(command: str) -> None:
     arguments = [command] if command else []
@@ -78,6 +80,7 @@ def test_a_missing_file_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert "nowhere.yaml" in text
 
 
+@pytest.mark.slow
 def test_output_that_knows_ascii_only_is_served(tmp_path: Path) -> None:
     log = tmp_path / "drive.log"
     commands = [["simulate", "--minutes", "0.3", "--out", str(log)],
@@ -226,6 +229,7 @@ def with_damaged_text(rng: random.Random) -> str:
     return text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [with_junk, with_damaged_text])
 def test_damaged_configurations_give_an_error_with_place_or_work(
     damage: Callable[[random.Random], str], monkeypatch: pytest.MonkeyPatch
@@ -255,6 +259,7 @@ def test_damaged_configurations_give_an_error_with_place_or_work(
     assert outcomes["works"] > 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["replay", "check"])
 def test_a_reader_that_has_had_enough_is_no_error(command: str, tmp_path: Path) -> None:
     config = shuttle.write(tmp_path, cycles=1)
@@ -267,3 +272,10 @@ def test_a_reader_that_has_had_enough_is_no_error(command: str, tmp_path: Path) 
         assert process.wait(60) == 0
         assert process.stderr is not None
         assert b"Traceback" not in process.stderr.read()
+
+
+def test_the_schema_lists_every_kind_of_checksum(capsys):
+    assert cli.main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    kinds = schema["$defs"]["ChecksumSettings"]["properties"]["kind"]["enum"]
+    assert kinds == ["none", "xor", "crc8_j1850", "e2e_p1", "e2e_p2", "e2e_p5", "e2e_p11"]

@@ -26,7 +26,7 @@ from imucald.runtime.session import make_engine
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 from imucald.traffic.can_log import write_log
-from imucald.traffic.encoder import BusEncoder, example_config
+from imucald.traffic.drive_encoder import BusEncoder, example_config
 
 MOUNT_DEG = (-20.0, 8.0, 120.0)
 
@@ -45,6 +45,7 @@ def finished() -> Demonstration:
         return demo
 
 
+@pytest.mark.slow
 def test_the_estimate_ends_near_the_truth(finished: Demonstration) -> None:
     angles = angles_beside(finished.estimate(), finished.truth)
     assert [a.name for a in angles] == ["roll", "pitch", "yaw"]
@@ -55,6 +56,7 @@ def test_the_estimate_ends_near_the_truth(finished: Demonstration) -> None:
     assert finished.engine.pipeline.first_usable is not None
 
 
+@pytest.mark.slow
 def test_every_frame_passes_the_bus_undamaged(finished: Demonstration) -> None:
     series = finished.drive.samples["accel"]
     assert finished.listener.frames == len(series.t)
@@ -73,6 +75,7 @@ def test_corrected_acceleration_is_near_the_truth_as_far_as_noise_allows(
     assert found.corrected < 1.5 * found.known_mount
 
 
+@pytest.mark.slow
 def test_replay_of_the_same_drive_gives_the_same_estimate(
     finished: Demonstration, tmp_path: Path
 ) -> None:
@@ -86,6 +89,7 @@ def test_replay_of_the_same_drive_gives_the_same_estimate(
     assert result["state"] == ours.state.name.lower()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_demonstration() -> None:
     def values() -> list[tuple[float, ...] | None]:
         with Demonstration(short_drive(0.3), example_config()) as demo:
@@ -118,6 +122,7 @@ def test_an_unknown_angle_is_left_out() -> None:
 # the command -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_prints_lines_and_the_result(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -144,6 +149,7 @@ def test_wrong_options_are_told(
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_interrupting_on_a_terminal_stops_cleanly() -> None:
     """Ctrl-C in the live picture: status 130, one line, the cursor is shown again."""
     leader, follower = pty.openpty()

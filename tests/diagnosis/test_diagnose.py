@@ -17,6 +17,7 @@ from imucald.model.model import model_from_mapping
 
 MINUTES = 15.0
 SEED = 5_000
+pytestmark = pytest.mark.slow
 
 
 @cache
@@ -154,6 +155,6 @@ def test_without_a_gyroscope_no_scale_and_no_bias_is_named():
 def test_several_drives_are_one_vehicle():
     first, second = drive(), hidden_drive(SEED + 1, (), 6.0)
     base = model_from_mapping(dict(first.model), "b")
-    d = diagnose([first.samples, {k: v for k, v in first.samples.items()}], base)
+    d = diagnose([first.samples, dict(first.samples)], base)
     assert d.duration_s == pytest.approx(2 * diagnosed().duration_s, rel=0.01)
     assert np.isfinite(second.t[-1])

@@ -17,9 +17,12 @@ from imucald.runtime.session import open_config
 
 ROOT = Path(__file__).parent.parent.parent
 DATA = ROOT.parent / "shared" / "data"
-pytestmark = pytest.mark.skipif(
-    not DATA.is_dir(), reason="the measured logs (../shared/data) are not on this machine"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        not DATA.is_dir(), reason="the measured logs (../shared/data) are not on this machine"
+    ),
+]
 
 
 @cache
@@ -52,7 +55,7 @@ def said(d):
 
 
 def test_a_known_bias_is_found_in_an_unmodified_log():
-    """|f| at rest is 10.04 there, and forward is off by -0.23 to -0.32 m/s^2 by independent fits."""
+    """|f| at rest is 10.04 there, forward is off by -0.23 to -0.32 m/s^2 by independent fits."""
     recording, model = log("vehsense_2018_08_04")
     bias = said(diagnose([recording.samples], model))["accel_bias"].parameters
     assert bias["accel.bias.z"].value == pytest.approx(0.23, abs=0.06)

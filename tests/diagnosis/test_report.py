@@ -87,6 +87,7 @@ def found() -> Page:
     return Page(whole("found"))
 
 
+@pytest.mark.slow
 def test_causes_come_with_values_intervals_and_evidence(found):
     text = found.text
     assert "Found: body roll and accelerometer bias" in text
@@ -215,7 +216,8 @@ def test_hostile_names_are_text_and_nothing_else():
     strange = replace(strange, driver_name=HOSTILE, unit=HOSTILE)
     cause = replace(
         made.ROLL, name=HOSTILE, text=HOSTILE, signals=(HOSTILE,),
-        parameters={HOSTILE: Estimated(1.0, 0.1, HOSTILE)}, evidence={HOSTILE: 1.0}, against=(HOSTILE,),
+        parameters={HOSTILE: Estimated(1.0, 0.1, HOSTILE)}, evidence={HOSTILE: 1.0},
+        against=(HOSTILE,),
     )  # fmt: skip
     diagnosis = made.found(
         causes=(cause,),
@@ -237,6 +239,7 @@ def test_hostile_names_are_text_and_nothing_else():
         assert "script" not in {e.tag.removeprefix(SVG) for e in ET.fromstring(svg).iter()}
 
 
+@pytest.mark.slow
 def test_a_long_drive_with_thousands_of_rows_makes_a_page_for_a_mail():
     names = [f"accel_{i}" for i in range(40)]
     picture = made.picture(seconds=6 * 3600.0)
@@ -337,7 +340,7 @@ def test_parameters_have_names_that_people_use(key, text):
 
 
 @pytest.mark.parametrize(("key", "p", "text"), [
-    ("gyro.bias.z", Estimated(math.radians(0.5), math.radians(0.02), "rad/s"), "0.500 ± 0.020 deg/s"),
+    ("gyro.bias.z", Estimated(0.5 / words.DEG, 0.02 / words.DEG, "rad/s"), "0.500 ± 0.020 deg/s"),
     ("chassis.steering_ratio", Estimated(16.42, 0.31, "1"), "16.42 ± 0.31"),
     ("speed.scale", Estimated(0.031, 0.004, "1"), "3.10 ± 0.40 %"),
     ("speed.delay_rate", Estimated(1.74e-4, 9e-6, "1"), "174.0 ± 9.0 ppm"),

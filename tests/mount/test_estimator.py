@@ -18,6 +18,7 @@ from imucald.mount.estimator import SLEW_RATE, FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
+from mount_settings import full
 
 SEED = 41
 MINUTES = 8.0
@@ -36,7 +37,7 @@ def rows(seed: int = SEED, minutes: float = MINUTES) -> NDArray[np.float64]:
 
 
 def after(ticks: NDArray[np.float64], settings: EstimatorSettings | None = None) -> FullEstimator:
-    estimator = FullEstimator(settings)
+    estimator = FullEstimator(settings or full())
     for row in ticks.tolist():
         estimator.step(row)
     return estimator
@@ -70,6 +71,7 @@ def without_gyro(ticks: NDArray[np.float64]) -> NDArray[np.float64]:
     return without(ticks, tk.GYRO.n, tk.GYRO.x, tk.GYRO.age)
 
 
+@pytest.mark.slow
 def test_eight_minutes_give_the_mount():
     estimate = usual().estimate()
     roll, pitch, yaw = np.abs(error(estimate, drive()))
@@ -80,6 +82,7 @@ def test_eight_minutes_give_the_mount():
     assert estimate.state in GOOD
 
 
+@pytest.mark.slow
 def test_a_sensor_upside_down_is_found():
     made = drive(seed=43, minutes=6.0, upside_down=True)
     ticks = ticks_from_samples(made.samples, 0, 3600)
@@ -88,6 +91,7 @@ def test_a_sensor_upside_down_is_found():
     assert within(estimate, made)
 
 
+@pytest.mark.slow
 def test_turning_the_sensor_turns_the_answer_and_nothing_else():
     turn = rotation_from_angles(0.4, -0.3, 2.0)
     samples = dict(drive().samples)
@@ -104,6 +108,7 @@ def test_turning_the_sensor_turns_the_answer_and_nothing_else():
     assert np.abs(np.degrees(apart)).max() < 0.02
 
 
+@pytest.mark.slow
 def test_the_same_ticks_give_the_same_bits():
     again = after(rows()).estimate()
     first = usual().estimate()
@@ -111,8 +116,9 @@ def test_the_same_ticks_give_the_same_bits():
     assert np.array_equal(again.covariance, first.covariance)
 
 
+@pytest.mark.slow
 def test_nothing_is_applied_before_usable_and_then_it_turns_slowly():
-    estimator = FullEstimator()
+    estimator = FullEstimator(full())
     last = None
     changed = 0
     for row in rows(minutes=5.0).tolist():
@@ -129,8 +135,9 @@ def test_nothing_is_applied_before_usable_and_then_it_turns_slowly():
     assert changed > 5
 
 
+@pytest.mark.slow
 def test_the_states_come_in_order_and_say_what_is_missing():
-    estimator = FullEstimator()
+    estimator = FullEstimator(full())
     seen: list[MountState] = []
     reasons: list[str] = []
     for k, row in enumerate(rows().tolist()):
@@ -160,6 +167,7 @@ def test_a_parked_vehicle_is_levelled_and_waits_for_driving():
     assert estimate.waiting_for["yaw"].startswith("waiting for acceleration or braking")
 
 
+@pytest.mark.slow
 def test_the_delay_of_the_speed_is_found():
     samples = dict(drive().samples)
     series = samples["speed"]
@@ -172,7 +180,7 @@ def test_the_delay_of_the_speed_is_found():
 
 
 def test_a_configured_delay_is_taken():
-    settings = EstimatorSettings(delays={"speed": DelayPrior(0.4, 0.0)})
+    settings = full(delays={"speed": DelayPrior(0.4, 0.0)})
     estimate = after(rows(minutes=5.0), settings).estimate()
     assert estimate.details["speed_delay"] == 0.4
 
@@ -186,9 +194,9 @@ def test_without_gyro_the_yaw_rate_of_the_vehicle_serves():
 def test_without_any_yaw_rate_the_steering_stands_in():
     ticks = without(without_gyro(rows()), tk.YAW_RATE.n, tk.YAW_RATE.mean, tk.YAW_RATE.mean)
     chassis = drive().model.chassis
-    settings = EstimatorSettings(
-        steering_ratio=chassis.steering_ratio,
-        wheelbase=chassis.wheelbase_m,
+    settings = full(
+        vehicle={"steering_ratio": chassis.steering_ratio, "wheelbase": chassis.wheelbase_m},
+        uses_steering=True,
         understeer=chassis.understeer_gradient,
     )
     estimator = after(ticks, settings)
@@ -223,6 +231,7 @@ def test_offsets_of_yaw_rate_and_steering_are_published():
     assert abs(offset - model.steering.offset) < 3.0 * std
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reason", "change"),
     [
@@ -265,6 +274,7 @@ def test_a_stuck_accelerometer_is_not_learnt_from():
     assert within(estimator.estimate(), drive())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("every", "least"), [(1, 450), (2, 440)], ids=["10 Hz", "5 Hz"])
 def test_a_gyroscope_stuck_in_a_turn_is_not_learnt_from(every, least):
     bad = rows(minutes=5.0).copy()
@@ -287,6 +297,7 @@ def test_a_gyroscope_stuck_in_a_turn_is_not_learnt_from(every, least):
     assert math.degrees(estimate.std[1]) < 0.35
 
 
+@pytest.mark.slow
 def test_a_gyroscope_stuck_on_the_way_to_a_stop_gives_no_bias():
     bad = rows(minutes=5.0).copy()
     rates = bad[:, tk.GYRO.x : tk.GYRO.z + 1]
@@ -300,10 +311,11 @@ def test_a_gyroscope_stuck_on_the_way_to_a_stop_gives_no_bias():
     assert np.degrees(np.abs(learnt - plain)).max() < 0.05  # 0.25 if it were learnt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [30, 120])
 @pytest.mark.parametrize("lost", [[tk.SPEED.n], [tk.GYRO.n], [tk.ACCEL.n, tk.GYRO.n]])
 def test_signals_that_are_lost_for_a_while_make_no_shift(lost, seconds):
-    estimator = FullEstimator()
+    estimator = FullEstimator(full())
     ticks = rows(minutes=20.0).copy()
     for first in (4200, 6600, 9000):
         ticks[first : first + 10 * seconds, lost] = 0.0
@@ -315,6 +327,7 @@ def test_signals_that_are_lost_for_a_while_make_no_shift(lost, seconds):
     assert within(estimator.estimate(), drive(minutes=20.0))
 
 
+@pytest.mark.slow
 def test_numbers_that_are_none_do_no_harm():
     bad = rows(minutes=5.0).copy()
     bad[1000, tk.ACCEL.x] = np.nan
@@ -327,8 +340,9 @@ def test_numbers_that_are_none_do_no_harm():
     assert within(estimator.estimate(), drive())
 
 
+@pytest.mark.slow
 def test_a_gap_joins_nothing():
-    estimator = FullEstimator()
+    estimator = FullEstimator(full())
     ticks = rows()
     for row in ticks[:2400].tolist():
         estimator.step(row)
@@ -341,6 +355,7 @@ def test_a_gap_joins_nothing():
     assert within(estimator.estimate(), drive())
 
 
+@pytest.mark.slow
 def test_speed_stuck_at_zero_does_not_teach_a_gyro_bias():
     bad = rows(minutes=5.0).copy()
     bad[600:1500, tk.SPEED.mean] = 0.0
@@ -349,8 +364,9 @@ def test_speed_stuck_at_zero_does_not_teach_a_gyro_bias():
     assert np.abs(bias - plain).max() < math.radians(0.5)
 
 
+@pytest.mark.slow
 def test_two_times_the_cross_axis_error_widens_the_interval():
-    wide = after(rows(minutes=5.0), EstimatorSettings(accel_cross_axis_std=0.01)).estimate()
+    wide = after(rows(minutes=5.0), full({"cross_axis": 0.01})).estimate()
     plain = after(rows(minutes=5.0)).estimate()
     assert wide.std is not None
     assert plain.std is not None
@@ -358,6 +374,7 @@ def test_two_times_the_cross_axis_error_widens_the_interval():
     assert wide.std[1] > plain.std[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [42, 43])
 def test_a_known_lever_arm_does_not_turn_the_mount(seed):
     model, found = random_model(seed, standing_first=True), {}
@@ -366,7 +383,7 @@ def test_a_known_lever_arm_does_not_turn_the_mount(seed):
         ticks = ticks_from_samples(made.samples, 0, int(MINUTES * 600))
         found[name] = after(ticks).estimate().R_vehicle_from_sensor
         if name == "far":
-            known = after(ticks, EstimatorSettings(lever_arm=arm))
+            known = after(ticks, full(lever_arm=arm))
             found["known"] = known.estimate().R_vehicle_from_sensor
 
     def turned(name: str) -> float:
@@ -375,6 +392,7 @@ def test_a_known_lever_arm_does_not_turn_the_mount(seed):
     assert turned("known") < 0.5 * turned("far")
 
 
+@pytest.mark.slow
 def test_a_speed_stuck_while_driving_is_not_learnt_from():
     bad = rows(minutes=5.0).copy()
     moving = np.abs(bad[:, tk.SPEED.mean]) > 8.0
@@ -387,12 +405,13 @@ def test_a_speed_stuck_while_driving_is_not_learnt_from():
     assert within(estimate, drive())
 
 
+@pytest.mark.slow
 def test_the_crown_is_prior_and_in_the_interval():
     right = usual().estimate()
-    left = after(rows(), EstimatorSettings(driving_side="left")).estimate()
+    left = after(rows(), full(vehicle={"driving_side": "left"})).estimate()
     assert right.R_vehicle_from_sensor is not None
     assert left.R_vehicle_from_sensor is not None
     apart = vector_from_rotation(left.R_vehicle_from_sensor @ right.R_vehicle_from_sensor.T)
-    assert apart[0] == pytest.approx(2 * EstimatorSettings().crown, abs=1e-6)
+    assert apart[0] == pytest.approx(2 * full().crown, abs=1e-6)
     assert right.std is not None
-    assert right.std[0] > EstimatorSettings().crown_std
+    assert right.std[0] > full().vehicle.crown_std

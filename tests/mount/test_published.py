@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +14,20 @@ from imucald.motion.ticks import ACCEL, BRAKE, REVERSE, SPEED, T
 from imucald.mount.estimate import Missing, MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
+from mount_settings import published
 from published_drive import Drive, mount_error_deg
 
 MOUNT = Rotation.from_euler("ZYX", [2.2, 0.25, -0.3])
 Rows = Sequence[Sequence[float]]
+
+
+AS_PUBLISHED = published(
+    static={"average_stops": False},
+    straight={"lateral_limit": 0.0},
+    target={"subtract_lateral": False, "remove_offset_after": 0.0},
+    wander_speed=0.0,
+)
+"""Without what goes beyond the publication."""
 
 
 def run(rows: Rows, settings: PublishedSettings | None = None) -> MountEstimate:
@@ -39,6 +48,7 @@ def rows() -> list[list[float]]:
     return Drive(minutes=8, seed=1, mount=MOUNT).ticks("brake", "steering", "yaw_rate")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_any_mount_converges_within_its_own_interval(seed: int) -> None:
     mount = Rotation.random(random_state=seed)
@@ -51,6 +61,7 @@ def test_any_mount_converges_within_its_own_interval(seed: int) -> None:
     assert std.max() < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("missing", "limit_deg"),
     [
@@ -69,6 +80,7 @@ def test_each_recogniser_and_each_sign_source_is_enough(
     assert abs(error_deg(estimate)[2]) < limit_deg
 
 
+@pytest.mark.slow
 def test_an_accelerometer_and_a_brake_switch_alone_are_enough_on_a_straight_road() -> None:
     drive = Drive(minutes=10, seed=4, mount=MOUNT, turns=False)
     estimate = run(drive.ticks("speed", "gyro", "yaw_rate", "steering"))
@@ -76,17 +88,19 @@ def test_an_accelerometer_and_a_brake_switch_alone_are_enough_on_a_straight_road
     assert abs(error_deg(estimate)[2]) < 3.0
 
 
+@pytest.mark.slow
 def test_an_accelerometer_alone_among_turns_does_not_claim_what_it_lacks() -> None:
     drive = Drive(minutes=10, seed=4, mount=MOUNT)
     estimate = run(drive.ticks("speed", "gyro", "yaw_rate", "steering"))
     assert abs(error_deg(estimate)[2]) < 3.0 * math.degrees((estimate.std or (0, 0, 0))[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("recogniser", "left_in"), [("steering", "steering"), ("yaw_rate", "gyro"), ("consistency", "")]
 )
 def test_a_recogniser_that_is_configured_alone_decides_alone(recogniser: str, left_in: str) -> None:
-    settings = PublishedSettings(recognisers=(recogniser,))
+    settings = published(straight={"recognise_by": (recogniser,)})
     drive = Drive(minutes=8, seed=2, mount=MOUNT)
     out = {"gyro", "yaw_rate", "steering", "brake"} - {left_in}
     assert abs(error_deg(run(drive.ticks(*out), settings))[2]) < 3.0
@@ -95,6 +109,7 @@ def test_a_recogniser_that_is_configured_alone_decides_alone(recogniser: str, le
         assert silent.details["manoeuvres"] == 0
 
 
+@pytest.mark.slow
 def test_circles_never_give_a_yaw() -> None:
     drive = Drive(minutes=8, seed=1, mount=MOUNT, circles=True)
     for missing in (
@@ -111,10 +126,11 @@ def test_circles_never_give_a_yaw() -> None:
         assert "yaw" in estimator.estimate().waiting_for
 
 
+@pytest.mark.slow
 def test_an_unresolved_sign_is_never_usable_and_is_said() -> None:
     estimate = run(
         Drive(minutes=8, seed=4, mount=MOUNT).ticks("speed", "brake"),
-        PublishedSettings(sign_sources=("brake",)),
+        published(target={"sign_from": ("brake",)}),
     )
     assert estimate.state == MountState.LEVELLED
     assert estimate.missing["yaw"] == Missing.DIRECTION_OF_TRAVEL
@@ -122,17 +138,19 @@ def test_an_unresolved_sign_is_never_usable_and_is_said() -> None:
     assert estimate.std[2] > 1.5, "half a turn is open"
 
 
+@pytest.mark.slow
 def test_coarse_slow_and_late_speed_is_enough() -> None:
     late = Drive(
         minutes=8, seed=5, mount=MOUNT, speed_rate=1.0, speed_step=1 / 3.6, speed_delay=0.4
     )
     ticks = late.ticks("yaw_rate", "steering", "brake")
     for told in (0.0, 0.4):
-        estimate = run(ticks, PublishedSettings(speed_delay=told))
+        estimate = run(ticks, published({"speed_delay": told}))
         assert estimate.state >= MountState.USABLE
         assert abs(error_deg(estimate)[2]) < 1.5
 
 
+@pytest.mark.slow
 def test_a_planar_accelerometer_is_level_and_needs_no_stop() -> None:
     mount = Rotation.from_euler("Z", 0.8)
     ticks = Drive(minutes=8, seed=3, mount=mount).ticks("gyro", "steering", "brake")
@@ -148,6 +166,7 @@ def test_a_planar_accelerometer_is_level_and_needs_no_stop() -> None:
     assert first.state == MountState.LEVELLED
 
 
+@pytest.mark.slow
 def test_reverse_gear_turns_the_answer_round(rows: Rows) -> None:
     # The same path driven backwards throughout: the vehicle points the other way.
     backwards = [list(row) for row in rows]
@@ -157,6 +176,7 @@ def test_reverse_gear_turns_the_answer_round(rows: Rows) -> None:
     assert np.abs(error_deg(estimate, Rotation.from_euler("Z", math.pi) * MOUNT))[2] < 1.0
 
 
+@pytest.mark.slow
 def test_the_level_of_a_drive_without_a_stop_comes_late_and_uncertain() -> None:
     ticks = Drive(minutes=8, seed=6, mount=MOUNT, stops=False).ticks("brake", "steering")
     moving = ticks[200:]
@@ -176,6 +196,7 @@ def test_the_level_of_a_drive_without_a_stop_comes_late_and_uncertain() -> None:
     assert std[1] > np.degrees((stopped.std or ())[1]) - 1.0
 
 
+@pytest.mark.slow
 def test_the_correction_is_smooth_and_the_same_every_time(rows: Rows) -> None:
     a, b = PublishedEstimator(), PublishedEstimator()
     before = None
@@ -192,6 +213,7 @@ def test_the_correction_is_smooth_and_the_same_every_time(rows: Rows) -> None:
     assert before is not None
 
 
+@pytest.mark.slow
 def test_asking_for_the_estimate_changes_nothing(rows: Rows) -> None:
     a, b = PublishedEstimator(), PublishedEstimator()
     for row in rows:
@@ -201,6 +223,7 @@ def test_asking_for_the_estimate_changes_nothing(rows: Rows) -> None:
     assert a.correction == b.correction
 
 
+@pytest.mark.slow
 def test_nothing_is_learnt_while_samples_are_rejected(rows: Rows) -> None:
     estimator = PublishedEstimator()
     for row in rows[:3000]:
@@ -216,6 +239,7 @@ def test_nothing_is_learnt_while_samples_are_rejected(rows: Rows) -> None:
     assert np.array_equal(before.covariance, after.covariance)
 
 
+@pytest.mark.slow
 def test_scattered_bad_samples_and_implausible_forces_do_no_harm(rows: Rows) -> None:
     rng = np.random.default_rng(0)
     damaged = []
@@ -234,6 +258,7 @@ def test_scattered_bad_samples_and_implausible_forces_do_no_harm(rows: Rows) -> 
     assert abs(error_deg(run(damaged))[2]) < 1.0
 
 
+@pytest.mark.slow
 def test_a_stuck_accelerometer_teaches_nothing(rows: Rows) -> None:
     stuck = [list(row) for row in rows]
     for row in stuck[100:]:
@@ -243,10 +268,11 @@ def test_a_stuck_accelerometer_teaches_nothing(rows: Rows) -> None:
 
 
 def test_saturated_samples_are_left_out(rows: Rows) -> None:
-    settings = PublishedSettings(accel_range=8.0)  # gravity alone is close to full scale
+    settings = published({"accelerometer_range": 8.0})  # gravity alone is close to full scale
     assert run(rows, settings).details["manoeuvres"] == 0
 
 
+@pytest.mark.slow
 def test_a_gap_in_time_is_survived(rows: Rows) -> None:
     estimator = PublishedEstimator()
     for k, row in enumerate(rows):
@@ -259,6 +285,7 @@ def test_a_gap_in_time_is_survived(rows: Rows) -> None:
     assert abs(error_deg(estimator.estimate())[2]) < 1.0
 
 
+@pytest.mark.slow
 def test_speed_that_comes_and_goes_is_survived(rows: Rows) -> None:
     patchy = [list(row) for row in rows]
     for k, row in enumerate(patchy):
@@ -268,16 +295,18 @@ def test_speed_that_comes_and_goes_is_survived(rows: Rows) -> None:
     assert abs(error_deg(estimate)[2]) < 1.5
 
 
+@pytest.mark.slow
 def test_the_brake_switch_may_stay_unknown(rows: Rows) -> None:
     assert all(math.isnan(row[BRAKE]) for row in rows)
     assert run(rows).state >= MountState.USABLE
 
 
+@pytest.mark.slow
 def test_as_published_works_and_the_additions_make_it_better() -> None:
     plain, full = [], []
     for seed in range(4):
         ticks = Drive(minutes=8, seed=seed, mount=MOUNT).ticks("yaw_rate", "steering", "brake")
-        plain.append(error_deg(run(ticks, PublishedSettings().as_published())))
+        plain.append(error_deg(run(ticks, AS_PUBLISHED)))
         full.append(error_deg(run(ticks)))
     rms_plain, rms_full = (np.sqrt(np.mean(np.square(e), axis=0)) for e in (plain, full))
     assert rms_plain[2] < 3.0
@@ -285,9 +314,11 @@ def test_as_published_works_and_the_additions_make_it_better() -> None:
     assert np.hypot(*rms_full[:2]) < np.hypot(*rms_plain[:2])
 
 
+@pytest.mark.slow
 def test_a_known_crown_is_taken_off_the_roll(rows: Rows) -> None:
     plain = run(rows)
-    leaning = run(rows, replace(PublishedSettings(), crown=0.012, crown_std=0.006))
+    leaning_right = {"driving_side": "right", "crown_percent": 1.2, "crown_spread_percent": 0.6}
+    leaning = run(rows, published(vehicle=leaning_right))
     assert plain.R_vehicle_from_sensor is not None
     assert leaning.R_vehicle_from_sensor is not None
     turn = leaning.R_vehicle_from_sensor @ plain.R_vehicle_from_sensor.T

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from imucald.travel_direction.cycles import POINTS, Cycle
-from imucald.travel_direction.published import (
+from imucald.config.attitude import ChoiceSettings
+from imucald.travel_direction.cycles import POINTS, StepCycle
+from imucald.travel_direction.method_d import (
     PublishedDirection,
     compass_of,
     correlation_angle,
@@ -22,7 +23,6 @@ from imucald.travel_direction.published import (
     tilt_angle,
     tilt_heading,
 )
-from imucald.travel_direction.settings import ChoiceSettings
 
 G = 9.80665
 DEG = math.pi / 180.0
@@ -30,7 +30,7 @@ LEAN = st.floats(-1.2, 1.2)
 PHASE = 2.0 * np.pi * np.arange(POINTS) / POINTS
 
 
-def cycle_of(direction, lean=(0.0, 0.0), lead=90.0, sway=0.0) -> Cycle:
+def cycle_of(direction, lean=(0.0, 0.0), lead=90.0, sway=0.0) -> StepCycle:
     """One step, walking `direction` [rad, clockwise from y] in level axes, terminal leaning."""
     forward = 0.8 * np.cos(PHASE + math.radians(lead))
     side = sway * np.cos(0.5 * PHASE)
@@ -40,7 +40,7 @@ def cycle_of(direction, lean=(0.0, 0.0), lead=90.0, sway=0.0) -> Cycle:
     )
     # leaning: first about x, then about the new y, as a terminal in a hand does
     terminal = Rotation.from_euler("xy", [lean[0], lean[1]]).apply(level)
-    return Cycle(0.0, 0.5, terminal, np.zeros((POINTS, 3)), np.zeros((POINTS, 2)))
+    return StepCycle(0.0, 0.5, terminal, np.zeros((POINTS, 3)), np.zeros((POINTS, 2)))
 
 
 # tilt ------------------------------------------------------------------------------------------
@@ -203,8 +203,8 @@ def test_on_a_turn_a_flat_terminal_is_for_the_correlation():
 def test_all_presets_are_presets():
     lean = cycle_of(0.0, (-10.0 * DEG, 0.0))
     against = cycle_of(90.0 * DEG, STEEP)
-    assert not taken((lean, 0.0), choice=ChoiceSettings(tilt=11.0 * DEG))[0].used_tilt
-    presets = ChoiceSettings(turn=20.0 * DEG, tilt_on_turn=11.0 * DEG)
-    assert not taken((lean, 0.0), (lean, 0.5), choice=presets)[1].used_tilt
-    presets = ChoiceSettings(differ=100.0 * DEG)
-    assert taken((against, 0.0), (against, 0.0), choice=presets)[1].used_tilt
+    assert not taken((lean, 0.0), choice=ChoiceSettings(tilt_deg=11.0))[0].used_tilt
+    settings = ChoiceSettings(turn_deg=20.0, tilt_on_turn_deg=11.0)
+    assert not taken((lean, 0.0), (lean, 0.5), choice=settings)[1].used_tilt
+    settings = ChoiceSettings(differ_deg=100.0)
+    assert taken((against, 0.0), (against, 0.0), choice=settings)[1].used_tilt

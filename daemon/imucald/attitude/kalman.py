@@ -2,8 +2,8 @@
 
 x = (dp, dr, dy, bx, by, bz, dx, dy, dz): attitude error (rotation vector about east, north, up;
 C_true = exp(skew(e)) C), random error of the gyroscope [rad/s] and of the accelerometer
-[m/s^2] in body axes. With the text's axes of the body (x right, y forward, z up) an error about
-the right axis is one of pitch, about the forward axis one of roll.
+[m/s^2] in body axes. In right-forward-up axes of the body an error about the right
+axis is one of pitch, about the forward axis one of roll.
 
 Model: x_{k+1} = F x_k + w, e' = -C b, b' = w_b, d' = -d / T_a + w_d. The accelerometer's random
 error is a Gauss-Markov process. The gyroscope's is its short-time form, a random walk: with a pull
@@ -20,7 +20,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.attitude.settings import FilterSettings
+from imucald.config.attitude import FilterSettings
+from imucald.config.calibration import CalibrationSettings
 from imucald.core.rotations import Rows, Vector, matrix_times
 
 Array = NDArray[np.float64]
@@ -39,11 +40,12 @@ _EYE = np.eye(STATES)
 class NineStateFilter:
     """Covariance (9, 9) and the fed-back random errors.
 
-    bias: gyroscope [rad/s]; accel_error [m/s^2]; both body axes, of the text.
+    bias: gyroscope [rad/s]; accel_error [m/s^2]; both in body axes, right-forward-up.
     """
 
     def __init__(self, settings: FilterSettings) -> None:
         self.settings = settings
+        self.accel_random = settings.accel_random or CalibrationSettings().accelerometer_bias
         self.bias: Vector = (0.0, 0.0, 0.0)
         self.accel_error: Vector = (0.0, 0.0, 0.0)
         self.P: Array = np.zeros((STATES, STATES))
@@ -53,9 +55,8 @@ class NineStateFilter:
 
     def start(self, tilt_std: float, heading_std: float, gyro_std: float) -> None:
         """Begin anew; standard deviations in rad and rad/s."""
-        s = self.settings
         self.P = np.diag(
-            [tilt_std**2] * 2 + [heading_std**2] + [gyro_std**2] * 3 + [s.accel_random**2] * 3
+            [tilt_std**2] * 2 + [heading_std**2] + [gyro_std**2] * 3 + [self.accel_random**2] * 3
         )
 
     def predict(self, C_nav_from_body: Rows, dt: float, turned: float) -> None:
@@ -69,7 +70,7 @@ class NineStateFilter:
         grown = np.array(
             [angle] * 3
             + [2.0 * s.gyro_random**2 * dt / s.gyro_random_time] * 3
-            + [s.accel_random**2 * (1.0 - keep_d * keep_d)] * 3
+            + [self.accel_random**2 * (1.0 - keep_d * keep_d)] * 3
         )
         P[np.diag_indices(STATES)] += grown
         self.P = 0.5 * (P + P.T)

@@ -1,4 +1,4 @@
-"""Databases, message protection, the bus, what is sent, the vehicle."""
+"""Databases, message protection, the bus, what is sent."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, field, structs
 
-from imucald.config.base import CanId, Model, Positive
+from imucald.config.base import CanId, Positive, Settings
 
 
-class Database(Model, frozen=True):
+class DatabaseSettings(Settings, frozen=True):
     """A CAN database file, relative to the configuration file."""
 
     path: str
@@ -19,10 +19,10 @@ class Database(Model, frozen=True):
     """Match 29-bit ids by PGN, whatever the source address; default: as the database says."""
 
 
-Databases = Annotated[tuple[Database, ...], Meta(min_length=1)]
+Databases = Annotated[tuple[DatabaseSettings, ...], Meta(min_length=1)]
 
 
-class Counter(Model, frozen=True):
+class Counter(Settings, frozen=True):
     """Alive counter of a message."""
 
     signal: str
@@ -32,7 +32,7 @@ class Counter(Model, frozen=True):
     """Largest step that is still believed (frames lost in between)."""
 
 
-class Checksum(Model, frozen=True):
+class ChecksumSettings(Settings, frozen=True):
     """Checksum of a message."""
 
     kind: str
@@ -48,19 +48,19 @@ class Checksum(Model, frozen=True):
     """E2E: first byte of the header in the frame."""
 
 
-class MessageProtection(Model, frozen=True):
+class MessageProtection(Settings, frozen=True):
     """What is known about a message's cycle and protection."""
 
     cycle_time: Positive | None = None
     """[s]; default: GenMsgCycleTime of the database, else none is assumed."""
     timeout_cycles: Annotated[float, Meta(ge=1.5, le=1000)] = 10.0
     counter: Counter | None = None
-    checksum: Checksum | None = None
+    checksum: ChecksumSettings | None = None
     recover_after: Annotated[int, Meta(ge=0, le=1000)] = 3
     """Good frames in a row after a fault before the message is believed again."""
 
 
-class Bus(Model, frozen=True):
+class BusSettings(Settings, frozen=True):
     """The bus that `imucald run` listens and sends on."""
 
     interface: str = "socketcan"
@@ -71,7 +71,7 @@ class Bus(Model, frozen=True):
     """Further arguments of python-can's bus."""
 
 
-class OutputIds(Model, frozen=True):
+class OutputIds(Settings, frozen=True):
     """Identifiers of the frames that imucald sends (see dbc/imucald_out.dbc)."""
 
     acceleration: CanId = 0x640
@@ -92,38 +92,10 @@ class OutputIds(Model, frozen=True):
             raise ValueError("two output frames have the same id")
 
 
-class Output(Model, frozen=True):
+class Output(Settings, frozen=True):
     """What is sent."""
 
     ids: OutputIds = OutputIds()
     status_rate: Literal[1, 2, 5, 10] = 1
     """Status frames per second."""
     checksum: Literal["crc8_j1850", "xor", "none"] = "crc8_j1850"
-
-
-class ModelFile(Model, frozen=True):
-    """The model file of the vehicle: what it knows is taken out of the signals."""
-
-    path: str
-    """Relative to the configuration file."""
-    compensate_suspension: bool = True
-    """The body's squat, dive and roll are taken out of the corrected signals."""
-
-
-class Vehicle(Model, frozen=True):
-    """What is known about the vehicle."""
-
-    id: Annotated[str, Meta(max_length=64)] = "vehicle"
-    """Identity; a saved state is used for the same vehicle only."""
-    driving_side: Literal["left", "right", "unknown"] = "unknown"
-    """Side of the road it drives on: the road's crown leans the vehicle towards the kerb."""
-    crown_percent: Annotated[float, Meta(ge=0, le=5)] = 1.2
-    """Mean cross slope of the roads it uses, towards the kerb."""
-    crown_spread_percent: Annotated[float, Meta(gt=0, le=5)] = 0.65
-    """Spread of that mean from drive to drive."""
-    wheelbase: Positive = 2.7
-    """[m]; turns the steering angle into a yaw rate where there is no other."""
-    steering_ratio: Positive = 15.0
-    """Steering-wheel angle over road-wheel angle."""
-    track: Positive = 1.55
-    """[m]; how much the wheels may differ in a curve."""

@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucald.diagnosis.blocks import TILTED
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.result import GOES_AGAINST, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
 from imucald.diagnosis.search import BIAS, State, tried
-from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.signals import STEP_S
 
+Spectra = NDArray[np.complex128]
 OPPOSITE = -0.4
 """Correlation of a signal with its prediction below which a sign is wrong."""
 LEAST_ROWS = 300
@@ -64,14 +66,14 @@ def what_is_left(problem: Problem, state: State) -> list[Structure]:
     return [*_shared(spectra, state.forwards), *_humps(spectra), *_shaken(problem, state)]
 
 
-def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Array]:
+def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
     """Transforms (B, F) of each equation's residual while driving; NaN rows where it was not there.
 
     Everything within its tolerance is fitted; each block is as loud as the others.
     """
     x = fitted(problem)
     changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
-    parts: dict[str, list[Array]] = {}
+    parts: dict[str, list[Spectra]] = {}
     for f in forwards:
         masks, found = f.usable(), f.residuals(changes)
         tilt = f.tilts(found, masks)
@@ -90,7 +92,7 @@ def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Arra
     return {name: np.concatenate(p) for name, p in parts.items()}
 
 
-def _shared(spectra: Mapping[str, Array], forwards: Sequence[Forward]) -> list[Structure]:
+def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[Structure]:
     """The same motion in two equations that have no sensor in common."""
     drive = forwards[0].drive
     if not (drive.has("gyro") and drive.has("yaw_rate")):
@@ -119,7 +121,7 @@ def _shared(spectra: Mapping[str, Array], forwards: Sequence[Forward]) -> list[S
     return found[:1]
 
 
-def _humps(spectra: Mapping[str, Array]) -> list[Structure]:
+def _humps(spectra: Mapping[str, Spectra]) -> list[Structure]:
     """A narrow hump: something that swings."""
     found = []
     for name in HUMPED:

@@ -215,16 +215,17 @@ def _weighed(
         left = _without_tilt(parts, free)
         weights = {name: _weights(left[name], rows.good) for name, rows in parts.items()}
         gram = _gram(parts, weights)
-        total = sum(gram.values()).sum(axis=0) if gram else np.zeros((1, 1))
+        total = np.asarray(sum(gram.values())).sum(axis=0)
         ridge = np.diag(1.0 / wide**2)
         free = np.linalg.solve(total[1:, 1:] + ridge, total[0, 1:])
     whole = np.asarray(sum(gram.values()))
-    count = sum((w > 0.0).sum(axis=1) for w in weights.values())
-    keep = np.asarray(count) > 0
+    count = np.asarray(sum((w > 0.0).sum(axis=1) for w in weights.values()))
+    keep = count > 0
     return Table(
-        keys, whole[keep], {n: g[keep] for n, g in gram.items()}, np.asarray(count)[keep],
+        keys, whole[keep], {n: g[keep] for n, g in gram.items()}, count[keep],
         start[keep], drive[keep], moving[keep], tolerances, bounds, top,
-        next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()}, levels[keep],
+        next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()},
+        levels[keep],
     )  # fmt: skip
 
 

@@ -231,7 +231,7 @@ class Forward:
                 masks[name] = there[name] & inertial
         if drive.has("wheel_speeds"):
             masks["speed"] = there["speed"] & there["wheel_speeds"] & (speed > SLOW_MPS)
-        return {name: self._blocks(mask) for name, mask in masks.items()}
+        return {name: mask.reshape(self.blocks, self.rows) for name, mask in masks.items()}
 
     def _age_or_0(self, name: str) -> float:
         return age(self.model, name) if hasattr(getattr(self.model, name, None), "delay_s") else 0.0
@@ -248,7 +248,7 @@ class Forward:
         start = self.t[block * self.rows]
         stop = self.t[np.minimum((block + 1) * self.rows, len(self.t)) - 1]
         slack = STEP_S
-        return inside & (left >= start - slack) & (right <= stop + slack)
+        return np.asarray(inside & (left >= start - slack) & (right <= stop + slack))
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,7 @@ class _Motion:
         v = drive.knots.values / (1.0 + scale)
         self.v = np.interp(forward.t, self.knots, v)
         reference = forward._reference if by_inertia else None
-        self.force = forward._triad("accel", changes, reference and reference.force)
+        self.force = forward._triad("accel", changes, reference.force if reference else None)
         self.rate = forward._triad("gyro", changes) if drive.has("gyro") else None
         self.measured: Array | None = None
         if reference is not None and self.rate is not None:
@@ -318,7 +318,7 @@ class _Motion:
     # operators -----------------------------------------------------------------------------------
 
     def _mean_slopes(self, x: Array) -> Array:
-        """Mean of x between each two knots of the speed: what its samples say of an acceleration."""
+        """Mean of x between each two knots of the speed: what these say of an acceleration."""
         t, area = self.f.t, np.cumsum(x) * STEP_S
         at = np.interp(self.knots, t + 0.5 * STEP_S, area)
         return np.diff(at) / np.diff(self.knots)
@@ -338,8 +338,7 @@ class _Motion:
         p, q, r = (self.rate[:, i].reshape(f.blocks, f.rows) for i in range(3))
         psi = _from_middle(r)
         turned = np.exp(1j * psi)
-        made = (_from_middle(turned * (-q + 1j * p)) / turned).ravel(), (1.0 / turned).ravel()
-        return made
+        return (_from_middle(turned * (-q + 1j * p)) / turned).ravel(), (1.0 / turned).ravel()
 
     def reference(self, tilt: Array) -> _Reference:
         """Signals for columns, with the tilt (B, 2) of each block."""
@@ -367,8 +366,8 @@ class _Motion:
         else:
             u, turned = self._gravity()
             x = x - GRAVITY * u.real
-            first, second = (self._as_speed_sees(-GRAVITY * (z * turned).real) for z in (1.0, 1j))
-            tilt["accel_x"] = self._two(first, second)
+            parts = (turned.real, -turned.imag)
+            tilt["accel_x"] = self._two(*(self._as_speed_sees(-GRAVITY * z) for z in parts))
         found["accel_x"] = self._as_speed_sees(x) - self._held(self.slopes)
         if f.drive.has("longitudinal_accel"):
             found["longitudinal_accel"] = (
@@ -387,7 +386,7 @@ class _Motion:
         else:
             u, turned = self._gravity()
             y = y - GRAVITY * u.imag
-            tilt["accel_y"] = self._two(*(-GRAVITY * (z * turned).imag for z in (1.0, 1j)))
+            tilt["accel_y"] = self._two(-GRAVITY * turned.imag, -GRAVITY * turned.real)
         found["accel_y"] = y
 
     def vertical(self, found: dict[str, Array]) -> None:

@@ -17,6 +17,7 @@ from imucald.diagnosis.result import (
     Candidate,
     Estimated,
     FoundCause,
+    Outcome,
     Structure,
     Verdict,
 )
@@ -159,6 +160,7 @@ def told_rest_of(state: State) -> tuple[Candidate, ...]:
         x, se, tau = (float(a[i]) for a in (t.estimate.value, t.estimate.se, t.tolerance))
         key, q = t.hypothesis.keys[i], t.estimate.quantile
         unit = PARAMETERS[key].unit
+        outcome: Outcome
         if not t.is_plausible and t.named:
             outcome = "not plausible"
         elif abs(x) + q * se <= tau:

@@ -14,6 +14,7 @@ from imucald.model.model import VehicleModel
 
 Verdict = Literal["found", "ambiguous", "unknown", "nothing"]
 Certainty = Literal["certain", "likely"]
+Outcome = Literal["within tolerance", "not decidable here", "does not pay", "not plausible"]
 Array = NDArray[np.float64]
 
 
@@ -54,7 +55,7 @@ class Candidate:
     """A cause that was not named."""
 
     name: str
-    outcome: Literal["within tolerance", "not decidable here", "does not pay", "not plausible"]
+    outcome: Outcome
     nats: float
     """By which it makes data that its fit did not see likelier, without the best stretches."""
     text: str

@@ -70,7 +70,7 @@ def find_shift(problem: Problem, levels: Array) -> Shift | None:
     blocks = table.blocks
     edge = max(LEAST_BLOCKS, int(np.ceil(LEAST_SHARE * blocks)))
     places = range(edge, blocks - edge + 1)
-    if not len(places):
+    if len(places) == 0:
         return None
     steps = [(np.arange(blocks) >= k).astype(float) for k in places]
     scores = [_in_sample(problem, p) + _level_gain(levels, p) for p in steps]

@@ -175,8 +175,7 @@ def _knots(channels: Mapping[str, Channel], t: Array) -> Channel:
         reverse = channels["reverse"]
         index = np.clip(np.searchsorted(reverse.t, at, side="right") - 1, 0, None)
         values = np.where(reverse.values[index] > 0.5, -values, values)
-    made = Channel.of(Series(at, values), speed.bad)
-    return made
+    return Channel.of(Series(at, values), speed.bad)
 
 
 def _stops(channels: Mapping[str, Channel], knots: Channel, t: Array) -> tuple[Stop, ...]:

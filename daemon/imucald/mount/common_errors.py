@@ -17,7 +17,7 @@ def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
     signs, as e_y from dv/dt does against gravity, which counts it as bias.
     """
     scale = settings.accel_scale_std / math.sqrt(5.0)
-    cross = settings.accel_cross_axis_std
+    cross = settings.calibration.cross_axis
     return (
         CommonError(scale, {"yaw_dvdt": 1.0, "yaw_turn": -1.0}),
         CommonError(SIDESLIP_STD, {"yaw_turn": 1.0}),
@@ -35,4 +35,17 @@ def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
         CommonError(settings.gyro_misalignment_std, {"pitch_axis": 1.0}),
         CommonError(BIAS_FLOOR_STD, {"roll_gravity": 1.0}),
         CommonError(BIAS_FLOOR_STD, {"pitch_gravity": 1.0}),
+    )
+
+
+def cross_axis_errors() -> tuple[CommonError, ...]:
+    """What cross-axis errors of an rms of one (part) make of each source.
+
+    A half of what gravity's direction gets is counted as bias (see `MountSolver.fit`).
+    """
+    whole = ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn")
+    half = ("pitch_gravity", "roll_gravity")
+    return (
+        *(CommonError(1.0, {name: 1.0}) for name in whole),
+        *(CommonError(0.5, {name: 1.0}) for name in half),
     )

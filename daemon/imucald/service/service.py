@@ -22,19 +22,21 @@ from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.summary import RunCounts, summary
+from imucald.service.attempt_store import AttemptStore
 from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
 from imucald.service.dtc_store import DtcStore
 from imucald.service.figures import NOT_SAVED, process_figures, status_line
+from imucald.service.folder_lock import FolderLock
 from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
 from imucald.service.live import Daemon, open_link
 from imucald.service.notify import Notifier
-from imucald.service.reload import behind_the_known, estimates_alike, listens_otherwise
-from imucald.service.state import StateStore
+from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
+from imucald.service.state import StateStore, clear_unfinished
 from imucald.service.status import StatusServer
 
 if TYPE_CHECKING:
-    from imucald.service.bus_uds import BusUds
+    from imucald.service.uds_on_bus import BusUds
 
 CHORE_S = 0.1
 """The loop turns to everything but frames so often [s]."""
@@ -77,7 +79,7 @@ class Service:
         self.notifier = notifier or Notifier()
         self._clock = clock
         self._began = self._next_second = clock()
-        self._next_chore = clock()
+        self._next_chore = self._next_look = clock()
         self._reload_wanted = False
         self._announced: object = None
         self._rejected = 0
@@ -86,20 +88,49 @@ class Service:
         self._counted_at = clock()
         self.loaded = open_config(options.config, options.databases)
         engine = self._new_engine(self.loaded)
+        self._lock = self._locked_folder()
+        try:
+            self._set_up(engine)
+        except BaseException:
+            self._release()
+            raise
+
+    def _set_up(self, engine: Engine) -> None:
+        """What needs the state folder, and the bus."""
         self.calibration_store = self._new_calibration_store(self.loaded, engine)
         if self.calibration_store is not None:
             engine.pipeline.replace(self.calibration_store.restore(engine.pipeline.estimator))
         self.dtc_store: DtcStore | None = None
+        self.keys: AttemptStore | None = None
         self.uds = self._new_uds(self.loaded, engine)
         self.link = self._new_link(self.loaded, engine, self.uds)
         try:
-            self.daemon = Daemon(engine, self.link, clock, self.uds)
+            self.daemon = Daemon(engine, self.link, self._clock, self.uds)
+            self.daemon.between = self._between
             self.server = self._new_server()
         except ImucaldError:
             self.link.close()
             raise
 
     # starting ------------------------------------------------------------------------------
+
+    def _locked_folder(self) -> FolderLock | None:
+        """Have the state folder alone; a folder that takes no file is read all the same."""
+        folder = self.options.state_folder
+        if folder is None:
+            return None
+        try:
+            lock = FolderLock(folder)
+        except OSError as error:
+            self.journal.say(f"{folder} cannot be locked: {error.strerror or error}", WARNING)
+            return None
+        clear_unfinished(folder)
+        return lock
+
+    def _release(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
 
     def _new_engine(self, loaded: LoadedConfig) -> Engine:
         return make_engine(loaded, self._snapshot, self._link_health)
@@ -117,13 +148,14 @@ class Service:
         if not loaded.config.diagnostics.enabled:
             return None
         # imported only where it is wanted: it loads OpenSSL (3.6 MiB) for keys
-        from imucald.service.bus_uds import bus_uds_for  # noqa: PLC0415
+        from imucald.service.uds_on_bus import bus_uds_for  # noqa: PLC0415
 
         if self.dtc_store is None:
             folder, key = self.options.state_folder, state_key(loaded, engine.router)
             path = None if folder is None else folder / f"{key.file_name}.troubles"
             self.dtc_store = DtcStore(path, self.journal.say, self._clock)
-        return bus_uds_for(self, loaded, engine, self._clock, self.dtc_store.memory)
+            self.keys = AttemptStore(folder and folder / "security.keys", self.journal.say)
+        return bus_uds_for(self, loaded, engine, self._clock, self.dtc_store.memory, self.keys)
 
     def _new_link(self, loaded: LoadedConfig, engine: Engine, uds: BusUds | None) -> Link:
         options = self.options
@@ -193,6 +225,18 @@ class Service:
             self.calibration_store.close(self.engine.pipeline.estimator, self.engine.timebase.now)
         if self.dtc_store is not None:
             self.dtc_store.close()
+        if self.keys is not None:
+            self.keys.close()
+        self._release()
+
+    def _between(self) -> None:
+        """Within a batch of frames: tell the watchdog, and whoever asks, that the loop goes on."""
+        now = self._clock()
+        if now >= self._next_look:
+            self._next_look = now + CHORE_S
+            self.notifier.feed()
+            if self.server is not None:
+                self.server.poll()
 
     def _chores(self, now: float) -> None:
         self.notifier.feed()
@@ -367,6 +411,6 @@ class Service:
             "frames_given_out": self.engine.sent,
             "saved_state": NOT_SAVED if store is None else store.status(),
             "diagnostics": self._uds_status(),
-            "process": process_figures(),
+            "process": process_figures() | {"log_lines_dropped": self.journal.dropped},
         }
         return found
