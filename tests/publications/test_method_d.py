@@ -187,6 +187,14 @@ def test_d1_a_broken_cycle_leaves_nothing_behind() -> None:
     assert max(apart(step.compass, 0.0) for step in steps) < math.radians(0.5)
 
 
+def test_d1_a_magnetometer_that_falls_silent_is_not_quoted_for_long() -> None:
+    w = walk(CARRYINGS[1], seconds=30.0, seed=4)
+    heard = w.t < 15.0
+    steps = steps_of({"accel": (w.t, w.accel), "mag": (w.t[heard], w.mag[heard])})
+    assert all(step.compass is not None for step in steps if step.t < 15.0)
+    assert all(step.compass is None for step in steps if step.t > 17.0)
+
+
 @pytest.mark.parametrize("carrying", CARRYINGS, ids=lambda c: c.name)
 def test_d2_a_terminal_that_reads_minus_g_upwards_says_so_and_is_understood(carrying) -> None:
     w = walk(carrying, seconds=40.0, seed=4)
