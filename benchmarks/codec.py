@@ -26,8 +26,8 @@ from imucald.can.dbc.decode import compile_decode
 from imucald.can.dbc.encode import compile_encode
 from imucald.can.e2e.checksums import crc8_j1850, e2e_profile_1
 from imucald.can.e2e.protection import (
-    MessageGuard,
-    OutputProtector,
+    MessageChecker,
+    MessageProtector,
     ProtectionSpec,
     e2e_counter,
 )
@@ -105,23 +105,23 @@ def measure(text: str) -> dict[str, float]:
 
 
 def measure_guard(spec: ProtectionSpec) -> dict[str, float]:
-    """Times of guard and protector a frame [us]."""
-    protector = OutputProtector(spec)
+    """Times of checker and protector a frame [us]."""
+    protector = MessageProtector(spec)
     payloads = np.random.default_rng(2).integers(0, 256, (15 * 16 * 400, 8), dtype=np.uint8)
     sent = protector.protect_columns(payloads)
     times = 0.01 * np.arange(len(sent))
     length = np.full(len(sent), 8, np.uint8)
     few = [f.tobytes() for f in sent[: 15 * 16]]
-    guard = MessageGuard(spec)
+    checker = MessageChecker(spec)
     broken = sent.copy()
     broken[np.random.default_rng(3).random(len(sent)) < 0.3, 5] ^= 1
     return {
-        "check": best(lambda: [guard.check(0.0, f) for f in few], 20) / len(few),
+        "check": best(lambda: [checker.check(0.0, f) for f in few], 20) / len(few),
         "check columns": best(
-            lambda: MessageGuard(spec).check_columns(times, sent, length), 3
+            lambda: MessageChecker(spec).check_columns(times, sent, length), 3
         ) / len(sent),
         "check columns, 30 % faults": best(
-            lambda: MessageGuard(spec).check_columns(times, broken, length), 3
+            lambda: MessageChecker(spec).check_columns(times, broken, length), 3
         ) / len(sent),
         "protect": best(lambda: protector.protect(few[0]), 10000),
         "protect columns": best(lambda: protector.protect_columns(payloads), 3) / len(sent),

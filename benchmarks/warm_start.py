@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from imucald.core.rotations import rotation_from_vector, vector_from_rotation
 from imucald.model.vehicle import MountShift
 from imucald.motion.ticks import ticks_from_samples
-from imucald.mount.estimate import BETWEEN_DRIVES_STD, KeepsEvidence, MountEstimator, MountState
+from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
-from imucald.mount.saved_information import kept_from
+from imucald.mount.saved_information import SavesInformation, saved_from
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.session import open_config
 from imucald.simulation import Drive, Model, random_model, simulate
@@ -71,12 +71,12 @@ def stored_after(estimator: MountEstimator, rows: list[list[float]]) -> StoredMo
     for row in rows:
         estimator.step(row)
     found = estimator.estimate()
-    assert isinstance(estimator, KeepsEvidence)
-    kept = estimator.kept_evidence()
+    assert isinstance(estimator, SavesInformation)
+    kept = estimator.saved_information()
     R, covariance = found.R_vehicle_from_sensor, found.covariance
     if found.state not in GOOD or R is None or covariance is None or kept is None:
         return None
-    return StoredMount(R, covariance, found.state, evidence=kept_from(kept.plain()))
+    return StoredMount(R, covariance, found.state, evidence=saved_from(kept.plain()))
 
 
 def moved(stored: StoredMount, turn: NDArray[np.float64]) -> StoredMount:

@@ -13,10 +13,10 @@ import numpy as np
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
 from imucald.can.dbc.database import load_database_text
 from imucald.can.dbc.encode import compile_encode
-from imucald.can.e2e.protection import OutputProtector
+from imucald.can.e2e.protection import MessageProtector
 from imucald.config import LoadedConfig, parse_config
 from imucald.core.rotations import rotation_from_angles
-from imucald.inputs.protection_settings import guard_for
+from imucald.inputs.protection_settings import checker_for
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import Correction, MountEstimate, MountState
 from imucald.runtime.consumers import companions_for
@@ -286,10 +286,10 @@ class Sender:
     """Encodes frames of the test bus, with the protection that a configuration asks for."""
 
     def __init__(self, loaded: LoadedConfig | None = None) -> None:
-        self._protectors: dict[str, OutputProtector] = {}
+        self._protectors: dict[str, MessageProtector] = {}
         for name in loaded.config.messages if loaded is not None else ():
-            spec = guard_for(MESSAGES[name], loaded.config.messages[name]).spec
-            self._protectors[name] = OutputProtector(spec)
+            spec = checker_for(MESSAGES[name], loaded.config.messages[name]).spec
+            self._protectors[name] = MessageProtector(spec)
 
     def frame(self, t: float, message: str, **values: float) -> Frame:
         """One frame; signals not named are zero."""

@@ -21,7 +21,7 @@ from engine_bus import (
 )
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
 from imucald.can.e2e.protection import REASONS as FRAME_REASONS
-from imucald.can.e2e.protection import OutputProtector
+from imucald.can.e2e.protection import MessageProtector
 from imucald.can.logs.log_reader import CandumpWriter, LogReader
 from imucald.inputs.routes import MessageRoute
 from imucald.runtime.estimators import estimator_for
@@ -229,7 +229,7 @@ def test_a_takeover_with_right_checksums_is_not_learnt_from(clean):
     attacked = frames.take(last_minute & (frames.can_id == 0x200))
     protector = make_engine(loaded())
     route = next(r for r in protector.router.routes if r.match.can_id == 0x200)
-    forged = OutputProtector(route.guard.spec)
+    forged = MessageProtector(route.guard.spec)
     data = forged.protect_columns(of_another_mount(attacked, None).data)
     forgery = with_data(attacked, data)
     disturbed = fed(estimator, merged(frames, with_times(forgery, forgery.t + 2e-6)))

@@ -41,7 +41,7 @@ SHIFTS = (
     ("roll", 2.0, 300.0, 0.90),
     ("roll", 5.0, 120.0, 1.00),
 )
-"""Angle, size [deg], to be found within [s] of driving, in that share of drives."""
+"""CombinedAngle, size [deg], to be found within [s] of driving, in that share of drives."""
 
 
 @dataclass(frozen=True)

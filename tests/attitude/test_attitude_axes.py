@@ -16,12 +16,15 @@ from imucald.attitude.right_forward_up import (
     rows,
     text_from_vehicle,
     text_rotation,
-    times,
-    transposed_times,
     vehicle_angles,
     vehicle_from_text,
 )
-from imucald.core.rotations import angles_from_rotation, rotation_from_angles
+from imucald.core.rotations import (
+    angles_from_rotation,
+    rotation_from_angles,
+    times,
+    transposed_times,
+)
 
 ANGLE = st.floats(-3.1, 3.1)
 SMALL = st.floats(-1.5, 1.5)

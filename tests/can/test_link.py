@@ -12,7 +12,7 @@ import pytest
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
 from imucald.can.link.link import Link, LinkEvent, LinkState
-from imucald.can.link.outbox import HELD_FRAMES, HELD_LONGEST, Outbox
+from imucald.can.link.outbox import HELD_FRAMES, MAX_HOLD, Outbox
 from imucald.can.link.socketcan import MAX_FILTERS, packed_filters
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError
@@ -361,7 +361,7 @@ def test_a_queue_that_stays_full_costs_frames_not_time(faulty_link: Any) -> None
     assert link.counters.send_errors == {"queue_full": 100 - HELD_FRAMES}
     assert kinds == ["up", "queue_full"]
     assert port.now < 0.01
-    link.receive(2 * HELD_LONGEST)
+    link.receive(2 * MAX_HOLD)
     port.send_error = None
     link.receive(0.01)
     assert port.taken == []  # a stale sample is worth nothing

@@ -25,8 +25,8 @@ from imucald.can.e2e.checksums import (
 from imucald.can.e2e.protection import (
     REASONS,
     CounterSpec,
-    MessageGuard,
-    OutputProtector,
+    MessageChecker,
+    MessageProtector,
     ProtectionSpec,
     counter_of,
     e2e_counter,
@@ -43,13 +43,13 @@ COUNTED = ProtectionSpec(SIZE, COUNTER, cycle_time=CYCLE, recovery=3)
 def frames(spec: ProtectionSpec, count: int, seed: int = 1) -> list[bytes]:
     """Frames of a sound sender."""
     rng = random.Random(seed)
-    protector = OutputProtector(spec)
+    protector = MessageProtector(spec)
     return [protector.protect(rng.randbytes(spec.size)) for _ in range(count)]
 
 
-def judge(guard: MessageGuard, received: Sequence[bytes], t: float = 0.0) -> list[str]:
+def judge(checker: MessageChecker, received: Sequence[bytes], t: float = 0.0) -> list[str]:
     """Verdicts ("" is good) of frames that come in at the cycle time."""
-    return [guard.check(t + i * CYCLE, frame) or "" for i, frame in enumerate(received)]
+    return [checker.check(t + i * CYCLE, frame) or "" for i, frame in enumerate(received)]
 
 
 def counted(spec: ProtectionSpec, values: Sequence[int]) -> list[bytes]:
@@ -59,70 +59,70 @@ def counted(spec: ProtectionSpec, values: Sequence[int]) -> list[bytes]:
 
 
 def test_a_sound_sender_is_trusted_from_the_first_frame() -> None:
-    guard = MessageGuard(PROTECTED)
-    assert judge(guard, frames(PROTECTED, 100)) == [""] * 100
-    assert guard.accepted == 100
-    assert guard.rejected == {}
-    assert guard.lost == 0
+    checker = MessageChecker(PROTECTED)
+    assert judge(checker, frames(PROTECTED, 100)) == [""] * 100
+    assert checker.accepted == 100
+    assert checker.rejected == {}
+    assert checker.lost == 0
 
 
 def test_one_damaged_frame_is_one_fault_and_three_distrusted_frames() -> None:
-    guard = MessageGuard(PROTECTED)
+    checker = MessageChecker(PROTECTED)
     received = frames(PROTECTED, 10)
     received[3] = received[3][:5] + bytes([received[3][5] ^ 1]) + received[3][6:]
-    assert judge(guard, received) == ["", "", "", "checksum"] + ["untrusted"] * 3 + [""] * 3
-    assert guard.rejected == {"checksum": 1, "untrusted": 3}
-    assert guard.accepted == 6
-    assert guard.lost == 0  # it was not lost, it was refused
+    assert judge(checker, received) == ["", "", "", "checksum"] + ["untrusted"] * 3 + [""] * 3
+    assert checker.rejected == {"checksum": 1, "untrusted": 3}
+    assert checker.accepted == 6
+    assert checker.lost == 0  # it was not lost, it was refused
 
 
 def test_a_short_frame_is_one_fault() -> None:
-    guard = MessageGuard(PROTECTED)
+    checker = MessageChecker(PROTECTED)
     received = frames(PROTECTED, 8)
     received[2] = received[2][:7]
-    assert judge(guard, received) == ["", "", "short_frame"] + ["untrusted"] * 3 + ["", ""]
+    assert judge(checker, received) == ["", "", "short_frame"] + ["untrusted"] * 3 + ["", ""]
 
 
 def test_a_second_fault_starts_the_wait_anew() -> None:
-    guard = MessageGuard(PROTECTED)
+    checker = MessageChecker(PROTECTED)
     received = frames(PROTECTED, 12)
     for bad in (2, 4):
         received[bad] = bytes(SIZE)
     expected = ["", "", "checksum", "untrusted", "checksum"] + ["untrusted"] * 3 + [""] * 4
-    assert judge(guard, received) == expected
+    assert judge(checker, received) == expected
 
 
 def test_lost_frames_are_counted_while_few_and_a_fault_when_many() -> None:
-    guard = MessageGuard(COUNTED)
-    verdicts = judge(guard, counted(COUNTED, [0, 1, 3, 4, 8, 9, 10, 11, 12]))
+    checker = MessageChecker(COUNTED)
+    verdicts = judge(checker, counted(COUNTED, [0, 1, 3, 4, 8, 9, 10, 11, 12]))
     assert verdicts == ["", "", "", "", "counter_jump", *["untrusted"] * 3, ""]
-    assert guard.lost == 1
+    assert checker.lost == 1
 
 
 def test_a_counter_that_stands_still_is_stuck_or_sent_again() -> None:
-    guard = MessageGuard(COUNTED)
-    verdicts = judge(guard, counted(COUNTED, [5, 6, 6, 6, 7, 8, 9, 10]))
+    checker = MessageChecker(COUNTED)
+    verdicts = judge(checker, counted(COUNTED, [5, 6, 6, 6, 7, 8, 9, 10]))
     expected = ["", "", "counter_repeated", "counter_repeated", *["untrusted"] * 3, ""]
     assert verdicts == expected
 
 
 def test_a_counter_that_goes_back_is_an_old_frame() -> None:
-    guard = MessageGuard(COUNTED)
-    verdicts = judge(guard, counted(COUNTED, [5, 6, 5, 6, 7, 8, 9]))
+    checker = MessageChecker(COUNTED)
+    verdicts = judge(checker, counted(COUNTED, [5, 6, 5, 6, 7, 8, 9]))
     assert verdicts == ["", "", "counter_reversed", *["untrusted"] * 3, ""]
 
 
 def test_the_counter_wraps_at_its_modulus_and_no_value_beyond_is_taken() -> None:
     spec = ProtectionSpec(SIZE, CounterSpec(Field(8, 4, "little_endian"), 15, 1), recovery=0)
-    guard = MessageGuard(spec)
-    verdicts = judge(guard, counted(spec, [12, 13, 14, 0, 1, 15, 2, 3]))
+    checker = MessageChecker(spec)
+    verdicts = judge(checker, counted(spec, [12, 13, 14, 0, 1, 15, 2, 3]))
     assert verdicts == ["", "", "", "", "", "counter_invalid", "", ""]
 
 
 def test_frames_with_an_impossible_counter_are_missing_like_damaged_ones() -> None:
     spec = ProtectionSpec(SIZE, CounterSpec(Field(8, 8, "little_endian"), 20, 1), recovery=0)
     values = [7, 200, 200, 200, 11, 12]
-    one, many = MessageGuard(spec), MessageGuard(spec)
+    one, many = MessageChecker(spec), MessageChecker(spec)
     expected = ["", *["counter_invalid"] * 3, "", ""]
     received = counted(spec, values)
     assert judge(one, received) == expected
@@ -135,74 +135,74 @@ def test_frames_with_an_impossible_counter_are_missing_like_damaged_ones() -> No
 
 def test_frames_known_to_be_missing_widen_the_step() -> None:
     """Eight damaged frames in a row, then a sound one: eight faults, not nine."""
-    guard = MessageGuard(PROTECTED)
+    checker = MessageChecker(PROTECTED)
     received = frames(PROTECTED, 40)
     for i in range(10, 18):
         received[i] = bytes(SIZE)
-    verdicts = judge(guard, received)
+    verdicts = judge(checker, received)
     assert verdicts[10:18] == ["checksum"] * 8
     assert verdicts[18:21] == ["untrusted"] * 3
     assert verdicts[21:] == [""] * 19
     for i in range(22, 38):  # a whole turn of the counter is missing
         received[i] = bytes(SIZE)
-    guard = MessageGuard(replace(PROTECTED, cycle_time=None))
-    assert guard.check(0.0, received[21]) is None
-    assert judge(guard, received[22:], CYCLE)[-2:] == ["untrusted"] * 2
-    assert "counter_repeated" not in guard.rejected
+    checker = MessageChecker(replace(PROTECTED, cycle_time=None))
+    assert checker.check(0.0, received[21]) is None
+    assert judge(checker, received[22:], CYCLE)[-2:] == ["untrusted"] * 2
+    assert "counter_repeated" not in checker.rejected
 
 
 def test_silence_beyond_the_time_out_is_a_fault_and_starts_the_counter_anew() -> None:
-    guard = MessageGuard(PROTECTED)
+    checker = MessageChecker(PROTECTED)
     received = frames(PROTECTED, 30)
-    assert guard.is_silent(0.0)
-    assert judge(guard, received[:3]) == ["", "", ""]
+    assert checker.is_silent(0.0)
+    assert judge(checker, received[:3]) == ["", "", ""]
     last = 2 * CYCLE
-    assert not guard.is_silent(last + 10.0 * CYCLE)
-    assert guard.is_silent(last + 10.1 * CYCLE)
-    verdicts = judge(guard, received[21:], 1.0)
+    assert not checker.is_silent(last + 10.0 * CYCLE)
+    assert checker.is_silent(last + 10.1 * CYCLE)
+    verdicts = judge(checker, received[21:], 1.0)
     assert verdicts[:5] == ["timeout", *["untrusted"] * 3, ""]
 
 
 def test_silence_at_the_time_out_is_none() -> None:
-    guard = MessageGuard(ProtectionSpec(SIZE, cycle_time=0.5, timeout_cycles=2.0, recovery=1))
-    assert [guard.check(t, bytes(8)) for t in (0.0, 1.0, 2.0, 3.001)] == [None] * 3 + ["timeout"]
+    checker = MessageChecker(ProtectionSpec(SIZE, cycle_time=0.5, timeout_cycles=2.0, recovery=1))
+    assert [checker.check(t, bytes(8)) for t in (0.0, 1.0, 2.0, 3.001)] == [None] * 3 + ["timeout"]
 
 
 def test_damaged_frames_do_not_break_a_silence() -> None:
-    guard = MessageGuard(PROTECTED)
+    checker = MessageChecker(PROTECTED)
     received = frames(PROTECTED, 20)
-    verdicts = judge(guard, received[:2] + [bytes(SIZE)] * 12 + received[14:])
+    verdicts = judge(checker, received[:2] + [bytes(SIZE)] * 12 + received[14:])
     assert verdicts[:14] == ["", ""] + ["checksum"] * 12
     assert verdicts[14] == "timeout"
 
 
 def test_a_clock_that_goes_back_is_no_silence() -> None:
-    guard = MessageGuard(PROTECTED)
+    checker = MessageChecker(PROTECTED)
     received = frames(PROTECTED, 3)
     times = (1000.0, 5.0, 5.01)
-    assert [guard.check(t, f) for t, f in zip(times, received, strict=True)] == [None] * 3
+    assert [checker.check(t, f) for t, f in zip(times, received, strict=True)] == [None] * 3
 
 
 def test_without_any_protection_only_the_length_is_judged() -> None:
-    guard = MessageGuard(ProtectionSpec(4, recovery=0))
-    assert [guard.check(1e3 * i, bytes(i)) for i in range(7)] == ["short_frame"] * 4 + [None] * 3
+    checker = MessageChecker(ProtectionSpec(4, recovery=0))
+    assert [checker.check(1e3 * i, bytes(i)) for i in range(7)] == ["short_frame"] * 4 + [None] * 3
 
 
 def test_a_message_is_not_another_one_with_the_same_bytes() -> None:
     """The identifier bytes keep a frame of another message out."""
     other = ProtectionSpec(SIZE, COUNTER, crc8_j1850(SIZE, 0, b"\x03\x00"), CYCLE)
-    assert judge(MessageGuard(PROTECTED), frames(other, 5)) == ["checksum"] * 5
+    assert judge(MessageChecker(PROTECTED), frames(other, 5)) == ["checksum"] * 5
 
 
 def test_a_counter_lies_where_its_signal_lies() -> None:
     signal = Signal("ALIVE", 13, 6, "big_endian")
     spec = ProtectionSpec(2, counter_of(signal), recovery=0)
-    payload = OutputProtector(spec)
+    payload = MessageProtector(spec)
     sent = [payload.protect(b"\xff\xff") for _ in range(3)]
     assert [f.hex() for f in sent] == ["ffc0", "ffc1", "ffc2"]
-    guard = MessageGuard(spec)
-    assert [guard.check(0.0, f) for f in sent] == [None] * 3
-    assert guard.check(0.0, sent[2]) == "counter_repeated"
+    checker = MessageChecker(spec)
+    assert [checker.check(0.0, f) for f in sent] == [None] * 3
+    assert checker.check(0.0, sent[2]) == "counter_repeated"
 
 
 @pytest.mark.parametrize(
@@ -297,9 +297,9 @@ def as_columns(received: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
     return data, np.array([len(f) for f in received], np.uint8)
 
 
-def state(guard: MessageGuard) -> tuple[object, ...]:
-    return (guard.accepted, guard.rejected, guard.lost, guard._last_t, guard._last_counter,
-            guard._missed, guard._distrust)  # fmt: skip
+def state(checker: MessageChecker) -> tuple[object, ...]:
+    position = (checker._last_t, checker._last_counter, checker._missed, checker._distrust)
+    return (checker.accepted, checker.rejected, checker.lost, *position)
 
 
 @settings(max_examples=150, deadline=None)
@@ -314,7 +314,7 @@ def test_columns_in_any_pieces_equal_frame_by_frame(
     rng = random.Random(seed)
     times, received = troubled(spec, rng, 120, rate)
     data, length = as_columns(received)
-    one, many, mixed = MessageGuard(spec), MessageGuard(spec), MessageGuard(spec)
+    one, many, mixed = MessageChecker(spec), MessageChecker(spec), MessageChecker(spec)
     expected = [one.check(t, f) or "" for t, f in zip(times.tolist(), received, strict=True)]
     assert [REASONS[c] for c in many.check_columns(times, data, length)] == expected
     assert state(many) == state(one)
@@ -342,15 +342,15 @@ def test_a_hundred_thousand_random_frames_are_each_counted(spec: ProtectionSpec)
     length = rng.integers(0, 65, count).astype(np.uint8)
     data[np.arange(64) >= length[:, None]] = 0
     times = np.cumsum(rng.exponential(CYCLE, count))
-    guard, one = MessageGuard(spec), MessageGuard(spec)
-    codes = guard.check_columns(times, data, length)
-    assert guard.accepted + sum(guard.rejected.values()) == count
-    assert guard.accepted == np.count_nonzero(codes == 0)
+    checker, one = MessageChecker(spec), MessageChecker(spec)
+    codes = checker.check_columns(times, data, length)
+    assert checker.accepted + sum(checker.rejected.values()) == count
+    assert checker.accepted == np.count_nonzero(codes == 0)
     some = 20_000
     for t, row, n, code in zip(times[:some], data[:some], length, codes, strict=False):
         assert (one.check(t.item(), row[:n].tobytes()) or "") == REASONS[code]
     if spec.checksum is not None:
-        assert guard.accepted < 0.005 * count  # 1 of 256 passes the checksum, and few the rest
+        assert checker.accepted < 0.005 * count  # 1 of 256 passes the checksum, and few the rest
 
 
 # ---- output ----
@@ -363,17 +363,17 @@ def test_protected_columns_equal_frame_by_frame_and_pass_their_guard(
 ) -> None:
     rng = random.Random(seed)
     payloads = [rng.randbytes(8) for _ in range(40)]
-    one, many = OutputProtector(spec), OutputProtector(spec)
+    one, many = MessageProtector(spec), MessageProtector(spec)
     expected = [one.protect(p) for p in payloads]
     data = np.frombuffer(b"".join(payloads), np.uint8).reshape(-1, 8)
     found = [*many.protect_columns(data[:17]), *many.protect_columns(data[17:])]
     assert [f.tobytes() for f in found] == expected
     assert many.protect(payloads[0]) == one.protect(payloads[0])
-    assert judge(MessageGuard(spec), expected) == [""] * 40
+    assert judge(MessageChecker(spec), expected) == [""] * 40
 
 
 def test_a_frame_too_short_for_its_protection_is_refused() -> None:
     with pytest.raises(EncodeError):
-        OutputProtector(PROTECTED).protect(bytes(7))
+        MessageProtector(PROTECTED).protect(bytes(7))
     with pytest.raises(EncodeError):
-        OutputProtector(PROTECTED).protect_columns(np.zeros((2, 7), np.uint8))
+        MessageProtector(PROTECTED).protect_columns(np.zeros((2, 7), np.uint8))

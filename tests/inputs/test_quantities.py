@@ -18,17 +18,17 @@ FLAG = find_unit("", "flag")
 
 
 def code_of(conversion: Conversion, physical: float, raw: float = 0) -> str:
-    return REASONS[conversion.one(raw, physical)[1]]
+    return REASONS[conversion.scalar(raw, physical)[1]]
 
 
 def test_offset_is_in_the_unit_of_the_source_and_the_sign_comes_last():
-    value, code = Conversion(KMH, sign=-1.0, offset=3.6).one(0, 36.0)
+    value, code = Conversion(KMH, sign=-1.0, offset=3.6).scalar(0, 36.0)
     assert code == 0
     assert value == pytest.approx(-11.0)
 
 
 def test_unit_offset_of_temperatures():
-    assert Conversion(find_unit("degF", "temperature")).one(0, 212.0)[0] == pytest.approx(100.0)
+    assert Conversion(find_unit("degF", "temperature")).scalar(0, 212.0)[0] == pytest.approx(100.0)
 
 
 def test_not_available_is_judged_by_the_raw_value():
@@ -70,7 +70,7 @@ def test_beyond_any_vehicle_is_out_of_range():
     ],
 )
 def test_flags(conversion, physical, expected):
-    assert conversion.one(0, physical) == (expected, 0)
+    assert conversion.scalar(0, physical) == (expected, 0)
 
 
 NUMBERS = st.one_of(
@@ -94,7 +94,7 @@ def test_columns_give_the_same_bits_as_single_numbers(
     conversion = Conversion(unit, sign, offset, *limits, rails, (-1, 3), on_values, on_above)
     raw = np.array([r for r, _ in numbers])
     physical = np.array([p for _, p in numbers])
-    values, codes = conversion.columns(raw, physical)
-    single = [conversion.one(r, p) for r, p in numbers]
+    values, codes = conversion.array(raw, physical)
+    single = [conversion.scalar(r, p) for r, p in numbers]
     assert codes.tolist() == [code for _, code in single]
     assert values.tobytes() == np.array([value for value, _ in single]).tobytes()

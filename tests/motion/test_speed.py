@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imucald.core.errors import EstimateError
-from imucald.motion.speed import Block, BlockMaker
+from imucald.motion.speed import SpeedInterval, SpeedIntervalMaker
 
 TICK = 0.1
 
@@ -20,7 +20,7 @@ def mean_accel(t0: float, t1: float) -> float:
     return float((speed(np.array(t1)) - speed(np.array(t0))) / (t1 - t0))
 
 
-def blocks(
+def intervals(
     speed_times: np.ndarray,
     delay_true: float = 0.0,
     delay_told: float = 0.0,
@@ -28,9 +28,9 @@ def blocks(
     seconds: float = 30.0,
     bad: frozenset[int] = frozenset(),
     step: float = 0.0,
-) -> list[Block]:
+) -> list[SpeedInterval]:
     """Feed a drive whose accelerometer x is exactly dv/dt, tick means being exact as well."""
-    maker = BlockMaker(block_s, delay_told, 2.5)
+    maker = SpeedIntervalMaker(block_s, delay_told, 2.5)
     out = []
     values = speed(speed_times - delay_true)
     if step:
@@ -40,16 +40,16 @@ def blocks(
         t = (k + 1) * TICK
         while pending and pending[0][0] < t:
             maker.add_speed(*pending.pop(0))
-        block = maker.step(t, mean_accel(t - TICK, t), 0.1 * k, 9.8, 0.2, k not in bad)
-        if block is not None:
-            out.append(block)
+        interval = maker.step(t, mean_accel(t - TICK, t), 0.1 * k, 9.8, 0.2, k not in bad)
+        if interval is not None:
+            out.append(interval)
     return out
 
 
 @pytest.mark.parametrize("interval", [0.05, 0.3, 1.0, 1.7])
 def test_force_and_dvdt_cover_the_same_interval_at_any_speed_rate(interval: float) -> None:
     # Speed at odd times: the accelerometer's mean must match although ticks lie elsewhere.
-    out = blocks(np.arange(0.03, 30.0, interval))
+    out = intervals(np.arange(0.03, 30.0, interval))
     assert len(out) > 10
     for b in out:
         assert b.dvdt == pytest.approx(mean_accel(b.t0, b.t1), abs=1e-9)
@@ -62,29 +62,29 @@ def test_force_and_dvdt_cover_the_same_interval_at_any_speed_rate(interval: floa
 @pytest.mark.parametrize("delay", [-0.25, 0.4])
 def test_a_configured_delay_brings_both_together(delay: float) -> None:
     times = np.arange(0.5, 30.0, 0.2)
-    told = blocks(times, delay_true=delay, delay_told=delay)
-    untold = blocks(times, delay_true=delay)
+    told = intervals(times, delay_true=delay, delay_told=delay)
+    untold = intervals(times, delay_true=delay)
     assert len(told) > 40
     assert max(abs(b.fx - b.dvdt) for b in told[2:]) < 0.05
     assert max(abs(b.fx - b.dvdt) for b in untold[2:]) > 0.3
 
 
 def test_a_coarse_speed_adds_noise_but_no_bias() -> None:
-    out = blocks(np.arange(0.03, 300.0, 0.5), step=1 / 3.6, seconds=300.0)
+    out = intervals(np.arange(0.03, 300.0, 0.5), step=1 / 3.6, seconds=300.0)
     off = np.array([b.dvdt - b.fx for b in out])
     assert abs(off.mean()) < 0.02
     assert off.std() < 0.35
 
 
 def test_without_speed_blocks_are_cut_by_time() -> None:
-    out = blocks(np.array([]))
+    out = intervals(np.array([]))
     assert len(out) == 59
     assert all(math.isnan(b.dvdt) and math.isnan(b.speed) for b in out)
     assert out[0].fx == pytest.approx(mean_accel(out[0].t0, out[0].t1), abs=1e-9)
 
 
 def test_a_speed_that_falls_silent_becomes_unknown() -> None:
-    out = blocks(np.arange(0.0, 10.0, 0.1))
+    out = intervals(np.arange(0.0, 10.0, 0.1))
     late = [b for b in out if b.t0 > 13.0]
     assert late
     assert all(math.isnan(b.dvdt) for b in late)
@@ -92,26 +92,26 @@ def test_a_speed_that_falls_silent_becomes_unknown() -> None:
 
 
 def test_one_bad_tick_taints_its_block_and_no_other() -> None:
-    out = blocks(np.arange(0.0, 30.0, 0.1), bad=frozenset({100}))
+    out = intervals(np.arange(0.0, 30.0, 0.1), bad=frozenset({100}))
     tainted = [b for b in out if not b.clean]
     assert len(tainted) == 1
     assert tainted[0].t0 - TICK <= 10.0 <= tainted[0].t1
 
 
 def test_nothing_is_differenced_across_a_restart() -> None:
-    maker = BlockMaker(0.5, 0.0, 2.5)
+    maker = SpeedIntervalMaker(0.5, 0.0, 2.5)
     for k in range(20):
         maker.add_speed(k * TICK, 5.0)
         maker.step((k + 1) * TICK, 0.0, 0.0, 9.8, 0.0, True)
     maker.restart()
     for k in range(1000, 1030):
         maker.add_speed(k * TICK, 25.0)
-        block = maker.step((k + 1) * TICK, 0.0, 0.0, 9.8, 0.0, True)
-        assert block is None or (block.dvdt == 0.0 and block.t0 >= 100.0)
+        interval = maker.step((k + 1) * TICK, 0.0, 0.0, 9.8, 0.0, True)
+        assert interval is None or (interval.dvdt == 0.0 and interval.t0 >= 100.0)
 
 
 def test_an_unknown_yaw_rate_makes_the_blocks_unknown() -> None:
-    maker = BlockMaker(0.5, 0.0, 2.5)
+    maker = SpeedIntervalMaker(0.5, 0.0, 2.5)
     out = [
         maker.step((k + 1) * TICK, 0, 0, 9.8, math.nan if k == 7 else 0.1, True) for k in range(30)
     ]
@@ -121,4 +121,4 @@ def test_an_unknown_yaw_rate_makes_the_blocks_unknown() -> None:
 
 def test_an_absurd_delay_is_refused() -> None:
     with pytest.raises(EstimateError):
-        BlockMaker(0.5, 5.0, 2.5)
+        SpeedIntervalMaker(0.5, 5.0, 2.5)

@@ -8,7 +8,7 @@ from imucald.core.samples import Series
 from imucald.motion.standstill import (
     CONFIRM_TICKS,
     StandstillDetector,
-    StaticPresets,
+    StaticTestSettings,
     is_static,
     static_windows,
 )
@@ -55,7 +55,7 @@ def test_windows_of_a_preset_number_of_samples_are_judged_apart() -> None:
 
 
 def test_standstill_is_found_after_the_window_and_its_mean_is_right() -> None:
-    detector = StandstillDetector(StaticPresets(seconds=2.0))
+    detector = StandstillDetector(StaticTestSettings(seconds=2.0))
     rows = rest_ticks(2.0, 0.1)
     assert windows(detector, rows, None) == []
     assert detector.still
@@ -66,7 +66,7 @@ def test_standstill_is_found_after_the_window_and_its_mean_is_right() -> None:
 
 
 def test_a_window_followed_at_once_by_motion_does_not_count() -> None:
-    detector = StandstillDetector(StaticPresets(seconds=2.0))
+    detector = StandstillDetector(StaticTestSettings(seconds=2.0))
     assert windows(detector, rest_ticks(2.0, 0.1), True) == []
     for row in rest_ticks(0.1 * (CONFIRM_TICKS - 1), 0.1):
         assert detector.step(row, True) is None
@@ -76,20 +76,20 @@ def test_a_window_followed_at_once_by_motion_does_not_count() -> None:
 
 
 def test_shaking_beyond_the_threshold_is_no_standstill_without_speed() -> None:
-    assert windows(StandstillDetector(StaticPresets()), rest_ticks(10.0, 0.4), None) == []
+    assert windows(StandstillDetector(StaticTestSettings()), rest_ticks(10.0, 0.4), None) == []
 
 
 def test_a_shaking_engine_is_standstill_when_speed_is_zero() -> None:
-    found = windows(StandstillDetector(StaticPresets()), rest_ticks(10.0, 0.4), True)
+    found = windows(StandstillDetector(StaticTestSettings()), rest_ticks(10.0, 0.4), True)
     assert len(found) >= 3
 
 
 def test_a_smooth_road_is_no_standstill_when_speed_says_so() -> None:
-    assert windows(StandstillDetector(StaticPresets()), rest_ticks(10.0, 0.01), False) == []
+    assert windows(StandstillDetector(StaticTestSettings()), rest_ticks(10.0, 0.01), False) == []
 
 
 def test_too_few_samples_make_no_window() -> None:
-    presets = StaticPresets(count=300, seconds=2.0)
+    presets = StaticTestSettings(count=300, seconds=2.0)
     found = windows(StandstillDetector(presets), rest_ticks(8.0, 0.1), None)
     assert [w.samples for w in found] == [300.0], "six seconds at 50 Hz, and no more"
 
@@ -97,11 +97,11 @@ def test_too_few_samples_make_no_window() -> None:
 def test_a_rejected_sample_breaks_the_window() -> None:
     rows = rest_ticks(3.5, 0.1)
     rows[15][ACCEL_BAD] = 1.0
-    assert windows(StandstillDetector(StaticPresets()), rows, True) == []
+    assert windows(StandstillDetector(StaticTestSettings()), rows, True) == []
 
 
 def test_a_slow_drift_is_no_standstill() -> None:
     t = np.arange(500) / 50.0
     f = np.column_stack([0.25 * t, np.zeros(500), np.full(500, G)])
     rows = ticks_from_samples({"accel": Series(t, f)}, 0, 100).tolist()
-    assert windows(StandstillDetector(StaticPresets()), rows, None) == []
+    assert windows(StandstillDetector(StaticTestSettings()), rows, None) == []

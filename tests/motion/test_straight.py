@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Series
 from imucald.motion.straight import (
-    LONGEST_HOLD_TICKS,
+    MAX_HOLD_TICKS,
     YawRateSource,
     angles_agree,
     steering_is_small,
@@ -119,6 +119,6 @@ def test_sources_by_preference_and_steering_only_where_allowed() -> None:
 def test_a_silent_signal_is_held_for_a_second_and_no_longer() -> None:
     early = T < 1.0
     ticks = rows(yaw_rate=Series(T[early], np.full(int(early.sum()), 0.2)))
-    held = ticks[: 10 + LONGEST_HOLD_TICKS]
+    held = ticks[: 10 + MAX_HOLD_TICKS]
     assert last(YawRateSource(15.0, 2.7), held) == pytest.approx(0.2)
     assert math.isnan(last(YawRateSource(15.0, 2.7), ticks))

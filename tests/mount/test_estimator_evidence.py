@@ -14,13 +14,13 @@ from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
-from imucald.mount.fusion import Shared, Sharing, fuse
-from imucald.mount.gravity_observer import UpTracker
+from imucald.mount.fusion import CommonCovariance, CommonError, fuse
+from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.offsets import Offsets
-from imucald.mount.road_segments import Piece
-from imucald.mount.signal_blocks import HOP, SignalPreparer, empty_rows
-from imucald.mount.steering import SteeringOffset
-from prepared_hop import hop
+from imucald.mount.road_segments import AngleEvidence
+from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlockMaker, empty_rows
+from imucald.mount.steering import SteeringOffsetEstimator
+from signal_block import block
 
 DEG = math.radians(1.0)
 
@@ -37,7 +37,7 @@ def test_overlapping_windows_keep_the_power_of_a_signal():
     mask = np.ones(sp.WINDOW, dtype=bool)
     total = sum(
         float((np.abs(sp.spectra(x[i : i + sp.WINDOW], mask)[:, sp.A]) ** 2).sum())
-        for i in range(0, n - sp.WINDOW, HOP)
+        for i in range(0, n - sp.WINDOW, BLOCK_TICKS)
     )
     used = x[sp.WINDOW // 2 : -sp.WINDOW // 2, 0]
     assert total == pytest.approx(float((used**2).sum()), rel=0.02)
@@ -69,17 +69,19 @@ def test_delay_from_the_phase(late):
     signals[:, :3] += 0.3 * rng.standard_normal((5000, 3))
     signals[:, sp.A] = fine[at - round(100 * late)]
     mask = np.ones(sp.WINDOW, dtype=bool)
-    for i in range(0, 4500, HOP):
+    for i in range(0, 4500, BLOCK_TICKS):
         s = sp.spectra(signals[i : i + sp.WINDOW], mask)
         search.add(s[:, sp.A], s[:, :3])
     assert search.search() == pytest.approx(late, abs=0.03)
     assert search.std < 0.05
 
 
-def response(error: np.ndarray, noise: float, seed: int, windows: int = 100) -> dict[str, Piece]:
+def response(
+    error: np.ndarray, noise: float, seed: int, windows: int = 100
+) -> dict[str, AngleEvidence]:
     """Pieces about a rotation that is wrong by `error`, from pure dv/dt and v r."""
     rng = np.random.default_rng(seed)
-    n = windows * HOP + sp.WINDOW
+    n = windows * BLOCK_TICKS + sp.WINDOW
     a, v = smooth(rng, n, 8.0), 0.8 * smooth(rng, n, 6.0)
     F = np.stack([a, v, np.zeros(n)], axis=1)
     truth = rotation_from_angles(0.2, -0.1, 2.0)
@@ -89,9 +91,9 @@ def response(error: np.ndarray, noise: float, seed: int, windows: int = 100) -> 
     signals[:, sp.AH], signals[:, sp.VH] = a, v
     evidence = ResponseEvidence()
     mask = np.ones(sp.WINDOW, dtype=bool)
-    for i in range(0, n - sp.WINDOW, HOP):
+    for i in range(0, n - sp.WINDOW, BLOCK_TICKS):
         evidence.add(sp.spectra(signals[i : i + sp.WINDOW], mask))
-        if i % (64 * HOP) == 0:
+        if i % (64 * BLOCK_TICKS) == 0:
             evidence.fit(truth)
     return evidence.fit(rotation_from_vector(-error) @ truth)
 
@@ -125,19 +127,19 @@ def test_a_turn_tells_bias_from_slope():
     """On a slope the vertical turns against the sensor; a bias does not."""
     bias = np.array([0.08, -0.05, 0.0])
     slope = 0.03
-    tracker = UpTracker()
+    tracker = GravityObserver()
     heading, rng = 0.0, np.random.default_rng(8)
     for k in range(120):
         turning = (k // 6) % 3 == 1
         side = 1.0 if (k // 18) % 2 else -1.0
-        r = np.full(HOP, side * 0.3 if turning else 0.0)
+        r = np.full(BLOCK_TICKS, side * 0.3 if turning else 0.0)
         angle = heading + np.cumsum(r) * 0.1
         heading = float(angle[-1])
-        up = np.stack([slope * np.cos(angle), -slope * np.sin(angle), np.ones(HOP)], axis=1)
-        force = GRAVITY * up + bias + 0.02 * rng.standard_normal((HOP, 3))
-        rate = np.stack([np.zeros(HOP), np.zeros(HOP), r], axis=1)
-        p = hop(0.1 * HOP * k, force=force, rate=rate)
-        tracker.advance(p, np.zeros((HOP, 3)), None, sure=True)
+        up = np.stack([slope * np.cos(angle), -slope * np.sin(angle), np.ones(BLOCK_TICKS)], axis=1)
+        force = GRAVITY * up + bias + 0.02 * rng.standard_normal((BLOCK_TICKS, 3))
+        rate = np.stack([np.zeros(BLOCK_TICKS), np.zeros(BLOCK_TICKS), r], axis=1)
+        p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate)
+        tracker.advance(p, np.zeros((BLOCK_TICKS, 3)), None, sure=True)
     found, covariance = tracker.bias(0.1)
     assert found[:2] == pytest.approx(bias[:2], abs=0.02)
     assert math.sqrt(covariance[0, 0]) < 0.05
@@ -145,13 +147,13 @@ def test_a_turn_tells_bias_from_slope():
 
 def test_places_are_counted_not_samples():
     gravity = GravityEvidence()
-    rest = np.ones(HOP, dtype=bool)
+    rest = np.ones(BLOCK_TICKS, dtype=bool)
     for _ in range(100):
-        gravity.add(hop(rest=rest, speed=np.zeros(HOP)), np.zeros(HOP))
+        gravity.add(block(rest=rest, speed=np.zeros(BLOCK_TICKS)), np.zeros(BLOCK_TICKS))
     assert gravity.stops == 1
     assert gravity.variance(0.02, 200.0, 0.0) == pytest.approx(0.02**2)
-    for _ in range(32000 // HOP):
-        gravity.add(hop(), np.zeros(HOP))
+    for _ in range(32000 // BLOCK_TICKS):
+        gravity.add(block(), np.zeros(BLOCK_TICKS))
     assert gravity.metres == pytest.approx(32000.0)
     assert gravity.variance(0.02, 200.0, 0.0) == pytest.approx(0.02**2 * 400 / 32000, rel=0.05)
 
@@ -159,50 +161,61 @@ def test_places_are_counted_not_samples():
 def test_gravity_gives_the_tilt():
     gravity = GravityEvidence()
     true = rotation_from_vector([0.02, -0.03, 0.0])
-    force = np.tile([0.0, 0.0, GRAVITY], (HOP, 1)) @ true
+    force = np.tile([0.0, 0.0, GRAVITY], (BLOCK_TICKS, 1)) @ true
     for _ in range(10):
-        gravity.add(hop(force=force), np.zeros(HOP))
+        gravity.add(block(force=force), np.zeros(BLOCK_TICKS))
     e_x, e_y = gravity.tilt(np.eye(3), np.zeros(3), (1.0, 1.0))
     assert (e_x, e_y) == pytest.approx((0.02, -0.03), abs=1e-3)
 
 
 def test_fusion_weighs_by_variance_and_shared_errors_do_not_average_out():
-    pieces = {"yaw_a": Piece(1.0, 1.0, 9.0), "yaw_b": Piece(2.0, 4.0, 9.0)}
-    fused = fuse(pieces, Sharing(()))
+    pieces = {"yaw_a": AngleEvidence(1.0, 1.0, 9.0), "yaw_b": AngleEvidence(2.0, 4.0, 9.0)}
+    fused = fuse(pieces, CommonCovariance(()))
     assert fused.error[2] == pytest.approx(1.2)
     assert fused.variance[2] == pytest.approx(0.8)
     assert fused.shares["yaw"] == pytest.approx({"yaw_a": 0.8, "yaw_b": 0.2})
-    common = fuse(pieces, Sharing((Shared(3.0, {"yaw_a": 1.0, "yaw_b": 1.0}),)))
+    common = fuse(pieces, CommonCovariance((CommonError(3.0, {"yaw_a": 1.0, "yaw_b": 1.0}),)))
     assert common.variance[2] > 9.0
     opposite = fuse(
-        {"yaw_a": Piece(3.0, 1.0, 9.0), "yaw_b": Piece(-3.0, 1.0, 9.0)},
-        Sharing((Shared(3.0, {"yaw_a": 1.0, "yaw_b": -1.0}),)),
+        {"yaw_a": AngleEvidence(3.0, 1.0, 9.0), "yaw_b": AngleEvidence(-3.0, 1.0, 9.0)},
+        CommonCovariance((CommonError(3.0, {"yaw_a": 1.0, "yaw_b": -1.0}),)),
     )
     assert opposite.error[2] == pytest.approx(0.0)
     assert opposite.variance[2] == pytest.approx(0.5)
 
 
 def test_pieces_that_disagree_widen_the_interval():
-    agree = fuse({"yaw_a": Piece(0.0, 1.0, 9.0), "yaw_b": Piece(0.5, 1.0, 9.0)}, Sharing(()))
-    apart = fuse({"yaw_a": Piece(0.0, 1.0, 9.0), "yaw_b": Piece(6.0, 1.0, 9.0)}, Sharing(()))
+    agree = fuse(
+        {"yaw_a": AngleEvidence(0.0, 1.0, 9.0), "yaw_b": AngleEvidence(0.5, 1.0, 9.0)},
+        CommonCovariance(()),
+    )
+    apart = fuse(
+        {"yaw_a": AngleEvidence(0.0, 1.0, 9.0), "yaw_b": AngleEvidence(6.0, 1.0, 9.0)},
+        CommonCovariance(()),
+    )
     assert agree.variance[2] == pytest.approx(0.5)
     assert apart.variance[2] == pytest.approx(0.5 * 18.0)
 
 
 def test_a_piece_that_knows_little_does_not_widen_what_another_knows_well():
-    good, poor = Piece(0.0, 1.0, 9.0), Piece(20.0, 100.0, 9.0)  # two deviations apart
-    apart = fuse({"yaw_a": good, "yaw_b": poor}, Sharing(()))
+    good, poor = (
+        AngleEvidence(0.0, 1.0, 9.0),
+        AngleEvidence(20.0, 100.0, 9.0),
+    )  # two deviations apart
+    apart = fuse({"yaw_a": good, "yaw_b": poor}, CommonCovariance(()))
     assert 0.9 < apart.variance[2] < 1.2
 
 
 def test_steering_offset_in_curves_of_both_sides():
     rng = np.random.default_rng(9)
-    steering = SteeringOffset()
+    steering = SteeringOffsetEstimator()
     for _ in range(200):
-        v = np.full(HOP, rng.uniform(6.0, 25.0))
-        r = np.full(HOP, rng.normal() * 1.5 / v[0])
-        angle = 15.0 * (2.7 + 0.003 * v * v) * r / v + 0.03 + 0.01 * rng.standard_normal(HOP)
-        steering.add(angle, v, r, np.ones(HOP, dtype=bool))
+        v = np.full(BLOCK_TICKS, rng.uniform(6.0, 25.0))
+        r = np.full(BLOCK_TICKS, rng.normal() * 1.5 / v[0])
+        angle = (
+            15.0 * (2.7 + 0.003 * v * v) * r / v + 0.03 + 0.01 * rng.standard_normal(BLOCK_TICKS)
+        )
+        steering.add(angle, v, r, np.ones(BLOCK_TICKS, dtype=bool))
     fitted = steering.fitted(0.0, 0.0)
     assert fitted is not None
     assert fitted[0] == pytest.approx(0.03, abs=0.003)
@@ -210,18 +223,18 @@ def test_steering_offset_in_curves_of_both_sides():
 
 def test_a_moving_vehicle_teaches_no_rest_offset():
     offsets = Offsets()
-    force = np.tile([0.0, 0.0, GRAVITY], (HOP, 1))
-    offsets.learn_gyro(np.tile([0.0, 0.0, 0.3], (HOP, 1)), force)
+    force = np.tile([0.0, 0.0, GRAVITY], (BLOCK_TICKS, 1))
+    offsets.learn_gyro(np.tile([0.0, 0.0, 0.3], (BLOCK_TICKS, 1)), force)
     assert offsets.gyro_ticks == 0.0
-    offsets.learn_gyro(np.tile([0.001, 0.0, 0.005], (HOP, 1)), force)
+    offsets.learn_gyro(np.tile([0.001, 0.0, 0.005], (BLOCK_TICKS, 1)), force)
     assert offsets.gyro_bias == pytest.approx([0.001, 0.0, 0.005])
 
 
 def test_empty_ticks_prepare_to_nothing_learnt():
-    preparer = SignalPreparer(EstimatorSettings())
-    for row in empty_rows(HOP):
+    preparer = SignalBlockMaker(EstimatorSettings())
+    for row in empty_rows(BLOCK_TICKS):
         complete = preparer.push(row)
     assert complete
-    prepared = preparer.hop()
+    prepared = preparer.block()
     assert not prepared.learn.any()
     assert not prepared.ok_speed.any()

@@ -1,4 +1,4 @@
-"""The gate on straight motion by single blocks, and what is done about v r that passes it."""
+"""The gate on straight motion by single intervals, and what is done about v r that passes it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imucald.motion.speed import Block
+from imucald.motion.speed import SpeedInterval
 from imucald.mount.estimate import MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.gate import StraightGate, WanderingOffset
@@ -21,12 +21,15 @@ NAN = math.nan
 DEG = math.radians(1.0)
 
 
-def block(speed: float = NAN, yaw_rate: float = NAN) -> Block:
-    return Block(0.0, 0.2, 0.0, 0.0, 9.81, speed, NAN, yaw_rate, True)
+def interval(speed: float = NAN, yaw_rate: float = NAN) -> SpeedInterval:
+    return SpeedInterval(0.0, 0.2, 0.0, 0.0, 9.81, speed, NAN, yaw_rate, True)
 
 
 def straight(
-    settings: PublishedSettings, motion: Block, steering: float = NAN, own_lateral: float = NAN
+    settings: PublishedSettings,
+    motion: SpeedInterval,
+    steering: float = NAN,
+    own_lateral: float = NAN,
 ) -> bool:
     gate = StraightGate(settings, WanderingOffset(1.0))
     return gate.is_straight(motion, steering, own_lateral, np.eye(3))
@@ -35,9 +38,9 @@ def straight(
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_the_steering_angle_decides_where_it_is_preferred(side: float) -> None:
     settings = PublishedSettings(recognisers=("steering",), steering_limit=10.0 * DEG)
-    assert straight(settings, block(), steering=side * 9.9 * DEG)
-    assert not straight(settings, block(), steering=side * 10.1 * DEG)
-    assert not straight(settings, block()), "nothing recognises it"
+    assert straight(settings, interval(), steering=side * 9.9 * DEG)
+    assert not straight(settings, interval(), steering=side * 10.1 * DEG)
+    assert not straight(settings, interval()), "nothing recognises it"
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -47,10 +50,10 @@ def test_the_yaw_rate_has_a_narrower_limit_where_no_gate_on_v_r_stands_beside_it
     settings = PublishedSettings(
         recognisers=("yaw_rate",), yaw_rate_limit=2.0 * DEG, yaw_rate_limit_without_speed=1.0 * DEG
     )
-    assert straight(settings, block(10.0, side * 1.9 * DEG))
-    assert not straight(settings, block(10.0, side * 2.1 * DEG))
-    assert straight(settings, block(NAN, side * 0.9 * DEG))
-    assert not straight(settings, block(NAN, side * 1.1 * DEG))
+    assert straight(settings, interval(10.0, side * 1.9 * DEG))
+    assert not straight(settings, interval(10.0, side * 2.1 * DEG))
+    assert straight(settings, interval(NAN, side * 0.9 * DEG))
+    assert not straight(settings, interval(NAN, side * 1.1 * DEG))
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -59,8 +62,8 @@ def test_lateral_acceleration_must_be_small_whatever_recognises(
     recogniser: str, side: float
 ) -> None:
     settings = PublishedSettings(recognisers=(recogniser,), lateral_limit=0.6)
-    fast = block(30.0, side * 1.3 * DEG)  # 0.68 m/s^2
-    slow = block(25.0, side * 1.3 * DEG)  # 0.57 m/s^2
+    fast = interval(30.0, side * 1.3 * DEG)  # 0.68 m/s^2
+    slow = interval(25.0, side * 1.3 * DEG)  # 0.57 m/s^2
     assert not straight(settings, fast, steering=0.0)
     if recogniser != "consistency":  # which asks for a window first
         assert straight(settings, slow, steering=0.0)
@@ -71,11 +74,11 @@ def test_the_vehicles_own_lateral_acceleration_stands_in_where_v_r_is_not_known(
     side: float,
 ) -> None:
     settings = PublishedSettings(recognisers=("steering",), lateral_limit=0.6)
-    assert straight(settings, block(), steering=0.0, own_lateral=side * 0.5)
-    assert not straight(settings, block(), steering=0.0, own_lateral=side * 0.7)
-    assert straight(settings, block(20.0, 0.0), steering=0.0, own_lateral=side * 0.7), "v r is 0"
+    assert straight(settings, interval(), steering=0.0, own_lateral=side * 0.5)
+    assert not straight(settings, interval(), steering=0.0, own_lateral=side * 0.7)
+    assert straight(settings, interval(20.0, 0.0), steering=0.0, own_lateral=side * 0.7), "v r is 0"
     without = PublishedSettings(recognisers=("steering",), lateral_limit=0.0)
-    assert straight(without, block(), steering=0.0, own_lateral=side * 5.0)
+    assert straight(without, interval(), steering=0.0, own_lateral=side * 5.0)
 
 
 @dataclass

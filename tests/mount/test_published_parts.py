@@ -9,12 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucald.core.rotations import levelling_rotation, rotation_from_angles, vector_from_rotation
-from imucald.motion.speed import Block
+from imucald.motion.speed import SpeedInterval
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.method_a.levelling import Tilt
 from imucald.mount.method_a.manoeuvres import (
     FLOOR_STD,
-    Angle,
+    CombinedAngle,
     Manoeuvre,
     ManoeuvreBook,
     combined,
@@ -22,7 +22,7 @@ from imucald.mount.method_a.manoeuvres import (
 )
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.sign import VOTES_NEEDED, SignEvidence, SignVotes
-from imucald.mount.method_a.states import Knowledge, judged, waiting_for
+from imucald.mount.method_a.states import TiltAndAngle, judged, waiting_for
 from imucald.mount.slewing import SlewedRotation
 
 DEG = math.radians(1.0)
@@ -30,13 +30,13 @@ G = 9.80665
 
 
 def book_of(mount: Rotation, motions: list[list[tuple[float, float]]]) -> ManoeuvreBook:
-    """Manoeuvres whose blocks are (dv/dt, v r); force is exactly theirs, in sensor axes."""
+    """Manoeuvres whose intervals are (dv/dt, v r); force is exactly theirs, in sensor axes."""
     book = ManoeuvreBook(100)
-    for blocks in motions:
+    for intervals in motions:
         m = Manoeuvre(0.0, signed=True)
-        for dvdt, lateral in blocks:
+        for dvdt, lateral in intervals:
             f = mount.inv().apply([dvdt, lateral, 0.0]).tolist()
-            m.add(block(0.0), f, dvdt, lateral, 0.7)
+            m.add(interval(0.0), f, dvdt, lateral, 0.7)
         book.add(m)
     return book
 
@@ -114,8 +114,8 @@ def test_votes_decide_only_by_a_clear_lead() -> None:
     assert votes.sign((1.0, 0.0, 0.0)) == 1.0
 
 
-def block(t: float, yaw_rate: float = 0.0) -> Block:
-    return Block(t, t + 0.5, 0.0, 0.0, G, math.nan, math.nan, yaw_rate, True)
+def interval(t: float, yaw_rate: float = 0.0) -> SpeedInterval:
+    return SpeedInterval(t, t + 0.5, 0.0, 0.0, G, math.nan, math.nan, yaw_rate, True)
 
 
 UP = (0.0, 0.0, 1.0)
@@ -129,14 +129,16 @@ def evidence(kind: str, reverse: bool) -> dict[str, object]:
         if kind == "first_motion":
             e.depart(0.0)
             for k in range(6):
-                e.take_straight(block(0.5 * k), (flip * 1.5, 0.1, 0.0), UP, reverse, False)
+                e.take_straight(interval(0.5 * k), (flip * 1.5, 0.1, 0.0), UP, reverse, False)
         elif kind == "brake":
             for k in range(4):
-                e.take_straight(block(100.0 + 0.5 * k), (flip * -1.5, 0.1, 0.0), UP, reverse, True)
+                e.take_straight(
+                    interval(100.0 + 0.5 * k), (flip * -1.5, 0.1, 0.0), UP, reverse, True
+                )
         elif kind == "turn":
             for k in range(6):
-                e.take_turn(block(0.5 * k, 0.3), (0.0, 3.0, 0.0), UP, reverse)
-            e.take_turn(block(4.0, 0.0), (0.0, 0.0, 0.0), UP, reverse)
+                e.take_turn(interval(0.5 * k, 0.3), (0.0, 3.0, 0.0), UP, reverse)
+            e.take_turn(interval(4.0, 0.0), (0.0, 0.0, 0.0), UP, reverse)
     return {"counts": dict(e.votes.counts), "sign": e.votes.sign((1.0, 0.0, 0.0))}
 
 
@@ -154,7 +156,7 @@ def test_reverse_gear_is_allowed_for() -> None:
 def test_a_source_that_is_switched_off_does_not_vote() -> None:
     e = SignEvidence(("turn",))
     for k in range(8):
-        e.take_straight(block(0.5 * k), (-2.0, 0.0, 0.0), UP, False, True)
+        e.take_straight(interval(0.5 * k), (-2.0, 0.0, 0.0), UP, False, True)
     assert e.votes.counts == {}
 
 
@@ -163,18 +165,22 @@ SETTINGS = PublishedSettings()
 
 def known(
     yaw_std: float, tilt_std: float = 0.8, manoeuvres: int = 20, sign: bool = True
-) -> Knowledge:
-    return Knowledge(
-        Tilt(UP, tilt_std * DEG, 5), Angle(0.1, yaw_std * DEG, manoeuvres), sign, 5, manoeuvres
+) -> TiltAndAngle:
+    return TiltAndAngle(
+        Tilt(UP, tilt_std * DEG, 5),
+        CombinedAngle(0.1, yaw_std * DEG, manoeuvres),
+        sign,
+        5,
+        manoeuvres,
     )
 
 
 def test_states_climb_and_are_left_with_hysteresis() -> None:
-    def after(before: MountState, k: Knowledge) -> MountState:
+    def after(before: MountState, k: TiltAndAngle) -> MountState:
         return judged(k, before, SETTINGS)
 
-    assert after(MountState.WAITING, Knowledge()) == MountState.WAITING
-    assert after(MountState.WAITING, Knowledge(tilt=Tilt(UP, DEG, 1))) == MountState.LEVELLED
+    assert after(MountState.WAITING, TiltAndAngle()) == MountState.WAITING
+    assert after(MountState.WAITING, TiltAndAngle(tilt=Tilt(UP, DEG, 1))) == MountState.LEVELLED
     assert after(MountState.LEVELLED, known(3.1)) == MountState.LEVELLED
     assert after(MountState.LEVELLED, known(2.9)) == MountState.USABLE
     assert after(MountState.USABLE, known(3.1)) == MountState.USABLE
@@ -192,10 +198,10 @@ def test_each_condition_alone_keeps_from_usable() -> None:
 
 
 def test_waiting_for_names_one_thing_per_angle() -> None:
-    nothing = waiting_for(Knowledge(), SETTINGS)
+    nothing = waiting_for(TiltAndAngle(), SETTINGS)
     assert nothing["pitch"] == ("standstill of 2 s not seen yet", Missing.STANDSTILL)
     assert set(nothing) == {"roll", "pitch", "yaw"}
-    few = waiting_for(Knowledge(Tilt(UP, 0.9 * DEG, 3), None, False, 3, 1), SETTINGS)
+    few = waiting_for(TiltAndAngle(Tilt(UP, 0.9 * DEG, 3), None, False, 3, 1), SETTINGS)
     assert few == {
         "yaw": (
             "waiting for straight acceleration above 0.8 m/s2 (1 of 3 seen)",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imucald.core.errors import EstimateError
-from imucald.motion.standstill import StaticPresets
+from imucald.motion.standstill import StaticTestSettings
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.yaw import (
     combined_angle,
@@ -27,7 +27,7 @@ from published_drive import mount_error_deg
 
 G = 9.80665
 ANGLE = st.floats(-math.pi, math.pi)
-PLAIN = PublishedSettings(static=StaticPresets(count=50))
+PLAIN = PublishedSettings(static=StaticTestSettings(count=50))
 
 
 def recording(mount: Rotation) -> dict[str, np.ndarray]:

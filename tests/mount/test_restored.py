@@ -14,7 +14,7 @@ from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.restored import HAND_OVER_RATE, Phase, RestoredEstimator, StoredMount
-from imucald.mount.saved_information import KeptEvidence
+from imucald.mount.saved_information import SavedInformation
 from imucald.runtime.estimators import estimator_for
 from published_drive import Drive
 from simulated_bus import drive, loaded
@@ -162,20 +162,20 @@ class Keeping(Scripted):
         self.contradiction: float | None = None
         self.calls: list[str] = []
 
-    def kept_evidence(self) -> KeptEvidence | None:
+    def saved_information(self) -> SavedInformation | None:
         return KEPT
 
-    def join_evidence(self, kept: KeptEvidence) -> None:
+    def join_information(self, kept: SavedInformation) -> None:
         assert kept is KEPT
         self.contradiction = 0.0
         self.calls.append("joined")
 
-    def leave_evidence(self) -> None:
+    def drop_information(self) -> None:
         self.contradiction = None
         self.calls.append("left")
 
 
-KEPT = KeptEvidence(STORED.as_matrix(), False, {})
+KEPT = SavedInformation(STORED.as_matrix(), False, {})
 
 
 def keeping() -> tuple[RestoredEstimator, Keeping]:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
-from imucald.mount.signal_blocks import BEFORE, HOP, KEEP, empty_rows
+from imucald.mount.signal_blocks import BEFORE, BLOCK_TICKS, KEEP, empty_rows
 from imucald.mount.stuck import StuckSpeed
 
 TICKS = 6000
@@ -22,14 +22,14 @@ def true_speed(seed: int = 1) -> NDArray[np.float64]:
 
 
 def flagged(speed: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """What hop after hop is said to be stuck; NaN: no sample in the tick."""
+    """What block after block is said to be stuck; NaN: no sample in the tick."""
     rows = empty_rows(len(speed) + KEEP)
     rows[KEEP:, tk.SPEED] = speed
     rows[KEEP:, tk.SPEED_N] = np.isfinite(speed)
     watch, out = StuckSpeed(), np.zeros(len(rows), dtype=bool)
-    for first in range(0, len(rows) - KEEP - HOP + 1, HOP):
-        flags = watch.flags(rows[first : first + KEEP + HOP], HOP)
-        out[first + BEFORE : first + BEFORE + HOP] = flags[BEFORE : BEFORE + HOP]
+    for first in range(0, len(rows) - KEEP - BLOCK_TICKS + 1, BLOCK_TICKS):
+        flags = watch.flags(rows[first : first + KEEP + BLOCK_TICKS], BLOCK_TICKS)
+        out[first + BEFORE : first + BEFORE + BLOCK_TICKS] = flags[BEFORE : BEFORE + BLOCK_TICKS]
     return out[KEEP:]
 
 

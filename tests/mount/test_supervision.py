@@ -11,22 +11,22 @@ from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.shift import NO_STEPS, UNEVEN_STD, Flow, largest_change
-from imucald.mount.supervision import SLACK, Knowledge, Manoeuvres, judged, waiting_for
+from imucald.mount.shift import NO_STEPS, UNEVEN_STD, ScoreSeries, largest_change
+from imucald.mount.supervision import SLACK, Manoeuvres, MountKnowledge, judged, waiting_for
 from imucald.simulation import random_model, simulate
 
 SETTINGS = EstimatorSettings()
 DEG = math.radians(1.0)
 
 
-def known(yaw_deg: float, tilt_deg: float = 0.3, straight: int = 5) -> Knowledge:
+def known(yaw_deg: float, tilt_deg: float = 0.3, straight: int = 5) -> MountKnowledge:
     std = (tilt_deg * DEG, tilt_deg * DEG, yaw_deg * DEG)
-    return Knowledge(gravity=True, std=std, straight=straight, lefts=2, rights=2)
+    return MountKnowledge(gravity=True, std=std, straight=straight, lefts=2, rights=2)
 
 
 def test_states_by_standard_deviation():
     waiting = MountState.WAITING
-    assert judged(Knowledge(), waiting, SETTINGS) == MountState.WAITING
+    assert judged(MountKnowledge(), waiting, SETTINGS) == MountState.WAITING
     assert judged(known(5.0), waiting, SETTINGS) == MountState.LEVELLED
     assert judged(known(0.9), waiting, SETTINGS) == MountState.USABLE
     assert judged(known(0.2), waiting, SETTINGS) == MountState.FINE
@@ -61,16 +61,19 @@ def test_one_reason_per_angle():
 
 def test_the_missing_side_of_turns_is_named():
     base = known(3.0, tilt_deg=1.0)
-    only_right = Knowledge(True, base.std, 5, lefts=0, rights=3)
-    only_left = Knowledge(True, base.std, 5, lefts=3, rights=0)
+    only_right = MountKnowledge(True, base.std, 5, lefts=0, rights=3)
+    only_left = MountKnowledge(True, base.std, 5, lefts=3, rights=0)
     assert waiting_for(only_right, SETTINGS)["roll"] == ("no left turns yet", Missing.LEFT_TURN)
     assert waiting_for(only_left, SETTINGS)["roll"] == ("no right turns yet", Missing.RIGHT_TURN)
 
 
 def test_what_is_absent_comes_first():
-    assert waiting_for(Knowledge(accelerometer=False), SETTINGS)["yaw"][1] == Missing.ACCELEROMETER
-    assert waiting_for(Knowledge(frozen=True), SETTINGS)["roll"][1] == Missing.LEARNING_FROZEN
-    silent = Knowledge(True, (0.001, 0.001, math.inf), speed=False)
+    assert (
+        waiting_for(MountKnowledge(accelerometer=False), SETTINGS)["yaw"][1]
+        == Missing.ACCELEROMETER
+    )
+    assert waiting_for(MountKnowledge(frozen=True), SETTINGS)["roll"][1] == Missing.LEARNING_FROZEN
+    silent = MountKnowledge(True, (0.001, 0.001, math.inf), speed=False)
     assert waiting_for(silent, SETTINGS)["yaw"][1] == Missing.SPEED
 
 
@@ -94,29 +97,31 @@ def test_a_manoeuvre_over_the_edge_of_two_hops_counts_once():
     assert driven.straight == 1
 
 
-def flow(kind: str, values: np.ndarray, std: float) -> Flow:
+def flow(kind: str, values: np.ndarray, std: float) -> ScoreSeries:
     information = np.full(len(values), 1.0 / std**2)
-    return Flow(kind, information * values, information)
+    return ScoreSeries(kind, information * values, information)
 
 
-def drawn(seed: int, std: float = 0.4 * DEG, n: int = 40) -> list[Flow]:
+def drawn(seed: int, std: float = 0.4 * DEG, n: int = 40) -> list[ScoreSeries]:
     """All sources, without a shift."""
     rng = np.random.default_rng(seed)
     return [flow(kind, std * rng.standard_normal(n), std) for kind in UNEVEN_STD]
 
 
-def with_change(flows: list[Flow], changes: dict[str, float], pieces: int) -> list[Flow]:
-    """The same with a change of some sources [rad] in the last pieces."""
+def with_change(
+    series: list[ScoreSeries], changes: dict[str, float], segments: int
+) -> list[ScoreSeries]:
+    """The same with a change of some sources [rad] in the last segments."""
     out = []
-    for f in flows:
+    for f in series:
         score = f.score.copy()
-        score[-pieces:] += f.information[-pieces:] * changes.get(f.kind, 0.0)
-        out.append(Flow(f.kind, score, f.information))
+        score[-segments:] += f.information[-segments:] * changes.get(f.kind, 0.0)
+        out.append(ScoreSeries(f.kind, score, f.information))
     return out
 
 
-def excess(flows: list[Flow], steps: np.ndarray = NO_STEPS) -> float:
-    change = largest_change(flows, steps=steps)
+def excess(series: list[ScoreSeries], steps: np.ndarray = NO_STEPS) -> float:
+    change = largest_change(series, steps=steps)
     assert change is not None
     return change.excess
 
@@ -129,19 +134,19 @@ def test_a_change_is_found_on_its_axis_with_its_size(angle, degrees):
     assert change.excess > 1.0
     assert change.axis == ("roll", "pitch", "yaw").index(angle)
     assert change.size == pytest.approx(degrees * DEG, rel=0.3)
-    assert 4 <= change.pieces <= 8
+    assert 4 <= change.segments <= 8
 
 
 @pytest.mark.parametrize(("angle", "axis"), [("roll", 0), ("pitch", 1)])
 def test_on_rough_roads_a_change_has_to_be_larger(angle, axis):
     changes = {kind: 1.6 * DEG for kind in UNEVEN_STD if kind.startswith(angle)}
-    flows = with_change(drawn(1), changes, 6)
-    rough = largest_change(flows, (axis,), unevenness=(3.0, 3.0))
-    usual, other = largest_change(flows, (axis,)), (3.0, 1.0) if axis else (1.0, 3.0)
+    series = with_change(drawn(1), changes, 6)
+    rough = largest_change(series, (axis,), unevenness=(3.0, 3.0))
+    usual, other = largest_change(series, (axis,)), (3.0, 1.0) if axis else (1.0, 3.0)
     assert rough is not None
     assert usual is not None
     assert rough.excess < 0.8 * usual.excess
-    assert largest_change(flows, (axis,), unevenness=other) == usual
+    assert largest_change(series, (axis,), unevenness=other) == usual
 
 
 def test_noise_alone_is_no_shift():
@@ -170,11 +175,11 @@ def test_sources_of_yaw_that_contradict_one_another_show_no_shift():
 
 def test_a_large_change_of_yaw_in_one_source_is_a_shift_after_all():
     """On a straight road nothing else speaks."""
-    flows = with_change(drawn(4), {"yaw_dvdt": 3.0 * DEG}, 6)
-    for f in flows:
+    series = with_change(drawn(4), {"yaw_dvdt": 3.0 * DEG}, 6)
+    for f in series:
         if f.kind == "yaw_turn":
             f.score[-6:] = f.information[-6:] = 0.0
-    assert excess(flows) > 1.0
+    assert excess(series) > 1.0
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -182,15 +187,15 @@ def test_a_step_in_gravity_of_the_same_sign_speaks_for_a_change_of_roll_or_pitch
     """What is too small for a shift is one with a step, but not with one the other way."""
     angle = ("roll", "pitch")[axis]
     changes = {kind: 1.0 * DEG for kind in UNEVEN_STD if kind.startswith(angle)}
-    flows = with_change([f for f in drawn(5) if f.axis == axis], changes, 6)
+    series = with_change([f for f in drawn(5) if f.axis == axis], changes, 6)
     steps = {sign: NO_STEPS.copy() for sign in (1, -1)}
     steps[1][:, axis, 0] = 5.0
     steps[-1][:, axis, 1] = -5.0
-    assert 0.3 < excess(flows) < 1.0
-    assert excess(flows, steps[1]) > 1.0
-    assert excess(flows, steps[-1]) == excess(flows)
+    assert 0.3 < excess(series) < 1.0
+    assert excess(series, steps[1]) > 1.0
+    assert excess(series, steps[-1]) == excess(series)
     steps[1] = np.roll(steps[1], 1, axis=1)
-    assert excess(flows, steps[1]) == excess(flows), "a step about the other axis"
+    assert excess(series, steps[1]) == excess(series), "a step about the other axis"
 
 
 def test_a_step_in_gravity_alone_is_no_change():

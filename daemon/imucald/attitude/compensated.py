@@ -11,8 +11,9 @@ from collections.abc import Sequence
 
 from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
-from imucald.attitude.right_forward_up import Vector, text_from_vehicle, vehicle_from_text
+from imucald.attitude.right_forward_up import text_from_vehicle, vehicle_from_text
 from imucald.attitude.settings import AttitudeSettings
+from imucald.core.rotations import Vector
 
 NAN = math.nan
 _NOTHING: Vector = (NAN, NAN, NAN)

@@ -6,7 +6,7 @@ import enum
 import math
 from dataclasses import dataclass
 
-from imucald.attitude.right_forward_up import Vector
+from imucald.core.rotations import Vector
 
 SETTLED_STD = math.radians(1.5)
 """Tilt is published as settled below this [rad]."""

@@ -22,20 +22,24 @@ from imucald.attitude.propagation import Propagator
 from imucald.attitude.right_forward_up import (
     IDENTITY,
     Quaternion,
-    Rows,
-    Vector,
     from_vector,
     product,
     rows,
     text_from_vehicle,
-    times,
-    transposed_times,
     vehicle_angles,
     vehicle_from_text,
 )
 from imucald.attitude.sensor_check import rest_errors
 from imucald.attitude.settings import AttitudeSettings
-from imucald.core.rotations import levelling_rotation, quaternion_from_rotation
+from imucald.core.rotations import (
+    Rows,
+    Vector,
+    levelling_rotation,
+    matrix_times,
+    quaternion_from_rotation,
+    times,
+    transposed_times,
+)
 from imucald.core.samples import GRAVITY
 
 START_REST_STD = math.radians(10.0)
@@ -140,8 +144,8 @@ class AttitudeFilter:
         D_new_from_old = A @ after @ before.T @ A.T
         self._propagator.turn_body(quaternion_from_rotation(D_new_from_old.T))
         self.kalman.turn_body(D_new_from_old)
-        self.constant_bias = _times(D_new_from_old, self.constant_bias)
-        self.constant_accel_error = _times(D_new_from_old, self.constant_accel_error)
+        self.constant_bias = matrix_times(D_new_from_old, self.constant_bias)
+        self.constant_accel_error = matrix_times(D_new_from_old, self.constant_accel_error)
 
     def check_again(self) -> None:
         """Repeat the sensor check at the next rest that is long enough."""
@@ -301,8 +305,3 @@ class AttitudeFilter:
         self.constant_accel_error = (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2])
         self.kalman.forget_bias(s.gyro_random)
         self.checked = True
-
-
-def _times(D: np.ndarray[tuple[int, ...], np.dtype[np.float64]], v: Vector) -> Vector:
-    x, y, z = (float(c) for c in D @ np.array(v))
-    return x, y, z

@@ -14,8 +14,8 @@ import math
 from typing import NamedTuple
 
 from imucald.attitude.propagation import Moment
-from imucald.attitude.right_forward_up import Vector
 from imucald.attitude.settings import CompensationSettings
+from imucald.core.rotations import Vector
 
 LEAST_LEVEL = 0.5
 """Cosine of the steepest slope that a horizontal speed is turned to."""

@@ -20,8 +20,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.attitude.right_forward_up import Rows, Vector
 from imucald.attitude.settings import FilterSettings
+from imucald.core.rotations import Rows, Vector, matrix_times
 
 Array = NDArray[np.float64]
 
@@ -120,8 +120,8 @@ class NineStateFilter:
         T[3:6, 3:6] = T[6:9, 6:9] = D
         P = T @ self.P @ T.T
         self.P = 0.5 * (P + P.T)
-        self.bias = _turned(D, self.bias)
-        self.accel_error = _turned(D, self.accel_error)
+        self.bias = matrix_times(D, self.bias)
+        self.accel_error = matrix_times(D, self.accel_error)
 
     def forget_bias(self, std: float) -> None:
         """The constant part has been measured anew: the random part is small again."""
@@ -141,8 +141,3 @@ class NineStateFilter:
             k = 1.0 / math.sqrt(excess)  # a congruence: P stays a covariance
             self.P[2, :] *= k
             self.P[:, 2] *= k
-
-
-def _turned(D: Array, v: Vector) -> Vector:
-    x, y, z = (float(c) for c in D @ np.array(v))
-    return x, y, z

@@ -12,14 +12,8 @@ import numpy as np
 
 from imucald.attitude.interval import Interval
 from imucald.attitude.kalman import STATES, Measurement
-from imucald.attitude.right_forward_up import (
-    Rows,
-    Vector,
-    times,
-    transposed_times,
-    vehicle_angles,
-    wrapped,
-)
+from imucald.attitude.right_forward_up import vehicle_angles, wrapped
+from imucald.core.rotations import Rows, Vector, times, transposed_times
 from imucald.core.samples import GRAVITY
 
 LEAST_UP = 0.3 * GRAVITY

@@ -28,8 +28,9 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from imucald.attitude.right_forward_up import Vector, cross, text_from_vehicle
+from imucald.attitude.right_forward_up import cross, text_from_vehicle
 from imucald.attitude.settings import CompensationSettings
+from imucald.core.rotations import Vector
 from imucald.core.samples import GRAVITY
 
 ROAD_TIME = 3.0

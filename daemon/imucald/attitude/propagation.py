@@ -12,17 +12,8 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from imucald.attitude.right_forward_up import (
-    IDENTITY,
-    Quaternion,
-    Rows,
-    Vector,
-    cross,
-    product,
-    rotated,
-    rows,
-    times,
-)
+from imucald.attitude.right_forward_up import IDENTITY, Quaternion, cross, product, rotated, rows
+from imucald.core.rotations import Rows, Vector, times
 
 HISTORY_S = 8.0
 """How far back intervals can be looked at [s]: an interval, its lateness, and a slow speed."""

@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import math
 
-Vector = tuple[float, float, float]
+from imucald.core.rotations import Rows, Vector
+
 Quaternion = tuple[float, float, float, float]
 """w, x, y, z."""
-Rows = tuple[float, float, float, float, float, float, float, float, float]
-"""A 3 x 3 matrix, row by row."""
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 TWO_PI = 2.0 * math.pi
@@ -89,20 +88,6 @@ def rows(q: Quaternion) -> Rows:
         2.0 * (xy + wz), 1.0 - 2.0 * (xx + zz), 2.0 * (yz - wx),
         2.0 * (xz - wy), 2.0 * (yz + wx), 1.0 - 2.0 * (xx + yy),
     )  # fmt: skip
-
-
-def times(m: Rows, v: Vector) -> Vector:
-    """Matrix times vector."""
-    a, b, c, d, e, f, g, h, i = m
-    x, y, z = v
-    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-
-
-def transposed_times(m: Rows, v: Vector) -> Vector:
-    """Transposed matrix times vector."""
-    a, b, c, d, e, f, g, h, i = m
-    x, y, z = v
-    return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
 
 
 def cross(a: Vector, b: Vector) -> Vector:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from imucald.attitude.right_forward_up import Vector
 from imucald.core.errors import EstimateError
+from imucald.core.rotations import Vector
 from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from imucald.attitude.right_forward_up import Vector
+from imucald.core.rotations import Vector
 
 _DEG = math.pi / 180.0
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.inputs.quantities import REASONS, Conversion
-from imucald.inputs.routes import Columns, Physical, Raw, Route, Tap
+from imucald.inputs.routes import Columns, Physical, Raw, SignalRoute, Tap
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ class SignalStatistics:
 
     def add(self, raw: NDArray[np.generic], physical: Array) -> None:
         """Take raw and physical values (N,)."""
-        values, codes = self.conversion.columns(raw, physical)
+        values, codes = self.conversion.array(raw, physical)
         good = codes == 0
         self.physical.add(physical[good])
         self.si.add(values[good])
@@ -83,7 +83,7 @@ class SignalStatistics:
 class Probe:
     """A route that keeps figures of what passes through it (columns only)."""
 
-    def __init__(self, route: Route) -> None:
+    def __init__(self, route: SignalRoute) -> None:
         self.route = route
         self.frames = 0
         """Frames of this kind, good or not."""

@@ -190,7 +190,7 @@ def _numbers(option: str, text: str, count: int) -> list[float]:
 
 
 def _change(text: str) -> tuple[str, Any]:
-    from imucald.config import read_yaml
+    from imucald.core.yaml_lines import read_yaml
 
     key, equals, value = text.partition("=")
     if not equals:

@@ -24,8 +24,9 @@ from imucald.compensation.terms import (
     Vector3,
     inverse_gain,
 )
-from imucald.config.yaml_lines import MAX_FILE_BYTES, Marks, dotted, line_of, read_yaml
 from imucald.core.errors import ConfigError
+from imucald.core.locations import Marks, dotted, line_of
+from imucald.core.yaml_lines import MAX_FILE_BYTES, read_yaml
 
 LARGEST = {"bias": 20.0, "bias_temperature": 1.0, "g_sensitivity": 1.0, "hard_iron_t": 0.01}
 """Beyond any sensor that is worth correcting, in the unit of the key."""

@@ -12,14 +12,13 @@ from collections.abc import Sequence
 
 from imucald.compensation.held_repeats import Repeats
 from imucald.compensation.suspension import Leaning
-from imucald.compensation.terms import Vector3
 from imucald.compensation.time_alignment import Retiming
 from imucald.compensation.vehicle import less_lean_rate, on_road
+from imucald.core.rotations import times, transposed_times
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
 from imucald.mount.stuck import SAME
-from imucald.runtime.output.output_columns import rotated
 
 _FORCES = slice(tk.ACCEL_X, tk.ACCEL_Z + 1)
 _RATES = slice(tk.GYRO_X, tk.GYRO_Z + 1)
@@ -73,16 +72,16 @@ class EvidenceStage:
             return row
         out = list(row)
         if row[tk.ACCEL_N]:
-            force = _turned(correction, row[_FORCES])
+            force = times(correction, row[_FORCES])
             lean = leaning.push(row[tk.T], force[0], force[1])
-            out[_FORCES] = _back(correction, on_road(lean, *force))
+            out[_FORCES] = transposed_times(correction, on_road(lean, *force))
         roll, pitch = leaning.lean[:2]
         if row[tk.GYRO_N]:
             before = self._taken or (roll, pitch)
             change = (roll - before[0]) / TICK_S, (pitch - before[1]) / TICK_S
             lean = roll, pitch, *change
-            rate = less_lean_rate(lean, *_turned(correction, row[_RATES]))
-            out[_RATES] = _back(correction, on_road(lean, *rate))
+            rate = less_lean_rate(lean, *times(correction, row[_RATES]))
+            out[_RATES] = transposed_times(correction, on_road(lean, *rate))
         self._taken = (roll, pitch) if row[tk.GYRO_N] else None
         return out
 
@@ -95,12 +94,3 @@ class EvidenceStage:
                 known = repeats.known(row[axes])
                 out[axes] = (repeats.result if known else repeats.keep(row[axes], (x, y, z))) or ()
         return out
-
-
-def _turned(correction: Correction, v: Sequence[float]) -> Vector3:
-    return rotated(correction, v) or (0.0, 0.0, 0.0)
-
-
-def _back(correction: Correction, v: Vector3) -> Vector3:
-    a, b, c, d, e, f, g, h, i = correction
-    return _turned((a, d, g, b, e, h, c, f, i), v)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms, Vector3
+from imucald.core.rotations import times, times_columns
 
 Array = NDArray[np.float64]
 
@@ -47,8 +48,7 @@ class TriadCompensator:
         y -= q
         z -= r
         if self._mixes:
-            a, b, c, d, e, f, g, h, i = self.terms.inverse
-            x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+            x, y, z = times(self.terms.inverse, (x, y, z))
         limit = self._limit
         if -limit <= x <= limit and -limit <= y <= limit and -limit <= z <= limit:
             return x, y, z
@@ -67,11 +67,9 @@ class TriadCompensator:
             warmth = (degc - REFERENCE_DEGC)[:, None]
             own = np.array([self.terms.bias]) + warmth * np.array([self.terms.bias_temperature])
             bias = np.concatenate([bias, own])[before]
-        x, y, z = (v[:, i] - bias[:, i] for i in range(3))
+        values = v - bias
         if self._mixes:
-            a, b, c, d, e, f, g, h, i = self.terms.inverse
-            x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-        values = np.stack([x, y, z], axis=1)
+            values = times_columns(np.array([self.terms.inverse]), values)
         # not "larger than": NaN must be refused as well
         refused = ~(np.abs(values).max(axis=1) <= self._limit) if len(v) else np.zeros(0, bool)
         if self._rails:

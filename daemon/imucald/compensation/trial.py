@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from imucald.compensation.compensation import Compensation
 from imucald.compensation.vehicle import Corrected
+from imucald.core.rotations import times_columns
 from imucald.core.samples import Samples, Series
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.runtime.output.output_columns import rotated_columns
 from imucald.runtime.pipeline import Pipeline, Snapshot
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def corrected_drive(
         samples = compensation.samples(samples)
         settings = compensation.full_settings(settings)
         evidence = compensation.evidence_stage()
-    pipeline = Pipeline(FullEstimator(settings), evidence=evidence)
+    pipeline = Pipeline(FullEstimator(settings), preprocessor=evidence)
     t_last = max((float(s.t[-1]) for s in samples.values() if len(s.t)), default=0.0)
     corrections, snapshots = pipeline.run(samples, {}, t_last)
 
@@ -88,7 +88,7 @@ def _corrected(
 ) -> tuple[Series | None, Series | None]:
     """Corrected accelerometer and gyroscope; rotations: times (N,) -> (N, 9)."""
     turned = {
-        channel: Corrected(series.t, series.t, rotated_columns(rotations(series.t), series.values))
+        channel: Corrected(series.t, series.t, times_columns(rotations(series.t), series.values))
         for channel, series in samples.items()
         if channel in TRIADS
     }

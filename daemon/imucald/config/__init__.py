@@ -21,11 +21,9 @@ from imucald.config.network import (
 )
 from imucald.config.root import Config, LoadedConfig, json_schema, load_config, parse_config
 from imucald.config.signals import ParallelSensor, RawSource, Signals, Source, Triad, Wheels
-from imucald.config.yaml_lines import MAX_FILE_BYTES, Marks, read_yaml
 
 __all__ = [
     "EXTENDED_ID_MAX",
-    "MAX_FILE_BYTES",
     "STANDARD_ID_MAX",
     "Bus",
     "Calibration",
@@ -34,7 +32,6 @@ __all__ = [
     "Counter",
     "Database",
     "LoadedConfig",
-    "Marks",
     "MessageProtection",
     "Output",
     "OutputIds",
@@ -48,5 +45,4 @@ __all__ = [
     "json_schema",
     "load_config",
     "parse_config",
-    "read_yaml",
 ]

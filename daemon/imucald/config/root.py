@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -22,16 +23,12 @@ from imucald.config.network import (
 from imucald.config.shorthand import spelled_out
 from imucald.config.signals import Signals
 from imucald.config.uds import Diagnostics
-from imucald.config.yaml_lines import (
-    MAX_FILE_BYTES,
-    Marks,
-    Place,
-    dotted,
-    infinite_places,
-    line_of,
-    read_yaml,
-)
 from imucald.core.errors import ConfigError
+from imucald.core.locations import Marks, Place, located
+from imucald.core.typed import typed
+from imucald.core.yaml_lines import read_yaml, read_yaml_file
+
+_WHOLE = "configuration"
 
 
 class Config(Model, frozen=True, kw_only=True):
@@ -86,8 +83,7 @@ class LoadedConfig:
         for part in place:  # a single source may stand where a list of them is meant
             if not isinstance(part, int) or (*written, part) in self._marks:
                 written = (*written, part)
-        name = str(self.path) if self.path is not None else "<config>"
-        return ConfigError(f"{name}:{line_of(self._marks, written)}: {dotted(written)}: {text}")
+        return ConfigError(f"{located(_name(self.path), self._marks, written, _WHOLE)}: {text}")
 
 
 def load_config(path: Path) -> LoadedConfig:
@@ -95,16 +91,8 @@ def load_config(path: Path) -> LoadedConfig:
 
     Raises ConfigError with one line per mistake: file, line, key, reason, remedy.
     """
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise ConfigError(f"{path}: {size} bytes is too long for a configuration")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text: {error.reason}") from None
-    return parse_config(text, path)
+    data, marks = read_yaml_file(path, _WHOLE)
+    return _checked(data, marks, path)
 
 
 def parse_config(text: str, path: Path | None = None) -> LoadedConfig:
@@ -112,25 +100,19 @@ def parse_config(text: str, path: Path | None = None) -> LoadedConfig:
 
     Raises ConfigError as `load_config` does.
     """
-    name = str(path) if path is not None else "<config>"
-    data, marks = read_yaml(text, name)
+    return _checked(*read_yaml(text, _name(path)), path)
+
+
+def _checked(data: Any, marks: Marks, path: Path | None) -> LoadedConfig:
+    name = _name(path)
     if not isinstance(data, dict):
         raise ConfigError(f"{name}:1: a configuration is a mapping with 'database' and 'signals'")
-    infinite = [
-        f"{name}:{line_of(marks, place)}: {dotted(place)}: must be a finite number"
-        for place in infinite_places(data)
-    ]
-    if infinite:
-        raise ConfigError("\n".join(infinite))
-    full = spelled_out(data)
-    try:
-        config = msgspec.convert(full, Config)
-    except (ValueError, OverflowError) as error:  # msgspec.ValidationError is a ValueError
-        from imucald.config.explain import explain  # noqa: PLC0415 - a lighter start without
-
-        lines = list(explain(data, full, Config, marks, name)) or [f"{name}:1: {error}"]
-        raise ConfigError("\n".join(lines)) from None
+    config = typed(data, Config, marks, name, _WHOLE, full=spelled_out(data))
     return LoadedConfig(config, path, marks)
+
+
+def _name(path: Path | None) -> str:
+    return "<config>" if path is None else str(path)
 
 
 def json_schema() -> str:

@@ -1,4 +1,7 @@
-"""SHA-256 from the interpreter's own module: `hashlib` would load all of OpenSSL at each start."""
+"""SHA-256 from the interpreter's own module.
+
+`hashlib` would load OpenSSL: 3.6 MiB of the 50 MiB that a daemon may take, and 3 ms.
+"""
 
 from __future__ import annotations
 

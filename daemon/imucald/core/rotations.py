@@ -11,12 +11,44 @@ its left side up.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Matrix3 = NDArray[np.float64]
 """(3, 3) float64."""
+Vector = tuple[float, float, float]
+Rows = tuple[float, float, float, float, float, float, float, float, float]
+"""A 3 x 3 matrix as plain numbers, row by row: per sample an array costs more than its sums."""
+
+
+def times(m: Rows, v: Sequence[float]) -> Vector:
+    """Matrix times vector (3,)."""
+    a, b, c, d, e, f, g, h, i = m
+    x, y, z = v
+    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+
+def transposed_times(m: Rows, v: Sequence[float]) -> Vector:
+    """Transposed matrix times vector (3,): a rotation the other way."""
+    a, b, c, d, e, f, g, h, i = m
+    x, y, z = v
+    return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+
+
+def times_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrices (N, 9) or (1, 9) times vectors (N, 3); the same bits as `times` row by row."""
+    x, y, z = v[:, 0], v[:, 1], v[:, 2]
+    r = rows.T
+    out = [r[3 * i] * x + r[3 * i + 1] * y + r[3 * i + 2] * z for i in range(3)]
+    return np.stack(out, axis=1)
+
+
+def matrix_times(R: Matrix3, v: Vector) -> Vector:
+    """Matrix (3, 3) times vector, as plain numbers."""
+    x, y, z = (float(c) for c in R @ np.array(v))
+    return x, y, z
 
 
 def rotation_from_angles(roll: float, pitch: float, yaw: float) -> Matrix3:

@@ -16,7 +16,7 @@ from imucald.config import LoadedConfig
 from imucald.core.errors import LogError
 from imucald.core.samples import CHANNEL_WIDTH, Samples, Series
 from imucald.inputs.router import Routed, Router
-from imucald.inputs.routes import MessageRoute, Route
+from imucald.inputs.routes import MessageRoute, SignalRoute
 from imucald.inputs.wiring import compile_router, wanted_numbers
 from imucald.runtime.timebase import Piece, TimeBase
 
@@ -154,7 +154,7 @@ def _refuse_empty(paths: Sequence[Path | str], reader: LogReader, router: Router
         )
 
 
-def _cycles(routes: Sequence[Route], channels: frozenset[str]) -> dict[str, float]:
+def _cycles(routes: Sequence[SignalRoute], channels: frozenset[str]) -> dict[str, float]:
     """Cycle time by channel, of the preferred source."""
     found: dict[str, tuple[int, float]] = {}
     for route in routes:

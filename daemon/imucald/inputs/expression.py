@@ -24,7 +24,7 @@ MAX_BYTE = 63
 """Highest byte of a CAN FD frame."""
 MAX_SHIFT = 40
 """Largest shift [bit]: five bytes, the widest raw field anyone shifts by hand."""
-LARGEST = 2.0**53
+MAX_MAGNITUDE = 2.0**53
 """Largest magnitude of any intermediate value: beyond it float64 columns are not exact."""
 
 _BINARY = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.LShift, ast.RShift, ast.BitAnd, ast.BitOr)
@@ -56,7 +56,7 @@ class Expression:
     def _check(self, node: ast.expr) -> float:
         """Refuse what is not in the language; return a bound on the magnitude of the value."""
         bound = self._bound(node)
-        if bound > LARGEST:
+        if bound > MAX_MAGNITUDE:
             raise ConfigError(f"{ast.unparse(node)!r} can exceed 2^53: columns would not be exact")
         return bound
 

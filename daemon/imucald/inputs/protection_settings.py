@@ -1,4 +1,4 @@
-"""What the configuration says of a message's protection -> its guard."""
+"""What the configuration says of a message's protection -> its checker."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from imucald.can.dbc.database import Message
 from imucald.can.e2e import checksums
 from imucald.can.e2e.protection import (
     CounterSpec,
-    MessageGuard,
+    MessageChecker,
     ProtectionSpec,
     counter_of,
     e2e_counter,
@@ -22,7 +22,7 @@ _COUNTER_BIT = {1: 8, 2: 8, 5: 16, 11: 8}
 """Place of the counter behind the start of each profile's header [bit]."""
 
 
-def guard_for(message: Message, protection: MessageProtection | None) -> MessageGuard:
+def checker_for(message: Message, protection: MessageProtection | None) -> MessageChecker:
     """Guard of a message; without configuration only its length is judged.
 
     The database's cycle time alone brings no time-out: many state one for event-driven messages.
@@ -30,9 +30,9 @@ def guard_for(message: Message, protection: MessageProtection | None) -> Message
     Raises ConfigError (without place) where the configuration does not fit the message.
     """
     if protection is None:
-        return MessageGuard(ProtectionSpec(size=message.length))
+        return MessageChecker(ProtectionSpec(size=message.length))
     checksum, profile = _checksum(message, protection.checksum)
-    return MessageGuard(
+    return MessageChecker(
         ProtectionSpec(
             size=message.length,
             counter=_counter(message, protection, profile),

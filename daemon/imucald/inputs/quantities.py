@@ -54,7 +54,7 @@ class Conversion(Struct, frozen=True):
         """Largest plausible magnitude in SI."""
         return LIMITS[self.unit.dimension]
 
-    def one(self, raw: float | int, physical: float) -> tuple[float, int]:
+    def scalar(self, raw: float | int, physical: float) -> tuple[float, int]:
         """Return (value in SI, code); the value is NaN where the code is not OK."""
         if self.not_available and raw in self.not_available:
             return math.nan, 1
@@ -78,7 +78,7 @@ class Conversion(Struct, frozen=True):
             return 1.0 if physical > self.on_above else 0.0
         return 1.0 if physical != 0.0 else 0.0
 
-    def columns(
+    def array(
         self, raw: NDArray[np.generic], physical: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Values (N,) in SI (NaN where rejected) and codes (N,)."""

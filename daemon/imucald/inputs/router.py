@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.core.samples import CHANNEL_WIDTH, Series
 from imucald.inputs.quantities import REASONS
-from imucald.inputs.routes import Physical, Raw, Route, Tap
-from imucald.inputs.source_selector import Arbiter
-from imucald.inputs.triad_assembler import Assembler, Part, in_row_order
+from imucald.inputs.routes import Physical, Raw, SignalRoute, Tap
+from imucald.inputs.source_selector import SourceSelector
+from imucald.inputs.triad_assembler import TapSamples, TriadAssembler, in_row_order
 
 MAX_KNOWN_IDS = 4096
 """Identifiers remembered by the dispatcher; J1939 sources are few, an attacker's are many."""
@@ -56,7 +56,10 @@ class Router:
     """
 
     def __init__(
-        self, routes: Sequence[Route], derive_speed: bool = False, derive_reverse: bool = False
+        self,
+        routes: Sequence[SignalRoute],
+        derive_speed: bool = False,
+        derive_reverse: bool = False,
     ) -> None:
         self.routes = tuple(routes)
         self.rejected: Counter[str] = Counter()
@@ -65,15 +68,15 @@ class Router:
         """Frames that were accepted."""
         self.sample_counts: Counter[str] = Counter()
         """Accepted samples by channel."""
-        self._known: dict[int, tuple[Route, ...]] = {}
+        self._known: dict[int, tuple[SignalRoute, ...]] = {}
         self._derive_speed = derive_speed
         self._derive_reverse = derive_reverse
         ranks: dict[str, int] = {}
         for tap in self._taps():
             ranks[tap.channel] = max(ranks.get(tap.channel, 0), tap.rank + 1)
-        self._arbiters = {c: Arbiter(n) for c, n in ranks.items() if n > 1}
-        self._assemblers: dict[tuple[str, int], Assembler] = {
-            (tap.channel, tap.rank): Assembler(_width(tap.channel))
+        self._selectors = {c: SourceSelector(n) for c, n in ranks.items() if n > 1}
+        self._assemblers: dict[tuple[str, int], TriadAssembler] = {
+            (tap.channel, tap.rank): TriadAssembler(_width(tap.channel))
             for tap in self._taps()
             if not tap.complete
         }
@@ -119,16 +122,16 @@ class Router:
             accepted += 1
             raw, physical = route.numbers(data)
             found += [(tap, raw, physical) for tap in route.taps]
-        if accepted > 1:  # the preferred source is heard first, whichever route it is on
+        if accepted > 1:  # the preferred source is taken first, whichever route it is on
             found.sort(key=lambda one: one[0].rank)
         self.used += accepted > 0
         self._take(t, found, samples, refused)
-        return samples, [tap.channel for tap in refused if self._hears(t, tap)]
+        return samples, [tap.channel for tap in refused if self._selects(t, tap)]
 
-    def _hears(self, t: float, tap: Tap) -> bool:
+    def _selects(self, t: float, tap: Tap) -> bool:
         """Whether a tap's samples are taken now: nothing is lost by those that would not be."""
-        arbiter = self._arbiters.get(tap.channel)
-        return arbiter is None or arbiter.hears(t, tap.rank)
+        selector = self._selectors.get(tap.channel)
+        return selector is None or selector.selects(t, tap.rank)
 
     def _take(
         self,
@@ -139,7 +142,7 @@ class Router:
     ) -> None:
         for tap, raw, physical in found:
             values: Sequence[float] | None
-            values, code = tap.one(raw, physical)
+            values, code = tap.scalar(raw, physical)
             if code < 0:
                 continue
             if code:
@@ -155,8 +158,8 @@ class Router:
             elif code:
                 refused.append(tap)
                 continue
-            arbiter = self._arbiters.get(tap.channel)
-            if arbiter is not None and not arbiter.accept(t, tap.rank):
+            selector = self._selectors.get(tap.channel)
+            if selector is not None and not selector.accept(t, tap.rank):
                 continue
             self._finish(tap.channel, values, samples)
 
@@ -172,7 +175,7 @@ class Router:
             samples.append(("speed", (0.5 * (b + c),)))
             self.sample_counts["speed"] += 1
 
-    def _routes_of(self, can_id: int) -> tuple[Route, ...]:
+    def _routes_of(self, can_id: int) -> tuple[SignalRoute, ...]:
         routes = self._known.get(can_id)
         if routes is None:
             routes = tuple(
@@ -187,11 +190,11 @@ class Router:
     def columns(self, t: NDArray[np.float64], frames: FrameColumns) -> Routed:
         """Samples of a chunk of frames; t: (N,) stream times of the frames."""
         used = np.zeros(len(frames), dtype=bool)
-        parts: dict[str, list[Part]] = {}
+        parts: dict[str, list[TapSamples]] = {}
         refused: list[tuple[Tap, Rows]] = []
         events: list[Rows] = []
-        for arbiter in self._arbiters.values():
-            arbiter.begin_chunk()
+        for selector in self._selectors.values():
+            selector.begin_chunk()
         for route in self.routes:
             rows = _rows_of(route.match, frames)
             if not len(rows):
@@ -223,26 +226,26 @@ class Router:
         """Rows by channel of what was refused and would have been taken."""
         found: dict[str, list[Rows]] = {}
         for tap, rows in refused:
-            arbiter = self._arbiters.get(tap.channel)
-            if arbiter is not None:
-                rows = rows[arbiter.hears_columns(t[rows], rows, tap.rank)]  # noqa: PLW2901
+            selector = self._selectors.get(tap.channel)
+            if selector is not None:
+                rows = rows[selector.selects_columns(t[rows], rows, tap.rank)]  # noqa: PLW2901
             if len(rows):
                 found.setdefault(tap.channel, []).append(rows)
         return {channel: np.sort(np.concatenate(rows)) for channel, rows in found.items()}
 
     def _take_columns(
         self,
-        route: Route,
+        route: SignalRoute,
         t: NDArray[np.float64],
         rows: Rows,
         frames: FrameColumns,
-        parts: dict[str, list[Part]],
+        parts: dict[str, list[TapSamples]],
         refused: list[tuple[Tap, Rows]],
         events: list[Rows],
     ) -> None:
         columns = route.number_columns(frames)
         for tap in route.taps:
-            values, codes = tap.columns(columns)
+            values, codes = tap.array(columns)
             bad = codes > 0
             if bad.any():
                 events.append(rows[bad])
@@ -251,22 +254,22 @@ class Router:
                 if tap.complete:
                     refused.append((tap, rows[bad]))
             keep = codes == 0 if tap.complete else codes >= 0
-            part = Part(tap, t[rows], rows, values, codes)
+            part = TapSamples(tap, t[rows], rows, values, codes)
             if not keep.all():
                 part = part.take(keep)
             parts.setdefault(tap.channel, []).append(part)
 
-    def _joined(self, channel: str, found: list[Part]) -> ColumnSamples:
+    def _joined(self, channel: str, found: list[TapSamples]) -> ColumnSamples:
         """Whole samples of a channel, by preference; parts of triads are left to `_assemble`."""
         whole = sorted((p for p in found if p.tap.complete), key=lambda p: p.tap.rank)
-        arbiter = self._arbiters.get(channel)
-        if arbiter is not None and not any(not p.tap.complete for p in found):
-            by_rank: dict[int, Part] = {}
+        selector = self._selectors.get(channel)
+        if selector is not None and not any(not p.tap.complete for p in found):
+            by_rank: dict[int, TapSamples] = {}
             for part in whole:
                 known = by_rank.get(part.tap.rank)
                 by_rank[part.tap.rank] = part if known is None else known.merged(part)
             whole = [
-                part.take(arbiter.accept_columns(part.t, part.row, rank))
+                part.take(selector.accept_columns(part.t, part.row, rank))
                 for rank, part in sorted(by_rank.items())
             ]
         if len(whole) == 1:
@@ -283,7 +286,7 @@ class Router:
 
     def _assemble(
         self,
-        parts: Mapping[str, list[Part]],
+        parts: Mapping[str, list[TapSamples]],
         samples: dict[str, ColumnSamples],
         refused: list[tuple[Tap, Rows]],
     ) -> None:
@@ -291,7 +294,7 @@ class Router:
         for channel, found in parts.items():
             if all(p.tap.complete for p in found):
                 continue
-            arbiter = self._arbiters.get(channel)
+            selector = self._selectors.get(channel)
             t_out: list[float] = []
             rows_out: list[int] = []
             values_out: list[Sequence[float]] = []
@@ -305,7 +308,7 @@ class Router:
                         refused.append((tap, np.array([row], dtype=np.int64)))
                     if values is None:
                         continue
-                if arbiter is not None and not arbiter.accept_row(t, row, tap.rank):
+                if selector is not None and not selector.accept_row(t, row, tap.rank):
                     continue
                 t_out.append(t)
                 rows_out.append(row)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.dbc.decode import DecodePlan
-from imucald.can.e2e.protection import REASONS, MessageGuard
+from imucald.can.e2e.protection import REASONS, MessageChecker
 from imucald.core.samples import GRAVITY
 from imucald.inputs.expression import Expression
 from imucald.inputs.quantities import Conversion
@@ -50,14 +50,14 @@ class Tap(Struct, frozen=True):
     complete: bool
     planar: bool = False
 
-    def one(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
+    def scalar(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
         """Values in SI and code (see `quantities.REASONS`) from the numbers of one frame."""
         values = []
         for component in self.components:
             number = physical[component.index]
             if number is None:
                 return (), ABSENT
-            value, code = component.conversion.one(raw[component.index] or 0, number)
+            value, code = component.conversion.scalar(raw[component.index] or 0, number)
             if code:
                 return (), code
             values.append(value)
@@ -65,14 +65,14 @@ class Tap(Struct, frozen=True):
             values.append(PLANAR_Z)
         return values, 0
 
-    def columns(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
+    def array(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
         """Values (N,) or (N, k) in SI and codes (N,); the first fault of a row counts."""
         n = len(columns[self.components[0].index][1])
         codes = np.zeros(n, dtype=np.int8)
         values = np.empty((n, len(self.components) + self.planar))
         for i, component in enumerate(self.components):
             raw, physical, present = columns[component.index]
-            values[:, i], found = component.conversion.columns(raw, physical)
+            values[:, i], found = component.conversion.array(raw, physical)
             if present is not None:
                 found = np.where(present, found, ABSENT)
             if found.any():
@@ -82,7 +82,7 @@ class Tap(Struct, frozen=True):
         return (values[:, 0] if values.shape[1] == 1 else values), codes
 
 
-class Route(Protocol):
+class SignalRoute(Protocol):
     """How frames of one kind become numbers."""
 
     @property
@@ -115,16 +115,16 @@ class Route(Protocol):
 class MessageRoute:
     """Frames that a database describes."""
 
-    def __init__(self, plan: DecodePlan, guard: MessageGuard, taps: Sequence[Tap]) -> None:
+    def __init__(self, plan: DecodePlan, checker: MessageChecker, taps: Sequence[Tap]) -> None:
         self.name = plan.message.name
         self.match = plan.id_match
         self.plan = plan
-        self.guard = guard
+        self.checker = checker
         self.taps = tuple(sorted(taps, key=lambda tap: tap.rank))
 
     def check(self, t: float, data: bytes) -> str | None:
         """Length, checksum, counter, time-out."""
-        return self.guard.check(t, data) or ""
+        return self.checker.check(t, data) or ""
 
     def numbers(self, data: bytes) -> tuple[Raw, Physical]:
         """Decode one frame."""
@@ -135,7 +135,7 @@ class MessageRoute:
         self, t: NDArray[np.float64], frames: FrameColumns
     ) -> tuple[NDArray[np.bool_], Mapping[str, NDArray[np.int64]]]:
         """`check` on columns."""
-        codes = self.guard.check_columns(t, frames.data, frames.length)
+        codes = self.checker.check_columns(t, frames.data, frames.length)
         ok = codes == 0
         if ok.all():
             return ok, {}

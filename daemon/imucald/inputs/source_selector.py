@@ -1,4 +1,4 @@
-"""Of several sources of one quantity, the first that is alive is heard."""
+"""Of several sources of one quantity, the first that is alive is selected."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 SOURCE_HOLD = 1.5
-"""A less preferred source is heard when the preferred ones were silent this long [s]: longer than
-the cycle of any vehicle speed, shorter than a manoeuvre."""
+"""A less preferred source is selected when the preferred ones were silent this long [s]: longer
+than the cycle of any vehicle speed, shorter than a manoeuvre."""
 
 Times = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 
-class Arbiter:
-    """Hears `n` sources by preference: rank 0 first. A source is silent without good samples.
+class SourceSelector:
+    """Selects among `n` sources by preference: rank 0 first. One without good samples is silent.
 
-    Single samples are told by `accept`. In a chunk of columns the order of all samples is that of
+    Single samples go through `accept`. In a chunk of columns the order of all samples is that of
     their rows, and of ranks within one: `begin_chunk`, then each rank's samples, better ones
     first (`accept_columns`), or all of them in that order (`accept_row`).
     """
@@ -29,12 +29,12 @@ class Arbiter:
         self._chunk: list[list[tuple[Times, Rows]]] = [[] for _ in range(n)]
 
     def accept(self, t: float, rank: int) -> bool:
-        """Take note of a sample at t [s]; whether it is heard."""
+        """Take note of a sample at t [s]; whether its source is selected."""
         self._last[rank] = t
-        return self.hears(t, rank)
+        return self.selects(t, rank)
 
-    def hears(self, t: float, rank: int) -> bool:
-        """Whether this source would be heard at t [s]."""
+    def selects(self, t: float, rank: int) -> bool:
+        """Whether this source would be selected at t [s]."""
         return all(t - self._last[better] > SOURCE_HOLD for better in range(rank))
 
     def begin_chunk(self) -> None:
@@ -52,14 +52,14 @@ class Arbiter:
         if len(t):
             self._chunk[rank].append((t, row))
             self._last[rank] = float(t[-1])
-        return self.hears_columns(t, row, rank)
+        return self.selects_columns(t, row, rank)
 
-    def hears_columns(self, t: Times, row: Rows, rank: int) -> NDArray[np.bool_]:
-        """`hears` at times (N,) and rows of the chunk, once it is whole."""
-        heard = np.ones(len(t), dtype=bool)
+    def selects_columns(self, t: Times, row: Rows, rank: int) -> NDArray[np.bool_]:
+        """`selects` at times (N,) and rows of the chunk, once it is whole."""
+        selected = np.ones(len(t), dtype=bool)
         for better in range(rank):
-            heard &= t - self._last_at(better, row) > SOURCE_HOLD
-        return heard
+            selected &= t - self._last_at(better, row) > SOURCE_HOLD
+        return selected
 
     def _last_at(self, rank: int, row: Rows) -> Times:
         """Time of the source's last sample up to each row (N,)."""

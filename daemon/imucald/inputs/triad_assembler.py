@@ -1,4 +1,4 @@
-"""What a tap gave on a chunk, and triads put together from several frames."""
+"""Samples of one tap on a chunk, and triads put together from several frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_SKEW = 0.1
 """Parts of a triad from different frames belong together within this [s]: one tick."""
 
 
-class Part(Struct, frozen=True, eq=False):
+class TapSamples(Struct, frozen=True, eq=False):
     """What one tap gave on a chunk: times, rows, values (N, k) or (N,), codes."""
 
     tap: Tap
@@ -24,15 +24,17 @@ class Part(Struct, frozen=True, eq=False):
     values: NDArray[np.float64]
     codes: NDArray[np.int8]
 
-    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> Part:
+    def take(self, keep: NDArray[np.bool_] | NDArray[np.intp]) -> TapSamples:
         """Return the chosen rows."""
-        return Part(self.tap, self.t[keep], self.row[keep], self.values[keep], self.codes[keep])
+        return TapSamples(
+            self.tap, self.t[keep], self.row[keep], self.values[keep], self.codes[keep]
+        )
 
-    def merged(self, other: Part) -> Part:
+    def merged(self, other: TapSamples) -> TapSamples:
         """Return both, in the order of rows; at equal rows this one comes first."""
         row = np.concatenate([self.row, other.row])
         order = np.argsort(row, kind="stable")
-        return Part(
+        return TapSamples(
             self.tap,
             np.concatenate([self.t, other.t])[order],
             row[order],
@@ -41,8 +43,8 @@ class Part(Struct, frozen=True, eq=False):
         )
 
 
-class Assembler:
-    """Puts a triad together whose axes come in different frames."""
+class TriadAssembler:
+    """Puts one sample (a triad, four wheel speeds) together from values of several frames."""
 
     def __init__(self, width: int) -> None:
         self._values: list[float | None] = [None] * width
@@ -51,7 +53,7 @@ class Assembler:
     def add(
         self, t: float, slots: Sequence[int], values: Sequence[float] | None
     ) -> tuple[Sequence[float] | None, bool]:
-        """Return (the whole triad or None, whether a sample was spoilt by a rejected part)."""
+        """Return (the whole triad or None, whether a rejected part made a sample invalid)."""
         if values is None:
             self._values = [None] * len(self._values)
             return None, True
@@ -69,7 +71,7 @@ class Assembler:
 
 
 def in_row_order(
-    found: Iterable[Part],
+    found: Iterable[TapSamples],
 ) -> list[tuple[int, Tap, float, Sequence[float], int]]:
     """Row, tap, time, values and code of every sample, in the order of rows, then of ranks."""
     events: list[tuple[int, Tap, float, Sequence[float], int]] = []

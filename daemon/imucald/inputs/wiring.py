@@ -12,14 +12,14 @@ from imucald import config as cfg
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
 from imucald.can.dbc.database import Database, Message, Signal, load_database
 from imucald.can.dbc.decode import compile_decode
-from imucald.can.dbc.scaling import raw_limits
+from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
 from imucald.inputs.expression import Expression
-from imucald.inputs.protection_settings import guard_for
+from imucald.inputs.protection_settings import checker_for
 from imucald.inputs.quantities import Conversion
 from imucald.inputs.router import Router
-from imucald.inputs.routes import Component, MessageRoute, RawRoute, Route, Tap
+from imucald.inputs.routes import Component, MessageRoute, RawRoute, SignalRoute, Tap
 from imucald.inputs.units import Unit, find_unit, unit_names
 
 Place = tuple[str | int, ...]
@@ -69,7 +69,7 @@ class Wanted(Struct, frozen=True):
     place: Place
 
 
-class Loaded(Struct):
+class LoadedDatabase(Struct):
     """A database of the configuration, read."""
 
     entry: cfg.Database
@@ -78,7 +78,7 @@ class Loaded(Struct):
 
 
 @dataclass
-class _Group:
+class _MessageSignals:
     """What is asked of one message."""
 
     message: Message
@@ -122,7 +122,7 @@ def _axes(
             yield Wanted(channel, dimension, rank, slot, 3, planar, source, here)
 
 
-def load_databases(loaded: LoadedConfig) -> list[Loaded]:
+def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
     """Read the configuration's databases; ConfigError at its line where one cannot be read."""
     found = []
     for i, entry in enumerate(loaded.config.database):
@@ -131,7 +131,7 @@ def load_databases(loaded: LoadedConfig) -> list[Loaded]:
             database = load_database([loaded.database_path(entry)])
         except DatabaseError as error:
             raise loaded.error(place, str(error)) from None
-        found.append(Loaded(entry, database, place))
+        found.append(LoadedDatabase(entry, database, place))
     return found
 
 
@@ -141,8 +141,8 @@ def compile_router(loaded: LoadedConfig) -> Router:
     Raises ConfigError, with line and remedy, where a message, a signal or a unit does not fit.
     """
     databases = load_databases(loaded)
-    groups: dict[tuple[str, str | None], _Group] = {}
-    routes: list[Route] = []
+    groups: dict[tuple[str, str | None], _MessageSignals] = {}
+    routes: list[SignalRoute] = []
     for wanted in wanted_numbers(loaded.config.signals):
         if wanted.source.raw is not None:
             routes.append(_raw_route(loaded, wanted, wanted.source.raw))
@@ -159,7 +159,7 @@ def compile_router(loaded: LoadedConfig) -> Router:
     )
 
 
-def _signed_speed(groups: Iterable[_Group]) -> bool:
+def _signed_speed(groups: Iterable[_MessageSignals]) -> bool:
     """Whether a speed signal can be negative: reverse is then read from its sign."""
     return any(
         w.channel == "speed" and g.message.signal(g.names[i]).is_signed
@@ -170,14 +170,16 @@ def _signed_speed(groups: Iterable[_Group]) -> bool:
 
 def _add_signal(
     loaded: LoadedConfig,
-    databases: Sequence[Loaded],
-    groups: dict[tuple[str, str | None], _Group],
+    databases: Sequence[LoadedDatabase],
+    groups: dict[tuple[str, str | None], _MessageSignals],
     wanted: Wanted,
 ) -> None:
     path = wanted.source.signal or ""
     holder, message, signal = _find(loaded, databases, wanted, path)
     channel = wanted.source.channel or holder.entry.channel
-    group = groups.setdefault((message.name, channel), _Group(message, channel, holder.entry.j1939))
+    group = groups.setdefault(
+        (message.name, channel), _MessageSignals(message, channel, holder.entry.j1939)
+    )
     if signal.name not in group.names:
         group.names.append(signal.name)
     conversion = _conversion(loaded, wanted, signal)
@@ -185,8 +187,8 @@ def _add_signal(
 
 
 def _find(
-    loaded: LoadedConfig, databases: Sequence[Loaded], wanted: Wanted, path: str
-) -> tuple[Loaded, Message, Signal]:
+    loaded: LoadedConfig, databases: Sequence[LoadedDatabase], wanted: Wanted, path: str
+) -> tuple[LoadedDatabase, Message, Signal]:
     problem = ""
     for holder in databases:
         try:
@@ -261,19 +263,19 @@ def _raw_route(loaded: LoadedConfig, wanted: Wanted, raw: cfg.RawSource) -> RawR
     return RawRoute(f"id 0x{raw.id:X}", match, when, value, tap)
 
 
-def _message_route(loaded: LoadedConfig, group: _Group) -> MessageRoute:
+def _message_route(loaded: LoadedConfig, group: _MessageSignals) -> MessageRoute:
     protection = loaded.config.messages.get(group.message.name)
     place: Place = ("messages", group.message.name)
     try:
         j1939 = group.j1939 if group.message.can_id & CAN_EFF_FLAG else None
         plan = compile_decode(group.message, group.names, j1939, group.channel)
-        guard = guard_for(group.message, protection)
+        checker = checker_for(group.message, protection)
     except (DatabaseError, ConfigError) as error:
         raise loaded.error(place, str(error)) from None
-    return MessageRoute(plan, guard, list(_taps(group)))
+    return MessageRoute(plan, checker, list(_taps(group)))
 
 
-def _taps(group: _Group) -> Iterator[Tap]:
+def _taps(group: _MessageSignals) -> Iterator[Tap]:
     keys = dict.fromkeys((w.channel, w.rank) for w, _, _ in group.wanted)
     for channel, rank in keys:
         members = sorted(
@@ -294,7 +296,7 @@ def _taps(group: _Group) -> Iterator[Tap]:
 
 
 def _refuse_unknown_messages(
-    loaded: LoadedConfig, groups: dict[tuple[str, str | None], _Group]
+    loaded: LoadedConfig, groups: dict[tuple[str, str | None], _MessageSignals]
 ) -> None:
     used = {name for name, _ in groups}
     for name in loaded.config.messages:
@@ -305,7 +307,7 @@ def _refuse_unknown_messages(
             )
 
 
-def _refuse_split_planar(loaded: LoadedConfig, groups: Iterable[_Group]) -> None:
+def _refuse_split_planar(loaded: LoadedConfig, groups: Iterable[_MessageSignals]) -> None:
     for group in groups:
         planar = [w for w, _, _ in group.wanted if w.planar]
         if len(planar) % 2:

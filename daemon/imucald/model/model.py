@@ -9,8 +9,9 @@ from typing import Any
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
-from imucald.config import MAX_FILE_BYTES, Marks, read_yaml
 from imucald.core.errors import ConfigError
+from imucald.core.locations import Marks
+from imucald.core.yaml_lines import MAX_FILE_BYTES, read_yaml
 from imucald.model.section import Positive, Section
 from imucald.model.sensors import (
     Accelerometer,

@@ -2,8 +2,8 @@
 
 Between two speed samples (v1 - v0) / (t1 - t0) is exactly the mean of dv/dt over that interval,
 whatever the rates. So nothing is smoothed: the accelerometer is averaged over the same interval,
-moved by the speed's delay, and the pair is one `Block`. Coarseness of the speed then only adds
-noise to dv/dt that the accelerometer does not share.
+moved by the speed's delay, and the pair is one `SpeedInterval`. Coarseness of the speed then only
+adds noise to dv/dt that the accelerometer does not share.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from imucald.motion.ticks import TICK_S
 
 NAN = math.nan
 HISTORY_TICKS = 64
-"""Ticks of running sums that are kept: a delay of up to 2 s and a block of up to 4 s."""
-LARGEST_DELAY = 2.0
+"""Ticks of running sums that are kept: a delay of up to 2 s and a interval of up to 4 s."""
+MAX_DELAY = 2.0
 """Speed delay [s] that can be matched, either way."""
 
 
-class Block(NamedTuple):
+class SpeedInterval(NamedTuple):
     """Motion over an interval; means over it, NaN where unknown.
 
     t0, t1: accelerometer time [s]; fx, fy, fz: specific force, sensor axes [m/s^2];
@@ -50,16 +50,16 @@ class _Sums(NamedTuple):
     yaw_unknown: float
 
 
-class BlockMaker:
-    """Cuts the stream of ticks into blocks: at speed samples, or by time where there is no speed.
+class SpeedIntervalMaker:
+    """Cuts the ticks into intervals: at speed samples, or by time where there is no speed.
 
-    block_s: shortest block [s]; delay: how late the speed is against the accelerometer [s]
+    block_s: shortest interval [s]; delay: how late the speed is against the accelerometer [s]
     (negative: it leads); timeout: time without speed [s] after which speed is unknown.
     """
 
     def __init__(self, block_s: float, delay: float, timeout: float) -> None:
-        if abs(delay) > LARGEST_DELAY:
-            raise EstimateError(f"speed delay of {delay} s: at most {LARGEST_DELAY} s either way")
+        if abs(delay) > MAX_DELAY:
+            raise EstimateError(f"speed delay of {delay} s: at most {MAX_DELAY} s either way")
         self._block_s = block_s
         self._delay = delay
         self._timeout = timeout
@@ -81,8 +81,8 @@ class BlockMaker:
 
     def step(
         self, t: float, fx: float, fy: float, fz: float, yaw_rate: float, clean: bool
-    ) -> Block | None:
-        """Take the tick that ends at t [s]; return the block that is complete by now, if any."""
+    ) -> SpeedInterval | None:
+        """Take the tick that ends at t [s]; return the interval that is complete by now, if any."""
         _, x, y, z, yaw, bad, unknown = self._last
         known = not math.isnan(yaw_rate)
         last = self._last = _Sums(
@@ -124,7 +124,7 @@ class BlockMaker:
             b.yaw_unknown,
         )
 
-    def _cut(self, knot: _Sums | None, speed: float) -> Block | None:
+    def _cut(self, knot: _Sums | None, speed: float) -> SpeedInterval | None:
         before, speed_before = self._knot, self._knot_speed
         self._knot, self._knot_speed = knot, speed
         if before is None or knot is None:
@@ -132,7 +132,7 @@ class BlockMaker:
         dt = knot.t - before.t
         if dt > self._timeout + self._block_s or dt <= 0.0:
             return None
-        return Block(
+        return SpeedInterval(
             t0=before.t,
             t1=knot.t,
             fx=(knot.x - before.x) / dt,

@@ -35,7 +35,7 @@ Vector = tuple[float, float, float]
 CONFIRM_TICKS = 5
 """A window counts after this many further quiet ticks: a late speed signal (up to 0.4 s) still
 reads zero when the vehicle has begun to move."""
-LONGEST_HOLE_TICKS = 10
+MAX_HOLE_TICKS = 10
 """Ticks without a sample that a run survives; a slow or jittering sensor leaves single holes."""
 
 
@@ -61,7 +61,7 @@ def static_windows(accel: ArrayLike, count: int, thresholds: ArrayLike) -> NDArr
 
 
 @dataclass(frozen=True)
-class StaticPresets:
+class StaticTestSettings:
     """Presets of the static test.
 
     count: accelerometer samples a window needs; seconds: and the time it must span [s].
@@ -91,7 +91,7 @@ class StandstillDetector:
     still: whether the vehicle stands now, that is, a window has passed and the run goes on.
     """
 
-    def __init__(self, presets: StaticPresets) -> None:
+    def __init__(self, presets: StaticTestSettings) -> None:
         self._presets = presets
         self._ticks_needed = max(1, round(presets.seconds / TICK_S))
         self.still = False
@@ -122,7 +122,7 @@ class StandstillDetector:
         n = tick[ACCEL_N]
         if n == 0.0:
             self._holes += 1
-            if self._holes > LONGEST_HOLE_TICKS:
+            if self._holes > MAX_HOLE_TICKS:
                 self.restart()
             return None
         if not self._within(tick, stopped):

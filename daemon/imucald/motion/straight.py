@@ -27,11 +27,11 @@ from imucald.motion.ticks import (
 )
 
 NAN = math.nan
-LARGEST_GYRO_OFFSET = math.radians(5.0)
+MAX_GYRO_OFFSET = math.radians(5.0)
 """A mean rate beyond this at rest [rad/s] is a turntable or a ferry, not an offset."""
 OFFSET_MEMORY = 600
 """Ticks at rest after which an offset forgets: it drifts with temperature."""
-LONGEST_HOLD_TICKS = 10
+MAX_HOLD_TICKS = 10
 """Ticks for which a slow signal's last value stands for the present one."""
 
 
@@ -118,17 +118,17 @@ class YawRateSource:
     def restart(self) -> None:
         """Forget held values, keep the offsets."""
         self._rate = NAN
-        self._rate_age = LONGEST_HOLD_TICKS + 1
+        self._rate_age = MAX_HOLD_TICKS + 1
         self._gyro: tuple[float, float, float] | None = None
-        self._gyro_age = LONGEST_HOLD_TICKS + 1
+        self._gyro_age = MAX_HOLD_TICKS + 1
         self._steering = NAN
-        self._steering_age = LONGEST_HOLD_TICKS + 1
+        self._steering_age = MAX_HOLD_TICKS + 1
         self.source = ""
 
     @property
     def steering(self) -> float:
         """Steering-wheel angle [rad], or NaN where it is not known now."""
-        return self._steering if self._steering_age <= LONGEST_HOLD_TICKS else NAN
+        return self._steering if self._steering_age <= MAX_HOLD_TICKS else NAN
 
     def step(
         self,
@@ -142,10 +142,10 @@ class YawRateSource:
         up: unit vector up in sensor axes; speed [m/s] or NaN; at_rest: the vehicle stands now.
         """
         self._take(tick, at_rest)
-        if self._rate_age <= LONGEST_HOLD_TICKS:
+        if self._rate_age <= MAX_HOLD_TICKS:
             self.source = "yaw_rate"
             return self._rate - self._offset.value
-        if self._gyro is not None and self._gyro_age <= LONGEST_HOLD_TICKS and up is not None:
+        if self._gyro is not None and self._gyro_age <= MAX_HOLD_TICKS and up is not None:
             self.source = "gyro"
             (x, y, z), (ox, oy, oz) = self._gyro, self._gyro_offset
             return (x - ox.value) * up[0] + (y - oy.value) * up[1] + (z - oz.value) * up[2]
@@ -159,14 +159,14 @@ class YawRateSource:
     def _take(self, tick: TickRow, at_rest: bool) -> None:
         if tick[YAW_RATE_N] > 0.0:
             self._rate, self._rate_age = tick[YAW_RATE], 0
-            if at_rest and abs(self._rate) < LARGEST_GYRO_OFFSET:
+            if at_rest and abs(self._rate) < MAX_GYRO_OFFSET:
                 self._offset.add(self._rate)
         else:
             self._rate_age += 1
         if tick[GYRO_N] > 0.0 and tick[GYRO_BAD] == 0.0:
             self._gyro = (tick[GYRO_X], tick[GYRO_Y], tick[GYRO_Z])
             self._gyro_age = 0
-            if at_rest and max(map(abs, self._gyro)) < LARGEST_GYRO_OFFSET:
+            if at_rest and max(map(abs, self._gyro)) < MAX_GYRO_OFFSET:
                 for offset, value in zip(self._gyro_offset, self._gyro, strict=True):
                     offset.add(value)
         else:

@@ -1,11 +1,11 @@
-"""Errors that several pieces of evidence share, and that no data show."""
+"""Errors that several sources of evidence share, and that no data show."""
 
 from __future__ import annotations
 
 import math
 
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.mount.fusion import Shared
+from imucald.mount.fusion import CommonError
 
 SIDESLIP_STD = 0.0014
 """What sideslip and body roll leave in the yaw from turns [rad], in simulated drives."""
@@ -17,7 +17,7 @@ BIAS_FLOOR_STD = 0.002
 """The bias wanders with temperature (4 mg in a drive): that much stays in gravity [rad]."""
 
 
-def shared_errors(settings: EstimatorSettings) -> tuple[Shared, ...]:
+def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
     """Errors of the sensor itself that the spread of the data cannot show.
 
     Scale errors s of a sensor turned against the vehicle are a symmetric cross-axis error of
@@ -27,20 +27,20 @@ def shared_errors(settings: EstimatorSettings) -> tuple[Shared, ...]:
     scale = settings.accel_scale_std / math.sqrt(5.0)
     cross = settings.accel_cross_axis_std
     return (
-        Shared(scale, {"yaw_dvdt": 1.0, "yaw_turn": -1.0}),
-        Shared(SIDESLIP_STD, {"yaw_turn": 1.0}),
-        Shared(YAW_FLOOR_STD, {"yaw_dvdt": 1.0, "yaw_turn": 1.0}),
-        Shared(scale, {"pitch_dvdt": 1.0}),
-        Shared(scale, {"roll_turn": 1.0}),
-        Shared(cross, {"yaw_dvdt": 1.0}),
-        Shared(cross, {"yaw_turn": 1.0}),
-        Shared(cross, {"pitch_dvdt": 1.0}),
-        Shared(cross, {"roll_turn": 1.0}),
-        Shared(0.5 * cross, {"pitch_gravity": 1.0}),
-        Shared(0.5 * cross, {"roll_gravity": 1.0}),
-        Shared(PITCHING_STD, {"pitch_dvdt": 1.0}),
-        Shared(settings.gyro_misalignment_std, {"roll_axis": 1.0}),
-        Shared(settings.gyro_misalignment_std, {"pitch_axis": 1.0}),
-        Shared(BIAS_FLOOR_STD, {"roll_gravity": 1.0}),
-        Shared(BIAS_FLOOR_STD, {"pitch_gravity": 1.0}),
+        CommonError(scale, {"yaw_dvdt": 1.0, "yaw_turn": -1.0}),
+        CommonError(SIDESLIP_STD, {"yaw_turn": 1.0}),
+        CommonError(YAW_FLOOR_STD, {"yaw_dvdt": 1.0, "yaw_turn": 1.0}),
+        CommonError(scale, {"pitch_dvdt": 1.0}),
+        CommonError(scale, {"roll_turn": 1.0}),
+        CommonError(cross, {"yaw_dvdt": 1.0}),
+        CommonError(cross, {"yaw_turn": 1.0}),
+        CommonError(cross, {"pitch_dvdt": 1.0}),
+        CommonError(cross, {"roll_turn": 1.0}),
+        CommonError(0.5 * cross, {"pitch_gravity": 1.0}),
+        CommonError(0.5 * cross, {"roll_gravity": 1.0}),
+        CommonError(PITCHING_STD, {"pitch_dvdt": 1.0}),
+        CommonError(settings.gyro_misalignment_std, {"roll_axis": 1.0}),
+        CommonError(settings.gyro_misalignment_std, {"pitch_axis": 1.0}),
+        CommonError(BIAS_FLOOR_STD, {"roll_gravity": 1.0}),
+        CommonError(BIAS_FLOOR_STD, {"pitch_gravity": 1.0}),
     )

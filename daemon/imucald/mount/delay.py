@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from imucald.mount.estimator_settings import DelayPrior
 from imucald.mount.evidence_spectra import OMEGA, WINDOW
-from imucald.mount.signal_blocks import HOP
+from imucald.mount.signal_blocks import BLOCK_TICKS
 
 Array = NDArray[np.float64]
 
 STEP = 0.025
 """Grid of candidates [s]."""
-LEAST, MOST = -0.5, 1.2
-LEAST_POWER = 2e-2
+MIN_DELAY, MAX_DELAY = -0.5, 1.2
+MIN_POWER = 2e-2
 """A window with less tells nothing [(m/s^2)^2]."""
-LEAST_WINDOWS = 3
+MIN_WINDOWS = 3
 
 
 class DelaySearch:
@@ -32,8 +32,8 @@ class DelaySearch:
 
     def __init__(self, prior: DelayPrior) -> None:
         self._prior = prior
-        low = max(LEAST, prior.mean - 4.0 * prior.std)
-        high = min(MOST, prior.mean + 4.0 * prior.std)
+        low = max(MIN_DELAY, prior.mean - 4.0 * prior.std)
+        high = min(MAX_DELAY, prior.mean + 4.0 * prior.std)
         self._taus = np.arange(low, high + 0.5 * STEP, STEP) if prior.std > 0 else np.zeros(1)
         self._phases = np.exp(1j * np.outer(self._taus, OMEGA))
         self._cross = np.zeros((len(OMEGA), 3), dtype=np.complex128)
@@ -46,7 +46,7 @@ class DelaySearch:
     def add(self, signal: NDArray[np.complex128], force: NDArray[np.complex128]) -> None:
         """Take spectra of a window: signal (BINS,), force (BINS, 3)."""
         power = signal.real**2 + signal.imag**2
-        if power.sum() < LEAST_POWER:
+        if power.sum() < MIN_POWER:
             return
         self.windows += 1
         self._cross += np.conj(signal)[:, None] * force
@@ -56,7 +56,7 @@ class DelaySearch:
     def search(self) -> float:
         """Return the delay [s]; `std` is its standard deviation."""
         p = self._prior
-        if p.std <= 0.0 or self.windows < LEAST_WINDOWS:
+        if p.std <= 0.0 or self.windows < MIN_WINDOWS:
             return self.value
         weight = 1.0 / (self._force + 0.02 * self._force.max() + 1e-9)
         # force is x(t) and the signal x(t - tau): conj(signal) * force = P exp(+i w tau)
@@ -75,7 +75,7 @@ class DelaySearch:
             (along.real**2) / np.maximum(self._power * self._force, 1e-12), 0.98
         )
         information = float((2.0 * OMEGA**2 * coherence2 / (1.0 - coherence2)).sum())
-        information *= self.windows * (HOP / WINDOW)
+        information *= self.windows * (BLOCK_TICKS / WINDOW)
         prior = 1.0 / (p.std * p.std)
         self.value = (information * tau + prior * p.mean) / (information + prior)
         self.std = 1.0 / math.sqrt(information + prior)

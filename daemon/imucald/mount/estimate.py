@@ -6,16 +6,13 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.rotations import Matrix3, angles_from_rotation, quaternion_from_rotation
+from imucald.core.rotations import Matrix3, Rows, angles_from_rotation, quaternion_from_rotation
 from imucald.motion.ticks import TickRow
-
-if TYPE_CHECKING:
-    from imucald.mount.saved_information import KeptEvidence
 
 ANGLES = ("roll", "pitch", "yaw")
 BETWEEN_DRIVES_STD = (math.radians(0.3), math.radians(0.3), math.radians(0.15))
@@ -94,7 +91,7 @@ class MountEstimate:
         return x, y, z
 
 
-Correction = tuple[float, float, float, float, float, float, float, float, float]
+Correction = Rows
 """R_vehicle_from_sensor to apply to the samples of the next tick, row by row."""
 
 
@@ -126,26 +123,4 @@ class MountEstimator(Protocol):
 
     def estimate(self) -> MountEstimate:
         """Return the present state of knowledge."""
-        ...
-
-
-@runtime_checkable
-class KeepsEvidence(Protocol):
-    """What a `MountEstimator` has beside its verbs if its evidence outlives the process."""
-
-    @property
-    def contradiction(self) -> float | None:
-        """Chi-square (3) of earlier drives' evidence against this one's; None without any."""
-        ...
-
-    def kept_evidence(self) -> KeptEvidence | None:
-        """What all evidence comes to, for the next start; None where there is too little."""
-        ...
-
-    def join_evidence(self, kept: KeptEvidence) -> None:
-        """Go on with what earlier drives found as well."""
-        ...
-
-    def leave_evidence(self) -> None:
-        """Go on with this drive's evidence alone."""
         ...

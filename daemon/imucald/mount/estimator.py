@@ -13,54 +13,54 @@ from imucald.motion.ticks import TickRow
 from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
-from imucald.mount.gravity_step import Step
-from imucald.mount.refit import KEPT_HOPS, Rebuild
-from imucald.mount.saved_information import KeptEvidence
+from imucald.mount.gravity_step import GravityStep
+from imucald.mount.refit import KEPT_BLOCKS, Refit
+from imucald.mount.saved_information import SavedInformation
 from imucald.mount.shift import Shift
-from imucald.mount.signal_blocks import HOP_S, Prepared, SignalPreparer
+from imucald.mount.signal_blocks import BLOCK_S, SignalBlock, SignalBlockMaker
 from imucald.mount.slewing import SlewedRotation
-from imucald.mount.solver import Solution
-from imucald.mount.steering import SteeringOffset
-from imucald.mount.supervision import Knowledge, Manoeuvres, judged, waiting_for
+from imucald.mount.solver import MountSolver
+from imucald.mount.steering import SteeringOffsetEstimator
+from imucald.mount.supervision import Manoeuvres, MountKnowledge, judged, waiting_for
 
 Array = NDArray[np.float64]
 
-EAGER_HOPS = 20
-"""Up to so many hops (128 s) each is followed by a fit."""
-LAZY_HOPS = 2
-"""Later every second (13 s): by then a hop adds little, and fits are what costs."""
+EAGER_BLOCKS = 20
+"""Up to so many blocks (128 s) each is followed by a fit."""
+LAZY_BLOCKS = 2
+"""Later every second (13 s): by then a block adds little, and fits are what costs."""
 NEAR_SHIFT = 0.8
-"""While a change comes to so much of the threshold, every hop is followed by a fit again."""
+"""While a change comes to so much of the threshold, every block is followed by a fit again."""
 SLEW_RATE = math.radians(0.5)
 """The applied rotation turns no faster than this [rad/s]."""
 KNOWN_REST_TICKS = 25.0
 """Ticks at rest from which the gyro bias counts as known."""
-FIRST_LOOK_HOPS = 14
-"""The second look takes at least that many hops (90 s)."""
-LAST_LOOK_HOPS = 28
+FIRST_LOOK_BLOCKS = 14
+"""The second look takes at least that many blocks (90 s)."""
+LAST_LOOK_BLOCKS = 28
 """Without a rest to know the gyro bias from, it waits no longer than that (3 min)."""
 FROZEN_TICKS = 40
-"""Learning counts as frozen when so many of a hop's ticks were not to be trusted."""
+"""Learning counts as frozen when so many of a block's ticks were not to be trusted."""
 
 
 class FullEstimator:
-    """Estimate from all evidence; `solution` fuses it, `supervision` judges it."""
+    """Estimate from all evidence; `solver` fuses it, `supervision` judges it."""
 
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings or EstimatorSettings()
-        self._signals = SignalPreparer(self._settings)
-        self._solution = Solution(self._settings)
+        self._signals = SignalBlockMaker(self._settings)
+        self._solver = MountSolver(self._settings)
         self._driven = Manoeuvres()
-        self._steering = SteeringOffset()
+        self._steering = SteeringOffsetEstimator()
         self._served = SlewedRotation(SLEW_RATE)
         self._state = MountState.WAITING
-        self._hops = 0
-        self._kept: deque[Prepared] = deque(maxlen=KEPT_HOPS)
-        self._rebuild: Rebuild | None = None
+        self._blocks = 0
+        self._kept: deque[SignalBlock] = deque(maxlen=KEPT_BLOCKS)
+        self._refit: Refit | None = None
         self._looked_again = False
         self._moved = self._stands_out = False
-        self._shifts: list[tuple[int, Shift | Step]] = []
-        self._known = Knowledge(accelerometer=False)
+        self._shifts: list[tuple[int, Shift | GravityStep]] = []
+        self._known = MountKnowledge(accelerometer=False)
 
     @property
     def correction(self) -> Correction | None:
@@ -75,47 +75,47 @@ class FullEstimator:
     def step(self, tick: TickRow) -> None:
         """Take one tick."""
         self._served.step()
-        if self._rebuild is not None:
-            self._go_on_rebuilding(self._rebuild)
+        if self._refit is not None:
+            self._go_on_refitting(self._refit)
         if self._signals.push(tick):
-            self._hop(self._signals.hop())
+            self._take_block(self._signals.block())
 
     def gap(self) -> None:
         """Time jumped: signals before it are not joined with those after it."""
         self._signals.restart()
-        if self._rebuild is not None and self._moved:
-            self._solution = self._rebuild.fresh  # what came before the shift must not return
-        self._solution.gap()
-        self._rebuild = None
+        if self._refit is not None and self._moved:
+            self._solver = self._refit.fresh  # what came before the shift must not return
+        self._solver.gap()
+        self._refit = None
         self._kept.clear()
 
-    def _hop(self, p: Prepared) -> None:
-        self._hops += 1
+    def _take_block(self, p: SignalBlock) -> None:
+        self._blocks += 1
         self._kept.append(p)
-        if self._signals.without_speed != self._solution.response.without_speed:
-            self._solution = Solution(self._settings)  # speed has come, or will not
-            self._solution.response.without_speed = self._signals.without_speed
-        self._driven.add(*self._solution.add(p))
+        if self._signals.without_speed != self._solver.response.without_speed:
+            self._solver = MountSolver(self._settings)  # speed has come, or will not
+            self._solver.response.without_speed = self._signals.without_speed
+        self._driven.add(*self._solver.add(p))
         self._follow_steering(p)
-        if self._rebuild is not None:
-            self._rebuild.push(p)
-        due = self._hops % LAZY_HOPS == 0 or self._stands_out
-        if due or self._solution.hops <= EAGER_HOPS:
-            self._solution.fit()
-        if self._rebuild is None:
+        if self._refit is not None:
+            self._refit.push(p)
+        due = self._blocks % LAZY_BLOCKS == 0 or self._stands_out
+        if due or self._solver.blocks <= EAGER_BLOCKS:
+            self._solver.fit()
+        if self._refit is None:
             if not self._looked_again:
                 self._look_again()
             else:
                 self._look_for_shift(due)
         self._judge(p)
 
-    def _follow_steering(self, p: Prepared) -> None:
+    def _follow_steering(self, p: SignalBlock) -> None:
         """Steering offset against the measured yaw rate; steering alone knows no offset."""
-        measured = self._solution.own_gyro or "yaw_rate" in self._signals.seen
+        measured = self._solver.own_gyro or "yaw_rate" in self._signals.seen
         if not measured or not p.ok_steering.any() or self._signals.without_speed:
             return
         use = p.ok_steering & p.ok_speed & p.learn
-        self._steering.add(p.steering, p.speed, self._solution.turn_rate, use)
+        self._steering.add(p.steering, p.speed, self._solver.turn_rate, use)
         fitted = self._steering_fitted()
         if fitted is not None:
             self._signals.steering_offset = fitted[0]
@@ -127,64 +127,64 @@ class FullEstimator:
     def _look_again(self) -> None:
         """Once gyro bias and rotation are known, go through the first minutes again."""
         known = self._signals.offsets.gyro_ticks >= KNOWN_REST_TICKS
-        if len(self._kept) < FIRST_LOOK_HOPS or not self._solution.sure():
+        if len(self._kept) < FIRST_LOOK_BLOCKS or not self._solver.sure():
             return
-        if known or len(self._kept) >= LAST_LOOK_HOPS:
+        if known or len(self._kept) >= LAST_LOOK_BLOCKS:
             self._looked_again = True
-            self._begin_rebuild(list(self._kept))
+            self._begin_refit(list(self._kept))
 
-    def _begin_rebuild(self, hops: list[Prepared]) -> None:
-        fresh = Solution(self._settings)
-        fresh.start_from(self._solution)
-        self._rebuild = Rebuild(fresh, hops, self._signals.offsets.gyro_bias.copy())
+    def _begin_refit(self, blocks: list[SignalBlock]) -> None:
+        fresh = MountSolver(self._settings)
+        fresh.start_from(self._solver)
+        self._refit = Refit(fresh, blocks, self._signals.offsets.gyro_bias.copy())
 
-    def _go_on_rebuilding(self, rebuild: Rebuild) -> None:
-        done = rebuild.step()
+    def _go_on_refitting(self, refit: Refit) -> None:
+        done = refit.step()
         if done is not None:
             if self._moved:
                 self._driven.add(*done)
             return
-        self._solution, self._rebuild = rebuild.fresh, None
+        self._solver, self._refit = refit.fresh, None
 
     def _look_for_shift(self, thoroughly: bool) -> None:
         """Look for a step now, and in the last minutes; on a shift keep what came after it."""
-        found: Shift | Step | None = self._solution.step()
+        found: Shift | GravityStep | None = self._solver.step()
         if found is None:
             if not thoroughly:
                 return
-            found = self._solution.largest_change()
+            found = self._solver.largest_change()
             self._stands_out = found is not None and found.excess > NEAR_SHIFT
             if found is None or found.excess < 1.0:
                 return
-        after = found.hops if isinstance(found, Step) else found.pieces * GROUP
-        self._shifts.append((self._hops, found))
+        after = found.blocks if isinstance(found, GravityStep) else found.segments * GROUP
+        self._shifts.append((self._blocks, found))
         self._moved, self._stands_out = True, False
-        self._solution.earlier = None  # it is about the mount before
+        self._solver.prior_drives = None  # it is about the mount before
         self._driven = Manoeuvres()
-        self._begin_rebuild(list(self._kept)[-min(after, len(self._kept)) :])
+        self._begin_refit(list(self._kept)[-min(after, len(self._kept)) :])
 
-    def _judge(self, p: Prepared) -> None:
-        solution = self._solution
-        fused = solution.fused
+    def _judge(self, p: SignalBlock) -> None:
+        solver = self._solver
+        fused = solver.fused
         std = (math.inf, math.inf, math.inf)
         if fused is not None:
             x, y, z = (math.sqrt(v) for v in fused.variance.tolist())
-            std = (x, y, z if solution.yaw_known else math.inf)
-        self._known = Knowledge(
+            std = (x, y, z if solver.yaw_known else math.inf)
+        self._known = MountKnowledge(
             gravity=fused is not None,
             std=std,
             straight=self._driven.straight,
             lefts=self._driven.lefts,
             rights=self._driven.rights,
-            stops=solution.gravity.stops,
+            stops=solver.gravity.stops,
             accelerometer=bool(p.ok_force.any()),
             speed=not self._signals.without_speed and bool(p.ok_speed.any()),
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
         )
         state = judged(self._known, self._state, self._settings)
         good = state in {MountState.USABLE, MountState.FINE}
-        if self._moved and (self._rebuild is not None or not good):
-            ready = self._rebuild is None and state == MountState.LEVELLED
+        if self._moved and (self._refit is not None or not good):
+            ready = self._refit is None and state == MountState.LEVELLED
             self._state = MountState.RECALIBRATING if ready else MountState.SUSPECT
             return
         self._moved = False
@@ -198,12 +198,12 @@ class FullEstimator:
 
     def _answer(self) -> tuple[Array, Array]:
         """R_vehicle_from_sensor with the crown taken out, and its covariance."""
-        solution, s = self._solution, self._settings
-        if solution.R is None or solution.fused is None:
+        solver, s = self._solver, self._settings
+        if solver.R is None or solver.fused is None:
             return np.eye(3), np.eye(3)
-        R = rotation_from_vector([-s.crown, 0.0, 0.0]) @ solution.R
-        variance = solution.fused.variance.copy()
-        if not solution.yaw_known:
+        R = rotation_from_vector([-s.crown, 0.0, 0.0]) @ solver.R
+        variance = solver.fused.variance.copy()
+        if not solver.yaw_known:
             variance[2] = (math.pi / math.sqrt(3.0)) ** 2
         covariance = np.diag(variance)
         covariance[0, 0] += s.crown_std**2
@@ -213,73 +213,73 @@ class FullEstimator:
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of earlier drives' evidence against this one's; None without any."""
-        earlier = self._solution.earlier
-        return None if earlier is None else earlier.contradiction
+        """Chi-square (3) of prior drives' evidence against this one's; None without any."""
+        prior = self._solver.prior_drives
+        return None if prior is None else prior.contradiction
 
-    def kept_evidence(self) -> KeptEvidence | None:
+    def saved_information(self) -> SavedInformation | None:
         """What all evidence comes to, for the next start; None where there is too little."""
-        return None if self._rebuild is not None and self._moved else self._solution.kept()
+        return None if self._refit is not None and self._moved else self._solver.kept()
 
-    def join_evidence(self, kept: KeptEvidence) -> None:
-        """Go on with what earlier drives found as well."""
-        for solution in self._solutions():
-            solution.join(kept)
-        self._solution.fit()
+    def join_information(self, kept: SavedInformation) -> None:
+        """Go on with what prior drives found as well."""
+        for solver in self._solvers():
+            solver.join(kept)
+        self._solver.fit()
 
-    def leave_evidence(self) -> None:
+    def drop_information(self) -> None:
         """Go on with this drive's evidence alone."""
-        for solution in self._solutions():
-            solution.earlier = None
-        self._solution.fit()
+        for solver in self._solvers():
+            solver.prior_drives = None
+        self._solver.fit()
 
-    def _solutions(self) -> list[Solution]:
-        rebuild = self._rebuild
-        return [self._solution] if rebuild is None else [self._solution, rebuild.fresh]
+    def _solvers(self) -> list[MountSolver]:
+        refit = self._refit
+        return [self._solver] if refit is None else [self._solver, refit.fresh]
 
     def estimate(self) -> MountEstimate:
         """Return the present state of knowledge."""
         reasons = waiting_for(self._known, self._settings)
         words = {name: text for name, (text, _) in reasons.items()}
         codes = {name: code for name, (_, code) in reasons.items()}
-        if self._solution.fused is None:
+        if self._solver.fused is None:
             return MountEstimate(self._state, waiting_for=words, missing=codes)
         R, covariance = self._answer()
         return MountEstimate(self._state, R, covariance, words, codes, self._details())
 
     def _details(self) -> dict[str, object]:
-        solution, signals, known = self._solution, self._signals, self._known
-        fused = solution.fused
-        bias = solution.bias
+        solver, signals, known = self._solver, self._signals, self._known
+        fused = solver.fused
+        bias = solver.bias
         steering = self._steering_fitted()
         return {
             "evidence_share": {} if fused is None else fused.shares,
             "evidence_std_deg": {
-                name: math.degrees(math.sqrt(piece.variance))
-                for name, piece in solution.pieces.items()
+                name: math.degrees(math.sqrt(source.variance))
+                for name, source in solver.sources.items()
             },
             "accel_bias": [] if bias is None else bias.tolist(),
             "gyro_bias": signals.offsets.gyro_bias.tolist(),
             "yaw_rate_offset": signals.offsets.yaw_rate,
             "steering_offset": None if steering is None else steering[0],
             "steering_offset_std": None if steering is None else steering[1],
-            "speed_delay": solution.delay_speed.value,
-            "speed_delay_std": solution.delay_speed.std,
-            "gain_dvdt": solution.gains()[0],
-            "gain_turn": solution.gains()[1],
+            "speed_delay": solver.delay_speed.value,
+            "speed_delay_std": solver.delay_speed.std,
+            "gain_dvdt": solver.gains()[0],
+            "gain_turn": solver.gains()[1],
             "launches_and_brakings": known.straight,
             "left_turns": known.lefts,
             "right_turns": known.rights,
             "stops": known.stops,
-            "distance": solution.gravity.metres,
+            "distance": solver.gravity.metres,
             "shifts": [
                 {
-                    "t": hop * HOP_S,
+                    "t": block * BLOCK_S,
                     "angle": ANGLES[shift.axis],
                     "size_deg": math.degrees(shift.size),
                     "deviations": shift.deviations,
                 }
-                for hop, shift in self._shifts
+                for block, shift in self._shifts
             ],
             "frozen_ticks": dict(signals.frozen),
         }

@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
-from imucald.mount.shift import Flow
-from imucald.mount.signal_blocks import Prepared
+from imucald.mount.shift import ScoreSeries
+from imucald.mount.signal_blocks import SignalBlock
 
 Array = NDArray[np.float64]
 
 STOP_METRES = 12.0
 """A stop counts as much as that much road at most: no motion, but one place."""
 REST_METRES_PER_TICK = 0.5
-LEAST_WEIGHT = 20.0
-"""A piece of road shorter than this [m] says nothing of gravity."""
+MIN_WEIGHT = 20.0
+"""A road segment shorter than this [m] says nothing of gravity."""
 SHARE = 0.1
 """Share of the motion that may be missed; weighs ticks of hard driving down."""
 STILL = 0.15
@@ -46,27 +46,27 @@ class GravityEvidence:
         self.stops = 0
         self._stop_used = 0.0
         self._resting = False
-        self._pieces: list[Array] = []  # weight, force (3), motion (2), metres, at their ends
+        self._segments: list[Array] = []  # weight, force (3), motion (2), metres, at their ends
 
-    def close_piece(self) -> None:
-        """End a piece of road, for `flows`."""
+    def close_segment(self) -> None:
+        """End a road segment, for `series`."""
         sums = np.array([self._weight, *self._force, *self._motion, self.metres])
-        self._pieces.append(sums)
+        self._segments.append(sums)
 
-    def flows(
+    def series(
         self,
         R: Matrix3,
         bias: Array,
         gains: tuple[float, float],
         std: tuple[float, float],
         length: float,
-    ) -> list[Flow]:
-        """e_x and e_y about R from gravity, piece of road by piece of road, the open one too.
+    ) -> list[ScoreSeries]:
+        """e_x and e_y about R from gravity, road segment by road segment, the open one too.
 
         std: rms tangent of the roads across and along; length: over which it forgets itself [m].
         """
         now = np.array([self._weight, *self._force, *self._motion, self.metres])
-        ends = np.array([np.zeros(7), *self._pieces, now])
+        ends = np.array([np.zeros(7), *self._segments, now])
         each = np.diff(ends, axis=0)
         w = np.maximum(each[:, 0], 1e-9)[:, None]
         F = (each[:, 1:4] / w - bias) @ R.T
@@ -74,17 +74,17 @@ class GravityEvidence:
         q = np.maximum(each[:, 6] / length, 1e-3)
         mean = 2.0 / q * (1.0 - (1.0 - np.exp(-q)) / q)
         missed = (SHARE / GRAVITY) ** 2 * (motion * motion).sum(axis=1)
-        use = each[:, 0] > LEAST_WEIGHT
+        use = each[:, 0] > MIN_WEIGHT
         across, along = (np.where(use, 1.0 / (x * x * mean + missed), 0.0) for x in std)
         e_x = (F[:, 1] - gains[1] * motion[:, 1]) / GRAVITY
         e_y = -(F[:, 0] - gains[0] * motion[:, 0]) / GRAVITY
         return [
-            Flow("roll_gravity", across * e_x, across),
-            Flow("pitch_gravity", along * e_y, along),
+            ScoreSeries("roll_gravity", across * e_x, across),
+            ScoreSeries("pitch_gravity", along * e_y, along),
         ]
 
-    def add(self, p: Prepared, turn: Array) -> None:
-        """Take a hop; turn: (N,) v r [m/s^2]."""
+    def add(self, p: SignalBlock, turn: Array) -> None:
+        """Take a block; turn: (N,) v r [m/s^2]."""
         use = p.learn & (p.ok_speed | p.rest)
         if not use.any():
             return

@@ -8,14 +8,14 @@ With e the rotation-vector error of R (R_true = exp([e]) R), A = dv/dt, V = v r,
 
 so noise in A itself costs gain but turns nothing. Small terms go along as nuisance with priors:
 lever arm (r^2; heave of a pitching body, w^2 A), squat and body roll to second order (A^2, V^2,
-A r, V r), sideslip (r^2, V^2, A V). That gives six pieces: e_z and e_y from A, e_z and e_x from V,
+A r, V r), sideslip (r^2, V^2, A V). That gives six sources: e_z and e_y from A, e_z and e_x from V,
 e_x and e_y from the axis of rotation in turns.
 
 Noise has another colour on each axis: slopes are red, rough roads and the rounding of a speed are
 blue. Each band and axis has its own noise level, learnt from what the fit leaves over, and a
 window that is worse than usual counts for less (Student's t weights; Lange, Little and Taylor,
-J. Am. Stat. Assoc. 84, 1989). The variance comes from the spread of the scores from piece of
-road to piece of road (sandwich; White, Econometrica 48, 1980), because noise is correlated.
+J. Am. Stat. Assoc. 84, 1989). The variance comes from the spread of the scores from road
+segment to road segment (sandwich; White, Econometrica 48, 1980), because noise is correlated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
-from imucald.mount.evidence_rows import GAINS, MOST_REGRESSORS, P_ROW, ROLL_ROW, ROWS
+from imucald.mount.evidence_rows import GAINS, MAX_REGRESSORS, P_ROW, ROLL_ROW, ROWS
 from imucald.mount.evidence_scores import left_over, renewed_gains, scores
 from imucald.mount.evidence_spectra import (
     BAND_WIDTH,
@@ -36,9 +36,9 @@ from imucald.mount.evidence_spectra import (
     PRODUCTS,
     WINDOW,
 )
-from imucald.mount.road_segments import Piece, pieces_of
-from imucald.mount.shift import Flow
-from imucald.mount.signal_blocks import HOP
+from imucald.mount.road_segments import AngleEvidence, fit_regressions
+from imucald.mount.shift import ScoreSeries
+from imucald.mount.signal_blocks import BLOCK_TICKS
 
 Array = NDArray[np.float64]
 
@@ -46,23 +46,23 @@ KEPT = 64
 """Windows kept whole (7 min): those can be weighed afresh; older ones are only summed."""
 FOLD = 16
 """So many windows, or a few more to whole groups, are summed up when the store is full."""
-MOST_GROUPS = 2000
+MAX_GROUPS = 2000
 """Groups kept apart (14 h); then neighbours are joined."""
-GROUP = WINDOW // HOP
-"""Hops per piece of the sandwich: 25.6 s, one window's length."""
+GROUP = WINDOW // BLOCK_TICKS
+"""Hops per segment of the sandwich: 25.6 s, one window's length."""
 AFRESH = 8
-"""All kept windows are weighed afresh every so many hops."""
+"""All kept windows are weighed afresh every so many blocks."""
 YOUNG = 20
 """Up to so many windows each fit weighs all of them afresh."""
 TRUST = 4.0
 """Windows after which learnt noise levels count as much as their priors, roughly."""
 LONE = 12.0
 """A level that rests on fewer windows than this is mostly that of all windows alike."""
-NU_LEAST, NU_MOST = 1.5, 40.0
+NU_MIN, NU_MAX = 1.5, 40.0
 """Degrees of freedom of a window's noise level; how even roads are is learnt per axis."""
 UNEVEN, UNEVEN_WINDOWS = 2.0, 16.0
 """Kurtosis over that of even noise until windows speak, and its weight in windows."""
-PER_TICK = 0.5 * WINDOW / HOP
+PER_TICK = 0.5 * WINDOW / BLOCK_TICKS
 """From the power per bin of a window to that per tick."""
 FORCE_FLOOR, RATE_FLOOR = 0.01**2, 0.001**2
 """No band is trusted beyond this noise per tick [(m/s^2)^2], [(rad/s)^2]."""
@@ -81,28 +81,28 @@ class ResponseEvidence:
     def __init__(self) -> None:
         self._products = np.zeros((KEPT, BANDS, PRODUCTS))
         self._spectra = np.zeros((KEPT, BINS, MEASURED), dtype=np.complex128)
-        self._hop_number = np.zeros(KEPT, dtype=np.int64)
+        self._block_number = np.zeros(KEPT, dtype=np.int64)
         self._n = self._scored = 0
-        self.hops = 0
+        self.blocks = 0
         self._last_afresh = 0
         self.noise = np.full((6, BANDS), FORCE_PRIOR)
         self.noise[4:] = RATE_PRIOR
-        self.nu = np.full((6, 1, 1), NU_LEAST)
+        self.nu = np.full((6, 1, 1), NU_MIN)
         self.gains = np.zeros((len(GAINS), BANDS))
         self.gains[:2] = 1.0
-        self._score = np.zeros((len(ROWS), KEPT, MOST_REGRESSORS))
-        self._normal = np.zeros((len(ROWS), KEPT, MOST_REGRESSORS, MOST_REGRESSORS))
-        self._old_score = np.zeros((len(ROWS), 0, MOST_REGRESSORS))
-        self._old_normal = np.zeros((len(ROWS), 0, MOST_REGRESSORS, MOST_REGRESSORS))
+        self._score = np.zeros((len(ROWS), KEPT, MAX_REGRESSORS))
+        self._normal = np.zeros((len(ROWS), KEPT, MAX_REGRESSORS, MAX_REGRESSORS))
+        self._old_score = np.zeros((len(ROWS), 0, MAX_REGRESSORS))
+        self._old_normal = np.zeros((len(ROWS), 0, MAX_REGRESSORS, MAX_REGRESSORS))
         self._R, self._fitted = np.eye(3), False
         self.delays = (0.0, 0.0)
-        self.flows: list[Flow] = []
+        self.series: list[ScoreSeries] = []
         self.without_speed = False
 
     @property
-    def piece(self) -> int:
-        """Number of the piece of road (sandwich group) that is being driven."""
-        return self.hops // GROUP
+    def segment(self) -> int:
+        """Number of the road segment (sandwich group) that is being driven."""
+        return self.blocks // GROUP
 
     @property
     def windows(self) -> int:
@@ -117,13 +117,13 @@ class ResponseEvidence:
 
     def add(self, s: sp.Spectra) -> None:
         """Take a window's spectra (BINS, MEASURED)."""
-        self.hops += 1
+        self.blocks += 1
         if self._n == KEPT:
             self._fold()
         k = self._n
         self._spectra[k] = s
         self._products[k] = sp.band_products(s, *self.delays)
-        self._hop_number[k] = self.hops
+        self._block_number[k] = self.blocks
         self._n += 1
 
     def set_delays(self, speed: float, turn: float) -> None:
@@ -159,8 +159,8 @@ class ResponseEvidence:
         share = abs(across) / float(np.sqrt(power * max(C[0, 0] + C[1, 1], 1e-9)))
         return float(np.arctan2(sign * y, sign * x)), share
 
-    def fit(self, R: Matrix3) -> dict[str, Piece]:
-        """Fit gains, noise levels and the pieces of e about R; old sums included."""
+    def fit(self, R: Matrix3) -> dict[str, AngleEvidence]:
+        """Fit gains, noise levels and the sources of e about R; old sums included."""
         if self._n == 0:
             return {}
         turned = vector_from_rotation(R @ self._R.T)
@@ -169,15 +169,15 @@ class ResponseEvidence:
             self._scored == 0
             or self._n <= YOUNG
             or large
-            or self.hops - self._last_afresh >= AFRESH
+            or self.blocks - self._last_afresh >= AFRESH
         ):
             self._scored = 0
-            self._last_afresh = self.hops
+            self._last_afresh = self.blocks
         self._turn_scores(turned)
         self._R, self._fitted = R.copy(), True
         if self._scored < self._n:
             self._weigh(R)
-        return self._pieces()
+        return self._sources()
 
     def _turn_scores(self, turned: Array) -> None:
         """Scores about another R: to first order the angle's coefficient moves."""
@@ -191,7 +191,7 @@ class ResponseEvidence:
         """Sum the oldest windows up, in whole groups, and let them go."""
         if self._fitted and self._scored < self._n:
             self._weigh(self._R)
-        group = self._hop_number[: self._n] // GROUP
+        group = self._block_number[: self._n] // GROUP
         starts = np.flatnonzero(np.diff(group, prepend=-1))
         cut = int(starts[np.searchsorted(starts, FOLD)])
         use = starts[starts < cut]
@@ -199,12 +199,12 @@ class ResponseEvidence:
         m = np.add.reduceat(self._normal[:, :cut], use, axis=1)
         self._old_score = np.concatenate([self._old_score, s], axis=1)
         self._old_normal = np.concatenate([self._old_normal, m], axis=1)
-        if self._old_score.shape[1] > MOST_GROUPS:
+        if self._old_score.shape[1] > MAX_GROUPS:
             half = np.arange(0, self._old_score.shape[1], 2)
             self._old_score = np.add.reduceat(self._old_score, half, axis=1)
             self._old_normal = np.add.reduceat(self._old_normal, half, axis=1)
         left = self._n - cut
-        for kept in (self._products, self._spectra, self._hop_number):
+        for kept in (self._products, self._spectra, self._block_number):
             kept[:left] = kept[cut : self._n].copy()
         self._score[:, :left] = self._score[:, cut : self._n].copy()
         self._normal[:, :left] = self._normal[:, cut : self._n].copy()
@@ -237,15 +237,15 @@ class ResponseEvidence:
         """Degrees of freedom from the kurtosis of what is left: few where roads are uneven.
 
         For Student's t it is (nu - 2) / (nu - 4) times that of chi^2, which gives 4 + 2 / excess;
-        lower by `NU_LEAST` instead of 4 is what served best in simulated drives.
+        lower by `NU_MIN` instead of 4 is what served best in simulated drives.
         """
         size = left / np.maximum(left.mean(axis=1), 1e-12)[:, None, :]
         kurtosis = (size * size).mean(axis=1) / (1.0 + 1.0 / BAND_WIDTH)
         mean = kurtosis @ (BAND_WIDTH / BAND_WIDTH.sum())
         n = left.shape[1]
         excess = (n * mean + UNEVEN_WINDOWS * UNEVEN) / (n + UNEVEN_WINDOWS) - 1.0
-        nu = NU_LEAST + 2.0 / np.maximum(excess, 0.05)
-        self.nu = np.minimum(nu, NU_MOST)[:, None, None]
+        nu = NU_MIN + 2.0 / np.maximum(excess, 0.05)
+        self.nu = np.minimum(nu, NU_MAX)[:, None, None]
 
     def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
         """Noise per tick, band and axis, of windows weighted by what they tell."""
@@ -264,12 +264,12 @@ class ResponseEvidence:
         force = self.noise[:P_ROW]
         np.maximum(force[:, 0], MEAN_SHARE * force[:, 1], out=force[:, 0])
 
-    def _pieces(self) -> dict[str, Piece]:
-        group = self._hop_number[: self._n] // GROUP
+    def _sources(self) -> dict[str, AngleEvidence]:
+        group = self._block_number[: self._n] // GROUP
         starts = np.flatnonzero(np.diff(group, prepend=-1))
         score = np.add.reduceat(self._score[:, : self._n], starts, axis=1)
         normal = np.add.reduceat(self._normal[:, : self._n], starts, axis=1)
         score = np.concatenate([self._old_score, score], axis=1)
         normal = np.concatenate([self._old_normal, normal], axis=1)
-        pieces, self.flows = pieces_of(score, normal, self.without_speed)
-        return pieces
+        sources, self.series = fit_regressions(score, normal, self.without_speed)
+        return sources

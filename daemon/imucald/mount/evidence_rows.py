@@ -52,4 +52,4 @@ GAINS = (
     (Q_ROW, sp.Q, sp.FAI, 0.0, -0.2, 0.2),
 )
 """Gains per band: row, target, signal, expected, least, most."""
-MOST_REGRESSORS = 4
+MAX_REGRESSORS = 4

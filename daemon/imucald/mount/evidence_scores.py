@@ -19,7 +19,7 @@ from imucald.mount.evidence_rows import (
     GX_QUARTER,
     GY,
     GY_QUARTER,
-    MOST_REGRESSORS,
+    MAX_REGRESSORS,
     P_ROW,
     ROWS,
     TARGETS,
@@ -111,7 +111,7 @@ def renewed_gains(P: Array, weight: Array) -> Array:
 def factors(gains: Array) -> Array:
     """What the regressors of each row are multiplied with, band by band (rows, most, BANDS)."""
     gx, gy = gains[GX], gains[GY]
-    out = np.ones((len(ROWS), MOST_REGRESSORS, BANDS))
+    out = np.ones((len(ROWS), MAX_REGRESSORS, BANDS))
     out[0, 0] = gy
     out[1, 0] = -gx
     out[2, 0], out[2, 1] = gx, gx * BAND_OMEGA2
@@ -132,13 +132,13 @@ def scores(P: Array, weight: Array, gains: Array) -> tuple[Array, Array]:
     sign = np.array([one if gain < 0 else -gains[gain] for *_, gain in _TERMS])
     target = np.add.reduceat(P[_TERM_PAIR] * sign[:, None, :], _TERM_START, axis=0)
     mine = factor[_SCORE_ROW, _SCORE_A]
-    score = np.zeros((len(ROWS), n, MOST_REGRESSORS))
+    score = np.zeros((len(ROWS), n, MAX_REGRESSORS))
     target *= weight[_SCORE_ROW]
     score[_SCORE_ROW, :, _SCORE_A] = np.matmul(target, mine[:, :, None])[:, :, 0]
     both = factor[_ENTRY_ROW, _ENTRY_A] * factor[_ENTRY_ROW, _ENTRY_B]
     entries = P[_ENTRY_PAIR] * weight[_ENTRY_ROW]
     values = np.matmul(entries, both[:, :, None])[:, :, 0]
-    normal = np.zeros((len(ROWS), n, MOST_REGRESSORS, MOST_REGRESSORS))
+    normal = np.zeros((len(ROWS), n, MAX_REGRESSORS, MAX_REGRESSORS))
     normal[_ENTRY_ROW, :, _ENTRY_A, _ENTRY_B] = values
     normal[_ENTRY_ROW, :, _ENTRY_B, _ENTRY_A] = values
     return score, normal

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
 from imucald.motion.ticks import TICK_S
-from imucald.mount.signal_blocks import HOP
+from imucald.mount.signal_blocks import BLOCK_TICKS
 
 Array = NDArray[np.float64]
 Spectra = NDArray[np.complex128]
 
 WINDOW = 256
-"""Ticks per window; with HOP = 64 a quarter of it."""
+"""Ticks per window; with BLOCK_TICKS = 64 a quarter of it."""
 FIRST_BIN = 0
 BAND_EDGES = (0, 1, 2, 3, 4, 6, 9, 13, 19, 28, 52)
 """Bins of 0.039 Hz; the last ends at 2 Hz, above which dv/dt says nothing."""
@@ -37,7 +37,7 @@ RATE = slice(8, 11)
 A2, V2, R2, AR, VR, AA, AV = 11, 12, 13, 14, 15, 16, 17
 """Second-order terms: A^2, V^2, r^2, A r, V r, A |A|, A V."""
 AH, VH = 18, 19
-"""A and V less what the tracked vertical takes up of them; see `evidence_up`."""
+"""A and V less what the tracked vertical takes up of them; see `gravity_observer`."""
 MEASURED = 20
 """Columns that come from time; two more are their quarter turns in frequency."""
 AI, VI = 20, 21
@@ -50,7 +50,7 @@ FX, FY, FZ, FA, FV, FQ, P, Q, R, FA2, FV2, FR2, FAR, FVR, FAI, FVI, FAA, FAV, FA
 """Order of signals after `in_vehicle_axes`: force (3), A, V, v q, rate (3), even terms."""
 
 _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
-_TAPER_SCALE = float(np.sqrt(2.0 / WINDOW / ((_TAPER**2).sum() / HOP)))
+_TAPER_SCALE = float(np.sqrt(2.0 / WINDOW / ((_TAPER**2).sum() / BLOCK_TICKS)))
 _HALF = math.sqrt(0.5)
 _TAPER_COLUMN = (_TAPER_SCALE * _TAPER)[:, None]
 _STARTS = np.array(BAND_EDGES[:-1]) - FIRST_BIN

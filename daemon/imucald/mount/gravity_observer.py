@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.gravity_step import StepWatch
-from imucald.mount.signal_blocks import HOP, Prepared
+from imucald.mount.gravity_step import GravityStepDetector
+from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -32,16 +32,16 @@ PULL_NO_GYRO_S = 12.0
 """The same where no gyroscope carries the vertical."""
 FORCE_LARGE = 0.25
 """An innovation beyond counts less [m/s^2] (Huber)."""
-COLOUR, COLOUR_PIECES = 25.0, 4.0
-"""The innovation is not white: the bias's variance is so much larger, until pieces of road tell."""
+COLOUR, COLOUR_SEGMENTS = 25.0, 4.0
+"""The innovation is not white: the bias's variance is so much larger, until road segments tell."""
 SETTLE_TICKS = 25
 """The first ticks take the mean."""
-MOST_ALONE, MOST_BLIND = 120, 10
-"""After so many ticks that the gyroscope carried the vertical alone, or that nothing did in a hop,
-no step is looked for ..."""
-SETTLING_HOPS = 8
+MAX_ALONE, MAX_BLIND = 120, 10
+"""After so many ticks that the gyroscope carried the vertical alone, or that nothing did in a
+block, no step is looked for ..."""
+SETTLING_BLOCKS = 8
 """... for three time constants of the pull."""
-SEEKING_HOPS = 3
+SEEKING_BLOCKS = 3
 """After nothing carried the vertical it is found anew, and for so long nothing rests on it."""
 DRIFT_S = 150.0
 """Time constant with which a drifting gyro bias is followed while driving [s]."""
@@ -49,17 +49,17 @@ FORCE_NOISE = 0.06
 """Innovation of a tick while nothing happens [m/s^2], rms."""
 FORCE_SHARE = 0.12
 """Share of the motion that the model may miss (gains, squat, sideslip)."""
-BLOCK = 8
-"""Ticks that are carried on as one; a hop holds a whole number of them."""
+CARRY_TICKS = 8
+"""Ticks that are carried on as one; a block holds a whole number of them."""
 _PULL = {True: TICK_S / PULL_S, False: TICK_S / PULL_NO_GYRO_S}
 
 
 def _followed(pull: float) -> tuple[Array, Array]:
-    """What a first-order lag leaves of a hop: (HOP, HOP) of its values, (HOP,) of its state."""
-    decay = np.asarray((1.0 - pull) ** np.arange(HOP), dtype=np.float64)
-    lag = np.arange(HOP)[:, None] - np.arange(HOP)[None, :] - 1
+    """What a first-order lag leaves of a block: (N, N) of its values, (N,) of its state."""
+    decay = np.asarray((1.0 - pull) ** np.arange(BLOCK_TICKS), dtype=np.float64)
+    lag = np.arange(BLOCK_TICKS)[:, None] - np.arange(BLOCK_TICKS)[None, :] - 1
     taken = np.where(lag >= 0, pull * (1.0 - pull) ** np.maximum(lag, 0), 0.0)
-    left = np.asarray(np.eye(HOP) - taken, dtype=np.float64)
+    left = np.asarray(np.eye(BLOCK_TICKS) - taken, dtype=np.float64)
     return left, decay
 
 
@@ -83,7 +83,7 @@ def _turned(step: Array) -> Array:
 _REMAINING = {with_gyro: _followed(pull) for with_gyro, pull in _PULL.items()}
 
 
-class UpTracker:
+class GravityObserver:
     """State: (3, 4) = u and B = d u / d (b / g)."""
 
     def __init__(self) -> None:
@@ -96,17 +96,17 @@ class UpTracker:
         self._open_ticks = 0
         self.drift = np.zeros(3)
         self._taken: Array | None = None
-        self._use: Flags = np.zeros(HOP, dtype=bool)
+        self._use: Flags = np.zeros(BLOCK_TICKS, dtype=bool)
         self._alone = self._settling = self._seeking = 0
         self._closed: list[tuple[Array, Array]] = []
         self._end = np.eye(3)
-        self.watch = StepWatch()
+        self.steps = GravityStepDetector()
 
     def restart(self) -> None:
         """Forget the vertical (time jumped), keep what is known of the bias."""
         self._state = None
         self._n = 0
-        self.watch.restart()
+        self.steps.restart()
 
     @property
     def up(self) -> Array | None:
@@ -118,8 +118,10 @@ class UpTracker:
         """Whether the vertical was lost and is being found anew."""
         return self._seeking > 0
 
-    def advance(self, p: Prepared, motion: Array | None, bias: Array | None, sure: bool) -> Array:
-        """Carry the vertical through a hop; return f_s - g u (N, 3), motion still in it.
+    def advance(
+        self, p: SignalBlock, motion: Array | None, bias: Array | None, sure: bool
+    ) -> Array:
+        """Carry the vertical through a block; return f_s - g u (N, 3), motion still in it.
 
         motion: (N, 3) expected motion force in sensor axes, or None while R is not known.
         sure: R is known well enough to learn the bias from what it leaves over.
@@ -137,9 +139,9 @@ class UpTracker:
             if sure:
                 self._learn_bias(p, states, force, motion)
                 if self._settling:
-                    self.watch.restart()
+                    self.steps.restart()
                 else:
-                    self._watch(p, before, states, force, motion, bias)
+                    self._detect_step(p, before, states, force, motion, bias)
             self._follow_drift(p, states, force, bias, pull)
         lone: Array = p.force - GRAVITY * states[:, :, 0]
         if bias is not None:
@@ -151,20 +153,20 @@ class UpTracker:
         self._settling = max(self._settling - 1, 0)
         at = np.flatnonzero(self._use)
         alone = self._alone + (int(at[0]) if len(at) else len(self._use))
-        if alone > MOST_ALONE or np.count_nonzero(~ok_rate) > MOST_BLIND:
-            self._settling = SETTLING_HOPS
+        if alone > MAX_ALONE or np.count_nonzero(~ok_rate) > MAX_BLIND:
+            self._settling = SETTLING_BLOCKS
         self._seeking = max(self._seeking - 1, 0)
-        if self._state is not None and np.count_nonzero(~ok_rate & ~self._use) > MOST_BLIND:
-            self._n, self._seeking = 0, SEEKING_HOPS
+        if self._state is not None and np.count_nonzero(~ok_rate & ~self._use) > MAX_BLIND:
+            self._n, self._seeking = 0, SEEKING_BLOCKS
         self._alone = len(self._use) - 1 - int(at[-1]) if len(at) else alone
 
     def _carry(self, turn: Array, force: Array, use: Flags, pull: float) -> Array:
         """Turn the state tick by tick and draw it to the force; return it as before each draw.
 
-        Columns: u, B, and what is left of the state at the hop's beginning (N, 3, 7).
+        Columns: u, B, and what is left of the state at the block's beginning (N, 3, 7).
 
         With T the turn and g the gain of a tick, y_i = (1 - g_i) T_i y_(i-1) + g_i target_i. That
-        is affine, so blocks of ticks are put together first, all at once, and then carried on.
+        is affine, so carries of ticks are put together first, all at once, and then carried on.
         """
         n = len(turn)
         states = np.zeros((n, 3, 7))
@@ -185,27 +187,27 @@ class UpTracker:
             whole[:first, :, :3] = np.eye(3)  # nothing to turn yet
         whole[:, :, 3] = (gain[:, 0] / GRAVITY) * force
         whole[:, :, 4:] = gain * np.eye(3)
-        blocks = whole.reshape(-1, BLOCK, 3, 7)
-        alone = blocks[:, :, :, :3].copy()
-        for j in range(1, BLOCK):
-            before = alone[:, j] @ blocks[:, j - 1]
-            before[:, :, 3:] += blocks[:, j, :, 3:]
-            blocks[:, j] = before
-        starts = np.empty((len(blocks), 1, 3, 7))
+        carries = whole.reshape(-1, CARRY_TICKS, 3, 7)
+        alone = carries[:, :, :, :3].copy()
+        for j in range(1, CARRY_TICKS):
+            before = alone[:, j] @ carries[:, j - 1]
+            before[:, :, 3:] += carries[:, j, :, 3:]
+            carries[:, j] = before
+        starts = np.empty((len(carries), 1, 3, 7))
         state = np.concatenate([self._state, np.eye(3)], axis=1)
         np.matmul(turn[0], state, out=states[0])
-        for block, end in enumerate(blocks[:, -1]):
-            starts[block, 0] = state
+        for carry, end in enumerate(carries[:, -1]):
+            starts[carry, 0] = state
             state = end[:, :3] @ state
             state[:, :4] += end[:, 3:]
-        drawn = blocks[:, :, :, :3] @ starts
-        drawn[:, :, :, :4] += blocks[:, :, :, 3:]
+        drawn = carries[:, :, :, :3] @ starts
+        drawn[:, :, :, :4] += carries[:, :, :, 3:]
         np.matmul(turn[1:], drawn.reshape(n, 3, 7)[:-1], out=states[1:])
         states[:first] = 0.0
         self._state, self._end = state[:, :4], state[:, 4:]
         return states
 
-    def remaining(self, motion: Array, p: Prepared) -> Array:
+    def remaining(self, motion: Array, p: SignalBlock) -> Array:
         """What a wrong R leaves of motion (N, k) in the force, after the vertical took its part.
 
         The vertical follows the force less the expected motion, so an error e of R shows as
@@ -230,7 +232,7 @@ class UpTracker:
         return out
 
     def _follow_drift(
-        self, p: Prepared, states: Array, force: Array, bias: Array | None, pull: float
+        self, p: SignalBlock, states: Array, force: Array, bias: Array | None, pull: float
     ) -> None:
         """Gyro bias about the level axes, from the innovation that it keeps up (Mahony's integral).
 
@@ -250,7 +252,7 @@ class UpTracker:
         across = np.array([uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx])
         self.drift += across * (pull / TICK_S * len(p.t) * TICK_S / DRIFT_S)
 
-    def _learn_bias(self, p: Prepared, states: Array, force: Array, motion: Array) -> None:
+    def _learn_bias(self, p: SignalBlock, states: Array, force: Array, motion: Array) -> None:
         use = p.learn & p.ok_speed & ~p.rest
         if not use.any() or self._n < 100:
             return
@@ -273,9 +275,9 @@ class UpTracker:
             self._open_score = np.zeros(3)
             self._open_ticks = 0
 
-    def _watch(
+    def _detect_step(
         self,
-        p: Prepared,
+        p: SignalBlock,
         before: Array,
         states: Array,
         force: Array,
@@ -289,10 +291,10 @@ class UpTracker:
         weight = (self._use & p.ok_rate) / (FORCE_NOISE * FORCE_NOISE + share2)
         size = np.sqrt((innovation * innovation).sum(axis=1))
         weight /= np.maximum(size / (2.0 * FORCE_LARGE), 1.0)
-        self.watch.add(before, states, self._end, innovation, weight)
+        self.steps.add(before, states, self._end, innovation, weight)
 
     def bias(self, prior_std: float) -> tuple[Array, Array]:
-        """Accelerometer bias [m/s^2] (3,) and covariance (3, 3), sandwich over 40 s pieces."""
+        """Accelerometer bias [m/s^2] (3,) and covariance (3, 3), sandwich over 40 s segments."""
         prior = np.eye(3) / (prior_std * prior_std)
         if self._state is not None:
             # along the vertical it tilts nothing, and squat would pass for it
@@ -315,7 +317,7 @@ class UpTracker:
             spread = np.einsum("ni,ij,nj->", left, covariance, left)
             k = len(a)
             seen = k * spread / max(model, 0.05)
-            scale = (COLOUR * COLOUR_PIECES + seen) / (COLOUR_PIECES + k)
+            scale = (COLOUR * COLOUR_SEGMENTS + seen) / (COLOUR_SEGMENTS + k)
         scale = max(scale, 1.0)
         covariance = np.asarray(np.linalg.inv(information / scale + prior), dtype=np.float64)
         value = covariance @ (score / scale)

@@ -1,10 +1,10 @@
 """A step in gravity that the gyroscope did not see: the sensor was moved against the vehicle.
 
-The vertical that the gyroscope carries (`evidence_up`) goes along with every slope and every
+The vertical that the gyroscope carries (`gravity_observer`) goes along with every slope and every
 lean of the body. If the sensor is moved between two samples, gravity points elsewhere from then
 on in sensor axes, as if a bias d had come at that time; the innovation answers to it by
 C(t) d = (I - B(t)) d, where B follows the equation of the vertical from zero at that time. So d
-is fitted by least squares for each of the last hops' beginnings as the time of the step (a
+is fitted by least squares for each of the last blocks' beginnings as the time of the step (a
 generalised likelihood ratio test, Willsky and Jones, IEEE Trans. Autom. Control 21, 1976). How
 large d is without any step is learnt from the drive itself, for every age and axis.
 """
@@ -26,7 +26,7 @@ AGES = 10
 FIRST_AGE = 4
 """Younger candidates take a gust or a bad road for a step."""
 SPREAD_PRIOR, SPREAD_WEIGHT = 0.05, 20.0
-"""Size of d without a step [m/s^2], and its weight in hops until the drive has told."""
+"""Size of d without a step [m/s^2], and its weight in blocks until the drive has told."""
 SPREAD_MEMORY = 600.0
 """Hops over which the spread is learnt (an hour)."""
 SETTLED = 45
@@ -35,46 +35,46 @@ LIMIT = 7.5
 """A step by itself is as many spreads; smaller ones count beside other evidence (`shift`)."""
 OTHER_AXIS = 0.25
 """Share of the other axis in the spread squared: what is rough along is rough across."""
-TRAIL = 96
-"""Hops that are remembered (10 min): pieces of road may have pauses between them."""
+HISTORY_BLOCKS = 96
+"""Hops that are remembered (10 min): road segments may have pauses between them."""
 AROUND = 6
-"""A piece of road begins with a window of the three hops before, and may hold a change late."""
-LEAST = 0.15
+"""A road segment begins with a window of the three blocks before, and may hold a change late."""
+MIN_SIZE = 0.15
 """A step is at least that large [m/s^2]: 0.9 deg."""
 
 
 @dataclass(frozen=True)
-class Step:
-    """A step found: axis (0 roll, 1 pitch), size [rad], in spreads, hops ago."""
+class GravityStep:
+    """A step found: axis (0 roll, 1 pitch), size [rad], in spreads, blocks ago."""
 
     axis: int
     size: float
     deviations: float
-    hops: int
+    blocks: int
 
 
 _SIGNS = np.array([1.0, -1.0])
 
 
-class StepTrail:
-    """How far a step stood out at each of the last hops, in roll and in pitch, both ways."""
+class GravityStepHistory:
+    """How far a step stood out at each of the last blocks, in roll and in pitch, both ways."""
 
     def __init__(self) -> None:
-        self._both = np.zeros((TRAIL, 2, 2))  # by age; roll, pitch; the largest, the least
+        self._both = np.zeros((HISTORY_BLOCKS, 2, 2))  # by age; roll, pitch; the largest, the least
 
     def go_on(self) -> None:
-        """A hop has gone by."""
+        """A block has gone by."""
         self._both[1:] = self._both[:-1].copy()
         self._both[0] = 0.0
 
     def add(self, spreads: Array) -> None:
-        """Take how far steps stand out now, from `FIRST_AGE` hops ago on (ages, 2)."""
+        """Take how far steps stand out now, from `FIRST_AGE` blocks ago on (ages, 2)."""
         part = self._both[FIRST_AGE - 1 : FIRST_AGE - 1 + len(spreads)]
         np.maximum(part[:, :, 0], spreads, out=part[:, :, 0])
         np.minimum(part[:, :, 1], spreads, out=part[:, :, 1])
 
     def near(self, age: int) -> Array:
-        """The largest and the least (roll and pitch, 2) about so many hops ago."""
+        """The largest and the least (roll and pitch, 2) about so many blocks ago."""
         newest = max(age - 1 - AROUND, 0)
         part = self._both[newest : age - 1 + AROUND]
         if not len(part):
@@ -82,40 +82,40 @@ class StepTrail:
         return np.stack([part[:, :, 0].max(axis=0), part[:, :, 1].min(axis=0)], axis=1)
 
 
-class StepWatch:
-    """Fits of d for the last hops' beginnings, renewed hop by hop."""
+class GravityStepDetector:
+    """Fits of d for the last blocks' beginnings, renewed block by block."""
 
     def __init__(self) -> None:
         self._start = np.zeros((AGES, 3, 3))  # B at the candidate's time, carried on
         self._score = np.zeros((AGES, 3))
         self._information = np.zeros((AGES, 3, 3))
         self._square = np.full((AGES, 2), SPREAD_PRIOR**2)
-        self._hops = 0
+        self._blocks = 0
         self._seen = 0
-        self.trail = StepTrail()
+        self.history = GravityStepHistory()
 
-    def start_from(self, other: StepWatch) -> None:
+    def start_from(self, other: GravityStepDetector) -> None:
         """Begin with another's experience of what is usual, but without its candidates."""
         self._square, self._seen = other._square.copy(), other._seen
 
     def restart(self) -> None:
         """The vertical starts anew: no candidate reaches back beyond."""
-        self._hops = 0
-        self.trail = StepTrail()
+        self._blocks = 0
+        self.history = GravityStepHistory()
 
     def add(
         self, before: Array, states: Array, end: Array, innovation: Array, weight: Array
     ) -> None:
-        """Take a hop.
+        """Take a block.
 
-        before: B at its beginning (3, 3); states: (N, 3, 7) of `UpTracker`; end: what is left of
-        the state at the beginning (3, 3). innovation: (N, 3); weight: (N,).
+        before: B at its beginning (3, 3); states: (N, 3, 7) of `GravityObserver`; end: what is left
+        of the state at the beginning (3, 3). innovation: (N, 3); weight: (N,).
         """
         for kept in (self._start, self._score, self._information):
             kept[1:] = kept[:-1].copy()
             kept[0] = 0.0
         self._start[0] = before
-        self._hops += 1
+        self._blocks += 1
         n = len(weight)
         carried = (states[:, :, 4:].reshape(3 * n, 3) @ self._start).reshape(AGES, n, 3, 3)
         answer = ((np.eye(3) - states[:, :, 1:4]) + carried).reshape(AGES, 3 * n, 3)
@@ -125,11 +125,11 @@ class StepWatch:
         self._information += weighted @ answer
         self._start = end @ self._start
 
-    def found(self, R_vehicle_from_sensor: Matrix3) -> Step | None:
+    def found(self, R_vehicle_from_sensor: Matrix3) -> GravityStep | None:
         """The step that stands out most, if any does; learns the usual spread as well."""
         R = R_vehicle_from_sensor
-        self.trail.go_on()
-        ages = min(self._hops, AGES)
+        self.history.go_on()
+        ages = min(self._blocks, AGES)
         if ages == 0:
             return None
         information = (R @ self._information[:ages] @ R.T)[:, :2, :2]
@@ -145,13 +145,15 @@ class StepWatch:
             return None
         # gravity seen to the left: the sensor rolled to the right about x; ahead: about -y
         turned, spreads = size[:, ::-1] * _SIGNS, deviations[:, ::-1] * _SIGNS
-        self.trail.add(spreads[FIRST_AGE - 1 :])
-        large = np.abs(spreads) * (np.abs(turned) > LEAST)
+        self.history.add(spreads[FIRST_AGE - 1 :])
+        large = np.abs(spreads) * (np.abs(turned) > MIN_SIZE)
         large[: FIRST_AGE - 1] = 0.0
         age, axis = divmod(int(np.argmax(large)), 2)
         if large[age, axis] < LIMIT:
             return None
-        return Step(axis, float(turned[age, axis]) / GRAVITY, float(spreads[age, axis]), age + 1)
+        return GravityStep(
+            axis, float(turned[age, axis]) / GRAVITY, float(spreads[age, axis]), age + 1
+        )
 
     def _learn(self, size: Array, ages: int) -> None:
         self._seen += 1

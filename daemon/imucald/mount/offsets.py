@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-LEAST_TICKS = 8
-"""A hop with less rest says nothing."""
+MIN_TICKS = 8
+"""A block with less rest says nothing."""
 REST_MEMORY = 250.0
 """Ticks at rest after which an offset is forgotten: it wanders with temperature."""
 STILL_RATE, STILL_FORCE = 0.05, 0.25
 """At rest rates [rad/s] and forces [m/s^2] stay that close to their mean."""
 NOISE_SHARE = 4.0
 """... or within so many times a force's noise from tick to tick: a noisy sensor rests as well."""
-MOST_BIAS = 0.1
+MAX_BIAS = 0.1
 """A gyroscope with a larger bias [rad/s] is turning: a speed stuck at zero is no rest."""
-MOST_STEP = 0.02
+MAX_STEP = 0.02
 """Nor does a known bias jump by more [rad/s]."""
 GUESS_TICKS = 250
 """Ticks of driving from which a gyro bias can be guessed without a rest."""
-MOST_TURNS = 250
+MAX_TURNS = 250
 """Hops that such a guess rests on: half an hour."""
 
 
@@ -39,12 +39,12 @@ class Offsets:
         self._moving = 0
         self._moving_rate = np.zeros(3)
         self._moving_force = np.zeros(3)
-        self._turns: deque[float] = deque(maxlen=MOST_TURNS)
+        self._turns: deque[float] = deque(maxlen=MAX_TURNS)
 
     def learn_gyro(self, rate: Array, force: Array) -> None:
         """Take raw rates (n, 3) and forces (n, 3) at rest."""
         n = len(rate)
-        if n < LEAST_TICKS:
+        if n < MIN_TICKS:
             return
         mean = rate.mean(axis=0)
         still = np.abs(rate - mean).max() < STILL_RATE
@@ -52,9 +52,9 @@ class Offsets:
         noise = np.sqrt(0.5 * (step * step).mean(axis=0))
         allowed = np.maximum(STILL_FORCE, NOISE_SHARE * noise)
         still &= bool((np.abs(force - force.mean(axis=0)) < allowed).all())
-        if not still or np.abs(mean).max() > MOST_BIAS:
+        if not still or np.abs(mean).max() > MAX_BIAS:
             return
-        if self.gyro_ticks > 50.0 and np.abs(mean - self.gyro_bias).max() > MOST_STEP:
+        if self.gyro_ticks > 50.0 and np.abs(mean - self.gyro_bias).max() > MAX_STEP:
             return
         self.gyro_ticks = min(self.gyro_ticks + n, REST_MEMORY)
         self.gyro_bias = self.gyro_bias + (mean - self.gyro_bias) * (n / self.gyro_ticks)
@@ -62,10 +62,10 @@ class Offsets:
     def learn_yaw_rate(self, yaw_rate: Array) -> None:
         """Take raw yaw rates of the vehicle (n,) at rest."""
         n = len(yaw_rate)
-        if n < LEAST_TICKS:
+        if n < MIN_TICKS:
             return
         mean = float(yaw_rate.mean())
-        if abs(mean) > MOST_BIAS or float(np.abs(yaw_rate - mean).max()) > STILL_RATE:
+        if abs(mean) > MAX_BIAS or float(np.abs(yaw_rate - mean).max()) > STILL_RATE:
             return
         self._yaw_ticks = min(self._yaw_ticks + n, REST_MEMORY)
         self.yaw_rate += (mean - self.yaw_rate) * (n / self._yaw_ticks)

@@ -20,14 +20,14 @@ Flags = NDArray[np.bool_]
 
 FORCE_LOW, FORCE_HIGH = 0.5 * GRAVITY, 1.7 * GRAVITY
 """Mean specific force outside is no road vehicle on a road."""
-MOST_RATE = 4.0
+MAX_RATE = 4.0
 """Nor does one turn faster [rad/s]."""
 NEAR_FULL_SCALE = 0.98
 SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03
 """Wheel speeds may differ by this [m/s] and this share of the speed, beyond the curve."""
 CURVE_SHARE = 1.5
 """In a curve they may differ by this times track times yaw rate."""
-MOST_CHANGE = 12.0
+MAX_CHANGE = 12.0
 """No road vehicle changes its speed faster [m/s^2]."""
 HOLD_TICKS = 10
 """Ticks around a wheel-slip event or a jump of the speed that are not learnt from either."""
@@ -59,7 +59,7 @@ def forbidden(
     """
     size2 = (force * force).sum(axis=1)
     bad: Flags = ok_force & ((size2 < FORCE_LOW**2) | (size2 > FORCE_HIGH**2))
-    bad |= curve > MOST_RATE
+    bad |= curve > MAX_RATE
     tally(counts, "implausible", bad)
     high = NEAR_FULL_SCALE * settings.accel_range
     top, low = slice(tk.ACCEL_MAX_X, tk.ACCEL_MAX_X + 3), slice(tk.ACCEL_MIN_X, tk.ACCEL_MIN_X + 3)
@@ -74,7 +74,7 @@ def forbidden(
         slip &= np.nan_to_num(rows[:, tk.WHEEL_SPREAD]) > allowed
         if tally(counts, "wheel_slip", slip):
             bad |= spread_out(slip, HOLD_TICKS)
-    wild = ok_speed & (np.abs(np.gradient(speed, TICK_S)) > MOST_CHANGE)
+    wild = ok_speed & (np.abs(np.gradient(speed, TICK_S)) > MAX_CHANGE)
     if tally(counts, "speed_jump", wild):
         bad |= spread_out(wild, HOLD_TICKS)
     return bad

@@ -16,7 +16,6 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +25,12 @@ from imucald.motion.ticks import TickRow
 from imucald.mount.estimate import (
     BETWEEN_DRIVES_STD,
     Correction,
-    KeepsEvidence,
     MountEstimate,
     MountEstimator,
     MountState,
 )
+from imucald.mount.saved_information import SavedInformation, SavesInformation
 from imucald.mount.slewing import SlewedRotation
-
-if TYPE_CHECKING:
-    from imucald.mount.saved_information import KeptEvidence
 
 COMPARE_TICKS = 10
 """The two are compared so often: once a second."""
@@ -66,7 +62,7 @@ class StoredMount:
     covariance: NDArray[np.float64]
     state: MountState = MountState.USABLE
     doubted: bool = False
-    evidence: KeptEvidence | None = None
+    evidence: SavedInformation | None = None
 
 
 class Phase(enum.StrEnum):
@@ -143,10 +139,12 @@ class RestoredEstimator:
             details=details,
         )
 
-    def kept_evidence(self) -> KeptEvidence | None:
+    def saved_information(self) -> SavedInformation | None:
         """What the estimate that is served rests on."""
         if self.joined or self.phase in (Phase.HANDING_OVER, Phase.NEW):
-            return self.inner.kept_evidence() if isinstance(self.inner, KeepsEvidence) else None
+            return (
+                self.inner.saved_information() if isinstance(self.inner, SavesInformation) else None
+            )
         return self.stored.evidence
 
     def _details(self) -> dict[str, object]:
@@ -184,7 +182,7 @@ class RestoredEstimator:
 
     def _joined_distance(self) -> float | None:
         """The same of the evidence on both sides, which the estimator keeps apart."""
-        found = self.inner.contradiction if isinstance(self.inner, KeepsEvidence) else None
+        found = self.inner.contradiction if isinstance(self.inner, SavesInformation) else None
         if found is None:  # it has left the stored evidence by itself: the sensor was moved
             self.joined = False
         return found
@@ -208,14 +206,14 @@ class RestoredEstimator:
     def _join(self) -> None:
         """The new evidence agrees by itself: go on with both."""
         kept = self.stored.evidence
-        if kept is not None and not self.joined and isinstance(self.inner, KeepsEvidence):
-            self.inner.join_evidence(kept)
+        if kept is not None and not self.joined and isinstance(self.inner, SavesInformation):
+            self.inner.join_information(kept)
             self.joined = self.inner.contradiction is not None
 
     def _leave(self) -> None:
         """They contradict one another after all: the new evidence stays."""
-        if isinstance(self.inner, KeepsEvidence):
-            self.inner.leave_evidence()
+        if isinstance(self.inner, SavesInformation):
+            self.inner.drop_information()
         self.joined = False
 
     def _follow(self) -> None:

@@ -1,8 +1,8 @@
-"""From sums of scores and informations, piece of road by piece, to values with their variances.
+"""From scores and informations, road segment by road segment, to values with their variances.
 
 Per regression a least-squares fit with priors on the nuisance; the variance of the angle is a mix
-of the model's (what the noise levels say) and of the spread of the scores from piece of road to
-piece of road (sandwich; White, Econometrica 48, 1980), neighbours' covariance included.
+of the model's (what the noise levels say) and of the spread of the scores from road segment to
+road segment (sandwich; White, Econometrica 48, 1980), neighbours' covariance included.
 """
 
 from __future__ import annotations
@@ -12,25 +12,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.mount.evidence_rows import MOST_REGRESSORS, ROWS, WITHOUT_SPEED
-from imucald.mount.shift import Fit, Flow
+from imucald.mount.evidence_rows import MAX_REGRESSORS, ROWS, WITHOUT_SPEED
+from imucald.mount.shift import AngleFit, ScoreSeries
 
 Array = NDArray[np.float64]
 
 MODEL_GROUPS = 6.0
-"""The model's variance counts like that many pieces of road in the sandwich."""
+"""The model's variance counts like that many road segments in the sandwich."""
 MODEL_SHARE = np.array([1.5, 1.5, 1.15])
 """The model's variance is taken that much larger, for roll, pitch and yaw: correlated noise is the
 rule."""
 WITHOUT_SPEED_SHARE = 3.0
 """Without speed A r is not known: variances of rotation axes are so much larger."""
-LEAST_INFORMATION = 50.0
+MIN_INFORMATION = 50.0
 """Less than this [1/rad^2], 8 deg, is not worth a piece."""
 
 
 @dataclass
-class Piece:
-    """One piece of evidence about one angle: value [rad], variance, pieces of road in it."""
+class AngleEvidence:
+    """What one source says about one angle: value [rad], variance, road segments in it."""
 
     value: float
     variance: float
@@ -39,9 +39,9 @@ class Piece:
 
 def _priors() -> Array:
     """Information of the nuisance priors (rows, most, most); unused places are held at zero."""
-    out = np.zeros((len(ROWS), MOST_REGRESSORS, MOST_REGRESSORS))
+    out = np.zeros((len(ROWS), MAX_REGRESSORS, MAX_REGRESSORS))
     for i, row in enumerate(ROWS):
-        held = [1.0] * (MOST_REGRESSORS - len(row.regressors))
+        held = [1.0] * (MAX_REGRESSORS - len(row.regressors))
         out[i] = np.diag([0.0, *(1.0 / x**2 for x in row.prior_std), *held])
     return out
 
@@ -49,10 +49,10 @@ def _priors() -> Array:
 _PRIORS = _priors()
 
 
-def pieces_of(
+def fit_regressions(
     score: Array, normal: Array, without_speed: bool
-) -> tuple[dict[str, Piece], list[Flow]]:
-    """Fit each regression; return its piece of evidence, and its flow for the shift test.
+) -> tuple[dict[str, AngleEvidence], list[ScoreSeries]]:
+    """Fit each regression; return its evidence about the angle, and its series for the shift test.
 
     score: (rows, groups, regressors), normal: (rows, groups, regressors, regressors).
     """
@@ -61,7 +61,7 @@ def pieces_of(
     use = [
         i
         for i, size in enumerate(total[:, 0, 0].tolist())
-        if size >= LEAST_INFORMATION and (not without_speed or i in WITHOUT_SPEED)
+        if size >= MIN_INFORMATION and (not without_speed or i in WITHOUT_SPEED)
     ]
     if not use:
         return {}, []
@@ -78,17 +78,17 @@ def pieces_of(
     axes = [ROWS[i].axis for i in use]
     few = np.array([ROWS[i].few for i in use])
     variances = _variances(u, model * MODEL_SHARE[axes], groups) * (1.0 + few / (groups + 3.0))
-    pieces: dict[str, Piece] = {}
-    flows: list[Flow] = []
+    sources: dict[str, AngleEvidence] = {}
+    series: list[ScoreSeries] = []
     for k, i in enumerate(use):
         row = ROWS[i]
         variance = row.share * float(variances[k])
         if without_speed and row.name.endswith("axis"):
             variance *= WITHOUT_SPEED_SHARE
-        pieces[row.name] = Piece(float(value[k, 0, 0]), variance, float(groups[k]))
-        fit = Fit(left[k, :, 0], normal[i, :, 0, :], inverse[k], float(value[k, 0, 0]))
-        flows.append(Flow(row.name, flow[k], own[k], fit))
-    return pieces, flows
+        sources[row.name] = AngleEvidence(float(value[k, 0, 0]), variance, float(groups[k]))
+        fit = AngleFit(left[k, :, 0], normal[i, :, 0, :], inverse[k], float(value[k, 0, 0]))
+        series.append(ScoreSeries(row.name, flow[k], own[k], fit))
+    return sources, series
 
 
 def _variances(u: Array, model: Array, groups: Array) -> Array:

@@ -1,8 +1,8 @@
 """What evidence comes to, in few numbers: kept when the daemon stops, for the next start.
 
 Per kind of evidence (the rows of `evidence_rows`, and gravity) there are its value about the
-rotation of that time, its variance, and its scores and informations piece of road by piece of
-road, which the test for shifts needs. Old pieces are joined: the size is bounded.
+rotation of that time, its variance, and its scores and informations road segment by road
+segment, which the test for shifts needs. Old sources are joined: the size is bounded.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,26 +20,27 @@ from imucald.core.rotations import Matrix3, orthonormalised, vector_from_rotatio
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
 from imucald.mount.evidence_rows import ROWS
 from imucald.mount.fusion import AXES
-from imucald.mount.road_segments import Piece
-from imucald.mount.shift import Flow
+from imucald.mount.road_segments import AngleEvidence
+from imucald.mount.shift import ScoreSeries
 
 Array = NDArray[np.float64]
 
 GRAVITY_KINDS = ("roll_gravity", "pitch_gravity")
 KINDS = frozenset((*(row.name for row in ROWS), *GRAVITY_KINDS))
-MOST_PIECES = 48
-"""Pieces of road kept apart; neighbours are joined beyond."""
+MAX_SEGMENTS = 48
+"""Road segments kept apart; neighbours are joined beyond."""
 DIGITS = 6
 """Significant digits that are written: far more than there is in any evidence."""
 ROTATION_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class KeptPiece:
+class SavedSource:
     """One kind of evidence about one angle.
 
-    value: [rad] about `KeptEvidence.R`. variance: of it, without the accelerometer's bias, whose
-    share is in bias (gravity only). score, information: (G,) by piece of road, about the same R.
+    value: [rad] about `SavedInformation.R`. variance: of it, without the accelerometer's bias,
+    whose share is in bias (gravity only). score, information: (G,) by road segment, about the same
+    R.
     """
 
     value: float
@@ -50,27 +51,27 @@ class KeptPiece:
 
 
 @dataclass(frozen=True)
-class KeptEvidence:
-    """All kinds. R: the rotation they are about, crown still in it (see `Solution`)."""
+class SavedInformation:
+    """All kinds. R: the rotation they are about, crown still in it (see `MountSolver`)."""
 
     R: Matrix3
     without_speed: bool
-    pieces: Mapping[str, KeptPiece]
+    sources: Mapping[str, SavedSource]
 
-    def about(self, R: Matrix3) -> KeptEvidence:
+    def about(self, R: Matrix3) -> SavedInformation:
         """The same about another rotation near by, to first order."""
         e = vector_from_rotation(R @ self.R.T)
         turned = {
-            name: KeptPiece(
+            name: SavedSource(
                 p.value - e[axis_of(name)],
                 p.variance,
                 p.bias,
                 p.score - p.information * e[axis_of(name)],
                 p.information,
             )
-            for name, p in self.pieces.items()
+            for name, p in self.sources.items()
         }
-        return KeptEvidence(R, self.without_speed, turned)
+        return SavedInformation(R, self.without_speed, turned)
 
     def plain(self) -> dict[str, Any]:
         """As JSON takes it."""
@@ -85,9 +86,31 @@ class KeptEvidence:
                     "score": _rounded(p.score),
                     "information": _rounded(p.information),
                 }
-                for name, p in self.pieces.items()
+                for name, p in self.sources.items()
             },
         }
+
+
+@runtime_checkable
+class SavesInformation(Protocol):
+    """What a `MountEstimator` has beside its verbs if its evidence outlives the process."""
+
+    @property
+    def contradiction(self) -> float | None:
+        """Chi-square (3) of prior drives' evidence against this one's; None without any."""
+        ...
+
+    def saved_information(self) -> SavedInformation | None:
+        """What all evidence comes to, for the next start; None where there is too little."""
+        ...
+
+    def join_information(self, kept: SavedInformation) -> None:
+        """Go on with what prior drives found as well."""
+        ...
+
+    def drop_information(self) -> None:
+        """Go on with this drive's evidence alone."""
+        ...
 
 
 def axis_of(name: str) -> int:
@@ -95,35 +118,35 @@ def axis_of(name: str) -> int:
     return AXES.index(name.partition("_")[0])
 
 
-def named_flows(flows: list[Flow]) -> dict[str, Flow]:
+def named_series(series: list[ScoreSeries]) -> dict[str, ScoreSeries]:
     """Flows by the names of their sources."""
-    return {flow.kind: flow for flow in flows}
+    return {one.kind: one for one in series}
 
 
-def kept_pieces(
-    pieces: Mapping[str, Piece],
-    flows: Mapping[str, Flow],
+def saved_sources(
+    sources: Mapping[str, AngleEvidence],
+    series: Mapping[str, ScoreSeries],
     error: Array,
     bias: tuple[float, float],
-) -> dict[str, KeptPiece]:
-    """Pieces and flows of a fit about the rotation that came of it.
+) -> dict[str, SavedSource]:
+    """Sources and series of a fit about the rotation that came of it.
 
-    error: (3,), by which the fit turned the rotation; gravity's flows are about the new one as
-    they come. bias: variance of the accelerometer's bias in gravity's pieces.
+    error: (3,), by which the fit turned the rotation; gravity's series are about the new one as
+    they come. bias: variance of the accelerometer's bias in gravity's sources.
     """
     shares = dict(zip(GRAVITY_KINDS, bias, strict=True))
     found = {}
-    for name, piece in pieces.items():
-        e, share, flow = float(error[axis_of(name)]), shares.get(name, 0.0), flows[name]
-        score = flow.score if name in shares else flow.score - flow.information * e
-        found[name] = KeptPiece(
-            piece.value - e, piece.variance - share, share, score, flow.information
+    for name, source in sources.items():
+        e, share, one = float(error[axis_of(name)]), shares.get(name, 0.0), series[name]
+        score = one.score if name in shares else one.score - one.information * e
+        found[name] = SavedSource(
+            source.value - e, source.variance - share, share, score, one.information
         )
     return found
 
 
-def together(before: KeptEvidence | None, now: KeptEvidence) -> KeptEvidence:
-    """Both as one, about the rotation of now; the earlier ones with what changes between drives.
+def together(before: SavedInformation | None, now: SavedInformation) -> SavedInformation:
+    """Both as one, about the rotation of now; the prior ones with what changes between drives.
 
     That change is the same for all kinds of an angle, but is taken as each one's own here. It
     makes the sum a little too certain, by less than what the next start widens it by again.
@@ -131,18 +154,18 @@ def together(before: KeptEvidence | None, now: KeptEvidence) -> KeptEvidence:
     if before is None or before.without_speed != now.without_speed:
         return _shortened(now)
     turned = before.about(now.R)
-    pieces = dict(turned.pieces)
-    for name, new in now.pieces.items():
-        old = pieces.get(name)
-        pieces[name] = new if old is None else _joined(old, new, BETWEEN_DRIVES_STD[axis_of(name)])
-    return _shortened(KeptEvidence(now.R, now.without_speed, pieces))
+    sources = dict(turned.sources)
+    for name, new in now.sources.items():
+        old = sources.get(name)
+        sources[name] = new if old is None else _joined(old, new, BETWEEN_DRIVES_STD[axis_of(name)])
+    return _shortened(SavedInformation(now.R, now.without_speed, sources))
 
 
-def _joined(old: KeptPiece, new: KeptPiece, between: float) -> KeptPiece:
+def _joined(old: SavedSource, new: SavedSource, between: float) -> SavedSource:
     widened = old.variance + between * between
     share = new.variance / (new.variance + widened)  # of the old
     bias = share * math.sqrt(old.bias) + (1.0 - share) * math.sqrt(new.bias)
-    return KeptPiece(
+    return SavedSource(
         share * old.value + (1.0 - share) * new.value,
         share * widened,
         bias * bias,
@@ -151,19 +174,19 @@ def _joined(old: KeptPiece, new: KeptPiece, between: float) -> KeptPiece:
     )
 
 
-def _shortened(kept: KeptEvidence) -> KeptEvidence:
-    pieces = {
-        name: KeptPiece(p.value, p.variance, p.bias, _fewer(p.score), _fewer(p.information))
-        for name, p in kept.pieces.items()
+def _shortened(kept: SavedInformation) -> SavedInformation:
+    sources = {
+        name: SavedSource(p.value, p.variance, p.bias, _fewer(p.score), _fewer(p.information))
+        for name, p in kept.sources.items()
     }
-    return KeptEvidence(kept.R, kept.without_speed, pieces)
+    return SavedInformation(kept.R, kept.without_speed, sources)
 
 
 def _fewer(x: Array) -> Array:
-    """Sums of neighbours, evenly, at most `MOST_PIECES` of them."""
-    if len(x) <= MOST_PIECES:
+    """Sums of neighbours, evenly, at most `MAX_SEGMENTS` of them."""
+    if len(x) <= MAX_SEGMENTS:
         return x
-    starts = np.arange(MOST_PIECES) * len(x) // MOST_PIECES
+    starts = np.arange(MAX_SEGMENTS) * len(x) // MAX_SEGMENTS
     out: Array = np.add.reduceat(x, starts)
     return out
 
@@ -172,7 +195,7 @@ def _rounded(x: Array) -> list[float]:
     return [float(f"{value:.{DIGITS}g}") for value in x.tolist()]
 
 
-def kept_from(content: object) -> KeptEvidence:
+def saved_from(content: object) -> SavedInformation:
     """What `plain` gave; EstimateError where it makes no sense."""
     try:
         if not isinstance(content, Mapping) or not isinstance(content["without_speed"], bool):
@@ -180,24 +203,24 @@ def kept_from(content: object) -> KeptEvidence:
         R = np.array(_numbers(content["rotation"], 9)).reshape(3, 3)
         if np.abs(orthonormalised(R) - R).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0.0:
             raise ValueError("no rotation")
-        pieces = {str(name): _piece(str(name), p) for name, p in content["kinds"].items()}
+        sources = {str(name): _source(str(name), p) for name, p in content["kinds"].items()}
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
         raise EstimateError(f"kept evidence makes no sense ({error})") from None
-    return KeptEvidence(R, content["without_speed"], pieces)
+    return SavedInformation(R, content["without_speed"], sources)
 
 
-def _piece(name: str, content: Mapping[str, Any]) -> KeptPiece:
+def _source(name: str, content: Mapping[str, Any]) -> SavedSource:
     if name not in KINDS:
         raise ValueError(f"{name[:20]!r} is no kind of evidence")
     value, variance, bias = _numbers([content[key] for key in ("value", "variance", "bias")], 3)
     score, information = content["score"], content["information"]
     n = len(score)
-    if n > MOST_PIECES or abs(value) > math.pi or variance <= 0.0 or bias < 0.0:
+    if n > MAX_SEGMENTS or abs(value) > math.pi or variance <= 0.0 or bias < 0.0:
         raise ValueError(f"{name} is out of range")
     told = _numbers(information, n)
     if min(told, default=0.0) < 0.0:
         raise ValueError(f"{name} has negative information")
-    return KeptPiece(value, variance, bias, np.array(_numbers(score, n)), np.array(told))
+    return SavedSource(value, variance, bias, np.array(_numbers(score, n)), np.array(told))
 
 
 def _numbers(values: object, n: int) -> list[float]:

@@ -1,11 +1,11 @@
 """Has the sensor moved? New evidence against what was known before it.
 
-Evidence comes in pieces of road of about 26 s of driving. For every source of evidence about an
-angle and for the last 2, 3, ... 12 pieces, a change of the angle that begins with them is fitted
-beside the angle and the nuisance of all pieces (a generalised likelihood ratio test for a step of
-unknown time and size; Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The
-spread from piece to piece before sets the scale, so that rough roads and hills make the test dull
-and not nervous.
+Evidence comes in road segments of about 26 s of driving. For every source of evidence about an
+angle and for the last 2, 3, ... 12 segments, a change of the angle that begins with them is fitted
+beside the angle and the nuisance of all segments (a generalised likelihood ratio test for a step
+of unknown time and size; Basseville and Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4).
+The spread from segment to segment before sets the scale, so that rough roads and hills make the
+test dull and not nervous.
 
 How far the sources of an angle speak for one and the same change is then told by the ratio of
 likelihoods with and without it. In yaw, wind and rough roads move what dv/dt says alone, and
@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SPANS = np.arange(2, 13)
-"""Pieces of road that are held against all before."""
-LEAST_BEFORE = (16, 10, 14)
-"""Pieces that must have been before, for roll, pitch and yaw."""
+"""Road segments that are held against all before."""
+MIN_BEFORE = (16, 10, 14)
+"""Segments that must have been before, for roll, pitch and yaw."""
 CLIP = 4.5
-"""No single piece counts for more standard deviations: one bad road moves no sensor."""
+"""No single segment counts for more standard deviations: one bad road moves no sensor."""
 UNEVEN_STD = {
     "roll_turn": 0.007,
     "roll_axis": 0.007,
@@ -46,12 +46,12 @@ ALIKE = ("roll_turn", "roll_axis")
 """Both see the same noise, the lean of roads in bends: only the better one speaks."""
 TAIL = (1e6, 1e6, 8.0)
 """Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
-LEAST_SIZE = (0.026, 0.026, 0.013)
+MIN_SIZE = (0.026, 0.026, 0.013)
 """A change to be told from none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
-STEP_LEAST, STEP_MOST = 2.0, 5.5
+STEP_MIN, STEP_MAX = 2.0, 5.5
 """A step in gravity counts from so many standard deviations on, and for so many at most, ..."""
 STEP_FROM = 2.5
-"""... and where the pieces of road alone come to so much."""
+"""... and where the road segments alone come to so much."""
 NO_STEP = 1.15
 """Without a step, thresholds for roll and pitch are so much higher."""
 THRESHOLD = np.array(
@@ -67,10 +67,10 @@ for a turn."""
 NEIGHBOURS = 0.9
 """In yaw two neighbouring spans that come to this share of their thresholds are a shift as well."""
 OTHER_ROADS = 1.15
-"""Thresholds are so much higher where it takes pieces of earlier drives to test at all."""
-LEAST_KNOWN = 1e-6
-"""New pieces that know less of the angle than this share say nothing."""
-PRIOR_PIECES, PRIOR_SPREAD, LEAST_SPREAD = 6.0, 1.0, 0.8
+"""Thresholds are so much higher where it takes segments of earlier drives to test at all."""
+MIN_KNOWN = 1e-6
+"""New segments that know less of the angle than this share say nothing."""
+PRIOR_SEGMENTS, PRIOR_SPREAD, MIN_SPREAD = 6.0, 1.0, 0.8
 """The spread before is taken as the model's with that weight, and as no less than that share."""
 YAW = 2
 _AXES = {"roll": 0, "pitch": 1, "yaw": YAW}
@@ -79,12 +79,12 @@ NO_STEPS: Array = np.zeros((len(SPANS), 2, 2))
 
 
 @dataclass(frozen=True)
-class Fit:
-    """The fit of an angle together with its source's nuisance, piece by piece.
+class AngleFit:
+    """The fit of an angle together with its source's nuisance, segment by segment.
 
     left (G,): scores of the angle that the fit leaves over. rows (G, 1 + k): information of the
     angle, and what it shares with the nuisance. inverse (1 + k, 1 + k): covariance of both, from
-    all pieces and priors. value: the angle [rad].
+    all segments and priors. value: the angle [rad].
     """
 
     left: Array
@@ -94,29 +94,29 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Flow:
-    """Evidence about one angle from one source, piece by piece: scores and informations (G,).
+class ScoreSeries:
+    """Evidence about one angle from one source, segment by segment: scores and informations (G,).
 
     kind: the source, of those in `UNEVEN_STD`. fit: where the angle was fitted together with
-    nuisance; else each piece speaks of it alone.
+    nuisance; else each segment speaks of it alone.
     """
 
     kind: str
     score: Array
     information: Array
-    fit: Fit | None = None
+    fit: AngleFit | None = None
 
     @property
     def axis(self) -> int:
         """The angle it is about: 0 roll, 1 pitch, 2 yaw."""
         return _AXES[self.kind.partition("_")[0]]
 
-    def behind(self, score: Array, information: Array) -> Flow:
-        """This flow behind earlier pieces (E,), which speak of the angle alone."""
+    def behind(self, score: Array, information: Array) -> ScoreSeries:
+        """This series behind earlier segments (E,), which speak of the angle alone."""
         both = np.concatenate([score, self.score]), np.concatenate([information, self.information])
         fit = self.fit
         if fit is None:
-            return Flow(self.kind, *both)
+            return ScoreSeries(self.kind, *both)
         known = float(information.sum())
         column = fit.inverse[:, 0]
         inverse = fit.inverse - np.outer(column, column) * (known / (1.0 + known * column[0]))
@@ -126,9 +126,9 @@ class Flow:
         rows = np.zeros((len(left), fit.rows.shape[1]))
         rows[: len(score), 0] = information
         rows[len(score) :] = fit.rows
-        return Flow(self.kind, *both, Fit(left, rows, inverse, value))
+        return ScoreSeries(self.kind, *both, AngleFit(left, rows, inverse, value))
 
-    def fitted(self) -> Fit | None:
+    def fitted(self) -> AngleFit | None:
         """The fit; without nuisance the mean. None without any information."""
         if self.fit is not None:
             return self.fit
@@ -136,12 +136,12 @@ class Flow:
         if total <= 0.0:
             return None
         mean = float(self.score.sum()) / total
-        return Fit(self.score - n * mean, n[:, None], np.array([[1.0 / total]]), mean)
+        return AngleFit(self.score - n * mean, n[:, None], np.array([[1.0 / total]]), mean)
 
 
 @dataclass(frozen=True)
 class Shift:
-    """The largest change found: axis, size [rad], in standard deviations, pieces ago.
+    """The largest change found: axis, size [rad], in standard deviations, segments ago.
 
     deviations: the root of twice the log of the ratio of likelihoods, signed; of one normal
     source it would be the size in standard deviations. excess: over the threshold; a shift from
@@ -151,12 +151,12 @@ class Shift:
     axis: int
     size: float
     deviations: float
-    pieces: int
+    segments: int
     excess: float
 
 
 def largest_change(
-    flows: list[Flow],
+    series: list[ScoreSeries],
     axes: tuple[int, ...] = (0, 1, 2),
     steps: Array = NO_STEPS,
     unevenness: tuple[float, float] = (1.0, 1.0),
@@ -164,31 +164,31 @@ def largest_change(
 ) -> Shift | None:
     """Return the change of an angle that stands out most; None where too little is known.
 
-    steps: (S, 2, 2), how far a step in gravity stood out when the pieces of each span began, in
+    steps: (S, 2, 2), how far a step in gravity stood out when the segments of each span began, in
     roll and pitch: the largest and the least, signed, in standard deviations.
     unevenness: how many times the usual one roads have, across and along.
-    fresh: pieces of this drive, where flows begin with those of earlier ones; no span is longer.
+    fresh: segments of this drive, where series begin with those of earlier ones; no span is longer.
     """
     best: Shift | None = None
     for axis in axes:
-        mine = [flow for flow in flows if flow.axis == axis]
+        mine = [one for one in series if one.axis == axis]
         if not mine:
             continue
-        n = max(len(flow.score) for flow in mine)
-        longest = n - LEAST_BEFORE[axis] if fresh is None else min(n - LEAST_BEFORE[axis], fresh)
+        n = max(len(one.score) for one in mine)
+        longest = n - MIN_BEFORE[axis] if fresh is None else min(n - MIN_BEFORE[axis], fresh)
         spans = SPANS[longest >= SPANS]
         if not len(spans):
             continue
         sizes, variances = changes(mine, spans)
         variances = _uneven(mine, variances, (*unevenness, 1.0)[axis])
-        size, ratio = likeliest(sizes, variances, TAIL[axis], LEAST_SIZE[axis])
+        size, ratio = likeliest(sizes, variances, TAIL[axis], MIN_SIZE[axis])
         threshold = THRESHOLD[axis, : len(spans)]
         if axis < 2:
             step = _step_for(ratio, size, steps[: len(spans), axis])
             ratio = np.hypot(ratio, step)
             threshold = np.where(step > 0.0, threshold, NO_STEP * threshold)
         if fresh is not None:
-            threshold = np.where(fresh - spans < LEAST_BEFORE[axis], OTHER_ROADS, 1.0) * threshold
+            threshold = np.where(fresh - spans < MIN_BEFORE[axis], OTHER_ROADS, 1.0) * threshold
         over = np.copysign(ratio / threshold, size)
         if axis == YAW:
             over = _with_neighbours(over)
@@ -196,8 +196,8 @@ def largest_change(
         excess = float(abs(over[k]))
         if best is None or excess > best.excess:
             deviations = math.copysign(float(ratio[k]), size[k])
-            pieces, mean = _most_likely_time(sizes, variances, spans, deviations)
-            best = Shift(axis, mean, deviations, pieces, excess)
+            segments, mean = _most_likely_time(sizes, variances, spans, deviations)
+            best = Shift(axis, mean, deviations, segments, excess)
     return best
 
 
@@ -209,24 +209,27 @@ def _with_neighbours(over: Array) -> Array:
     return out
 
 
-def changes(flows: list[Flow], spans: NDArray[np.int64]) -> tuple[Array, Array]:
+def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array, Array]:
     """Changes over the last spans: what each source says (S, sources) [rad], and variances.
 
     Each source fits its own level before, its own nuisance and its own change.
     """
-    sizes, variances = np.zeros((len(spans), len(flows))), np.full((len(spans), len(flows)), np.inf)
-    for k, flow in enumerate(flows):
-        if len(flow.score) > spans[0]:
-            size, known = _change(flow, np.minimum(spans, len(flow.score) - 1))
+    sizes, variances = (
+        np.zeros((len(spans), len(series))),
+        np.full((len(spans), len(series)), np.inf),
+    )
+    for k, one in enumerate(series):
+        if len(one.score) > spans[0]:
+            size, known = _change(one, np.minimum(spans, len(one.score) - 1))
             sizes[:, k] = size
             variances[known > 0.0, k] = 1.0 / known[known > 0.0]
     return sizes, variances
 
 
-def _uneven(flows: list[Flow], variances: Array, times: float) -> Array:
+def _uneven(series: list[ScoreSeries], variances: Array, times: float) -> Array:
     """With what roads make sources differ by; of sources that see the same noise the better one."""
-    variances = variances + np.array([(times * UNEVEN_STD[flow.kind]) ** 2 for flow in flows])
-    alike = [k for k, flow in enumerate(flows) if flow.kind in ALIKE]
+    variances = variances + np.array([(times * UNEVEN_STD[one.kind]) ** 2 for one in series])
+    alike = [k for k, one in enumerate(series) if one.kind in ALIKE]
     if len(alike) == 2:
         worse = np.where(variances[:, alike[0]] > variances[:, alike[1]], *alike)
         variances[np.arange(len(variances)), worse] = np.inf
@@ -236,7 +239,7 @@ def _uneven(flows: list[Flow], variances: Array, times: float) -> Array:
 def _most_likely_time(
     sizes: Array, variances: Array, spans: NDArray[np.int64], sign: float
 ) -> tuple[int, float]:
-    """Pieces since a change that is there, and its size: the largest likelihood of all spans."""
+    """Segments since a change that is there, and its size: the largest likelihood of all spans."""
     known = np.maximum((1.0 / variances).sum(axis=1), 1e-9)
     mean = (sizes / variances).sum(axis=1) / known
     k = int(np.argmax(np.where(mean * sign > 0.0, mean * mean * known, 0.0)))
@@ -271,19 +274,19 @@ def likeliest(sizes: Array, variances: Array, tail: float, least: float) -> tupl
 def _step_for(ratio: Array, size: Array, steps: Array) -> Array:
     """What steps in gravity (S, 2) add to changes (S,) of the same sign [standard deviations]."""
     step = np.where(size > 0.0, steps[:, 0], -steps[:, 1])
-    counts = (ratio >= STEP_FROM) & (step >= STEP_LEAST)
-    return np.where(counts, np.minimum(step, STEP_MOST), 0.0)
+    counts = (ratio >= STEP_FROM) & (step >= STEP_MIN)
+    return np.where(counts, np.minimum(step, STEP_MAX), 0.0)
 
 
-def _change(flow: Flow, spans: NDArray[np.int64]) -> tuple[Array, Array]:
+def _change(one: ScoreSeries, spans: NDArray[np.int64]) -> tuple[Array, Array]:
     """Change of one source over its last spans (S,): size [rad] and information (S,).
 
-    With M the information of angle and nuisance from all pieces, w what the new pieces have of
+    With M the information of angle and nuisance from all segments, w what the new segments have of
     its first row and U their scores left over by the common fit, the change is U / V with
-    V = w_0 - w' M^-1 w (the score test of a linear model; exact). So what new pieces know of the
+    V = w_0 - w' M^-1 w (the score test of a linear model; exact). So what new segments know of the
     angle only together with nuisance that they alone show, counts for nothing.
     """
-    fit = flow.fitted()
+    fit = one.fitted()
     if fit is None:
         return np.zeros(len(spans)), np.zeros(len(spans))
     left, rows, inverse = fit.left, fit.rows, fit.inverse
@@ -292,15 +295,15 @@ def _change(flow: Flow, spans: NDArray[np.int64]) -> tuple[Array, Array]:
     w = np.cumsum(rows[::-1], axis=0)[spans - 1]
     turned = w @ inverse
     known = w[:, 0] - (turned * w).sum(axis=1)
-    use = known > LEAST_KNOWN * float(n.sum())
+    use = known > MIN_KNOWN * float(n.sum())
     size = np.where(use, np.cumsum(left[::-1])[spans - 1] / np.where(use, known, 1.0), 0.0)
     old = np.arange(len(n)) < first[:, None]
     alone = left + size[:, None] * (turned @ rows.T)  # against the fit to the old ones
     expected = np.maximum(n - ((rows @ inverse) * rows).sum(axis=1), 0.0)
     ratio = (old * alone * alone).sum(axis=1) / np.maximum(old @ expected, 1e-12)
-    pieces = (old @ n) ** 2 / np.maximum(old @ (n * n), 1e-12)
-    scale = (PRIOR_PIECES * PRIOR_SPREAD + pieces * np.maximum(ratio, LEAST_SPREAD)) / (
-        PRIOR_PIECES + pieces
+    segments = (old @ n) ** 2 / np.maximum(old @ (n * n), 1e-12)
+    scale = (PRIOR_SEGMENTS * PRIOR_SPREAD + segments * np.maximum(ratio, MIN_SPREAD)) / (
+        PRIOR_SEGMENTS + segments
     )
     limit = CLIP * np.sqrt(scale[:, None] * n)
     clipped = (~old * np.clip(alone, -limit, limit)).sum(axis=1)

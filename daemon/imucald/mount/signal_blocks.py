@@ -1,7 +1,7 @@
 """From ticks to even signals: force, rate, speed, dv/dt and yaw rate on one 10 Hz grid.
 
-Works in hops of `HOP` ticks, `LAG` ticks late, so that signals slower than the grid can be
-interpolated between samples on both sides. Says for every tick whether it may be learnt from.
+Works in blocks of `BLOCK_TICKS` ticks, `LAG` ticks late, so that signals slower than the grid can
+be interpolated between samples on both sides. Says for every tick whether it may be learnt from.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from imucald.mount.stuck import StuckSensor, StuckSpeed
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-HOP = 64
-"""Ticks per hop: 6.4 s between two looks at the data, whose cost is per look."""
-HOP_S = HOP * TICK_S
+BLOCK_TICKS = 64
+"""Ticks per block: 6.4 s between two looks at the data, whose cost is per look."""
+BLOCK_S = BLOCK_TICKS * TICK_S
 LAG = 16
 """Ticks the work runs behind: a speed of 1 Hz with jitter must have come."""
 BEFORE = 24
-"""Ticks of context in front of a hop."""
+"""Ticks of context in front of a block."""
 KEEP = BEFORE + LAG
 ACCEL_GAP = 0.35
 """Longest hole bridged in accelerometer or gyroscope [s]; 5 Hz with one loss."""
@@ -41,16 +41,16 @@ REST_SPEED = 0.05
 REST_TICKS = 12
 """Speed must have been zero that long before it counts as rest: braking jerk dies out."""
 STEADY_TICKS = 32
-"""Without speed, rest is judged over such parts of a hop."""
+"""Without speed, rest is judged over such parts of a block."""
 NOMINAL_SPEED = 12.0
 """Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""
-HOPS_WITHOUT_SPEED = 4
+BLOCKS_WITHOUT_SPEED = 4
 """Hops without any speed after which the estimator does without (26 s)."""
 
 
 @dataclass
-class Prepared:
-    """One hop of signals; N = HOP. Values where a flag is False are finite but meaningless."""
+class SignalBlock:
+    """One block, N = BLOCK_TICKS; where a flag is False, values are finite and mean nothing."""
 
     t: Array
     force: Array  # (N, 3) [m/s^2] sensor axes
@@ -69,8 +69,8 @@ class Prepared:
     had_rate: Flags  # as ok_rate, but also while the bias was not known
     gyro_bias: Array  # (3,) what was taken off the rate
 
-    def with_gyro_bias(self, gyro_bias: Array) -> Prepared:
-        """The same hop as if that gyro bias [rad/s] (3,) had been known."""
+    def with_gyro_bias(self, gyro_bias: Array) -> SignalBlock:
+        """The same block as if that gyro bias [rad/s] (3,) had been known."""
         rate = self.rate + (self.gyro_bias - gyro_bias)
         return replace(self, rate=rate, ok_rate=self.had_rate, gyro_bias=gyro_bias)
 
@@ -120,12 +120,12 @@ def _steady(x: Array, limit: float) -> Flags:
     return np.repeat(spread < limit, STEADY_TICKS)
 
 
-class SignalPreparer:
-    """Keeps the last ticks and cuts them into hops."""
+class SignalBlockMaker:
+    """Keeps the last ticks and cuts them into blocks."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self._rows = np.tile(_EMPTY, (KEEP + HOP, 1))
+        self._rows = np.tile(_EMPTY, (KEEP + BLOCK_TICKS, 1))
         self._n = KEEP
         self.offsets = Offsets()
         self.steering_offset = 0.0
@@ -136,18 +136,18 @@ class SignalPreparer:
         self._stuck_gyro = StuckSensor(tk.GYRO_N, tk.GYRO_X, moving=False)
         self._stuck_speed = StuckSpeed()
         self.seen: set[str] = set()
-        self.hops = 0
+        self.blocks = 0
 
     @property
     def without_speed(self) -> bool:
         """Whether there has been no speed signal, for long enough to do without."""
-        return self.hops > HOPS_WITHOUT_SPEED and "speed" not in self.seen
+        return self.blocks > BLOCKS_WITHOUT_SPEED and "speed" not in self.seen
 
     def push(self, tick: TickRow) -> bool:
-        """Take a tick; True when a hop is complete and `hop` is to be called."""
+        """Take a tick; True when a block is complete and `block` is to be called."""
         self._rows[self._n] = tick
         self._n += 1
-        return self._n == KEEP + HOP
+        return self._n == KEEP + BLOCK_TICKS
 
     def restart(self) -> None:
         """Forget the kept ticks: time jumped."""
@@ -158,20 +158,20 @@ class SignalPreparer:
         self._stuck_gyro.restart()
         self._stuck_speed.restart()
 
-    def hop(self) -> Prepared:
-        """Return the signals of the next hop."""
+    def block(self) -> SignalBlock:
+        """Return the signals of the next block."""
         rows = self._rows
         self._drop_impossible(rows[KEEP:])
-        part = slice(BEFORE - 1, BEFORE + HOP + 1)  # one more at both ends, for dv/dt
+        part = slice(BEFORE - 1, BEFORE + BLOCK_TICKS + 1)  # one more at both ends, for dv/dt
         end = rows[-1, tk.T]
         t = end + (np.arange(len(rows)) - (len(rows) - 1)) * TICK_S
         at = t[part] - 0.5 * TICK_S
-        mid = slice(1, HOP + 1)
+        mid = slice(1, BLOCK_TICKS + 1)
         force, ok_force = self._vector(
             t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, self._stuck_accel
         )
         rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, self._stuck_gyro)
-        self.hops += 1
+        self.blocks += 1
         speed, ok_speed = self._speed(t, at)
         yaw_rate, ok_yaw = self._yaw_rate(t, at, speed)
         accel = (speed[2:] - speed[:-2]) / (2.0 * TICK_S)
@@ -180,7 +180,7 @@ class SignalPreparer:
         bad = forbidden(
             rows[part], force, ok_force, speed, ok_speed, curve, self._settings, self.frozen
         )
-        prepared = Prepared(
+        prepared = SignalBlock(
             t=t[part][mid],
             force=force[mid],
             rate=rate[mid],
@@ -200,10 +200,10 @@ class SignalPreparer:
         )
         if self.without_speed:
             prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
-            prepared.accel = np.zeros(HOP)
+            prepared.accel = np.zeros(BLOCK_TICKS)
             prepared.ok_speed = prepared.ok_force
         self._take_offsets(prepared)
-        rows[:KEEP] = rows[HOP:].copy()
+        rows[:KEEP] = rows[BLOCK_TICKS:].copy()
         self._n = KEEP
         return prepared
 
@@ -221,7 +221,7 @@ class SignalPreparer:
     ) -> tuple[Array, Flags]:
         rows = self._rows
         spoilt = stuck.flags(rows)
-        tally(self.frozen, "stuck", spoilt[BEFORE : BEFORE + HOP])
+        tally(self.frozen, "stuck", spoilt[BEFORE : BEFORE + BLOCK_TICKS])
         has = (rows[:, n] > 0) & ~spoilt
         if has.all():
             times = t - rows[:, age]
@@ -236,27 +236,27 @@ class SignalPreparer:
         has = rows[:, tk.SPEED_N] > 0
         if has.any():
             self.seen.add("speed")
-        stuck = self._stuck_speed.flags(rows, HOP)
-        tally(self.frozen, "stuck", stuck[BEFORE : BEFORE + HOP])
+        stuck = self._stuck_speed.flags(rows, BLOCK_TICKS)
+        tally(self.frozen, "stuck", stuck[BEFORE : BEFORE + BLOCK_TICKS])
         has &= ~stuck
         speed, ok = bridged(at, t[has] - rows[has, tk.SPEED_AGE], rows[has, tk.SPEED], SPEED_GAP)
         known = rows[:, tk.REVERSE]
         if not np.isnan(known).all():
             self.seen.add("reverse")
         if self._reverse or (known > 0.5).any():
-            reverse = self._held(known)[BEFORE - 1 : BEFORE + HOP + 1]
+            reverse = self._held(known)[BEFORE - 1 : BEFORE + BLOCK_TICKS + 1]
             speed = np.where(reverse > 0.5, -speed, speed)
         return speed, ok
 
     def _held(self, known: Array) -> Array:
-        """Reverse gear, the last known value held; remembers the one at the hop's start."""
+        """Reverse gear, the last known value held; remembers the one at the block's start."""
         out = np.empty(len(known))
         value = self._reverse
         for i, k in enumerate(known.tolist()):
             if not math.isnan(k):
                 value = k
             out[i] = value
-            if i == HOP - 1:
+            if i == BLOCK_TICKS - 1:
                 self._reverse = value
         return out
 
@@ -295,7 +295,7 @@ class SignalPreparer:
         self._rest_run = run
         return rest
 
-    def _take_offsets(self, p: Prepared) -> None:
+    def _take_offsets(self, p: SignalBlock) -> None:
         """Learn the offsets at rest and take them off."""
         offsets = self.offsets
         use = p.rest & p.ok_rate & p.learn

@@ -1,4 +1,4 @@
-"""All evidence brought together: from hops of signals to one rotation with its variances."""
+"""All evidence brought together: from blocks of signals to one rotation with its variances."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from imucald.core.rotations import (
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount import evidence_spectra as sp
-from imucald.mount.common_errors import shared_errors
+from imucald.mount.common_errors import common_errors
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_spectra import MEASURED, WINDOW, spectra
-from imucald.mount.fusion import Fused, Sharing, fuse
-from imucald.mount.gravity_observer import UpTracker
-from imucald.mount.gravity_step import Step
-from imucald.mount.prior_drives import EarlierDrives
-from imucald.mount.road_segments import Piece
-from imucald.mount.saved_information import KeptEvidence, kept_pieces, named_flows, together
-from imucald.mount.shift import NO_STEPS, SPANS, Flow, Shift, largest_change
-from imucald.mount.signal_blocks import HOP, Prepared
+from imucald.mount.fusion import CommonCovariance, Fused, fuse
+from imucald.mount.gravity_observer import GravityObserver
+from imucald.mount.gravity_step import GravityStep
+from imucald.mount.prior_drives import PriorDrives
+from imucald.mount.road_segments import AngleEvidence
+from imucald.mount.saved_information import SavedInformation, named_series, saved_sources, together
+from imucald.mount.shift import NO_STEPS, SPANS, ScoreSeries, Shift, largest_change
+from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
 
 _TAKEN = [sp.A2, sp.V2, sp.R2, sp.AA, sp.AV, sp.AH, sp.VH]
 """Terms that are not taken off the force before the vertical follows it."""
-LEAST_POWER = 1e-3
+MIN_POWER = 1e-3
 """A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
 CROSS_FALL_SHARE, SLOPE_SHARE = 1.7, 1.5
 """Superelevation, squat and leaning of the body widen the spread of slopes."""
@@ -50,7 +50,7 @@ NO_GYRO_SHARE = 1.5
 """Without a gyroscope slopes stay in the force: variances are so much larger."""
 PRINCIPAL_STD = 0.008
 """What the principal axis may be off [rad]: the force across the vehicle is not only noise."""
-SETTLED_HOPS = 20
+SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
 """Windows after which the delay is sought: first, and then every so many."""
@@ -58,7 +58,7 @@ SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
 
-class Solution:
+class MountSolver:
     """Holds the evidence of one mounting and fits R to it.
 
     R takes the sensor to axes whose z is the mean vertical of the roads driven: the crown is
@@ -67,75 +67,75 @@ class Solution:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = s = settings
-        self.up = UpTracker()
+        self.vertical = GravityObserver()
         self.gravity = GravityEvidence()
         self.response = ResponseEvidence()
         self.delay_speed = DelaySearch(s.delays.get("speed", DelayPrior()))
         self.delay_turn = DelaySearch(s.delays.get("yaw_rate", DelayPrior(0.05, 0.1)))
         self.own_gyro = True
-        self.turn_rate: Array = np.zeros(HOP)
+        self.turn_rate: Array = np.zeros(BLOCK_TICKS)
         self._window = np.zeros((WINDOW, MEASURED))
         self._mask = np.zeros(WINDOW, dtype=bool)
         self.R: Matrix3 | None = None
         self.yaw_known = False
         self.fused: Fused | None = None
-        self.pieces: dict[str, Piece] = {}
+        self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
-        self.hops = 0
-        self._sharing = Sharing(shared_errors(settings))
-        self.earlier: EarlierDrives | None = None
+        self.blocks = 0
+        self._sharing = CommonCovariance(common_errors(settings))
+        self.prior_drives: PriorDrives | None = None
         self._tilt_bias = (0.0, 0.0)
-        self._began: deque[int] = deque([0], maxlen=int(SPANS[-1]))  # hops, of pieces of road
+        self._began: deque[int] = deque([0], maxlen=int(SPANS[-1]))  # blocks, of road segments
         self.response.delays = (self.delay_speed.value, 0.0)
         self._lever_arm = np.array(settings.lever_arm)
         self._last_rate: Array | None = None
 
-    def start_from(self, other: Solution) -> None:
+    def start_from(self, other: MountSolver) -> None:
         """Begin with another's rotation, gains and delay, but without its evidence."""
         self.R, self.yaw_known = other.R, other.yaw_known
         self.response.start_from(other.response)
         self.delay_speed, self.delay_turn = other.delay_speed, other.delay_turn
         self.response.without_speed = other.response.without_speed
-        self.up.watch.start_from(other.up.watch)
-        self.earlier = other.earlier
+        self.vertical.steps.start_from(other.vertical.steps)
+        self.prior_drives = other.prior_drives
 
     def gap(self) -> None:
         """Time jumped."""
-        self.up.restart()
+        self.vertical.restart()
         self._window[:] = 0.0
         self._mask[:] = False
         self._last_rate = None
 
-    def add(self, p: Prepared) -> tuple[Array, Array]:
-        """Take a hop; return dv/dt and v r (N,), zero where they are not to be trusted."""
-        self.hops += 1
+    def add(self, p: SignalBlock) -> tuple[Array, Array]:
+        """Take a block; return dv/dt and v r (N,), zero where they are not to be trusted."""
+        self.blocks += 1
         R = self.R if self.yaw_known else None
         if R is not None and self._lever_arm.any():
             p = replace(p, force=p.force - self._carried(p, R))
-        up = self.up.up
+        up = self.vertical.up
         r = self._turn_rate(p, up)
         turn = p.speed * r
         gains = self.gains()
         motion = None
         if R is not None and not self.response.without_speed:
-            planned = np.zeros((HOP, 3))
+            planned = np.zeros((BLOCK_TICKS, 3))
             planned[:, 0] = gains[0] * p.accel * p.ok_speed
             planned[:, 1] = gains[1] * turn * p.ok_speed
             motion = planned @ R
-        lone = self.up.advance(p, motion, self.bias, self.sure())
+        lone = self.vertical.advance(p, motion, self.bias, self.sure())
         self.gravity.add(p, turn)
-        piece = self.response.piece
+        segment = self.response.segment
         self._slide(p, lone, turn, r)
-        if self.response.piece != piece:
-            self.gravity.close_piece()
-            self._began.append(self.hops)
+        if self.response.segment != segment:
+            self.gravity.close_segment()
+            self._began.append(self.blocks)
         use = p.learn & p.ok_speed
         self.turn_rate = r
         if self.response.without_speed and R is not None:
             return lone @ R[0] * use, turn * use
         return p.accel * use, turn * use
 
-    def _carried(self, p: Prepared, R: Matrix3) -> Array:
+    def _carried(self, p: SignalBlock, R: Matrix3) -> Array:
         """Force at the end of the known lever arm more than at its root, sensor axes (N, 3).
 
         dw/dt x l + w x (w x l); the derivative is a central difference, which is not late.
@@ -152,7 +152,7 @@ class Solution:
         """Whether yaw is known well enough for what is left over to speak of the bias."""
         return self.fused is not None and self.yaw_known and self.fused.variance[2] < SURE_STD**2
 
-    def _turn_rate(self, p: Prepared, up: Array | None) -> Array:
+    def _turn_rate(self, p: SignalBlock, up: Array | None) -> Array:
         if up is not None and p.ok_rate.mean() > 0.5:
             self.own_gyro = True
             return np.asarray(p.rate @ up)
@@ -164,27 +164,27 @@ class Solution:
         g = self.response.gains
         return float(g[0, 2:6].mean()), float(g[1, 2:6].mean())
 
-    def _slide(self, p: Prepared, lone: Array, turn: Array, r: Array) -> None:
+    def _slide(self, p: SignalBlock, lone: Array, turn: Array, r: Array) -> None:
         w, m = self._window, self._mask
-        w[:-HOP] = w[HOP:].copy()
-        m[:-HOP] = m[HOP:].copy()
-        w[-HOP:, :3] = lone
-        w[-HOP:, 3] = p.accel
-        w[-HOP:, 4] = turn
+        w[:-BLOCK_TICKS] = w[BLOCK_TICKS:].copy()
+        m[:-BLOCK_TICKS] = m[BLOCK_TICKS:].copy()
+        w[-BLOCK_TICKS:, :3] = lone
+        w[-BLOCK_TICKS:, 3] = p.accel
+        w[-BLOCK_TICKS:, 4] = turn
         rate = p.rate * p.ok_rate[:, None]
-        w[-HOP:, 5:8] = rate * p.speed[:, None]
-        w[-HOP:, 8:11] = rate
+        w[-BLOCK_TICKS:, 5:8] = rate * p.speed[:, None]
+        w[-BLOCK_TICKS:, 8:11] = rate
         a = p.accel
         terms = np.stack([a * a, turn * turn, r * r, a * np.abs(a), a * turn, a, turn], axis=1)
-        w[-HOP:, _TAKEN] = self.up.remaining(terms, p)
-        w[-HOP:, sp.AR] = a * r
-        w[-HOP:, sp.VR] = turn * r
-        m[-HOP:] = p.learn & p.ok_speed & (not self.up.seeking)
+        w[-BLOCK_TICKS:, _TAKEN] = self.vertical.remaining(terms, p)
+        w[-BLOCK_TICKS:, sp.AR] = a * r
+        w[-BLOCK_TICKS:, sp.VR] = turn * r
+        m[-BLOCK_TICKS:] = p.learn & p.ok_speed & (not self.vertical.seeking)
         if m.sum() < 64:
             return
         s = spectra(w, m, keep_mean=self.own_gyro and self.yaw_known)
         power = s[:, 3:5].real ** 2 + s[:, 3:5].imag ** 2
-        if not self.response.without_speed and power.sum() < LEAST_POWER * HOP:
+        if not self.response.without_speed and power.sum() < MIN_POWER * BLOCK_TICKS:
             return
         self.response.add(s)
         self.delay_speed.add(s[:, 3], s[:, :3])
@@ -205,88 +205,90 @@ class Solution:
         s = self._settings
         cross = s.accel_cross_axis_std
         spread = math.sqrt(s.accel_bias_std**2 + WARMING_STD**2 + (GRAVITY * cross) ** 2)
-        bias, bias_cov = self.up.bias(spread)
+        bias, bias_cov = self.vertical.bias(spread)
         if not self.yaw_known:
             self._start()
-        for _ in range(2 if self.hops < SETTLED_HOPS else 1):
+        for _ in range(2 if self.blocks < SETTLED_BLOCKS else 1):
             if self.R is None:
                 return
-            pieces = self.response.fit(self.R) if self.yaw_known else {}
+            sources = self.response.fit(self.R) if self.yaw_known else {}
             gains = self.gains() if self.yaw_known else (0.0, 0.0)
             ex, ey = self.gravity.tilt(self.R, bias, gains)
             b = self.R @ bias_cov @ self.R.T / GRAVITY**2
             known = self.yaw_known and not self.response.without_speed
             slope = self.gravity.variance(s.slope_std, s.slope_length, 0.1 if known else 1.0)
-            if "roll_axis" in pieces and "roll_turn" in pieces:
+            if "roll_axis" in sources and "roll_turn" in sources:
                 # both see the same noise, the pitch rate of the road: the better one speaks
-                worse = max(("roll_axis", "roll_turn"), key=lambda k: pieces[k].variance)
-                pieces[worse] = Piece(pieces[worse].value, pieces[worse].variance * 1e4, 0.0)
-            pieces["roll_gravity"] = Piece(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
-            pieces["pitch_gravity"] = Piece(ey, SLOPE_SHARE * slope + b[0, 0], 0.0)
+                worse = max(("roll_axis", "roll_turn"), key=lambda k: sources[k].variance)
+                sources[worse] = AngleEvidence(
+                    sources[worse].value, sources[worse].variance * 1e4, 0.0
+                )
+            sources["roll_gravity"] = AngleEvidence(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
+            sources["pitch_gravity"] = AngleEvidence(ey, SLOPE_SHARE * slope + b[0, 0], 0.0)
             if not self.own_gyro:
                 for name in ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn"):
-                    if name in pieces:
-                        wide = NO_GYRO_SHARE * pieces[name].variance
-                        pieces[name] = replace(pieces[name], variance=wide)
-            if self.response.without_speed and "yaw_dvdt" in pieces:
-                piece = pieces["yaw_dvdt"]
-                pieces["yaw_dvdt"] = replace(piece, variance=piece.variance + PRINCIPAL_STD**2)
+                    if name in sources:
+                        wide = NO_GYRO_SHARE * sources[name].variance
+                        sources[name] = replace(sources[name], variance=wide)
+            if self.response.without_speed and "yaw_dvdt" in sources:
+                source = sources["yaw_dvdt"]
+                sources["yaw_dvdt"] = replace(source, variance=source.variance + PRINCIPAL_STD**2)
             self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
-            if self.earlier is None:
-                fused = fuse(pieces, self._sharing)
+            if self.prior_drives is None:
+                fused = fuse(sources, self._sharing)
             else:
-                fused = self.earlier.fused(pieces, self.R, self._tilt_bias)
+                fused = self.prior_drives.fused(sources, self.R, self._tilt_bias)
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
-            self.pieces, self.fused = pieces, fused
+            self.sources, self.fused = sources, fused
         self.bias, self.bias_cov = bias, bias_cov
 
-    def step(self) -> Step | None:
-        """A step in gravity that the gyroscope did not see, in the last minute; asked every hop."""
+    def step(self) -> GravityStep | None:
+        """A step in gravity that the gyroscope did not see, in the last minute; for every block."""
         if self.R is None or not self.sure() or not self.own_gyro:
-            self.up.watch.trail.go_on()
+            self.vertical.steps.history.go_on()
             return None
-        return self.up.watch.found(self.R)
+        return self.vertical.steps.found(self.R)
 
     def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
         """The change of the mount that the last minutes' evidence speaks for most."""
         if self.R is None or self.bias is None or not self.yaw_known:
             return None
         if self.response.without_speed:
-            return largest_change(self.response.flows, (2,))
-        flows = self._gravity_flows(self.R, self.bias)
-        found, fresh = self.response.flows + flows, None
-        if self.earlier is not None:
+            return largest_change(self.response.series, (2,))
+        series = self._gravity_series(self.R, self.bias)
+        found, fresh = self.response.series + series, None
+        if self.prior_drives is not None:
             fresh = max(len(flow.score) for flow in found)
-            found = self.earlier.flows(named_flows(found), self.R)
+            found = self.prior_drives.series(named_series(found), self.R)
         return largest_change(found, axes, self._steps(), self._settings.unevenness, fresh)
 
     def _steps(self) -> Array:
-        """How far steps in gravity stood out when the last pieces of road began."""
+        """How far steps in gravity stood out when the last road segments began."""
         steps, began = NO_STEPS.copy(), list(self._began)
         for k, span in enumerate(SPANS[: max(len(began) - 1, 0)].tolist()):
-            steps[k] = self.up.watch.trail.near(self.hops - began[-span])
+            steps[k] = self.vertical.steps.history.near(self.blocks - began[-span])
         return steps
 
-    def _gravity_flows(self, R: Matrix3, bias: Array) -> list[Flow]:
+    def _gravity_series(self, R: Matrix3, bias: Array) -> list[ScoreSeries]:
         s = self._settings
         across, along = (s.slope_std * times for times in s.unevenness)
-        return self.gravity.flows(R, bias, self.gains(), (across, along), s.slope_length)
+        return self.gravity.series(R, bias, self.gains(), (across, along), s.slope_length)
 
-    def join(self, kept: KeptEvidence) -> None:
-        """Bring in what earlier drives found; it stays apart and can be left again."""
+    def join(self, kept: SavedInformation) -> None:
+        """Bring in what prior drives found; it stays apart and can be left again."""
         if self.yaw_known and kept.without_speed == self.response.without_speed:
             crown_std = self._settings.crown_std
-            self.earlier = EarlierDrives(kept, shared_errors(self._settings), crown_std)
+            self.prior_drives = PriorDrives(kept, common_errors(self._settings), crown_std)
 
-    def kept(self) -> KeptEvidence | None:
-        """What to keep for the next start, earlier drives' evidence included."""
+    def kept(self) -> SavedInformation | None:
+        """What to keep for the next start, prior drives' evidence included."""
         if self.R is None or self.fused is None or self.bias is None or not self.yaw_known:
             return None
-        gravity = self._gravity_flows(self.R, self.bias)
-        flows = named_flows(self.response.flows + gravity)
-        pieces = kept_pieces(self.pieces, flows, self.fused.error, self._tilt_bias)
-        now = KeptEvidence(self.R, self.response.without_speed, pieces)
-        return together(None if self.earlier is None else self.earlier.kept, now)
+        gravity = self._gravity_series(self.R, self.bias)
+        series = named_series(self.response.series + gravity)
+        sources = saved_sources(self.sources, series, self.fused.error, self._tilt_bias)
+        now = SavedInformation(self.R, self.response.without_speed, sources)
+        return together(None if self.prior_drives is None else self.prior_drives.kept, now)
 
     def _start(self) -> None:
         """Find a first rotation: level by gravity, yaw from the direction of the responses."""

@@ -17,12 +17,12 @@ from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]
 
-LEAST_SPEED = 4.0
+MIN_SPEED = 4.0
 """Below, tyres scrub and r / v is noisy [m/s]."""
-MOST_LATERAL = 3.0
+MAX_LATERAL = 3.0
 """Beyond, tyres are not linear [m/s^2]."""
 KEEP = 0.999
-"""Forgetting per hop of 6.4 s: half an hour's memory and more."""
+"""Forgetting per block of 6.4 s: half an hour's memory and more."""
 NOISE = 0.03
 """Residual of the steering-wheel angle [rad]: play, transients, camber."""
 CORRELATION_TICKS = 10.0
@@ -34,7 +34,7 @@ PRIOR_STD = (0.15, 60.0, 2.0)
 _PRIOR = np.diag([1.0 / (s * s) for s in PRIOR_STD])
 
 
-class SteeringOffset:
+class SteeringOffsetEstimator:
     """Running least squares; `offset` and `std` [rad]."""
 
     def __init__(self) -> None:
@@ -43,8 +43,8 @@ class SteeringOffset:
         self.seen = False
 
     def add(self, angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> None:
-        """Take a hop: steering-wheel angle [rad], speed [m/s], yaw rate [rad/s], all (N,)."""
-        use = use & (speed > LEAST_SPEED) & (np.abs(speed * yaw_rate) < MOST_LATERAL)
+        """Take a block: steering-wheel angle [rad], speed [m/s], yaw rate [rad/s], all (N,)."""
+        use = use & (speed > MIN_SPEED) & (np.abs(speed * yaw_rate) < MAX_LATERAL)
         if not use.any():
             return
         self.seen = True

@@ -25,14 +25,14 @@ STUCK_HOLE = 4
 """Ticks from one sample to the next, at most: 2.5 Hz."""
 SAME = 1e-9
 """Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
-SHORTEST_S = 1.2
+MIN_STUCK_S = 1.2
 """Nothing shorter is called stuck."""
 STEADIEST = 0.01
 """No vehicle on a road keeps its speed better than that [m/s^2]."""
 TIMES_USUAL = 4.0
 """And so many times the usual run."""
 RUNS_REMEMBERED = 200
-LEAST_RUNS = 50
+MIN_RUNS = 50
 """Before so many nothing is called stuck."""
 FINE = 0.1
 """So many of the changes are finer than what counts as the signal's step: rounding splits steps."""
@@ -112,8 +112,8 @@ class StuckSpeed:
         """Time jumped: the run before is over."""
         self._value = math.nan
 
-    def flags(self, rows: Array, hop: int) -> Flags:
-        """Ticks (N,) with a speed that is stuck; rows: (N, COLUMNS), of which `hop` leave next."""
+    def flags(self, rows: Array, leaving: int) -> Flags:
+        """Ticks (N,) with a speed that is stuck; rows: (N, COLUMNS), `leaving` leave next."""
         out = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, tk.SPEED_N] > 0)
         if not len(at):
@@ -121,7 +121,7 @@ class StuckSpeed:
         speed = rows[at, tk.SPEED]
         change = np.abs(np.diff(speed))
         ends = np.append(np.flatnonzero(change > SAME_SPEED), len(at) - 1)
-        first, leaving = 0, (math.nan, 0.0)
+        first, run = 0, (math.nan, 0.0)
         limit = self._limit()
         for last in ends.tolist():
             lasted = float(at[last] - at[first]) * TICK_S
@@ -131,22 +131,22 @@ class StuckSpeed:
             stuck = driving and lasted > limit
             if stuck:
                 out[at[first] : at[last] + 1] = True
-            if at[first] < hop <= at[last]:
-                before = int(np.searchsorted(at[first : last + 1], hop))
+            if at[first] < leaving <= at[last]:
+                before = int(np.searchsorted(at[first : last + 1], leaving))
                 begun = lasted - float(at[last] - at[first + before]) * TICK_S
-                leaving = float(speed[first]), begun
-            elif driving and not stuck and at[last] < hop and last < len(change):
+                run = float(speed[first]), begun
+            elif driving and not stuck and at[last] < leaving and last < len(change):
                 until = lasted + float(at[last + 1] - at[last]) * TICK_S
                 self._runs.append((until, float(change[last])))
             first = last + 1
-        self._value, self._lasted = leaving
+        self._value, self._lasted = run
         return one_more(out)
 
     def _limit(self) -> float:
         """A run longer than that is stuck [s]; never, until the signal is known."""
-        if len(self._runs) < LEAST_RUNS:
+        if len(self._runs) < MIN_RUNS:
             return math.inf
         lasted, change = np.array(self._runs).T
         usual = float(lasted @ lasted / lasted.sum())  # as seen at any time: long ones weigh more
         step = float(np.quantile(change, FINE))
-        return max(SHORTEST_S, step / STEADIEST, TIMES_USUAL * usual)
+        return max(MIN_STUCK_S, step / STEADIEST, TIMES_USUAL * usual)

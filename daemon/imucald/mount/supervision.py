@@ -59,7 +59,7 @@ class Manoeuvres:
         self._rights = _Counter(HARD_TURN)
 
     def add(self, accel: Array, turn: Array) -> None:
-        """Take a hop of dv/dt and v r, zero where not to be trusted."""
+        """Take a block of dv/dt and v r, zero where not to be trusted."""
         self._launches.feed(accel)
         self._brakings.feed(-accel)
         self._lefts.feed(turn)
@@ -82,7 +82,7 @@ class Manoeuvres:
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class MountKnowledge:
     """What the states are judged by; standard deviations in rad, roll without the crown."""
 
     gravity: bool = False
@@ -96,7 +96,7 @@ class Knowledge:
     frozen: bool = False
 
 
-def judged(known: Knowledge, before: MountState, s: EstimatorSettings) -> MountState:
+def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
     """Return the state that the knowledge gives, with hysteresis against the one before."""
     if not known.gravity:
         return MountState.WAITING
@@ -113,7 +113,7 @@ def judged(known: Knowledge, before: MountState, s: EstimatorSettings) -> MountS
     return MountState.LEVELLED
 
 
-def waiting_for(known: Knowledge, s: EstimatorSettings) -> dict[str, tuple[str, Missing]]:
+def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[str, Missing]]:
     """One reason per angle, in words and as a code; no entry where nothing is missing."""
     if not known.accelerometer:
         text = "waiting for the accelerometer", Missing.ACCELEROMETER
@@ -140,7 +140,7 @@ def _hard() -> str:
     return f"acceleration or braking above {HARD_ACCEL:g} m/s2"
 
 
-def _yaw_reason(known: Knowledge, s: EstimatorSettings) -> tuple[str, Missing]:
+def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missing]:
     if not known.speed:
         if known.std[2] > math.radians(100.0):
             return "waiting for speed, or for acceleration from rest or braking", Missing.SPEED
@@ -153,7 +153,7 @@ def _yaw_reason(known: Knowledge, s: EstimatorSettings) -> tuple[str, Missing]:
     return f"waiting for more driving to be fine (+-{_deg(known.std[2])} deg)", Missing.MORE_DRIVING
 
 
-def _roll_reason(known: Knowledge) -> tuple[str, Missing]:
+def _roll_reason(known: MountKnowledge) -> tuple[str, Missing]:
     if known.lefts == 0 and known.rights == 0:
         return "no turns yet", Missing.TURNS
     if known.lefts == 0:
@@ -164,7 +164,7 @@ def _roll_reason(known: Knowledge) -> tuple[str, Missing]:
     return f"waiting for more turns ({seen}, +-{_deg(known.std[0])} deg)", Missing.TURNS
 
 
-def _pitch_reason(known: Knowledge) -> tuple[str, Missing]:
+def _pitch_reason(known: MountKnowledge) -> tuple[str, Missing]:
     if known.straight < NEEDED:
         text = f"waiting for {_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION

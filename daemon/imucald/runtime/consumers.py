@@ -14,6 +14,7 @@ from imucald.attitude.plausible import is_plausible
 from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
 from imucald.config import Config, LoadedConfig
 from imucald.config.attitude import Attitude
+from imucald.core.rotations import times
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import Correction, MountEstimate
 from imucald.runtime.consumer import ORDER, Companion
@@ -92,9 +93,7 @@ class AttitudeCompanion:
         elif channel == "heading":
             self.filter.heading(t, values[0])
         elif correction is not None:
-            x, y, z = values
-            a, b, c, d, e, f, g, h, i = correction
-            turned = (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z)
+            turned = times(correction, values)
             if channel == "gyro":
                 self.filter.gyro(t, turned)
             elif channel == "accel":

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.core.errors import EstimateError
+from imucald.core.rotations import times, times_columns
 from imucald.inputs.router import Routed, Router, Sample
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
@@ -24,8 +25,6 @@ from imucald.runtime.output.output_columns import (
     OutPart,
     corrected_count,
     merged,
-    rotated,
-    rotated_columns,
 )
 from imucald.runtime.output.output_frames import STATUS_FRAMES, Health, OutputFrames
 from imucald.runtime.output.sender import OutFrame
@@ -118,13 +117,14 @@ class Engine:
         self._count_rejections(k)
         self._accompany(t, samples)
         pipeline = self.pipeline
+        correction = pipeline.correction
         turned: dict[str, Turned] = {}
         for channel, values in samples:
             pipeline.add(t, channel, values)
             if channel in self._watched:
                 self._watched[channel] = k
             if channel in self.output.triads:
-                turned[channel] = rotated(pipeline.correction, values)
+                turned[channel] = None if correction is None else times(correction, values)
         if self.stages is not None and turned:
             turned = self.stages.corrected(t, turned)
         for channel in self.output.triads:
@@ -305,7 +305,7 @@ class Engine:
         """Corrected samples (N, 3) by channel."""
         found = {c: routed.samples[c] for c in self.output.triads if c in routed.samples}
         turned = {
-            channel: rotated_columns(
+            channel: times_columns(
                 corrections.rotations[ticks[series.row] - corrections.first], series.values
             )
             for channel, series in found.items()

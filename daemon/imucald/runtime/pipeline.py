@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,11 @@ from imucald.motion.ticks import (
     SPEED_N,
     TICK_RATE,
     TickAccumulator,
+    TickRow,
     tick_index,
     ticks_from_samples,
 )
 from imucald.mount.estimate import Correction, MountEstimate, MountEstimator, MountState
-
-if TYPE_CHECKING:
-    from imucald.compensation.tick_preprocessing import EvidenceStage
 
 Quality = int
 """0 not available, 1 restored, 2 usable, 3 fine, 4 suspect: what the frames carry."""
@@ -67,21 +65,33 @@ class TickCorrections:
     quality: NDArray[np.uint8]
 
 
+class TickPreprocessor(Protocol):
+    """Changes the rows of ticks before the estimator sees them."""
+
+    def row(self, row: TickRow, correction: Correction | None) -> TickRow:
+        """Return the tick as the estimator is to see it; correction: in force during it."""
+        ...
+
+    def gap(self) -> None:
+        """Time jumped: nothing before is joined with what follows."""
+        ...
+
+
 class Pipeline:
     """Samples to ticks to estimator to corrections, for one sensor.
 
     status_ticks: a snapshot of the estimate is taken every so many ticks.
-    evidence: what a model knows is taken out of ticks before the estimator sees them.
+    preprocessor: takes what a model knows out of ticks before the estimator sees them.
     """
 
     def __init__(
         self,
         estimator: MountEstimator,
         status_ticks: int = 10,
-        evidence: EvidenceStage | None = None,
+        preprocessor: TickPreprocessor | None = None,
     ) -> None:
         self.estimator = estimator
-        self._evidence = evidence
+        self._preprocessor = preprocessor
         self.correction: Correction | None = estimator.correction
         self.quality: Quality = 0
         self.first_usable: float | None = None
@@ -116,8 +126,8 @@ class Pipeline:
         """Time was discontinuous: close all ticks before k, where a new segment begins."""
         snapshots = self.advance(k)
         self.estimator.gap()
-        if self._evidence is not None:
-            self._evidence.gap()
+        if self._preprocessor is not None:
+            self._preprocessor.gap()
         return snapshots
 
     def replace(self, estimator: MountEstimator) -> MountEstimator:
@@ -180,12 +190,12 @@ class Pipeline:
         """How many snapshots fell due while tick `first` and those up to now were open."""
         return self.k // self.status_ticks - first // self.status_ticks
 
-    def _close(self, row: Sequence[float], snapshots: list[Snapshot] | None) -> None:
+    def _close(self, row: TickRow, snapshots: list[Snapshot] | None) -> None:
         estimator = self.estimator
         if row[SPEED_N]:
             self.speed = self.k, row[SPEED]
-        if self._evidence is not None:
-            row = self._evidence.row(row, self.correction)
+        if self._preprocessor is not None:
+            row = self._preprocessor.row(row, self.correction)
         estimator.step(row)
         self.correction = estimator.correction
         self._judge()

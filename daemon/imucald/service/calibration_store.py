@@ -11,19 +11,17 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from imucald.core.errors import EstimateError
-from imucald.mount.estimate import KeepsEvidence, MountEstimator, MountState
+from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.restored import RestoredEstimator, StoredMount
+from imucald.mount.saved_information import SavedInformation, SavesInformation, saved_from
 from imucald.runtime.summary import plain
 from imucald.service.journal import INFO, NOTICE, WARNING
 from imucald.service.state import SavedState, StateStore
-
-if TYPE_CHECKING:
-    from imucald.mount.saved_information import KeptEvidence
 
 SAVE_PERIOD_S = 10.0
 """A changing estimate is saved so often [s]: what a cut of power may cost."""
@@ -160,15 +158,13 @@ class StateKeeper:
         self._say(text + (", doubted when it was saved" if saved.doubted else ""), NOTICE)
         return RestoredEstimator(estimator, stored_mount(saved, self._evidence(saved)))
 
-    def _evidence(self, saved: SavedState) -> KeptEvidence | None:
+    def _evidence(self, saved: SavedState) -> SavedInformation | None:
         """The sums among the evidence; without them the mount serves all the same."""
         sums = saved.evidence.get(SUMS)
         if sums is None:
             return None
-        from imucald.mount.saved_information import kept_from  # noqa: PLC0415 - not without any
-
         try:
-            return kept_from(sums)
+            return saved_from(sums)
         except EstimateError as error:
             self._say(f"saved state: {error}; the mount is used without it", WARNING)
             return None
@@ -250,7 +246,7 @@ class StateKeeper:
         }
 
 
-def stored_mount(saved: SavedState, evidence: KeptEvidence | None) -> StoredMount:
+def stored_mount(saved: SavedState, evidence: SavedInformation | None) -> StoredMount:
     """A saved state as the estimator takes it, with the sums that were in it."""
     return StoredMount(
         np.array(saved.rotation).reshape(3, 3),
@@ -261,10 +257,10 @@ def stored_mount(saved: SavedState, evidence: KeptEvidence | None) -> StoredMoun
     )
 
 
-def kept_evidence(estimator: MountEstimator) -> KeptEvidence | None:
+def saved_information(estimator: MountEstimator) -> SavedInformation | None:
     """What the estimator can go on with after a restart, where it keeps that."""
-    if isinstance(estimator, RestoredEstimator | KeepsEvidence):
-        return estimator.kept_evidence()
+    if isinstance(estimator, RestoredEstimator | SavesInformation):
+        return estimator.saved_information()
     return None
 
 
@@ -275,7 +271,7 @@ def saved_state(
     shifts: Sequence[Mapping[str, Any]] = (),
 ) -> SavedState | None:
     """An estimator's estimate as it is saved; None where it cannot be."""
-    estimate, sums = estimator.estimate(), kept_evidence(estimator)
+    estimate, sums = estimator.estimate(), saved_information(estimator)
     R, C = estimate.R_vehicle_from_sensor, estimate.covariance
     if R is None or C is None or not (np.isfinite(R).all() and np.isfinite(C).all()):
         return None

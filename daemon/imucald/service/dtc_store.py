@@ -8,13 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from imucald.core.digest import sha256
+from imucald.core.atomic_file import (
+    free_name,
+    read_file,
+    split_checksum,
+    with_checksum,
+    write_file,
+)
 from imucald.service.calibration_store import Writer
 from imucald.uds.dtc_memory import TroubleMemory
 
@@ -47,7 +52,7 @@ class TroubleKeeper:
         self._writer: Writer[bytes] | None = None
         self._told = ""
         if path is not None:
-            self._writer = Writer(lambda data: write_whole(path, data))
+            self._writer = Writer(lambda data: write_file(path, data))
             self.memory.restore(self._read(path))
         self._written = self.memory.saved()
 
@@ -80,8 +85,7 @@ class TroubleKeeper:
 
     def _read(self, path: Path) -> Mapping[str, Any]:
         try:
-            with path.open("rb") as file:
-                data = file.read(MAX_BYTES + 1)
+            data = read_file(path, MAX_BYTES)
         except FileNotFoundError:
             return {}
         except OSError as error:
@@ -89,9 +93,7 @@ class TroubleKeeper:
             return {}
         found = decoded(data)
         if found is None:
-            number = 1
-            while (aside := path.with_name(f"{path.name}.corrupt.{number}")).exists():
-                number += 1
+            aside = free_name(path, "corrupt")
             with contextlib.suppress(OSError):
                 path.rename(aside)
             self._say(f"trouble codes: {path} is damaged; set aside as {aside.name}")
@@ -101,28 +103,16 @@ class TroubleKeeper:
 def encoded(records: Mapping[str, Any]) -> bytes:
     """The bytes of a file: one line with version and checksum, then JSON."""
     body = json.dumps(records).encode()
-    return f"{MAGIC} {sha256(body).hexdigest()}\n".encode() + body
+    return with_checksum(MAGIC, body)
 
 
 def decoded(data: bytes) -> Mapping[str, Any] | None:
     """The records in a file's bytes, or None where it is damaged."""
-    head, _, body = data.partition(b"\n")
-    expected = f"{MAGIC} {sha256(body).hexdigest()}"
-    if len(data) > MAX_BYTES or head != expected.encode():
+    title, body, is_right = split_checksum(data)
+    if len(data) > MAX_BYTES or title != MAGIC.encode() or not is_right:
         return None
     try:
         found = json.loads(body)
     except (ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Replace a file by a whole one that is on the disk; OSError where that fails."""
-    temporary = path.with_name(path.name + ".tmp")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)

@@ -8,7 +8,7 @@ from imucald.config import LoadedConfig
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.engine import Engine
-from imucald.service.calibration_store import kept_evidence, saved_state, stored_mount
+from imucald.service.calibration_store import saved_information, saved_state, stored_mount
 
 
 def listens_otherwise(
@@ -38,4 +38,4 @@ def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator
         return new
     if saved.state not in ("usable", "fine"):
         saved = replace(saved, state="usable", doubted=saved.state != "restored")
-    return RestoredEstimator(new, stored_mount(saved, kept_evidence(old)))
+    return RestoredEstimator(new, stored_mount(saved, saved_information(old)))

@@ -9,16 +9,22 @@ not believed is set aside under another name with the reason in it, never delete
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from imucald.core.atomic_file import (
+    free_name,
+    read_file,
+    split_checksum,
+    sync_folder,
+    with_checksum,
+    write_file,
+)
 from imucald.core.digest import sha256
 
 MAGIC = "imucald-state"
@@ -58,7 +64,7 @@ class SavedState:
     state: "usable" or "fine". doubted: it was suspect when it was saved. saved_at: wall clock [s],
     for people only. driven_s: seconds of driving behind it. offsets: of sensors and signals, SI.
     shifts: history of remounts, newest last. evidence: what the estimate rests on, for people, and
-    as "sums" what the estimator goes on with (`mount.kept_evidence`).
+    as "sums" what the estimator goes on with (`mount.saved_information`).
     """
 
     rotation: tuple[float, ...]
@@ -126,35 +132,19 @@ class StateStore:
     def save(self, state: SavedState) -> None:
         """Write a new generation; OSError when the disk does not take it (nothing is lost then)."""
         generation = self.generation + 1
-        target = self.path(generation % 2)
-        temporary = target.with_name(target.name + ".tmp")
-        data = encoded(self.key, generation, state)
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with temporary.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(target)
-        except OSError:
-            with contextlib.suppress(OSError):
-                temporary.unlink()  # ours, and unfinished; on a full disk it would stay in the way
-            raise
+        write_file(self.path(generation % 2), encoded(self.key, generation, state))
         self.generation = generation
-        _force_folder(self.folder)
 
     def forget(self) -> None:
         """Set both generations aside: nothing is loaded any more. OSError where that fails."""
         for slot in SLOTS:
             path = self.path(slot)
             if path.exists():
-                path.rename(_free_name(path, "forgotten"))
-        _force_folder(self.folder)
+                path.rename(free_name(path, "forgotten"))
+        sync_folder(self.folder)
 
     def _read(self, path: Path) -> tuple[int, SavedState]:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        generation, key, state = decoded(data)
+        generation, key, state = decoded(read_file(path, MAX_BYTES))
         if key != self.key:
             word = "vehicle" if key.vehicle != self.key.vehicle else "sensor"
             raise _NotBelievedError(f"other-{word}", f"it is of another {word}")
@@ -162,20 +152,12 @@ class StateStore:
 
     def _set_aside(self, path: Path, reason: _NotBelievedError) -> str:
         """Rename the file, keeping those set aside before."""
-        target = _free_name(path, reason.word)
+        target = free_name(path, reason.word)
         try:
             path.rename(target)
         except OSError as error:
             return f"{path}: {reason}; not used (it could not be renamed: {error.strerror})"
         return f"{path}: {reason}; set aside as {target.name}"
-
-
-def _free_name(path: Path, word: str) -> Path:
-    """A name beside the file that none has yet."""
-    number = 1
-    while (target := path.with_name(f"{path.name}.{word}.{number}")).exists():
-        number += 1
-    return target
 
 
 def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:
@@ -195,22 +177,21 @@ def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:
         "evidence": dict(state.evidence),
     }
     body = json.dumps(content, allow_nan=False, indent=1).encode()
-    head = f"{MAGIC} {VERSION} {len(body)} {sha256(body).hexdigest()}\n"
-    return head.encode() + body
+    return with_checksum(f"{MAGIC} {VERSION} {len(body)}", body)
 
 
 def decoded(data: bytes) -> tuple[int, StateKey, SavedState]:
     """Return generation, key and content of a file's bytes; raises when they are not believed."""
-    head, _, body = data.partition(b"\n")
-    words = head.split(b" ")
-    if words[0] != MAGIC.encode() or len(words) != 4 or len(data) > MAX_BYTES:
+    title, body, is_right = split_checksum(data)
+    words = title.split(b" ")
+    if words[0] != MAGIC.encode() or len(words) != 3 or len(data) > MAX_BYTES:
         raise _NotBelievedError("corrupt", "this is no state file")
     if words[1] not in [str(version).encode() for version in READABLE]:
         version = words[1][:12].decode("ascii", "replace")
         raise _NotBelievedError("other-version", f"its version is {version}, not {VERSION}")
     if words[2] != str(len(body)).encode():
         raise _NotBelievedError("corrupt", "it is cut off, or longer than it says")
-    if words[3] != sha256(body).hexdigest().encode():
+    if not is_right:
         raise _NotBelievedError("corrupt", "its checksum is wrong")
     try:
         content = json.loads(body)
@@ -280,13 +261,3 @@ def _is_covariance(c: tuple[float, ...]) -> bool:
         xx * (yy * zz - yz * zy) - xy * (yx * zz - yz * zx) + xz * (yx * zy - yy * zx),
     )
     return symmetric and all(m > 0.0 for m in minors) and max(xx, yy, zz) <= LARGEST_VARIANCE
-
-
-def _force_folder(folder: Path) -> None:
-    """Force the rename to the disk, where the file system knows how."""
-    with contextlib.suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, FrameColumns
 from imucald.can.dbc.database import Signal
 from imucald.can.dbc.encode import compile_encode
-from imucald.can.dbc.scaling import raw_limits
-from imucald.can.e2e.protection import OutputProtector
+from imucald.can.dbc.resolved_signal import raw_limits
+from imucald.can.e2e.protection import MessageProtector
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.core.samples import Series
@@ -159,13 +159,13 @@ def _protected(
     route: MessageRoute, drive: Drive, leader: str, data: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
     """Counter and checksum; the counter goes on over lost frames, as the sender does not know."""
-    spec = route.guard.spec
+    spec = route.checker.spec
     if spec.counter is None and spec.checksum is None:
         return data
     timing = frame_timing(getattr(drive.model, leader), leader, drive.seed, drive.duration_s)
     sent = np.flatnonzero(timing.kept)
     if len(sent) != len(data):
-        return OutputProtector(spec).protect_columns(data)
+        return MessageProtector(spec).protect_columns(data)
     every = np.zeros((len(timing.kept), data.shape[1]), np.uint8)
     every[sent] = data
-    return OutputProtector(spec).protect_columns(every)[sent]
+    return MessageProtector(spec).protect_columns(every)[sent]

@@ -11,16 +11,13 @@ import math
 from imucald.attitude.right_forward_up import (
     IDENTITY,
     Quaternion,
-    Rows,
-    Vector,
     cross,
     from_vector,
     product,
     rotated,
     rows,
-    times,
 )
-from imucald.core.rotations import levelling_rotation, quaternion_from_rotation
+from imucald.core.rotations import Rows, Vector, levelling_rotation, quaternion_from_rotation, times
 from imucald.travel_direction.north import NorthFilter
 from imucald.travel_direction.settings import ModernSettings
 

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.attitude.right_forward_up import Vector
+from imucald.core.rotations import Vector
 from imucald.travel_direction.cycles import POINTS, Cycle
 from imucald.travel_direction.settings import ModernSettings
 

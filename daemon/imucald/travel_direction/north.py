@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.attitude.right_forward_up import Rows, Vector
+from imucald.core.rotations import Rows, Vector
 
 Array = NDArray[np.float64]
 

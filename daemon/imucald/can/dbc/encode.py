@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from imucald.can.dbc.bits import Columns, field_of, write_bits, write_column
 from imucald.can.dbc.database import Message, Signal
-from imucald.can.dbc.resolved_signal import Extraction, resolve
-from imucald.can.dbc.signal_encoder import FLOAT_CODES, Slot, float_bits
+from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, resolve
+from imucald.can.dbc.signal_encoder import SignalEncoder, float_bits
 from imucald.core.errors import DatabaseError, EncodeError
 
 
@@ -33,15 +33,17 @@ class EncodePlan:
     def __init__(
         self,
         message: Message,
-        extractions: Sequence[Extraction],
+        signals: Sequence[ResolvedSignal],
         not_available: Mapping[str, int | float],
         multiplexer: Mapping[str, int],
     ) -> None:
         self.message = message
         self.size = message.length
-        self.signal_names = tuple(e.signal.name for e in extractions)
+        self.signal_names = tuple(s.signal.name for s in signals)
         self.multiplexer = dict(multiplexer)
-        self._slots = [Slot(message, e, not_available.get(e.signal.name)) for e in extractions]
+        self._encoders = [
+            SignalEncoder(message, s, not_available.get(s.signal.name)) for s in signals
+        ]
         self.start_bytes = self._start_bytes()
         self._encode = self._generate()
 
@@ -50,18 +52,18 @@ class EncodePlan:
         try:
             return self._encode(values)
         except (TypeError, ValueError, OverflowError):
-            if len(values) != len(self._slots):
-                text = f"{len(values)} values for {len(self._slots)} signals"
+            if len(values) != len(self._encoders):
+                text = f"{len(values)} values for {len(self._encoders)} signals"
                 raise EncodeError(f"{self.message.name}: {text}") from None
         payload = bytearray(self.start_bytes)
-        for slot, value in zip(self._slots, values, strict=True):
-            write_bits(payload, slot.field, slot.bits(value))
+        for encoder, value in zip(self._encoders, values, strict=True):
+            write_bits(payload, encoder.field, encoder.bits(value))
         return bytes(payload)
 
     def encode_columns(self, columns: Sequence[ArrayLike]) -> Columns:
         """Payloads (N, size) of N frames; EncodeError where a value cannot be said."""
-        if len(columns) != len(self._slots):
-            text = f"{len(columns)} columns for {len(self._slots)} signals"
+        if len(columns) != len(self._encoders):
+            text = f"{len(columns)} columns for {len(self._encoders)} signals"
             raise EncodeError(f"{self.message.name}: {text}")
         arrays = [np.asarray(c, dtype=np.float64) for c in columns]
         count = len(arrays[0]) if arrays else 0
@@ -69,8 +71,8 @@ class EncodePlan:
             raise EncodeError(f"{self.message.name}: columns differ in length")
         out = np.zeros((count, -(-self.size // 8) * 8), np.uint8)
         out[:, : self.size] = np.frombuffer(self.start_bytes, np.uint8)
-        for slot, array in zip(self._slots, arrays, strict=True):
-            write_column(out, slot.field, slot.bits_column(array))
+        for encoder, array in zip(self._encoders, arrays, strict=True):
+            write_column(out, encoder.field, encoder.bits_column(array))
         return np.ascontiguousarray(out[:, : self.size])
 
     def _start_bytes(self) -> bytes:
@@ -84,8 +86,8 @@ class EncodePlan:
             raw = self.multiplexer.get(signal.name, signal.initial_raw)
             if raw is not None:
                 write_bits(payload, field, _start_bits(signal, raw))
-        for slot in self._slots:
-            write_bits(payload, slot.field, 0)
+        for encoder in self._encoders:
+            write_bits(payload, encoder.field, 0)
         return bytes(payload)
 
     def _is_there(self, signal: Signal) -> bool:
@@ -100,12 +102,12 @@ class EncodePlan:
         """Make the function of the ordinary case; anything else raises, and goes the slow way."""
         scope: dict[str, Any] = {"from_bytes": int.from_bytes}
         parts: dict[bool, list[str]] = {False: [], True: []}
-        names = "".join(f"v{i}, " for i in range(len(self._slots)))
+        names = "".join(f"v{i}, " for i in range(len(self._encoders)))
         lines = ["def encode(values):"] + ([f"    ({names}) = values"] if names else [])
-        for i, slot in enumerate(self._slots):
-            lines += slot.generate(i, scope)
-            shift = slot.field.shift(self.size)
-            parts[slot.field.is_big].append(f"b{i} << {shift}" if shift else f"b{i}")
+        for i, encoder in enumerate(self._encoders):
+            lines += encoder.generate(i, scope)
+            shift = encoder.field.shift(self.size)
+            parts[encoder.field.is_big].append(f"b{i} << {shift}" if shift else f"b{i}")
         order: Literal["little", "big"] = "little"
         if parts[True] and not parts[False]:
             order = "big"
@@ -135,24 +137,24 @@ def compile_encode(
         raise DatabaseError(f"{message.source}: message {message.name}: {message.unsupported}")
     if len(set(signal_names)) != len(signal_names):
         raise DatabaseError(f"{message.source}: message {message.name}: a signal is given twice")
-    extractions = [resolve(message, name) for name in signal_names]
-    chosen = _choose_multiplexers(message, extractions, multiplexer or {})
-    return EncodePlan(message, extractions, not_available or {}, chosen)
+    signals = [resolve(message, name) for name in signal_names]
+    chosen = _choose_multiplexers(message, signals, multiplexer or {})
+    return EncodePlan(message, signals, not_available or {}, chosen)
 
 
 def _choose_multiplexers(
-    message: Message, extractions: Sequence[Extraction], given: Mapping[str, int]
+    message: Message, signals: Sequence[ResolvedSignal], given: Mapping[str, int]
 ) -> dict[str, int]:
     allowed: dict[str, frozenset[int]] = {n: frozenset([v]) for n, v in given.items()}
-    for e in extractions:
-        for name, ids in e.selectors:
+    for s in signals:
+        for name, ids in s.selectors:
             allowed[name] = allowed.get(name, ids) & ids
             if not allowed[name]:
                 text = f"signals of different {name} values are asked of one frame"
                 raise DatabaseError(f"{message.source}: message {message.name}: {text}")
     for name in allowed:
         resolve(message, name)
-        if any(name == e.signal.name for e in extractions):
+        if any(name == s.signal.name for s in signals):
             raise DatabaseError(
                 f"{message.source}: {message.name}.{name} is a multiplexer; "
                 "give its raw value, not a column"

@@ -1,19 +1,136 @@
-"""A signal resolved for coding: its bits, its conversion and the multiplexers above it."""
+"""A signal resolved for coding: its bits, its scaling and the multiplexers above it.
+
+Scaling is as cantools does it, for one number and for columns: `raw * scale + offset`, in integers
+where scale and offset are whole and the signal is no float, else in doubles. The result here is
+always a double. Where a double holds every product exactly, both are computed in doubles; the few
+54-to-64-bit signals where it would not are computed in Python's integers, in columns too.
+"""
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import MAX_FRAME_BYTES, Field, field_of
 from imucald.can.dbc.database import Message, Signal
-from imucald.can.dbc.scaling import Scaling, scaling_of
 from imucald.core.errors import DatabaseError
 
 MAX_MULTIPLEXER_VALUE = 2**63
 """Multiplexer values are compared as signed 64-bit integers in columns."""
 
+EXACT_IN_DOUBLE = 2**53
+"""Whole numbers up to here are doubles without rounding."""
 
-class Extraction(Struct, frozen=True):
+MAX_SIGNAL_BITS = 64
+"""Longest signal taken as a number."""
+
+FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
+"""struct's letter for a float of so many bits."""
+
+MAX_PHYSICAL = 1e300
+"""A scale that reaches beyond this is no physical one, and would overflow."""
+
+
+class Scaling(Struct, frozen=True):
+    """Linear scaling of integers in doubles: ``raw * scale + offset``. Other kinds differ in that.
+
+    `expression`: Python text of one number, in which ``{r}`` is the raw value.
+    """
+
+    scale: int | float
+    offset: int | float
+
+    is_identity = False
+
+    @property
+    def expression(self) -> str:
+        """Python text of the physical value; ``{r}`` stands for the raw one."""
+        return f"({{r}} * {float(self.scale)!r} + {float(self.offset)!r})"
+
+    def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
+        """Physical (N,) float64 of raw (N,) values."""
+        values = raw.astype(np.float64)
+        values *= float(self.scale)
+        values += float(self.offset)
+        return values
+
+
+class FloatScaling(Scaling, frozen=True):
+    """Scaling of floats, which carry anything: overflow and NaN are judged by the caller."""
+
+    def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
+        """See `Scaling`."""
+        with np.errstate(all="ignore"):
+            return super().column(raw)
+
+
+class NoScaling(Scaling, frozen=True):
+    """Scale 1, offset 0: integers become doubles."""
+
+    is_identity = True
+
+    @property
+    def expression(self) -> str:
+        """See `Scaling`."""
+        return "({r} + 0.0)"
+
+    def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
+        """See `Scaling`."""
+        return raw.astype(np.float64)
+
+
+class NoFloatScaling(NoScaling, frozen=True):
+    """Scale 1, offset 0: floats stay what they are."""
+
+    @property
+    def expression(self) -> str:
+        """See `Scaling`."""
+        return "{r}"
+
+
+class IntegerScaling(Scaling, frozen=True):
+    """Scaling in Python's integers, where doubles would round."""
+
+    @property
+    def expression(self) -> str:
+        """See `Scaling`."""
+        return f"float({{r}} * {self.scale!r} + {self.offset!r})"
+
+    def column(self, raw: NDArray[Any]) -> NDArray[np.float64]:
+        """See `Scaling`."""
+        scale, offset = self.scale, self.offset
+        return np.array([float(r * scale + offset) for r in raw.tolist()], dtype=np.float64)
+
+
+def scaling_of(signal: Signal, place: str) -> Scaling:
+    """Scaling of a signal; DatabaseError (with `place`) where it is no number."""
+    _check(signal, place)
+    scale, offset = signal.scale, signal.offset
+    if scale == 1 and offset == 0:
+        return (NoFloatScaling if signal.is_float else NoScaling)(scale, offset)
+    if signal.is_float:
+        return FloatScaling(scale, offset)
+    largest = max(abs(limit) for limit in raw_limits(signal))
+    if _is_whole(scale) and _is_whole(offset):
+        scale, offset = int(scale), int(offset)
+        is_exact = largest * abs(scale) + abs(offset) <= EXACT_IN_DOUBLE
+    else:
+        is_exact = not isinstance(scale, int) or largest * abs(scale) <= EXACT_IN_DOUBLE
+    return (Scaling if is_exact else IntegerScaling)(scale, offset)
+
+
+def raw_limits(signal: Signal) -> tuple[int, int]:
+    """Lowest and highest raw integer that the signal's bits can hold."""
+    if signal.is_signed:
+        return -(1 << signal.length - 1), (1 << signal.length - 1) - 1
+    return 0, (1 << signal.length) - 1
+
+
+class ResolvedSignal(Struct, frozen=True):
     """One signal, resolved: its bits, its conversion and the multiplexers above it."""
 
     signal: Signal
@@ -22,7 +139,7 @@ class Extraction(Struct, frozen=True):
     selectors: tuple[tuple[str, frozenset[int]], ...] = ()
 
 
-def resolve(message: Message, name: str) -> Extraction:
+def resolve(message: Message, name: str) -> ResolvedSignal:
     """Bits, conversion and multiplexers of a signal; DatabaseError where they make no sense."""
     signal = message.signal(name)
     place = f"{message.source}: {message.name}.{name}"
@@ -39,4 +156,25 @@ def resolve(message: Message, name: str) -> Extraction:
         if is_broken or not 0 <= min(ids) <= max(ids) < MAX_MULTIPLEXER_VALUE:
             raise DatabaseError(f"{place}: its multiplexer {parent} is broken")
         seen.add(parent)
-    return Extraction(signal, field, scaling, signal.selectors)
+    return ResolvedSignal(signal, field, scaling, signal.selectors)
+
+
+def _is_whole(value: int | float) -> bool:
+    return isinstance(value, int) or value.is_integer()
+
+
+def _check(signal: Signal, place: str) -> None:
+    if not 0 < signal.length <= MAX_SIGNAL_BITS:
+        raise DatabaseError(f"{place}: {signal.length} bits are no number (1 to {MAX_SIGNAL_BITS})")
+    if signal.is_float and signal.length not in FLOAT_CODES:
+        raise DatabaseError(f"{place}: no float has {signal.length} bits")
+    try:
+        scale, offset = float(signal.scale), float(signal.offset)
+        reach = abs(scale) * 2.0**MAX_SIGNAL_BITS + abs(offset)
+    except OverflowError:
+        reach = math.inf
+    if not reach < MAX_PHYSICAL or scale == 0.0:
+        raise DatabaseError(
+            f"{place}: factor {str(signal.scale)[:20]} and offset {str(signal.offset)[:20]} "
+            "make no physical value"
+        )

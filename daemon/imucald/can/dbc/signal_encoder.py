@@ -12,35 +12,33 @@ from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import Field
 from imucald.can.dbc.database import Message, Signal
-from imucald.can.dbc.resolved_signal import Extraction
-from imucald.can.dbc.scaling import raw_limits
+from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, raw_limits
 from imucald.core.errors import DatabaseError, EncodeError
 
 RANGE_TOLERANCE = 1e-6
 """Slack at a stated minimum or maximum, in raw steps: the rounding of numbers in a database."""
 
-LARGEST = sys.float_info.max
+MAX_DOUBLE = sys.float_info.max
 """Beyond this a number is not finite; NaN fails any comparison."""
 
-FLOAT_CODES = {16: "e", 32: "f", 64: "d"}
-"""struct's letter for a float of so many bits."""
 
-
-class Slot:
+class SignalEncoder:
     """One signal of an encode plan: range in raw steps and its not-available bits."""
 
-    def __init__(self, message: Message, e: Extraction, not_available: int | float | None) -> None:
-        self.field: Field = e.field
-        self.is_float = e.signal.is_float
-        self.place = f"{message.name}.{e.signal.name}"
-        self._scale = float(e.scaling.scale)
-        self._offset = float(e.scaling.offset)
-        self._is_identity = e.scaling.is_identity
-        self.low, self.high = _float_limits(e.signal)
-        self.lowest, self.highest = (0, 0) if self.is_float else _integer_limits(e.signal)
+    def __init__(
+        self, message: Message, s: ResolvedSignal, not_available: int | float | None
+    ) -> None:
+        self.field: Field = s.field
+        self.is_float = s.signal.is_float
+        self.place = f"{message.name}.{s.signal.name}"
+        self._scale = float(s.scaling.scale)
+        self._offset = float(s.scaling.offset)
+        self._is_identity = s.scaling.is_identity
+        self.low, self.high = _float_limits(s.signal)
+        self.lowest, self.highest = (0, 0) if self.is_float else _integer_limits(s.signal)
         self._absent = None
         if not_available is not None:
-            self._absent = _not_available_bits(e.signal, not_available, self.place)
+            self._absent = _not_available_bits(s.signal, not_available, self.place)
 
     def generate(self, i: int, scope: dict[str, Any]) -> list[str]:
         """Lines of Python that set ``b{i}``, the bits, from ``v{i}``, the value."""
@@ -50,7 +48,9 @@ class Slot:
         scope[f"bits_{i}"] = self.bits
         if self.is_float:
             scope[f"pack_{i}"] = struct.Struct("<" + FLOAT_CODES[self.field.length]).pack
-            test = f"{self.low!r} <= v{i} <= {self.high!r} and {-LARGEST!r} <= x <= {LARGEST!r}"
+            test = (
+                f"{self.low!r} <= v{i} <= {self.high!r} and {-MAX_DOUBLE!r} <= x <= {MAX_DOUBLE!r}"
+            )
             packed = f"from_bytes(pack_{i}(x), 'little')"
             return [f"    x = {raw}", f"    b{i} = {packed} if {test} else bits_{i}(v{i})"]
         test = f"{self.lowest} <= b{i} <= {self.highest}"
@@ -120,8 +120,8 @@ def _integer_limits(signal: Signal) -> tuple[int, int]:
 
 def _float_limits(signal: Signal) -> tuple[float, float]:
     """Stated physical range; finite, so that no infinity is within it."""
-    low = -LARGEST if signal.minimum is None else signal.minimum
-    high = LARGEST if signal.maximum is None else signal.maximum
+    low = -MAX_DOUBLE if signal.minimum is None else signal.minimum
+    high = MAX_DOUBLE if signal.maximum is None else signal.maximum
     return low, high
 
 

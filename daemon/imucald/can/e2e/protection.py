@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from imucald.can.dbc.bits import Columns, read_bits, read_column, words_of
 from imucald.can.e2e.checksums import Checksum
 from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec, counter_of, e2e_counter
-from imucald.can.e2e.protector import OutputProtector
+from imucald.can.e2e.protector import MessageProtector
 
 __all__ = [
     "REASONS",
     "CounterSpec",
-    "MessageGuard",
-    "OutputProtector",
+    "MessageChecker",
+    "MessageProtector",
     "ProtectionSpec",
     "counter_of",
     "e2e_counter",
@@ -50,7 +50,7 @@ REASONS = (
 OK, SHORT, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED = range(len(REASONS))
 
 
-class MessageGuard:
+class MessageChecker:
     """Judges the frames of one message, in order. The very first good frame is trusted."""
 
     reasons = REASONS

@@ -11,7 +11,7 @@ from imucald.can.e2e.protection_spec import ProtectionSpec
 from imucald.core.errors import EncodeError
 
 
-class OutputProtector:
+class MessageProtector:
     """Puts alive counter, data id and checksum into the encoded frames of one message.
 
     The counter starts at 0 and goes up by one with each frame, one by one or in columns.

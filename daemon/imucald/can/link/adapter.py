@@ -16,7 +16,7 @@ from imucald.can.columns import CAN_EFF_FLAG, CLASSIC_BYTES, IdMatch
 from imucald.can.link.socketcan import (
     CAN_ERR_FLAG,
     CAN_RTR_FLAG,
-    LONGEST_BATCH,
+    MAX_BATCH,
     Frame,
 )
 from imucald.can.python_can import can
@@ -86,7 +86,7 @@ class Adapter:
             while message is not None:
                 if message.is_rx:  # some adapters hand back what we sent
                     frames.append((_stamp(message), _can_id(message), bytes(message.data)))
-                if len(frames) >= LONGEST_BATCH:
+                if len(frames) >= MAX_BATCH:
                     break
                 message = receive(0.0)
         except can.CanError as error:

@@ -9,10 +9,10 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatc
 from imucald.can.link.socketcan import CAN_ERR_FLAG, CAN_RTR_FLAG
 
 KNOWN_IDS = 4096
-"""Ids whose fate is remembered; cleared beyond, since a fuzzed bus shows any number of them."""
+"""Ids whose kind is remembered; cleared beyond, since a fuzzed bus shows any number of them."""
 
 
-class Fate(enum.Enum):
+class FrameClass(enum.Enum):
     """What becomes of a received frame."""
 
     WANTED = 1
@@ -21,8 +21,8 @@ class Fate(enum.Enum):
     FOREIGN = 4
 
 
-class Fates(dict[int, Fate]):
-    """The fate of each id as the kernel writes it (with its flags), worked out once.
+class LinkIdFilter(dict[int, FrameClass]):
+    """The kind of each id as the kernel writes it (with its flags), worked out once.
 
     This sorting is what counts; filters in the kernel or an adapter only spare us the work.
     """
@@ -33,22 +33,22 @@ class Fates(dict[int, Fate]):
         self._own_ids = frozenset(own_ids)
         self._channel = channel
 
-    def __missing__(self, can_id: int) -> Fate:
+    def __missing__(self, can_id: int) -> FrameClass:
         if len(self) >= KNOWN_IDS:
             self.clear()
-        self[can_id] = fate = self._work_out(can_id)
-        return fate
+        self[can_id] = kind = self._work_out(can_id)
+        return kind
 
-    def _work_out(self, can_id: int) -> Fate:
+    def _work_out(self, can_id: int) -> FrameClass:
         if can_id & CAN_ERR_FLAG:
-            return Fate.ERROR
+            return FrameClass.ERROR
         if can_id & CAN_RTR_FLAG:  # carries no data
-            return Fate.FOREIGN
+            return FrameClass.FOREIGN
         if can_id in self._own_ids:
-            return Fate.CONFLICT
+            return FrameClass.CONFLICT
         if any(match.matches(can_id, self._channel) for match in self._matches):
-            return Fate.WANTED
-        return Fate.FOREIGN
+            return FrameClass.WANTED
+        return FrameClass.FOREIGN
 
     def filters(self) -> list[IdMatch]:
         """Return what to let through: the wanted ids, and ours, to see who else sends them."""

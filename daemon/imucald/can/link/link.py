@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, IdMatch
-from imucald.can.link.id_filter import Fate, Fates
+from imucald.can.link.id_filter import FrameClass, LinkIdFilter
 from imucald.can.link.link_messages import (
     absent_text,
     bus_off_text,
@@ -40,10 +40,10 @@ from imucald.core.errors import LinkError
 
 __all__ = ["Frame", "Link", "LinkCounters", "LinkEvent", "LinkState"]
 
-RETRY_FIRST = 0.05
+MIN_RETRY = 0.05
 """First pause before a lost interface is opened again [s]; doubled each time."""
 
-RETRY_LONGEST = 0.2
+MAX_RETRY = 0.2
 """Longest such pause [s]: frames shall resume within 1 s, on a busy machine too."""
 
 CHECK_PERIOD = 0.2
@@ -129,13 +129,13 @@ class Link:
         self._buffer = receive_buffer
         self._clock = clock
         self._announcer = Announcer(on_event, clock)
-        self._told_state: LinkState | None = None
+        self._announced_state: LinkState | None = None
         self._port: Port | None = None
         self._opened_before = False
         self._lost_before = 0  # what earlier sockets had lost
-        self._fates = Fates(receive, own_ids, channel)
+        self._id_filter = LinkIdFilter(receive, own_ids, channel)
         self._outbox = Outbox(bitrate_switch, clock, self._frame_sent, self._queue_full)
-        self._pause = RETRY_FIRST
+        self._pause = MIN_RETRY
         self._next_try = self._next_check = -math.inf
         self._open(required=not wait)
 
@@ -179,14 +179,14 @@ class Link:
         if self.state is LinkState.DOWN:
             self._check(port)  # frames from before it went down may still come
         wanted = []
-        fates = self._fates
+        classes = self._id_filter
         for frame in frames:
-            fate = fates[frame[1]]
-            if fate is Fate.WANTED:
+            kind = classes[frame[1]]
+            if kind is FrameClass.WANTED:
                 wanted.append(frame)
-            elif fate is Fate.CONFLICT:
+            elif kind is FrameClass.CONFLICT:
                 self._conflict(frame[1])
-            elif fate is Fate.ERROR:
+            elif kind is FrameClass.ERROR:
                 self._error_frame(frame[1])
             else:
                 self.counters.foreign += 1
@@ -198,7 +198,7 @@ class Link:
 
     def _conflict(self, can_id: int) -> None:
         self.counters.conflicts += 1
-        self._announcer.tell_seldom("conflict", conflict_text(self.channel, can_id))
+        self._announcer.announce_seldom("conflict", conflict_text(self.channel, can_id))
 
     def _error_frame(self, can_id: int) -> None:
         self.counters.error_frames += 1
@@ -212,7 +212,7 @@ class Link:
         lost = self._lost_before + port.lost
         if lost != self.counters.lost:
             self.counters.lost = lost
-            self._announcer.tell_seldom(
+            self._announcer.announce_seldom(
                 "lost", f"frames of {self.channel} were lost before they were read"
             )
 
@@ -255,7 +255,7 @@ class Link:
 
     def _queue_full(self) -> None:
         self.counters.not_sent("bus_off" if self.state is LinkState.BUS_OFF else "queue_full")
-        self._announcer.tell_seldom("queue_full", queue_full_text(self.channel))
+        self._announcer.announce_seldom("queue_full", queue_full_text(self.channel))
 
     # ---- losing and regaining -----------------------------------------------------------------
 
@@ -274,7 +274,7 @@ class Link:
         self._port = port
         self.counters.reopened += self._opened_before
         self._opened_before = True
-        self._pause = RETRY_FIRST
+        self._pause = MIN_RETRY
         if port.is_up():
             self._enter(LinkState.UP, f"{self.interface} {self.channel} is open")
         else:
@@ -282,7 +282,7 @@ class Link:
         return port
 
     def _new_port(self) -> Port:
-        filters = self._fates.filters()
+        filters = self._id_filter.filters()
         if self.interface == "socketcan":
             return SocketCan(self.channel, filters, fd=self._fd, receive_buffer=self._buffer)
         from imucald.can.link.adapter import Adapter  # noqa: PLC0415  (SocketCAN needs no python-can)
@@ -301,7 +301,7 @@ class Link:
             self._enter(LinkState.ABSENT, f"{error}; waiting")
         if port is None:
             self._next_try = self._clock() + self._pause
-            self._pause = min(2 * self._pause, RETRY_LONGEST)
+            self._pause = min(2 * self._pause, MAX_RETRY)
         return port
 
     def _failed(self, port: Port, error: OSError) -> None:
@@ -343,9 +343,9 @@ class Link:
     def _enter(self, state: LinkState, text: str) -> None:
         """Change the state, and tell if it is another one."""
         self.state = state
-        if state is not self._told_state:
-            self._told_state = state
-            self._announcer.tell(str(state), text)
+        if state is not self._announced_state:
+            self._announced_state = state
+            self._announcer.announce(str(state), text)
 
     # ---- the rest -----------------------------------------------------------------------------
 

@@ -70,17 +70,17 @@ class Announcer:
         self._clock = clock
         self._last: dict[str, tuple[float, int]] = {}
 
-    def tell(self, kind: str, text: str) -> None:
+    def announce(self, kind: str, text: str) -> None:
         """Hand on an event."""
         if self._on_event is not None:
             self._on_event(LinkEvent(kind, text))
 
-    def tell_seldom(self, kind: str, text: str) -> None:
+    def announce_seldom(self, kind: str, text: str) -> None:
         """Hand on at once, then at most every `EVENT_PERIOD`, saying how often it was meanwhile."""
-        last, untold = self._last.get(kind, (-math.inf, 0))
+        last, unannounced = self._last.get(kind, (-math.inf, 0))
         now = self._clock()
         if now - last < EVENT_PERIOD:
-            self._last[kind] = (last, untold + 1)
+            self._last[kind] = (last, unannounced + 1)
             return
         self._last[kind] = (now, 0)
-        self.tell(kind, text + (f" ({untold} times more before)" if untold else ""))
+        self.announce(kind, text + (f" ({unannounced} times more before)" if unannounced else ""))

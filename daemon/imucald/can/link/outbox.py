@@ -15,7 +15,7 @@ from typing import Protocol
 HELD_FRAMES = 32
 """Frames kept while the queue is full: a burst, not a backlog."""
 
-HELD_LONGEST = 0.05
+MAX_HOLD = 0.05
 """A frame that could not be sent for so long is stale and dropped [s]."""
 
 _FULL = (errno.ENOBUFS, errno.EAGAIN)
@@ -66,7 +66,7 @@ class Outbox:
         now = self._clock()
         while self._held:
             since, can_id, data = self._held.popleft()
-            if now - since > HELD_LONGEST:
+            if now - since > MAX_HOLD:
                 self._on_dropped()
             elif not self._taken(port, can_id, data):
                 self._held.appendleft((since, can_id, data))

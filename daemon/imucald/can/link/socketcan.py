@@ -40,7 +40,7 @@ CAN_ERR_CONTROLLER = 0x0000_0004
 MAX_FILTERS = 512
 """CAN_RAW_FILTER_MAX of the kernel; with more ids than that all frames are taken."""
 
-LONGEST_BATCH = 1024
+MAX_BATCH = 1024
 """Frames taken at one go, so that a flooded bus does not starve the sending side."""
 
 _SO_RXQ_OVFL = 40
@@ -136,7 +136,7 @@ class SocketCan:
             return []
         frames: list[Frame] = []
         recvmsg, add = self._socket.recvmsg, frames.append
-        while len(frames) < LONGEST_BATCH:
+        while len(frames) < MAX_BATCH:
             try:
                 raw, ancillary, _, _ = recvmsg(_FD.size, _ANCILLARY_BYTES)
             except BlockingIOError:

@@ -23,10 +23,10 @@ from imucald.can.columns import (
     concatenate,
 )
 from imucald.can.logs.ascii_columns import Bytes, Index, hex_bytes, runs_at
-from imucald.can.logs.candump_block import Block, Hits
+from imucald.can.logs.candump_block import CandumpBlock, Hits
 from imucald.can.logs.candump_line import REASONS, Line, parse_line, shown
 from imucald.can.logs.candump_shape import Layout, Shape
-from imucald.can.logs.read_statistics import Tally
+from imucald.can.logs.read_statistics import ReadStatistics
 
 PADDING: Final = 512
 """Bytes by which a block is longer than its text, so that runs may be read from any place."""
@@ -44,10 +44,10 @@ Place = tuple[str, int]
 class CandumpParser:
     """Turns blocks of candump text into columns; keeps what it learned from block to block."""
 
-    def __init__(self, filters: IdFilters, channels: Channels, tally: Tally) -> None:
+    def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
         self._filters = filters
         self._channels = channels
-        self._tally = tally
+        self._statistics = statistics
         self._shapes: list[Shape] = []
 
     def parse(self, buf: Bytes, size: int, place: Place) -> tuple[FrameColumns, int]:
@@ -55,13 +55,13 @@ class CandumpParser:
 
         `buf` is (size + PADDING,) or longer. Raises LogError at a bad line of a strict reading.
         """
-        block = Block(buf, size)
+        block = CandumpBlock(buf, size)
         hits = self._find(block)
         odd, wrong = block.settle()
         if wrong is not None:
             hits = [h.only(~wrong[h.line]) for h in hits]
-        self._tally.frames_read += len(block) - len(odd)
-        if self._tally.first_stamp is None:
+        self._statistics.frames_read += len(block) - len(odd)
+        if self._statistics.first_stamp is None:
             self._stamp_first(block)
         singles: list[tuple[int, Line]] = []
         for number in odd.tolist():
@@ -84,29 +84,29 @@ class CandumpParser:
         if line is None:
             return None
         if isinstance(line, Line):
-            self._tally.stamp(line.t)
+            self._statistics.stamp(line.t)
         if isinstance(line, Line) and line.kind != "data":
-            self._tally.ignore(line.kind)
+            self._statistics.ignore(line.kind)
             return None
         if isinstance(line, Line) and self._channels.index(line.channel) is None:
             line = "too_many_channels"
         if isinstance(line, str):
             reason = "cut_line" if last else line
             where = f"{place[0]}:{place[1] + 1}"
-            self._tally.reject(reason, f"{where}: {REASONS[reason]}: {shown(text)}")
+            self._statistics.reject(reason, f"{where}: {REASONS[reason]}: {shown(text)}")
             return None
-        self._tally.frames_read += 1
+        self._statistics.frames_read += 1
         return line if self._filters.of(line.channel).wanted(line.can_id) else None
 
-    def _stamp_first(self, block: Block) -> None:
+    def _stamp_first(self, block: CandumpBlock) -> None:
         """Find the log's first frame, wanted or not."""
         for number in range(len(block)):
             line = parse_line(block.text(number))
             if isinstance(line, Line):
-                self._tally.stamp(line.t)
+                self._statistics.stamp(line.t)
                 return
 
-    def _find(self, block: Block) -> list[Hits]:
+    def _find(self, block: CandumpBlock) -> list[Hits]:
         """Hold every known shape against the lines, then learn new ones from what is left."""
         left: Index = np.arange(len(block))
         hits: list[Hits] = []

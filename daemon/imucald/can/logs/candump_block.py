@@ -39,7 +39,7 @@ class _Kind(NamedTuple):
         return self.id_digits + (3 if self.fd else 1)
 
     @property
-    def most_digits(self) -> np.uint64:
+    def max_digits(self) -> np.uint64:
         return u8(2 * (FD_BYTES if self.fd else CLASSIC_BYTES))
 
 
@@ -80,7 +80,7 @@ class Hits(Struct, frozen=True):
         return Hits(self.shape, self.fd, *(column[mask] for column in columns))  # type: ignore[arg-type]
 
 
-class Block:
+class CandumpBlock:
     """Whole lines, each of which is in the end either accounted for or odd.
 
     A line is accounted for when head, id and length are right; it then must hold a known number
@@ -154,7 +154,7 @@ class Block:
     ) -> tuple[NDArray[np.bool_], NDArray[np.uint32], NDArray[np.bool_]]:
         """Say which lines have this kind; their ids (flag included), and whether wanted."""
         digits = (lines.rest - kind.data_offset).view(np.uint64)
-        good = digits <= kind.most_digits
+        good = digits <= kind.max_digits
         good &= (digits & u8(1)) == 0
         if kind.id_digits == 3:
             good &= (lines.word & u8(0xFF00_0000)) == u8(ord("#") << 24)

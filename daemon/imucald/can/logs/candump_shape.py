@@ -27,7 +27,7 @@ EXACT_INTEGER: Final = 2**53
 """Whole numbers below are doubles exactly; their quotient by a power of ten up to 22 is then
 the double nearest to the decimal text, which is what float() gives for it."""
 
-MOST_DIGITS: Final = 18
+MAX_DIGITS: Final = 18
 """Decimal digits that surely fit into 64 bits."""
 
 ID_BYTES: Final = 9
@@ -95,7 +95,7 @@ class Shape:
     def times(self, buf: Bytes, starts: Index) -> NDArray[np.float64]:
         """Return the time stamps [s], to the last bit what float() of their text gives."""
         a, b = self.layout.seconds, self.layout.fraction
-        if a + b > MOST_DIGITS:
+        if a + b > MAX_DIGITS:
             return self._times_by_text(buf, starts)
         total = _decimal(buf, starts + 1, a) * u8(10**b) + _decimal(buf, starts + a + 2, b)
         if len(total) and int(total.max()) >= EXACT_INTEGER:

@@ -28,7 +28,7 @@ from imucald.can.columns import (
 )
 from imucald.core.errors import LogError
 
-MOST_SECONDS: Final = 2**32
+MAX_SECONDS: Final = 2**32
 """Times are written below this (year 2106): up to there a double holds the microsecond."""
 
 MICROSECONDS: Final = 1_000_000
@@ -78,7 +78,7 @@ class CandumpWriter:
         bare = can_id & ~CAN_EFF_FLAG
         extended = bare != can_id
         if not (
-            0 <= t < MOST_SECONDS
+            0 <= t < MAX_SECONDS
             and 0 <= bare <= (CAN_EFF_MASK if extended else CAN_SFF_MASK)
             and len(data) <= (FD_BYTES if fd else _CLASSIC)
         ):
@@ -149,7 +149,7 @@ def _formatted(frames: FrameColumns, fd_flags: int, name: str) -> bytes:
     """Return the lines of some frames."""
     length = frames.length.astype(np.intp)
     fd = length > _CLASSIC if frames.fd is None else frames.fd
-    good = (frames.t >= 0) & (frames.t < MOST_SECONDS)
+    good = (frames.t >= 0) & (frames.t < MAX_SECONDS)
     good &= length <= np.where(fd, FD_BYTES, _CLASSIC)
     extended = frames.can_id >= CAN_EFF_FLAG
     good &= frames.can_id <= np.where(extended, CAN_EFF_FLAG | CAN_EFF_MASK, CAN_SFF_MASK)

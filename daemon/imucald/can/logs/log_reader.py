@@ -26,8 +26,8 @@ from imucald.can.columns import (
 from imucald.can.logs.candump import PADDING, CandumpParser
 from imucald.can.logs.candump_line import MAX_LINE_BYTES
 from imucald.can.logs.candump_writer import CandumpWriter
-from imucald.can.logs.python_can_logs import ForeignReader, is_foreign
-from imucald.can.logs.read_statistics import Tally
+from imucald.can.logs.python_can_logs import PythonCanReader, is_python_can_format
+from imucald.can.logs.read_statistics import ReadStatistics
 from imucald.can.logs.text_blocks import STDIN, TextBlocks, open_source
 from imucald.core.errors import LogError
 
@@ -66,46 +66,46 @@ class LogReader:
         self._paths = list(paths)
         self._keep = keep
         self._progress = progress
-        self._tally = Tally(strict)
+        self._statistics = ReadStatistics(strict)
         self._bytes_before = 0
         self._bytes_total: int | None = None
 
     @property
     def frames_read(self) -> int:
         """Return the number of all valid frames so far, wanted or not."""
-        return self._tally.frames_read
+        return self._statistics.frames_read
 
     @property
     def first_stamp(self) -> float | None:
         """Return the time stamp of the first valid frame so far [s], wanted or not."""
-        return self._tally.first_stamp
+        return self._statistics.first_stamp
 
     @property
     def ignored(self) -> dict[str, int]:
         """Return how many of them are remote_frame, error_frame, xl_frame: never passed on."""
-        return dict(self._tally.ignored)
+        return dict(self._statistics.ignored)
 
     @property
     def rejected(self) -> dict[str, int]:
         """Return the number of rejections by reason."""
-        return dict(self._tally.rejected)
+        return dict(self._statistics.rejected)
 
     @property
     def problems(self) -> list[str]:
         """Return the first rejections as texts, "file:line: reason: line"."""
-        return list(self._tally.problems)
+        return list(self._statistics.problems)
 
     def __iter__(self) -> Iterator[FrameColumns]:
         """Yield chunks of bounded size, none of them empty. Raises LogError."""
-        self._tally = Tally(self._tally.strict)
+        self._statistics = ReadStatistics(self._statistics.strict)
         self._bytes_before = 0
         self._bytes_total = _total_bytes(self._paths)
         _keep_freed_memory()
         channels, filters = Channels(), IdFilters(self._keep)
-        candump = CandumpParser(filters, channels, self._tally)
-        foreign = ForeignReader(filters, channels, self._tally)
+        candump = CandumpParser(filters, channels, self._statistics)
+        foreign = PythonCanReader(filters, channels, self._statistics)
         for path in self._paths:
-            if is_foreign(path):
+            if is_python_can_format(path):
                 yield from foreign.read(Path(path), self._report)
             else:
                 yield from _gathered(self._read_candump(path, candump))
@@ -130,7 +130,9 @@ class LogReader:
             if blocks.damage:
                 # The last line is cut with the file, even where what is left of it can be read.
                 where = f"{name}:{lines + 1}"
-                self._tally.reject("damaged_file", f"{where}: reading ends here: {blocks.damage}")
+                self._statistics.reject(
+                    "damaged_file", f"{where}: reading ends here: {blocks.damage}"
+                )
             elif blocks.rest:
                 yield parser.parse_rest(blocks.rest, (name, lines))
 

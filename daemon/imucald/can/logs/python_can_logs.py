@@ -20,7 +20,7 @@ from imucald.can.columns import (
     FrameColumns,
     IdFilters,
 )
-from imucald.can.logs.read_statistics import Tally
+from imucald.can.logs.read_statistics import ReadStatistics
 from imucald.core.errors import LogError
 
 FORMATS: Final = (".asc", ".blf", ".trc", ".csv", ".mf4", ".db")
@@ -41,27 +41,27 @@ SPACED_FORMATS: Final = (".asc", ".trc")
 LAST_BYTES: Final = 1024
 """The last line of such a file is shorter."""
 
-LEAST_TOKENS: Final = 6
+MIN_TOKENS: Final = 6
 """Words of its lines before the first data byte."""
 
 Frame = tuple[float, int, bytes, int, bool]
 """Time [s], id with flag, payload, channel index, CAN FD."""
 
 
-def is_foreign(path: Path | str) -> bool:
+def is_python_can_format(path: Path | str) -> bool:
     """Say whether a file's name is one of another format than candump's."""
     name = Path(path)
     ending = name.stem if name.suffix.lower() == ".gz" else name.name
     return Path(ending).suffix.lower() in FORMATS
 
 
-class ForeignReader:
+class PythonCanReader:
     """Reads files of other formats into columns."""
 
-    def __init__(self, filters: IdFilters, channels: Channels, tally: Tally) -> None:
+    def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
         self._filters = filters
         self._channels = channels
-        self._tally = tally
+        self._statistics = statistics
         self._verdicts: dict[tuple[int, int], bool] = {}
 
     def read(self, path: Path, report: Callable[[int], None]) -> Iterator[FrameColumns]:
@@ -70,14 +70,14 @@ class ForeignReader:
         A file that cannot be read at all raises LogError. One that fails after some frames counts
         as one rejection ("unreadable") and ends there, since python-can's readers cannot resume.
         """
-        before = self._tally.frames_read
+        before = self._statistics.frames_read
         cut = _ends_in_half_a_byte(path)
         batch: list[Frame] = []
         frame, counted = None, before
         try:
             with _open(path) as reader:
                 for number, message in enumerate(reader, 1):
-                    counted = self._tally.frames_read
+                    counted = self._statistics.frames_read
                     frame = self._judge(message, path, number)
                     if frame is not None:
                         batch.append(frame)
@@ -87,17 +87,17 @@ class ForeignReader:
                         batch = batch[-1:]
                     if number % PROGRESS_FRAMES == 0:
                         report(_position(reader))
-            if cut and self._tally.frames_read > counted:
+            if cut and self._statistics.frames_read > counted:
                 self._take_back(batch, frame, path)
         except LogError:
             raise
         # What python-can's readers raise on damaged files is not documented, and is anything.
         except Exception as error:
             text = f"{path}: cannot be read: {error or type(error).__name__}"
-            if self._tally.frames_read == before:
+            if self._statistics.frames_read == before:
                 raise LogError(text) from error
-            read = self._tally.frames_read - before
-            self._tally.reject("unreadable", f"{text} (after {read} frames)")
+            read = self._statistics.frames_read - before
+            self._statistics.reject("unreadable", f"{text} (after {read} frames)")
         if batch:
             yield _columns(batch, self._channels.names)
 
@@ -105,18 +105,18 @@ class ForeignReader:
         """Reject the file's last frame."""
         if last is not None:
             batch.pop()
-        self._tally.frames_read -= 1
-        self._tally.reject("cut_line", f"{path}: the last line is cut")
+        self._statistics.frames_read -= 1
+        self._statistics.reject("cut_line", f"{path}: the last line is cut")
 
     def _judge(self, message: Any, path: Path, number: int) -> Frame | None:
         """Count one message; return it if it is a wanted data frame."""
         if math.isfinite(message.timestamp):
-            self._tally.stamp(message.timestamp)
+            self._statistics.stamp(message.timestamp)
         if message.is_error_frame:
-            self._tally.ignore("error_frame")
+            self._statistics.ignore("error_frame")
             return None
         if message.is_remote_frame:
-            self._tally.ignore("remote_frame")
+            self._statistics.ignore("remote_frame")
             return None
         reason = _fault(message)
         channel = _channel_name(message.channel)
@@ -124,9 +124,9 @@ class ForeignReader:
         if reason or index is None:
             reason = reason or "too_many_channels"
             text = f"{path}: message {number}: {reason.replace('_', ' ')}"
-            self._tally.reject(reason, text)
+            self._statistics.reject(reason, text)
             return None
-        self._tally.frames_read += 1
+        self._statistics.frames_read += 1
         can_id = message.arbitration_id | (CAN_EFF_FLAG if message.is_extended_id else 0)
         if not self._wanted(index, can_id, channel):
             return None
@@ -165,7 +165,7 @@ def _ends_in_half_a_byte(path: Path) -> bool:
     except OSError as error:
         raise LogError(f"{path}: cannot be opened: {error.strerror}") from error
     tokens = last_line.split()
-    return len(tokens) > LEAST_TOKENS and len(tokens[-1]) == 1 and last_line.endswith(tokens[-1])
+    return len(tokens) > MIN_TOKENS and len(tokens[-1]) == 1 and last_line.endswith(tokens[-1])
 
 
 def _fault(message: Any) -> str:

@@ -11,7 +11,7 @@ MAX_PROBLEMS: Final = 20
 """Texts kept: enough to see what is wrong, and bounded whatever the file holds."""
 
 
-class Tally:
+class ReadStatistics:
     """Counts over all files of one reader."""
 
     def __init__(self, strict: bool) -> None:

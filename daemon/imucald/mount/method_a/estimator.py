@@ -3,7 +3,7 @@
 Static test -> tilt -> straight variable-speed motion -> target angle -> correction, as published,
 with what stands on top of it since the first day: the gate on v r, v r subtracted, dv/dt from
 speed for sign and weight, several stops combined, and the wandering offset removed.
-Bad samples are never learnt from: a block that holds one is dropped whole.
+Bad samples are never learnt from: a interval that holds one is dropped whole.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from imucald.core.rotations import Matrix3, rotation_from_angles
 from imucald.core.samples import GRAVITY
-from imucald.motion.speed import Block, BlockMaker
+from imucald.motion.speed import SpeedInterval, SpeedIntervalMaker
 from imucald.motion.straight import YawRateSource
 from imucald.motion.ticks import (
     ACCEL_BAD,
@@ -43,7 +43,7 @@ from imucald.motion.ticks import (
 from imucald.mount.estimate import Correction, MountEstimate, MountState
 from imucald.mount.method_a.gate import StraightGate, WanderingOffset
 from imucald.mount.method_a.manoeuvres import (
-    Angle,
+    CombinedAngle,
     Manoeuvre,
     ManoeuvreBook,
     combined,
@@ -51,8 +51,8 @@ from imucald.mount.method_a.manoeuvres import (
 )
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.sign import SignEvidence
-from imucald.mount.method_a.states import Knowledge, judged, waiting_for
-from imucald.mount.method_a.tilt import TiltKeeper
+from imucald.mount.method_a.states import TiltAndAngle, judged, waiting_for
+from imucald.mount.method_a.tilt import TiltEstimator
 from imucald.mount.method_a.yaw import rotation_about_up
 from imucald.mount.slewing import SlewedRotation
 
@@ -61,13 +61,13 @@ Vector = tuple[float, float, float]
 
 MANOEUVRES_KEPT = 150
 """Manoeuvres that are kept (about an hour of city); the oldest goes first."""
-MANOEUVRE_SECONDS = 8.0
+MAX_MANOEUVRE_S = 8.0
 """A longer one counts as several [s]."""
-SHORTEST_MANOEUVRE = 1.0
+MIN_MANOEUVRE_S = 1.0
 """A shorter one is a bump [s]."""
 MANOEUVRE_HOLE = 1.5
-"""Time without an accepted block that ends a manoeuvre [s]."""
-LONGEST_HOLE_TICKS = 5
+"""Time without an accepted interval that ends a manoeuvre [s]."""
+MAX_HOLE_TICKS = 5
 """Ticks for which the last specific force stands in: a 10 Hz sensor jitters."""
 STUCK_TICKS = 10
 """Ticks without any change of the force, while driving, after which the sensor is stuck."""
@@ -83,8 +83,8 @@ class PublishedEstimator:
 
     def __init__(self, settings: PublishedSettings | None = None) -> None:
         s = self._settings = settings or PublishedSettings()
-        self._tilt = TiltKeeper(s)
-        self._blocks = BlockMaker(s.block_s, s.speed_delay, s.speed_timeout)
+        self._tilt = TiltEstimator(s)
+        self._intervals = SpeedIntervalMaker(s.block_s, s.speed_delay, s.speed_timeout)
         self._yaw_source = YawRateSource(s.steering_ratio, s.wheelbase, "steering" in s.recognisers)
         self._offset = WanderingOffset(s.remove_offset_after)
         self._gate = StraightGate(s, self._offset)
@@ -92,7 +92,7 @@ class PublishedEstimator:
         self._signed = ManoeuvreBook(MANOEUVRES_KEPT)
         self._unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
         self._applied = SlewedRotation(s.slew)
-        self._known = Knowledge()
+        self._known = TiltAndAngle()
         self._target: Matrix3 | None = None
         self._state = MountState.WAITING
         self._reverse_known = False
@@ -112,12 +112,12 @@ class PublishedEstimator:
         return self._state
 
     def gap(self) -> None:
-        """Time jumped: open windows, blocks and manoeuvres are dropped, knowledge stays."""
+        """Time jumped: open windows, intervals and manoeuvres are dropped, knowledge stays."""
         self._restart_stream()
 
     def _restart_stream(self) -> None:
         self._tilt.restart()
-        self._blocks.restart()
+        self._intervals.restart()
         self._yaw_source.restart()
         self._offset.restart()
         self._gate.restart()
@@ -143,9 +143,9 @@ class PublishedEstimator:
                 self._sign.depart(tick[T])
             yaw_rate = self._yaw_source.step(tick, tilt.up, self._speed, tilt.still)
             x, y, z = force
-            block = self._blocks.step(tick[T], x, y, z, yaw_rate, clean)
-            if block is not None:
-                self._take_block(block)
+            interval = self._intervals.step(tick[T], x, y, z, yaw_rate, clean)
+            if interval is not None:
+                self._take_interval(interval)
         self._applied.step()
 
     def estimate(self) -> MountEstimate:
@@ -187,7 +187,7 @@ class PublishedEstimator:
         if tick[SPEED_N] > 0.0 and tick[SPEED_BAD] == 0.0 and self._settings.use_speed:
             self._speed = -tick[SPEED] if self._reverse else tick[SPEED]
             self._speed_t = t
-            self._blocks.add_speed(t - tick[SPEED_AGE], self._speed)
+            self._intervals.add_speed(t - tick[SPEED_AGE], self._speed)
         elif t - self._speed_t > self._settings.speed_timeout:
             self._speed = NAN
 
@@ -197,10 +197,10 @@ class PublishedEstimator:
             return False
         if tick[ACCEL_N] == 0.0:
             self._holes += 1
-            if self._holes > LONGEST_HOLE_TICKS:
+            if self._holes > MAX_HOLE_TICKS:
                 self._force = None
-                self._blocks.restart()
-            return False if self._holes > LONGEST_HOLE_TICKS else self._force is not None
+                self._intervals.restart()
+            return False if self._holes > MAX_HOLE_TICKS else self._force is not None
         self._holes = 0
         z = GRAVITY if self._settings.planar else tick[ACCEL_Z]
         force = (tick[ACCEL_X], tick[ACCEL_Y], z)
@@ -221,73 +221,82 @@ class PublishedEstimator:
         lowest = min(tick[ACCEL_MIN_X], tick[ACCEL_MIN_Y], tick[ACCEL_MIN_Z])
         return highest >= limit or lowest <= -limit
 
-    # What a block brings.
+    # What a interval brings.
 
-    def _take_block(self, block: Block) -> None:
-        s, dt = self._settings, block.t1 - block.t0
+    def _take_interval(self, interval: SpeedInterval) -> None:
+        s, dt = self._settings, interval.t1 - interval.t0
         mx, my, mz, m_dvdt, m_lateral = self._offset.mean()
         ready = self._offset.ready
-        f = (block.fx - mx, block.fy - my, block.fz - mz)
-        if block.clean and ready:
-            self._sign.take_turn(block, f, self._tilt.up, self._reverse)
+        f = (interval.fx - mx, interval.fy - my, interval.fz - mz)
+        if interval.clean and ready:
+            self._sign.take_turn(interval, f, self._tilt.up, self._reverse)
         steering = self._yaw_source.steering
-        straight = block.clean and self._gate.is_straight(
-            block, steering, self._lateral, self._tilt.level
+        straight = interval.clean and self._gate.is_straight(
+            interval, steering, self._lateral, self._tilt.level
         )
         if not straight:
             self._offset.fade(dt)
-            if self._gate.is_turning(block):
+            if self._gate.is_turning(interval):
                 self._straight_s = 0.0
             self._close()
             return
-        known = not isnan(block.dvdt)
-        dvdt = block.dvdt if known else 0.0
-        lateral = block.speed * block.yaw_rate if s.subtract_lateral else 0.0
+        known = not isnan(interval.dvdt)
+        dvdt = interval.dvdt if known else 0.0
+        lateral = interval.speed * interval.yaw_rate if s.subtract_lateral else 0.0
         lateral = 0.0 if isnan(lateral) else lateral
-        self._offset.add(block, dvdt, lateral, with_speed=known)
+        self._offset.add(interval, dvdt, lateral, with_speed=known)
         self._straight_s += dt
         if not ready or self._tilt.still or self._straight_s < s.settle:
             self._close()
             return
         braking = self._brake > 0.5
-        self._sign.take_straight(block, f, self._tilt.up, self._reverse, braking)
+        self._sign.take_straight(interval, f, self._tilt.up, self._reverse, braking)
         if known and "speed" in s.sign_sources:
-            self._collect(block, f, dvdt - m_dvdt, lateral - m_lateral)
+            self._collect(interval, f, dvdt - m_dvdt, lateral - m_lateral)
         else:
-            self._collect_without_sign(block, f)
+            self._collect_without_sign(interval, f)
 
-    def _collect(self, block: Block, f: Vector, along: float, lateral: float) -> None:
+    def _collect(self, interval: SpeedInterval, f: Vector, along: float, lateral: float) -> None:
         s, m = self._settings, self._open
         slowest = s.min_speed if self._reverse_known else s.min_speed_unknown_gear
-        if abs(block.speed) < slowest or max(abs(along), abs(block.dvdt)) < s.min_speed_change:
+        if (
+            abs(interval.speed) < slowest
+            or max(abs(along), abs(interval.dvdt)) < s.min_speed_change
+        ):
             return
-        if m is not None and m.peak * block.dvdt < 0.0 and abs(block.dvdt) >= s.min_speed_change:
+        if (
+            m is not None
+            and m.peak * interval.dvdt < 0.0
+            and abs(interval.dvdt) >= s.min_speed_change
+        ):
             self._close()  # from braking to accelerating: another manoeuvre
-        m = self._manoeuvre(block, signed=True)
-        weight = 1.0 if s.wander_speed <= 0.0 else 1.0 / (1.0 + abs(block.speed) / s.wander_speed)
-        m.add(block, f, along, lateral, weight)
-        if abs(block.dvdt) > abs(m.peak):
-            m.peak = block.dvdt
+        m = self._manoeuvre(interval, signed=True)
+        weight = (
+            1.0 if s.wander_speed <= 0.0 else 1.0 / (1.0 + abs(interval.speed) / s.wander_speed)
+        )
+        m.add(interval, f, along, lateral, weight)
+        if abs(interval.dvdt) > abs(m.peak):
+            m.peak = interval.dvdt
 
-    def _collect_without_sign(self, block: Block, f: Vector) -> None:
+    def _collect_without_sign(self, interval: SpeedInterval, f: Vector) -> None:
         x, y, _ = (self._tilt.level @ np.array(f)).tolist()
         size = math.hypot(x, y)
         if size >= self._settings.min_speed_change:
-            m = self._manoeuvre(block, signed=False)
-            m.add(block, f, 0.0, 0.0, 1.0)
+            m = self._manoeuvre(interval, signed=False)
+            m.add(interval, f, 0.0, 0.0, 1.0)
             m.peak = max(m.peak, size)
 
-    def _manoeuvre(self, block: Block, signed: bool) -> Manoeuvre:
-        """Return the open manoeuvre if the block belongs to it, else a new one."""
+    def _manoeuvre(self, interval: SpeedInterval, signed: bool) -> Manoeuvre:
+        """Return the open manoeuvre if the interval belongs to it, else a new one."""
         m = self._open
         if m is not None and (
             m.signed != signed
-            or m.seconds >= MANOEUVRE_SECONDS
-            or block.t0 - m.stop > MANOEUVRE_HOLE
+            or m.seconds >= MAX_MANOEUVRE_S
+            or interval.t0 - m.stop > MANOEUVRE_HOLE
         ):
             self._close()
         if self._open is None:
-            self._open = Manoeuvre(block.t0, signed)
+            self._open = Manoeuvre(interval.t0, signed)
         return self._open
 
     def _close(self) -> None:
@@ -295,7 +304,7 @@ class PublishedEstimator:
         m, self._open = self._open, None
         if m is None or abs(m.peak) < self._settings.manoeuvre_peak:
             return
-        if m.seconds >= SHORTEST_MANOEUVRE:
+        if m.seconds >= MIN_MANOEUVRE_S:
             (self._signed if m.signed else self._unsigned).add(m)
             self._solve()
 
@@ -310,7 +319,7 @@ class PublishedEstimator:
         if angle is not None:
             lean = rotation_from_angles(-self._settings.crown, 0.0, 0.0)
             self._target = lean @ rotation_about_up(angle.value) @ level
-        self._known = Knowledge(
+        self._known = TiltAndAngle(
             tilt=tilt,
             angle=angle,
             sign_known=sign_known,
@@ -321,7 +330,7 @@ class PublishedEstimator:
         if self._state in {MountState.USABLE, MountState.FINE} and self._target is not None:
             self._applied.aim(self._target)
 
-    def _target_angle(self, level: Matrix3) -> tuple[Angle | None, bool]:
+    def _target_angle(self, level: Matrix3) -> tuple[CombinedAngle | None, bool]:
         """Return lambda and whether its sign is known; manoeuvres with speed are preferred."""
         signed = combined(self._signed.pointers(level))
         if not self._unsigned or len(self._signed) >= self._settings.usable_manoeuvres:

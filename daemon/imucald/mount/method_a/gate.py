@@ -1,4 +1,4 @@
-"""Which blocks of motion the published solver may learn from (method A, step 4, and beyond it)."""
+"""Which intervals of motion the published solver may learn from (method A, step 4, and beyond)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from math import isnan
 import numpy as np
 
 from imucald.core.rotations import Matrix3
-from imucald.motion.speed import Block
+from imucald.motion.speed import SpeedInterval
 from imucald.motion.straight import angles_agree
 from imucald.mount.method_a.settings import PublishedSettings
 
@@ -17,8 +17,8 @@ Vector = tuple[float, float, float]
 
 OFFSET_SETTLED_S = 2.0
 """Straight motion that the offset needs before it is good [s]; less where it forgets sooner."""
-OFFSET_BLOCKS = 4.0
-"""The offset's time constant in blocks, at least: a 1 Hz speed makes blocks of 1 s."""
+OFFSET_INTERVALS = 4.0
+"""The offset's time constant in intervals, at least: a 1 Hz speed makes intervals of 1 s."""
 OFFSET_WITHOUT_SPEED_S = 2.0
 """And at least this without speed [s]: the mean then takes part of the manoeuvre with it."""
 OFFSET_FADE_S = 15.0
@@ -56,25 +56,25 @@ class WanderingOffset:
             return [0.0] * 5
         return [s / self._weight for s in self._sums]
 
-    def add(self, block: Block, dvdt: float, lateral: float, with_speed: bool) -> None:
-        """Take a straight block with its dv/dt and v r [m/s^2]."""
+    def add(self, interval: SpeedInterval, dvdt: float, lateral: float, with_speed: bool) -> None:
+        """Take a straight interval with its dv/dt and v r [m/s^2]."""
         if self._tau > 0.0:
-            dt = block.t1 - block.t0
-            least = OFFSET_BLOCKS * dt if with_speed else OFFSET_WITHOUT_SPEED_S
+            dt = interval.t1 - interval.t0
+            least = OFFSET_INTERVALS * dt if with_speed else OFFSET_WITHOUT_SPEED_S
             keep = math.exp(-dt / max(self._tau, least))
-            values = (block.fx, block.fy, block.fz, dvdt, lateral)
+            values = (interval.fx, interval.fy, interval.fz, dvdt, lateral)
             self._sums = [s * keep + v * dt for s, v in zip(self._sums, values, strict=True)]
             self._weight = self._weight * keep + dt
 
     def fade(self, dt: float) -> None:
-        """Count a block that is not straight: what was known of the offset ages."""
+        """Count a interval that is not straight: what was known of the offset ages."""
         keep = math.exp(-dt / OFFSET_FADE_S)
         self._sums = [s * keep for s in self._sums]
         self._weight *= keep
 
 
 class StraightGate:
-    """Says whether a block is straight motion.
+    """Says whether a interval is straight motion.
 
     The preferred recogniser whose signal is there decides, and the gate on lateral acceleration
     must agree: v r where both are known, else the vehicle's own lateral acceleration, else the
@@ -96,39 +96,39 @@ class StraightGate:
         self._recent.append(force)
 
     def is_straight(
-        self, block: Block, steering: float, own_lateral: float, level: Matrix3
+        self, interval: SpeedInterval, steering: float, own_lateral: float, level: Matrix3
     ) -> bool:
-        """Judge a block.
+        """Judge a interval.
 
         steering: wheel angle [rad] or NaN; own_lateral: the vehicle's lateral acceleration [m/s^2]
         or NaN; level: rotation sensor -> level (3, 3).
         """
-        lateral = block.speed * block.yaw_rate
-        if not self._lateral_is_small(block, lateral, own_lateral, level):
+        lateral = interval.speed * interval.yaw_rate
+        if not self._lateral_is_small(interval, lateral, own_lateral, level):
             return False
         s = self._settings
         for recogniser in s.recognisers:
-            if recogniser == "yaw_rate" and not isnan(block.yaw_rate):
+            if recogniser == "yaw_rate" and not isnan(interval.yaw_rate):
                 gated = s.lateral_limit > 0.0 and not isnan(lateral)
                 limit = s.yaw_rate_limit if gated else s.yaw_rate_limit_without_speed
-                return abs(block.yaw_rate) <= limit
+                return abs(interval.yaw_rate) <= limit
             if recogniser == "steering" and not isnan(steering):
                 return abs(steering) <= s.steering_limit
             if recogniser == "consistency":
                 return self._window_agrees(level)
         return False
 
-    def is_turning(self, block: Block) -> bool:
-        """Say whether a block is well beyond the limits of yaw rate and lateral acceleration."""
+    def is_turning(self, interval: SpeedInterval) -> bool:
+        """Say whether a interval is well beyond the limits of yaw rate and lateral acceleration."""
         s = self._settings
-        lateral = abs(block.speed * block.yaw_rate)
+        lateral = abs(interval.speed * interval.yaw_rate)
         if lateral > TURN_FACTOR * s.lateral_limit > 0.0:
             return True
         limit = s.yaw_rate_limit_without_speed if isnan(lateral) else s.yaw_rate_limit
-        return abs(block.yaw_rate) > TURN_FACTOR * limit
+        return abs(interval.yaw_rate) > TURN_FACTOR * limit
 
     def _lateral_is_small(
-        self, block: Block, lateral: float, own_lateral: float, level: Matrix3
+        self, interval: SpeedInterval, lateral: float, own_lateral: float, level: Matrix3
     ) -> bool:
         limit = self._settings.lateral_limit
         if limit <= 0.0:
@@ -137,15 +137,17 @@ class StraightGate:
             return abs(lateral) <= limit
         if not isnan(own_lateral):
             return abs(own_lateral) <= limit
-        return self._unexplained(block, level) <= limit + UNEXPLAINED_NOISE
+        return self._unexplained(interval, level) <= limit + UNEXPLAINED_NOISE
 
-    def _unexplained(self, block: Block, level: Matrix3) -> float:
+    def _unexplained(self, interval: SpeedInterval, level: Matrix3) -> float:
         """Horizontal force beyond what dv/dt explains [m/s^2]; 0 where that cannot be said."""
-        if isnan(block.dvdt) or not self._offset.ready:
+        if isnan(interval.dvdt) or not self._offset.ready:
             return 0.0
         mx, my, mz, m_dvdt, _ = self._offset.mean()
-        x, y, _ = (level @ np.array((block.fx - mx, block.fy - my, block.fz - mz))).tolist()
-        along = block.dvdt - m_dvdt
+        x, y, _ = (
+            level @ np.array((interval.fx - mx, interval.fy - my, interval.fz - mz))
+        ).tolist()
+        along = interval.dvdt - m_dvdt
         return math.sqrt(max(x * x + y * y - along * along, 0.0))
 
     def _window_agrees(self, level: Matrix3) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
-from imucald.motion.speed import Block
+from imucald.motion.speed import SpeedInterval
 
 Pointers = NDArray[np.complex128]
 
@@ -26,7 +26,7 @@ PRIOR_SPREAD = math.radians(4.0)
 """Spread of single manoeuvres about the truth that is expected before there are any [rad]."""
 PRIOR_MANOEUVRES = 2.0
 """Weight of that expectation, in manoeuvres."""
-SMALLEST_SPREAD = math.radians(0.8)
+MIN_SPREAD = math.radians(0.8)
 """Robust limits never shrink below this [rad]."""
 ROBUST_SPREADS = 1.5
 """A manoeuvre further than this many spreads from the rest counts less (Huber)."""
@@ -34,7 +34,7 @@ ROBUST_ROUNDS = 4
 COUNTED_LIMITS = 2.0
 """Deviations count up to this many robust limits: one that disagrees must not hide from the
 interval, nor blow it up."""
-LEAST_AGREEMENT = 0.6
+MIN_AGREEMENT = 0.6
 """Resultant below which manoeuvres are of two minds (turns among them, say): the spread about their
 mean then tells nothing."""
 TWO_MINDS_STD = math.radians(45.0)
@@ -45,10 +45,10 @@ MEDIAN_TO_STD = 1.4826
 
 
 class Manoeuvre:
-    """Sums over the blocks of one straight braking or acceleration, in sensor axes.
+    """Sums over the intervals of one straight braking or acceleration, in sensor axes.
 
     sums: f dv/dt (3), f v r (3), f f' as xx, yy, zz, xy, xz, yz (6), each times dt
-    and the block's weight.
+    and the interval's weight.
     signed: speed says which way is forward; peak: largest change of speed in it [m/s^2].
     """
 
@@ -60,10 +60,15 @@ class Manoeuvre:
         self.sums = [0.0] * 12
 
     def add(
-        self, block: Block, f: Sequence[float], dvdt: float, lateral: float, weight: float
+        self,
+        interval: SpeedInterval,
+        f: Sequence[float],
+        dvdt: float,
+        lateral: float,
+        weight: float,
     ) -> None:
-        """Take a block: force less offset (3,) [m/s^2], dv/dt and v r likewise [m/s^2]."""
-        dt = block.t1 - block.t0
+        """Take a interval: force less offset (3,) [m/s^2], dv/dt and v r likewise [m/s^2]."""
+        dt = interval.t1 - interval.t0
         x, y, z = f
         motion = (
             x * dvdt, y * dvdt, z * dvdt, x * lateral, y * lateral, z * lateral,
@@ -73,7 +78,7 @@ class Manoeuvre:
             total + weight * dt * value for total, value in zip(self.sums, motion, strict=True)
         ]
         self.seconds += dt
-        self.stop = block.t1
+        self.stop = interval.t1
 
 
 class ManoeuvreBook:
@@ -114,7 +119,7 @@ def _products(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.floa
     return np.asarray(both, dtype=np.float64)
 
 
-class Angle(NamedTuple):
+class CombinedAngle(NamedTuple):
     """A combined angle [rad], its standard deviation [rad], and manoeuvres behind it."""
 
     value: float
@@ -122,7 +127,7 @@ class Angle(NamedTuple):
     manoeuvres: int
 
 
-def combined(pointers: Pointers, turns: float = 1.0) -> Angle | None:
+def combined(pointers: Pointers, turns: float = 1.0) -> CombinedAngle | None:
     """Combine pointers (N,) robustly into one angle; None where there is nothing to combine.
 
     turns: how often a pointer goes round while the angle goes round once (2 for an axis).
@@ -141,7 +146,7 @@ def combined(pointers: Pointers, turns: float = 1.0) -> Angle | None:
     for _ in range(ROBUST_ROUNDS):
         away = np.angle(units * mean.conjugate())
         typical = MEDIAN_TO_STD * float(np.median(np.abs(away)))
-        limit = ROBUST_SPREADS * max(turns * SMALLEST_SPREAD, typical)
+        limit = ROBUST_SPREADS * max(turns * MIN_SPREAD, typical)
         weights = sizes * np.minimum(1.0, limit / np.maximum(np.abs(away), 1e-12))
         mean = complex(np.sum(units * weights))
     total = float(np.sum(weights))
@@ -151,11 +156,11 @@ def combined(pointers: Pointers, turns: float = 1.0) -> Angle | None:
     freedom = PRIOR_MANOEUVRES + effective - 1.0
     variance = (PRIOR_MANOEUVRES * (turns * PRIOR_SPREAD) ** 2 + effective * square) / freedom
     std = math.sqrt(variance / effective / turns**2 + FLOOR_STD**2)
-    if abs(complex(np.sum(pointers))) < LEAST_AGREEMENT * float(np.sum(sizes)):
+    if abs(complex(np.sum(pointers))) < MIN_AGREEMENT * float(np.sum(sizes)):
         std = max(std, TWO_MINDS_STD)
-    return Angle(math.atan2(mean.imag, mean.real) / turns, std, len(sizes))
+    return CombinedAngle(math.atan2(mean.imag, mean.real) / turns, std, len(sizes))
 
 
-def combined_axis(pointers: Pointers) -> Angle | None:
+def combined_axis(pointers: Pointers) -> CombinedAngle | None:
     """Combine axis pointers (see `ManoeuvreBook`): the angle is known up to 180 deg."""
     return combined(pointers, turns=2.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from imucald.motion.standstill import StaticPresets
+from imucald.motion.standstill import StaticTestSettings
 
 RECOGNISERS = ("yaw_rate", "steering", "consistency")
 SIGN_SOURCES = ("speed", "brake", "turn", "first_motion")
@@ -19,7 +19,7 @@ class PublishedSettings:
     """
 
     # Steps 1-3: standstill and levelling.
-    static: StaticPresets = field(default_factory=StaticPresets)
+    static: StaticTestSettings = field(default_factory=StaticTestSettings)
     standstill_speed: float = 0.3
     """Speed [m/s] up to which the vehicle stands: one step of an OBD-II speed is 0.28 m/s."""
     average_stops: bool = True

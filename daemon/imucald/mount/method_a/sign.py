@@ -9,7 +9,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
-from imucald.motion.speed import Block
+from imucald.motion.speed import SpeedInterval
 
 Vector = tuple[float, float, float]
 
@@ -85,7 +85,7 @@ class _Gathered:
 
 
 class SignEvidence:
-    """Watches blocks for what tells forward from backward, and votes. Offset is off the force.
+    """Watches intervals for what tells forward from backward, and votes. Offset is off the force.
 
     sources: which of "brake", "turn", "first_motion" may vote.
     """
@@ -107,11 +107,13 @@ class SignEvidence:
         self._departed = t
         self._first.clear()
 
-    def take_turn(self, block: Block, f: Vector, up: Vector | None, reverse: bool) -> None:
-        """Take any block: in a turn the force points to the side that the gyro turns to."""
+    def take_turn(
+        self, interval: SpeedInterval, f: Vector, up: Vector | None, reverse: bool
+    ) -> None:
+        """Take any interval: in a turn the force points to the side that the gyro turns to."""
         turn = self._turn
-        if abs(block.yaw_rate) > TURN_RATE:
-            turn.add(f, block.t1 - block.t0, math.copysign(1.0, block.yaw_rate))
+        if abs(interval.yaw_rate) > TURN_RATE:
+            turn.add(f, interval.t1 - interval.t0, math.copysign(1.0, interval.yaw_rate))
             return
         if turn.seconds >= TURN_S and not reverse and up is not None:
             x, y, z = turn.horizontal(up)  # to the left
@@ -120,15 +122,15 @@ class SignEvidence:
         turn.clear()
 
     def take_straight(
-        self, block: Block, f: Vector, up: Vector | None, reverse: bool, braking: bool
+        self, interval: SpeedInterval, f: Vector, up: Vector | None, reverse: bool, braking: bool
     ) -> None:
-        """Take a straight block."""
+        """Take a straight interval."""
         if up is None:
             return
-        dt = block.t1 - block.t0
+        dt = interval.t1 - interval.t0
         direction = -1.0 if reverse else 1.0
         first, brake = self._first, self._brake
-        if block.t0 - self._departed < FIRST_MOTION_WITHIN_S:
+        if interval.t0 - self._departed < FIRST_MOTION_WITHIN_S:
             first.add(f, dt, direction)
             if first.seconds >= GATHER_S:
                 self._vote("first_motion", first.horizontal(up), FIRST_MOTION_FORCE * GATHER_S)

@@ -7,22 +7,22 @@ from dataclasses import dataclass
 
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.method_a.levelling import Tilt
-from imucald.mount.method_a.manoeuvres import Angle
+from imucald.mount.method_a.manoeuvres import CombinedAngle
 from imucald.mount.method_a.settings import PublishedSettings
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class TiltAndAngle:
     """What is known: tilt and target angle, whether its sign is, and the counts behind them."""
 
     tilt: Tilt | None = None
-    angle: Angle | None = None
+    angle: CombinedAngle | None = None
     sign_known: bool = False
     stops: int = 0
     manoeuvres: int = 0
 
 
-def judged(known: Knowledge, before: MountState, s: PublishedSettings) -> MountState:
+def judged(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> MountState:
     """Return the state; one that was reached is left only beyond its limit times hysteresis.
 
     A calibration that was usable and no longer is becomes suspect: it is still applied.
@@ -35,7 +35,7 @@ def judged(known: Knowledge, before: MountState, s: PublishedSettings) -> MountS
     return MountState.WAITING if known.tilt is None else MountState.LEVELLED
 
 
-def _within(known: Knowledge, s: PublishedSettings, fine: bool, reached: MountState) -> bool:
+def _within(known: TiltAndAngle, s: PublishedSettings, fine: bool, reached: MountState) -> bool:
     tilt, angle = known.tilt, known.angle
     if tilt is None or angle is None or not known.sign_known:
         return False
@@ -51,7 +51,7 @@ def _within(known: Knowledge, s: PublishedSettings, fine: bool, reached: MountSt
     )
 
 
-def waiting_for(known: Knowledge, s: PublishedSettings) -> dict[str, tuple[str, Missing]]:
+def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[str, Missing]]:
     """One reason per angle, in words and as a code; no entry where nothing is missing."""
     reasons: dict[str, tuple[str, Missing]] = {}
     if known.tilt is None:
@@ -66,7 +66,7 @@ def waiting_for(known: Knowledge, s: PublishedSettings) -> dict[str, tuple[str, 
     return reasons
 
 
-def _waiting_for_yaw(known: Knowledge, s: PublishedSettings) -> tuple[str, Missing] | None:
+def _waiting_for_yaw(known: TiltAndAngle, s: PublishedSettings) -> tuple[str, Missing] | None:
     angle = known.angle
     count = known.manoeuvres if angle is None else angle.manoeuvres
     what = f"straight acceleration above {s.manoeuvre_peak:g} m/s2"

@@ -21,7 +21,7 @@ UP_SETTLED_TICKS = 50.0
 """Ticks after which that vertical is good enough to project a gyro on."""
 
 
-class TiltKeeper:
+class TiltEstimator:
     """Watches for standstill and keeps the tilt.
 
     still: the vehicle stands now; departed: it began to move in this tick;

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,6 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.inputs.router import Routed
-from imucald.mount.estimate import Correction
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,20 +49,3 @@ def merged(parts: list[OutPart], frames: FrameColumns) -> FrameColumns:
         channel=np.zeros(len(row), np.uint8),
         channels=frames.channels[:1] or ("can0",),
     )
-
-
-def rotated(correction: Correction | None, v: Sequence[float]) -> tuple[float, float, float] | None:
-    """Rotate one sample; None where there is no correction."""
-    if correction is None:
-        return None
-    x, y, z = v
-    a, b, c, d, e, f, g, h, i = correction
-    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
-
-
-def rotated_columns(rotations: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotate (N, 3) by (N, 9); the same operations in the same order as `rotated`."""
-    x, y, z = v[:, 0], v[:, 1], v[:, 2]
-    r = rotations.T
-    rows = [r[3 * i] * x + r[3 * i + 1] * y + r[3 * i + 2] * z for i in range(3)]
-    return np.stack(rows, axis=1)

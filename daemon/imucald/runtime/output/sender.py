@@ -17,7 +17,7 @@ from imucald.can.columns import CAN_EFF_FLAG
 from imucald.can.dbc.database import Database, Message, load_database_text
 from imucald.can.dbc.encode import EncodePlan, compile_encode
 from imucald.can.e2e.checksums import ChecksumSpec, crc8_j1850, xor_checksum
-from imucald.can.e2e.protection import OutputProtector, ProtectionSpec, counter_of
+from imucald.can.e2e.protection import MessageProtector, ProtectionSpec, counter_of
 from imucald.config import STANDARD_ID_MAX
 
 OutFrame = tuple[int, bytes]
@@ -62,9 +62,9 @@ class Sender:
         return compile_encode(message, self._signals, self._not_available)
 
     @cached_property
-    def _protector(self) -> OutputProtector:
+    def _protector(self) -> MessageProtector:
         message = output_database().message(self._message)
-        return OutputProtector(
+        return MessageProtector(
             ProtectionSpec(
                 size=message.length,
                 counter=counter_of(message.signal("Counter")),

@@ -7,8 +7,8 @@ from typing import Any
 
 import yaml
 
-from imucald.config.locations import Marks, Place
 from imucald.core.errors import ConfigError
+from imucald.core.locations import Marks, Place
 
 MAX_DEPTH = 30
 """Deepest accepted nesting."""

@@ -10,10 +10,10 @@ import sys
 import pytest
 
 from imucald.config import load_config
-from imucald.config.yaml_lines import read_yaml
-from imucald.config.yaml_parser import parse_yaml
 from imucald.core import file_cache as database_cache
 from imucald.core.errors import ConfigError
+from imucald.core.yaml_lines import read_yaml
+from imucald.core.yaml_parser import parse_yaml
 from paths import ROOT
 
 EXAMPLES = sorted((ROOT / "config" / "examples").glob("*.yaml"))

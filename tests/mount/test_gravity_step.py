@@ -9,30 +9,30 @@ import pytest
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
-from imucald.mount.gravity_observer import UpTracker
-from imucald.mount.gravity_step import Step
-from imucald.mount.signal_blocks import HOP
-from prepared_hop import hop
+from imucald.mount.gravity_observer import GravityObserver
+from imucald.mount.gravity_step import GravityStep
+from imucald.mount.signal_blocks import BLOCK_TICKS
+from signal_block import block
 
 DEG = math.radians(1.0)
 
 
 def watched(
-    hops: int,
+    blocks: int,
     moved_at: int,
     moved: np.ndarray,
     seed: int,
     turning: bool = False,
-    tracker: UpTracker | None = None,
-) -> list[Step | None]:
-    """What is found hop by hop while the road's slope wanders, seen by the gyroscope as well.
+    tracker: GravityObserver | None = None,
+) -> list[GravityStep | None]:
+    """What is found block by block while the road's slope wanders, seen by the gyroscope as well.
 
-    From hop `moved_at` on the sensor is turned by the rotation vector `moved` without a pulse.
+    From block `moved_at` on the sensor is turned by the rotation vector `moved` without a pulse.
     """
     rng = np.random.default_rng(seed)
-    tracker = tracker or UpTracker()
-    found: list[Step | None] = []
-    n = hops * HOP
+    tracker = tracker or GravityObserver()
+    found: list[GravityStep | None] = []
+    n = blocks * BLOCK_TICKS
     slope = 0.02 * np.sin(2.0 * np.pi * np.arange(n) / 470.0)
     bank = 0.02 * np.sin(2.0 * np.pi * np.arange(n) / 330.0)
     heading_rate = 0.25 * (np.sin(np.arange(n) / 90.0) > 0.8) if turning else np.zeros(n)
@@ -44,15 +44,15 @@ def watched(
     rate[:, 1] = -du[:, 0] + heading_rate * bank
     rate[:, 2] = heading_rate
     R_moved = rotation_from_vector(moved)
-    for k in range(hops):
-        part = slice(k * HOP, (k + 1) * HOP)
-        force = GRAVITY * up[part] + 0.05 * rng.standard_normal((HOP, 3))
+    for k in range(blocks):
+        part = slice(k * BLOCK_TICKS, (k + 1) * BLOCK_TICKS)
+        force = GRAVITY * up[part] + 0.05 * rng.standard_normal((BLOCK_TICKS, 3))
         turn = rate[part].copy()
         if k >= moved_at:  # R_vehicle_from_sensor = R_moved: the sensor's axes turned in the car
             force, turn = force @ R_moved, turn @ R_moved
-        p = hop(0.1 * HOP * k, force=force, rate=turn)
-        tracker.advance(p, np.zeros((HOP, 3)), None, sure=True)
-        found.append(tracker.watch.found(np.eye(3)))
+        p = block(0.1 * BLOCK_TICKS * k, force=force, rate=turn)
+        tracker.advance(p, np.zeros((BLOCK_TICKS, 3)), None, sure=True)
+        found.append(tracker.steps.found(np.eye(3)))
     return found
 
 
@@ -74,20 +74,20 @@ def test_slopes_that_the_gyroscope_sees_are_no_step():
 
 def test_a_step_tells_how_long_ago_it_was():
     found = watched(80, 60, np.array([3.0 * DEG, 0.0, 0.0]), 5)
-    hop_found, step = next((k, s) for k, s in enumerate(found) if s is not None)
-    assert abs((hop_found + 1 - step.hops) - 60) <= 1
+    block_found, step = next((k, s) for k, s in enumerate(found) if s is not None)
+    assert abs((block_found + 1 - step.blocks) - 60) <= 1
 
 
 @pytest.mark.parametrize(("axis", "degrees"), [(0, 1.5), (1, -1.5)])
 def test_minutes_later_it_is_known_how_far_a_step_stood_out_and_when(axis, degrees):
-    """Pieces of road that show a change are compared with that, long after the step itself."""
-    tracker = UpTracker()
+    """Road segments that show a change are compared with that, long after the step itself."""
+    tracker = GravityObserver()
     moved = np.zeros(3)
     moved[axis] = degrees * DEG
     watched(90, 60, moved, 3, tracker=tracker)
-    trail = tracker.watch.trail
-    largest, least = trail.near(30)[axis]
+    history = tracker.steps.history
+    largest, least = history.near(30)[axis]
     assert (largest if degrees > 0.0 else -least) > 4.0
     assert (-least if degrees > 0.0 else largest) < 3.0
-    assert np.abs(trail.near(60 - 20)).max() < 3.0, "long before it"
-    assert not trail.near(200).any(), "longer ago than is remembered"
+    assert np.abs(history.near(60 - 20)).max() < 3.0, "long before it"
+    assert not history.near(200).any(), "longer ago than is remembered"

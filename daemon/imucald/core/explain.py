@@ -1,7 +1,8 @@
 """What validation found wrong, said to the one who wrote the file.
 
 msgspec stops at the first mistake. Here the data are gone through field by field, each checked by
-msgspec alone, so that all mistakes are told at once, each at its place.
+msgspec alone, so that all mistakes are reported at once, each at its place. Loaded only when there
+is a mistake (see `typed`).
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
+from msgspec import Struct
 
-from imucald.config.base import Model
-from imucald.config.yaml_lines import Marks, Place, dotted, line_of
+from imucald.core.locations import Marks, Place, located
 
 _NAMES = {
     "float": "a number",
@@ -32,17 +33,20 @@ _BOUNDS = {">": "greater than", ">=": "at least", "<": "less than", "<=": "at mo
 Mistake = tuple[Place, str]
 
 
-def explain(data: Any, full: Any, model: type[Model], marks: Marks, name: str) -> Iterator[str]:
+def explain(
+    data: Any, full: Any, kind: Any, marks: Marks, name: str, whole: str, at: Place = ()
+) -> Iterator[str]:
     """One line for each mistake: file, line, key, reason, remedy.
 
     full: the data as checked, with all short forms spelled out; data: as they were written.
+    kind: the type that they shall have. at: the key that they stand at.
     """
-    told: set[Mistake] = set()
-    for long_place, reason in _mistakes(full, model, ()):
-        place = _real_place(long_place, data)
-        if (place, reason) not in told:
-            told.add((place, reason))
-            yield f"{name}:{line_of(marks, place)}: {dotted(place)}: {reason}"
+    reported: set[Mistake] = set()
+    for long_place, reason in _mistakes(full, kind, ()):
+        place = (*at, *_real_place(long_place, data))
+        if (place, reason) not in reported:
+            reported.add((place, reason))
+            yield f"{located(name, marks, place, whole)}: {reason}"
 
 
 def _real_place(long_place: Place, data: Any) -> Place:
@@ -79,17 +83,20 @@ def _inner_mistakes(value: Any, kind: Any, place: Place) -> Iterator[Mistake]:
     """Mistakes of what a mapping or list holds."""
     for part in map(_bare, get_args(kind) if _is_union(kind) else (kind,)):
         arguments = get_args(part)
-        if isinstance(part, type) and issubclass(part, Model) and isinstance(value, dict):
+        if isinstance(part, type) and issubclass(part, Struct) and isinstance(value, dict):
             yield from _of_fields(value, part, place)
-        elif get_origin(part) is tuple and arguments[1:] == (...,) and isinstance(value, list):
-            for index, one in enumerate(value):
-                yield from _mistakes(one, arguments[0], (*place, index))
+        elif get_origin(part) is tuple and isinstance(value, list):
+            every = arguments[1:] == (...,)
+            if every or len(arguments) == len(value):
+                for index, one in enumerate(value):
+                    kind_of_one = arguments[0] if every else arguments[index]
+                    yield from _mistakes(one, kind_of_one, (*place, index))
         elif get_origin(part) is dict and isinstance(value, dict):
             for key, one in value.items():
                 yield from _mistakes(one, arguments[1], (*place, key))
 
 
-def _of_fields(value: dict[Any, Any], model: type[Model], place: Place) -> Iterator[Mistake]:
+def _of_fields(value: dict[Any, Any], model: type[Struct], place: Place) -> Iterator[Mistake]:
     hints = _hints(model)
     for key, one in value.items():
         if key in hints:
@@ -137,6 +144,6 @@ def _is_union(kind: Any) -> bool:
 
 
 @cache
-def _hints(model: type[Model]) -> dict[str, Any]:
+def _hints(model: type[Struct]) -> dict[str, Any]:
     """Type of each key, constraints included."""
     return get_type_hints(model, include_extras=True)

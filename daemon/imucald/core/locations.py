@@ -1,4 +1,4 @@
-"""Where in a configuration something stands: its key, and the line of that."""
+"""Where in a YAML file something stands: its key, and the line of that."""
 
 from __future__ import annotations
 
@@ -28,8 +28,18 @@ def line_of(marks: Marks, place: Place) -> int:
 
 
 def dotted(place: Place) -> str:
-    """Name of a key with all that it stands in."""
+    """Name of a key with all that it stands in; empty for the whole file."""
     text = ""
     for part in place:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else str(part)
-    return text or "configuration"
+    return text
+
+
+def located(name: str, marks: Marks, place: Place, whole: str = "configuration") -> str:
+    """File, line and key, as every mistake in a YAML file begins.
+
+    marks: empty where the data come from no text; then there is no line. whole: what the file is
+    called where no key is to blame.
+    """
+    where = f"{name}:{line_of(marks, place)}" if marks else name
+    return f"{where}: {dotted(place) or whole}"

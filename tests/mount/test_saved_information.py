@@ -13,21 +13,21 @@ from scipy.spatial.transform import Rotation
 
 from imucald.core.errors import EstimateError
 from imucald.motion.ticks import ticks_from_samples
-from imucald.mount.common_errors import shared_errors
+from imucald.mount.common_errors import common_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountState
 from imucald.mount.estimator import FullEstimator
-from imucald.mount.fusion import Shared, Sharing, fuse
-from imucald.mount.prior_drives import EarlierDrives
+from imucald.mount.fusion import CommonCovariance, CommonError, fuse
+from imucald.mount.prior_drives import PriorDrives
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
-from imucald.mount.road_segments import Piece
+from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import (
-    MOST_PIECES,
-    KeptEvidence,
-    KeptPiece,
-    kept_from,
+    MAX_SEGMENTS,
+    SavedInformation,
+    SavedSource,
+    saved_from,
     together,
 )
-from imucald.mount.shift import Flow
+from imucald.mount.shift import ScoreSeries
 from imucald.runtime.estimators import estimator_for
 from simulated_bus import drive, loaded
 
@@ -49,7 +49,7 @@ def stored() -> StoredMount:
     first = estimator()
     for row in rows(3, 8.0):
         first.step(row)
-    found, kept = first.estimate(), first.kept_evidence()
+    found, kept = first.estimate(), first.saved_information()
     assert kept is not None
     assert found.R_vehicle_from_sensor is not None
     assert found.covariance is not None
@@ -58,7 +58,7 @@ def stored() -> StoredMount:
     )
 
 
-def evidence() -> KeptEvidence:
+def evidence() -> SavedInformation:
     kept = stored().evidence
     assert kept is not None
     return kept
@@ -78,15 +78,15 @@ def turned(mount: StoredMount, degrees: tuple[float, float, float]) -> StoredMou
 
 def test_it_says_what_the_estimate_said():
     """Fused by itself, without what changes between drives, it gives the mount it came from."""
-    shared = shared_errors(estimator()._settings)
+    shared = common_errors(estimator()._settings)
     kept = evidence()
-    pieces = {n: Piece(p.value, p.variance + p.bias, 1.0) for n, p in kept.pieces.items()}
-    fused = fuse(pieces, Sharing(shared))
+    pieces = {n: AngleEvidence(p.value, p.variance + p.bias, 1.0) for n, p in kept.sources.items()}
+    fused = fuse(pieces, CommonCovariance(shared))
     assert np.abs(fused.error).max() < 1e-9
     crown = loaded().config.vehicle.crown_spread_percent / 100.0
     claimed = np.diag(stored().covariance) - [crown**2, 0.0, 0.0]
     assert fused.variance == pytest.approx(claimed, rel=1e-6)
-    for name, p in kept.pieces.items():
+    for name, p in kept.sources.items():
         if p.information.sum() > 0.0 and not name.endswith("gravity"):
             assert p.score.sum() / p.information.sum() == pytest.approx(p.value, abs=0.02)
 
@@ -94,11 +94,11 @@ def test_it_says_what_the_estimate_said():
 def test_it_comes_back_from_json_and_is_small():
     text = json.dumps(evidence().plain())
     assert len(text) < 16_000
-    back = kept_from(json.loads(text))
-    assert back.pieces.keys() == evidence().pieces.keys()
-    for name, piece in evidence().pieces.items():
-        assert back.pieces[name].value == piece.value
-        assert back.pieces[name].score == pytest.approx(piece.score, rel=1e-5)
+    back = saved_from(json.loads(text))
+    assert back.sources.keys() == evidence().sources.keys()
+    for name, piece in evidence().sources.items():
+        assert back.sources[name].value == piece.value
+        assert back.sources[name].score == pytest.approx(piece.score, rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -122,22 +122,22 @@ def test_it_comes_back_from_json_and_is_small():
 )
 def test_what_makes_no_sense_is_refused(spoil):
     content = json.loads(json.dumps(evidence().plain()))
-    kept_from(content)
+    saved_from(content)
     spoil(content)
     with pytest.raises(EstimateError, match="makes no sense"):
-        kept_from(content)
+        saved_from(content)
     with pytest.raises(EstimateError):
-        kept_from([])
+        saved_from([])
 
 
 def test_however_many_drives_there_were_its_size_is_bounded_and_nothing_is_lost():
     kept = evidence()
-    total = sum(p.information.sum() for p in kept.pieces.values())
+    total = sum(p.information.sum() for p in kept.sources.values())
     for n in range(2, 30):
         kept = together(kept, evidence())
-        assert max(len(p.score) for p in kept.pieces.values()) <= MOST_PIECES
-        assert sum(p.information.sum() for p in kept.pieces.values()) == pytest.approx(n * total)
-    one, many = evidence().pieces["yaw_dvdt"], kept.pieces["yaw_dvdt"]
+        assert max(len(p.score) for p in kept.sources.values()) <= MAX_SEGMENTS
+        assert sum(p.information.sum() for p in kept.sources.values()) == pytest.approx(n * total)
+    one, many = evidence().sources["yaw_dvdt"], kept.sources["yaw_dvdt"]
     assert many.value == pytest.approx(one.value, abs=1e-9)
     assert many.variance < one.variance
     assert len(json.dumps(kept.plain())) < 24_000
@@ -152,37 +152,40 @@ def test_what_a_turn_about_the_vehicle_does_to_it():
     turn = Rotation.from_rotvec([0.01, -0.02, 0.03]).as_matrix()
     about = evidence().about(turn @ evidence().R)
     for name, axis in (("roll_turn", 0), ("pitch_dvdt", 1), ("yaw_turn", 2)):
-        moved = evidence().pieces[name].value - about.pieces[name].value
+        moved = evidence().sources[name].value - about.sources[name].value
         assert moved == pytest.approx((0.01, -0.02, 0.03)[axis], abs=1e-9)
 
 
-def piece(value: float, variance: float, bias: float = 0.0) -> KeptPiece:
-    return KeptPiece(value, variance, bias, np.zeros(3), np.ones(3))
+def piece(value: float, variance: float, bias: float = 0.0) -> SavedSource:
+    return SavedSource(value, variance, bias, np.zeros(3), np.ones(3))
 
 
-def earlier(shared: tuple[Shared, ...] = (), **pieces: KeptPiece) -> EarlierDrives:
-    return EarlierDrives(KeptEvidence(np.eye(3), False, pieces), shared, 0.0)
+def prior(shared: tuple[CommonError, ...] = (), **pieces: SavedSource) -> PriorDrives:
+    return PriorDrives(SavedInformation(np.eye(3), False, pieces), shared, 0.0)
 
 
 def test_load_and_springs_limit_what_earlier_drives_are_worth():
-    before = earlier(yaw_turn=piece(0.0, 1e-12), yaw_dvdt=piece(0.0, 1e-12))
-    fused = before.fused({"yaw_turn": Piece(0.0, 1.0, 9.0)}, np.eye(3), (0.0, 0.0))
+    before = prior(yaw_turn=piece(0.0, 1e-12), yaw_dvdt=piece(0.0, 1e-12))
+    fused = before.fused({"yaw_turn": AngleEvidence(0.0, 1.0, 9.0)}, np.eye(3), (0.0, 0.0))
     assert math.sqrt(fused.variance[2]) == pytest.approx(BETWEEN_DRIVES_STD[2], rel=1e-3)
 
 
 def test_errors_of_the_sensor_and_its_unknown_bias_are_not_averaged_away():
-    shared = (Shared(0.01, {"yaw_turn": 1.0}),)
-    before = earlier(shared, yaw_turn=piece(0.0, 1e-4), roll_gravity=piece(0.0, 1e-12, 4e-4))
-    now = {"yaw_turn": Piece(0.0, 2e-4, 9.0), "roll_gravity": Piece(0.0, 1e-12 + 3e-4, 9.0)}
+    shared = (CommonError(0.01, {"yaw_turn": 1.0}),)
+    before = prior(shared, yaw_turn=piece(0.0, 1e-4), roll_gravity=piece(0.0, 1e-12, 4e-4))
+    now = {
+        "yaw_turn": AngleEvidence(0.0, 2e-4, 9.0),
+        "roll_gravity": AngleEvidence(0.0, 1e-12 + 3e-4, 9.0),
+    }
     fused = before.fused(now, np.eye(3), (3e-4, 0.0))
     assert math.sqrt(fused.variance[2]) >= 0.01
     assert fused.variance[0] >= 3e-4
 
 
 def test_it_contradicts_as_surely_as_the_difference_is_large():
-    before = earlier((Shared(0.5, {"yaw_turn": 1.0}),), yaw_turn=piece(0.0, 1e-6))
+    before = prior((CommonError(0.5, {"yaw_turn": 1.0}),), yaw_turn=piece(0.0, 1e-6))
     for degrees, least, most in ((0.0, 0.0, 1e-9), (0.3, 2.0, 6.0), (1.0, 30.0, 60.0)):
-        now = {"yaw_turn": Piece(math.radians(degrees), 1e-6, 9.0)}
+        now = {"yaw_turn": AngleEvidence(math.radians(degrees), 1e-6, 9.0)}
         before.fused(now, np.eye(3), (0.0, 0.0))
         assert least <= before.contradiction <= most, "what both share speaks for neither"
 
@@ -191,18 +194,18 @@ def test_for_the_shift_test_they_count_no_more_than_load_and_springs_let_them():
     random = np.random.default_rng(1)
     n = np.full(40, 1e5)
     score = n * 0.01 + random.normal(0.0, np.sqrt(n))
-    before = earlier(yaw_turn=KeptPiece(0.01, 1e-7, 0.0, score, n))
-    now = Flow("yaw_turn", np.zeros(5), np.full(5, 1e5))
-    (flow,) = before.flows({"yaw_turn": now}, np.eye(3))
-    old, level = flow.information[:40], flow.score[:40].sum() / flow.information[:40].sum()
+    before = prior(yaw_turn=SavedSource(0.01, 1e-7, 0.0, score, n))
+    now = ScoreSeries("yaw_turn", np.zeros(5), np.full(5, 1e5))
+    (one,) = before.series({"yaw_turn": now}, np.eye(3))
+    old, level = one.information[:40], one.score[:40].sum() / one.information[:40].sum()
     assert 1.0 / old.sum() == pytest.approx(BETWEEN_DRIVES_STD[2] ** 2 + 1.0 / n.sum())
     assert level == pytest.approx(score.sum() / n.sum())
     spread = [
         ((s - i * s.sum() / i.sum()) ** 2).sum() / i.sum()
-        for s, i in ((score, n), (flow.score[:40], old))
+        for s, i in ((score, n), (one.score[:40], old))
     ]
     assert spread[1] == pytest.approx(spread[0]), "as rough as the roads were"
-    assert (flow.score[40:] == now.score).all()
+    assert (one.score[40:] == now.score).all()
 
 
 def second_drive(mount: StoredMount) -> tuple[RestoredEstimator, set[MountState], bool]:
@@ -228,9 +231,9 @@ def test_after_a_restart_it_goes_on_from_there():
     shares = both.details["evidence_share"]
     assert isinstance(shares, dict)
     assert any(name.endswith("_before") for name in shares["yaw"])
-    kept = restored.kept_evidence()
+    kept = restored.saved_information()
     assert kept is not None
-    sums = [k.pieces["yaw_turn"].information.sum() for k in (evidence(), kept)]
+    sums = [k.sources["yaw_turn"].information.sum() for k in (evidence(), kept)]
     assert sums[1] > 1.5 * sums[0], "the next start has both drives"
 
 

@@ -1,0 +1,45 @@
+"""Data of a YAML file -> a typed structure. Every mistake is one line: file, line, key, remedy."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import msgspec
+
+from imucald.core.errors import ConfigError
+from imucald.core.locations import Marks, Place, infinite_places, located
+
+T = TypeVar("T")
+
+
+def typed(
+    data: Any,
+    kind: type[T],
+    marks: Marks,
+    name: str,
+    whole: str,
+    *,
+    full: Any = None,
+    at: Place = (),
+) -> T:
+    """Return data as a value of a kind (a msgspec structure, or any type of a field).
+
+    marks, name: lines and file that the data come from. whole: what the file is. full: the data
+    with all short forms spelled out, where they have any. at: the key that the data stand at.
+    Raises ConfigError with one line for each mistake.
+    """
+    infinite = [
+        f"{located(name, marks, (*at, *place), whole)}: must be a finite number"
+        for place in infinite_places(data)
+    ]
+    if infinite:
+        raise ConfigError("\n".join(infinite))
+    full = data if full is None else full
+    try:
+        return msgspec.convert(full, kind)
+    except (ValueError, OverflowError) as error:  # msgspec.ValidationError is a ValueError
+        from imucald.core.explain import explain  # noqa: PLC0415 - a lighter start without
+
+        lines = list(explain(data, full, kind, marks, name, whole, at))
+        lines = lines or [f"{located(name, marks, at, whole)}: {error}"]
+        raise ConfigError("\n".join(lines)) from None

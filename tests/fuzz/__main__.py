@@ -1,0 +1,121 @@
+"""Coverage-guided fuzzing of every entry: `./try python tests/fuzz [ENTRY ...] --seconds 60`.
+
+Inputs that reach new code go to a folder outside the project (--work); `--keep` merges the few
+that are needed for the same coverage into tests/fuzz/corpus, which the test suite replays.
+An input that breaks something is written to the work folder and told. Needs atheris (extra dev).
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+CORPUS = HERE / "corpus"
+NAMES = [
+    "configuration",
+    "model",
+    "database",
+    "log",
+    "expression",
+    "saved_state",
+    "saved_dtcs",
+    "isotp_frames",
+    "status_request",
+    "bus_frames",
+]
+INPUT_S, MEMORY_MB, LONGEST = 10, 2048, 65536
+"""Limits of one input: time [s], memory [MB], length [bytes]."""
+
+
+def fuzz_one(name: str, arguments: list[str]) -> None:
+    """Run libFuzzer on one entry in this process; does not return."""
+    import atheris
+
+    sys.path.insert(0, str(HERE))
+    sys.path.insert(0, str(HERE.parent))
+    with atheris.instrument_imports(include=["imucald"]):
+        from targets import TARGETS
+    atheris.Setup([sys.argv[0], *arguments], TARGETS[name])
+    atheris.Fuzz()
+
+
+def command(name: str, *arguments: str) -> list[str]:
+    """The command line of one entry's process."""
+    return [sys.executable, str(Path(__file__)), "--entry", name, "--", *arguments]
+
+
+def fuzz(name: str, work: Path, seconds: int) -> bool:
+    """Fuzz one entry for some seconds; whether nothing broke."""
+    found, broken = work / name, work / "broken" / name
+    found.mkdir(parents=True, exist_ok=True)
+    broken.mkdir(parents=True, exist_ok=True)
+    log = work / f"{name}.txt"
+    began = time.monotonic()
+    with log.open("wb") as output:
+        status = subprocess.run(
+            command(
+                name,
+                f"-max_total_time={seconds}",
+                f"-timeout={INPUT_S}",
+                f"-rss_limit_mb={MEMORY_MB}",
+                f"-max_len={LONGEST}",
+                f"-artifact_prefix={broken}/",
+                "-print_final_stats=1",
+                str(found),
+                str(CORPUS / name),
+            ),
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            check=False,
+        ).returncode
+    lines = log.read_text(errors="replace").splitlines()
+    runs = [line for line in lines if line.startswith("stat::number_of_executed_units")]
+    told = "ok" if status == 0 else f"BROKEN, see {log} and {broken}"
+    print(
+        f"{name:16s} {time.monotonic() - began:6.0f} s  {runs[0].split()[-1] if runs else '?':>9s}"
+        f" inputs  {len(list(found.iterdir())):5d} new  {told}",
+        flush=True,
+    )
+    return status == 0
+
+
+def keep(name: str, work: Path) -> None:
+    """Merge what is needed for the coverage into the kept corpus."""
+    (CORPUS / name).mkdir(parents=True, exist_ok=True)
+    subprocess.run(
+        command(name, "-merge=1", f"-max_len={LONGEST}", str(CORPUS / name), str(work / name)),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        check=False,
+    )
+    print(f"{name:16s} {len(list((CORPUS / name).iterdir()))} inputs kept")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("entries", nargs="*", metavar="ENTRY", help=", ".join(NAMES))
+    parser.add_argument("--seconds", type=int, default=60, help="for each entry")
+    parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "imucald-fuzz")
+    parser.add_argument("--keep", action="store_true", help="merge into the kept corpus")
+    options = parser.parse_args()
+    if unknown := set(options.entries) - set(NAMES):
+        parser.error(f"no such entry: {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
+    good = True
+    for name in options.entries or NAMES:
+        good &= fuzz(name, options.work, options.seconds)
+        if options.keep:
+            keep(name, options.work)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--entry"]:
+        fuzz_one(sys.argv[2], sys.argv[4:])
+    sys.exit(main())

@@ -1,0 +1,212 @@
+"""What a stranger can hand to imucald, as bytes: one function an entry, for fuzzing.
+
+A target returns for every input: what the package refuses on purpose is caught here, anything else
+that escapes (or a crash, a hang, memory without bound) is a defect.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import json
+import socket
+import struct
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from imucald.can.dbc.database import load_database
+from imucald.can.logs.log_reader import LogReader
+from imucald.config import parse_config
+from imucald.core.errors import ImucaldError
+from imucald.inputs.expression import Expression
+from imucald.inputs.wiring import compile_router
+from imucald.model.model import load_model
+from imucald.runtime.session import make_engine, open_config
+from imucald.service import dtc_store, state
+from imucald.service.status import StatusServer
+from imucald.uds.isotp_channel import IsoTpChannel
+
+ROOT = Path(__file__).parents[2]
+FOLDER = Path(tempfile.mkdtemp(prefix="imucald-fuzz-"))
+DATABASE_FORMATS = ("dbc", "kcd", "sym", "arxml")
+LOG_ENDINGS = (".log", ".asc", ".trc", ".csv", ".blf", ".log.gz")
+MAX_FRAMES = 200
+LINK_COUNTERS = "received lost sent conflicts error_frames bus_off went_down reopened"
+STATUS: dict[str, Any] = {
+    "state": "fine",
+    "quality": 3,
+    "mount": {
+        **{f"{angle}_deg": 1.5 for angle in ("roll", "pitch", "yaw")},
+        "std_deg": dict.fromkeys("xyz", 0.1),
+    },
+    "signals": {"accel": {"samples": 100}},
+    "frames": {"rejected": {"checksum": 2}},
+    "link": {**dict.fromkeys(LINK_COUNTERS.split(), 0), "send_errors": {}, "state": "up"},
+    "saved_state": {"saves": 1, "failures": 0},
+    "uptime_s": 10.0,
+    "process": {"cpu_s": 0.5, "rss_bytes": 50_000_000},
+}
+"""As much of a status as the answers need."""
+
+
+def configuration(data: bytes) -> None:
+    """A configuration file; where it is whole, its signals are looked up too."""
+    text = data.decode("utf-8", "surrogateescape")
+    with contextlib.suppress(ImucaldError):
+        compile_router(parse_config(text, ROOT / "config" / "imucald.yaml"))
+
+
+def model(data: bytes) -> None:
+    """A model file."""
+    path = FOLDER / "model.yaml"
+    path.write_bytes(data)
+    with contextlib.suppress(ImucaldError):
+        load_model(path)
+
+
+def database(data: bytes) -> None:
+    """A database; the first byte chooses its format."""
+    if not data:
+        return
+    ending = DATABASE_FORMATS[data[0] % len(DATABASE_FORMATS)]
+    path = FOLDER / f"car.{ending}"
+    path.write_bytes(data[1:])
+    with contextlib.suppress(ImucaldError):
+        load_database([path])
+
+
+def log(data: bytes) -> None:
+    """A recorded log; the first byte chooses its format."""
+    if not data:
+        return
+    path = FOLDER / f"drive{LOG_ENDINGS[data[0] % len(LOG_ENDINGS)]}"
+    path.write_bytes(data[1:])
+    with contextlib.suppress(ImucaldError):
+        reader = LogReader([path])
+        for columns in reader:
+            assert len(columns) > 0
+
+
+def expression(data: bytes) -> None:
+    """A raw expression of a configuration, and eight bytes of a frame to compute it from."""
+    with contextlib.suppress(ImucaldError):
+        compiled = Expression(data[8:].decode("utf-8", "replace"))
+        payload = data[:8].ljust(8, b"\0")
+        with contextlib.suppress(ZeroDivisionError):
+            compiled.number(payload)
+
+
+def saved_state(data: bytes) -> None:
+    """A saved state: any bytes, and any JSON content under a right head and checksum."""
+    key = state.StateKey("car", "imu")
+    body = data
+    with contextlib.suppress(ValueError, RecursionError):
+        content = json.loads(data)
+        if isinstance(content, dict):
+            body = json.dumps(_whole_state() | content).encode()
+    head = f"{state.MAGIC} {state.VERSION} {len(body)} {hashlib.sha256(body).hexdigest()}\n"
+    folder = FOLDER / "state"
+    folder.mkdir(exist_ok=True)
+    store = state.StateStore(folder, key)
+    store.path(0).write_bytes(data)
+    store.path(1).write_bytes(head.encode() + body)
+    store.load()
+    for path in folder.iterdir():
+        path.unlink()
+
+
+def _whole_state() -> dict[str, Any]:
+    rotation = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    variance = 1e-4
+    covariance = tuple(variance * number for number in rotation)
+    good = state.SavedState(rotation, covariance, "fine")
+    encoded = state.encoded(state.StateKey("car", "imu"), 3, good)
+    found: dict[str, Any] = json.loads(encoded.partition(b"\n")[2])
+    return found
+
+
+def saved_dtcs(data: bytes) -> None:
+    """A file of saved trouble codes under a right checksum, restored into the memory."""
+    path = FOLDER / "dtcs"
+    path.write_bytes(f"{dtc_store.MAGIC} {hashlib.sha256(data).hexdigest()}\n".encode() + data)
+    keeper = dtc_store.TroubleKeeper(path, lambda _line: None)
+    keeper.close()
+    for file in FOLDER.glob("dtcs*"):
+        file.unlink()
+
+
+def isotp_frames(data: bytes) -> None:
+    """Frames of a tester, cut from the bytes, through transport and server."""
+    from uds_subject import Bench
+
+    bench = Bench()
+    channel = IsoTpChannel(0x7E0, 0x7E8, 0x7DF, bench.server.handle, bench.clock)
+    ids = sorted(channel.ids)
+    for _ in range(MAX_FRAMES):
+        if not data:
+            break
+        head, data = data[0], data[1:]
+        payload, data = data[: head & 15], data[head & 15 :]
+        bench.clock.now += (head >> 6) * 0.3
+        for _, frame in channel.frame(ids[head >> 4 & 1], payload) + channel.poll():
+            assert len(frame) <= 8
+    assert bench.subject.done == []
+
+
+@functools.cache
+def _status_server() -> StatusServer:
+    return StatusServer(FOLDER / "status.sock", lambda: STATUS)
+
+
+def status_request(data: bytes) -> None:
+    """A request to the status socket."""
+    server = _status_server()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        client.connect(str(server.path))
+        server.poll()
+        client.setblocking(False)
+        with contextlib.suppress(BlockingIOError, BrokenPipeError, ConnectionResetError):
+            client.send(data[:8192])
+        server.poll()
+
+
+@functools.cache
+def _config() -> Any:
+    return open_config(ROOT / "config" / "examples" / "simulated.yaml")
+
+
+def bus_frames(data: bytes) -> None:
+    """Frames from the bus through a whole engine: index of the id, length, time step, payload."""
+    engine = make_engine(_config())
+    ids = sorted({match.can_id for match in engine.router.matches})
+    stamp = 1.6e9
+    for _ in range(MAX_FRAMES):
+        if len(data) < 3:
+            break
+        which, length, step = data[0], data[1] & 15, data[2]
+        payload, data = data[3 : 3 + length], data[3 + length :]
+        stamp += struct.unpack("b", bytes([step]))[0] ** 3 * 1e-5
+        for out in engine.frame(stamp, ids[which % len(ids)], payload):
+            assert len(out[1]) <= 64
+    engine.idle(0.5)
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    target.__name__: target
+    for target in (
+        configuration,
+        model,
+        database,
+        log,
+        expression,
+        saved_state,
+        saved_dtcs,
+        isotp_frames,
+        status_request,
+        bus_frames,
+    )
+}
+"""Entries by name; a new one is added here and gets seeds in corpus/NAME."""

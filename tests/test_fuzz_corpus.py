@@ -1,0 +1,36 @@
+"""Every kept fuzzing input again, and a minute of new ones: nothing escapes, nothing hangs."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fuzz.targets import TARGETS
+from paths import ROOT
+
+FUZZ = ROOT / "tests" / "fuzz"
+SECONDS = 6
+KEPT = sorted(FUZZ.glob("corpus/*/*"))
+
+
+@pytest.mark.parametrize("path", KEPT, ids=lambda path: f"{path.parent.name}-{path.name[:12]}")
+def test_a_kept_input_is_judged_and_nothing_else_comes_of_it(path: Path):
+    TARGETS[path.parent.name](path.read_bytes())
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_every_entry_has_seeds(name: str):
+    assert any(path.parent.name == name for path in KEPT)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed")
+@pytest.mark.parametrize("name", TARGETS)
+def test_some_seconds_of_new_inputs_break_nothing(name: str, tmp_path: Path):
+    command = [sys.executable, str(FUZZ), name, "--seconds", str(SECONDS), "--work", str(tmp_path)]
+    found = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert found.returncode == 0, found.stdout + found.stderr
+    assert (tmp_path / f"{name}.txt").stat().st_size > 0
