@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
+from imucald.attitude.rest import RestingGyro
 from imucald.attitude.right_forward_up import text_from_vehicle, vehicle_from_text
 from imucald.attitude.settings import AttitudeSettings
 from imucald.core.rotations import Vector
@@ -27,6 +28,7 @@ class CompensatedAttitude:
         self.compensation = MotionCompensation(self.settings.compensation)
         self.checked = False
         """Whether the gyroscope's zero error has been measured at rest."""
+        self._rest = RestingGyro(self.settings.filter)
         self.reset()
 
     def reset(self) -> None:
@@ -37,9 +39,14 @@ class CompensatedAttitude:
         self._t_gyro = -math.inf
         self._t = -math.inf
         self._last: Compensated | None = None
-        self._rest_begin()
+        self._rest.begin()
 
     gap = reset
+
+    def check_again(self) -> None:
+        """Measure the zero error anew at the next rest that is long enough."""
+        self.checked = False
+        self._rest.begin()
 
     @property
     def running(self) -> bool:
@@ -50,14 +57,18 @@ class CompensatedAttitude:
         """Take an angular rate [rad/s]."""
         self._rate = text_from_vehicle(values[0], values[1], values[2])
         self._t_gyro = t
-        if not self.checked:
-            self._rest(t, self._rate)
+        stands = self.compensation.is_standing(t)
+        zero_error = self._rest.gyro(t, self._rate, stands, is_first=not self.checked)
+        if zero_error is not None:
+            self.compensation.zero_error = zero_error
+            self.checked = True
 
     def accel(self, t: float, values: Sequence[float]) -> None:
         """Take a specific force [m/s^2]."""
         if self._rate is None or t - self._t_gyro > self.settings.filter.longest_step:
             return
         force = text_from_vehicle(values[0], values[1], values[2])
+        self._rest.accel(force)
         self._last = self.compensation.take(t, force, self._rate)
         self._t = t
 
@@ -65,7 +76,7 @@ class CompensatedAttitude:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""
         self.compensation.speed(t, self._sign * speed)
         if speed > 0.0:
-            self._rest_begin()
+            self._rest.begin()
 
     def reverse(self, is_reverse: bool) -> None:
         """Say whether the vehicle drives backwards."""
@@ -100,28 +111,3 @@ class CompensatedAttitude:
             grade_std=NAN,
             bias=vehicle_from_text(*b),
         )
-
-    def _rest_begin(self) -> None:
-        self._rest_start = NAN
-        self._sum = [0.0] * 3
-        self._square = self._n = 0.0
-
-    def _rest(self, t: float, rate: Vector) -> None:
-        """Thirty seconds of standing tell the zero error (the sensor check of method C)."""
-        if not self.compensation.is_standing(t):
-            self._rest_begin()
-            return
-        if math.isnan(self._rest_start):
-            self._rest_start = t
-        for i, w in enumerate(rate):
-            self._sum[i] += w
-            self._square += w * w
-        self._n += 1.0
-        if t - self._rest_start < self.settings.filter.check:
-            return
-        x, y, z = (total / self._n for total in self._sum)
-        variance = self._square / self._n - (x * x + y * y + z * z)
-        if variance < self.settings.filter.rest_gyro_spread**2:
-            self.compensation.zero_error = (x, y, z)
-            self.checked = True
-        self._rest_begin()

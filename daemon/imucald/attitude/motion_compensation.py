@@ -1,8 +1,9 @@
 """Method B: what motion adds to the accelerometer, taken out (CN109506674B).
 
-Each instant: a_fwd = d(v_avg)/dt along the direction of motion, a_c = omega x v, and what is left
-of the measured specific force is gravity plus error; the gyroscope less its zero error; pitch and
-roll from the rest; each corrected by the deflection found from the previous angle.
+Each instant: a_fwd = d(v_avg)/dt along the direction of motion, a_c = omega x v with the newest
+speed (an average would be late in a braking turn), and what is left of the measured specific force
+is gravity plus error; the gyroscope less its zero error; pitch and roll from the rest; each
+corrected by the deflection found from the previous angle.
 
 Deflection (*reconstructed*; the publication prints no formula). An acceleration a is known along
 the direction of motion, but a number s is subtracted along the accelerometer's own axis, and that
@@ -115,6 +116,7 @@ class MotionCompensation:
         self._average.restart()
         self._knots: deque[AverageSpeed] = deque(maxlen=MAX_SPEEDS)
         self._heard = -math.inf
+        self._speed = 0.0
         self._a_fwd = 0.0
         self._last: tuple[float, Vector] | None = None
         self._angles = (0.0, 0.0)
@@ -122,7 +124,7 @@ class MotionCompensation:
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], signed, that came at t [s]."""
-        self._heard = t
+        self._heard, self._speed = t, speed
         knot = self._average.add(t, speed)
         knots = self._knots
         if knots and knot.t <= knots[-1].t:
@@ -136,10 +138,11 @@ class MotionCompensation:
             first, last = knots[0], knots[-1]
             self._a_fwd = (last.speed - first.speed) / (last.t - first.t)
 
-    def is_standing(self, t: float) -> bool:
-        """Whether speed is known at t [s], and zero since the last knots."""
-        known = t - self._heard <= self.settings.timeout and len(self._knots) > 1
-        return known and all(knot.speed == 0.0 for knot in self._knots)
+    def is_standing(self, t: float) -> bool | None:
+        """Whether speed is zero at t [s] and has been since the last averages; None: not known."""
+        if t - self._heard > self.settings.timeout or len(self._knots) < 2:
+            return None
+        return all(knot.speed == 0.0 for knot in self._knots)
 
     def take(self, t: float, force: Vector, rate: Vector) -> Compensated:
         """Correct one sample of accelerometer [m/s^2] and gyroscope [rad/s] at t [s]."""
@@ -147,7 +150,7 @@ class MotionCompensation:
         rate = (rate[0] - bx, rate[1] - by, rate[2] - bz)
         known = t - self._heard <= self.settings.timeout and len(self._knots) > 1
         a_fwd = self._a_fwd if known else 0.0
-        speed = self._knots[-1].speed if known else 0.0
+        speed = self._speed if known else 0.0
         cx, cy, cz = cross(rate, (0.0, speed, 0.0))
         if self.settings.centripetal == "plane":
             cz = 0.0
