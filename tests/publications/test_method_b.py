@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from imucald.attitude.carried_angles import CarriedAngles, vertical
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.motion_compensation import MotionCompensation, deflection
 from imucald.attitude.settings import AttitudeSettings, CompensationSettings
@@ -80,12 +82,19 @@ def test_claim_1_each_instant_of_random_motion(option: str) -> None:
         assert apart < 1e-9
 
 
+def alone(**options: object) -> CompensatedAttitude:
+    settings = AttitudeSettings()
+    return CompensatedAttitude(
+        replace(settings, compensation=replace(settings.compensation, **options))
+    )
+
+
 def braking_turn(rate_hz: float) -> float:
     """Largest roll of B alone on a level road, braking by 4 m/s2 while turning by 0.3 rad/s [deg].
 
     Samples at 100 Hz, speed at rate_hz; nothing is wrong with any of them.
     """
-    attitude = CompensatedAttitude()
+    attitude = alone()
     worst, every = 0.0, round(100.0 / rate_hz)
     for k in range(900):
         t = 0.01 * k
@@ -104,6 +113,54 @@ def braking_turn(rate_hz: float) -> float:
 def test_b1_a_braking_turn_reads_the_newest_speed() -> None:
     assert braking_turn(10.0) <= 0.7
     assert braking_turn(20.0) <= 0.4
+
+
+def test_b2_angles_are_of_both_corrected_triads() -> None:
+    """Claim 1, last step: a gyroscope that turns between two accelerometer samples turns them."""
+    attitude = alone(rate_time=1.0)
+    for k in range(200):
+        attitude.gyro(0.02 * k, (0.0, 0.0, 0.0))
+        attitude.accel(0.02 * k, (0.0, 0.0, G))
+    for k in range(11):  # 0.2 rad about the forward axis, and no accelerometer
+        attitude.gyro(4.0 + 0.01 * k, (2.0, 0.0, 0.0))
+    assert attitude.estimate().roll == pytest.approx(0.2, abs=0.005 * 4.0)
+    only = alone()
+    only.gyro(0.0, (0.0, 0.0, 0.0))
+    only.accel(0.0, (0.0, 0.0, G))
+    only.gyro(0.1, (2.0, 0.0, 0.0))
+    assert only.estimate().roll == 0.0
+
+
+@pytest.mark.parametrize("lean", [(0.0, 0.0), (0.4, -0.3), (1.4, 0.2), (0.1, 3.0)])
+def test_b2_the_vertical_is_carried_exactly(lean: tuple[float, float]) -> None:
+    """Constant rate, no draw: the vertical in the body is the first one turned by -w t."""
+    w, dt = np.array([0.7, -0.4, 0.9]), 0.01
+    carried = CarriedAngles(1e9, 0.5)
+    carried.draw(0.0, *lean)
+    for k in range(301):
+        carried.turn(dt * k, tuple(w))
+    up = vertical(*lean)
+    expected = Rotation.from_rotvec(-w * 3.0).apply(up)
+    assert carried.angles is not None
+    assert vertical(*carried.angles) == pytest.approx(tuple(expected), abs=1e-9)
+
+
+@pytest.mark.parametrize("pitch_deg", [-12.0, 12.0])
+def test_b2_claims_1_to_3_together_in_one_mode(pitch_deg: float) -> None:
+    """Speed over the map on a slope: with the deflection nearer the truth, and both triads used."""
+    pitch, a = math.radians(pitch_deg), 3.0
+    force = text.pitched(pitch).T @ [0.0, a, G]
+    found = {}
+    for horizontal in (True, False):
+        speed_is = "horizontal" if horizontal else "along_road"
+        attitude = alone(rate_time=1.0, speed_is=speed_is)
+        for k in range(500):
+            t = 0.02 * k
+            attitude.speed(t, 5.0 + a * t)
+            attitude.gyro(t, (0.0, 0.0, 0.0))
+            attitude.accel(t, (force[1], -force[0], force[2]))
+        found[horizontal] = abs(-attitude.estimate().pitch - pitch)
+    assert found[True] < 0.1 * found[False]
 
 
 def rest(attitude: CompensatedAttitude, t: float, seconds: float, error: float,

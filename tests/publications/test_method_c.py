@@ -15,13 +15,12 @@ from imucald.attitude.propagation import Propagator
 from imucald.attitude.right_forward_up import (
     rows,
     text_rotation,
-    times,
     vehicle_angles,
     vehicle_from_text,
 )
 from imucald.attitude.sensor_check import rest_errors
 from imucald.attitude.settings import AttitudeSettings, FilterSettings
-from imucald.core.rotations import levelling_rotation
+from imucald.core.rotations import levelling_rotation, times
 from publications import method_b
 from publications import method_c as text
 from publications.recordings import recording, table

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from imucald.attitude.carried_angles import CarriedAngles
 from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
 from imucald.attitude.rest import RestingGyro
@@ -29,6 +30,9 @@ class CompensatedAttitude:
         self.checked = False
         """Whether the gyroscope's zero error has been measured at rest."""
         self._rest = RestingGyro(self.settings.filter)
+        self._carried = CarriedAngles(
+            self.settings.compensation.rate_time, self.settings.filter.longest_step
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -40,6 +44,7 @@ class CompensatedAttitude:
         self._t = -math.inf
         self._last: Compensated | None = None
         self._rest.begin()
+        self._carried.restart()
 
     gap = reset
 
@@ -62,6 +67,9 @@ class CompensatedAttitude:
         if zero_error is not None:
             self.compensation.zero_error = zero_error
             self.checked = True
+        if self.settings.compensation.rate_time > 0.0:
+            b, w = self.compensation.zero_error, self._rate
+            self._carried.turn(t, (w[0] - b[0], w[1] - b[1], w[2] - b[2]))
 
     def accel(self, t: float, values: Sequence[float]) -> None:
         """Take a specific force [m/s^2]."""
@@ -69,8 +77,13 @@ class CompensatedAttitude:
             return
         force = text_from_vehicle(values[0], values[1], values[2])
         self._rest.accel(force)
-        self._last = self.compensation.take(t, force, self._rate)
+        last = self._last = self.compensation.take(t, force, self._rate)
         self._t = t
+        if self.settings.compensation.rate_time > 0.0:
+            self._carried.draw(t, last.pitch, last.roll)
+            angles = self._carried.angles
+            if angles is not None:
+                self.compensation.angles = angles
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""
@@ -96,13 +109,16 @@ class CompensatedAttitude:
         last = self._last
         stale = now is not None and now - min(self._t, self._t_gyro) > STALE_S
         b = self.compensation.zero_error
+        pitch, roll = self.compensation.angles
+        if last is not None and (angles := self._carried.angles) is not None:
+            pitch, roll = angles  # of the newest rate, not only of the newest force
         return AttitudeEstimate(
             state=AttitudeState.NOT_AVAILABLE
             if last is None or stale
             else AttitudeState.UNFILTERED,
             t=self._t,
-            roll=NAN if last is None else last.roll,
-            pitch=NAN if last is None else -last.pitch,
+            roll=NAN if last is None else roll,
+            pitch=NAN if last is None else -pitch,
             heading=NAN,
             std=_NOTHING,
             rate=_NOTHING if last is None else vehicle_from_text(*last.rate),

@@ -119,7 +119,8 @@ class MotionCompensation:
         self._speed = 0.0
         self._a_fwd = 0.0
         self._last: tuple[float, Vector] | None = None
-        self._angles = (0.0, 0.0)
+        self.angles = (0.0, 0.0)
+        """Pitch and roll of the instant before [rad]: who knows them better says so."""
         self._road = (0.0, 0.0)
 
     def speed(self, t: float, speed: float) -> None:
@@ -160,14 +161,14 @@ class MotionCompensation:
         raw_roll = math.atan2(-fx, fz)
         pitch, roll = self._deflected(t, raw_pitch, raw_roll, a_fwd, cx)
         self._last = (t, rate)
-        self._angles = (pitch, roll)
+        self.angles = (pitch, roll)
         return Compensated((fx, fy, fz), rate, pitch, roll, raw_pitch, raw_roll, known)
 
     def _deflected(
         self, t: float, raw_pitch: float, raw_roll: float, a_fwd: float, a_right: float
     ) -> tuple[float, float]:
         """J and K of the text: the angles less S of the previous ones."""
-        pitch, roll = self._angles
+        pitch, roll = self.angles
         if self._last is None:
             self._road = (raw_pitch, raw_roll)
             return raw_pitch, raw_roll

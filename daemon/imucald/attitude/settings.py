@@ -33,6 +33,9 @@ class CompensationSettings:
     """What the speed counts: wheels along the road, or satellites over the map."""
     centripetal: Literal["full", "plane"] = "full"
     """omega x v in full, or rate times speed as one number along the lateral axis."""
+    rate_time: float = 0.0
+    """Method B alone: time over which the corrected acceleration draws the angles that the
+    corrected rate carries [s]; 0: the acceleration alone, each sample for itself."""
     speed_noise: float = 0.03
     """Standard deviation of an averaged speed [m/s]."""
     speed_scale: float = 0.02

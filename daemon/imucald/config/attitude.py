@@ -37,6 +37,8 @@ class Compensation(Model, frozen=True):
     """What speed counts: wheels along the road, or satellites over the map."""
     centripetal: Literal["full", "plane"] = _B.centripetal
     """omega x v in full, or rate times speed as one number (method B alone)."""
+    rate_time: NotNegative = _B.rate_time
+    """Method B alone: force draws the angles that the rate carries over it [s]; 0: force alone."""
     speed_noise: Positive = _B.speed_noise
     """Standard deviation of an averaged speed [m/s]."""
     speed_scale: Share = _B.speed_scale

@@ -218,6 +218,7 @@ def attitude_settings(config: Config) -> AttitudeSettings:
             lever_arm=c.lever_arm,
             speed_is=c.speed_is,
             centripetal=c.centripetal,
+            rate_time=c.rate_time,
             speed_noise=c.speed_noise,
             speed_scale=c.speed_scale,
             creep_speed=c.creep_speed,
