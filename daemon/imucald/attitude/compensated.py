@@ -126,4 +126,5 @@ class CompensatedAttitude:
             grade=NAN,
             grade_std=NAN,
             bias=vehicle_from_text(*b),
+            free_acceleration=_NOTHING if last is None else vehicle_from_text(*last.force),
         )

@@ -18,6 +18,7 @@ from imucald.attitude.grade import RoadGrade
 from imucald.attitude.interval import Interval, Knot, along_body, interval
 from imucald.attitude.kalman import NineStateFilter
 from imucald.attitude.measurements import LEAST_UP, heading_difference, rest_rates, tilt
+from imucald.attitude.motion_compensation import MotionCompensation
 from imucald.attitude.propagation import Propagator
 from imucald.attitude.right_forward_up import (
     IDENTITY,
@@ -73,6 +74,7 @@ class AttitudeFilter:
         )
         self._knots = KnotMaker(compensation, self._propagator)
         self._grade = RoadGrade(self.settings.squat, self.settings.grade_time)
+        self._motion = MotionCompensation(compensation) if compensation.send else None
         self.reset()
 
     # verbs -----------------------------------------------------------------------------------
@@ -93,6 +95,10 @@ class AttitudeFilter:
         self._accel_seen = self._heading_seen = -math.inf
         self._predicted = -math.inf
         self._grade.restart()
+        self._sign = 1.0
+        self._free: Vector = (math.nan, math.nan, math.nan)
+        if self._motion is not None:
+            self._motion.restart()
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
@@ -107,15 +113,23 @@ class AttitudeFilter:
         x, y, z = text_from_vehicle(values[0], values[1], values[2])
         d = self.constant_accel_error
         self._accel_seen = t
-        self._propagator.accel(t, (x - d[0], y - d[1], z - d[2]))
+        force = (x - d[0], y - d[1], z - d[2])
+        self._propagator.accel(t, force)
+        if self._motion is not None:
+            self._free = vehicle_from_text(
+                *self._motion.take(t, force, self._propagator.rate).force
+            )
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""
         self._knots.speed(t, speed)
+        if self._motion is not None:
+            self._motion.speed(t, self._sign * speed)
 
     def reverse(self, is_reverse: bool) -> None:
         """Say whether the vehicle drives backwards."""
         self._knots.reverse(is_reverse)
+        self._sign = -1.0 if is_reverse else 1.0
 
     def heading(self, t: float, heading: float) -> None:
         """Take a heading, clockwise from north [rad]."""
@@ -191,6 +205,7 @@ class AttitudeFilter:
             grade=self._grade.grade,
             grade_std=math.hypot(std[1], self._grade.spread),
             bias=vehicle_from_text(a[0] + b[0], a[1] + b[1], a[2] + b[2]),
+            free_acceleration=self._free,
         )
 
     def _heading_std(self) -> float:

@@ -36,6 +36,8 @@ class CompensationSettings:
     rate_time: float = 0.0
     """Method B alone: time over which the corrected acceleration draws the angles that the
     corrected rate carries [s]; 0: the acceleration alone, each sample for itself."""
+    send: bool = False
+    """Make the specific force less motion, each instant, for the bus."""
     speed_noise: float = 0.03
     """Standard deviation of an averaged speed [m/s]."""
     speed_scale: float = 0.02

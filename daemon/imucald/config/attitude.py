@@ -39,6 +39,8 @@ class Compensation(Model, frozen=True):
     """omega x v in full, or rate times speed as one number (method B alone)."""
     rate_time: NotNegative = _B.rate_time
     """Method B alone: force draws the angles that the rate carries over it [s]; 0: force alone."""
+    send: bool = _B.send
+    """Whether the specific force less motion is sent and told (`IMUCALD_FreeAcceleration`)."""
     speed_noise: Positive = _B.speed_noise
     """Standard deviation of an averaged speed [m/s]."""
     speed_scale: Share = _B.speed_scale

@@ -156,9 +156,16 @@ class AttitudeCompanion:
             "std_deg": [number(std) for std in e.std],
             "gyro_bias_deg_s": [number(b) for b in e.bias],
             "grade_percent": number(e.grade, 100.0),
+            **self._free_acceleration(e),
             "sensor_check": self.filter.checked,
             "rejected_samples": self.rejected,
         }
+
+    def _free_acceleration(self, e: AttitudeEstimate) -> dict[str, list[float | None]]:
+        if not self.filter.settings.compensation.send:
+            return {}
+        values = [None if math.isnan(c) else round(c, 4) for c in e.free_acceleration]
+        return {"free_acceleration_mps2": values}
 
 
 class TravelCompanion:
@@ -219,6 +226,7 @@ def attitude_settings(config: Config) -> AttitudeSettings:
             speed_is=c.speed_is,
             centripetal=c.centripetal,
             rate_time=c.rate_time,
+            send=c.send,
             speed_noise=c.speed_noise,
             speed_scale=c.speed_scale,
             creep_speed=c.creep_speed,
