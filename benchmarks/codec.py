@@ -24,13 +24,12 @@ import numpy as np
 from imucald.can.dbc.database import load_database_text
 from imucald.can.dbc.decode import compile_decode
 from imucald.can.dbc.encode import compile_encode
-from imucald.can.e2e.checksums import crc8_j1850, e2e_profile_1
+from imucald.can.e2e.checksums import E2E_COUNTERS, crc8_j1850, e2e_profile_1
 from imucald.can.e2e.protection import (
     MessageChecker,
-    MessageProtector,
     ProtectionSpec,
-    e2e_counter,
 )
+from imucald.can.e2e.protector import MessageProtector
 
 ROWS = 100_000
 HEAD = 'VERSION ""\nNS_ :\nBS_:\nBU_:\n'
@@ -104,7 +103,7 @@ def measure(text: str) -> dict[str, float]:
     return result
 
 
-def measure_guard(spec: ProtectionSpec) -> dict[str, float]:
+def measure_checker(spec: ProtectionSpec) -> dict[str, float]:
     """Times of checker and protector a frame [us]."""
     protector = MessageProtector(spec)
     payloads = np.random.default_rng(2).integers(0, 256, (15 * 16 * 400, 8), dtype=np.uint8)
@@ -134,10 +133,12 @@ def main() -> None:
     as_json = parser.parse_args().json
     codec = {name: measure(text) for name, text in MESSAGES.items()}
     guards = {
-        "length only": measure_guard(ProtectionSpec(8)),
-        "CRC-8 J1850": measure_guard(ProtectionSpec(8, None, crc8_j1850(8, 0, b"\x10\x00"), 0.01)),
-        "E2E profile 1": measure_guard(
-            ProtectionSpec(8, e2e_counter(1, 8), e2e_profile_1(8, 0x123), 0.01)
+        "length only": measure_checker(ProtectionSpec(8)),
+        "CRC-8 J1850": measure_checker(
+            ProtectionSpec(8, None, crc8_j1850(8, 0, b"\x10\x00"), 0.01)
+        ),
+        "E2E profile 1": measure_checker(
+            ProtectionSpec(8, E2E_COUNTERS[1].at(0), e2e_profile_1(8, 0x123), 0.01)
         ),
     }
     if as_json:

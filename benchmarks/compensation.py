@@ -102,7 +102,7 @@ EFFECTS: Mapping[str, Effect] = {
 
 def with_effect(model: Model, effect: Effect, part: float = 1.0) -> Model:
     """The model with so much of the effect added."""
-    data = model.model_dump()
+    data = model.dump()
     changes: dict[str, Any] = {}
     for key, added in effect.added.items():
         section, name = key.split(".")
@@ -156,7 +156,7 @@ def rows_of(effect: Effect, seeds: Sequence[int], minutes: float) -> list[Row]:
         drive = simulate(with_effect(base, effect), seed, minutes)
         known = (None, base, with_effect(base, effect), with_effect(base, effect, 1.1))
         for rows, model in zip(found, known, strict=True):
-            compensation = None if model is None else compensation_from_model(model.model_dump())
+            compensation = None if model is None else compensation_from_model(model.dump())
             rows.append(errors(drive, effect, compensation))
     return [Row(np.array(rows)) for rows in found]
 

@@ -24,8 +24,8 @@ from imucald.runtime.session import make_engine, open_config
 from imucald.service.figures import process_figures
 from imucald.service.service import Service, ServiceOptions
 from imucald.simulation import random_model, simulate
-from imucald.simulation.bus_frames import BusEncoder
-from imucald.simulation.can_log import bus_frames
+from imucald.traffic.can_log import bus_frames
+from imucald.traffic.encoder import BusEncoder
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
 EPOCH = 1.6e9

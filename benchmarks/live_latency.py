@@ -31,8 +31,8 @@ from imucald.runtime.output.output_frames import output_database
 from imucald.runtime.session import make_engine, open_config
 from imucald.service.live import Daemon, open_link
 from imucald.simulation import random_model, simulate
-from imucald.simulation.bus_frames import BusEncoder
-from imucald.simulation.can_log import live_frames
+from imucald.traffic.can_log import live_frames
+from imucald.traffic.encoder import BusEncoder
 
 CONFIG = EXAMPLES / "simulated.yaml"
 RATE_HZ = 200.0

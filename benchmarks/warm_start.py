@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.rotations import rotation_from_vector, vector_from_rotation
-from imucald.model.vehicle import MountShift
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
@@ -94,8 +93,8 @@ def moved(stored: StoredMount, turn: NDArray[np.float64]) -> StoredMount:
 def turned_while_driving(model: Model, axis: NDArray[np.float64]) -> Model:
     """The same vehicle, whose sensor is turned about an axis of the vehicle in the drive."""
     roll, pitch, yaw = (TURNED_DEG * axis).tolist()
-    shift = MountShift(t_s=TURNED_AT_S, roll_deg=roll, pitch_deg=pitch, yaw_deg=yaw)
-    return model.model_copy(update={"mount": model.mount.model_copy(update={"shifts": (shift,)})})
+    shift = {"t_s": TURNED_AT_S, "roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw}
+    return model.with_changes({"mount.shifts": [shift]})
 
 
 def course(

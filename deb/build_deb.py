@@ -26,7 +26,7 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
 LIBRARY = "usr/lib/imucald"
-LEFT_OUT = {"scipy", "pydantic"}
+LEFT_OUT = {"scipy"}
 """Needed by `simulate` and `demo` only; larger than all the rest."""
 EXTRAS = ("diagnostics",)
 UNWANTED = ("tests", "__pycache__", "include", "_pyinstaller")

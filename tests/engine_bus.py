@@ -13,7 +13,7 @@ import numpy as np
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
 from imucald.can.dbc.database import load_database_text
 from imucald.can.dbc.encode import compile_encode
-from imucald.can.e2e.protection import MessageProtector
+from imucald.can.e2e.protector import MessageProtector
 from imucald.config import LoadedConfig, parse_config
 from imucald.core.rotations import rotation_from_angles
 from imucald.inputs.protection_settings import checker_for

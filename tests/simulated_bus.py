@@ -15,8 +15,8 @@ from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.runtime.engine import Engine
 from imucald.runtime.session import make_engine, open_config
 from imucald.simulation import Drive, random_model, simulate
-from imucald.simulation.bus_frames import BusEncoder
-from imucald.simulation.can_log import bus_frames
+from imucald.traffic.can_log import bus_frames
+from imucald.traffic.encoder import BusEncoder
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
 EPOCH = 1.6e9

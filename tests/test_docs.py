@@ -23,7 +23,7 @@ from imucald.mount.estimate import MountState
 from imucald.runtime.estimators import full_settings
 from imucald.runtime.output.output_frames import OutputFrames, output_database
 from imucald.runtime.session import make_engine
-from imucald.runtime.summary import Counts, summary
+from imucald.runtime.summary import RunCounts, summary
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -267,7 +267,7 @@ def test_the_consumers_check_accepts_ours_and_refuses_damage() -> None:
 
 def test_the_json_keys_are_documented_and_in_the_example() -> None:
     engine = make_engine(load_config(ROOT / "config" / "imucald.yaml"))
-    result = summary(engine, Counts(0, 0, {}), 0.0)
+    result = summary(engine, RunCounts(0, 0, {}), 0.0)
     (example,) = blocks(DOCS / "json.md", "json")
     shown = json.loads(example)
     assert list(shown) == list(result)

@@ -21,7 +21,7 @@ from engine_bus import (
 )
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
 from imucald.can.e2e.protection import REASONS as FRAME_REASONS
-from imucald.can.e2e.protection import MessageProtector
+from imucald.can.e2e.protector import MessageProtector
 from imucald.can.logs.log_reader import CandumpWriter, LogReader
 from imucald.inputs.routes import MessageRoute
 from imucald.runtime.estimators import estimator_for

@@ -60,7 +60,7 @@ def test_help_loads_no_numpy_even():
     )
     loaded = {line.rpartition("|")[2].strip() for line in process.stderr.splitlines()}
     assert "imucald.cli" in loaded
-    assert not loaded & {"numpy", "pydantic", "yaml", "cantools", *HEAVY}
+    assert not loaded & {"numpy", "yaml", "cantools", *HEAVY}
 
 
 def test_cantools_can_be_had_whole_after_a_database_was_read():

@@ -52,7 +52,7 @@ def outcome(case: Case) -> dict[str, Any]:
         result["vehicle"] = vehicle_gain(drive, baseline, diagnosis)
         if case.effects:
             twin = hidden_drive(case.seed, (), case.minutes)
-            result["vehicle"]["without"] = daemon(twin, baseline.model_dump(mode="json"))
+            result["vehicle"]["without"] = daemon(twin, baseline.dump())
     return result
 
 
@@ -92,7 +92,7 @@ def _true_key(cause: str, name: str, unit: str) -> tuple[str, float]:
 
 def _stated(model: Mapping[str, Any]) -> dict[str, float]:
     """Numbers of the baseline by dotted key, with indices."""
-    full = model_from_mapping(dict(model), "baseline").model_dump()
+    full = model_from_mapping(dict(model), "baseline").dump()
     found: dict[str, float] = {}
 
     def walk(key: str, value: Any) -> None:
@@ -123,7 +123,7 @@ def vehicle_gain(drive: HiddenDrive, baseline: Model, diagnosis: Diagnosis) -> d
         "after": diagnosis.model_after,
     }
     return {
-        name: daemon(drive, None if model is None else model.model_dump(mode="json"))
+        name: daemon(drive, None if model is None else model.dump())
         for name, model in models.items()
     }
 

@@ -137,12 +137,12 @@ def driven(made: Drive, start: float, stop: float) -> float:
 
 def _driving(rows: Array) -> Array:
     """Seconds of driving so far (N,)."""
-    return np.asarray(np.cumsum(np.abs(np.nan_to_num(rows[:, tk.SPEED])) > MOVING) * 0.1)
+    return np.asarray(np.cumsum(np.abs(np.nan_to_num(rows[:, tk.SPEED.mean])) > MOVING) * 0.1)
 
 
 def _manoeuvres(rows: Array) -> Array:
     """Launches and brakings above 1 m/s^2 for half a second, counted (N,)."""
-    speed = np.nan_to_num(rows[:, tk.SPEED])
+    speed = np.nan_to_num(rows[:, tk.SPEED.mean])
     change = (speed[5:] - speed[:-5]) / 0.5
     hard = np.abs(change) > 1.0
     starts = hard & ~np.roll(hard, 1)

@@ -22,12 +22,10 @@ from imucald.core.errors import ImucaldError
 PROCESS_SETTINGS = {
     "OPENBLAS_NUM_THREADS": "1",  # matrices are small: threads cost more time than they save
     "OMP_NUM_THREADS": "1",
-    "PYDANTIC_DISABLE_PLUGINS": "__all__",  # none is used, and looking for them takes time
 }
-"""Set for this process, where the user has not; read when numpy and pydantic (which only the
-simulation uses) are imported."""
+"""Set for this process, where the user has not; read when numpy is imported."""
 
-LARGE_LIBRARIES = ("scipy", "pydantic")
+LARGE_LIBRARIES = ("scipy",)
 """Needed for simulation and diagnosis only: an installation on a vehicle may lack them."""
 
 GC_THRESHOLD = 50_000
@@ -103,9 +101,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"imucald: {error}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:
-        if error.name not in LARGE_LIBRARIES:
+        library = (error.name or "").partition(".")[0]
+        if library not in LARGE_LIBRARIES:
             raise
-        text = f"needs {error.name}, which is not installed here (the .deb leaves it out)"
+        text = f"needs {library}, which is not installed here (the .deb leaves it out)"
         print(f"imucald: {options.command} {text}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 
 from imucald.can.dbc.bits import Field
 from imucald.can.e2e.checksums import (
-    Checksum,
-    ChecksumSpec,
     crc8_j1850,
     e2e_profile_1,
     e2e_profile_2,
@@ -22,6 +20,7 @@ from imucald.can.e2e.checksums import (
     e2e_profile_11,
     xor_checksum,
 )
+from imucald.can.e2e.crc import Checksum, ChecksumSpec
 from imucald.core.errors import ConfigError
 
 MODES = ("both", "alternating", "low", "nibble")

@@ -137,7 +137,7 @@ def test_fuzzed_ids_neither_crash_nor_fill_the_memory(channel: str, other: Any) 
         frames = link.receive(1.0)
         while not frames:
             frames = link.receive(1.0)
-        assert len(link._fates) <= 4096
+        assert len(link._id_filter) <= 4096
     assert link.counters.foreign == 5000
 
 

@@ -4,9 +4,11 @@ import contextlib
 import gzip
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from imucald.can.logs import python_can_logs as foreign_logs
+from imucald.can.columns import FrameColumns
+from imucald.can.logs import log_reader, python_can_logs
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, IdMatch, LogReader
 from imucald.can.python_can import can
 from imucald.core.errors import LogError
@@ -115,8 +117,8 @@ def test_remote_and_error_frames_are_counted_but_not_passed_on(tmp_path: Path, n
 def test_filters_and_batches_are_those_of_candump(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(foreign_logs, "BATCH_FRAMES", 3)
-    monkeypatch.setattr(foreign_logs, "PROGRESS_FRAMES", 4)
+    monkeypatch.setattr(python_can_logs, "BATCH_FRAMES", 3)
+    monkeypatch.setattr(python_can_logs, "PROGRESS_FRAMES", 4)
     write(tmp_path / "a.blf", [message(f) for f in FRAMES])
     done: list[int] = []
     keep = [IdMatch(0x3E8, 0x7FF, "can1"), IdMatch(0x200, 0x7FF, "can0")]
@@ -202,9 +204,36 @@ def test_messages_that_cannot_have_been_frames_are_rejected(
         def __exit__(self, *details: object) -> None:
             pass
 
-    monkeypatch.setattr(foreign_logs, "_open", lambda _: Reader([good, *wrong, good]))
+    monkeypatch.setattr(python_can_logs, "_open", lambda _: Reader([good, *wrong, good]))
     (tmp_path / "a.blf").touch()
     reader = LogReader([tmp_path / "a.blf"])
     assert len(frames_of(*reader)) == 2
     assert reader.rejected == {"bad_timestamp": 1, "bad_id": 1, "too_long": 1, "bad_length": 1}
     assert reader.problems[0] == f"{tmp_path / 'a.blf'}: message 2: bad timestamp"
+
+
+def test_a_new_format_is_a_class_named_in_the_table_of_formats(tmp_path, monkeypatch):
+    class OneFrameReader:
+        endings = (".one",)
+
+        def __init__(self, filters, channels, statistics):
+            self.filters, self.channels, self.statistics = filters, channels, statistics
+
+        def read(self, path, report):
+            index = self.channels.index("can7")
+            if not self.filters.of("can7").wanted(0x123):
+                return
+            self.statistics.frames_read += 1
+            data = np.frombuffer(path.read_bytes(), np.uint8)[None]
+            t, ids = np.array([1.5]), np.array([0x123], np.uint32)
+            length, channel = np.array([8], np.uint8), np.array([index], np.uint8)
+            yield FrameColumns(t, ids, length, data, channel, self.channels.names)
+
+    monkeypatch.setattr(log_reader, "FORMATS", (*log_reader.FORMATS, OneFrameReader))
+    path = tmp_path / "a.one"
+    path.write_bytes(bytes(range(8)))
+    reader = LogReader([path], [IdMatch(0x123, 0x7FF)])
+    (columns,) = reader
+    assert (columns.t.tolist(), columns.data.tolist()) == ([1.5], [list(range(8))])
+    assert reader.frames_read == 1
+    assert list(LogReader([path], [IdMatch(0x124, 0x7FF)])) == []

@@ -24,9 +24,9 @@ from imucald.mount.estimate import MountEstimate, MountState
 from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine
 from imucald.simulation import random_model, simulate
-from imucald.simulation.bus_frames import BusEncoder, example_config
-from imucald.simulation.can_log import write_log
 from imucald.simulation.drive import Drive
+from imucald.traffic.can_log import write_log
+from imucald.traffic.encoder import BusEncoder, example_config
 
 MOUNT_DEG = (-20.0, 8.0, 120.0)
 

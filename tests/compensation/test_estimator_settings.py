@@ -101,5 +101,5 @@ def test_a_model_of_the_simulated_car_fits_its_bus():
     from imucald.runtime.session import open_config
 
     channels = compile_router(open_config(CONFIG)).channels
-    found = compensation_from_model(drive().model.model_dump())
+    found = compensation_from_model(drive().model.dump())
     assert not [note for note in found.notes_for(channels) if "needs" in note]

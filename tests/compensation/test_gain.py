@@ -46,7 +46,7 @@ def before_and_after(changes, seeds, own_mount=True) -> tuple[list[DriveErrors],
     for seed in seeds:
         drive = driven(seed, changes)
         for model, out in ((base(seed), before), (drive.model, after)):
-            compensation = compensation_from_model(model.model_dump())
+            compensation = compensation_from_model(model.dump())
             if own_mount:
                 found = corrected(drive, compensation)
             else:
@@ -104,14 +104,14 @@ def test_a_delay_that_the_model_has_wrong_is_still_found():
     """Nobody looked: the file says what a new file says, no delay."""
     drive = driven(31, {"speed.delay_s": 0.25})
     wrong = drive.model.with_changes({"speed.delay_s": 0.0})
-    found = corrected(drive, compensation_from_model(wrong.model_dump()))
+    found = corrected(drive, compensation_from_model(wrong.dump()))
     assert float(found.estimate.details["speed_delay"]) == pytest.approx(0.25, abs=0.05)
 
 
 def test_a_known_delay_of_speed_need_not_be_learnt():
     """The estimator sees signals of one time: what it would find as delay is nothing."""
     drive = driven(31, {"speed.delay_s": 0.4})
-    known = corrected(drive, compensation_from_model(drive.model.model_dump()))
+    known = corrected(drive, compensation_from_model(drive.model.dump()))
     unknown = corrected(drive, None)
     assert abs(float(known.estimate.details["speed_delay"])) < 0.03
     assert float(unknown.estimate.details["speed_delay"]) > 0.3
@@ -121,7 +121,7 @@ def test_a_known_delay_of_speed_need_not_be_learnt():
 def test_nothing_of_the_noise_is_made_louder():
     """Single samples, vibration and all: with lever arm and leaning no axis is worse."""
     drive = driven(31, {"mount.lever_arm_m": [1.5, 0.3, 0.5]})
-    data = drive.model.model_dump()
+    data = drive.model.dump()
     bare = {**data, "mount": {}, "suspension": {}}
     force, rate = true_signals(drive.truth, True)
     R = drive.truth.R_vehicle_from_sensor()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -174,7 +175,8 @@ def test_a_changed_model_is_taken_on_reload_and_the_mount_goes_on_as_restored(be
     bench.model("accel: {bias: [0.3, 0, 0]}\nspeed: {scale: 0.01}\n")
     service.reload()
     engine = service.engine
-    assert engine.stages.compensation.terms.accel.bias == (0.3, 0.0, 0.0)
+    taken, _ = engine.stages.frame(0.0, [("accel", (1.0, 0.0, 9.8))], Counter())
+    assert taken == [("accel", (0.7, 0.0, 9.8))]
     assert engine.pipeline.estimator is not before
     assert isinstance(engine.pipeline.estimator, RestoredEstimator)
     assert engine.pipeline.quality == 1

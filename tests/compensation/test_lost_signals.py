@@ -42,7 +42,7 @@ def test_a_lost_accelerometer_makes_a_leaning_body_no_moved_sensor(lost, seconds
     model, drive = leaning_drive()
     starts = np.arange(200.0, 60.0 * MINUTES - 20.0, 40.0)
     samples = without(drive.samples, lost, starts, seconds)
-    compensation = compensation_from_model(model.model_dump(mode="json"))
+    compensation = compensation_from_model(model.dump())
     estimate = corrected_drive(samples, compensation).estimate
     assert estimate is not None
     assert estimate.details["shifts"] == []

@@ -8,10 +8,8 @@ import typing
 from pathlib import Path
 
 import pytest
-from pydantic import BaseModel
 
 from imucald.compensation import compensation_from_model
-from imucald.compensation.known_keys import KNOWN, OTHERS
 from imucald.core.errors import ConfigError
 from imucald.simulation import Model, random_model
 from simulated_bus import CONFIG
@@ -25,23 +23,12 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-def test_the_names_of_all_keys_are_those_of_the_simulation():
-    sections = {}
-    for name, field in Model.model_fields.items():
-        kind = field.annotation
-        if isinstance(kind, type) and issubclass(kind, BaseModel) and name not in OTHERS:
-            sections[name] = frozenset(kind.model_fields)
-        else:
-            assert name in OTHERS, name
-    assert sections == KNOWN
-
-
 def test_a_written_model_is_read_without_a_word_about_unknown_keys(tmp_path):
     for seed in range(5):
         model = random_model(seed, "mixed")
         found = compensation_from_model(written(tmp_path, model.to_yaml()))
         assert not [note for note in found.notes_for(ALL) if "not known" in note]
-        assert found.terms == compensation_from_model(model.model_dump()).terms
+        assert found.terms == compensation_from_model(model.dump()).terms
 
 
 def test_what_is_left_out_stays_in_the_signals(tmp_path):
@@ -69,16 +56,17 @@ def test_switches_are_obeyed(tmp_path):
 @pytest.mark.parametrize(
     ("text", "place", "reason"),
     [
-        ("accel:\n  bias: [1, 2]\n", ":2: accel.bias", "list of 3 numbers"),
-        ("accel:\n  bias: [1, 2, x]\n", ":2: accel.bias", "is a number"),
-        ("accel:\n  bias: [1, 2, true]\n", ":2: accel.bias", "is a number"),
+        ("accel:\n  bias: [1, 2]\n", ":2: accel.bias", "list of length 3"),
+        ("accel:\n  bias: [1, 2, x]\n", ":2: accel.bias[2]", "must be a number"),
+        ("accel:\n  bias: [1, 2, true]\n", ":2: accel.bias[2]", "must be a number"),
         ("accel:\n\n  scale: [0, -0.9, 0]\n", ":3: accel.scale", "gain that can be undone"),
         ("gyro: 3\n", ":1: gyro", "mapping"),
         ("- 1\n", ":1:", "mapping"),
-        ("speed: {scale: .nan}\n", ":1: speed.scale", "between"),
+        ("speed: {scale: .nan}\n", ":1: speed.scale", "finite"),
         ("mount:\n  lever_arm_m: [0, 99, 0]\n", ":2: mount.lever_arm_m", "longer"),
         ("suspension: {body_roll: 1}\n", ":1: suspension.body_roll", "true or false"),
-        ("accel: {delay_s: -1}\n", ":1: accel.delay_s", "between 0 and 2"),
+        ("accel: {delay_s: -1}\n", ":1: accel.delay_s", "at least 0"),
+        ("gyro: {bias: [0, 99, 0]}\n", ":1: gyro.bias", "between -20 and 20"),
         ("wheel_speeds: {scale: [0, 0, 0, -1]}\n", ":1: wheel_speeds.scale", "no error"),
         ("accel: {bias: [1, 2\n", ":2", "YAML"),
     ],
@@ -139,7 +127,7 @@ import sys
 from pathlib import Path
 from imucald.runtime.session import make_engine, open_config
 make_engine(open_config(Path(sys.argv[1])))
-print(*(name for name in ("scipy", "imucald.simulation", "imucald.compensation", "pydantic")
+print(*(name for name in ("scipy", "imucald.simulation", "imucald.compensation")
         if name in sys.modules))
 """
     for name, loaded in (("plain", ""), ("with", "imucald.compensation")):

@@ -41,14 +41,14 @@ def test_all_channels_are_of_one_time(accel, gyro, speed, yaw, speed_rate):
     # what the estimator takes as the instant of each mean, and what the mean says of it
     behind = [
         rows[:, tk.T] - rows[:, age] - rows[:, value] / SLOPE
-        for value, age in ((tk.ACCEL_X, tk.ACCEL_AGE), (tk.GYRO_Y, tk.GYRO_AGE),
-                           (tk.SPEED, tk.SPEED_AGE))
+        for value, age in ((tk.ACCEL.x, tk.ACCEL.age), (tk.GYRO.y, tk.GYRO.age),
+                           (tk.SPEED.mean, tk.SPEED.age))
     ]  # fmt: skip
-    behind.append(rows[:, tk.T] - 0.05 - rows[:, tk.YAW_RATE] / SLOPE)
+    behind.append(rows[:, tk.T] - 0.05 - rows[:, tk.YAW_RATE.mean] / SLOPE)
     for channel in behind[1:3]:
         np.testing.assert_allclose(channel, behind[0], atol=2e-3)
     np.testing.assert_allclose(behind[3], behind[0], atol=6e-3)  # it states no age
-    ages = rows[:, [tk.ACCEL_AGE, tk.GYRO_AGE, tk.SPEED_AGE]]
+    ages = rows[:, [tk.ACCEL.age, tk.GYRO.age, tk.SPEED.age]]
     assert (np.abs(ages) <= 0.1001).all(), "older ones count as impossible"
 
 
@@ -68,9 +68,9 @@ def test_a_jump_of_time_joins_nothing():
     row = ticks_from_samples({"accel": ramp(0.0, 100.0, 3)}, 3, 4)[0].tolist()
     for _ in range(6):
         filled = retiming.row(row)
-    assert filled[tk.ACCEL_N] == 10
+    assert filled[tk.ACCEL.n] == 10
     retiming.gap()
-    assert retiming.row(row)[tk.ACCEL_N] == 0
+    assert retiming.row(row)[tk.ACCEL.n] == 0
 
 
 def test_flags_and_temperature_keep_their_place():

@@ -66,7 +66,7 @@ EXACT = {
 def flawed(changes) -> tuple[dict[str, Series], dict[str, Series]]:
     model = flawless().with_changes(changes)
     raw = simulate(model, 5, 2.0).samples
-    return raw, compensation_from_model(model.model_dump()).samples(raw)
+    return raw, compensation_from_model(model.dump()).samples(raw)
 
 
 @pytest.mark.parametrize("channel", sorted(EXACT))
@@ -95,7 +95,7 @@ def test_without_a_temperature_the_drift_is_left():
     raw, _ = flawed({"accel.bias_temperature": [0.02, 0, 0]})
     cold = {c: s for c, s in raw.items() if c != "temperature"}
     model = flawless().with_changes({"accel.bias_temperature": [0.02, 0, 0]})
-    found = compensation_from_model(model.model_dump()).samples(cold)
+    found = compensation_from_model(model.dump()).samples(cold)
     assert np.array_equal(found["accel"].values, raw["accel"].values)
 
 

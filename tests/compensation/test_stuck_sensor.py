@@ -34,7 +34,7 @@ def test_terms_that_change_from_sample_to_sample_do_not_make_a_stuck_sensor_move
             frozen += 1
     assert frozen >= 2
     samples = {**drive.samples, channel: Series(sensor.t, values)}
-    compensation = compensation_from_model(model.model_dump(mode="json"))
+    compensation = compensation_from_model(model.dump())
     estimate = corrected_drive(samples, compensation).estimate
     assert estimate is not None
     counted = estimate.details["frozen_ticks"]

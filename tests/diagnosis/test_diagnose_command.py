@@ -274,13 +274,13 @@ def test_a_wrong_model_file_is_told_with_its_line(asked, said, log, tmp_path):
 
 def test_an_installation_without_scipy_says_so(log):
     code = (
-        "import sys; sys.modules['pydantic'] = None; from imucald import cli; "
+        "import sys; sys.modules['scipy'] = None; from imucald import cli; "
         f"sys.exit(cli.main(['diagnose', {str(log)!r}, '--config', {CONFIG!r}]))"
     )
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("imucald: diagnose needs pydantic, which is not installed")
+    assert done.stderr.startswith("imucald: diagnose needs scipy, which is not installed")
     assert done.stderr.count("\n") == 1
 
 

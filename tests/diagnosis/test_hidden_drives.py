@@ -157,7 +157,7 @@ def test_road_is_as_rough_and_steep_as_asked() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_honest_drive_is_within_the_tolerances(seed: int) -> None:
     d = hidden_drive(seed, minutes=2.0)
-    model = model_from_mapping(dict(d.model), "baseline").model_dump()
+    model = model_from_mapping(dict(d.model), "baseline").dump()
     for key, value in d.parameters.items():
         head, _, tail = key.partition(".")
         bound = TOLERANCES.get(key, TOLERANCES.get(key.rpartition(".")[0]))

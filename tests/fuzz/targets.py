@@ -132,7 +132,7 @@ def saved_dtcs(data: bytes) -> None:
     """A file of saved trouble codes under a right checksum, restored into the memory."""
     path = FOLDER / "dtcs"
     path.write_bytes(f"{dtc_store.MAGIC} {hashlib.sha256(data).hexdigest()}\n".encode() + data)
-    keeper = dtc_store.TroubleKeeper(path, lambda _line: None)
+    keeper = dtc_store.DtcStore(path, lambda _line: None)
     keeper.close()
     for file in FOLDER.glob("dtcs*"):
         file.unlink()
@@ -140,7 +140,7 @@ def saved_dtcs(data: bytes) -> None:
 
 def isotp_frames(data: bytes) -> None:
     """Frames of a tester, cut from the bytes, through transport and server."""
-    from uds_subject import Bench
+    from uds_host import Bench
 
     bench = Bench()
     channel = IsoTpChannel(0x7E0, 0x7E8, 0x7DF, bench.server.handle, bench.clock)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import binascii
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import e2e
 import pytest
 
 from engine_bus import load
+from imucald.can.e2e import checksums
+from imucald.can.e2e.crc import ChecksumSpec
 from imucald.inputs.wiring import compile_router
 
 SIZE = 20
@@ -136,3 +139,21 @@ def test_silence_is_a_fault_after_the_configured_cycles(
     for t in (1.0, 1.0 + late):
         router.frame(t, 256, bytes(SIZE))
     assert dict(router.rejected) == rejected
+
+
+def test_a_new_kind_of_checksum_is_one_entry_in_the_table_of_kinds(tmp_path, monkeypatch) -> None:
+    """CRC-16 XMODEM in the last two bytes, low byte first, against the standard library's."""
+
+    def xmodem(message, options):
+        return ChecksumSpec(message.length, message.length - 2, 2, checksums.CCITT_POLYNOMIAL)
+
+    known = {**checksums.KINDS, "crc16_xmodem": checksums.ChecksumKind(xmodem)}
+    monkeypatch.setattr("imucald.inputs.protection_settings.KINDS", known)
+    frames = []
+    for k in range(5):
+        payload = bytes([k]) * (SIZE - 2)
+        frames.append(payload + binascii.crc_hqx(payload, 0).to_bytes(2, "little"))
+    message = "checksum: {kind: crc16_xmodem}, recover_after: 0"
+    assert outcome(tmp_path, message, frames) == (5, {})
+    frames[2] = bytes(SIZE - 1) + b"1"
+    assert outcome(tmp_path, message, frames) == (4, {"checksum": 1})

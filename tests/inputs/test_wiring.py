@@ -78,9 +78,13 @@ MISTAKES = {
         "messages:\n  ACC: {counter: {signal: ACNT, modulus: 17}}  # here",
         ["messages.ACC", "4 bits do not count 17 values"],
     ),
+    "checksum of no known kind": (
+        "messages:\n  ACC: {checksum: {kind: crc9}}  # here",
+        ["messages.ACC", "no checksum is of kind 'crc9'", "none, xor, crc8_j1850, e2e_p1"],
+    ),
     "checksum without signal": (
         "messages:\n  ACC: {checksum: {kind: xor}}  # here",
-        ["checksum xor needs 'signal:'"],
+        ["checksum xor: needs 'signal:'"],
     ),
     "checksum in a nibble": (
         "messages:\n  ACC: {checksum: {kind: xor, signal: ACNT}}  # here",
@@ -88,7 +92,7 @@ MISTAKES = {
     ),
     "data id": (
         "messages:\n  ACC: {checksum: {kind: e2e_p1}}  # here",
-        ["E2E profile 1 needs 'data_id:'"],
+        ["checksum e2e_p1: needs 'data_id:'"],
     ),
     "output id": (
         "output:\n  ids: {health: 0x100}  # here",

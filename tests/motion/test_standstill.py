@@ -12,7 +12,7 @@ from imucald.motion.standstill import (
     is_static,
     static_windows,
 )
-from imucald.motion.ticks import ACCEL_BAD, ticks_from_samples
+from imucald.motion.ticks import ACCEL, ticks_from_samples
 
 G = 9.80665
 
@@ -96,7 +96,7 @@ def test_too_few_samples_make_no_window() -> None:
 
 def test_a_rejected_sample_breaks_the_window() -> None:
     rows = rest_ticks(3.5, 0.1)
-    rows[15][ACCEL_BAD] = 1.0
+    rows[15][ACCEL.bad] = 1.0
     assert windows(StandstillDetector(StaticTestSettings()), rows, True) == []
 
 

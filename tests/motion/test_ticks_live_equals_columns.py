@@ -9,14 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucald.core.samples import CHANNEL_WIDTH, Series
-from imucald.motion.ticks import (
-    ACCEL_AGE,
-    ACCEL_MIN_X,
-    COLUMNS,
-    TickAccumulator,
-    tick_index,
-    ticks_from_samples,
-)
+from imucald.motion.ticks import ACCEL, COLUMNS, TickAccumulator, tick_index, ticks_from_samples
 
 VALUE = st.floats(-1e6, 1e6, allow_nan=False) | st.sampled_from([0.0, -0.0, 1 / 3, 9.80665])
 TIME = st.floats(0.0, 1.2, allow_nan=False) | st.integers(0, 12).map(lambda k: k / 10.0)
@@ -61,7 +54,7 @@ def accumulated(samples: dict[str, Series], bad: dict[str, np.ndarray], n: int) 
 def bits(rows: np.ndarray) -> list[bytes]:
     """Doubles as bytes, every NaN alike; in minima and maxima also both zeros, which are equal."""
     row = rows.copy()
-    row[:, ACCEL_MIN_X:ACCEL_AGE] += 0.0
+    row[:, ACCEL.min_x : ACCEL.age] += 0.0
     return [b"nan" if x != x else struct.pack("<d", x) for x in row.ravel().tolist()]  # noqa: PLR0124
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from imucald.core.rotations import rotation_from_angles, rotation_from_vector
 from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import empty_rows
 from imucald.mount import evidence_spectra as sp
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
@@ -18,7 +19,7 @@ from imucald.mount.fusion import CommonCovariance, CommonError, fuse
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.offsets import Offsets
 from imucald.mount.road_segments import AngleEvidence
-from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlockMaker, empty_rows
+from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlockMaker
 from imucald.mount.steering import SteeringOffsetEstimator
 from signal_block import block
 

@@ -11,17 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucald.core.rotations import vector_from_rotation
-from imucald.motion.ticks import (
-    ACCEL_BAD,
-    ACCEL_X,
-    ACCEL_Z,
-    BRAKE,
-    REVERSE,
-    SPEED,
-    SPEED_BAD,
-    SPEED_N,
-    T,
-)
+from imucald.motion.ticks import ACCEL, BRAKE, REVERSE, SPEED, T
 from imucald.mount.estimate import Missing, MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
@@ -147,7 +137,7 @@ def test_a_planar_accelerometer_is_level_and_needs_no_stop() -> None:
     mount = Rotation.from_euler("Z", 0.8)
     ticks = Drive(minutes=8, seed=3, mount=mount).ticks("gyro", "steering", "brake")
     for row in ticks:
-        for i in range(ACCEL_Z, ACCEL_Z + 12, 3):
+        for i in range(ACCEL.z, ACCEL.z + 12, 3):
             row[i] = math.nan
     estimate = run(ticks, PublishedSettings(planar=True))
     assert estimate.state >= MountState.USABLE
@@ -218,8 +208,8 @@ def test_nothing_is_learnt_while_samples_are_rejected(rows: Rows) -> None:
     before = estimator.estimate()
     for row in rows[3000:]:
         damaged = list(row)
-        damaged[ACCEL_BAD] = 3.0
-        damaged[ACCEL_X] += 4.0
+        damaged[ACCEL.bad] = 3.0
+        damaged[ACCEL.x] += 4.0
         estimator.step(damaged)
     after = estimator.estimate()
     assert np.array_equal(before.R_vehicle_from_sensor, after.R_vehicle_from_sensor)
@@ -233,13 +223,13 @@ def test_scattered_bad_samples_and_implausible_forces_do_no_harm(rows: Rows) -> 
         new = list(row)
         kind = rng.random()
         if kind < 0.02:
-            new[ACCEL_BAD] = 1.0
-            new[ACCEL_X : ACCEL_X + 3] = rng.normal(0, 30, 3).tolist()
+            new[ACCEL.bad] = 1.0
+            new[ACCEL.x : ACCEL.x + 3] = rng.normal(0, 30, 3).tolist()
         elif kind < 0.03:
-            new[ACCEL_X : ACCEL_X + 3] = [rng.choice([1e6, math.inf, math.nan, 0.0])] * 3
+            new[ACCEL.x : ACCEL.x + 3] = [rng.choice([1e6, math.inf, math.nan, 0.0])] * 3
         elif kind < 0.05:
-            new[SPEED_BAD] = 1.0
-            new[SPEED] = 60.0
+            new[SPEED.bad] = 1.0
+            new[SPEED.mean] = 60.0
         damaged.append(new)
     assert abs(error_deg(run(damaged))[2]) < 1.0
 
@@ -247,7 +237,7 @@ def test_scattered_bad_samples_and_implausible_forces_do_no_harm(rows: Rows) -> 
 def test_a_stuck_accelerometer_teaches_nothing(rows: Rows) -> None:
     stuck = [list(row) for row in rows]
     for row in stuck[100:]:
-        row[ACCEL_X : ACCEL_X + 12] = stuck[100][ACCEL_X : ACCEL_X + 6] + stuck[100][2:5] * 2
+        row[ACCEL.x : ACCEL.x + 12] = stuck[100][ACCEL.x : ACCEL.x + 6] + stuck[100][2:5] * 2
     estimate = run(stuck)
     assert estimate.state < MountState.USABLE
 
@@ -273,7 +263,7 @@ def test_speed_that_comes_and_goes_is_survived(rows: Rows) -> None:
     patchy = [list(row) for row in rows]
     for k, row in enumerate(patchy):
         if (k // 150) % 2:
-            row[SPEED_N], row[SPEED] = 0.0, math.nan
+            row[SPEED.n], row[SPEED.mean] = 0.0, math.nan
     estimate = run(patchy)
     assert abs(error_deg(estimate)[2]) < 1.5
 

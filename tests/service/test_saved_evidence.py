@@ -13,7 +13,7 @@ from imucald.can.columns import FrameColumns
 from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.engine import Engine
 from imucald.runtime.session import make_engine
-from imucald.service.calibration_store import StateKeeper
+from imucald.service.calibration_store import CalibrationStore
 from imucald.service.journal import WARNING
 from imucald.service.reload import behind_the_known
 from imucald.service.state import StateStore
@@ -31,8 +31,8 @@ class Told:
         self.folder = folder
         self.warnings: list[str] = []
 
-    def keeper(self) -> StateKeeper:
-        return StateKeeper(StateStore(self.folder, KEY), self._say, period=0.0)
+    def keeper(self) -> CalibrationStore:
+        return CalibrationStore(StateStore(self.folder, KEY), self._say, period=0.0)
 
     def _say(self, text: str, priority: int) -> None:
         if priority <= WARNING:

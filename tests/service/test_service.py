@@ -219,7 +219,7 @@ def test_a_state_that_cannot_be_written_is_told_once_and_stops_nothing(bench):
     bench.drive(service)
     for _ in range(3):
         service._every_second(time.monotonic())
-        service.keeper.writer.flush(2.0)
+        service.calibration_store.writer.flush(2.0)
     service._every_second(time.monotonic())
     saved = service.status()["saved_state"]
     assert saved["failures"] >= 2
@@ -234,17 +234,17 @@ def test_an_estimate_that_does_not_change_is_saved_once(bench):
     bench.drive(service)
     for _ in range(3):
         service._every_second(time.monotonic())
-        assert service.keeper.writer.flush(2.0)
+        assert service.calibration_store.writer.flush(2.0)
     assert service.status()["saved_state"]["saves"] == 1
     service.close()
-    assert service.keeper.writer.saves == 1
+    assert service.calibration_store.writer.saves == 1
 
 
 def test_a_disk_that_hangs_does_not_hold_the_loop_or_the_stop(bench, monkeypatch):
     service = bench.service()
     bench.drive(service)
     release = threading.Event()
-    monkeypatch.setattr(service.keeper.store, "save", lambda _: release.wait(10.0))
+    monkeypatch.setattr(service.calibration_store.store, "save", lambda _: release.wait(10.0))
     began = time.monotonic()
     service._every_second(began)
     assert time.monotonic() - began < 0.2
@@ -472,3 +472,22 @@ def test_a_status_socket_that_nobody_asked_for_is_no_reason_not_to_start(bench):
     service = Service(dataclasses.replace(options, socket_needed=False), Journal(bench.log))
     assert "going on without" in bench.log.getvalue()
     service.close()
+
+
+def test_a_save_that_fails_for_any_reason_is_seen_and_made_up_for(bench, monkeypatch):
+    service = bench.service()
+    bench.drive(service)
+    store = service.calibration_store
+    with monkeypatch.context() as broken:
+        broken.setattr(store.store, "save", lambda _: float("no number"))
+        service._every_second(time.monotonic())
+        assert not store.writer.flush(2.0)
+        service._every_second(time.monotonic())
+        saved = service.status()["saved_state"]
+    assert saved["last_error"].startswith("ValueError: could not convert")
+    assert saved["failures"] > 0
+    assert "cannot be saved: ValueError" in bench.log.getvalue()
+    assert store.writer.flush(5.0), "the same state, once the reason is gone"
+    assert service.status()["saved_state"]["last_error"] == ""
+    service.close()
+    assert store.store.load().state is not None

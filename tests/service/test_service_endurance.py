@@ -77,8 +77,8 @@ def drive(folder: Path) -> dict[str, Any]:
                 now[0] = start + k + 1.0
                 service._chores(now[0])
             now[0] = start + length
-        assert service.keeper is not None
-        assert service.keeper.writer.flush(5.0)
+        assert service.calibration_store is not None
+        assert service.calibration_store.writer.flush(5.0)
         gc.collect()
         return process_figures()
 
@@ -86,8 +86,8 @@ def drive(folder: Path) -> dict[str, Any]:
     after = drive_until(WARM_UP_S + MEASURED_S)
     quality = service.engine.pipeline.quality
     service.close()
-    assert service.keeper is not None
-    saves = service.keeper.writer.saves
+    assert service.calibration_store is not None
+    saves = service.calibration_store.writer.saves
     return {"before": before, "after": after, "quality": quality, "saves": saves}
 
 

@@ -1,4 +1,4 @@
-"""Trouble codes: when they are set, their status bits over tests, clearing, runs and restarts."""
+"""Dtc codes: when they are set, their status bits over tests, clearing, runs and restarts."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import pytest
 from imucald.uds.dtc import (
     CHECKSUM_FAILING,
     COUNTER_FAILING,
+    DTCS,
     GYROSCOPE_MISSING,
     ID_CONFLICT,
     NOT_CALIBRATED,
     SENSOR_MOVED,
     SPEED_MISSING,
     STATE_CORRUPT,
-    TROUBLES,
 )
-from imucald.uds.dtc_memory import TroubleMemory
-from imucald.uds.host import Counts, Symptoms
-from uds_subject import Bench
+from imucald.uds.dtc_memory import DtcMemory
+from imucald.uds.host import FrameCounts, Symptoms
+from uds_host import Bench
 
 UNTESTED = 0x50
 PASSED = 0x00
@@ -29,8 +29,8 @@ OVER = 0x2E
 class Run:
     """A memory that is updated every 0.2 s with symptoms that can be changed."""
 
-    def __init__(self, memory: TroubleMemory | None = None) -> None:
-        self.memory = memory or TroubleMemory()
+    def __init__(self, memory: DtcMemory | None = None) -> None:
+        self.memory = memory or DtcMemory()
         self.now = 100.0
         self.facts: dict[str, object] = {"usable": True, "moved": False, "missing": {}}
         self.used, self.conflicts = 0, 0
@@ -42,23 +42,23 @@ class Run:
         for _ in range(round(seconds / 0.2)):
             self.now += 0.2
             self.used += self.used_per_step
-            counts = Counts(used=self.used, conflicts=self.conflicts, faults=dict(self.faults))
+            counts = FrameCounts(used=self.used, conflicts=self.conflicts, faults=dict(self.faults))
             self.memory.update(self.now, Symptoms(**self.facts, counts=counts))
 
-    def status(self, trouble) -> int:
-        return int(self.memory.find(trouble.number).status)
+    def status(self, dtc) -> int:
+        return int(self.memory.find(dtc.number).status)
 
 
 def test_nothing_is_known_before_the_first_test():
-    assert {int(record.status) for _, record in TroubleMemory()} == {UNTESTED}
+    assert {int(record.status) for _, record in DtcMemory()} == {UNTESTED}
 
 
 def test_all_is_well():
     run = Run()
     run.go(11.0, missing={"accelerometer": False, "gyroscope": False, "speed": False})
-    for trouble, record in run.memory:
-        expected = UNTESTED if trouble is STATE_CORRUPT else PASSED
-        assert record.status == expected, trouble.name
+    for dtc, record in run.memory:
+        expected = UNTESTED if dtc is STATE_CORRUPT else PASSED
+        assert record.status == expected, dtc.name
 
 
 def test_not_calibrated_is_pending_at_first_and_confirmed_after_twenty_minutes():
@@ -95,7 +95,7 @@ def test_missing_inputs_each_have_their_code():
 
 
 @pytest.mark.parametrize(
-    ("trouble", "reason"),
+    ("dtc", "reason"),
     [
         (CHECKSUM_FAILING, "checksum"),
         (COUNTER_FAILING, "counter_repeated"),
@@ -104,24 +104,24 @@ def test_missing_inputs_each_have_their_code():
         (COUNTER_FAILING, "counter_invalid"),
     ],
 )
-def test_faults_of_frames_set_their_code_when_three_come_together(trouble, reason):
+def test_faults_of_frames_set_their_code_when_three_come_together(dtc, reason):
     run = Run()
     run.go(11.0)
     for _ in range(2):
         run.faults[reason] = run.faults.get(reason, 0) + 1
         run.go()
-    assert run.status(trouble) == PASSED, "two are noise"
+    assert run.status(dtc) == PASSED, "two are noise"
     run.go(12.0)
     run.faults[reason] += 1
     run.go(1.0)
-    assert run.status(trouble) == PASSED, "the earlier ones are long ago"
+    assert run.status(dtc) == PASSED, "the earlier ones are long ago"
     run.faults[reason] += 2
     run.go()
-    assert run.status(trouble) == FAILING
+    assert run.status(dtc) == FAILING
     run.go(9.0)
-    assert run.status(trouble) == FAILING
+    assert run.status(dtc) == FAILING
     run.go(3.0)
-    assert run.status(trouble) == OVER
+    assert run.status(dtc) == OVER
 
 
 def test_faults_before_the_first_look_count():
@@ -212,16 +212,16 @@ def test_a_confirmed_code_is_let_go_after_forty_good_runs():
     "saved", [[], [1, 2], [1, 2, "3"], [300, 0, 0], [0x80, 0, 0], [1, -1, 0], [True, 0, 0], None, 7]
 )
 def test_a_saved_record_that_makes_no_sense_is_passed_by(saved):
-    memory = TroubleMemory()
+    memory = DtcMemory()
     memory.restore({f"{SENSOR_MOVED.number:06X}": saved, "zzz": [0, 0, 0]})
     assert memory.find(SENSOR_MOVED.number).status == UNTESTED
 
 
 def test_codes_are_shown_as_a_tester_shows_them():
-    shown = {t.name: t.display for t in TROUBLES}
+    shown = {t.name: t.display for t in DTCS}
     assert shown["not_calibrated"] == "C1A10-54"
     assert shown["checksum_failing"] == "U1A10-83"
-    assert len({t.number for t in TROUBLES}) == len(TROUBLES)
+    assert len({t.number for t in DTCS}) == len(DTCS)
 
 
 # as the services tell them -----------------------------------------------------------------------
@@ -229,8 +229,8 @@ def test_codes_are_shown_as_a_tester_shows_them():
 
 def told(**facts) -> Bench:
     bench = Bench()
-    given = {"usable": True, "moved": False, "missing": {}, "counts": Counts(), **facts}
-    bench.server.troubles.update(0.0, Symptoms(**given))
+    given = {"usable": True, "moved": False, "missing": {}, "counts": FrameCounts(), **facts}
+    bench.server.dtcs.update(0.0, Symptoms(**given))
     return bench
 
 

@@ -1,4 +1,4 @@
-"""Trouble codes outlive the daemon, whatever becomes of their file."""
+"""Dtc codes outlive the daemon, whatever becomes of their file."""
 
 from __future__ import annotations
 
@@ -6,31 +6,34 @@ from pathlib import Path
 
 import pytest
 
-from imucald.service.dtc_store import MAX_BYTES, TroubleKeeper
+from imucald.service.dtc_store import MAX_BYTES, DtcStore
 from imucald.uds.dtc import NOT_CALIBRATED, SENSOR_MOVED
-from imucald.uds.host import Counts, Symptoms
+from imucald.uds.host import FrameCounts, Symptoms
 from uds_bus import UdsBench, asking, with_diagnostics
-from uds_subject import Clock
+from uds_host import Clock
 
 
 class Kept:
-    """Keepers of one file, one after the other."""
+    """Stores of one file, one after the other."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "state" / "car.troubles"
         self.clock = Clock()
-        self.said: list[str] = []
+        self.lines: list[str] = []
 
-    def keeper(self) -> TroubleKeeper:
-        return TroubleKeeper(self.path, self.said.append, self.clock)
+    def store(self) -> DtcStore:
+        return DtcStore(self.path, self._say, self.clock)
+
+    def _say(self, text: str, priority: int) -> None:
+        self.lines.append(text)
 
 
-def fail(keeper: TroubleKeeper, moved: bool = True) -> None:
-    keeper.memory.update(0.0, Symptoms(usable=True, moved=moved, missing={}, counts=Counts()))
+def fail(store: DtcStore, moved: bool = True) -> None:
+    store.memory.update(0.0, Symptoms(usable=True, moved=moved, missing={}, counts=FrameCounts()))
 
 
-def status(keeper: TroubleKeeper, trouble=SENSOR_MOVED) -> int:
-    return int(keeper.memory.find(trouble.number).status)
+def status(store: DtcStore, dtc=SENSOR_MOVED) -> int:
+    return int(store.memory.find(dtc.number).status)
 
 
 @pytest.fixture
@@ -39,34 +42,34 @@ def kept(tmp_path) -> Kept:
 
 
 def test_codes_come_back_as_of_an_earlier_run(kept):
-    first = kept.keeper()
+    first = kept.store()
     fail(first)
     first.close()
-    second = kept.keeper()
+    second = kept.store()
     assert status(second) == 0x6C, "pending, confirmed, failed since clearing; not tested yet"
     assert second.memory.find(SENSOR_MOVED.number).occurrences == 1
-    assert kept.said == []
+    assert kept.lines == []
 
 
 def test_they_are_written_when_they_change_and_not_too_often(kept):
-    keeper = kept.keeper()
-    keeper.update()
+    store = kept.store()
+    store.update()
     assert not kept.path.exists()
-    fail(keeper)
-    keeper.update()
-    keeper._writer.flush(5.0)
+    fail(store)
+    store.update()
+    store.writer.flush(5.0)
     written = kept.path.read_bytes()
-    fail(keeper, moved=False)
+    fail(store, moved=False)
     kept.clock.now += 9.0
-    keeper.update()
-    keeper._writer.flush(5.0)
+    store.update()
+    store.writer.flush(5.0)
     assert kept.path.read_bytes() == written
     kept.clock.now += 2.0
-    keeper.update()
-    keeper._writer.flush(5.0)
+    store.update()
+    store.writer.flush(5.0)
     assert kept.path.read_bytes() != written
     assert list(kept.path.parent.iterdir()) == [kept.path], "no temporary file is left"
-    keeper.close()
+    store.close()
 
 
 @pytest.mark.parametrize(
@@ -81,42 +84,42 @@ def test_they_are_written_when_they_change_and_not_too_often(kept):
         lambda _: b"\xff" * 500,
     ],
 )
-def test_a_damaged_file_is_set_aside_and_said(kept, damage):
-    first = kept.keeper()
+def test_a_damaged_file_is_set_aside_and_reported(kept, damage):
+    first = kept.store()
     fail(first)
     first.close()
     damaged = damage(kept.path.read_bytes())
     for number in (1, 2):
         kept.path.write_bytes(damaged)
-        again = kept.keeper()
+        again = kept.store()
         assert status(again) == 0x50
         aside = kept.path.with_name(f"car.troubles.corrupt.{number}")
         assert aside.read_bytes() == damaged
-        assert "damaged" in kept.said[-1]
+        assert "damaged" in kept.lines[-1]
     fail(again)
     again.close()
-    assert status(kept.keeper()) == 0x6C, "and begun anew"
+    assert status(kept.store()) == 0x6C, "and begun anew"
 
 
-def test_a_folder_that_cannot_be_written_is_said_once(kept):
+def test_a_folder_that_cannot_be_written_is_reported_once(kept):
     kept.path.parent.write_text("a file where a folder should be")
-    keeper = kept.keeper()
+    store = kept.store()
     for moved in (True, False, True):
-        fail(keeper, moved)
-        keeper.update()
-        keeper._writer.flush(5.0)
+        fail(store, moved)
+        store.update()
+        store.writer.flush(5.0)
         kept.clock.now += 20.0
-    keeper.close()
-    assert len([line for line in kept.said if "cannot be saved" in line]) == 1
-    assert status(keeper) == 0x2F
+    store.close()
+    assert len([line for line in kept.lines if "cannot be saved" in line]) == 1
+    assert status(store) == 0x2F
 
 
 def test_without_a_folder_they_are_kept_in_memory():
-    keeper = TroubleKeeper(None, print)
-    fail(keeper)
-    keeper.update()
-    keeper.close()
-    assert status(keeper) == 0x2F
+    store = DtcStore(None, print)
+    fail(store)
+    store.update()
+    store.close()
+    assert status(store) == 0x2F
 
 
 def test_a_tester_finds_the_codes_of_the_last_run(tmp_path):
@@ -124,9 +127,7 @@ def test_a_tester_finds_the_codes_of_the_last_run(tmp_path):
     with UdsBench(tmp_path, config) as bench:
         bench.play(1.0)
         bench.send(0x640, bytes(8))
-        bench.wait_for(
-            lambda: bool(bench.service.diagnostics.server.troubles.find(0xDA1181).status & 0x08)
-        )
+        bench.wait_for(lambda: bool(bench.service.uds.server.dtcs.find(0xDA1181).status & 0x08))
     with UdsBench(tmp_path, config) as bench, asking(bench.tester_bus) as client:
         found = client.get_dtc_by_status_mask(0x08).service_data.dtcs
         assert 0xDA1181 in {d.id for d in found}

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucald.uds.isotp_channel import FRAMES_AT_ONCE, MAX_REQUEST, IsoTpChannel
-from uds_subject import Bench, Clock
+from uds_host import Bench, Clock
 
 REQUEST, RESPONSE, TO_ALL = 0x7B0, 0x7B8, 0x7DF
 READ_SESSION = bytes.fromhex("0322F186")
@@ -252,7 +252,7 @@ def test_any_frames_at_all(frames):
         assert all(can_id == RESPONSE and len(data) == 8 for can_id, data in out)
         wire.clock.now += pause
     assert wire.counted("transport_failed") == 0, "the package took it all"
-    assert wire.bench.subject.done == []
+    assert wire.bench.host.done == []
 
 
 def test_what_the_package_may_throw_does_not_end_us(wire, monkeypatch):

@@ -11,7 +11,7 @@ import shuttle
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.runtime.session import make_engine
-from imucald.service.bus_uds import diagnostics_for
+from imucald.service.bus_uds import bus_uds_for
 from imucald.service.uds_host import configuration_identity
 
 
@@ -27,7 +27,7 @@ def loaded(folder: Path, section: str) -> LoadedConfig:
 
 def made(folder: Path, section: str):
     config = loaded(folder, section)
-    return diagnostics_for(NoHost(), config, make_engine(config))  # type: ignore[arg-type]
+    return bus_uds_for(NoHost(), config, make_engine(config))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

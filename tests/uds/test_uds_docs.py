@@ -1,4 +1,4 @@
-"""docs/diagnostics.md says what the code does."""
+"""docs/uds.md says what the code does."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import pytest
 
 from imucald.service.bus_uds import TRANSPORT_COUNTERS_IDENTIFIER
 from imucald.uds.codes import Nrc
-from imucald.uds.dtc import TROUBLES
+from imucald.uds.dtc import DTCS
 from imucald.uds.identifiers import COUNTED_FAULTS, MAX_RESPONSE
 from imucald.uds.isotp_channel import FRAMES_PER_SECOND, MAX_REQUEST
 from imucald.uds.routines import CALIBRATE, RESET
 from paths import ROOT
-from uds_subject import Bench
+from uds_host import Bench
 
-PAGE = (ROOT / "docs" / "diagnostics.md").read_text()
+PAGE = (ROOT / "docs" / "uds.md").read_text()
 
 
 def rows(heading: str) -> dict[int, list[str]]:
@@ -53,10 +53,10 @@ def test_identifiers() -> None:
         assert reason.split("_")[-1][:4] in said.replace("jumping", "jump").replace("-", ""), reason
 
 
-def test_trouble_codes() -> None:
-    documented = rows("Trouble codes")
+def test_dtcs() -> None:
+    documented = rows("DTCs")
     assert [(n, row[0], row[1]) for n, row in documented.items()] == [
-        (t.number, t.display, t.name.replace("_", " ")) for t in TROUBLES
+        (t.number, t.display, t.name.replace("_", " ")) for t in DTCS
     ]
 
 

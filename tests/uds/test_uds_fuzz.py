@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucald.uds.codes import Nrc, Sid
-from imucald.uds.host import Counts, Symptoms
+from imucald.uds.host import FrameCounts, Symptoms
 from imucald.uds.identifiers import MAX_RESPONSE
-from uds_subject import Bench
+from uds_host import Bench
 
 LIKELY = st.one_of(
     st.binary(max_size=140),
@@ -30,7 +30,7 @@ LIKELY = st.one_of(
 )
 def test_any_requests_are_answered_or_not_but_never_obeyed_without_the_key(requests, standing):
     bench = Bench()
-    bench.subject.standing = standing
+    bench.host.standing = standing
     for request, to_all, pause in requests:
         bench.clock.now += pause
         response = bench.server.handle(request, to_all)
@@ -43,9 +43,9 @@ def test_any_requests_are_answered_or_not_but_never_obeyed_without_the_key(reque
             assert len(response) == 3
         else:
             assert response[0] == request[0] + 0x40
-        facts = {"usable": True, "moved": False, "missing": {}, "counts": Counts()}
-        bench.server.troubles.update(bench.clock.now, Symptoms(**facts))
-    assert bench.subject.done == [], "nothing was begun, stopped or forgotten"
+        facts = {"usable": True, "moved": False, "missing": {}, "counts": FrameCounts()}
+        bench.server.dtcs.update(bench.clock.now, Symptoms(**facts))
+    assert bench.host.done == [], "nothing was begun, stopped or forgotten"
     assert not bench.server.security.unlocked
 
 
@@ -59,4 +59,4 @@ def test_even_unlocked_the_calibration_is_touched_only_by_the_two_routines(reque
         bench.server.handle(request)
         known = len(request) == 4 and request[0] == 0x31 and request[1] & 0x7F in (1, 2)
         begun += known and request[2:] in (b"\xf0\x10", b"\xf0\x11")
-    assert len(bench.subject.done) <= begun
+    assert len(bench.host.done) <= begun

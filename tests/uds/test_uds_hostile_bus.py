@@ -1,4 +1,4 @@
-"""Hostile nodes against a running service: refused, counted, trouble codes set, memory bounded."""
+"""Hostile nodes against a running service: refused, counted, DTCs set, memory bounded."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CONFIRMED = 0x08
 
 
 def codes(bench: UdsBench) -> set[int]:
-    """Confirmed trouble codes, as a tester reads them."""
+    """Confirmed DTCs, as a tester reads them."""
     with asking(bench.tester_bus) as client:
         response = client.get_dtc_by_status_mask(CONFIRMED)
         return {d.id for d in response.service_data.dtcs}
@@ -69,7 +69,7 @@ def imu_frames(bench: UdsBench, count: int) -> list[tuple[float, int, bytes]]:
 
 
 def settled(bench: UdsBench) -> None:
-    """All that was sent has been handled, and the trouble codes judged."""
+    """All that was sent has been handled, and the DTCs judged."""
     time.sleep(0.5)
 
 
@@ -147,7 +147,7 @@ def test_spoofed_responses_of_ours_are_no_requests(bench):
         bench.send(RESPONSE, bytes.fromhex(text))
         bench.send(REQUEST, bytes.fromhex(text))
     settled(bench)
-    server = bench.service.diagnostics.server
+    server = bench.service.uds.server
     assert server.counters.requests == 0
     assert not server.security.unlocked
 
@@ -212,7 +212,7 @@ def test_a_flood_of_hostile_frames_neither_delays_the_sensor_nor_fills_the_memor
             reader.join()
     assert sent > 1000
     assert bench.service.engine.router.sample_counts["accel"] == samples + 100
-    counters = bench.service.diagnostics.channel.counters
+    counters = bench.service.uds.channel.counters
     assert counters["dropped"] > 0
     assert counters["transport_failed"] == 0
     assert grown < 200_000
@@ -220,4 +220,4 @@ def test_a_flood_of_hostile_frames_neither_delays_the_sensor_nor_fills_the_memor
         time.sleep(0.5)
         assert client.read_data_by_identifier_first(0xFD0C)[1] == counters["dropped"]
     assert bench.service.engine.pipeline.quality == 0
-    assert not bench.service.diagnostics.server.security.unlocked
+    assert not bench.service.uds.server.security.unlocked

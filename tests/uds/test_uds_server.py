@@ -12,7 +12,7 @@ import pytest
 
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.uds.host import Identity
-from uds_subject import ANGLES_DEG, Bench, estimate_of, key_of
+from uds_host import ANGLES_DEG, Bench, estimate_of, key_of
 
 
 @pytest.fixture
@@ -111,7 +111,7 @@ def test_what_is_refused_in_the_default_session(bench, request_, answer):
 def test_what_is_refused_in_the_extended_session(bench, request_, answer):
     bench.ask("10 03")
     assert bench.ask(request_) == answer
-    assert bench.subject.done == []
+    assert bench.host.done == []
 
 
 @pytest.mark.parametrize("request_", ["", "7F 22 31", "62 F1 86 01", "C1", "FF FF FF"])
@@ -141,12 +141,12 @@ def test_angles_and_deviations_in_their_units(bench):
 
 
 def test_angles_are_not_told_while_no_correction_is_in_force(bench):
-    bench.subject.quality = 0
+    bench.host.quality = 0
     assert bench.ask("22 FD 00") == "62 FD 00 80 00 80 00 80 00"
     answer = bench.server.handle(bytes.fromhex("22 FD 02"))
     assert all(math.isnan(q) for q in struct.unpack(">4f", answer[3:]))
     assert bench.ask("22 FD 01") == "62 FD 01 00 14 00 28 00 50", "how far it is, is told"
-    bench.subject.known = MountEstimate(MountState.WAITING)
+    bench.host.known = MountEstimate(MountState.WAITING)
     assert bench.ask("22 FD 01") == "62 FD 01 FF FF FF FF FF FF"
 
 
@@ -162,7 +162,7 @@ def test_state_quality_and_what_is_waited_for(bench):
     assert bench.ask("22 FD 03") == "62 FD 03 03"
     assert bench.ask("22 FD 04") == "62 FD 04 03"
     assert bench.ask("22 FD 05") == "62 FD 05 00 00 00"
-    bench.subject.known = estimate_of(MountState.LEVELLED)
+    bench.host.known = estimate_of(MountState.LEVELLED)
     assert bench.ask("22 FD 03") == "62 FD 03 01"
     assert bench.ask("22 FD 05") == "62 FD 05 00 00 03", "yaw waits for a left turn"
 
@@ -174,7 +174,7 @@ def test_who_it_is(bench):
     assert bench.ask("22 F1 90") == f"62 F1 90 {vin}"
     assert bench.ask("22 FD 07") == f"62 FD 07 {vin}"
     assert bench.ask("22 FD 06") == "62 FD 06 " + bytes(range(32)).hex(" ").upper()
-    bench.subject.identity = Identity("1", "my car", bytes(32))
+    bench.host.identity = Identity("1", "my car", bytes(32))
     assert bench.ask("22 F1 90") == "7F 22 31", "that is no VIN"
     assert bench.ask("22 FD 07") == "62 FD 07 " + b"my car".hex(" ").upper()
 
@@ -187,7 +187,7 @@ def test_counters(bench):
     faults = struct.pack(">12I", 0, 3, 0, 0, 0, 2, 0, 0, 0, 0, 0, 0).hex(" ").upper()
     assert bench.ask("22 FD 09") == f"62 FD 09 {faults}"
     assert bench.ask("22 FD 0A") == "62 FD 0A 00 00 00 0C"
-    bench.subject.uptime = 2.0**40
+    bench.host.uptime = 2.0**40
     assert bench.ask("22 FD 0A") == "62 FD 0A FF FF FF FF", "no more than fits"
     assert bench.ask("11 01") == "7F 11 11"
     assert bench.ask("22 FD 0B") == "62 FD 0B " + struct.pack(">4I", 6, 1, 0, 0).hex(" ").upper()
@@ -197,7 +197,7 @@ def test_several_identifiers_at_once(bench):
     assert bench.ask("22 FD 04 12 34 FD 03") == "62 FD 04 03 FD 03 03", "the unknown is left out"
     assert bench.ask("22" + " FD 04" * 17) == "7F 22 13"
     assert bench.ask("22" + " FD 07" * 16) is not None
-    bench.subject.identity = Identity("1", "x" * 64, bytes(32))
+    bench.host.identity = Identity("1", "x" * 64, bytes(32))
     assert bench.ask("22" + " FD 07" * 16) == "7F 22 14", "longer than a response may be"
 
 
@@ -292,43 +292,43 @@ def test_a_broken_key_function_lets_nobody_in(broken):
 @pytest.mark.parametrize("routine", ["F0 10", "F0 11"])
 def test_nothing_starts_while_the_vehicle_moves_or_may_move(bench, standing, routine):
     bench.unlock()
-    bench.subject.standing = standing
+    bench.host.standing = standing
     assert bench.ask(f"31 01 {routine}") == "7F 31 22"
-    assert bench.subject.done == []
+    assert bench.host.done == []
 
 
 def test_a_calibration_from_start_to_result(bench):
     bench.unlock()
     assert bench.ask("31 01 F0 10") == "71 01 F0 10 01"
     assert bench.ask("31 01 F0 10") == "7F 31 24", "it runs already"
-    bench.subject.known = estimate_of(MountState.LEVELLED)
+    bench.host.known = estimate_of(MountState.LEVELLED)
     nothing = "80 00 80 00 80 00"
     assert bench.ask("31 03 F0 10") == f"71 03 F0 10 01 01 00 00 00 03 {nothing} 00 14 00 28 00 50"
-    bench.subject.known, bench.subject.quality = estimate_of(), 2
+    bench.host.known, bench.host.quality = estimate_of(), 2
     angles = "00 96 F8 17 34 BC"
     assert bench.ask("31 03 F0 10") == f"71 03 F0 10 02 03 02 00 00 00 {angles} 00 14 00 28 00 50"
     assert bench.ask("31 02 F0 10") == "7F 31 24", "it is over"
-    assert bench.subject.done == ["begin", "accept"]
+    assert bench.host.done == ["begin", "accept"]
 
 
 def test_a_calibration_that_is_stopped_gives_the_former_one_back(bench):
     bench.unlock()
     bench.ask("31 01 F0 10")
-    bench.subject.standing = False
+    bench.host.standing = False
     assert bench.ask("31 02 F0 10") == "7F 31 22"
-    bench.subject.standing, bench.subject.former_fits = True, False
+    bench.host.standing, bench.host.former_fits = True, False
     assert bench.ask("31 02 F0 10") == "7F 31 22"
-    bench.subject.former_fits = True
+    bench.host.former_fits = True
     assert bench.ask("31 02 F0 10") == "71 02 F0 10 03"
     assert bench.ask("31 02 F0 10") == "7F 31 24"
-    assert bench.subject.done == ["begin", "return"]
+    assert bench.host.done == ["begin", "return"]
     assert bench.ask("31 03 F0 10")[:14] == "71 03 F0 10 03"
 
 
 def test_a_restored_mount_is_no_completed_calibration(bench):
     bench.unlock()
     bench.ask("31 01 F0 10")
-    bench.subject.quality = 1
+    bench.host.quality = 1
     assert bench.ask("31 03 F0 10")[:14] == "71 03 F0 10 01"
 
 
@@ -339,7 +339,7 @@ def test_a_reset_ends_a_calibration_and_keeps_nothing(bench):
     assert bench.ask("31 02 F0 11") == "7F 31 24"
     assert bench.ask("31 03 F0 10")[:14] == "71 03 F0 10 03"
     assert bench.ask("31 81 F0 11") is None, "done, and not told"
-    assert bench.subject.done == ["begin", "forget", "forget"]
+    assert bench.host.done == ["begin", "forget", "forget"]
     assert bench.ask("31 01 F0 11 00") == "7F 31 13"
 
 
@@ -347,8 +347,8 @@ def test_a_running_calibration_outlives_the_session(bench):
     bench.unlock()
     bench.ask("31 01 F0 10")
     bench.clock.now += 600.0
-    bench.subject.quality = 3
+    bench.host.quality = 3
     bench.server.poll()
-    assert bench.subject.done == ["begin", "accept"]
+    assert bench.host.done == ["begin", "accept"]
     bench.ask("10 03")
     assert bench.ask("31 03 F0 10")[:14] == "71 03 F0 10 02", "results need no key"

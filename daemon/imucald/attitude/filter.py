@@ -42,6 +42,7 @@ from imucald.core.rotations import (
     transposed_times,
 )
 from imucald.core.samples import GRAVITY
+from imucald.motion.at_rest import PARKED_GRAVITY, PARKED_SAMPLE_STD
 
 START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)
@@ -254,7 +255,11 @@ class AttitudeFilter:
         if math.isnan(found.speed):
             # without a speed only what is as still as a parked vehicle is taken for rest
             size = math.sqrt(sum(c * c for c in found.up))
-            return quiet and found.force_variance < 0.05**2 and abs(size - GRAVITY) < 0.1
+            return (
+                quiet
+                and found.force_variance < PARKED_SAMPLE_STD**2
+                and abs(size - GRAVITY) < PARKED_GRAVITY
+            )
         return quiet and first.speed == 0.0 and last.speed == 0.0
 
     def _try_start(self, first: Knot, last: Knot, resting: bool) -> None:

@@ -1,4 +1,4 @@
-"""CAN frames as columns, and which of them are ours: what every log reader and the codec speak."""
+"""CAN frames: their limits and flags, many of them as columns, and which are wanted."""
 
 from __future__ import annotations
 
@@ -27,8 +27,11 @@ FD_BYTES = 64
 MAX_CHANNELS = 255
 """Channel indices are bytes; a log with more has been tampered with."""
 
-UNWANTED, WANTED, NO_ID = np.uint8(0), np.uint8(1), np.uint8(2)
-"""What an `IdFilter` says of an 11-bit id."""
+CAN_RTR_FLAG = 0x4000_0000
+"""Set in the id of a remote frame."""
+
+CAN_ERR_FLAG = 0x2000_0000
+"""Set in the id of an error frame, whose other bits are error classes."""
 
 
 class FrameColumns(Struct, frozen=True, eq=False):
@@ -132,56 +135,3 @@ def _widened(data: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
     wide = np.zeros((len(data), width), np.uint8)
     wide[:, : data.shape[1]] = data
     return wide
-
-
-class IdFilter:
-    """The wanted ids, compiled for columns; one for each channel, since a match may name one."""
-
-    def __init__(self, keep: Sequence[IdMatch] | None, channel: str) -> None:
-        """keep: None keeps everything."""
-        ours = [m for m in keep or () if m.channel is None or m.channel == channel]
-        self.everything = keep is None
-        standard = [m for m in ours if not m.can_id & CAN_EFF_FLAG]
-        extended = {
-            (m.can_id & m.mask & CAN_EFF_MASK, m.mask & CAN_EFF_MASK)
-            for m in ours
-            if m.can_id & CAN_EFF_FLAG
-        }
-        ids = np.arange(CAN_SFF_MASK + 1, dtype=np.uint32)
-        wanted = np.full(len(ids), self.everything)
-        for m in standard:
-            wanted |= ((ids ^ np.uint32(m.can_id)) & np.uint32(m.mask & CAN_EFF_MASK)) == 0
-        self.verdict = np.full(16**3, NO_ID, np.uint8)
-        """(4096,) u1, for three hexadecimal digits: WANTED, UNWANTED or, above 7FF, NO_ID."""
-        self.verdict[: len(ids)] = np.where(wanted, WANTED, UNWANTED)
-        self._exact = np.array(sorted(i for i, m in extended if m == CAN_EFF_MASK), np.uint32)
-        self._masked = sorted(pair for pair in extended if pair[1] != CAN_EFF_MASK)
-
-    def extended(self, ids: NDArray[np.uint32]) -> NDArray[np.bool_]:
-        """Say which 29-bit ids (N,), without flag, are wanted."""
-        if self.everything:
-            return np.ones(len(ids), np.bool_)
-        wanted = np.isin(ids, self._exact) if len(self._exact) else np.zeros(len(ids), np.bool_)
-        for can_id, mask in self._masked:
-            wanted |= (ids & np.uint32(mask)) == np.uint32(can_id)
-        return wanted
-
-    def wanted(self, can_id: int) -> bool:
-        """Say whether one frame's id, flag included, is wanted."""
-        if can_id & CAN_EFF_FLAG:
-            return bool(self.extended(np.array([can_id & CAN_EFF_MASK], np.uint32))[0])
-        return bool(self.verdict[can_id] == WANTED)
-
-
-class IdFilters:
-    """The filter of each channel, made when the channel is first met."""
-
-    def __init__(self, keep: Sequence[IdMatch] | None) -> None:
-        self._keep = keep
-        self._of: dict[str, IdFilter] = {}
-
-    def of(self, channel: str) -> IdFilter:
-        """Return the filter of a channel. Ask only for channels that `Channels` accepted."""
-        if channel not in self._of:
-            self._of[channel] = IdFilter(self._keep, channel)
-        return self._of[channel]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import CHANNEL_WIDTH, Samples
+from imucald.motion.at_rest import ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
 
 Array = NDArray[np.float64]
@@ -18,8 +19,6 @@ MAX_HOLE = 25
 """Holes up to so many ticks are bridged: speed over OBD-II comes once a second."""
 SMOOTH = 11
 """Ticks of the moving mean, 1.1 s: delays between signals and the road's bumps matter less."""
-STANDING_SPEED = 0.1
-"""[m/s]"""
 FEWEST_STANDING = 20
 """Ticks of standing (after smoothing) that tell something: two seconds."""
 
@@ -140,7 +139,7 @@ class Motion:
         """Ticks at rest (n,), None where too few."""
         if self.speed is None:
             return None
-        calm = np.nan_to_num(np.abs(self.speed), nan=np.inf) < STANDING_SPEED
+        calm = np.nan_to_num(np.abs(self.speed), nan=np.inf) < ZERO_SPEED_SMOOTHED
         return calm if np.count_nonzero(calm) >= FEWEST_STANDING else None
 
     def _gravity(self) -> Array | None:

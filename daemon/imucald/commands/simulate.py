@@ -13,8 +13,8 @@ from imucald.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from imucald.model.model import Model
-    from imucald.simulation.bus_frames import BusEncoder
     from imucald.simulation.drive import Drive
+    from imucald.traffic.encoder import BusEncoder
 
 ROUTES = ("mixed", "city", "motorway", "straight_only", "circles", "parked")
 MAX_MINUTES = 600.0
@@ -92,8 +92,8 @@ def run(options: argparse.Namespace) -> int:
     """Simulate, write log, truth and perhaps the model; say what was written."""
     from imucald.commands.files import check_files, write_text
     from imucald.config import load_config
-    from imucald.simulation.bus_frames import BusEncoder, example_config
     from imucald.simulation.drive import simulate
+    from imucald.traffic.encoder import BusEncoder, example_config
 
     if not 0.0 < options.minutes <= MAX_MINUTES:
         raise ConfigError(f"--minutes must be between 0 and {MAX_MINUTES:g}")
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
 def _write_log(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
     from imucald.commands.files import told_when_cut, write_text
     from imucald.commands.terminal import countdown
-    from imucald.simulation.can_log import write_log
+    from imucald.traffic.can_log import write_log
 
     with countdown("writing", drive.duration_s) as progress, told_when_cut(options.out):
         frames = write_log(drive, options.out, encoder, options.background, progress)
@@ -140,7 +140,7 @@ def _truth_beside(log: Path | None) -> Path | None:
 def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
     from imucald.can.link.link import Link
     from imucald.commands.terminal import countdown
-    from imucald.simulation.play import play
+    from imucald.traffic.play import play
 
     with (
         Link(options.interface, options.channel, receive=()) as link,

@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from imucald.compensation.preprocessing import Stages
-from imucald.compensation.reading import load_terms, read_terms
+from imucald.compensation.reading import read_terms
 from imucald.compensation.sensors import SensorStage
 from imucald.compensation.suspension import Leaning
-from imucald.compensation.terms import ZERO, Terms, TriadTerms
+from imucald.compensation.terms import Terms, TriadTerms
 from imucald.compensation.tick_preprocessing import EvidenceStage
 from imucald.compensation.time_alignment import Retiming, shifts_of
 from imucald.compensation.vehicle import VehicleStage
 from imucald.core.samples import Samples, Series
+from imucald.model.section import ZERO
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.method_a.settings import PublishedSettings
 
@@ -112,7 +113,8 @@ class Compensation:
         """
         vehicle = self.vehicle_stage(channels, ("gyro", *parallel_rates))
         return Stages(
-            self,
+            self.name,
+            self.estimate_key,
             self.sensor_stage(derived_speed),
             None if vehicle.neutral else vehicle,
             self.evidence_stage(),
@@ -205,8 +207,7 @@ def compensation_from_model(
     model: Path | str | Mapping[str, Any], compensate_suspension: bool = True
 ) -> Compensation:
     """Read a model file, or a mapping of its content. Raises ConfigError with the place."""
-    if isinstance(model, Mapping):
-        terms, notes = read_terms(model, "model", {})
-        return Compensation(terms, "model", notes, compensate_suspension)
-    terms, notes = load_terms(Path(model))
-    return Compensation(terms, str(model), notes, compensate_suspension)
+    source = model if isinstance(model, Mapping) else Path(model)
+    name = "model" if isinstance(model, Mapping) else str(model)
+    terms, notes = read_terms(source, name)
+    return Compensation(terms, name, notes, compensate_suspension)

@@ -11,13 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.terms import Vector3
+from imucald.compensation.steps import Step, through
+from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
-class Repeats:
+class HeldRepeats:
     """Remembers the last raw sample of one sensor and what became of it.
 
     Single samples and columns give the same. tolerance: means of equal samples differ by so much.
@@ -67,3 +68,18 @@ class Repeats:
         x, y, z = values[-1].tolist()
         self.keep(raw[-1].tolist(), None if refused[-1] else (x, y, z))
         return values, refused
+
+
+class HeldSteps:
+    """A step: steps of a three-axis sensor, whose result a repeated sample gets again."""
+
+    def __init__(self, repeats: HeldRepeats, steps: Sequence[Step]) -> None:
+        self._repeats, self._steps = repeats, tuple(steps)
+
+    def __call__(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
+        """One raw sample at t [s]; None where it, or the one that it repeats, is refused."""
+        repeats = self._repeats
+        if repeats.known(v):
+            return repeats.result
+        found = through(self._steps, t, v)
+        return repeats.keep(v, None if found is None else (found[0], found[1], found[2]))

@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.compensation.sensors import SensorStage
-from imucald.compensation.terms import Vector3
 from imucald.compensation.tick_preprocessing import EvidenceStage
 from imucald.compensation.vehicle import Corrected, VehicleStage
 from imucald.inputs.router import ColumnSamples, Routed, Sample
-
-if TYPE_CHECKING:
-    from imucald.compensation.compensation import Compensation
+from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 
@@ -29,11 +26,13 @@ REFUSED = "out_of_range"
 class Stages:
     """What a model knows, taken out on the way from router to output.
 
-    vehicle, evidence: None where there is nothing to do. used: names of the terms that are taken
-    out. notes: what of the model is not used.
+    name: of the model file. estimate_key: names what an estimate of the mount rests on: equal keys,
+    equal estimates. vehicle, evidence: None where there is nothing to do. used: names of the terms
+    that are taken out. notes: what of the model is not used.
     """
 
-    compensation: Compensation
+    name: str
+    estimate_key: str
     sensors: SensorStage
     vehicle: VehicleStage | None
     evidence: EvidenceStage | None
@@ -42,12 +41,12 @@ class Stages:
 
     def words(self) -> str:
         """One line: which model, and what of it is taken out."""
-        return f"model {self.compensation.name}: takes out {', '.join(self.used) or 'nothing'}"
+        return f"model {self.name}: takes out {', '.join(self.used) or 'nothing'}"
 
     def summary(self) -> dict[str, Any]:
         """The same as JSON has it."""
         return {
-            "file": self.compensation.name,
+            "file": self.name,
             "taken_out": list(self.used),
             "not_used": list(self.notes),
         }

@@ -1,265 +1,230 @@
-"""A model file -> terms, and a line for each part of it that cannot be had while driving.
+"""What each key of a model file is worth while driving: terms, and a line for what is not used.
 
-Only what is used is looked at, and by hand: the simulation's own types would bring all that a
-simulated drive needs.
+The schema knows the keys, their types and their ranges (`imucald.model`). Here stands what is done
+with each, and how far a value may go before a sensor or a vehicle is no longer worth correcting.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from imucald.compensation.known_keys import KNOWN, OTHERS
 from imucald.compensation.terms import (
     BUTTERWORTH_DELAY,
     NO_RAIL,
-    ZERO,
     ChassisTerms,
     LeanTerms,
     ScalarTerms,
     Terms,
     TriadTerms,
-    Vector3,
     inverse_gain,
 )
-from imucald.core.errors import ConfigError
-from imucald.core.locations import Marks, dotted, line_of
-from imucald.core.yaml_lines import MAX_FILE_BYTES, read_yaml
+from imucald.model.section import ZERO, Vector3
+from imucald.model.written import WrittenModel, read_written
 
-LARGEST = {"bias": 20.0, "bias_temperature": 1.0, "g_sensitivity": 1.0, "hard_iron_t": 0.01}
-"""Beyond any sensor that is worth correcting, in the unit of the key."""
-LONGEST_LEVER_M = 30.0
-STEEPEST_ROADS = 0.5
-STEEPEST_LEAN = 0.06
-"""A body that leans so much [rad/(m/s^2)] would fall over in a curve."""
-LONGEST_DELAY_S = 2.0
+RANGES: Mapping[str, tuple[float, float]] = {
+    "bias": (-20.0, 20.0),
+    "bias_temperature": (-1.0, 1.0),
+    "g_sensitivity": (-1.0, 1.0),
+    "hard_iron_t": (-0.01, 0.01),
+    "offset": (-20.0, 20.0),
+    "time_constant_s": (0.0, 2.0),
+    "lowpass_hz": (0.01, math.inf),
+    # a body that leans more than 0.06 rad/(m/s^2) would fall over in a curve
+    "squat_gradient": (-0.06, 0.06),
+    "dive_gradient": (-0.06, 0.06),
+    "roll_gradient": (-0.06, 0.06),
+    "pitch_frequency_hz": (0.2, 20.0),
+    "roll_frequency_hz": (0.2, 20.0),
+    "pitch_damping": (0.02, 5.0),
+    "roll_damping": (0.02, 5.0),
+    "wheelbase_m": (0.5, 20.0),
+    "track_m": (0.3, 5.0),
+    "steering_ratio": (1.0, 100.0),
+    "understeer_gradient": (-0.1, 0.1),
+    "crown_mean": (-0.1, 0.1),
+    "bank_rms": (0.0, 0.5),
+    "grade_rms": (0.0, 0.5),
+}
+"""Beyond these, in the unit of the key, there is no sensor, vehicle or road worth correcting for.
+They are tighter than the schema's: a simulated drive may try out anything."""
+SCALE_RANGE = (-0.8, 4.0)
+"""Of a signal that is one number, and of a wheel speed (which has no upper end)."""
+MAX_LEVER_M = 30.0
 SCALARS = ("speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 FILTERED = ("accel", "gyro", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
+DELAYED = (*SCALARS, "accel", "gyro", "wheel_speeds", "reverse", "brake")
 RAIL_WIDTH = 0.001
 """Part of the full scale: other units' rounding must not hide a clipped value."""
 NARROW_HZ = 8.0
 """A filter with a lower corner takes away what a vehicle does."""
 
 
-def load_terms(path: Path) -> tuple[Terms, tuple[str, ...]]:
-    """Read a model file: its terms, and notes. Raises ConfigError with file, line, key, reason."""
-    try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise ConfigError(f"{path}: {size} bytes is too long for a model file")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text: {error.reason}") from None
-    data, marks = read_yaml(text, str(path))
-    return read_terms(data, str(path), marks)
+def read_terms(
+    model: Path | Mapping[str, Any], name: str = "model"
+) -> tuple[Terms, tuple[str, ...]]:
+    """Read a model file, or a mapping of its content: its terms, and notes.
 
-
-def read_terms(data: Any, name: str, marks: Marks) -> tuple[Terms, tuple[str, ...]]:
-    """The same of parsed YAML; `name` and `marks` say where a mistake stands."""
-    if data is None:
-        data = {}
-    reader = _Reader(data, name, marks)
+    Raises ConfigError with one line for each mistake: file, line, key, reason.
+    """
+    reader = _Reader(read_written(model, name))
     terms = reader.terms()
-    return terms, tuple(reader.notes)
+    return terms, tuple(reader.notes())
 
 
 class _Reader:
-    def __init__(self, data: Any, name: str, marks: Marks) -> None:
-        self.notes: list[str] = []
-        self._name, self._marks = name, marks
-        if not isinstance(data, Mapping):
-            raise ConfigError(f"{name}:1: a model file is a mapping of sections")
-        self._data: dict[str, Mapping[str, Any]] = {}
-        for section, content in data.items():
-            if section in OTHERS:
-                continue
-            if section not in KNOWN:
-                self.notes.append(f"{section}: is not known to this version, ignored")
-                continue
-            if not isinstance(content, Mapping):
-                raise self._error((section,), "is a mapping of keys")
-            self._data[section] = content
-            for key in content:
-                if key not in KNOWN[section]:
-                    text = f"{section}.{key}: is not known to this version, ignored"
-                    self.notes.append(text)
+    def __init__(self, file: WrittenModel) -> None:
+        self._file = file
 
     def terms(self) -> Terms:
-        wheels = self._numbers("wheel_speeds", "scale", 4, (0.0,) * 4)
+        wheels = self._value("wheel_speeds", "scale", (0.0,) * 4)
+        if min(wheels) <= SCALE_RANGE[0]:
+            self._file.refuse("wheel_speeds", "scale", "is no error of a wheel speed")
         scalars = {name: self._scalar(name) for name in SCALARS}
-        if any(w <= -0.8 for w in wheels):
-            raise self._error(("wheel_speeds", "scale"), "is no error of a wheel speed")
         found = Terms(
             accel=self._triad("accel"),
             gyro=self._triad("gyro"),
-            g_sensitivity=self._vector("gyro", "g_sensitivity"),
-            mag=TriadTerms(bias=self._vector("mag", "hard_iron_t")),
-            wheel_scales=(wheels[0], wheels[1], wheels[2], wheels[3]),
+            g_sensitivity=self._value("gyro", "g_sensitivity", ZERO),
+            mag=TriadTerms(bias=self._value("mag", "hard_iron_t", ZERO)),
+            wheel_scales=wheels,
             scalars={name: s for name, s in scalars.items() if s != ScalarTerms()},
             lever_arm=self._lever_arm(),
             lean=self._lean(),
-            lateness=self._lateness(),
-            chassis=self._chassis(),
-            crown_mean=self._optional("road", "crown_mean", -0.1, 0.1),
+            lateness=self._latency(),
+            chassis=ChassisTerms(
+                self._value("chassis", "wheelbase_m"),
+                self._value("chassis", "track_m"),
+                self._value("chassis", "steering_ratio"),
+                self._value("chassis", "understeer_gradient"),
+            ),
+            crown_mean=self._value("road", "crown_mean"),
             bank_rms=self._rms("bank"),
             grade_rms=self._rms("grade"),
         )
-        self._note_what_is_left()
+        self._file.check()
+        return found
+
+    def notes(self) -> list[str]:
+        """What of the model is not used, a line each."""
+        file = self._file
+        found = [f"{key}: is not known to this version, ignored" for key in file.unknown]
+        if any(file.is_set("mount", f"{a}_deg") for a in ("roll", "pitch", "yaw")):
+            found.append("mount: is found while driving, the model's angles are not used")
+        if file.is_set("mount", "shifts"):
+            found.append("mount.shifts: are found while driving, the model's are not used")
+        for section in FILTERED:
+            corner = self._value(section, "lowpass_hz")
+            if corner is not None and corner < NARROW_HZ:
+                found.append(
+                    f"{section}.lowpass_hz: what a filter of {corner:g} Hz took away does not "
+                    "come back; only its delay is known"
+                )
+        for section in ("accel", "gyro"):
+            if self._value(section, "delay_s", 0.0) > 0.0:
+                found.append(
+                    f"{section}.delay_s: is used to find the mount; the corrected signal stays "
+                    "as late as the sensor's"
+                )
+        for section in file.sections:
+            for key in ("dropouts", "stuck", "clock_drift_ppm", "slip_events"):
+                if file.is_set(section, key):
+                    found.append(f"{section}.{key}: nothing can be done about it")
+        if file.is_set("heading", "offset") or file.is_set("heading", "scale"):
+            found.append("heading: its errors are not taken out")
         return found
 
     # sections --------------------------------------------------------------------------------
 
     def _triad(self, section: str) -> TriadTerms:
-        scale = self._vector(section, "scale")
-        inverse = inverse_gain(scale, self._numbers(section, "cross_axis", 6, (0.0,) * 6))
+        scale = self._value(section, "scale", ZERO)
+        inverse = inverse_gain(scale, self._value(section, "cross_axis", (*ZERO, *ZERO)))
         if inverse is None:
-            raise self._error((section, "scale"), "is no gain that can be undone")
+            self._file.refuse(section, "scale", "is no gain that can be undone")
+            return TriadTerms()
         return TriadTerms(
             inverse,
-            self._vector(section, "bias"),
-            self._vector(section, "bias_temperature"),
+            self._value(section, "bias", ZERO),
+            self._value(section, "bias_temperature", ZERO),
             self._rail(section),
         )
 
     def _scalar(self, section: str) -> ScalarTerms:
-        scale = self._number(section, "scale", 0.0, -0.8, 4.0)
-        offset = 0.0 if section == "speed" else self._number(section, "offset", 0.0, -20.0, 20.0)
-        return ScalarTerms(scale, offset, self._rail(section))
+        scale = self._within(section, "scale", self._file.value(section, "scale", 0.0), SCALE_RANGE)
+        offset = self._value(section, "offset", 0.0)
+        return ScalarTerms(scale or 0.0, offset, self._rail(section))
 
     def _rail(self, section: str) -> tuple[float, float]:
         """Sizes of raw values that were clipped; one beyond shows that there is no rail here."""
-        known = "full_scale" in KNOWN[section]
-        full_scale = self._optional(section, "full_scale", 0.0, math.inf) if known else None
-        if not full_scale:
+        full_scale = self._value(section, "full_scale")
+        if full_scale is None:
             return NO_RAIL
-        step = self._number(section, "lsb", 0.0, 0.0, math.inf)
-        width = max(0.51 * step, RAIL_WIDTH * full_scale)
+        width = max(0.51 * self._value(section, "lsb", 0.0), RAIL_WIDTH * full_scale)
         return full_scale - width, full_scale + width
 
     def _lever_arm(self) -> Vector3:
-        if not self._on("mount", "lever_arm"):
+        if not self._value("mount", "lever_arm", True):
             return ZERO
-        arm = self._vector("mount", "lever_arm_m")
-        if math.hypot(*arm) > LONGEST_LEVER_M:
-            raise self._error(("mount", "lever_arm_m"), "is longer than a vehicle")
+        arm: Vector3 = self._value("mount", "lever_arm_m", ZERO)
+        if math.hypot(*arm) > MAX_LEVER_M:
+            self._file.refuse("mount", "lever_arm_m", "is longer than a vehicle")
         return arm
 
     def _lean(self) -> LeanTerms:
-        suspension = "suspension"
-        if suspension not in self._data:
+        if not self._file.has("suspension"):
             return LeanTerms()
-        pitches, rolls = self._on(suspension, "squat_dive"), self._on(suspension, "body_roll")
 
-        def gradient(key: str, on: bool) -> float:
-            value = self._number(suspension, key, 0.0, -STEEPEST_LEAN, STEEPEST_LEAN)
-            return value if on else 0.0
+        def gradient(key: str, switch: str) -> float:
+            found: float = self._value("suspension", key, 0.0)
+            return found if self._value("suspension", switch, True) else 0.0
 
+        springs = LeanTerms()
         return LeanTerms(
-            gradient("squat_gradient", pitches),
-            gradient("dive_gradient", pitches),
-            self._number(suspension, "pitch_frequency_hz", 1.7, 0.2, 20.0),
-            self._number(suspension, "pitch_damping", 0.35, 0.02, 5.0),
-            gradient("roll_gradient", rolls),
-            self._number(suspension, "roll_frequency_hz", 1.8, 0.2, 20.0),
-            self._number(suspension, "roll_damping", 0.35, 0.02, 5.0),
+            gradient("squat_gradient", "squat_dive"),
+            gradient("dive_gradient", "squat_dive"),
+            self._value("suspension", "pitch_frequency_hz", springs.pitch_hz),
+            self._value("suspension", "pitch_damping", springs.pitch_damping),
+            gradient("roll_gradient", "body_roll"),
+            self._value("suspension", "roll_frequency_hz", springs.roll_hz),
+            self._value("suspension", "roll_damping", springs.roll_damping),
         )
 
-    def _lateness(self) -> dict[str, float]:
+    def _latency(self) -> dict[str, float]:
+        """Age [s] of each channel of which the file says something."""
         found: dict[str, float] = {}
-        for name in (*SCALARS, "accel", "gyro", "wheel_speeds", "reverse", "brake"):
-            said = self._data.get(name, {})
-            if not said.keys() & {"delay_s", "time_constant_s", "lowpass_hz"}:
+        for name in DELAYED:
+            if not self._file.has(name, "delay_s", "time_constant_s", "lowpass_hz"):
                 continue
-            late = self._number(name, "delay_s", 0.0, 0.0, LONGEST_DELAY_S)
-            if name == "speed":
-                late += self._number(name, "time_constant_s", 0.0, 0.0, LONGEST_DELAY_S)
-            corner = self._optional(name, "lowpass_hz", 0.01, math.inf)
-            late += 0.0 if corner is None else BUTTERWORTH_DELAY / corner
-            found[name] = late
+            age: float = self._value(name, "delay_s", 0.0)
+            age += self._value(name, "time_constant_s", 0.0)
+            corner = self._value(name, "lowpass_hz")
+            found[name] = age + (0.0 if corner is None else BUTTERWORTH_DELAY / corner)
         return found
 
-    def _chassis(self) -> ChassisTerms:
-        return ChassisTerms(
-            self._optional("chassis", "wheelbase_m", 0.5, 20.0),
-            self._optional("chassis", "track_m", 0.3, 5.0),
-            self._optional("chassis", "steering_ratio", 1.0, 100.0),
-            self._optional("chassis", "understeer_gradient", -0.1, 0.1),
-        )
-
     def _rms(self, name: str) -> float:
-        rms = self._number("road", f"{name}_rms", 0.0, 0.0, STEEPEST_ROADS)
-        return rms if self._on("road", name) else 0.0
-
-    def _note_what_is_left(self) -> None:
-        """Say what of the model the daemon can do nothing about."""
-        if any(self._data.get("mount", {}).get(f"{a}_deg") for a in ("roll", "pitch", "yaw")):
-            self.notes.append("mount: is found while driving, the model's angles are not used")
-        if self._data.get("mount", {}).get("shifts"):
-            self.notes.append("mount.shifts: are found while driving, the model's are not used")
-        for section in FILTERED:
-            corner = self._optional(section, "lowpass_hz", 0.01, math.inf)
-            if corner is not None and corner < NARROW_HZ:
-                self.notes.append(
-                    f"{section}.lowpass_hz: what a filter of {corner:g} Hz took away does not "
-                    "come back; only its delay is known"
-                )
-        for section in ("accel", "gyro"):
-            if self._number(section, "delay_s", 0.0, 0.0, LONGEST_DELAY_S) > 0.0:
-                self.notes.append(
-                    f"{section}.delay_s: is used to find the mount; the corrected signal stays "
-                    "as late as the sensor's"
-                )
-        for section, keys in self._data.items():
-            for key in ("dropouts", "stuck", "clock_drift_ppm", "slip_events"):
-                if keys.get(key):
-                    self.notes.append(f"{section}.{key}: nothing can be done about it")
-        heading = self._data.get("heading", {})
-        if any(heading.get(key) for key in ("offset", "scale")):
-            self.notes.append("heading: its errors are not taken out")
+        rms: float = self._value("road", f"{name}_rms", 0.0)
+        return rms if self._value("road", name, True) else 0.0
 
     # values ----------------------------------------------------------------------------------
 
-    def _error(self, place: tuple[str, ...], text: str) -> ConfigError:
-        line = line_of(self._marks, place)
-        where = f"{self._name}:{line}" if self._marks else self._name
-        return ConfigError(f"{where}: {dotted(place)}: {text}")
+    def _value(self, section: str, key: str, absent: Any = None) -> Any:
+        """A key's value, within `RANGES`; `absent` where there is none, or a wrong one."""
+        value = self._file.value(section, key, absent)
+        found = self._within(section, key, value, RANGES.get(key))
+        return absent if found is None else found
 
-    def _on(self, section: str, key: str) -> bool:
-        value = self._data.get(section, {}).get(key, True)
-        if not isinstance(value, bool):
-            raise self._error((section, key), f"is true or false (here: {value!r})")
-        return value
-
-    def _optional(self, section: str, key: str, low: float, high: float) -> float | None:
-        if self._data.get(section, {}).get(key) is None:
-            return None
-        return self._number(section, key, 0.0, low, high)
-
-    def _number(self, section: str, key: str, preset: float, low: float, high: float) -> float:
-        value = self._data.get(section, {}).get(key, preset)
-        return self._checked((section, key), value, low, high)
-
-    def _vector(self, section: str, key: str) -> Vector3:
-        x, y, z = self._numbers(section, key, 3, ZERO)
-        return x, y, z
-
-    def _numbers(
-        self, section: str, key: str, count: int, preset: tuple[float, ...]
-    ) -> tuple[float, ...]:
-        values = self._data.get(section, {}).get(key, preset)
-        if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != count:
-            raise self._error((section, key), f"is a list of {count} numbers")
-        most = LARGEST.get(key, math.inf)
-        return tuple(self._checked((section, key), v, -most, most) for v in values)
-
-    def _checked(self, place: tuple[str, ...], value: Any, low: float, high: float) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._error(place, f"is a number (here: {value!r})")
-        number = float(value)
-        if not (math.isfinite(number) and low <= number <= high):
-            raise self._error(place, f"must be between {low:g} and {high:g} (here: {value!r})")
-        return number
+    def _within(
+        self, section: str, key: str, value: Any, limits: tuple[float, float] | None
+    ) -> Any:
+        if value is None or limits is None:
+            return value
+        low, high = limits
+        numbers = value if isinstance(value, tuple) else (value,)
+        if all(low <= x <= high for x in numbers):
+            return value
+        reason = f"must be between {low:g} and {high:g}"
+        if high == math.inf:
+            reason = f"must be at least {low:g}"
+        self._file.refuse(section, key, f"{reason} (here: {', '.join(f'{x:g}' for x in numbers)})")
+        return None

@@ -22,7 +22,7 @@ class ScalarCompensator:
         self._low, self._high = terms.rail
         self._limit = limit
 
-    def one(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
+    def sample(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
         """One sample; None where it is refused."""
         x = (v[0] - self._offset) / self._gain
         if self._low <= abs(v[0]) <= self._high or not -self._limit <= x <= self._limit:
@@ -30,20 +30,25 @@ class ScalarCompensator:
         return (x,)
 
     def columns(self, v: Array) -> tuple[Array, Flags]:
-        """Samples (N,) as `one` has them, and which are refused."""
+        """Samples (N,) as `sample` has them, and which are refused."""
         x = (v - self._offset) / self._gain
         size = np.abs(v)
         refused = ((self._low <= size) & (size <= self._high)) | ~(np.abs(x) <= self._limit)
         return x, refused
 
 
-def wheels_one(scales: Sequence[float], v: Sequence[float]) -> Sequence[float] | None:
-    """Four wheel speeds [m/s]; None where one cannot be."""
-    found = [x / (1.0 + scale) for x, scale in zip(v, scales, strict=True)]
-    return found if all(abs(x) <= LIMITS["speed"] for x in found) else None
+class WheelsCompensator:
+    """Scale of four wheel speeds [m/s]."""
 
+    def __init__(self, scales: Sequence[float]) -> None:
+        self._gains = [1.0 + scale for scale in scales]
 
-def wheels_column(scales: Sequence[float], v: Array) -> tuple[Array, Flags]:
-    """The same of (N, 4)."""
-    found = v / (1.0 + np.array(scales))
-    return found, ~(np.abs(found).max(axis=1, initial=0.0) <= LIMITS["speed"])
+    def sample(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
+        """One sample (4,); None where one of them cannot be."""
+        found = [x / gain for x, gain in zip(v, self._gains, strict=True)]
+        return found if all(abs(x) <= LIMITS["speed"] for x in found) else None
+
+    def columns(self, v: Array) -> tuple[Array, Flags]:
+        """Samples (N, 4) as `sample` has them, and which are refused (N,)."""
+        found = v / np.array(self._gains)
+        return found, ~(np.abs(found).max(axis=1, initial=0.0) <= LIMITS["speed"])

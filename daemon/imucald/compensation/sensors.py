@@ -7,19 +7,21 @@ mixed, and give the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.held_repeats import Repeats
-from imucald.compensation.scalars import ScalarCompensator, wheels_column, wheels_one
+from imucald.compensation.held_repeats import HeldRepeats, HeldSteps
+from imucald.compensation.scalars import ScalarCompensator, WheelsCompensator
 from imucald.compensation.smoothing import Smoothed
-from imucald.compensation.terms import ScalarTerms, Terms, TriadTerms, Vector3
+from imucald.compensation.steps import Step, through
+from imucald.compensation.terms import ScalarTerms, Terms, TriadTerms
 from imucald.compensation.triads import TriadCompensator
 from imucald.core.samples import Series
 from imucald.inputs.quantities import LIMITS
+from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 Order = NDArray[np.int64] | NDArray[np.float64]
@@ -33,6 +35,11 @@ from one sensor to the other, whose samples are of other instants."""
 COLDEST, WARMEST = -60.0, 150.0
 """A temperature beyond is none [degC]; the last one stands."""
 _FIRST = {"temperature": 0, "accel": 1, "gyro": 2, "wheel_speeds": 3}
+CHANNELS = (
+    "temperature", "accel", "gyro", "mag", "wheel_speeds",
+    "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel",
+)  # fmt: skip
+"""Those that a term may change."""
 _DIMENSION = {"accel": "acceleration", "gyro": "angular_rate", "mag": "magnetic_field"}
 _DIMENSION |= {"speed": "speed", "steering": "angle", "yaw_rate": "angular_rate"}
 _DIMENSION |= {"lateral_accel": "acceleration", "longitudinal_accel": "acceleration"}
@@ -69,23 +76,32 @@ class SensorStage:
             for channel, s in terms.scalars.items()
             if s != ScalarTerms() and not (channel == "speed" and derived_speed)
         }
-        self._ones: dict[str, Callable[[float, Sequence[float]], Sequence[float] | None]] = {}
-        for channel, triad in self._triads.items():
-            self._ones[channel] = triad.one
-        for channel, scalar in self._scalars.items():
-            self._ones[channel] = scalar.one
-        if self._warmed:
-            self._ones["temperature"] = self._temperature
+        self._wheels = WheelsCompensator(terms.wheel_scales) if any(terms.wheel_scales) else None
         # terms that change from sample to sample
-        self._repeats = {c: Repeats() for c, t in self._triads.items() if t.follows_temperature}
+        self._repeats = {c: HeldRepeats() for c, t in self._triads.items() if t.follows_temperature}
         if self._sensitive:
-            self._repeats["gyro"] = Repeats()
-        if self._sensitive or "accel" in self._repeats:
-            self._ones["accel"] = self._accel
-        if "gyro" in self._repeats:
-            self._ones["gyro"] = self._gyro
-        if any(terms.wheel_scales):
-            self._ones["wheel_speeds"] = lambda _, v: wheels_one(terms.wheel_scales, v)
+            self._repeats["gyro"] = HeldRepeats()
+        steps = {channel: self._steps(channel) for channel in CHANNELS}
+        self._chains = {channel: chain for channel, chain in steps.items() if chain}
+
+    def _steps(self, channel: str) -> list[Step]:
+        """What is done to each sample of a channel, in order; empty: nothing."""
+        steps: list[Step] = []
+        if channel in self._triads:
+            steps.append(self._triads[channel].sample)
+        if channel in self._scalars:
+            steps.append(self._scalars[channel].sample)
+        if channel == "gyro" and self._sensitive:
+            steps.append(self._less_felt)
+        if channel in self._repeats:
+            steps = [HeldSteps(self._repeats[channel], steps)]
+        if channel == "accel" and self._sensitive:
+            steps.append(self._feel)
+        if channel == "temperature" and self._warmed:
+            steps.append(self._temperature)
+        if channel == "wheel_speeds" and self._wheels is not None:
+            steps.append(self._wheels.sample)
+        return steps
 
     def gap(self) -> None:
         """Time jumped: what is carried from sample to sample is forgotten (not the warmth)."""
@@ -97,20 +113,18 @@ class SensorStage:
 
     def frame(self, t: float, samples: list[Sample]) -> tuple[list[Sample], list[str]]:
         """Samples of one frame at stream time t [s]: those compensated, and channels refused."""
-        ones = self._ones
         if len(samples) == 1:
             channel, values = samples[0]
-            take = ones.get(channel)
-            if take is None:
+            steps = self._chains.get(channel)
+            if steps is None:
                 return samples, []
-            found = take(t, values)
+            found = through(steps, t, values)
             return ([], [channel]) if found is None else ([(channel, found)], [])
         out: list[Sample] = []
         refused: list[str] = []
         wheels: Sequence[float] | None = None
         for channel, values in sorted(samples, key=_rank):
-            take = ones.get(channel)
-            found = values if take is None else take(t, values)
+            found = through(self._chains.get(channel, ()), t, values)
             if channel == "wheel_speeds":
                 wheels = found
             elif channel == "speed" and self._derived:
@@ -128,28 +142,15 @@ class SensorStage:
                 triad.warmed(degc)
         return v
 
-    def _accel(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        triad, repeats = self._triads.get("accel"), self._repeats.get("accel")
-        if repeats is not None and repeats.known(v):
-            found = repeats.result
-        else:
-            found = (v[0], v[1], v[2]) if triad is None else triad.one(t, v)
-            if repeats is not None:
-                repeats.keep(v, found)
-        if found is not None:
-            self._felt.push(t, found)
-        return found
+    def _feel(self, t: float, v: Sequence[float]) -> Sequence[float]:
+        x, y, z = v
+        self._felt.push(t, (x, y, z))
+        return v
 
-    def _gyro(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
-        repeats = self._repeats["gyro"]
-        if repeats.known(v):
-            return repeats.result
-        found = self._triads["gyro"].one(t, v)
-        if found is not None:
-            a, b, c = self._felt.value
-            p, q, r = self._terms.g_sensitivity
-            found = found[0] - p * a, found[1] - q * b, found[2] - r * c
-        return repeats.keep(v, found)
+    def _less_felt(self, t: float, v: Sequence[float]) -> Sequence[float]:
+        a, b, c = self._felt.value
+        p, q, r = self._terms.g_sensitivity
+        return v[0] - p * a, v[1] - q * b, v[2] - r * c
 
     # columns -------------------------------------------------------------------------------
 
@@ -177,8 +178,8 @@ class SensorStage:
         for channel, scalar in self._scalars.items():
             if channel in samples:
                 out[channel] = Taken(*scalar.columns(samples[channel].values))
-        if "wheel_speeds" in samples and any(self._terms.wheel_scales):
-            wheels = wheels_column(self._terms.wheel_scales, samples["wheel_speeds"].values)
+        if "wheel_speeds" in samples and self._wheels is not None:
+            wheels = self._wheels.columns(samples["wheel_speeds"].values)
             out["wheel_speeds"] = Taken(*wheels)
             if self._derived and "speed" in samples:
                 ordered = np.sort(np.abs(wheels[0]), axis=1)

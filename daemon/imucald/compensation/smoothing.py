@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from imucald.compensation.terms import ZERO, Vector3
+from imucald.model.section import ZERO, Vector3
 
 GAP_S = 0.5
 """After such a hole a filter begins anew [s]."""

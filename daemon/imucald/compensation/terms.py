@@ -10,15 +10,17 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-Vector3 = tuple[float, float, float]
+from imucald.model.section import ZERO, Vector3
+from imucald.model.vehicle import Suspension
+
 Matrix9 = tuple[float, float, float, float, float, float, float, float, float]
 """(3, 3), row by row."""
 
-ZERO: Vector3 = (0.0, 0.0, 0.0)
 IDENTITY: Matrix9 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 NO_RAIL = (math.inf, math.inf)
 REFERENCE_DEGC = 25.0
 """Temperature at which `bias` is stated."""
+_SPRINGS = Suspension()
 BUTTERWORTH_DELAY = math.sqrt(2.0) / (2.0 * math.pi)
 """Delay of a second-order Butterworth filter well below its corner, times the corner."""
 
@@ -60,11 +62,11 @@ class LeanTerms:
 
     squat: float = 0.0
     dive: float = 0.0
-    pitch_hz: float = 1.7
-    pitch_damping: float = 0.35
+    pitch_hz: float = _SPRINGS.pitch_frequency_hz
+    pitch_damping: float = _SPRINGS.pitch_damping
     roll: float = 0.0
-    roll_hz: float = 1.8
-    roll_damping: float = 0.35
+    roll_hz: float = _SPRINGS.roll_frequency_hz
+    roll_damping: float = _SPRINGS.roll_damping
 
     @property
     def neutral(self) -> bool:

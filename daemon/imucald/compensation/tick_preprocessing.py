@@ -10,19 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from imucald.compensation.held_repeats import Repeats
+from imucald.compensation.held_repeats import HeldRepeats
 from imucald.compensation.suspension import Leaning
 from imucald.compensation.time_alignment import Retiming
 from imucald.compensation.vehicle import less_lean_rate, on_road
 from imucald.core.rotations import times, transposed_times
 from imucald.motion import ticks as tk
+from imucald.motion.stuck import SAME
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
-from imucald.mount.stuck import SAME
 
-_FORCES = slice(tk.ACCEL_X, tk.ACCEL_Z + 1)
-_RATES = slice(tk.GYRO_X, tk.GYRO_Z + 1)
-_SENSORS = ((tk.ACCEL_N, _FORCES), (tk.GYRO_N, _RATES))
+_FORCES = slice(tk.ACCEL.x, tk.ACCEL.z + 1)
+_RATES = slice(tk.GYRO.x, tk.GYRO.z + 1)
+_SENSORS = ((tk.ACCEL.n, _FORCES), (tk.GYRO.n, _RATES))
 
 
 class EvidenceStage:
@@ -35,7 +35,7 @@ class EvidenceStage:
         self._retiming = retiming
         self._leaning = leaning
         self._taken: tuple[float, float] | None = None
-        self._repeats = tuple(Repeats(SAME) for _ in _SENSORS)
+        self._repeats = tuple(HeldRepeats(SAME) for _ in _SENSORS)
 
     def gap(self) -> None:
         """Time jumped: nothing before is joined with what follows."""
@@ -71,18 +71,18 @@ class EvidenceStage:
             self._taken = None
             return row
         out = list(row)
-        if row[tk.ACCEL_N]:
+        if row[tk.ACCEL.n]:
             force = times(correction, row[_FORCES])
             lean = leaning.push(row[tk.T], force[0], force[1])
             out[_FORCES] = transposed_times(correction, on_road(lean, *force))
         roll, pitch = leaning.lean[:2]
-        if row[tk.GYRO_N]:
+        if row[tk.GYRO.n]:
             before = self._taken or (roll, pitch)
             change = (roll - before[0]) / TICK_S, (pitch - before[1]) / TICK_S
             lean = roll, pitch, *change
             rate = less_lean_rate(lean, *times(correction, row[_RATES]))
             out[_RATES] = transposed_times(correction, on_road(lean, *rate))
-        self._taken = (roll, pitch) if row[tk.GYRO_N] else None
+        self._taken = (roll, pitch) if row[tk.GYRO.n] else None
         return out
 
     def _repeated(self, row: Sequence[float], upright: Sequence[float]) -> Sequence[float]:

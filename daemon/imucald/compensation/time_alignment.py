@@ -25,20 +25,18 @@ class _Group:
 
     columns: tuple[int, ...]
     age: int | None = None
-    mean: tuple[int, int] | None = None
+    mean: tk.SignalColumns | None = None
 
 
 _GROUPS: Mapping[str, _Group] = {
-    "accel": _Group((*range(tk.ACCEL_N, tk.ACCEL_AGE + 1), tk.ACCEL_BAD), tk.ACCEL_AGE),
-    "gyro": _Group((*range(tk.GYRO_N, tk.GYRO_AGE + 1), tk.GYRO_BAD), tk.GYRO_AGE),
-    "speed": _Group((tk.SPEED_N, tk.SPEED, tk.SPEED_AGE, tk.SPEED_BAD), tk.SPEED_AGE),
-    "steering": _Group((tk.STEERING_N, tk.STEERING), None, (tk.STEERING_N, tk.STEERING)),
-    "yaw_rate": _Group((tk.YAW_RATE_N, tk.YAW_RATE), None, (tk.YAW_RATE_N, tk.YAW_RATE)),
-    "lateral_accel": _Group((tk.LATERAL_N, tk.LATERAL), None, (tk.LATERAL_N, tk.LATERAL)),
-    "longitudinal_accel": _Group(
-        (tk.LONGITUDINAL_N, tk.LONGITUDINAL), None, (tk.LONGITUDINAL_N, tk.LONGITUDINAL)
-    ),
-    "wheel_speeds": _Group((tk.WHEELS_N, tk.WHEEL_SPREAD), None, (tk.WHEELS_N, tk.WHEEL_SPREAD)),
+    "accel": _Group(tk.ACCEL, tk.ACCEL.age),
+    "gyro": _Group(tk.GYRO, tk.GYRO.age),
+    "speed": _Group(tk.SPEED, tk.SPEED.age),
+    "steering": _Group(tk.STEERING, None, tk.STEERING),
+    "yaw_rate": _Group(tk.YAW_RATE, None, tk.YAW_RATE),
+    "lateral_accel": _Group(tk.LATERAL_ACCEL, None, tk.LATERAL_ACCEL),
+    "longitudinal_accel": _Group(tk.LONGITUDINAL_ACCEL, None, tk.LONGITUDINAL_ACCEL),
+    "wheel_speeds": _Group(tk.WHEEL_SPREAD, None, tk.WHEEL_SPREAD),
     "reverse": _Group((tk.REVERSE,)),
     "brake": _Group((tk.BRAKE,)),
 }

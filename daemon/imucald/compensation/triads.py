@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms, Vector3
+from imucald.compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms
 from imucald.core.rotations import times, times_columns
+from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ class TriadCompensator:
         x, y, z = self.terms.bias_temperature
         self._bias = a + warmth * x, b + warmth * y, c + warmth * z
 
-    def one(self, t: float, v: Sequence[float]) -> Vector3 | None:
+    def sample(self, t: float, v: Sequence[float]) -> Vector3 | None:
         """One sample at t [s]; None where it is refused."""
         x, y, z = v
         if self._rails:
@@ -57,7 +58,7 @@ class TriadCompensator:
     def columns(
         self, v: Array, warmest: tuple[NDArray[np.int64], Array]
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Samples (N, 3) as `one` has them, and which are refused (N,).
+        """Samples (N, 3) as `sample` has them, and which are refused (N,).
 
         warmest: for each sample how many of the temperatures (M,) [degC] had come before it.
         """

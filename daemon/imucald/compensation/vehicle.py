@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.compensation.suspension import GAP_S, UPRIGHT, Lean, Leaning
-from imucald.compensation.terms import Terms, Vector3
+from imucald.compensation.terms import Terms
 from imucald.compensation.yaw_acceleration import YawAcceleration
+from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 Number = TypeVar("Number", float, Array)

@@ -35,7 +35,8 @@ class Counter(Model, frozen=True):
 class Checksum(Model, frozen=True):
     """Checksum of a message."""
 
-    kind: Literal["none", "xor", "crc8_j1850", "e2e_p1", "e2e_p2", "e2e_p5", "e2e_p11"]
+    kind: str
+    """"none" or a kind that `can.e2e.checksums` knows; judged where the message is known."""
     signal: str | None = None
     """Where it stands; E2E profiles have their own places."""
     data_id: int | tuple[int, ...] | None = None

@@ -8,6 +8,7 @@ road-wheel angle as (l_f C_f / I s + l_f C_f / I a11 - a21 C_f / m) /
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 
 from imucald.diagnosis.grid import Array
@@ -73,7 +74,7 @@ class Handling:
         """
         c = self._c
         if gradient is not None:
-            c = c.model_copy(update={"understeer_gradient": gradient})
+            c = msgspec.structs.replace(c, understeer_gradient=gradient)
         m, inertia, lf, lr = c.mass_kg, c.yaw_inertia_kgm2, c.cg_to_front_m, c.cg_to_rear_m
         cf, cr = c.front_cornering_stiffness_npr, c.rear_cornering_stiffness_npr
         moment = lf * cf - lr * cr

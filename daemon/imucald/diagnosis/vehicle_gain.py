@@ -40,7 +40,7 @@ def _final_mount(model: Model) -> Matrix3:
 
 
 def _error(drives: Sequence[Samples], model: Model, final: Matrix3) -> float | None:
-    compensation = compensation_from_model(model.model_dump(mode="json"))
+    compensation = compensation_from_model(model.dump())
     squares = []
     for samples in drives:
         estimate = corrected_drive(samples, compensation).estimate

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from msgspec import Meta
 
 from imucald.model.section import (
     ZERO,
@@ -19,18 +19,18 @@ from imucald.model.section import (
     Vector3,
 )
 
-RateHz = Annotated[float, Field(ge=0.2, le=1000.0)]
-DelayS = Annotated[float, Field(ge=0.0, le=2.0)]
+RateHz = Annotated[float, Meta(ge=0.2, le=1000.0)]
+DelayS = Annotated[float, Meta(ge=0.0, le=2.0)]
 
 
-class Gap(Section):
+class Gap(Section, frozen=True):
     """A stretch of time."""
 
     start_s: NonNegative
     duration_s: Positive
 
 
-class Message(Section):
+class Message(Section, frozen=True):
     """When a signal's frames come: common to all signals."""
 
     enabled: bool = True
@@ -50,7 +50,7 @@ class Message(Section):
     """Stretches in which the value does not change although frames come."""
 
 
-class Triad(Message):
+class Triad(Message, frozen=True):
     """Three-axis inertial sensor; units are those of the sensor (m/s^2, or rad/s)."""
 
     rate_hz: RateHz = 100.0
@@ -64,7 +64,7 @@ class Triad(Message):
     """Random walk of the bias [unit/sqrt(s)]."""
     scale: Vector3 = ZERO
     """Relative scale error per axis."""
-    cross_axis: Annotated[tuple[float, ...], Field(min_length=6, max_length=6)] = (0.0,) * 6
+    cross_axis: tuple[float, float, float, float, float, float] = (*ZERO, *ZERO)
     """Off-diagonal errors xy, xz, yx, yz, zx, zy: part of the second axis seen in the first."""
     lowpass_hz: Positive | None = None
     """Bandwidth of the second-order Butterworth filter in the sensor; null: none."""
@@ -74,7 +74,7 @@ class Triad(Message):
     """Quantisation step."""
 
 
-class Accelerometer(Triad):
+class Accelerometer(Triad, frozen=True):
     """Accelerometer [m/s^2]; figures of a consumer MEMS part."""
 
     noise_density: NonNegative = 0.0018
@@ -88,7 +88,7 @@ class Accelerometer(Triad):
     """Amplitude of the engine's second order in idle, about 25 Hz."""
 
 
-class Gyroscope(Triad):
+class Gyroscope(Triad, frozen=True):
     """Gyroscope [rad/s]."""
 
     noise_density: NonNegative = 0.00012
@@ -102,7 +102,7 @@ class Gyroscope(Triad):
     """rms of angular vibration at 20 m/s."""
 
 
-class Temperature(Message):
+class Temperature(Message, frozen=True):
     """Sensor temperature: first-order warm-up."""
 
     rate_hz: RateHz = 1.0
@@ -112,7 +112,7 @@ class Temperature(Message):
     lsb: NonNegative = 0.5
 
 
-class Speed(Message):
+class Speed(Message, frozen=True):
     """Vehicle speed as broadcast: from the rear wheels."""
 
     scale: float = 0.0
@@ -125,10 +125,10 @@ class Speed(Message):
     """First-order filter in the sending unit."""
 
 
-class WheelSpeeds(Message):
+class WheelSpeeds(Message, frozen=True):
     """Four wheel speeds, with curve differences and drive or brake slip."""
 
-    scale: Annotated[tuple[float, ...], Field(min_length=4, max_length=4)] = (0.0,) * 4
+    scale: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     lsb: NonNegative = 0.01 / 3.6
     dead_band_mps: NonNegative = 0.4
     noise_mps: NonNegative = 0.02
@@ -141,7 +141,7 @@ class WheelSpeeds(Message):
     """Largest slip in such a stretch."""
 
 
-class Scalar(Message):
+class Scalar(Message, frozen=True):
     """A vehicle signal with offset and scale error."""
 
     offset: float = 0.0
@@ -152,7 +152,7 @@ class Scalar(Message):
     lowpass_hz: Positive | None = None
 
 
-class Steering(Scalar):
+class Steering(Scalar, frozen=True):
     """Steering-wheel angle [rad]."""
 
     rate_hz: RateHz = 100.0
@@ -160,7 +160,7 @@ class Steering(Scalar):
     delay_s: DelayS = 0.01
 
 
-class YawRate(Scalar):
+class YawRate(Scalar, frozen=True):
     """Vehicle yaw rate of the stability control [rad/s]: about the body's vertical axis."""
 
     noise: NonNegative = 0.001
@@ -169,7 +169,7 @@ class YawRate(Scalar):
     lowpass_hz: Positive | None = 15.0
 
 
-class LateralAccel(Scalar):
+class LateralAccel(Scalar, frozen=True):
     """Lateral acceleration of the stability control [m/s^2]: a sensor in the rolling body."""
 
     noise: NonNegative = 0.03
@@ -178,18 +178,18 @@ class LateralAccel(Scalar):
     lowpass_hz: Positive | None = 15.0
 
 
-class LongitudinalAccel(LateralAccel):
+class LongitudinalAccel(LateralAccel, frozen=True):
     """Longitudinal acceleration of the stability control [m/s^2]: a sensor in the body."""
 
 
-class Flag(Message):
+class Flag(Message, frozen=True):
     """A switch (reverse gear, brake pedal)."""
 
     rate_hz: RateHz = 10.0
     delay_s: DelayS = 0.02
 
 
-class Heading(Scalar):
+class Heading(Scalar, frozen=True):
     """Heading, clockwise from north [rad]."""
 
     enabled: bool = False
@@ -197,7 +197,7 @@ class Heading(Scalar):
     noise: NonNegative = 0.01
 
 
-class Magnetometer(Message):
+class Magnetometer(Message, frozen=True):
     """Magnetometer [T] in sensor axes, parallel to the accelerometer."""
 
     enabled: bool = False
@@ -209,7 +209,7 @@ class Magnetometer(Message):
     lsb: NonNegative = 0.02e-6
 
 
-class Bus(Section):
+class Bus(Section, frozen=True):
     """The CAN bus that a log is written for."""
 
     bitrate: Positive = 500_000.0

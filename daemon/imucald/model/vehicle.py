@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from msgspec import Meta
 
 from imucald.model.section import (
     ZERO,
@@ -21,7 +21,7 @@ from imucald.model.section import (
 
 RouteKind = Literal["mixed", "city", "motorway", "straight_only", "circles", "parked"]
 DrivingSide = Literal["right", "left"]
-RoadLength = Annotated[float, Field(ge=15.0)]
+RoadLength = Annotated[float, Meta(ge=15.0)]
 """Shorter waves are roughness."""
 
 
@@ -29,7 +29,7 @@ FASTEST_MPS = 36.0
 """Drivers do not go faster than this, whatever the route."""
 
 
-class Chassis(Section):
+class Chassis(Section, frozen=True):
     """Single-track vehicle. The understeer gradient and the rear stiffness give the front one."""
 
     mass_kg: Positive = 1450.0
@@ -43,7 +43,7 @@ class Chassis(Section):
     """Lateral force over slip angle of the rear axle [N/rad]."""
     understeer_gradient: float = 0.0025
     """K in delta = L/R + K * a_y [rad/(m/s^2)]; 0.0025 is 1.4 deg/g."""
-    friction: Annotated[float, Field(ge=0.15)] = 0.95
+    friction: Annotated[float, Meta(ge=0.15)] = 0.95
     """Tyre force saturates at friction times axle load."""
     tyre_saturation: bool = True
     """False: tyres stay linear."""
@@ -62,8 +62,7 @@ class Chassis(Section):
         rear = self.cg_to_front_m / self.rear_cornering_stiffness_npr
         return self.cg_to_rear_m / (self.understeer_gradient * L / m + rear)
 
-    @model_validator(mode="after")
-    def _plausible(self) -> Chassis:
+    def __post_init__(self) -> None:
         if self.cg_to_front_m >= self.wheelbase_m:
             raise ValueError("cg_to_front_m must be shorter than wheelbase_m")
         limit = -self.wheelbase_m / FASTEST_MPS**2
@@ -71,10 +70,9 @@ class Chassis(Section):
             raise ValueError(
                 f"understeer_gradient below {limit:.4f} makes a vehicle that spins at speed"
             )
-        return self
 
 
-class Suspension(Section):
+class Suspension(Section, frozen=True):
     """Sprung body on its springs: roll and pitch as second-order systems, and a quarter car.
 
     The body turns about a centre that moves with the road frame; the lever arm of the sensor is
@@ -100,7 +98,7 @@ class Suspension(Section):
     """Unsprung over sprung mass; with `wheel_hop_hz` it gives the tyre's stiffness."""
 
 
-class Road(Section):
+class Road(Section, frozen=True):
     """Slope, crown, superelevation and roughness of the road."""
 
     grade: bool = True
@@ -125,7 +123,7 @@ class Road(Section):
     """Displacement spectral density at 0.1 cycles/m [m^3]; ISO 8608: A 16e-6, B 64e-6, C 256e-6."""
 
 
-class Route(Section):
+class Route(Section, frozen=True):
     """Where the drive goes and how the driver drives."""
 
     kind: RouteKind = "mixed"
@@ -153,16 +151,14 @@ class Route(Section):
     circle_radius_m: Positive = 14.0
     """Radius of the `circles` route."""
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Route:
+    def __post_init__(self) -> None:
         for name in ("launch_mps2", "braking_mps2", "lateral_mps2"):
             low, high = getattr(self, name)
             if low > high:
                 raise ValueError(f"{name}: the lower bound comes first")
-        return self
 
 
-class MountShift(Section):
+class MountShift(Section, frozen=True):
     """The sensor is turned at a time; the angles are about the vehicle's axes."""
 
     t_s: NonNegative
@@ -171,7 +167,7 @@ class MountShift(Section):
     yaw_deg: float = 0.0
 
 
-class Mount(Section):
+class Mount(Section, frozen=True):
     """How the sensor sits: intrinsic Z-Y-X angles of R_vehicle_from_sensor, and where."""
 
     roll_deg: float = 0.0
@@ -180,11 +176,9 @@ class Mount(Section):
     lever_arm: bool = True
     lever_arm_m: Vector3 = ZERO
     """Sensor from the body's centre of rotation (below the centre of gravity), vehicle axes."""
-    shifts: tuple[MountShift, ...] = Field(default=())
+    shifts: tuple[MountShift, ...] = ()
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Mount:
+    def __post_init__(self) -> None:
         times = [shift.t_s for shift in self.shifts]
         if times != sorted(times):
             raise ValueError("shifts must be in order of time")
-        return self

@@ -14,21 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imucald.core.errors import EstimateError
-from imucald.motion.ticks import (
-    ACCEL_BAD,
-    ACCEL_MAX_X,
-    ACCEL_MAX_Y,
-    ACCEL_MAX_Z,
-    ACCEL_MIN_X,
-    ACCEL_MIN_Y,
-    ACCEL_MIN_Z,
-    ACCEL_N,
-    ACCEL_X,
-    ACCEL_Y,
-    ACCEL_Z,
-    TICK_S,
-    TickRow,
-)
+from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
 Vector = tuple[float, float, float]
 
@@ -116,10 +102,10 @@ class StandstillDetector:
 
         stopped: whether speed says that the vehicle stands; None where speed is not known.
         """
-        if stopped is False or tick[ACCEL_BAD] > 0.0:
+        if stopped is False or tick[ACCEL.bad] > 0.0:
             self.restart()
             return None
-        n = tick[ACCEL_N]
+        n = tick[ACCEL.n]
         if n == 0.0:
             self._holes += 1
             if self._holes > MAX_HOLE_TICKS:
@@ -128,9 +114,9 @@ class StandstillDetector:
         if not self._within(tick, stopped):
             self.restart()
             self._within(tick, stopped)
-        self._x += n * tick[ACCEL_X]
-        self._y += n * tick[ACCEL_Y]
-        self._z += n * tick[ACCEL_Z]
+        self._x += n * tick[ACCEL.x]
+        self._y += n * tick[ACCEL.y]
+        self._z += n * tick[ACCEL.z]
         self._n += n
         self._ticks += 1
         return self._advance(tick[0])
@@ -139,8 +125,8 @@ class StandstillDetector:
         presets = self._presets
         limit = presets.thresholds_at_zero_speed if stopped else presets.thresholds
         low, high = self._low, self._high
-        lx, ly, lz = tick[ACCEL_MIN_X], tick[ACCEL_MIN_Y], tick[ACCEL_MIN_Z]
-        hx, hy, hz = tick[ACCEL_MAX_X], tick[ACCEL_MAX_Y], tick[ACCEL_MAX_Z]
+        lx, ly, lz = tick[ACCEL.min_x], tick[ACCEL.min_y], tick[ACCEL.min_z]
+        hx, hy, hz = tick[ACCEL.max_x], tick[ACCEL.max_y], tick[ACCEL.max_z]
         if lx < low[0]:
             low[0] = lx
         if ly < low[1]:

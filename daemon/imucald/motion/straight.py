@@ -13,22 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imucald.core.errors import EstimateError
-from imucald.motion.ticks import (
-    GYRO_BAD,
-    GYRO_N,
-    GYRO_X,
-    GYRO_Y,
-    GYRO_Z,
-    STEERING,
-    STEERING_N,
-    YAW_RATE,
-    YAW_RATE_N,
-    TickRow,
-)
+from imucald.motion.at_rest import MAX_ZERO_OFFSET
+from imucald.motion.ticks import GYRO, STEERING, YAW_RATE, TickRow
 
 NAN = math.nan
-MAX_GYRO_OFFSET = math.radians(5.0)
-"""A mean rate beyond this at rest [rad/s] is a turntable or a ferry, not an offset."""
 OFFSET_MEMORY = 600
 """Ticks at rest after which an offset forgets: it drifts with temperature."""
 MAX_HOLD_TICKS = 10
@@ -157,21 +145,21 @@ class YawRateSource:
         return NAN
 
     def _take(self, tick: TickRow, at_rest: bool) -> None:
-        if tick[YAW_RATE_N] > 0.0:
-            self._rate, self._rate_age = tick[YAW_RATE], 0
-            if at_rest and abs(self._rate) < MAX_GYRO_OFFSET:
+        if tick[YAW_RATE.n] > 0.0:
+            self._rate, self._rate_age = tick[YAW_RATE.mean], 0
+            if at_rest and abs(self._rate) < MAX_ZERO_OFFSET:
                 self._offset.add(self._rate)
         else:
             self._rate_age += 1
-        if tick[GYRO_N] > 0.0 and tick[GYRO_BAD] == 0.0:
-            self._gyro = (tick[GYRO_X], tick[GYRO_Y], tick[GYRO_Z])
+        if tick[GYRO.n] > 0.0 and tick[GYRO.bad] == 0.0:
+            self._gyro = (tick[GYRO.x], tick[GYRO.y], tick[GYRO.z])
             self._gyro_age = 0
-            if at_rest and max(map(abs, self._gyro)) < MAX_GYRO_OFFSET:
+            if at_rest and max(map(abs, self._gyro)) < MAX_ZERO_OFFSET:
                 for offset, value in zip(self._gyro_offset, self._gyro, strict=True):
                     offset.add(value)
         else:
             self._gyro_age += 1
-        if tick[STEERING_N] > 0.0:
-            self._steering, self._steering_age = tick[STEERING], 0
+        if tick[STEERING.n] > 0.0:
+            self._steering, self._steering_age = tick[STEERING.mean], 0
         else:
             self._steering_age += 1

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,62 +24,86 @@ TICK_RATE = 10.0
 TICK_S = 1.0 / TICK_RATE
 
 TickRow = Sequence[float]
-"""One row; the constants below index it."""
+"""One row; the columns below index it."""
+
+
+class SignalColumns(NamedTuple):
+    """Columns of a signal: how many samples the tick has (0: none), and their mean."""
+
+    n: int
+    mean: int
+
+
+class SpeedColumns(NamedTuple):
+    """The same of the speed; mean age at the end of the tick [s]; rejected samples."""
+
+    n: int
+    mean: int
+    age: int
+    bad: int
+
+
+class GyroColumns(NamedTuple):
+    """Samples, their mean angular rate [rad/s] in sensor axes, mean age [s], rejected samples."""
+
+    n: int
+    x: int
+    y: int
+    z: int
+    age: int
+    bad: int
+
+
+class AccelColumns(NamedTuple):
+    """Samples, their mean specific force [m/s^2] in sensor axes, and mean squares [(m/s^2)^2].
+
+    Then least and largest [m/s^2], mean age at the end of the tick [s], rejected samples.
+    """
+
+    n: int
+    x: int
+    y: int
+    z: int
+    xx: int
+    yy: int
+    zz: int
+    min_x: int
+    min_y: int
+    min_z: int
+    max_x: int
+    max_y: int
+    max_z: int
+    age: int
+    bad: int
+
 
 T = 0
 """End of the tick, stream time [s]."""
-ACCEL_N = 1
-"""Accelerometer samples in the tick; 0 where there is none (likewise the other *_N)."""
-ACCEL_X, ACCEL_Y, ACCEL_Z = 2, 3, 4
-"""Mean specific force, sensor axes [m/s^2]."""
-ACCEL_XX, ACCEL_YY, ACCEL_ZZ = 5, 6, 7
-"""Mean square specific force, sensor axes [(m/s^2)^2]."""
-ACCEL_MIN_X, ACCEL_MIN_Y, ACCEL_MIN_Z = 8, 9, 10
-ACCEL_MAX_X, ACCEL_MAX_Y, ACCEL_MAX_Z = 11, 12, 13
-ACCEL_AGE = 14
-"""Mean age of the samples at the end of the tick [s] (likewise the other *_AGE)."""
-GYRO_N = 15
-GYRO_X, GYRO_Y, GYRO_Z = 16, 17, 18
-"""Mean angular rate, sensor axes [rad/s]."""
-GYRO_AGE = 19
-SPEED_N = 20
-SPEED = 21
+ACCEL = AccelColumns(*range(1, 16))
+GYRO = GyroColumns(*range(16, 22))
+SPEED = SpeedColumns(*range(22, 26))
 """Mean speed [m/s]."""
-SPEED_AGE = 22
-STEERING_N = 23
-STEERING = 24
+STEERING = SignalColumns(26, 27)
 """Mean steering-wheel angle [rad]."""
-YAW_RATE_N = 25
-YAW_RATE = 26
+YAW_RATE = SignalColumns(28, 29)
 """Mean vehicle yaw rate [rad/s]."""
-LATERAL_N = 27
-LATERAL = 28
-"""Mean vehicle lateral acceleration [m/s^2]."""
-LONGITUDINAL_N = 29
-LONGITUDINAL = 30
-"""Mean vehicle longitudinal acceleration [m/s^2]."""
-WHEELS_N = 31
-WHEEL_SPREAD = 32
+LATERAL_ACCEL = SignalColumns(30, 31)
+LONGITUDINAL_ACCEL = SignalColumns(32, 33)
+"""Mean vehicle acceleration, to the left and forward [m/s^2]."""
+WHEEL_SPREAD = SignalColumns(34, 35)
 """Mean over samples of fastest minus slowest wheel [m/s]."""
-REVERSE = 33
-"""Last value in the tick, 0 or 1 (likewise the four below, in their units)."""
-BRAKE = 34
-HEADING = 35
-TEMPERATURE = 36
-ACCEL_BAD = 37
-"""Accelerometer samples that were rejected in the tick (damaged, saturated, not available)."""
-GYRO_BAD = 38
-SPEED_BAD = 39
+REVERSE, BRAKE, HEADING, TEMPERATURE = range(36, 40)
+"""Last value in the tick: 0 or 1, 0 or 1, [rad], [degC]; NaN where there is none."""
 COLUMNS = 40
 """Length of a row."""
 
 NAN = math.nan
 
-_MEANS: Mapping[str, tuple[int, int]] = {
-    "steering": (STEERING_N, STEERING),
-    "yaw_rate": (YAW_RATE_N, YAW_RATE),
-    "lateral_accel": (LATERAL_N, LATERAL),
-    "longitudinal_accel": (LONGITUDINAL_N, LONGITUDINAL),
+_MEANS: Mapping[str, SignalColumns] = {
+    "steering": STEERING,
+    "yaw_rate": YAW_RATE,
+    "lateral_accel": LATERAL_ACCEL,
+    "longitudinal_accel": LONGITUDINAL_ACCEL,
 }
 _LASTS: Mapping[str, int] = {
     "reverse": REVERSE,
@@ -86,12 +111,17 @@ _LASTS: Mapping[str, int] = {
     "heading": HEADING,
     "temperature": TEMPERATURE,
 }
-_BAD: Mapping[str, int] = {"accel": ACCEL_BAD, "gyro": GYRO_BAD, "speed": SPEED_BAD}
+_BAD: Mapping[str, int] = {"accel": ACCEL.bad, "gyro": GYRO.bad, "speed": SPEED.bad}
 _NEVER_NAN = (
-    ACCEL_N, GYRO_N, SPEED_N, STEERING_N, YAW_RATE_N, LATERAL_N, LONGITUDINAL_N, WHEELS_N,
-    ACCEL_BAD, GYRO_BAD, SPEED_BAD,
+    ACCEL.n, GYRO.n, SPEED.n, STEERING.n, YAW_RATE.n, LATERAL_ACCEL.n, LONGITUDINAL_ACCEL.n,
+    WHEEL_SPREAD.n, ACCEL.bad, GYRO.bad, SPEED.bad,
 )  # fmt: skip
 _EMPTY = [0.0 if i in _NEVER_NAN else NAN for i in range(COLUMNS)]
+
+
+def empty_rows(n: int) -> NDArray[np.float64]:
+    """Rows of ticks without any sample, (n, COLUMNS)."""
+    return np.tile(np.array(_EMPTY), (n, 1))
 
 
 def tick_index(t: float) -> int:
@@ -178,26 +208,26 @@ class TickAccumulator:
         end = row[T] = (k + 1) / TICK_RATE
         if self._na:
             n = float(self._na)
-            row[ACCEL_N] = n
+            row[ACCEL.n] = n
             for i in range(6):
-                row[ACCEL_X + i] = self._a[i] / n
-            row[ACCEL_MIN_X : ACCEL_MIN_X + 3] = self._low
-            row[ACCEL_MAX_X : ACCEL_MAX_X + 3] = self._high
-            row[ACCEL_AGE] = end - self._a[6] / n
+                row[ACCEL.x + i] = self._a[i] / n
+            row[ACCEL.min_x : ACCEL.min_x + 3] = self._low
+            row[ACCEL.max_x : ACCEL.max_x + 3] = self._high
+            row[ACCEL.age] = end - self._a[6] / n
         if self._ng:
             n = float(self._ng)
-            row[GYRO_N] = n
+            row[GYRO.n] = n
             for i in range(3):
-                row[GYRO_X + i] = self._g[i] / n
-            row[GYRO_AGE] = end - self._g[3] / n
+                row[GYRO.x + i] = self._g[i] / n
+            row[GYRO.age] = end - self._g[3] / n
         if self._nv:
             n = float(self._nv)
-            row[SPEED_N] = n
-            row[SPEED] = self._v[0] / n
-            row[SPEED_AGE] = end - self._v[1] / n
+            row[SPEED.n] = n
+            row[SPEED.mean] = self._v[0] / n
+            row[SPEED.age] = end - self._v[1] / n
         if self._nw:
-            row[WHEELS_N] = float(self._nw)
-            row[WHEEL_SPREAD] = self._w / float(self._nw)
+            row[WHEEL_SPREAD.n] = float(self._nw)
+            row[WHEEL_SPREAD.mean] = self._w / float(self._nw)
         for channel, (count, total) in self._means.items():
             n_index, index = _MEANS[channel]
             row[n_index] = count
@@ -222,7 +252,7 @@ def ticks_from_samples(
     The result equals `TickAccumulator` on the same samples to the last bit.
     """
     n = stop - first
-    out = np.tile(np.array(_EMPTY), (n, 1))
+    out = empty_rows(n)
     if n <= 0:
         return out
     out[:, T] = (np.arange(first, stop) + 1) / TICK_RATE
@@ -254,9 +284,9 @@ def _fill(out: NDArray[np.float64], channel: str, index: NDArray[np.int64], seri
         return
     if channel == "wheel_speeds":
         counts, has = _counts(index, n)
-        out[:, WHEELS_N] = counts
+        out[:, WHEEL_SPREAD.n] = counts
         spread = values.max(axis=1) - values.min(axis=1)
-        out[has, WHEEL_SPREAD] = np.bincount(index, spread, n)[has] / counts[has]
+        out[has, WHEEL_SPREAD.mean] = np.bincount(index, spread, n)[has] / counts[has]
     elif channel in _MEANS:
         n_index, column = _MEANS[channel]
         counts, has = _counts(index, n)
@@ -264,26 +294,26 @@ def _fill(out: NDArray[np.float64], channel: str, index: NDArray[np.int64], seri
         out[has, column] = np.bincount(index, values, n)[has] / counts[has]
     elif channel == "speed":
         counts, has = _counts(index, n)
-        out[:, SPEED_N] = counts
-        out[has, SPEED] = np.bincount(index, values, n)[has] / counts[has]
-        _ages(out, SPEED_AGE, index, series.t, counts, has)
+        out[:, SPEED.n] = counts
+        out[has, SPEED.mean] = np.bincount(index, values, n)[has] / counts[has]
+        _ages(out, SPEED.age, index, series.t, counts, has)
     elif channel == "gyro":
         counts, has = _counts(index, n)
-        out[:, GYRO_N] = counts
+        out[:, GYRO.n] = counts
         for i in range(3):
-            out[has, GYRO_X + i] = np.bincount(index, values[:, i], n)[has] / counts[has]
-        _ages(out, GYRO_AGE, index, series.t, counts, has)
+            out[has, GYRO.x + i] = np.bincount(index, values[:, i], n)[has] / counts[has]
+        _ages(out, GYRO.age, index, series.t, counts, has)
     elif channel == "accel":
         counts, has = _counts(index, n)
-        out[:, ACCEL_N] = counts
+        out[:, ACCEL.n] = counts
         order_starts = np.flatnonzero(np.diff(index, prepend=-1))
         for i in range(3):
             v = np.ascontiguousarray(values[:, i])
-            out[has, ACCEL_X + i] = np.bincount(index, v, n)[has] / counts[has]
-            out[has, ACCEL_XX + i] = np.bincount(index, v * v, n)[has] / counts[has]
-            out[has, ACCEL_MIN_X + i] = np.minimum.reduceat(v, order_starts)
-            out[has, ACCEL_MAX_X + i] = np.maximum.reduceat(v, order_starts)
-        _ages(out, ACCEL_AGE, index, series.t, counts, has)
+            out[has, ACCEL.x + i] = np.bincount(index, v, n)[has] / counts[has]
+            out[has, ACCEL.xx + i] = np.bincount(index, v * v, n)[has] / counts[has]
+            out[has, ACCEL.min_x + i] = np.minimum.reduceat(v, order_starts)
+            out[has, ACCEL.max_x + i] = np.maximum.reduceat(v, order_starts)
+        _ages(out, ACCEL.age, index, series.t, counts, has)
 
 
 def _counts(index: NDArray[np.int64], n: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

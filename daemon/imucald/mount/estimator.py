@@ -281,5 +281,5 @@ class FullEstimator:
                 }
                 for block, shift in self._shifts
             ],
-            "frozen_ticks": dict(signals.frozen),
+            "frozen_ticks": dict(signals.health.counts),
         }

@@ -7,6 +7,8 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.motion.at_rest import IDLE_RATE, MAX_GYRO_BIAS, is_idle
+
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
@@ -14,12 +16,6 @@ MIN_TICKS = 8
 """A block with less rest says nothing."""
 REST_MEMORY = 250.0
 """Ticks at rest after which an offset is forgotten: it wanders with temperature."""
-STILL_RATE, STILL_FORCE = 0.05, 0.25
-"""At rest rates [rad/s] and forces [m/s^2] stay that close to their mean."""
-NOISE_SHARE = 4.0
-"""... or within so many times a force's noise from tick to tick: a noisy sensor rests as well."""
-MAX_BIAS = 0.1
-"""A gyroscope with a larger bias [rad/s] is turning: a speed stuck at zero is no rest."""
 MAX_STEP = 0.02
 """Nor does a known bias jump by more [rad/s]."""
 GUESS_TICKS = 250
@@ -47,12 +43,7 @@ class Offsets:
         if n < MIN_TICKS:
             return
         mean = rate.mean(axis=0)
-        still = np.abs(rate - mean).max() < STILL_RATE
-        step = np.diff(force, axis=0)
-        noise = np.sqrt(0.5 * (step * step).mean(axis=0))
-        allowed = np.maximum(STILL_FORCE, NOISE_SHARE * noise)
-        still &= bool((np.abs(force - force.mean(axis=0)) < allowed).all())
-        if not still or np.abs(mean).max() > MAX_BIAS:
+        if not is_idle(rate, force) or np.abs(mean).max() > MAX_GYRO_BIAS:
             return
         if self.gyro_ticks > 50.0 and np.abs(mean - self.gyro_bias).max() > MAX_STEP:
             return
@@ -65,7 +56,7 @@ class Offsets:
         if n < MIN_TICKS:
             return
         mean = float(yaw_rate.mean())
-        if abs(mean) > MAX_BIAS or float(np.abs(yaw_rate - mean).max()) > STILL_RATE:
+        if abs(mean) > MAX_GYRO_BIAS or float(np.abs(yaw_rate - mean).max()) > IDLE_RATE:
             return
         self._yaw_ticks = min(self._yaw_ticks + n, REST_MEMORY)
         self.yaw_rate += (mean - self.yaw_rate) * (n / self._yaw_ticks)

@@ -7,18 +7,23 @@ be interpolated between samples on both sides. Says for every tick whether it ma
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
-from imucald.motion.ticks import TICK_S, TickRow
+from imucald.motion.at_rest import (
+    PARKED_FORCE_CHANGE,
+    PARKED_FORCE_STD,
+    PARKED_RATE_STD,
+    ZERO_SPEED,
+    keeps_steady,
+)
+from imucald.motion.signal_health import SignalHealth
+from imucald.motion.ticks import TICK_S, TickRow, empty_rows
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.offsets import Offsets
-from imucald.mount.plausible import forbidden, tally
-from imucald.mount.stuck import StuckSensor, StuckSpeed
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -36,8 +41,6 @@ ACCEL_GAP = 0.35
 SPEED_GAP = 2.3
 """Longest hole bridged in speed [s]; 1 Hz with one loss."""
 YAW_GAP = 0.5
-REST_SPEED = 0.05
-"""A speed below is standstill [m/s]."""
 REST_TICKS = 12
 """Speed must have been zero that long before it counts as rest: braking jerk dies out."""
 STEADY_TICKS = 32
@@ -75,26 +78,6 @@ class SignalBlock:
         return replace(self, rate=rate, ok_rate=self.had_rate, gyro_bias=gyro_bias)
 
 
-def empty_rows(n: int) -> Array:
-    """Rows of ticks without any sample, (n, COLUMNS)."""
-    accumulator = tk.TickAccumulator()
-    return np.tile(np.array(accumulator.close(0)), (n, 1))
-
-
-_SENSORS = (
-    (tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_Z + 1, 400.0),
-    (tk.ACCEL_N, tk.ACCEL_AGE, tk.ACCEL_AGE + 1, 1.01 * TICK_S),
-    (tk.GYRO_N, tk.GYRO_X, tk.GYRO_Z + 1, 60.0),
-    (tk.GYRO_N, tk.GYRO_AGE, tk.GYRO_AGE + 1, 1.01 * TICK_S),
-    (tk.SPEED_N, tk.SPEED, tk.SPEED + 1, 150.0),
-    (tk.SPEED_N, tk.SPEED_AGE, tk.SPEED_AGE + 1, 1.01 * TICK_S),
-    (tk.STEERING_N, tk.STEERING, tk.STEERING + 1, 100.0),
-    (tk.YAW_RATE_N, tk.YAW_RATE, tk.YAW_RATE + 1, 20.0),
-)
-"""Count, first and last number of each sensor in a tick, and the largest size there can be."""
-_EMPTY = empty_rows(1)[0]
-
-
 def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Array, Flags]:
     """Interpolate samples (M,) or (M, w) at times (N,); False where the hole is too long."""
     if len(times) < 1:
@@ -114,27 +97,19 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
     return out, ok
 
 
-def _steady(x: Array, limit: float) -> Flags:
-    """Where signals (N, 3) keep within a standard deviation, part by part."""
-    spread = x.reshape(-1, STEADY_TICKS, 3).std(axis=1).max(axis=1)
-    return np.repeat(spread < limit, STEADY_TICKS)
-
-
 class SignalBlockMaker:
     """Keeps the last ticks and cuts them into blocks."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self._rows = np.tile(_EMPTY, (KEEP + BLOCK_TICKS, 1))
+        self._rows = empty_rows(KEEP + BLOCK_TICKS)
         self._n = KEEP
         self.offsets = Offsets()
         self.steering_offset = 0.0
-        self.frozen: Counter[str] = Counter()
         self._reverse = 0.0
         self._rest_run = 0
-        self._stuck_accel = StuckSensor(tk.ACCEL_N, tk.ACCEL_X, moving=True)
-        self._stuck_gyro = StuckSensor(tk.GYRO_N, tk.GYRO_X, moving=False)
-        self._stuck_speed = StuckSpeed()
+        new = slice(BEFORE, BEFORE + BLOCK_TICKS)
+        self.health = SignalHealth(new, settings.accel_range, settings.track)
         self.seen: set[str] = set()
         self.blocks = 0
 
@@ -151,35 +126,29 @@ class SignalBlockMaker:
 
     def restart(self) -> None:
         """Forget the kept ticks: time jumped."""
-        self._rows[:] = _EMPTY
+        self._rows[:] = empty_rows(1)
         self._n = KEEP
         self._rest_run = 0
-        self._stuck_accel.restart()
-        self._stuck_gyro.restart()
-        self._stuck_speed.restart()
+        self.health.restart()
 
     def block(self) -> SignalBlock:
         """Return the signals of the next block."""
         rows = self._rows
-        self._drop_impossible(rows[KEEP:])
+        self.health.drop_impossible(rows[KEEP:])
         part = slice(BEFORE - 1, BEFORE + BLOCK_TICKS + 1)  # one more at both ends, for dv/dt
         end = rows[-1, tk.T]
         t = end + (np.arange(len(rows)) - (len(rows) - 1)) * TICK_S
         at = t[part] - 0.5 * TICK_S
         mid = slice(1, BLOCK_TICKS + 1)
-        force, ok_force = self._vector(
-            t, at, tk.ACCEL_N, tk.ACCEL_X, tk.ACCEL_AGE, self._stuck_accel
-        )
-        rate, ok_rate = self._vector(t, at, tk.GYRO_N, tk.GYRO_X, tk.GYRO_AGE, self._stuck_gyro)
+        force, ok_force = self._vector(t, at, "accel", tk.ACCEL)
+        rate, ok_rate = self._vector(t, at, "gyro", tk.GYRO)
         self.blocks += 1
         speed, ok_speed = self._speed(t, at)
         yaw_rate, ok_yaw = self._yaw_rate(t, at, speed)
         accel = (speed[2:] - speed[:-2]) / (2.0 * TICK_S)
         rest = self._rest(speed[mid], ok_speed[mid], force[mid], rate[mid], ok_rate[mid])
         curve = np.maximum(np.abs(yaw_rate), np.sqrt((rate * rate).sum(axis=1)) * ok_rate)
-        bad = forbidden(
-            rows[part], force, ok_force, speed, ok_speed, curve, self._settings, self.frozen
-        )
+        bad = self.health.untrusted(rows[part], force, ok_force, speed, ok_speed, curve)
         prepared = SignalBlock(
             t=t[part][mid],
             force=force[mid],
@@ -207,39 +176,29 @@ class SignalBlockMaker:
         self._n = KEEP
         return prepared
 
-    def _drop_impossible(self, new: Array) -> None:
-        """A sensor's tick with a number that cannot be (or is none) counts as empty."""
-        for count, first, stop, largest in _SENSORS:
-            sound = np.abs(new[:, first:stop]).max(axis=1) <= largest  # False for NaN
-            bad = (new[:, count] > 0) & ~sound
-            if bad.any():
-                new[bad, count] = 0.0
-                self.frozen["impossible"] += int(bad.sum())
-
     def _vector(
-        self, t: Array, at: Array, n: int, first: int, age: int, stuck: StuckSensor
+        self, t: Array, at: Array, signal: str, columns: tk.AccelColumns | tk.GyroColumns
     ) -> tuple[Array, Flags]:
         rows = self._rows
-        spoilt = stuck.flags(rows)
-        tally(self.frozen, "stuck", spoilt[BEFORE : BEFORE + BLOCK_TICKS])
-        has = (rows[:, n] > 0) & ~spoilt
+        has = (rows[:, columns.n] > 0) & ~self.health.stuck(signal, rows)
+        mean = slice(columns.x, columns.z + 1)
         if has.all():
-            times = t - rows[:, age]
-            values = rows[:, first : first + 3]
+            times = t - rows[:, columns.age]
+            values = rows[:, mean]
         else:
-            times = t[has] - rows[has, age]
-            values = rows[has, first : first + 3]
+            times = t[has] - rows[has, columns.age]
+            values = rows[has, mean]
         return bridged(at, times, values, ACCEL_GAP)
 
     def _speed(self, t: Array, at: Array) -> tuple[Array, Flags]:
         rows = self._rows
-        has = rows[:, tk.SPEED_N] > 0
+        has = rows[:, tk.SPEED.n] > 0
         if has.any():
             self.seen.add("speed")
-        stuck = self._stuck_speed.flags(rows, BLOCK_TICKS)
-        tally(self.frozen, "stuck", stuck[BEFORE : BEFORE + BLOCK_TICKS])
-        has &= ~stuck
-        speed, ok = bridged(at, t[has] - rows[has, tk.SPEED_AGE], rows[has, tk.SPEED], SPEED_GAP)
+        has &= ~self.health.stuck("speed", rows)
+        speed, ok = bridged(
+            at, t[has] - rows[has, tk.SPEED.age], rows[has, tk.SPEED.mean], SPEED_GAP
+        )
         known = rows[:, tk.REVERSE]
         if not np.isnan(known).all():
             self.seen.add("reverse")
@@ -262,16 +221,18 @@ class SignalBlockMaker:
 
     def _yaw_rate(self, t: Array, at: Array, speed: Array) -> tuple[Array, Flags]:
         rows = self._rows
-        has = rows[:, tk.STEERING_N] > 0
+        has = rows[:, tk.STEERING.n] > 0
         angle, ok_angle = np.zeros(len(at)), np.zeros(len(at), dtype=bool)
         if has.any():
             self.seen.add("steering")
-            angle, ok_angle = bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING], YAW_GAP)
+            angle, ok_angle = bridged(
+                at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING.mean], YAW_GAP
+            )
         self._steering = angle, ok_angle
-        has = rows[:, tk.YAW_RATE_N] > 0
+        has = rows[:, tk.YAW_RATE.n] > 0
         if has.any():
             self.seen.add("yaw_rate")
-            return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE], YAW_GAP)
+            return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE.mean], YAW_GAP)
         s = self._settings
         if s.steering_ratio is None or not ok_angle.any():
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
@@ -282,12 +243,13 @@ class SignalBlockMaker:
         """At rest: speed zero (where there is one) and the force still."""
         rest = np.zeros(len(speed), dtype=bool)
         if ok.any():
-            still = ok & (np.abs(speed) < REST_SPEED)
+            still = ok & (np.abs(speed) < ZERO_SPEED)
         else:
             move = np.abs(np.diff(force, axis=0, prepend=force[:1])).max(axis=1)
-            still = (move < 0.12) & _steady(force, 0.06)
+            still = move < PARKED_FORCE_CHANGE
+            still &= keeps_steady(force, PARKED_FORCE_STD, STEADY_TICKS)
             if ok_rate.any():
-                still &= _steady(rate, 0.01)
+                still &= keeps_steady(rate, PARKED_RATE_STD, STEADY_TICKS)
         run = self._rest_run
         for i, s in enumerate(still.tolist()):
             run = run + 1 if s else 0

@@ -23,8 +23,8 @@ class Change:
 
 def model_changes(before: Model, after: Model) -> list[Change]:
     """Return every key whose value differs, in the file's order. Lists count as one value."""
-    old = dict(_flat(before.model_dump(mode="json")))
-    new = dict(_flat(after.model_dump(mode="json")))
+    old = dict(_flat(before.dump()))
+    new = dict(_flat(after.dump()))
     return [
         Change(key, old.get(key), new.get(key))
         for key in dict.fromkeys((*old, *new))

@@ -10,11 +10,11 @@ from typing import Any
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import SETTLED_STD, AttitudeEstimate, AttitudeState
 from imucald.attitude.filter import AttitudeFilter
-from imucald.attitude.plausible import is_plausible
 from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
 from imucald.config import Config, LoadedConfig
 from imucald.config.attitude import Attitude
 from imucald.core.rotations import times
+from imucald.motion.plausible import is_plausible
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import Correction, MountEstimate
 from imucald.runtime.consumer import ORDER, Companion

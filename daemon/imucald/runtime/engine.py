@@ -94,7 +94,7 @@ class Engine:
     @property
     def model_key(self) -> str:
         """Names what a model changes of the estimate; "" without one."""
-        return "" if self.stages is None else self.stages.compensation.estimate_key
+        return "" if self.stages is None else self.stages.estimate_key
 
     # one frame -----------------------------------------------------------------------------
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from imucald.core.samples import Samples, Series
 from imucald.motion.ticks import (
     SPEED,
-    SPEED_N,
     TICK_RATE,
     TickAccumulator,
     TickRow,
@@ -192,8 +191,8 @@ class Pipeline:
 
     def _close(self, row: TickRow, snapshots: list[Snapshot] | None) -> None:
         estimator = self.estimator
-        if row[SPEED_N]:
-            self.speed = self.k, row[SPEED]
+        if row[SPEED.n]:
+            self.speed = self.k, row[SPEED.mean]
         if self._preprocessor is not None:
             row = self._preprocessor.row(row, self.correction)
         estimator.step(row)

@@ -13,7 +13,7 @@ import numpy as np
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_reader import LogReader
 from imucald.runtime.engine import Engine
-from imucald.runtime.summary import Counts, summary
+from imucald.runtime.summary import RunCounts, summary
 
 Sink = Callable[[FrameColumns], None]
 """Takes the frames that the engine gives out."""
@@ -72,8 +72,8 @@ class Replay:
             else:
                 time.sleep(min(max(float(due[start]) - now, 0.0), SLICE_S))
 
-    def counts(self) -> Counts:
+    def counts(self) -> RunCounts:
         """Frames so far; rejected are both bad lines and frames that protection refused."""
         rejected = Counter(self.engine.router.rejected)
         rejected.update(self.reader.rejected)
-        return Counts(self.reader.frames_read, self.engine.router.used, rejected)
+        return RunCounts(self.reader.frames_read, self.engine.router.used, rejected)

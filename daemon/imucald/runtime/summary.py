@@ -15,7 +15,7 @@ _DEG = 180.0 / math.pi
 
 
 @dataclass(frozen=True)
-class Counts:
+class RunCounts:
     """Frames of a run: read at all, and rejected by reason."""
 
     read: int
@@ -23,7 +23,9 @@ class Counts:
     rejected: Mapping[str, int]
 
 
-def summary(engine: Engine, counts: Counts, duration: float, lead: float = 0.0) -> dict[str, Any]:
+def summary(
+    engine: Engine, counts: RunCounts, duration: float, lead: float = 0.0
+) -> dict[str, Any]:
     """Result of a run, with the keys documented in docs/json.md.
 
     duration: seconds of driving. lead: how long before our first frame the log began [s].

@@ -18,15 +18,15 @@ from imucald.config.uds import Diagnostics
 from imucald.core.errors import ConfigError
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.sender import OutFrame
-from imucald.service.uds_host import Host, LiveSubject
-from imucald.uds.dtc_memory import Status, TroubleMemory
+from imucald.service.uds_host import LiveHost, RunningService
+from imucald.uds.dtc_memory import DtcMemory, DtcStatus
 from imucald.uds.identifiers import Identifier
 from imucald.uds.isotp_channel import IsoTpChannel, flagged
 from imucald.uds.security import KeyFunction
 from imucald.uds.server import Server
 
 JUDGE_S: Final = 0.2
-"""The tests of the trouble codes are made so often [s]."""
+"""The tests of the DTCs are made so often [s]."""
 TRANSPORT_COUNTERS_IDENTIFIER: Final = 0xFD0C
 TRANSPORT_COUNTERS: Final = (
     "frames",
@@ -37,20 +37,20 @@ TRANSPORT_COUNTERS: Final = (
 )
 
 
-class BusDiagnostics:
-    """Server, transport and trouble codes of one daemon. A `live.Extra`."""
+class BusUds:
+    """Server, transport and DTCs of one daemon. A `live.Extra`."""
 
     def __init__(
         self,
-        host: Host,
+        service: RunningService,
         config: Diagnostics,
         key_function: KeyFunction | None = None,
         clock: Callable[[], float] = time.monotonic,
-        troubles: TroubleMemory | None = None,
+        dtcs: DtcMemory | None = None,
     ) -> None:
-        self.subject = LiveSubject(host, clock)
+        self.host = LiveHost(service, clock)
         self.server = Server(
-            self.subject,
+            self.host,
             clock,
             key_function,
             config.security.attempts,
@@ -60,7 +60,7 @@ class BusDiagnostics:
                     "transport counters", lambda _: self._transport_counted()
                 )
             },
-            troubles=troubles,
+            dtcs=dtcs,
         )
         self.channel = IsoTpChannel(
             config.request_id,
@@ -69,7 +69,7 @@ class BusDiagnostics:
             self.server.handle,
             clock,
         )
-        self._host = host
+        self._service = service
         self._clock = clock
         self._next_judgement = clock()
         self._keys_refused = 0
@@ -106,7 +106,7 @@ class BusDiagnostics:
         if now >= self._next_judgement:
             self._next_judgement = now + JUDGE_S
             self.server.poll()
-            self.server.troubles.update(now, self.subject.symptoms())
+            self.server.dtcs.update(now, self.host.symptoms())
             self._tell_refused_keys()
         return self.channel.poll()
 
@@ -121,16 +121,16 @@ class BusDiagnostics:
             "keys_refused": server.security.refused,
             "transport": dict(sorted(self.channel.counters.items())),
             "trouble_codes": {
-                trouble.display: f"{record.status:02X}"
-                for trouble, record in server.troubles
-                if record.status & (Status.TEST_FAILED | Status.PENDING | Status.CONFIRMED)
+                dtc.display: f"{record.status:02X}"
+                for dtc, record in server.dtcs
+                if record.status & (DtcStatus.TEST_FAILED | DtcStatus.PENDING | DtcStatus.CONFIRMED)
             },
         }
 
     def _tell_refused_keys(self) -> None:
         if self.server.security.refused != self._keys_refused:
             self._keys_refused = self.server.security.refused
-            self._host.tell_tester(f"keys of a tester refused so far: {self._keys_refused}")
+            self._service.log_tester(f"keys of a tester refused so far: {self._keys_refused}")
 
     @staticmethod
     def check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:
@@ -144,16 +144,16 @@ class BusDiagnostics:
         return struct.pack(f">{len(known) + 1}I", *(min(n, 0xFFFF_FFFF) for n in (*known, errors)))
 
 
-def diagnostics_for(
-    host: Host,
+def bus_uds_for(
+    service: RunningService,
     loaded: LoadedConfig,
     engine: Engine,
     clock: Callable[[], float] = time.monotonic,
-    troubles: TroubleMemory | None = None,
-) -> BusDiagnostics:
+    dtcs: DtcMemory | None = None,
+) -> BusUds:
     """The diagnostics of a configuration.
 
-    host: asked only later, when it runs. troubles: a memory that is there already. Raises
+    service: asked only later, when it runs. dtcs: a memory that is there already. Raises
     ConfigError with the place of a mistake.
     """
     config = loaded.config.diagnostics
@@ -162,7 +162,7 @@ def diagnostics_for(
     if config.security.key_function is not None:
         key_function = _load_key_function(loaded, config.security.key_function)
     try:
-        return BusDiagnostics(host, config, key_function, clock, troubles)
+        return BusUds(service, config, key_function, clock, dtcs)
     except ImportError:
         text = "needs the package can-isotp: pip install 'imucald[diagnostics]'"
         raise loaded.error(("diagnostics", "enabled"), text) from None

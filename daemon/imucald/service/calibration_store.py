@@ -1,17 +1,15 @@
-"""Keeps the calibration across restarts: decides when it is saved, writes it beside the loop.
+"""Keeps the calibration across restarts: decides when it is saved, and what of it is believed.
 
-A disk may take seconds to confirm; the loop must not wait for it. One thread does nothing but
-write the newest state that it was given.
+A disk may take seconds to confirm; the loop must not wait for it: see `state_writer`.
 """
 
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +20,7 @@ from imucald.mount.saved_information import SavedInformation, SavesInformation, 
 from imucald.runtime.summary import plain
 from imucald.service.journal import INFO, NOTICE, WARNING
 from imucald.service.state import SavedState, StateStore
+from imucald.service.state_writer import Say, StateWriter
 
 SAVE_PERIOD_S = 10.0
 """A changing estimate is saved so often [s]: what a cut of power may cost."""
@@ -47,70 +46,8 @@ _EVIDENCE: tuple[str, ...] = (
 )
 _EVIDENCE += ("right_turns", "stops", "distance", "manoeuvres")
 
-Say = Callable[[str, int], None]
-Content = TypeVar("Content")
 
-
-class Writer(Generic[Content]):
-    """A thread that saves the newest content it was given; started with the first.
-
-    save: writes it; OSError where the disk does not take it.
-    """
-
-    def __init__(self, save: Callable[[Content], object]) -> None:
-        self.saves = 0
-        self.failures = 0
-        self.last_error = ""
-        self._save = save
-        self._next: Content | None = None
-        self._busy = False
-        self._ended = False
-        self._changed = threading.Condition()
-        self._thread: threading.Thread | None = None
-
-    def put(self, content: Content) -> None:
-        """Have this saved soon; what still waits is replaced. Never blocks for the disk."""
-        with self._changed:
-            self._next = content
-            self._changed.notify_all()
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name="state", daemon=True)
-            self._thread.start()
-
-    def flush(self, limit: float) -> bool:
-        """Wait until all is written, at most `limit` [s]; whether it is."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._next is None and not self._busy, limit)
-
-    def close(self, limit: float) -> bool:
-        """Write what waits and end the thread, within `limit` [s]; whether all is written."""
-        done = self.flush(limit)
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
-        return done
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._next is not None or self._ended)
-                content, self._next = self._next, None
-                if content is None:
-                    return
-                self._busy = True
-            try:
-                self._save(content)
-                self.saves += 1
-                self.last_error = ""
-            except OSError as error:
-                self.failures += 1
-                self.last_error = error.strerror or str(error)
-            with self._changed:
-                self._busy = False
-                self._changed.notify_all()
-
-
-class StateKeeper:
+class CalibrationStore:
     """Restores an estimator from the store, and saves what it finds.
 
     say: takes a line for the log and its priority. clock: monotonic [s]. wall: wall clock [s].
@@ -125,7 +62,8 @@ class StateKeeper:
         wall: Callable[[], float] = time.time,
     ) -> None:
         self.store = store
-        self.writer = Writer[SavedState](self._write)
+        title = f"the state in {store.folder}"
+        self.writer = StateWriter[SavedState](self._write, title, say)
         self.problems: tuple[str, ...] = ()
         """What of the state could not be believed at the start."""
         self.restored = False
@@ -137,7 +75,6 @@ class StateKeeper:
         self._last_put = -math.inf
         self._before = MountState.WAITING
         self._driven_before = 0.0
-        self._told_error = ""
 
     def _write(self, state: SavedState) -> None:
         self.store.save(state)
@@ -175,7 +112,7 @@ class StateKeeper:
         if self._wanted(state, changed):
             self._save(estimator, self._driven_before + driven_s)
         self._before = state
-        self._tell_errors()
+        self.writer.report()
 
     def _wanted(self, state: MountState, changed: bool) -> bool:
         if state in _BAD:  # once; what was good before is kept, as doubted
@@ -211,6 +148,7 @@ class StateKeeper:
     def forget(self) -> None:
         """Keep nothing of what was saved: it is set aside, and not loaded again."""
         self.writer.flush(STOP_WAIT_S)
+        self.writer.discard()
         self._known = False
         try:
             self.store.forget()
@@ -223,24 +161,15 @@ class StateKeeper:
             self._save(estimator, self._driven_before + driven_s)
         if not self.writer.close(STOP_WAIT_S):
             self._say("the disk did not take the state in time; the one before stands", WARNING)
-        self._tell_errors()
-
-    def _tell_errors(self) -> None:
-        error = self.writer.last_error
-        if error != self._told_error:
-            self._told_error = error
-            text = f"the state cannot be saved in {self.store.folder}: {error}; going on without"
-            self._say(text if error else "the state can be saved again", WARNING)
+        self.writer.report()
 
     def status(self) -> dict[str, Any]:
-        """What `imucald status` tells of it."""
+        """What `imucald status` shows of it."""
         return {
             "folder": str(self.store.folder),
             "generation": self.store.generation,
             "restored_at_start": self.restored,
-            "saves": self.writer.saves,
-            "failures": self.writer.failures,
-            "last_error": self.writer.last_error,
+            **self.writer.status(),
             "problems": list(self.problems),
             "remounts": len(self._last.shifts) if self._known else 0,
         }

@@ -1,4 +1,4 @@
-"""Keeps the trouble codes over restarts: one small file beside the saved state.
+"""Keeps the DTCs over restarts: one small file beside the saved state.
 
 The codes say what a workshop should look at, nothing is driven by them: one generation is enough,
 and a file that cannot be believed is set aside and begun anew.
@@ -20,10 +20,12 @@ from imucald.core.atomic_file import (
     with_checksum,
     write_file,
 )
-from imucald.service.calibration_store import Writer
-from imucald.uds.dtc_memory import TroubleMemory
+from imucald.service.journal import WARNING
+from imucald.service.state_writer import Say, StateWriter
+from imucald.uds.dtc_memory import DtcMemory
 
 MAGIC: Final = "imucald-troubles 1"
+"""The first word is older than the name of this module; files that are there begin with it."""
 MAX_BYTES: Final = 1 << 16
 """A longer file is not ours."""
 PERIOD_S: Final = 10.0
@@ -32,27 +34,24 @@ PERIOD_S: Final = 10.0
 CLOSE_WAIT_S: Final = 0.2
 """How long a stop waits for the disk [s]; the calibration's state waits longer."""
 
-Say = Callable[[str], None]
 
-
-class TroubleKeeper:
+class DtcStore:
     """The memory of one daemon, read from its file at the start and written when it changes.
 
-    path: None keeps nothing. say: takes a line for the log. clock: monotonic [s].
+    path: None keeps nothing. say: takes a line for the log and its priority. clock: monotonic [s].
     """
 
     def __init__(
         self, path: Path | None, say: Say, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.memory = TroubleMemory()
+        self.memory = DtcMemory()
         self.path = path
         self._say = say
         self._clock = clock
         self._next = clock()
-        self._writer: Writer[bytes] | None = None
-        self._told = ""
+        self.writer: StateWriter[bytes] | None = None
         if path is not None:
-            self._writer = Writer(lambda data: write_file(path, data))
+            self.writer = StateWriter(lambda data: write_file(path, data), "the DTC memory", say)
             self.memory.restore(self._read(path))
         self._written = self.memory.saved()
 
@@ -64,24 +63,22 @@ class TroubleKeeper:
     def close(self) -> None:
         """Write what changed last; waits for the disk, but not for long."""
         self._put()
-        if self._writer is not None:
-            self._writer.close(CLOSE_WAIT_S)
-            self._tell_errors(self._writer)
+        if self.writer is not None:
+            self.writer.close(CLOSE_WAIT_S)
+            self.writer.report()
 
     def _put(self) -> None:
-        if self._writer is None:
+        if self.writer is None:
             return
-        self._tell_errors(self._writer)
+        self.writer.report()
         now = self.memory.saved()
         if now != self._written:
             self._written, self._next = now, self._clock() + PERIOD_S
-            self._writer.put(encoded(now))
+            self.writer.put(encoded(now))
 
-    def _tell_errors(self, writer: Writer[bytes]) -> None:
-        if writer.last_error != self._told:
-            self._told = writer.last_error
-            if self._told:
-                self._say(f"the trouble codes cannot be saved: {self._told}; going on without")
+    def status(self) -> dict[str, Any] | None:
+        """Saves, failures and the last error; None where nothing is kept."""
+        return None if self.writer is None else self.writer.status()
 
     def _read(self, path: Path) -> Mapping[str, Any]:
         try:
@@ -89,14 +86,14 @@ class TroubleKeeper:
         except FileNotFoundError:
             return {}
         except OSError as error:
-            self._say(f"trouble codes: {path} cannot be read: {error.strerror}")
+            self._say(f"DTCs: {path} cannot be read: {error.strerror}", WARNING)
             return {}
         found = decoded(data)
         if found is None:
             aside = free_name(path, "corrupt")
             with contextlib.suppress(OSError):
                 path.rename(aside)
-            self._say(f"trouble codes: {path} is damaged; set aside as {aside.name}")
+            self._say(f"DTCs: {path} is damaged; set aside as {aside.name}", WARNING)
         return found or {}
 
 

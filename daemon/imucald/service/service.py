@@ -21,8 +21,9 @@ from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
-from imucald.runtime.summary import Counts, summary
-from imucald.service.calibration_store import SAVE_PERIOD_S, StateKeeper
+from imucald.runtime.summary import RunCounts, summary
+from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
+from imucald.service.dtc_store import DtcStore
 from imucald.service.figures import NOT_SAVED, process_figures, status_line
 from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
@@ -33,8 +34,7 @@ from imucald.service.state import StateStore
 from imucald.service.status import StatusServer
 
 if TYPE_CHECKING:
-    from imucald.service.bus_uds import BusDiagnostics
-    from imucald.service.dtc_store import TroubleKeeper
+    from imucald.service.bus_uds import BusUds
 
 CHORE_S = 0.1
 """The loop turns to everything but frames so often [s]."""
@@ -86,14 +86,14 @@ class Service:
         self._counted_at = clock()
         self.loaded = open_config(options.config, options.databases)
         engine = self._new_engine(self.loaded)
-        self.keeper = self._new_keeper(self.loaded, engine)
-        if self.keeper is not None:
-            engine.pipeline.replace(self.keeper.restore(engine.pipeline.estimator))
-        self.troubles: TroubleKeeper | None = None
-        self.diagnostics = self._new_diagnostics(self.loaded, engine)
-        self.link = self._new_link(self.loaded, engine, self.diagnostics)
+        self.calibration_store = self._new_calibration_store(self.loaded, engine)
+        if self.calibration_store is not None:
+            engine.pipeline.replace(self.calibration_store.restore(engine.pipeline.estimator))
+        self.dtc_store: DtcStore | None = None
+        self.uds = self._new_uds(self.loaded, engine)
+        self.link = self._new_link(self.loaded, engine, self.uds)
         try:
-            self.daemon = Daemon(engine, self.link, clock, self.diagnostics)
+            self.daemon = Daemon(engine, self.link, clock, self.uds)
             self.server = self._new_server()
         except ImucaldError:
             self.link.close()
@@ -104,33 +104,32 @@ class Service:
     def _new_engine(self, loaded: LoadedConfig) -> Engine:
         return make_engine(loaded, self._snapshot, self._link_health)
 
-    def _new_keeper(self, loaded: LoadedConfig, engine: Engine) -> StateKeeper | None:
+    def _new_calibration_store(
+        self, loaded: LoadedConfig, engine: Engine
+    ) -> CalibrationStore | None:
         folder = self.options.state_folder
         if folder is None:
             return None
         store = StateStore(folder, state_key(loaded, engine.router, engine.model_key))
-        return StateKeeper(store, self.journal.say, self.options.save_period, self._clock)
+        return CalibrationStore(store, self.journal.say, self.options.save_period, self._clock)
 
-    def _new_diagnostics(self, loaded: LoadedConfig, engine: Engine) -> BusDiagnostics | None:
+    def _new_uds(self, loaded: LoadedConfig, engine: Engine) -> BusUds | None:
         if not loaded.config.diagnostics.enabled:
             return None
-        # imported only where it is wanted: the start is quicker without
-        from imucald.service.bus_uds import diagnostics_for  # noqa: PLC0415
-        from imucald.service.dtc_store import TroubleKeeper  # noqa: PLC0415
+        # imported only where it is wanted: it loads OpenSSL (3.6 MiB) for keys
+        from imucald.service.bus_uds import bus_uds_for  # noqa: PLC0415
 
-        if self.troubles is None:
+        if self.dtc_store is None:
             folder, key = self.options.state_folder, state_key(loaded, engine.router)
             path = None if folder is None else folder / f"{key.file_name}.troubles"
-            self.troubles = TroubleKeeper(path, self.journal.say, self._clock)
-        return diagnostics_for(self, loaded, engine, self._clock, self.troubles.memory)
+            self.dtc_store = DtcStore(path, self.journal.say, self._clock)
+        return bus_uds_for(self, loaded, engine, self._clock, self.dtc_store.memory)
 
-    def _new_link(
-        self, loaded: LoadedConfig, engine: Engine, diagnostics: BusDiagnostics | None
-    ) -> Link:
+    def _new_link(self, loaded: LoadedConfig, engine: Engine, uds: BusUds | None) -> Link:
         options = self.options
         matches, own_ids = engine.router.matches, engine.output.can_ids
-        if diagnostics is not None:
-            matches, own_ids = matches + diagnostics.matches, own_ids | diagnostics.own_ids
+        if uds is not None:
+            matches, own_ids = matches + uds.matches, own_ids | uds.own_ids
         return open_link(
             loaded,
             matches,
@@ -190,10 +189,10 @@ class Service:
         if self.server is not None:
             self.server.close()
         self.link.close()  # first: nothing stale is sent while the disk takes its time
-        if self.keeper is not None:
-            self.keeper.close(self.engine.pipeline.estimator, self.engine.timebase.now)
-        if self.troubles is not None:
-            self.troubles.close()
+        if self.calibration_store is not None:
+            self.calibration_store.close(self.engine.pipeline.estimator, self.engine.timebase.now)
+        if self.dtc_store is not None:
+            self.dtc_store.close()
 
     def _chores(self, now: float) -> None:
         self.notifier.feed()
@@ -208,10 +207,10 @@ class Service:
 
     def _every_second(self, now: float) -> None:
         estimate = self._estimate()
-        if self.keeper is not None:
-            self.keeper.update(self.engine.pipeline.estimator, self.engine.timebase.now)
-        if self.troubles is not None:
-            self.troubles.update()
+        if self.calibration_store is not None:
+            self.calibration_store.update(self.engine.pipeline.estimator, self.engine.timebase.now)
+        if self.dtc_store is not None:
+            self.dtc_store.update()
         self.notifier.status(status_line(estimate, str(self.link.state)))
         counts = self.engine.router.sample_counts
         span = max(now - self._counted_at, 1e-9)
@@ -240,19 +239,19 @@ class Service:
     def _reload(self) -> None:
         loaded = open_config(self.options.config, self.options.databases)
         engine, old = self._new_engine(loaded), self.engine
-        link, diagnostics = self.link, self.diagnostics
-        if diagnostics is None or loaded.config.diagnostics != self.loaded.config.diagnostics:
-            diagnostics = self._new_diagnostics(loaded, engine)
+        link, uds = self.link, self.uds
+        if uds is None or loaded.config.diagnostics != self.loaded.config.diagnostics:
+            uds = self._new_uds(loaded, engine)
         else:
-            diagnostics.check_identifiers(loaded, engine)
+            uds.check_identifiers(loaded, engine)
         if listens_otherwise(self.loaded, loaded, old, engine):
-            link = self._new_link(loaded, engine, diagnostics)
+            link = self._new_link(loaded, engine, uds)
         engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
         engine.pipeline.replace(self._estimator_after(loaded, engine))
         self.loaded = loaded
         self.daemon.engine = engine
-        self.diagnostics = diagnostics
-        self.daemon.serve(diagnostics)
+        self.uds = uds
+        self.daemon.serve(uds)
         self._counted, self._rejected = {}, 0
         if link is not self.link:
             self.link.close()
@@ -265,8 +264,10 @@ class Service:
         other_model = engine.model_key != self.engine.model_key
         if key != before or other_model:
             self._save_now()
-            self.keeper = self._new_keeper(loaded, engine)
-            restored = new if self.keeper is None else self.keeper.restore(new)
+            self.calibration_store = self._new_calibration_store(loaded, engine)
+            restored = (
+                new if self.calibration_store is None else self.calibration_store.restore(new)
+            )
             if key != before or restored is not new:
                 return restored  # another sensor or vehicle: what was found is not of it
             return behind_the_known(old, new)
@@ -276,8 +277,8 @@ class Service:
         return behind_the_known(old, new)
 
     def _save_now(self) -> None:
-        if self.keeper is not None:
-            self.keeper.close(self.engine.pipeline.estimator, self.engine.timebase.now)
+        if self.calibration_store is not None:
+            self.calibration_store.close(self.engine.pipeline.estimator, self.engine.timebase.now)
 
     # what diagnostics ask for ----------------------------------------------------------------
 
@@ -289,15 +290,15 @@ class Service:
     @property
     def state_corrupt(self) -> bool | None:
         """Whether a state was found that could not be believed, and none was saved since."""
-        keeper = self.keeper
-        return None if keeper is None else bool(keeper.problems) and not keeper.writer.saves
+        store = self.calibration_store
+        return None if store is None else bool(store.problems) and not store.writer.saves
 
     def forget_state(self) -> None:
         """Keep nothing of what was saved."""
-        if self.keeper is not None:
-            self.keeper.forget()
+        if self.calibration_store is not None:
+            self.calibration_store.forget()
 
-    def tell_tester(self, text: str) -> None:
+    def log_tester(self, text: str) -> None:
         """Write what a tester did into the log."""
         self.journal.seldom(text.partition(":")[0], text, WARNING)
 
@@ -333,10 +334,15 @@ class Service:
     def result(self) -> dict[str, Any]:
         """Summary of the run (see docs/json.md), with the link's counters."""
         engine, counters = self.engine, self.link.counters
-        counts = Counts(counters.received, engine.router.used, engine.router.rejected)
+        counts = RunCounts(counters.received, engine.router.used, engine.router.rejected)
         found = summary(engine, counts, engine.timebase.now)
         found["link"] = dataclasses.asdict(counters)
         return found
+
+    def _uds_status(self) -> dict[str, Any] | None:
+        if self.uds is None or self.dtc_store is None:
+            return None
+        return self.uds.status() | {"dtc_memory": self.dtc_store.status()}
 
     def status(self) -> dict[str, Any]:
         """What `imucald status` shows; keys in docs/service.md."""
@@ -349,7 +355,7 @@ class Service:
             "interface": link.interface,
             "channel": link.channel,
         }
-        keeper = self.keeper
+        store = self.calibration_store
         found |= {
             "version": __version__,
             "config": str(self.options.config),
@@ -359,8 +365,8 @@ class Service:
             "quality": self.engine.pipeline.quality,
             "health": dataclasses.asdict(self.engine.health()),
             "frames_given_out": self.engine.sent,
-            "saved_state": NOT_SAVED if keeper is None else keeper.status(),
-            "diagnostics": None if self.diagnostics is None else self.diagnostics.status(),
+            "saved_state": NOT_SAVED if store is None else store.status(),
+            "diagnostics": self._uds_status(),
             "process": process_figures(),
         }
         return found

@@ -15,7 +15,7 @@ from imucald.config import LoadedConfig
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate, MountEstimator, MountState
 from imucald.runtime.engine import Engine
-from imucald.uds.host import Counts, Identity, Symptoms
+from imucald.uds.host import FrameCounts, Identity, Symptoms
 
 SPEED_AGE_TICKS: Final = 2.0 * TICK_RATE
 """Speed is known when a sample came within this: for sources that send one a second."""
@@ -26,7 +26,7 @@ START_S: Final = 2.0
 _MOVED: Final = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
 
 
-class Host(Protocol):
+class RunningService(Protocol):
     """What runs the calibration; engine and configuration change when it reads its file again."""
 
     @property
@@ -53,16 +53,16 @@ class Host(Protocol):
         """Keep nothing of what was saved."""
         ...
 
-    def tell_tester(self, text: str) -> None:
+    def log_tester(self, text: str) -> None:
         """Write what a tester did into the log; those lines may come without end."""
         ...
 
 
-class LiveSubject:
-    """The running calibration, as the server asks for it. See `diagnostics.subject.Subject`."""
+class LiveHost:
+    """The running calibration, as the server asks for it. See `uds.host.Host`."""
 
-    def __init__(self, host: Host, clock: Callable[[], float]) -> None:
-        self._host = host
+    def __init__(self, service: RunningService, clock: Callable[[], float]) -> None:
+        self._service = service
         self._clock = clock
         self._began = clock()
         self._former: tuple[object, MountEstimator] | None = None
@@ -72,7 +72,7 @@ class LiveSubject:
     @property
     def identity(self) -> Identity:
         """Software, vehicle and configuration."""
-        loaded = self._host.loaded
+        loaded = self._service.loaded
         if self._known_as is None or self._known_as[0] is not loaded:
             made = Identity(__version__, loaded.config.vehicle.id, configuration_identity(loaded))
             self._known_as = loaded, made
@@ -81,12 +81,12 @@ class LiveSubject:
     @property
     def quality(self) -> int:
         """Quality of the correction in force."""
-        return self._host.engine.pipeline.quality
+        return self._service.engine.pipeline.quality
 
     @property
     def standing(self) -> bool | None:
         """Whether the vehicle stands, by a speed not older than two seconds."""
-        pipeline = self._host.engine.pipeline
+        pipeline = self._service.engine.pipeline
         if pipeline.speed is None:
             return None
         tick, speed = pipeline.speed
@@ -99,18 +99,18 @@ class LiveSubject:
 
     def estimate(self) -> MountEstimate:
         """The present state of knowledge; worked out once a tick, however often it is asked."""
-        pipeline = self._host.engine.pipeline
+        pipeline = self._service.engine.pipeline
         known = self._estimate
         if known is None or known[0] is not pipeline.estimator or known[1] != pipeline.k:
             known = pipeline.estimator, pipeline.k, pipeline.estimator.estimate()
             self._estimate = known
         return known[2]
 
-    def counts(self) -> Counts:
+    def counts(self) -> FrameCounts:
         """Counters of engine and link."""
-        engine, link = self._host.engine, self._host.link_counters
+        engine, link = self._service.engine, self._service.link_counters
         rejected = engine.router.rejected
-        return Counts(
+        return FrameCounts(
             received=link.received,
             used=engine.router.used,
             sent=link.sent,
@@ -121,8 +121,8 @@ class LiveSubject:
         )
 
     def symptoms(self) -> Symptoms:
-        """What the trouble codes are made from."""
-        engine = self._host.engine
+        """What the DTCs are made from."""
+        engine = self._service.engine
         health, channels = engine.health(), engine.router.channels
         missing = {
             "accelerometer": health.accelerometer_missing,
@@ -137,21 +137,21 @@ class LiveSubject:
             moved=engine.pipeline.estimator.state in _MOVED,
             missing={name: missing[name] for c, name in watched.items() if c in channels},
             counts=self.counts(),
-            state_corrupt=self._host.state_corrupt,
+            state_corrupt=self._service.state_corrupt,
         )
 
     def begin_calibration(self) -> None:
         """Begin anew and keep the former estimator aside."""
-        self._former = self._settings(), self._host.engine.restart_calibration()
-        self._host.tell_tester("a tester began the calibration anew")
+        self._former = self._settings(), self._service.engine.restart_calibration()
+        self._service.log_tester("a tester began the calibration anew")
 
     def return_to_former(self) -> bool:
         """Take the former estimator back, unless it was made for other settings."""
         if self._former is None or self._former[0] != self._settings():
             return False
-        self._host.engine.resume_calibration(self._former[1])
+        self._service.engine.resume_calibration(self._former[1])
         self._former = None
-        self._host.tell_tester("a tester took the former calibration back")
+        self._service.log_tester("a tester took the former calibration back")
         return True
 
     def accept_calibration(self) -> None:
@@ -160,15 +160,15 @@ class LiveSubject:
 
     def _settings(self) -> object:
         """All that an estimator depends on; the file may be read again meanwhile."""
-        config = self._host.loaded.config
+        config = self._service.loaded.config
         return config.signals, config.calibration, config.vehicle
 
     def forget(self) -> None:
         """Begin anew and keep nothing."""
         self._former = None
-        self._host.engine.restart_calibration()
-        self._host.forget_state()
-        self._host.tell_tester("a tester reset the calibration")
+        self._service.engine.restart_calibration()
+        self._service.forget_state()
+        self._service.log_tester("a tester reset the calibration")
 
 
 def configuration_identity(loaded: LoadedConfig) -> bytes:

@@ -108,7 +108,7 @@ class Drive:
 
     def summary(self) -> dict[str, object]:
         """Return the truth with seed and model: the content of `truth.json`."""
-        parameters = self.model.model_dump(mode="json")
+        parameters = self.model.dump()
         return {"seed": self.seed, **self.truth.summary(), "model": parameters}
 
 

@@ -18,6 +18,7 @@ from imucald.attitude.right_forward_up import (
     rows,
 )
 from imucald.core.rotations import Rows, Vector, levelling_rotation, quaternion_from_rotation, times
+from imucald.motion.at_rest import MAX_TERMINAL_BIAS, TERMINAL_RATE_RANGE
 from imucald.travel_direction.north import NorthFilter
 from imucald.travel_direction.settings import ModernSettings
 
@@ -25,10 +26,6 @@ TWO_PI = 2.0 * math.pi
 GAP_S = 0.5
 """Samples further apart than this are no steady stream [s]."""
 REST_S = 1.0
-REST_RATE = math.radians(2.0)
-"""At rest no axis of the gyroscope moves by more within `REST_S` [rad/s]."""
-REST_RATE_MEAN = math.radians(1.5)
-"""A larger mean is a slow turn, no zero error [rad/s]."""
 
 
 class TerminalAttitude:
@@ -144,7 +141,7 @@ class TerminalAttitude:
             return
         x, y, z = (total / self._n for total in self._total)
         spread = max(high - low for high, low in zip(self._high, self._low, strict=True))
-        if spread < REST_RATE and max(abs(x), abs(y), abs(z)) < REST_RATE_MEAN:
+        if spread < TERMINAL_RATE_RANGE and max(abs(x), abs(y), abs(z)) < MAX_TERMINAL_BIAS:
             self.zero_error = (x, y, z)
             self.north.rested()
         self._rest_begin()

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.attitude.plausible import is_plausible
 from imucald.core.rotations import Vector, times, transposed_times
+from imucald.motion.plausible import is_plausible
 from imucald.travel_direction.attitude import TerminalAttitude
 from imucald.travel_direction.cycles import Cycle, StepCycles
 from imucald.travel_direction.gyro_step_axis import ModernDirection

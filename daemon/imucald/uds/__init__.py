@@ -1,5 +1,5 @@
-"""Diagnostics on the bus: a server of unified diagnostic services (ISO 14229-1).
+"""Unified diagnostic services (ISO 14229-1): bytes of a request in, bytes of a response out.
 
-Bytes of a request in, bytes of a response out. No I/O, no clock of its own, no transport: those are
-`service.diagnostics`.
+No I/O and no clock of its own. `isotp_channel` carries requests and responses in CAN frames;
+`service.bus_uds` puts the server on the running daemon.
 """

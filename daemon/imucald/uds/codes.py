@@ -10,8 +10,8 @@ class Sid(enum.IntEnum):
     """Services that are answered."""
 
     SESSION_CONTROL = 0x10
-    CLEAR_TROUBLES = 0x14
-    READ_TROUBLES = 0x19
+    CLEAR_DTCS = 0x14
+    READ_DTCS = 0x19
     READ_DATA = 0x22
     SECURITY_ACCESS = 0x27
     ROUTINE_CONTROL = 0x31

@@ -1,4 +1,4 @@
-"""The trouble codes."""
+"""The DTCs."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ NOT_CALIBRATED_S: Final = 1200.0
 
 
 @dataclass(frozen=True)
-class Trouble:
-    """One trouble code.
+class Dtc:
+    """One DTC.
 
     number: three bytes, the last is the kind of failure (SAE J2012-DA). confirm_after: seconds
     of failing until it is confirmed.
@@ -29,23 +29,23 @@ class Trouble:
         return f"{kind}{self.number >> 8 & 0x3FFF:04X}-{self.number & 0xFF:02X}"
 
 
-NOT_CALIBRATED = Trouble(0x5A1054, "not_calibrated", "no correction is in force", NOT_CALIBRATED_S)
-SENSOR_MOVED = Trouble(0x5A1176, "sensor_moved", "the sensor seems to have been moved")
-ACCELEROMETER_MISSING = Trouble(0x5A1287, "accelerometer_missing", "no good sample for a second")
-GYROSCOPE_MISSING = Trouble(0x5A1387, "gyroscope_missing", "no good sample for a second")
-SPEED_MISSING = Trouble(0x5A1487, "speed_missing", "no good sample for a second")
-CHECKSUM_FAILING = Trouble(
+NOT_CALIBRATED = Dtc(0x5A1054, "not_calibrated", "no correction is in force", NOT_CALIBRATED_S)
+SENSOR_MOVED = Dtc(0x5A1176, "sensor_moved", "the sensor seems to have been moved")
+ACCELEROMETER_MISSING = Dtc(0x5A1287, "accelerometer_missing", "no good sample for a second")
+GYROSCOPE_MISSING = Dtc(0x5A1387, "gyroscope_missing", "no good sample for a second")
+SPEED_MISSING = Dtc(0x5A1487, "speed_missing", "no good sample for a second")
+CHECKSUM_FAILING = Dtc(
     0xDA1083, "checksum_failing", "three frames with a wrong checksum within ten seconds"
 )
-COUNTER_FAILING = Trouble(
+COUNTER_FAILING = Dtc(
     0xDA1082,
     "counter_failing",
     "three frames with a repeated, reversed, jumping or invalid counter within ten seconds",
 )
-ID_CONFLICT = Trouble(0xDA1181, "id_conflict", "another node sends our identifiers")
-STATE_CORRUPT = Trouble(0x5A1546, "state_corrupt", "the saved state could not be used")
+ID_CONFLICT = Dtc(0xDA1181, "id_conflict", "another node sends our identifiers")
+STATE_CORRUPT = Dtc(0x5A1546, "state_corrupt", "the saved state could not be used")
 
-TROUBLES: Final = (
+DTCS: Final = (
     NOT_CALIBRATED,
     SENSOR_MOVED,
     ACCELEROMETER_MISSING,

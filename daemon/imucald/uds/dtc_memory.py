@@ -1,4 +1,4 @@
-"""The memory of trouble codes, with the status bits of ISO 14229-1, and the tests that fill it.
+"""The memory of DTCs, with the status bits of ISO 14229-1, and the tests that fill it.
 
 An operation cycle is one run of the daemon.
 """
@@ -15,14 +15,14 @@ from imucald.uds.dtc import (
     ACCELEROMETER_MISSING,
     CHECKSUM_FAILING,
     COUNTER_FAILING,
+    DTCS,
     GYROSCOPE_MISSING,
     ID_CONFLICT,
     NOT_CALIBRATED,
     SENSOR_MOVED,
     SPEED_MISSING,
     STATE_CORRUPT,
-    TROUBLES,
-    Trouble,
+    Dtc,
 )
 from imucald.uds.host import Symptoms
 
@@ -41,7 +41,7 @@ COUNTER_FAULTS: Final = (
 )
 
 
-class Status(enum.IntFlag):
+class DtcStatus(enum.IntFlag):
     """Bits of a code's status."""
 
     TEST_FAILED = 0x01
@@ -55,10 +55,10 @@ class Status(enum.IntFlag):
 
 AVAILABLE: Final = 0x7F
 """All bits but the one that asks for a warning lamp."""
-CLEARED: Final = Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYCLE
+CLEARED: Final = DtcStatus.NOT_COMPLETED_SINCE_CLEAR | DtcStatus.NOT_COMPLETED_THIS_CYCLE
 
 
-_MISSING: Mapping[str, Trouble] = {
+_MISSING: Mapping[str, Dtc] = {
     "accelerometer": ACCELEROMETER_MISSING,
     "gyroscope": GYROSCOPE_MISSING,
     "speed": SPEED_MISSING,
@@ -97,10 +97,10 @@ class FaultRate:
 
 
 @dataclass
-class Record:
+class DtcRecord:
     """What is remembered of one code. occurrences, aged: 0 to 255."""
 
-    status: Status = CLEARED
+    status: DtcStatus = CLEARED
     occurrences: int = 0
     aged: int = 0
     """Cycles in a row that ended without a failure, while confirmed."""
@@ -108,43 +108,43 @@ class Record:
 
     def failed(self, now: float, confirm_after: float) -> None:
         """The test failed."""
-        if not self.status & Status.TEST_FAILED:
+        if not self.status & DtcStatus.TEST_FAILED:
             self.occurrences = min(self.occurrences + 1, 255)
             self.failing_since = now
         self.status &= ~CLEARED
-        self.status |= Status.TEST_FAILED | Status.FAILED_THIS_CYCLE
-        self.status |= Status.PENDING | Status.FAILED_SINCE_CLEAR
+        self.status |= DtcStatus.TEST_FAILED | DtcStatus.FAILED_THIS_CYCLE
+        self.status |= DtcStatus.PENDING | DtcStatus.FAILED_SINCE_CLEAR
         if self.failing_since is None or now - self.failing_since >= confirm_after:
-            self.status |= Status.CONFIRMED
+            self.status |= DtcStatus.CONFIRMED
             self.aged = 0
 
     def passed(self) -> None:
         """The test was passed."""
-        self.status &= ~(CLEARED | Status.TEST_FAILED)
+        self.status &= ~(CLEARED | DtcStatus.TEST_FAILED)
         self.failing_since = None
 
     def new_cycle(self) -> None:
         """A new run begins."""
-        failed = bool(self.status & Status.FAILED_THIS_CYCLE)
-        completed = not self.status & Status.NOT_COMPLETED_THIS_CYCLE
+        failed = bool(self.status & DtcStatus.FAILED_THIS_CYCLE)
+        completed = not self.status & DtcStatus.NOT_COMPLETED_THIS_CYCLE
         if completed and not failed:
-            self.status &= ~Status.PENDING
-            if self.status & Status.CONFIRMED:
+            self.status &= ~DtcStatus.PENDING
+            if self.status & DtcStatus.CONFIRMED:
                 self.aged = min(self.aged + 1, 255)
                 if self.aged >= AGED_OUT:
-                    self.status &= ~Status.CONFIRMED
+                    self.status &= ~DtcStatus.CONFIRMED
                     self.aged = 0
-        self.status &= ~(Status.FAILED_THIS_CYCLE | Status.TEST_FAILED)
-        self.status |= Status.NOT_COMPLETED_THIS_CYCLE
+        self.status &= ~(DtcStatus.FAILED_THIS_CYCLE | DtcStatus.TEST_FAILED)
+        self.status |= DtcStatus.NOT_COMPLETED_THIS_CYCLE
         self.failing_since = None
 
 
 @dataclass
-class TroubleMemory:
+class DtcMemory:
     """All codes. `update` is called some times a second with what is known now."""
 
-    _records: dict[int, Record] = field(
-        default_factory=lambda: {t.number: Record() for t in TROUBLES}
+    _records: dict[int, DtcRecord] = field(
+        default_factory=lambda: {t.number: DtcRecord() for t in DTCS}
     )
     _rates: dict[int, FaultRate] = field(
         default_factory=lambda: {
@@ -156,30 +156,30 @@ class TroubleMemory:
     _used: int = 0
     _alive_at: float = float("-inf")
 
-    def __iter__(self) -> Iterator[tuple[Trouble, Record]]:
-        return ((trouble, self._records[trouble.number]) for trouble in TROUBLES)
+    def __iter__(self) -> Iterator[tuple[Dtc, DtcRecord]]:
+        return ((dtc, self._records[dtc.number]) for dtc in DTCS)
 
-    def find(self, number: int) -> Record | None:
+    def find(self, number: int) -> DtcRecord | None:
         """The record of a code."""
         return self._records.get(number)
 
     def clear(self, number: int | None = None) -> None:
         """Forget one code, or all; a test that still fails sets its code again."""
         for key in self._records if number is None else (number,):
-            self._records[key] = Record()
+            self._records[key] = DtcRecord()
             if key in self._rates:
                 self._rates[key].forget()
 
     def update(self, now: float, symptoms: Symptoms) -> None:
         """Judge all tests. now: monotonic [s]."""
-        for trouble, failed in self._results(now, symptoms):
-            record = self._records[trouble.number]
+        for dtc, failed in self._results(now, symptoms):
+            record = self._records[dtc.number]
             if failed:
-                record.failed(now, trouble.confirm_after)
+                record.failed(now, dtc.confirm_after)
             elif failed is not None:
                 record.passed()
 
-    def _results(self, now: float, s: Symptoms) -> Iterator[tuple[Trouble, bool | None]]:
+    def _results(self, now: float, s: Symptoms) -> Iterator[tuple[Dtc, bool | None]]:
         yield NOT_CALIBRATED, not s.usable
         yield SENSOR_MOVED, True if s.moved else (False if s.usable else None)
         yield STATE_CORRUPT, s.state_corrupt
@@ -193,8 +193,8 @@ class TroubleMemory:
         yield COUNTER_FAILING, self._rate(COUNTER_FAILING, now, _sum(faults, COUNTER_FAULTS), alive)
         yield ID_CONFLICT, self._rate(ID_CONFLICT, now, s.counts.conflicts, True)
 
-    def _rate(self, trouble: Trouble, now: float, total: int, alive: bool) -> bool | None:
-        return self._rates[trouble.number].judge(now, total, alive)
+    def _rate(self, dtc: Dtc, now: float, total: int, alive: bool) -> bool | None:
+        return self._rates[dtc.number].judge(now, total, alive)
 
     def _is_alive(self, now: float, used: int) -> bool:
         """Whether good frames came within the last second."""
@@ -216,7 +216,7 @@ class TroubleMemory:
         for number, record in self._records.items():
             kept = _kept(saved.get(f"{number:06X}"))
             if kept is not None:
-                record.status = Status(kept[0])
+                record.status = DtcStatus(kept[0])
                 record.occurrences, record.aged = kept[1:]
                 record.new_cycle()
 
@@ -226,7 +226,7 @@ def _sum(faults: Mapping[str, int], reasons: tuple[str, ...]) -> int:
 
 
 def _kept(found: object) -> tuple[int, int, int] | None:
-    """Status, occurrences and cycles without failure, where that is what was found."""
+    """DtcStatus, occurrences and cycles without failure, where that is what was found."""
     if not isinstance(found, list) or len(found) != 3:
         return None
     status, occurrences, aged = found

@@ -1,4 +1,4 @@
-"""Clear and read trouble codes (services 0x14 and 0x19)."""
+"""Clear and read DTCs (services 0x14 and 0x19)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from typing import Final
 
 from imucald.uds.codes import Answer, Nrc
-from imucald.uds.dtc import Trouble
-from imucald.uds.dtc_memory import AVAILABLE, Record, TroubleMemory
+from imucald.uds.dtc import Dtc
+from imucald.uds.dtc_memory import AVAILABLE, DtcMemory, DtcRecord
 
 COUNT_BY_MASK: Final = 0x01
 BY_MASK: Final = 0x02
@@ -24,10 +24,10 @@ AGED: Final = 0x02
 ALL_RECORDS: Final = 0xFF
 
 
-class ClearTroubles:
+class ClearDtcs:
     """Service 0x14."""
 
-    def __init__(self, memory: TroubleMemory) -> None:
+    def __init__(self, memory: DtcMemory) -> None:
         self._memory = memory
 
     def answer(self, data: bytes) -> Answer:
@@ -44,10 +44,10 @@ class ClearTroubles:
         return b""
 
 
-class ReadTroubles:
+class ReadDtcs:
     """Service 0x19."""
 
-    def __init__(self, memory: TroubleMemory) -> None:
+    def __init__(self, memory: DtcMemory) -> None:
         self._memory = memory
 
     def answer(self, data: bytes) -> Answer:
@@ -59,14 +59,14 @@ class ReadTroubles:
             return self._extended(rest)
         if len(rest) != 1:
             return Nrc.INCORRECT_LENGTH
-        found = [(trouble, r) for trouble, r in self._memory if r.status & rest[0] & AVAILABLE]
+        found = [(dtc, r) for dtc, r in self._memory if r.status & rest[0] & AVAILABLE]
         if sub == COUNT_BY_MASK:
             return struct.pack(">BBBH", sub, AVAILABLE, J2012_FORMAT, len(found))
         return self._list(sub, found)
 
     @staticmethod
-    def _list(sub: int, found: Iterable[tuple[Trouble, Record]]) -> bytes:
-        lines = [_line(trouble.number, record) for trouble, record in found]
+    def _list(sub: int, found: Iterable[tuple[Dtc, DtcRecord]]) -> bytes:
+        lines = [_line(dtc.number, record) for dtc, record in found]
         return bytes([sub, AVAILABLE]) + b"".join(lines)
 
     def _extended(self, rest: bytes) -> Answer:
@@ -82,5 +82,5 @@ class ReadTroubles:
         return bytes([EXTENDED_DATA]) + _line(number, record) + b"".join(parts)
 
 
-def _line(number: int, record: Record) -> bytes:
+def _line(number: int, record: DtcRecord) -> bytes:
     return number.to_bytes(3, "big") + bytes([record.status & AVAILABLE])

@@ -22,7 +22,7 @@ class Identity:
 
 
 @dataclass(frozen=True)
-class Counts:
+class FrameCounts:
     """What has happened since the start.
 
     faults: rejected frames and samples by reason. conflicts: frames of others under our ids.
@@ -39,7 +39,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class Symptoms:
-    """What the trouble codes are made from; None where it cannot be told.
+    """What the DTCs are made from; None where it cannot be told.
 
     usable: a correction is in force. moved: the sensor seems to have been moved. missing: inputs
     by name ("accelerometer", "gyroscope", "speed") that are configured: whether they are missing.
@@ -49,11 +49,11 @@ class Symptoms:
     usable: bool
     moved: bool
     missing: Mapping[str, bool]
-    counts: Counts
+    counts: FrameCounts
     state_corrupt: bool | None = None
 
 
-class Subject(Protocol):
+class Host(Protocol):
     """One calibration on one bus."""
 
     @property
@@ -80,7 +80,7 @@ class Subject(Protocol):
         """The present state of knowledge about the mount."""
         ...
 
-    def counts(self) -> Counts:
+    def counts(self) -> FrameCounts:
         """What has happened since the start."""
         ...
 

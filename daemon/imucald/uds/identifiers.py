@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from imucald.mount.estimate import ANGLES
 from imucald.uds.codes import Answer, Nrc
-from imucald.uds.host import Subject
+from imucald.uds.host import Host
 
 MAX_IDENTIFIERS = 16
 """In one request: bounds the work and the response."""
@@ -47,12 +47,12 @@ class Identifier:
     """A data identifier: its name, and the bytes to answer with (None: not supported now)."""
 
     name: str
-    read: Callable[[Subject], bytes | None]
+    read: Callable[[Host], bytes | None]
 
 
-def _angles(subject: Subject) -> bytes:
+def _angles(host: Host) -> bytes:
     """As in the mount frame: only while a correction is in force."""
-    angles = subject.estimate().angles if subject.quality else None
+    angles = host.estimate().angles if host.quality else None
     raw = (ANGLE_NOT_KNOWN,) * 3 if angles is None else [_angle(a) for a in angles]
     return struct.pack(">3h", *raw)
 
@@ -62,9 +62,9 @@ def _angle(value: float) -> int:
     return raw if -0x7FFF <= raw <= 0x7FFF else ANGLE_NOT_KNOWN
 
 
-def _deviations(subject: Subject) -> bytes:
+def _deviations(host: Host) -> bytes:
     """Also before anything is usable: they show how far it is."""
-    std = subject.estimate().std
+    std = host.estimate().std
     raw = (DEVIATION_NOT_KNOWN,) * 3 if std is None else [_deviation(s) for s in std]
     return struct.pack(">3H", *raw)
 
@@ -75,27 +75,27 @@ def _deviation(value: float) -> int:
     return min(round(math.degrees(value) / DEGREES_PER_DEVIATION_BIT), DEVIATION_NOT_KNOWN - 1)
 
 
-def _quaternion(subject: Subject) -> bytes:
-    found = subject.estimate().quaternion if subject.quality else None
+def _quaternion(host: Host) -> bytes:
+    found = host.estimate().quaternion if host.quality else None
     return struct.pack(">4f", *(found or (math.nan,) * 4))
 
 
-def _state(subject: Subject) -> bytes:
-    return bytes([subject.estimate().state])
+def _state(host: Host) -> bytes:
+    return bytes([host.estimate().state])
 
 
-def _waiting(subject: Subject) -> bytes:
-    missing = subject.estimate().missing
+def _waiting(host: Host) -> bytes:
+    missing = host.estimate().missing
     return bytes([missing.get(angle, 0) for angle in ANGLES])
 
 
-def _counters(subject: Subject) -> bytes:
-    c = subject.counts()
+def _counters(host: Host) -> bytes:
+    c = host.counts()
     return _u32(c.received, c.used, c.rejected, c.lost, c.conflicts, c.sent)
 
 
-def _faults(subject: Subject) -> bytes:
-    faults = subject.counts().faults
+def _faults(host: Host) -> bytes:
+    faults = host.counts().faults
     return _u32(*(faults.get(reason, 0) for reason in COUNTED_FAULTS))
 
 
@@ -103,9 +103,9 @@ def _u32(*values: int) -> bytes:
     return struct.pack(f">{len(values)}I", *(min(v, 0xFFFF_FFFF) for v in values))
 
 
-def _vin(subject: Subject) -> bytes | None:
+def _vin(host: Host) -> bytes | None:
     """The vehicle's identity, where it has the form of a VIN."""
-    text = subject.identity.vehicle
+    text = host.identity.vehicle
     ok = len(text) == VIN_BYTES and text.isascii() and text.isalnum()
     return text.encode("ascii") if ok else None
 
@@ -132,8 +132,8 @@ IDENTIFIERS: Mapping[int, Identifier] = {
 class ReadData:
     """The service. own: identifiers that the server itself can tell."""
 
-    def __init__(self, subject: Subject, own: Mapping[int, Identifier]) -> None:
-        self._subject = subject
+    def __init__(self, host: Host, own: Mapping[int, Identifier]) -> None:
+        self._host = host
         self._identifiers = {**IDENTIFIERS, **own}
 
     def answer(self, data: bytes) -> Answer:
@@ -152,7 +152,7 @@ class ReadData:
         records = []
         for number in wanted:
             identifier = self._identifiers.get(number)
-            content = None if identifier is None else identifier.read(self._subject)
+            content = None if identifier is None else identifier.read(self._host)
             if content is not None:
                 records.append(struct.pack(">H", number) + content)
         return records

@@ -13,9 +13,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from imucald.can.columns import CAN_EFF_FLAG
-from imucald.config import STANDARD_ID_MAX
-from imucald.runtime.output.sender import OutFrame
+from imucald.can.columns import CAN_EFF_FLAG, CAN_SFF_MASK
 
 MAX_REQUEST: Final = 128
 """Longest request [bytes]: twice the longest that has a meaning; others are told "overflow"."""
@@ -33,6 +31,9 @@ LONGEST_RESPONSE_S: Final = 10.0
 BUSY_WAIT_S: Final = 0.005
 """How soon to come back while a response is being sent [s]."""
 SINGLE_FRAME_BYTES: Final = 7
+
+CanFrame = tuple[int, bytes]
+"""Id (with the flag for 29 bits) and payload of a frame to send."""
 
 Handler = Callable[[bytes, bool], bytes | None]
 """Request, and whether it was sent to all nodes -> response or None."""
@@ -56,7 +57,7 @@ def import_isotp() -> Any:
 
 def flagged(can_id: int) -> int:
     """An id as links write it: with the flag where it has 29 bits."""
-    return can_id | (CAN_EFF_FLAG if can_id > STANDARD_ID_MAX else 0)
+    return can_id | (CAN_EFF_FLAG if can_id > CAN_SFF_MASK else 0)
 
 
 class IsoTpChannel:
@@ -85,10 +86,10 @@ class IsoTpChannel:
         self._counted_at = clock()
         self._sending_since: float | None = None
         self._in: deque[Any] = deque(maxlen=1)
-        self._out: list[OutFrame] = []
+        self._out: list[CanFrame] = []
         isotp = import_isotp()
         self._message = isotp.CanMessage
-        self._extended = response_id > STANDARD_ID_MAX
+        self._extended = response_id > CAN_SFF_MASK
         self._raw_request_id = request_id
         mode = isotp.AddressingMode
         self._stack = isotp.TransportLayerLogic(
@@ -120,7 +121,7 @@ class IsoTpChannel:
         """How long it can do without `poll` [s]."""
         return float("inf") if self._sending_since is None else BUSY_WAIT_S
 
-    def frame(self, can_id: int, data: bytes) -> list[OutFrame]:
+    def frame(self, can_id: int, data: bytes) -> list[CanFrame]:
         """Take a frame of one of `ids`; return what is to be sent."""
         if not self._is_allowed():
             self.counters["dropped"] += 1
@@ -137,7 +138,7 @@ class IsoTpChannel:
                 self._answer(bytes(request), to_all=False)
         return self._taken()
 
-    def poll(self) -> list[OutFrame]:
+    def poll(self) -> list[CanFrame]:
         """Let time pass: go on with a response; return what is to be sent."""
         since = self._sending_since
         if since is not None and self._clock() - since > LONGEST_RESPONSE_S:
@@ -197,7 +198,7 @@ class IsoTpChannel:
     def _sent(self, message: Any) -> None:
         self._out.append((self.response_id, bytes(message.data)))
 
-    def _taken(self) -> list[OutFrame]:
+    def _taken(self) -> list[CanFrame]:
         out, self._out = self._out, []
         return out
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Final
 
 from imucald.uds.codes import Answer, Nrc
-from imucald.uds.host import Subject
+from imucald.uds.host import Host
 from imucald.uds.identifiers import IDENTIFIERS
 
 START: Final = 0x01
@@ -39,17 +39,17 @@ class RoutineStatus(enum.IntEnum):
 class Routines:
     """The service. unlocked: whether security access was given."""
 
-    def __init__(self, subject: Subject, unlocked: Callable[[], bool]) -> None:
-        self._subject = subject
+    def __init__(self, host: Host, unlocked: Callable[[], bool]) -> None:
+        self._host = host
         self._unlocked = unlocked
         self._status: dict[int, RoutineStatus] = {}
         self._begin = {CALIBRATE: self._calibrate, RESET: self._reset}
 
     def poll(self) -> None:
         """See whether the calibration is there; called before each request too."""
-        if self._runs(CALIBRATE) and self._subject.quality >= USABLE_QUALITY:
+        if self._runs(CALIBRATE) and self._host.quality >= USABLE_QUALITY:
             self._status[CALIBRATE] = RoutineStatus.COMPLETED
-            self._subject.accept_calibration()
+            self._host.accept_calibration()
 
     def answer(self, data: bytes) -> Answer:
         """Answer a request; data: sub-function, routine, options."""
@@ -67,7 +67,7 @@ class Routines:
     def _start(self, routine: int) -> Answer:
         if self._runs(routine):
             return Nrc.REQUEST_SEQUENCE_ERROR
-        if not self._subject.standing:
+        if not self._host.standing:
             return Nrc.CONDITIONS_NOT_CORRECT
         self._status[routine] = self._begin[routine]()
         return self._echo(START, routine)
@@ -75,7 +75,7 @@ class Routines:
     def _stop(self, routine: int) -> Answer:
         if not self._runs(routine):
             return Nrc.REQUEST_SEQUENCE_ERROR
-        if not self._subject.standing or not self._subject.return_to_former():
+        if not self._host.standing or not self._host.return_to_former():
             return Nrc.CONDITIONS_NOT_CORRECT
         self._status[routine] = RoutineStatus.STOPPED
         return self._echo(STOP, routine)
@@ -83,17 +83,17 @@ class Routines:
     def _results(self, routine: int) -> Answer:
         if routine not in self._status:
             return Nrc.REQUEST_SEQUENCE_ERROR
-        parts = [IDENTIFIERS[number].read(self._subject) or b"" for number in RESULT_IDENTIFIERS]
+        parts = [IDENTIFIERS[number].read(self._host) or b"" for number in RESULT_IDENTIFIERS]
         return self._echo(RESULTS, routine) + b"".join(parts)
 
     def _calibrate(self) -> RoutineStatus:
-        self._subject.begin_calibration()
+        self._host.begin_calibration()
         return RoutineStatus.RUNNING
 
     def _reset(self) -> RoutineStatus:
         if self._runs(CALIBRATE):
             self._status[CALIBRATE] = RoutineStatus.STOPPED
-        self._subject.forget()
+        self._host.forget()
         return RoutineStatus.COMPLETED
 
     def _runs(self, routine: int) -> bool:

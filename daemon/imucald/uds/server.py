@@ -23,16 +23,16 @@ from imucald.uds.codes import (
     Session,
     Sid,
 )
-from imucald.uds.dtc_memory import TroubleMemory
+from imucald.uds.dtc_memory import DtcMemory
 from imucald.uds.dtc_services import (
     BY_MASK,
     COUNT_BY_MASK,
     EXTENDED_DATA,
     SUPPORTED,
-    ClearTroubles,
-    ReadTroubles,
+    ClearDtcs,
+    ReadDtcs,
 )
-from imucald.uds.host import Subject
+from imucald.uds.host import Host
 from imucald.uds.identifiers import Identifier, ReadData
 from imucald.uds.routines import RESULTS, START, STOP, Routines
 from imucald.uds.security import REQUEST_SEED, SEND_KEY, KeyFunction, Security
@@ -57,7 +57,7 @@ NOT_TOLD_TO_ALL: Final = frozenset(
 
 
 @dataclass(frozen=True)
-class Service:
+class UdsService:
     """One service. answer: given the request without the service's number.
 
     shortest: bytes of the shortest request. sub_functions: None where it has none.
@@ -80,53 +80,53 @@ class ServerCounters:
 
 
 class Server:
-    """Answers requests about one subject.
+    """Answers requests about one host.
 
     clock: monotonic [s]. random: so many unpredictable bytes. more: identifiers that can be read
-    beside those of the subject. troubles: a memory that is there already. See `Security` for the
+    beside those of the host. dtcs: a memory that is there already. See `Security` for the
     rest.
     """
 
     def __init__(
         self,
-        subject: Subject,
+        host: Host,
         clock: Callable[[], float],
         key_function: KeyFunction | None = None,
         attempts: int = 3,
         delay: float = 10.0,
         random: Callable[[int], bytes] = secrets.token_bytes,
         more: Mapping[int, Identifier] | None = None,
-        troubles: TroubleMemory | None = None,
+        dtcs: DtcMemory | None = None,
     ) -> None:
         self.session = Session.DEFAULT
-        self.troubles = TroubleMemory() if troubles is None else troubles
+        self.dtcs = DtcMemory() if dtcs is None else dtcs
         self.counters = ServerCounters()
         self.security = Security(key_function, random, clock, attempts, delay)
         self._clock = clock
         self._last_request = clock()
-        self._routines = Routines(subject, lambda: self.security.unlocked)
+        self._routines = Routines(host, lambda: self.security.unlocked)
         own = {
             0xF186: Identifier("active session", lambda _: bytes([self.session])),
             0xFD0B: Identifier("diagnostics counters", lambda _: self._counted()),
             **(more or {}),
         }
-        self._services: Mapping[int, Service] = {
-            Sid.SESSION_CONTROL: Service(
+        self._services: Mapping[int, UdsService] = {
+            Sid.SESSION_CONTROL: UdsService(
                 self._session_control, sub_functions=frozenset(map(int, Session))
             ),
-            Sid.TESTER_PRESENT: Service(_tester_present, sub_functions=frozenset({0})),
-            Sid.READ_DATA: Service(ReadData(subject, own).answer, shortest=3),
-            Sid.CLEAR_TROUBLES: Service(ClearTroubles(self.troubles).answer, shortest=4),
-            Sid.READ_TROUBLES: Service(
-                ReadTroubles(self.troubles).answer,
+            Sid.TESTER_PRESENT: UdsService(_tester_present, sub_functions=frozenset({0})),
+            Sid.READ_DATA: UdsService(ReadData(host, own).answer, shortest=3),
+            Sid.CLEAR_DTCS: UdsService(ClearDtcs(self.dtcs).answer, shortest=4),
+            Sid.READ_DTCS: UdsService(
+                ReadDtcs(self.dtcs).answer,
                 sub_functions=frozenset({COUNT_BY_MASK, BY_MASK, EXTENDED_DATA, SUPPORTED}),
             ),
-            Sid.SECURITY_ACCESS: Service(
+            Sid.SECURITY_ACCESS: UdsService(
                 self.security.answer,
                 sessions=EXTENDED_ONLY,
                 sub_functions=frozenset({REQUEST_SEED, SEND_KEY}),
             ),
-            Sid.ROUTINE_CONTROL: Service(
+            Sid.ROUTINE_CONTROL: UdsService(
                 self._routines.answer,
                 sessions=EXTENDED_ONLY,
                 shortest=4,

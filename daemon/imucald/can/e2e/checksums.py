@@ -1,8 +1,7 @@
-"""Checksums of protected CAN messages: XOR, CRC-8 SAE J1850, AUTOSAR E2E profiles 1, 2, 5, 11.
+"""Every kind of checksum that a message may carry: XOR, CRC-8 SAE J1850, AUTOSAR E2E profiles.
 
-One frame and whole columns give the same number. All of them are one scheme: bytes are fed into a
-table-driven CRC in the order prefix, payload without the checksum's own bytes, suffix; prefix and
-suffix may depend on the alive counter.
+A new one (another CRC-8, a CRC-16) is added in this file alone: a function that gives its
+`ChecksumSpec`, and a line in `KINDS`, by whose names configurations ask for it.
 
 Source: AUTOSAR PRS "E2E Protocol Specification" (profiles 1, 2, 5, 11) and SWS "CRC Library".
 Profiles 1 and 11 start their CRC-8 SAE J1850 at 0 and do not invert it: PRS calls the routine with
@@ -11,14 +10,16 @@ the XOR value as start value and inverts the result again, to stay with the prof
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from typing import Literal, Protocol
 
-import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-from imucald.can.dbc.bits import Columns, Field, read_bits, read_column, words_of
+from imucald.can.columns import CAN_EFF_MASK
+from imucald.can.dbc.bits import Field, field_of
+from imucald.can.dbc.database import Message
+from imucald.can.e2e.crc import ChecksumSpec
+from imucald.can.e2e.protection import CounterSpec
 from imucald.core.errors import ConfigError
 
 J1850_POLYNOMIAL = 0x1D
@@ -36,39 +37,48 @@ E2E_COUNTER_VALUES = 16
 DataIdMode = Literal["both", "alternating", "low", "nibble"]
 
 
-class ChecksumSpec(Struct, frozen=True):
-    """Where a checksum lies and over what it runs.
+class ChecksumOptions(Protocol):
+    """What a configuration says of a message's checksum; a kind reads what concerns it."""
 
-    `size`: bytes of the message that are covered; longer frames are covered up to there.
-    `position`: first byte of the checksum; `width`: 1, or 2 (low byte first). `polynomial`:
-    0 is XOR. `prefixes`, `suffixes`: bytes fed before and after the payload; one entry, or one for
-    each counter value (then `counter` says where the counter is). `fixed`: a field that must hold
-    a value (the data id's nibble of profiles 1 and 11).
-    """
+    @property
+    def signal(self) -> str | None:
+        """Signal that holds it."""
 
-    size: int
-    position: int
-    width: int = 1
-    polynomial: int = 0
-    start: int = 0
-    final_xor: int = 0
-    prefixes: tuple[bytes, ...] = (b"",)
-    suffixes: tuple[bytes, ...] = (b"",)
-    counter: Field | None = None
-    fixed: tuple[Field, int] | None = None
+    @property
+    def id_bytes(self) -> int:
+        """Bytes of the CAN identifier that go in first."""
 
-    def __post_init__(self) -> None:
-        if self.width not in (1, 2) or not 0 <= self.position <= self.size - self.width:
-            raise ConfigError(
-                f"checksum at byte {self.position} is not within a message of {self.size} bytes"
-            )
-        for field in (self.counter, self.fixed[0] if self.fixed else None):
-            if field is not None and field.end_byte > self.size:
-                raise ConfigError(f"counter or data id is beyond a message of {self.size} bytes")
-        needed = 1 if self.counter is None else 1 << self.counter.length
-        for table in (self.prefixes, self.suffixes):
-            if len(table) not in (1, needed):
-                raise ConfigError(f"{len(table)} data ids for {needed} counter values")
+    @property
+    def offset(self) -> int:
+        """First byte of an E2E header."""
+
+    @property
+    def data_id(self) -> int | tuple[int, ...] | None:
+        """E2E data id; sixteen of them for profile 2."""
+
+    @property
+    def data_id_mode(self) -> DataIdMode:
+        """How the data id goes in."""
+
+
+class HeaderCounter(Struct, frozen=True):
+    """The alive counter that an E2E header brings: bit behind its start, bits, values."""
+
+    bit: int
+    length: int
+    modulus: int
+
+    def at(self, header_bit: int, max_jump: int = 2) -> CounterSpec:
+        """Return the counter of a header that starts at a bit."""
+        field = Field(header_bit + self.bit, self.length, "little_endian")
+        return CounterSpec(field, self.modulus, max_jump)
+
+
+class ChecksumKind(Struct, frozen=True):
+    """How a kind becomes a message's checksum (ConfigError where it cannot), and its counter."""
+
+    make: Callable[[Message, ChecksumOptions], ChecksumSpec]
+    counter: HeaderCounter | None = None
 
 
 def xor_checksum(size: int, position: int, id_bytes: bytes = b"", start: int = 0) -> ChecksumSpec:
@@ -159,102 +169,68 @@ def e2e_profile_11(
     return e2e_profile_1(size, data_id, mode, crc_bit, counter_bit, nibble_bit)
 
 
-class Checksum:
-    """Computes and checks the checksum of one message."""
+def _in_signal(
+    make: Callable[[int, int, bytes], ChecksumSpec],
+) -> Callable[[Message, ChecksumOptions], ChecksumSpec]:
+    """A kind whose one byte is a signal of the database, over identifier bytes and payload."""
 
-    def __init__(self, spec: ChecksumSpec) -> None:
-        self.spec = spec
-        self._table = _table(spec.polynomial, spec.width)
-        self._table_array = np.array(self._table, np.uint16 if spec.width == 2 else np.uint8)
-        self._before = spec.position
-        self._after = spec.position + spec.width
-        self._many = max(len(spec.prefixes), len(spec.suffixes))
-        self._starts = tuple(self._feed(spec.start, p) for p in spec.prefixes)
-        if len(self._starts) == 1:
-            self._starts *= self._many
-        self._suffixes = spec.suffixes * (self._many if len(spec.suffixes) == 1 else 1)
+    def made(message: Message, options: ChecksumOptions) -> ChecksumSpec:
+        if options.signal is None:
+            raise ConfigError("needs 'signal:', the signal it stands in")
+        field = field_of(message.signal(options.signal))
+        if field.length != 8 or field.first_bit % 8:
+            raise ConfigError(f"signal {options.signal} is not one whole byte")
+        identifier = (message.can_id & CAN_EFF_MASK).to_bytes(4, "big")
+        return make(message.length, field.first_bit // 8, identifier[4 - options.id_bytes :])
 
-    def compute(self, data: bytes | bytearray) -> int:
-        """Checksum that a frame of at least `size` bytes should have."""
-        spec = self.spec
-        index = 0
-        if self._many > 1 and spec.counter is not None:
-            index = read_bits(data, spec.counter)
-        covered = data[: self._before] + data[self._after : spec.size] + self._suffixes[index]
-        return self._feed(self._starts[index], covered) ^ spec.final_xor
-
-    def is_right(self, data: bytes | bytearray) -> bool:
-        """Whether a frame of at least `size` bytes carries its checksum (and data id nibble)."""
-        spec = self.spec
-        if spec.fixed is not None and read_bits(data, spec.fixed[0]) != spec.fixed[1]:
-            return False
-        stored = int.from_bytes(data[self._before : self._after], "little")
-        return stored == self.compute(data)
-
-    def compute_columns(self, data: Columns) -> NDArray[np.uint16]:
-        """The same for (N, W) frames, W at least `size`."""
-        spec = self.spec
-        index = self._indices(data)
-        crc = np.array(self._starts, self._table_array.dtype)[index]
-        for i in range(spec.size):
-            if not self._before <= i < self._after:
-                crc = self._feed_column(crc, data[:, i])
-        for i in range(len(self._suffixes[0])):
-            suffix = np.array([s[i] for s in self._suffixes], np.uint8)
-            crc = self._feed_column(crc, suffix[index])
-        return crc.astype(np.uint16) ^ np.uint16(spec.final_xor)
-
-    def are_right(self, data: Columns) -> NDArray[np.bool_]:
-        """The same as `is_right` for (N, W) frames, W at least `size`."""
-        stored = data[:, self._before].astype(np.uint16)
-        if self.spec.width == 2:
-            stored |= data[:, self._before + 1].astype(np.uint16) << np.uint16(8)
-        right: NDArray[np.bool_] = stored == self.compute_columns(data)
-        if self.spec.fixed is not None:
-            field, value = self.spec.fixed
-            right &= read_column(words_of(data, field.byte_order), field) == value
-        return right
-
-    def _indices(self, data: Columns) -> NDArray[np.intp]:
-        counter = self.spec.counter
-        if self._many == 1 or counter is None:
-            return np.zeros(len(data), np.intp)
-        return read_column(words_of(data, counter.byte_order), counter).astype(np.intp)
-
-    def _feed(self, crc: int, data: bytes | bytearray) -> int:
-        table = self._table
-        if self.spec.width == 1:
-            for byte in data:
-                crc = table[crc ^ byte]
-        else:
-            for byte in data:
-                crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ byte]
-        return crc
-
-    def _feed_column(
-        self, crc: NDArray[np.unsignedinteger], byte: NDArray[np.uint8]
-    ) -> NDArray[np.unsignedinteger]:
-        table = self._table_array
-        if self.spec.width == 1:
-            narrow: NDArray[np.unsignedinteger] = table[crc ^ byte]
-            return narrow
-        high = (crc >> np.uint16(8)).astype(np.uint8)
-        result: NDArray[np.unsignedinteger] = (crc << np.uint16(8)) ^ table[high ^ byte]
-        return result
+    return made
 
 
-def _table(polynomial: int, width: int) -> tuple[int, ...]:
-    """CRC table, most significant bit first; polynomial 0 gives XOR (the byte itself)."""
-    if polynomial == 0:
-        return tuple(range(256))
-    top, mask = 1 << 8 * width - 1, (1 << 8 * width) - 1
-    table = []
-    for byte in range(256):
-        crc = byte << 8 * (width - 1)
-        for _ in range(8):
-            crc = (crc << 1 ^ polynomial if crc & top else crc << 1) & mask
-        table.append(crc)
-    return tuple(table)
+def _p1(message: Message, options: ChecksumOptions) -> ChecksumSpec:
+    bit = 8 * options.offset
+    mode = options.data_id_mode
+    return e2e_profile_1(message.length, _one_id(options), mode, bit, bit + 8, bit + 12)
+
+
+def _p2(message: Message, options: ChecksumOptions) -> ChecksumSpec:
+    if not isinstance(options.data_id, tuple):
+        raise ConfigError("needs 'data_id:', a list of sixteen numbers")
+    return e2e_profile_2(message.length, options.data_id, 8 * options.offset)
+
+
+def _p5(message: Message, options: ChecksumOptions) -> ChecksumSpec:
+    return e2e_profile_5(message.length, _one_id(options), 8 * options.offset)
+
+
+def _p11(message: Message, options: ChecksumOptions) -> ChecksumSpec:
+    bit = 8 * options.offset
+    mode = options.data_id_mode
+    return e2e_profile_11(message.length, _one_id(options), mode, bit, bit + 8, bit + 12)
+
+
+E2E_COUNTERS: Mapping[int, HeaderCounter] = {
+    1: HeaderCounter(8, 4, 15),
+    2: HeaderCounter(8, 4, 16),
+    5: HeaderCounter(16, 8, 256),
+    11: HeaderCounter(8, 4, 15),
+}
+"""Alive counters of the AUTOSAR E2E profiles (1 and 11 leave 15 out)."""
+
+KINDS: Mapping[str, ChecksumKind] = {
+    "xor": ChecksumKind(_in_signal(xor_checksum)),
+    "crc8_j1850": ChecksumKind(_in_signal(crc8_j1850)),
+    "e2e_p1": ChecksumKind(_p1, E2E_COUNTERS[1]),
+    "e2e_p2": ChecksumKind(_p2, E2E_COUNTERS[2]),
+    "e2e_p5": ChecksumKind(_p5, E2E_COUNTERS[5]),
+    "e2e_p11": ChecksumKind(_p11, E2E_COUNTERS[11]),
+}
+"""Kinds by the name that configurations use."""
+
+
+def _one_id(options: ChecksumOptions) -> int:
+    if not isinstance(options.data_id, int):
+        raise ConfigError("needs 'data_id:', one number")
+    return options.data_id
 
 
 def _id_bytes(data_id: int) -> tuple[int, int]:

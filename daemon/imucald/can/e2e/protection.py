@@ -1,4 +1,4 @@
-"""Protection of the frames that come in: length, checksum, alive counter, time-out.
+"""Protection of messages, and its check on frames that come in: length, checksum, counter, silence.
 
 A frame that fails is dropped whole, with one counted reason. After a fault the next `recovery`
 good frames are dropped too ("untrusted"). One frame at a time (`check`) and columns
@@ -17,22 +17,27 @@ is one fault.
 from __future__ import annotations
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.can.dbc.bits import Columns, read_bits, read_column, words_of
-from imucald.can.e2e.checksums import Checksum
-from imucald.can.e2e.protection_spec import CounterSpec, ProtectionSpec, counter_of, e2e_counter
-from imucald.can.e2e.protector import MessageProtector
+from imucald.can.dbc.bits import (
+    MAX_FRAME_BYTES,
+    Columns,
+    Field,
+    field_of,
+    read_bits,
+    read_column,
+    words_of,
+)
+from imucald.can.dbc.database import Signal
+from imucald.can.e2e.crc import Checksum, ChecksumSpec
+from imucald.core.errors import ConfigError
 
-__all__ = [
-    "REASONS",
-    "CounterSpec",
-    "MessageChecker",
-    "MessageProtector",
-    "ProtectionSpec",
-    "counter_of",
-    "e2e_counter",
-]
+DEFAULT_RECOVERY = 3
+"""Good frames in a row after a fault before a message is trusted again."""
+
+DEFAULT_TIMEOUT_CYCLES = 10.0
+"""Silence, in cycle times, after which a message is timed out."""
 
 REASONS = (
     "",
@@ -48,6 +53,53 @@ REASONS = (
 """Text of each reason code; code 0 is an accepted frame."""
 
 OK, SHORT, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED = range(len(REASONS))
+
+
+class CounterSpec(Struct, frozen=True):
+    """An alive counter: its bits, its number of values, the largest step accepted."""
+
+    field: Field
+    modulus: int
+    max_jump: int = 2
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.modulus <= 1 << self.field.length:
+            raise ConfigError(f"{self.field.length} bits do not count {self.modulus} values")
+        if not 1 <= self.max_jump < self.modulus:
+            raise ConfigError(f"largest counter step {self.max_jump} of {self.modulus} values")
+
+
+class ProtectionSpec(Struct, frozen=True):
+    """How one message is protected. `size`: bytes it has. `cycle_time` [s]: None, no time-out."""
+
+    size: int
+    counter: CounterSpec | None = None
+    checksum: ChecksumSpec | None = None
+    cycle_time: float | None = None
+    timeout_cycles: float = DEFAULT_TIMEOUT_CYCLES
+    recovery: int = DEFAULT_RECOVERY
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.size <= MAX_FRAME_BYTES:
+            raise ConfigError(f"a message of {self.size} bytes is no CAN frame")
+        if self.counter is not None and self.counter.field.end_byte > self.size:
+            raise ConfigError(f"the counter is beyond a message of {self.size} bytes")
+        if self.checksum is not None and self.checksum.size > self.size:
+            raise ConfigError(f"the checksum is beyond a message of {self.size} bytes")
+        if self.recovery < 0:
+            raise ConfigError("recovery frames cannot be negative")
+        if self.cycle_time is not None and not self.cycle_time * self.timeout_cycles > 0.0:
+            raise ConfigError("cycle time and time-out must be positive")
+
+    @property
+    def timeout(self) -> float | None:
+        """Silence that is a fault [s]; None where the cycle time is not known."""
+        return None if self.cycle_time is None else self.cycle_time * self.timeout_cycles
+
+
+def counter_of(signal: Signal, modulus: int | None = None, max_jump: int = 2) -> CounterSpec:
+    """Alive counter in a signal's bits; it wraps at the bits' end unless `modulus` is given."""
+    return CounterSpec(field_of(signal), modulus or 1 << signal.length, max_jump)
 
 
 class MessageChecker:
@@ -79,12 +131,6 @@ class MessageChecker:
     def rejected(self) -> dict[str, int]:
         """Frames dropped so far, by reason; only reasons that occurred."""
         return {REASONS[i]: n for i, n in enumerate(self._counts) if i != OK and n}
-
-    def is_silent(self, t: float) -> bool:
-        """Whether no good frame came within the time-out before `t` [s] (or ever)."""
-        if self._last_t is None:
-            return True
-        return self._timeout is not None and t - self._last_t > self._timeout
 
     def check(self, t: float, data: bytes | bytearray) -> str | None:
         """Judge one frame received at `t` [s]: None where it is good, else the reason."""

@@ -12,13 +12,8 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imucald.can.columns import CAN_EFF_FLAG, CLASSIC_BYTES, IdMatch
-from imucald.can.link.socketcan import (
-    CAN_ERR_FLAG,
-    CAN_RTR_FLAG,
-    MAX_BATCH,
-    Frame,
-)
+from imucald.can.columns import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, CLASSIC_BYTES, IdMatch
+from imucald.can.link.socketcan import MAX_BATCH, Frame
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError
 

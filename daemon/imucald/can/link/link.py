@@ -18,24 +18,21 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, IdMatch
-from imucald.can.link.id_filter import FrameClass, LinkIdFilter
-from imucald.can.link.link_messages import (
+from imucald.can.columns import CAN_ERR_FLAG, CLASSIC_BYTES, FD_BYTES, IdMatch
+from imucald.can.id_filter import FrameClass, LinkIdFilter
+from imucald.can.link.link_events import (
+    Announcer,
+    LinkCounters,
+    LinkEvent,
+    LinkState,
     absent_text,
     bus_off_text,
     conflict_text,
     down_text,
     queue_full_text,
 )
-from imucald.can.link.link_status import Announcer, LinkCounters, LinkEvent, LinkState
 from imucald.can.link.outbox import Outbox, SendingPort
-from imucald.can.link.socketcan import (
-    CAN_ERR_BUSOFF,
-    CAN_ERR_FLAG,
-    CAN_ERR_RESTARTED,
-    Frame,
-    SocketCan,
-)
+from imucald.can.link.socketcan import CAN_ERR_BUSOFF, CAN_ERR_RESTARTED, Frame, SocketCan
 from imucald.core.errors import LinkError
 
 __all__ = ["Frame", "Link", "LinkCounters", "LinkEvent", "LinkState"]

@@ -21,17 +21,11 @@ import struct
 import time
 from collections.abc import Sequence
 
-from imucald.can.columns import CAN_EFF_FLAG, CLASSIC_BYTES, FD_BYTES, IdMatch
+from imucald.can.columns import CAN_ERR_FLAG, CAN_RTR_FLAG, CLASSIC_BYTES, FD_BYTES, IdMatch
 from imucald.core.errors import LinkError
 
 Frame = tuple[float, int, bytes]
 """Kernel stamp [s, whole microseconds], id with the kernel's flags, payload."""
-
-CAN_RTR_FLAG = 0x4000_0000
-"""Set in the id of a remote frame."""
-
-CAN_ERR_FLAG = 0x2000_0000
-"""Set in the id of an error frame, whose other bits are error classes."""
 
 CAN_ERR_BUSOFF = 0x0000_0040
 CAN_ERR_RESTARTED = 0x0000_0100
@@ -233,16 +227,3 @@ def _raw_socket() -> socket.socket:
             f"this system offers no SocketCAN ({error}): load the kernel module can_raw, "
             "or use another python-can interface"
         ) from None
-
-
-__all__ = [
-    "CAN_EFF_FLAG",
-    "CAN_ERR_BUSOFF",
-    "CAN_ERR_CONTROLLER",
-    "CAN_ERR_FLAG",
-    "CAN_ERR_RESTARTED",
-    "CAN_RTR_FLAG",
-    "Frame",
-    "SocketCan",
-    "packed_filters",
-]

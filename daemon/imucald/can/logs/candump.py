@@ -10,23 +10,21 @@ falls out anywhere goes to the strict reader of single lines (`candump_line`), w
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import ClassVar, Final
 
 import numpy as np
 
-from imucald.can.columns import (
-    CLASSIC_BYTES,
-    FD_BYTES,
-    Channels,
-    FrameColumns,
-    IdFilters,
-    concatenate,
-)
+from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns, concatenate
+from imucald.can.id_filter import IdFilters
 from imucald.can.logs.ascii_columns import Bytes, Index, hex_bytes, runs_at
 from imucald.can.logs.candump_block import CandumpBlock, Hits
-from imucald.can.logs.candump_line import REASONS, Line, parse_line, shown
+from imucald.can.logs.candump_line import MAX_LINE_BYTES, REASONS, Line, parse_line, shown
 from imucald.can.logs.candump_shape import Layout, Shape
-from imucald.can.logs.read_statistics import ReadStatistics
+from imucald.can.logs.log_format import ReadStatistics
+from imucald.can.logs.text_blocks import TextBlocks, open_source
+from imucald.core.errors import LogError
 
 PADDING: Final = 512
 """Bytes by which a block is longer than its text, so that runs may be read from any place."""
@@ -36,6 +34,16 @@ MAX_SHAPES: Final = 32
 
 NEW_SHAPES: Final = 16
 """Shapes learned in one block; beyond, lines are read one by one."""
+
+CHUNK_FRAMES: Final = 16_384
+"""Frames gathered from blocks before they are passed on: what follows has costs per chunk."""
+
+CHUNK_BLOCKS: Final = 8
+"""Blocks after which they are passed on however few they are, so that progress shows."""
+
+KEPT_BYTES: Final = 16 << 20
+"""Freed memory that the C library may keep for reuse, above the arrays of one block (about 6 MiB
+with their copies)."""
 
 Place = tuple[str, int]
 """File name, number of lines before."""
@@ -153,6 +161,67 @@ class CandumpParser:
             return parts[0]
         numbers = [h.line for h in hits] + [np.array([n for n, _ in singles], np.intp)]
         return concatenate(parts).take(np.argsort(np.concatenate(numbers), kind="stable"))
+
+
+class CandumpReader:
+    """Reads files of candump text into columns."""
+
+    endings: ClassVar[tuple[str, ...]] = (".log",)
+
+    def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
+        self._statistics = statistics
+        self._parser = CandumpParser(filters, channels, statistics)
+
+    def read(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+        """Yield the wanted frames of one file in chunks, as `LogFormat.read` says."""
+        _keep_freed_memory()
+        return _gathered(self._blocks(path, report))
+
+    def _blocks(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+        parser = self._parser
+        name, lines = str(path), 0
+        with open_source(path) as source:
+            blocks = TextBlocks(source, PADDING, MAX_LINE_BYTES)
+            for buf, size in blocks:
+                columns, count = parser.parse(buf, size, (name, lines))
+                lines += count
+                report(blocks.bytes_read)
+                yield columns
+            if blocks.damage and not lines:
+                raise LogError(f"{name}: cannot be read: {blocks.damage}")
+            if blocks.damage:
+                # The last line is cut with the file, even where what is left of it can be read.
+                where = f"{name}:{lines + 1}"
+                self._statistics.reject(
+                    "damaged_file", f"{where}: reading ends here: {blocks.damage}"
+                )
+            elif blocks.rest:
+                yield parser.parse_rest(blocks.rest, (name, lines))
+
+
+def _keep_freed_memory() -> None:
+    """Let glibc reuse freed memory, instead of giving it back and faulting it in for each block.
+
+    It sets its threshold for that to the largest block it has seen freed. The array is never
+    touched, so it costs nothing; reading takes less than half the time. Elsewhere: no effect.
+    """
+    np.empty(KEPT_BYTES, np.uint8)
+
+
+def _gathered(blocks: Iterator[FrameColumns]) -> Iterator[FrameColumns]:
+    """Yield what several blocks hold as one, since rare frames make small columns."""
+    parts: list[FrameColumns] = []
+    count = frames = 0
+    for part in blocks:
+        count += 1
+        if len(part):
+            parts.append(part)
+            frames += len(part)
+        if parts and (frames >= CHUNK_FRAMES or count >= CHUNK_BLOCKS):
+            yield concatenate(parts)
+            parts, count, frames = [], 0, 0
+    if parts:
+        yield concatenate(parts)
 
 
 _DIGIT_MASKS: Final = np.tril(np.full((2 * FD_BYTES + 1, 2 * FD_BYTES), 0xFF, np.uint8), -1).view(

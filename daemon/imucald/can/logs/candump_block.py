@@ -8,7 +8,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CLASSIC_BYTES, FD_BYTES, NO_ID, WANTED
+from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CLASSIC_BYTES, FD_BYTES
+from imucald.can.id_filter import NO_ID, WANTED
 from imucald.can.logs.ascii_columns import (
     Bytes,
     Index,

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import IdFilter
+from imucald.can.id_filter import IdFilter
 from imucald.can.logs.ascii_columns import (
     Bytes,
     Index,

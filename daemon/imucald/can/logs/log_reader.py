@@ -13,35 +13,18 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
-from imucald.can.columns import (
-    CAN_EFF_FLAG,
-    Channels,
-    FrameColumns,
-    IdFilters,
-    IdMatch,
-    concatenate,
-)
-from imucald.can.logs.candump import PADDING, CandumpParser
-from imucald.can.logs.candump_line import MAX_LINE_BYTES
+from imucald.can.columns import CAN_EFF_FLAG, Channels, FrameColumns, IdMatch
+from imucald.can.id_filter import IdFilters
+from imucald.can.logs.candump import CandumpReader
 from imucald.can.logs.candump_writer import CandumpWriter
-from imucald.can.logs.python_can_logs import PythonCanReader, is_python_can_format
-from imucald.can.logs.read_statistics import ReadStatistics
-from imucald.can.logs.text_blocks import STDIN, TextBlocks, open_source
-from imucald.core.errors import LogError
+from imucald.can.logs.log_format import LogFormat, ReadStatistics
+from imucald.can.logs.python_can_logs import PythonCanReader
+from imucald.can.logs.text_blocks import STDIN
 
 __all__ = ["CAN_EFF_FLAG", "CandumpWriter", "FrameColumns", "IdMatch", "LogReader"]
 
-CHUNK_FRAMES: Final = 16_384
-"""Frames gathered from blocks before they are passed on: what follows has costs per chunk."""
-
-CHUNK_BLOCKS: Final = 8
-"""Blocks after which they are passed on however few they are, so that progress shows."""
-
-KEPT_BYTES: Final = 16 << 20
-"""Freed memory that the C library may keep for reuse, above the arrays of one block (about 6 MiB
-with their copies)."""
+FORMATS: Final[tuple[type[LogFormat], ...]] = (CandumpReader, PythonCanReader)
+"""Every format that can be read. A file whose ending none of them names is read by the first."""
 
 Progress = Callable[[int, int | None], None]
 """Called with bytes read and bytes in all (None where standard input is among the files)."""
@@ -100,15 +83,12 @@ class LogReader:
         self._statistics = ReadStatistics(self._statistics.strict)
         self._bytes_before = 0
         self._bytes_total = _total_bytes(self._paths)
-        _keep_freed_memory()
-        channels, filters = Channels(), IdFilters(self._keep)
-        candump = CandumpParser(filters, channels, self._statistics)
-        foreign = PythonCanReader(filters, channels, self._statistics)
+        shared = IdFilters(self._keep), Channels(), self._statistics
+        readers: list[LogFormat] = [kind(*shared) for kind in FORMATS]
         for path in self._paths:
-            if is_python_can_format(path):
-                yield from foreign.read(Path(path), self._report)
-            else:
-                yield from _gathered(self._read_candump(path, candump))
+            ending = _ending(path)
+            reader = next((r for r in readers if ending in r.endings), readers[0])
+            yield from reader.read(path, self._report)
             self._bytes_before += _file_bytes(path)
             self._report(0)
 
@@ -116,50 +96,11 @@ class LogReader:
         if self._progress is not None:
             self._progress(self._bytes_before + bytes_of_file, self._bytes_total)
 
-    def _read_candump(self, path: Path | str, parser: CandumpParser) -> Iterator[FrameColumns]:
-        name, lines = str(path), 0
-        with open_source(path) as source:
-            blocks = TextBlocks(source, PADDING, MAX_LINE_BYTES)
-            for buf, size in blocks:
-                columns, count = parser.parse(buf, size, (name, lines))
-                lines += count
-                self._report(blocks.bytes_read)
-                yield columns
-            if blocks.damage and not lines:
-                raise LogError(f"{name}: cannot be read: {blocks.damage}")
-            if blocks.damage:
-                # The last line is cut with the file, even where what is left of it can be read.
-                where = f"{name}:{lines + 1}"
-                self._statistics.reject(
-                    "damaged_file", f"{where}: reading ends here: {blocks.damage}"
-                )
-            elif blocks.rest:
-                yield parser.parse_rest(blocks.rest, (name, lines))
 
-
-def _keep_freed_memory() -> None:
-    """Let glibc reuse freed memory, instead of giving it back and faulting it in for each block.
-
-    It sets its threshold for that to the largest block it has seen freed. The array is never
-    touched, so it costs nothing; reading takes less than half the time. Elsewhere: no effect.
-    """
-    np.empty(KEPT_BYTES, np.uint8)
-
-
-def _gathered(blocks: Iterator[FrameColumns]) -> Iterator[FrameColumns]:
-    """Yield what several blocks hold as one, since rare frames make small columns."""
-    parts: list[FrameColumns] = []
-    count = frames = 0
-    for part in blocks:
-        count += 1
-        if len(part):
-            parts.append(part)
-            frames += len(part)
-        if parts and (frames >= CHUNK_FRAMES or count >= CHUNK_BLOCKS):
-            yield concatenate(parts)
-            parts, count, frames = [], 0, 0
-    if parts:
-        yield concatenate(parts)
+def _ending(path: Path | str) -> str:
+    """The ending of a file's name, before ``.gz``, in small letters."""
+    name = Path(path)
+    return Path(name.stem if name.suffix.lower() == ".gz" else name.name).suffix.lower()
 
 
 def _file_bytes(path: Path | str) -> int:

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -18,13 +18,10 @@ from imucald.can.columns import (
     FD_BYTES,
     Channels,
     FrameColumns,
-    IdFilters,
 )
-from imucald.can.logs.read_statistics import ReadStatistics
+from imucald.can.id_filter import IdFilters
+from imucald.can.logs.log_format import ReadStatistics
 from imucald.core.errors import LogError
-
-FORMATS: Final = (".asc", ".blf", ".trc", ".csv", ".mf4", ".db")
-"""File name endings; text formats may be compressed (``.asc.gz``)."""
 
 BATCH_FRAMES: Final = 8192
 """Frames of ours gathered before they are passed on."""
@@ -48,15 +45,10 @@ Frame = tuple[float, int, bytes, int, bool]
 """Time [s], id with flag, payload, channel index, CAN FD."""
 
 
-def is_python_can_format(path: Path | str) -> bool:
-    """Say whether a file's name is one of another format than candump's."""
-    name = Path(path)
-    ending = name.stem if name.suffix.lower() == ".gz" else name.name
-    return Path(ending).suffix.lower() in FORMATS
-
-
 class PythonCanReader:
-    """Reads files of other formats into columns."""
+    """Reads files of other formats than candump's into columns."""
+
+    endings: ClassVar[tuple[str, ...]] = (".asc", ".blf", ".trc", ".csv", ".mf4", ".db")
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
         self._filters = filters
@@ -64,12 +56,13 @@ class PythonCanReader:
         self._statistics = statistics
         self._verdicts: dict[tuple[int, int], bool] = {}
 
-    def read(self, path: Path, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+    def read(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
         """Yield the wanted frames of one file in batches; `report` gets the bytes read so far.
 
         A file that cannot be read at all raises LogError. One that fails after some frames counts
         as one rejection ("unreadable") and ends there, since python-can's readers cannot resume.
         """
+        path = Path(path)
         before = self._statistics.frames_read
         cut = _ends_in_half_a_byte(path)
         batch: list[Frame] = []

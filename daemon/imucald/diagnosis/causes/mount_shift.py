@@ -42,7 +42,7 @@ class MountShift(Cause):
             "t_s": max(p[TIME], 0.0),
             **{f"{name}_deg": p[key] / DEG for name, key in zip(ANGLES, KEYS, strict=True)},
         }
-        shifts = [*model.model_dump()["mount"]["shifts"], shift]
+        shifts = [*model.dump()["mount"]["shifts"], shift]
         return model.with_changes({"mount.shifts": sorted(shifts, key=lambda x: float(x["t_s"]))})
 
     def report(self, p: Values, std: Values, keys: Sequence[str]) -> dict[str, Estimated]:

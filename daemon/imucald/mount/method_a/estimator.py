@@ -15,31 +15,11 @@ import numpy as np
 
 from imucald.core.rotations import Matrix3, rotation_from_angles
 from imucald.core.samples import GRAVITY
+from imucald.motion.plausible import ROAD_FORCE_WIDE, is_saturated
 from imucald.motion.speed import SpeedInterval, SpeedIntervalMaker
 from imucald.motion.straight import YawRateSource
-from imucald.motion.ticks import (
-    ACCEL_BAD,
-    ACCEL_MAX_X,
-    ACCEL_MAX_Y,
-    ACCEL_MAX_Z,
-    ACCEL_MIN_X,
-    ACCEL_MIN_Y,
-    ACCEL_MIN_Z,
-    ACCEL_N,
-    ACCEL_X,
-    ACCEL_Y,
-    ACCEL_Z,
-    BRAKE,
-    LATERAL,
-    LATERAL_N,
-    REVERSE,
-    SPEED,
-    SPEED_AGE,
-    SPEED_BAD,
-    SPEED_N,
-    T,
-    TickRow,
-)
+from imucald.motion.stuck import HeldForce
+from imucald.motion.ticks import ACCEL, BRAKE, LATERAL_ACCEL, REVERSE, SPEED, T, TickRow
 from imucald.mount.estimate import Correction, MountEstimate, MountState
 from imucald.mount.method_a.gate import StraightGate, WanderingOffset
 from imucald.mount.method_a.manoeuvres import (
@@ -69,11 +49,6 @@ MANOEUVRE_HOLE = 1.5
 """Time without an accepted interval that ends a manoeuvre [s]."""
 MAX_HOLE_TICKS = 5
 """Ticks for which the last specific force stands in: a 10 Hz sensor jitters."""
-STUCK_TICKS = 10
-"""Ticks without any change of the force, while driving, after which the sensor is stuck."""
-PLAUSIBLE_FORCE = (0.3 * GRAVITY, 3.0 * GRAVITY)
-"""Size of a tick's mean specific force on a vehicle that drives [m/s^2]."""
-NEAR_FULL_SCALE = 0.98
 UNKNOWN_SIGN_STD = math.pi / 2.0
 """Standard deviation of a yaw that may be off by 180 deg [rad]."""
 
@@ -92,6 +67,7 @@ class PublishedEstimator:
         self._signed = ManoeuvreBook(MANOEUVRES_KEPT)
         self._unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
         self._applied = SlewedRotation(s.slew)
+        self._held = HeldForce()
         self._known = TiltAndAngle()
         self._target: Matrix3 | None = None
         self._state = MountState.WAITING
@@ -124,7 +100,8 @@ class PublishedEstimator:
         self._sign.restart()
         self._open: Manoeuvre | None = None
         self._force: Vector | None = None
-        self._holes = self._stuck = 0
+        self._holes = 0
+        self._held.restart()
         self._speed, self._speed_t = NAN, -math.inf
         self._reverse = False
         self._brake = self._lateral = NAN
@@ -181,45 +158,38 @@ class PublishedEstimator:
             self._reverse_known = True
         if not isnan(tick[BRAKE]):
             self._brake = tick[BRAKE]
-        if tick[LATERAL_N] > 0.0:
-            self._lateral = tick[LATERAL]
+        if tick[LATERAL_ACCEL.n] > 0.0:
+            self._lateral = tick[LATERAL_ACCEL.mean]
         t = tick[T]
-        if tick[SPEED_N] > 0.0 and tick[SPEED_BAD] == 0.0 and self._settings.use_speed:
-            self._speed = -tick[SPEED] if self._reverse else tick[SPEED]
+        if tick[SPEED.n] > 0.0 and tick[SPEED.bad] == 0.0 and self._settings.use_speed:
+            self._speed = -tick[SPEED.mean] if self._reverse else tick[SPEED.mean]
             self._speed_t = t
-            self._intervals.add_speed(t - tick[SPEED_AGE], self._speed)
+            self._intervals.add_speed(t - tick[SPEED.age], self._speed)
         elif t - self._speed_t > self._settings.speed_timeout:
             self._speed = NAN
 
     def _take_force(self, tick: TickRow) -> bool:
         """Keep the tick's specific force; return whether it can be learnt from."""
-        if tick[ACCEL_BAD] > 0.0:
+        if tick[ACCEL.bad] > 0.0:
             return False
-        if tick[ACCEL_N] == 0.0:
+        if tick[ACCEL.n] == 0.0:
             self._holes += 1
             if self._holes > MAX_HOLE_TICKS:
                 self._force = None
+                self._held.restart()
                 self._intervals.restart()
             return False if self._holes > MAX_HOLE_TICKS else self._force is not None
         self._holes = 0
-        z = GRAVITY if self._settings.planar else tick[ACCEL_Z]
-        force = (tick[ACCEL_X], tick[ACCEL_Y], z)
+        z = GRAVITY if self._settings.planar else tick[ACCEL.z]
+        force = (tick[ACCEL.x], tick[ACCEL.y], z)
         size = math.sqrt(force[0] * force[0] + force[1] * force[1] + z * z)
-        if not PLAUSIBLE_FORCE[0] <= size <= PLAUSIBLE_FORCE[1] or self._saturated(tick):
+        low, high = ROAD_FORCE_WIDE
+        if not low <= size <= high or is_saturated(tick, self._settings.accel_range):
             return False
-        same = force == self._force and tick[ACCEL_MIN_X] == tick[ACCEL_MAX_X]
-        self._stuck = self._stuck + 1 if same else 0
+        stuck = self._held.step(tick, force)
         self._force = force
         self._gate.push(force)
-        return self._stuck < STUCK_TICKS or not abs(self._speed) > self._settings.standstill_speed
-
-    def _saturated(self, tick: TickRow) -> bool:
-        limit = NEAR_FULL_SCALE * self._settings.accel_range
-        if limit == math.inf:
-            return False
-        highest = max(tick[ACCEL_MAX_X], tick[ACCEL_MAX_Y], tick[ACCEL_MAX_Z])
-        lowest = min(tick[ACCEL_MIN_X], tick[ACCEL_MIN_Y], tick[ACCEL_MIN_Z])
-        return highest >= limit or lowest <= -limit
+        return not stuck or not abs(self._speed) > self._settings.standstill_speed
 
     # What a interval brings.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from imucald.motion.at_rest import ZERO_SPEED_COARSE
 from imucald.motion.standstill import StaticTestSettings
 
 RECOGNISERS = ("yaw_rate", "steering", "consistency")
@@ -20,7 +21,7 @@ class PublishedSettings:
 
     # Steps 1-3: standstill and levelling.
     static: StaticTestSettings = field(default_factory=StaticTestSettings)
-    standstill_speed: float = 0.3
+    standstill_speed: float = ZERO_SPEED_COARSE
     """Speed [m/s] up to which the vehicle stands: one step of an OBD-II speed is 0.28 m/s."""
     average_stops: bool = True
     """Combine all stops (beyond the publication); else the last stop decides."""

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from imucald.can.columns import CAN_EFF_FLAG
 from imucald.can.dbc.database import Database, Message, load_database_text
 from imucald.can.dbc.encode import EncodePlan, compile_encode
-from imucald.can.e2e.checksums import ChecksumSpec, crc8_j1850, xor_checksum
-from imucald.can.e2e.protection import MessageProtector, ProtectionSpec, counter_of
+from imucald.can.e2e.checksums import crc8_j1850, xor_checksum
+from imucald.can.e2e.crc import ChecksumSpec
+from imucald.can.e2e.protection import ProtectionSpec, counter_of
+from imucald.can.e2e.protector import MessageProtector
 from imucald.config import STANDARD_ID_MAX
 
 OutFrame = tuple[int, bytes]

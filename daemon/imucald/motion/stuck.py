@@ -1,6 +1,9 @@
 """Signals that are stuck: a sensor or a sender that says the same again and again.
 
-What they say is wrong by as much as the truth has changed, and at the end they jump.
+What they say is wrong by as much as the truth has changed, and at the end they jump. Three kinds
+of signal, three tests: a sensor's noise always moves (`StuckSensor`, over blocks of ticks;
+`HeldForce`, tick by tick), a speed that is rounded does not (`StuckSpeed`).
+`compensation.held_repeats` finds nothing: it keeps a stuck sensor recognisable.
 """
 
 from __future__ import annotations
@@ -11,16 +14,20 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
-from imucald.motion.ticks import TICK_S
+from imucald.motion.at_rest import DRIVING_SPEED, ROLLING_SPEED
+from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 STUCK_TICKS = 12
 """Identical means of a sensor for that long are a stuck signal: noise always moves."""
-STUCK_MOVING_TICKS, MOVING = 5, 0.5
-"""So many of them faster than this [m/s]."""
+STUCK_MOVING_TICKS = 5
+"""So many of them while the vehicle rolls."""
+HELD_TICKS = 10
+"""Ticks of one force that never moved within a tick either: then a second is enough."""
 STUCK_HOLE = 4
 """Ticks from one sample to the next, at most: 2.5 Hz."""
 SAME = 1e-9
@@ -36,8 +43,6 @@ MIN_RUNS = 50
 """Before so many nothing is called stuck."""
 FINE = 0.1
 """So many of the changes are finer than what counts as the signal's step: rounding splits steps."""
-DRIVING = 1.0
-"""Slower than this [m/s] wheels may well not be seen to turn."""
 SAME_SPEED = 1e-6
 """[m/s]"""
 
@@ -74,10 +79,10 @@ class StuckSensor:
     def _flag_runs(
         self, rows: Array, at: NDArray[np.int64], values: Array, same: Flags, flags: Flags
     ) -> None:
-        said = rows[:, tk.SPEED_N] > 0
+        said = rows[:, tk.SPEED.n] > 0
         heard = np.maximum.accumulate(np.where(said, np.arange(len(rows)), 0))
-        moving = np.abs(rows[heard, tk.SPEED]) > MOVING
-        moving = np.where(rows[heard, tk.SPEED_N] > 0, moving, self._moving and not said.any())
+        moving = np.abs(rows[heard, tk.SPEED.mean]) > ROLLING_SPEED
+        moving = np.where(rows[heard, tk.SPEED.n] > 0, moving, self._moving and not said.any())
         edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
         for first, last in edges.reshape(-1, 2):
             part = slice(at[first], at[last] + 1)
@@ -86,6 +91,25 @@ class StuckSensor:
             driven = int(moving[part].sum()) >= STUCK_MOVING_TICKS
             if known or (part.stop - part.start >= STUCK_TICKS and driven):
                 flags[part] = True
+
+
+class HeldForce:
+    """Counts ticks in which the force was the same, and did not move within the tick either."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Time jumped."""
+        self._force: Vector | None = None
+        self._ticks = 0
+
+    def step(self, tick: TickRow, force: Vector) -> bool:
+        """Take a tick and its mean force; return whether it is stuck, if the vehicle moves."""
+        same = force == self._force and tick[ACCEL.min_x] == tick[ACCEL.max_x]
+        self._ticks = self._ticks + 1 if same else 0
+        self._force = force
+        return self._ticks >= HELD_TICKS
 
 
 def one_more(flags: Flags) -> Flags:
@@ -115,10 +139,10 @@ class StuckSpeed:
     def flags(self, rows: Array, leaving: int) -> Flags:
         """Ticks (N,) with a speed that is stuck; rows: (N, COLUMNS), `leaving` leave next."""
         out = np.zeros(len(rows), dtype=bool)
-        at = np.flatnonzero(rows[:, tk.SPEED_N] > 0)
+        at = np.flatnonzero(rows[:, tk.SPEED.n] > 0)
         if not len(at):
             return out
-        speed = rows[at, tk.SPEED]
+        speed = rows[at, tk.SPEED.mean]
         change = np.abs(np.diff(speed))
         ends = np.append(np.flatnonzero(change > SAME_SPEED), len(at) - 1)
         first, run = 0, (math.nan, 0.0)
@@ -127,7 +151,7 @@ class StuckSpeed:
             lasted = float(at[last] - at[first]) * TICK_S
             if first == 0 and abs(speed[0] - self._value) <= SAME_SPEED:
                 lasted += self._lasted
-            driving = abs(float(speed[first])) > DRIVING
+            driving = abs(float(speed[first])) > DRIVING_SPEED
             stuck = driving and lasted > limit
             if stuck:
                 out[at[first] : at[last] + 1] = True

@@ -14,9 +14,9 @@ from imucald.config import parse_config
 from imucald.core.errors import ConfigError, LogError
 from imucald.inputs.wiring import compile_router
 from imucald.simulation import Model, random_model, simulate
-from imucald.simulation.bus_frames import BusEncoder, example_config
-from imucald.simulation.can_log import EPOCH_S, bus_frames, live_frames, write_log
-from imucald.simulation.traffic import arbitrated, background
+from imucald.traffic.can_log import EPOCH_S, bus_frames, live_frames, write_log
+from imucald.traffic.encoder import BusEncoder, example_config
+from imucald.traffic.other_units import arbitrated, background
 
 LINE = re.compile(r"\((\d+\.\d{6})\) (\w+) ([0-9A-F]{3}|[0-9A-F]{8})#([0-9A-F]*)")
 

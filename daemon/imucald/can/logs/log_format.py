@@ -1,10 +1,18 @@
-"""What a reader of logs counts: frames, what it passes over, what it rejects and why."""
+"""What every log format is: a reader of files with certain endings, and what it counts.
+
+A new format is a new file with a `LogFormat`, named in `log_reader.FORMATS`; one that python-can
+reads needs only its ending in `python_can_logs`.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from typing import Final
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import ClassVar, Final, Protocol
 
+from imucald.can.columns import Channels, FrameColumns
+from imucald.can.id_filter import IdFilters
 from imucald.core.errors import LogError
 
 MAX_PROBLEMS: Final = 20
@@ -41,3 +49,20 @@ class ReadStatistics:
         """Count one valid frame that carries no data (remote, error) or is not for us (XL)."""
         self.frames_read += 1
         self.ignored[kind] += 1
+
+
+class LogFormat(Protocol):
+    """A reader of one recording's files, which share filters, channels and statistics."""
+
+    endings: ClassVar[tuple[str, ...]]
+    """Of file names, in small letters; ``.gz`` behind them does not count."""
+
+    def __init__(
+        self, filters: IdFilters, channels: Channels, statistics: ReadStatistics
+    ) -> None: ...
+
+    def read(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+        """Yield a file's wanted frames, empty chunks among them; `report` gets the bytes read.
+
+        Raises LogError for a file that is no log at all; what is bad in one goes to statistics.
+        """

@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
-from imucald.mount.signal_blocks import BEFORE, BLOCK_TICKS, KEEP, empty_rows
-from imucald.mount.stuck import StuckSpeed
+from imucald.motion.stuck import StuckSpeed
+from imucald.motion.ticks import empty_rows
+from imucald.mount.signal_blocks import BEFORE, BLOCK_TICKS, KEEP
 
 TICKS = 6000
 
@@ -24,8 +25,8 @@ def true_speed(seed: int = 1) -> NDArray[np.float64]:
 def flagged(speed: NDArray[np.float64]) -> NDArray[np.bool_]:
     """What block after block is said to be stuck; NaN: no sample in the tick."""
     rows = empty_rows(len(speed) + KEEP)
-    rows[KEEP:, tk.SPEED] = speed
-    rows[KEEP:, tk.SPEED_N] = np.isfinite(speed)
+    rows[KEEP:, tk.SPEED.mean] = speed
+    rows[KEEP:, tk.SPEED.n] = np.isfinite(speed)
     watch, out = StuckSpeed(), np.zeros(len(rows), dtype=bool)
     for first in range(0, len(rows) - KEEP - BLOCK_TICKS + 1, BLOCK_TICKS):
         flags = watch.flags(rows[first : first + KEEP + BLOCK_TICKS], BLOCK_TICKS)

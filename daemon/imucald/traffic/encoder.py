@@ -1,6 +1,6 @@
 """Samples -> frames, through the configuration that decodes them: the reader's way, backwards.
 
-What `bus.wiring` compiles for reading says which signal is which quantity, in which unit, with
+What `inputs.wiring` compiles for reading says which signal is which quantity, in which unit, with
 which counter and checksum; here the same routes are run in the other direction. So a simulated log
 can be written in the frames of any vehicle that has a configuration.
 """
@@ -18,7 +18,7 @@ from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, FrameColumns
 from imucald.can.dbc.database import Signal
 from imucald.can.dbc.encode import compile_encode
 from imucald.can.dbc.resolved_signal import raw_limits
-from imucald.can.e2e.protection import MessageProtector
+from imucald.can.e2e.protector import MessageProtector
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.core.samples import Series

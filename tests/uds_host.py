@@ -9,13 +9,13 @@ import numpy as np
 
 from imucald.core.rotations import rotation_from_angles
 from imucald.mount.estimate import Missing, MountEstimate, MountState
-from imucald.uds.host import Counts, Identity
+from imucald.uds.host import FrameCounts, Identity
 from imucald.uds.server import Server
 
 ANGLES_DEG = (1.5, -20.25, 135.0)
 STD_DEG = (0.1, 0.2, 0.4)
 WHO = Identity("1.2.3", "WVWZZZ1JZXW000001", bytes(range(32)))
-COUNTED = Counts(10, 9, 8, 7, 6, 5, {"checksum": 3, "counter_jump": 2})
+COUNTED = FrameCounts(10, 9, 8, 7, 6, 5, {"checksum": 3, "counter_jump": 2})
 
 
 class Clock:
@@ -43,20 +43,20 @@ def estimate_of(state: MountState = MountState.FINE) -> MountEstimate:
 
 
 @dataclass
-class FakeSubject:
+class FakeHost:
     identity: Identity = WHO
     quality: int = 3
     standing: bool | None = True
     uptime: float = 12.7
     known: MountEstimate = field(default_factory=estimate_of)
-    counted: Counts = COUNTED
+    counted: FrameCounts = COUNTED
     former_fits: bool = True
     done: list[str] = field(default_factory=list)
 
     def estimate(self) -> MountEstimate:
         return self.known
 
-    def counts(self) -> Counts:
+    def counts(self) -> FrameCounts:
         return self.counted
 
     def begin_calibration(self) -> None:
@@ -79,12 +79,12 @@ class FakeSubject:
 
 
 class Bench:
-    """A server with a fake subject and clock."""
+    """A server with a fake host and clock."""
 
     def __init__(self, **options: object) -> None:
         self.clock = Clock()
-        self.subject = FakeSubject()
-        self.server = Server(self.subject, self.clock, **{"key_function": key_of, **options})
+        self.host = FakeHost()
+        self.server = Server(self.host, self.clock, **{"key_function": key_of, **options})
 
     def ask(self, request: str, to_all: bool = False) -> str | None:
         """Request and response as hexadecimal text."""

@@ -32,7 +32,7 @@ def test_a_model_file_needs_only_what_differs(tmp_path):
         ("road:\n  crown: 0.02\n", ":2: road.crown", "unknown key"),
         ("chassis:\n\n  mass_kg: -3\n", ":3: chassis.mass_kg", "greater than 0"),
         ("accel:\n  bias: [1, 2]\n", ":2: accel.bias", ""),
-        ("accel:\n  bias:\n    - 0\n    - .nan\n    - 0\n", ":4: accel.bias.1", "finite"),
+        ("accel:\n  bias:\n    - 0\n    - .nan\n    - 0\n", ":4: accel.bias[1]", "finite"),
         ("route:\n  launch_mps2: [3, 1]\n", ":1: route", "lower bound comes first"),
         ("chassis:\n  cg_to_front_m: 9\n", ":1: chassis", "shorter than wheelbase"),
         ("chassis:\n  understeer_gradient: -1\n", ":1: chassis", "understeer_gradient"),

@@ -6,17 +6,17 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from imucald.simulation.bus_frames import BusEncoder
-from imucald.simulation.can_log import Progress, live_frames
 from imucald.simulation.drive import Drive
+from imucald.traffic.can_log import Progress, live_frames
+from imucald.traffic.encoder import BusEncoder
 
 EARLY_S = 0.0005
 """Frames due within this are sent at once: sleeping shorter than that is not dependable."""
 PROGRESS_S = 0.5
 
 
-class Sender(Protocol):
-    """What `play` needs of a `bus.link.Link`."""
+class FrameSink(Protocol):
+    """What `play` needs of a `can.link.link.Link`."""
 
     def send(self, can_id: int, data: bytes) -> bool:
         """Send one frame; whether it was accepted."""
@@ -28,7 +28,7 @@ class Sender(Protocol):
 def play(
     drive: Drive,
     encoder: BusEncoder,
-    link: Sender,
+    link: FrameSink,
     speed: float = 1.0,
     with_background: bool = False,
     progress: Progress | None = None,

@@ -11,9 +11,9 @@ from msgspec.structs import replace
 
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.candump_writer import CandumpWriter
-from imucald.simulation.bus_frames import BusEncoder
 from imucald.simulation.drive import Drive
-from imucald.simulation.traffic import arbitrated, background, joined
+from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.other_units import arbitrated, background, joined
 
 EPOCH_S = 1_600_000_000.0
 """Stamp of the start of a drive: logs with relative times begin here."""

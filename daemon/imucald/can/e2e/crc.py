@@ -1,0 +1,148 @@
+"""A table-driven CRC over a message's bytes (or their XOR), for one frame and for whole columns.
+
+All checksums of `checksums` are this one scheme: bytes are fed in the order prefix, payload without
+the checksum's own bytes, suffix; prefix and suffix may depend on the alive counter. One frame and
+columns give the same number.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.can.dbc.bits import Columns, Field, read_bits, read_column, words_of
+from imucald.core.errors import ConfigError
+
+
+class ChecksumSpec(Struct, frozen=True):
+    """Where a checksum lies and over what it runs.
+
+    `size`: bytes of the message that are covered; longer frames are covered up to there.
+    `position`: first byte of the checksum; `width`: 1, or 2 (low byte first). `polynomial`:
+    0 is XOR. `prefixes`, `suffixes`: bytes fed before and after the payload; one entry, or one for
+    each counter value (then `counter` says where the counter is). `fixed`: a field that must hold
+    a value (the data id's nibble of profiles 1 and 11).
+    """
+
+    size: int
+    position: int
+    width: int = 1
+    polynomial: int = 0
+    start: int = 0
+    final_xor: int = 0
+    prefixes: tuple[bytes, ...] = (b"",)
+    suffixes: tuple[bytes, ...] = (b"",)
+    counter: Field | None = None
+    fixed: tuple[Field, int] | None = None
+
+    def __post_init__(self) -> None:
+        if self.width not in (1, 2) or not 0 <= self.position <= self.size - self.width:
+            raise ConfigError(
+                f"checksum at byte {self.position} is not within a message of {self.size} bytes"
+            )
+        for field in (self.counter, self.fixed[0] if self.fixed else None):
+            if field is not None and field.end_byte > self.size:
+                raise ConfigError(f"counter or data id is beyond a message of {self.size} bytes")
+        needed = 1 if self.counter is None else 1 << self.counter.length
+        for table in (self.prefixes, self.suffixes):
+            if len(table) not in (1, needed):
+                raise ConfigError(f"{len(table)} data ids for {needed} counter values")
+
+
+class Checksum:
+    """Computes and checks the checksum of one message."""
+
+    def __init__(self, spec: ChecksumSpec) -> None:
+        self.spec = spec
+        self._table = _table(spec.polynomial, spec.width)
+        self._table_array = np.array(self._table, np.uint16 if spec.width == 2 else np.uint8)
+        self._before = spec.position
+        self._after = spec.position + spec.width
+        self._many = max(len(spec.prefixes), len(spec.suffixes))
+        self._starts = tuple(self._feed(spec.start, p) for p in spec.prefixes)
+        if len(self._starts) == 1:
+            self._starts *= self._many
+        self._suffixes = spec.suffixes * (self._many if len(spec.suffixes) == 1 else 1)
+
+    def compute(self, data: bytes | bytearray) -> int:
+        """Checksum that a frame of at least `size` bytes should have."""
+        spec = self.spec
+        index = 0
+        if self._many > 1 and spec.counter is not None:
+            index = read_bits(data, spec.counter)
+        covered = data[: self._before] + data[self._after : spec.size] + self._suffixes[index]
+        return self._feed(self._starts[index], covered) ^ spec.final_xor
+
+    def is_right(self, data: bytes | bytearray) -> bool:
+        """Whether a frame of at least `size` bytes carries its checksum (and data id nibble)."""
+        spec = self.spec
+        if spec.fixed is not None and read_bits(data, spec.fixed[0]) != spec.fixed[1]:
+            return False
+        stored = int.from_bytes(data[self._before : self._after], "little")
+        return stored == self.compute(data)
+
+    def compute_columns(self, data: Columns) -> NDArray[np.uint16]:
+        """The same for (N, W) frames, W at least `size`."""
+        spec = self.spec
+        index = self._indices(data)
+        crc = np.array(self._starts, self._table_array.dtype)[index]
+        for i in range(spec.size):
+            if not self._before <= i < self._after:
+                crc = self._feed_column(crc, data[:, i])
+        for i in range(len(self._suffixes[0])):
+            suffix = np.array([s[i] for s in self._suffixes], np.uint8)
+            crc = self._feed_column(crc, suffix[index])
+        return crc.astype(np.uint16) ^ np.uint16(spec.final_xor)
+
+    def are_right(self, data: Columns) -> NDArray[np.bool_]:
+        """The same as `is_right` for (N, W) frames, W at least `size`."""
+        stored = data[:, self._before].astype(np.uint16)
+        if self.spec.width == 2:
+            stored |= data[:, self._before + 1].astype(np.uint16) << np.uint16(8)
+        right: NDArray[np.bool_] = stored == self.compute_columns(data)
+        if self.spec.fixed is not None:
+            field, value = self.spec.fixed
+            right &= read_column(words_of(data, field.byte_order), field) == value
+        return right
+
+    def _indices(self, data: Columns) -> NDArray[np.intp]:
+        counter = self.spec.counter
+        if self._many == 1 or counter is None:
+            return np.zeros(len(data), np.intp)
+        return read_column(words_of(data, counter.byte_order), counter).astype(np.intp)
+
+    def _feed(self, crc: int, data: bytes | bytearray) -> int:
+        table = self._table
+        if self.spec.width == 1:
+            for byte in data:
+                crc = table[crc ^ byte]
+        else:
+            for byte in data:
+                crc = (crc << 8 & 0xFF00) ^ table[crc >> 8 ^ byte]
+        return crc
+
+    def _feed_column(
+        self, crc: NDArray[np.unsignedinteger], byte: NDArray[np.uint8]
+    ) -> NDArray[np.unsignedinteger]:
+        table = self._table_array
+        if self.spec.width == 1:
+            narrow: NDArray[np.unsignedinteger] = table[crc ^ byte]
+            return narrow
+        high = (crc >> np.uint16(8)).astype(np.uint8)
+        result: NDArray[np.unsignedinteger] = (crc << np.uint16(8)) ^ table[high ^ byte]
+        return result
+
+
+def _table(polynomial: int, width: int) -> tuple[int, ...]:
+    """CRC table, most significant bit first; polynomial 0 gives XOR (the byte itself)."""
+    if polynomial == 0:
+        return tuple(range(256))
+    top, mask = 1 << 8 * width - 1, (1 << 8 * width) - 1
+    table = []
+    for byte in range(256):
+        crc = byte << 8 * (width - 1)
+        for _ in range(8):
+            crc = (crc << 1 ^ polynomial if crc & top else crc << 1) & mask
+        table.append(crc)
+    return tuple(table)

@@ -1,0 +1,104 @@
+"""A model file as it was written: only what stands in it counts, key by key.
+
+A simulated drive needs every parameter, and takes the default of what a file leaves out. Who serves
+a vehicle must not: what nobody wrote is not known. So each key is asked for by itself; its type,
+its range and the text of a mistake are those of the schema.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from imucald.core.errors import ConfigError
+from imucald.core.locations import Marks, located
+from imucald.core.typed import typed
+from imucald.core.yaml_lines import read_yaml_file
+from imucald.model.model import WHOLE, Model
+from imucald.model.plain import plain
+from imucald.model.section import Section
+
+
+class WrittenModel:
+    """The content of a model file, and the mistakes found in what was asked for.
+
+    name: of the file, in texts. unknown: keys that the schema does not have (they may be those of
+    a later version), in the file's order.
+    """
+
+    def __init__(self, data: Any, marks: Marks, name: str) -> None:
+        self._marks, self._name = marks, name
+        self._mistakes: dict[str, None] = {}
+        data = {} if data is None else plain(data)
+        if not isinstance(data, dict):
+            raise ConfigError(f"{located(name, marks, (), WHOLE)}: must be a mapping of sections")
+        self._data: dict[str, dict[str, Any]] = {}
+        self.unknown: list[str] = []
+        for section, content in data.items():
+            kind = _types(Model).get(section)
+            if kind is None:
+                self.unknown.append(section)
+            elif isinstance(kind, type) and issubclass(kind, Section):
+                self._take_section(section, content, kind)
+
+    def _take_section(self, section: str, content: Any, kind: type[Section]) -> None:
+        if not isinstance(content, dict):
+            self.refuse(section, None, "must be a mapping")
+            return
+        self._data[section] = content
+        self.unknown += [f"{section}.{key}" for key in content if key not in _types(kind)]
+
+    @property
+    def sections(self) -> list[str]:
+        """Sections that the file has, in its order."""
+        return list(self._data)
+
+    def has(self, section: str, *keys: str) -> bool:
+        """Whether the file has a section and, where keys are named, one of them."""
+        found = self._data.get(section)
+        return found is not None and (not keys or any(key in found for key in keys))
+
+    def is_set(self, section: str, key: str) -> bool:
+        """Whether a value stands there that is not zero, empty or off. It is not checked."""
+        return bool(self._data.get(section, {}).get(key))
+
+    def value(self, section: str, key: str, absent: Any = None) -> Any:
+        """Return a key's value, of the type that the schema gives it; `absent` if there is none.
+
+        A wrong value is a mistake (see `check`), and counts as absent. A key that the section's
+        schema does not have is absent.
+        """
+        types = _types(_types(Model)[section])
+        if key not in types or key not in self._data.get(section, {}):
+            return absent
+        data, place = self._data[section][key], (section, key)
+        try:
+            return typed(data, types[key], self._marks, self._name, WHOLE, at=place)
+        except ConfigError as error:
+            self._mistakes |= dict.fromkeys(str(error).splitlines())
+            return absent
+
+    def refuse(self, section: str, key: str | None, reason: str) -> None:
+        """Note a mistake that the schema does not know of."""
+        place = (section,) if key is None else (section, key)
+        self._mistakes[f"{located(self._name, self._marks, place)}: {reason}"] = None
+
+    def check(self) -> None:
+        """Raise ConfigError with a line for each mistake so far, if there is any."""
+        if self._mistakes:
+            raise ConfigError("\n".join(self._mistakes))
+
+
+def read_written(model: Path | Mapping[str, Any], name: str) -> WrittenModel:
+    """Read a model file, or a mapping of its content. Raises ConfigError where it is no YAML."""
+    if isinstance(model, Path):
+        return WrittenModel(*read_yaml_file(model, WHOLE), name)
+    return WrittenModel(model, {}, name)
+
+
+@cache
+def _types(kind: type[Section]) -> dict[str, Any]:
+    """Type of each key of a section, constraints included."""
+    return get_type_hints(kind, include_extras=True)

@@ -1,0 +1,163 @@
+"""Signal health, once for everybody: which ticks of which signal are not to be trusted, and why.
+
+`SignalHealth` takes block after block of ticks, online and pure. Every fault is found by signal
+and, where an axis can fail alone, by axis; who learns takes the ticks of all of them together, and
+who reports reads `found`. What each fault means stands where its limits are: `plausible`, `stuck`.
+Every reason is counted. A tick that is flagged is left out; what is known stays.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import Counter
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.motion.plausible import (
+    MAX_ROAD_DVDT,
+    MAX_ROAD_RATE,
+    MAX_TICK,
+    ROAD_FORCE,
+    saturated_axes,
+)
+from imucald.motion.stuck import StuckSensor, StuckSpeed
+from imucald.motion.ticks import ACCEL, GYRO, TICK_S, WHEEL_SPREAD
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+SPREAD_FLOOR, SPREAD_SLOPE = 0.6, 0.03
+"""Wheel speeds may differ by this [m/s] and this share of the speed, beyond the curve."""
+CURVE_SHARE = 1.5
+"""In a curve they may differ by this times track times yaw rate."""
+
+
+class SignalFault(enum.StrEnum):
+    """Why a tick of a signal is not to be trusted."""
+
+    IMPOSSIBLE = "impossible"  # a number that cannot be, or none
+    STUCK = "stuck"
+    IMPLAUSIBLE = "implausible"  # no road vehicle moves like this
+    SATURATED = "saturated"
+    WHEEL_SLIP = "wheel_slip"
+    SPEED_JUMP = "speed_jump"
+
+
+HOLD_TICKS: Mapping[SignalFault, int] = {
+    SignalFault.IMPLAUSIBLE: 0,
+    SignalFault.SATURATED: 3,
+    SignalFault.WHEEL_SLIP: 10,
+    SignalFault.SPEED_JUMP: 10,
+}
+"""Ticks around a fault that are not learnt from either; in the order in which they are counted."""
+
+
+def spread_out(flags: Flags, ticks: int) -> Flags:
+    """Flags widened by that many ticks to both sides."""
+    out = flags.copy()
+    for i in np.flatnonzero(flags):
+        out[max(0, i - ticks) : i + ticks + 1] = True
+    return out
+
+
+class SignalHealth:
+    """Watches the signals of one vehicle and one sensor.
+
+    accel_range: full scale of the accelerometer [m/s^2]; track: between left and right wheels [m].
+    new: which of the rows of a call no call before had among these; they are counted.
+    found: of the last block, by signal and fault, the ticks (N,), or (N, axes), that have it.
+    """
+
+    def __init__(self, new: slice, accel_range: float = math.inf, track: float = 1.55) -> None:
+        self._new = new
+        self._accel_range, self._track = accel_range, track
+        self._sensors = {
+            "accel": StuckSensor(ACCEL.n, ACCEL.x, moving=True),
+            "gyro": StuckSensor(GYRO.n, GYRO.x, moving=False),
+        }
+        self._speed = StuckSpeed()
+        self.counts: Counter[str] = Counter()
+        self.found: dict[tuple[str, SignalFault], Flags] = {}
+
+    def restart(self) -> None:
+        """Time jumped: what comes next is compared with nothing before."""
+        for sensor in self._sensors.values():
+            sensor.restart()
+        self._speed.restart()
+        self.found = {}
+
+    def drop_impossible(self, rows: Array) -> None:
+        """Empty, in place, the sensors of new ticks that hold a number that cannot be, or none."""
+        for count, columns, largest in MAX_TICK:
+            sound = np.abs(rows[:, columns]).max(axis=1) <= largest  # False for NaN
+            bad = (rows[:, count] > 0) & ~sound
+            if bad.any():
+                rows[bad, count] = 0.0
+                self.counts[SignalFault.IMPOSSIBLE.value] += int(bad.sum())
+
+    def stuck(self, signal: str, rows: Array) -> Flags:
+        """Ticks (N,) at which "accel", "gyro" or "speed" is stuck; rows: (N, COLUMNS)."""
+        if signal == "speed":
+            flags = self._speed.flags(rows, self._new.stop - self._new.start)
+        else:
+            flags = self._sensors[signal].flags(rows)
+        self.found[signal, SignalFault.STUCK] = flags
+        self._count(SignalFault.STUCK, flags[self._new])
+        return flags
+
+    def untrusted(
+        self,
+        rows: Array,
+        force: Array,
+        ok_force: Flags,
+        speed: Array,
+        ok_speed: Flags,
+        turning: Array,
+    ) -> Flags:
+        """Ticks (N,) that nothing may be learnt from.
+
+        rows: (N, COLUMNS). force: (N, 3) [m/s^2]; speed: (N,) [m/s], where they are known.
+        turning: (N,) size of the yaw rate [rad/s].
+        """
+        low, high = ROAD_FORCE
+        size2 = (force * force).sum(axis=1)
+        wild = np.abs(np.gradient(speed, TICK_S)) > MAX_ROAD_DVDT
+        self.found |= {
+            ("accel", SignalFault.IMPLAUSIBLE): ok_force & ((size2 < low**2) | (size2 > high**2)),
+            ("gyro", SignalFault.IMPLAUSIBLE): turning > MAX_ROAD_RATE,
+            ("accel", SignalFault.SATURATED): saturated_axes(rows, self._accel_range),
+            ("wheel_speeds", SignalFault.WHEEL_SLIP): self._slipping(rows, speed, turning),
+            ("speed", SignalFault.SPEED_JUMP): ok_speed & wild,
+        }
+        out = np.zeros(len(rows), dtype=bool)
+        for fault, hold in HOLD_TICKS.items():
+            flags = self._anywhere(fault, len(rows))
+            if self._count(fault, flags):
+                out |= spread_out(flags, hold)
+        return out
+
+    def _slipping(self, rows: Array, speed: Array, turning: Array) -> Flags:
+        known: Flags = rows[:, WHEEL_SPREAD.n] > 0
+        if not known.any():
+            return known
+        allowed = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(speed)
+        allowed += CURVE_SHARE * self._track * turning
+        return known & (np.nan_to_num(rows[:, WHEEL_SPREAD.mean]) > allowed)
+
+    def _anywhere(self, fault: SignalFault, n: int) -> Flags:
+        """Ticks (N,) with a fault of any signal and axis."""
+        out = np.zeros(n, dtype=bool)
+        for (_, kind), flags in self.found.items():
+            if kind is fault:
+                out |= flags.any(axis=1) if flags.ndim > 1 else flags
+        return out
+
+    def _count(self, fault: SignalFault, flags: Flags) -> bool:
+        """Add the flagged ticks to a reason's number; True if there are any."""
+        if not flags.any():
+            return False
+        self.counts[fault.value] += int(flags.sum())
+        return True
