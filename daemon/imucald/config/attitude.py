@@ -166,7 +166,9 @@ class TravelDirection(Model, frozen=True):
     method: Literal["alternative", "published"] = "alternative"
     """Whose heading is sent; without a gyroscope it is the published one's."""
     convention: Literal["force", "gravity"] = _TRAVEL.convention
-    """Axis convention of the tilt heading: what the formulas read on an axis up, +g or -g."""
+    """What the terminal's accelerometer at rest reads on the axis that points up: +g or -g."""
+    compass: Literal["clockwise", "counter_clockwise"] = _TRAVEL.compass
+    """Which way the heading signal counts; a magnetometer has a sign per axis."""
     declination_deg: Angle = _deg(_TRAVEL.declination)
     """Magnetic declination, east positive."""
     steps: Steps = Steps()

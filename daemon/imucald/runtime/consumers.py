@@ -267,6 +267,7 @@ def travel_settings(config: Config) -> TravelSettings:
     return TravelSettings(
         method=travel.method,
         convention=travel.convention,
+        compass=travel.compass,
         declination=math.radians(travel.declination_deg),
         step=StepSettings(
             steps.shortest, steps.longest, steps.threshold, steps.corner_hz, steps.gravity_time

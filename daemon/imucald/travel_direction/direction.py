@@ -2,7 +2,8 @@
 
 The published method needs accelerometer and a compass (magnetometer, or any heading signal of the
 terminal's y axis); the alternative needs a gyroscope besides. Samples come one by one, in
-terminal axes, SI units, stream time; the accelerometer reads +g upwards whatever the convention.
+terminal axes, SI units, stream time. What the accelerometer reads on an axis that points up and
+which way a heading signal counts is of the terminal (`convention`, `compass`): it is turned here.
 """
 
 from __future__ import annotations
@@ -73,9 +74,11 @@ class TravelDirection:
         self.settings = settings or TravelSettings()
         s = self.settings
         self.cycles = StepCycles(s.step)
-        self.published = PublishedDirection(s.choice, s.convention)
+        self.published = PublishedDirection(s.choice)
         self.modern = ModernDirection(s.modern)
         self.attitude = TerminalAttitude(s.modern)
+        self._upwards = -1.0 if s.convention == "gravity" else 1.0
+        self._clockwise = -1.0 if s.compass == "counter_clockwise" else 1.0
         self.last: Step | None = None
         """The newest step."""
         self.rejected = 0
@@ -131,13 +134,15 @@ class TravelDirection:
         self.attitude.mag(t, field)
 
     def heading(self, t: float, heading: float) -> None:
-        """Take a compass reading of the terminal's y axis, clockwise from north [rad]."""
+        """Take a compass reading of the terminal's y axis, from north [rad]."""
+        heading = self._clockwise * heading
         self._heading = (t, heading)
         self.attitude.compass(t, heading)
 
     def accel(self, t: float, values: Sequence[float]) -> Step | None:
         """Take a specific force [m/s^2]; return the step that it completes, if any."""
-        force = (values[0], values[1], values[2])
+        s = self._upwards
+        force = (s * values[0], s * values[1], s * values[2])
         self._heard = t
         self.attitude.accel(t, force)
         level = times(self.attitude.level, force)

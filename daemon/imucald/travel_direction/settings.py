@@ -9,8 +9,9 @@ from typing import Literal
 _DEG = math.pi / 180.0
 
 AxisConvention = Literal["gravity", "force"]
-"""What the accelerometer at rest reads on the axis that points up: -g (the first axis convention of
-the text) or +g (the other one)."""
+"""What the terminal's accelerometer at rest reads on the axis that points up: -g or +g."""
+CompassSense = Literal["clockwise", "counter_clockwise"]
+"""Which way the terminal's heading signal counts, seen from above."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,7 @@ class TravelSettings:
     method: Literal["alternative", "published"] = "alternative"
     """Which one is sent; both are computed where their sensors are there."""
     convention: AxisConvention = "force"
+    compass: CompassSense = "clockwise"
     declination: float = 0.0
     """Magnetic declination, east positive [rad]."""
     step: StepSettings = StepSettings()
