@@ -34,7 +34,7 @@ from imucald.attitude.sensor_check import find_rests, six_parameters
 from imucald.attitude.settings import AttitudeSettings
 from imucald.config import load_config
 from imucald.core.samples import GRAVITY
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 from imucald.runtime.consumers import attitude_settings
 from imucald.simulation.drive import simulate
 from imucald.simulation.filters import generator
@@ -109,7 +109,7 @@ def drive_of(seed: int, kind: str, minutes: float = MINUTES) -> tuple[list[Event
     c = AttitudeSettings().filter
     bias = c.gyro_start * rng.standard_normal(3)
     walk = math.radians(DRIFT) / math.sqrt(300.0)
-    model = Model().with_changes(
+    model = VehicleModel().with_changes(
         {
             "route.kind": kind,
             "gyro.bias": tuple(bias.tolist()),
@@ -222,7 +222,7 @@ def parked() -> bool:
         "gyro.bias_walk": 1e-6,
         "accel.bias_walk": 1e-4,
     }
-    events, truth = simulated(simulate(Model().with_changes(changes), 5, 60.0))
+    events, truth = simulated(simulate(VehicleModel().with_changes(changes), 5, 60.0))
     raw = accelerometer_only(events)
     both, _ = filtered(events, AttitudeSettings())
 

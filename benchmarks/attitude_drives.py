@@ -106,9 +106,9 @@ def kingston() -> tuple[list[Event], Truth, Array]:
         engine.columns(chunk, keep=False)
     router = make_engine(open_config(EXAMPLES / "kingston_2008.yaml")).router
     for chunk in LogReader([log], router.matches):
-        for piece in timebase.columns(chunk.t):
-            part = chunk.take(slice(piece.start, piece.stop))
-            for c, s in router.columns(piece.t, part).samples.items():
+        for segment in timebase.segments(chunk.t):
+            part = chunk.take(slice(segment.start, segment.stop))
+            for c, s in router.columns(segment.t, part).samples.items():
                 parts.setdefault(c, []).append((s.t, s.values))
     R = engine.pipeline.estimator.estimate().R_vehicle_from_sensor
     assert R is not None

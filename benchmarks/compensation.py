@@ -30,7 +30,7 @@ from imucald.compensation import Compensation, compensation_from_model
 from imucald.compensation.trial import corrected_drive, corrected_with
 from imucald.compensation.truth_error import drive_errors
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.simulation import Drive, Model, random_model, simulate
+from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 FIRST_SEED = 7000
 FROM_S = 180.0
@@ -100,7 +100,7 @@ EFFECTS: Mapping[str, Effect] = {
 }
 
 
-def with_effect(model: Model, effect: Effect, part: float = 1.0) -> Model:
+def with_effect(model: VehicleModel, effect: Effect, part: float = 1.0) -> VehicleModel:
     """The model with so much of the effect added."""
     data = model.dump()
     changes: dict[str, Any] = {}

@@ -251,8 +251,8 @@ def decoded(drive: str) -> dict[str, Series]:
     base = TimeBase()
     parts: list[Routed] = []
     for chunk in LogReader([DATA / drive / "drive.log.gz"], router.matches):
-        for piece in base.columns(chunk.t):
-            parts.append(router.columns(piece.t, chunk.take(slice(piece.start, piece.stop))))
+        for segment in base.segments(chunk.t):
+            parts.append(router.columns(segment.t, chunk.take(slice(segment.start, segment.stop))))
     channels = {channel for part in parts for channel in part.samples}
     return {
         channel: Series(

@@ -29,7 +29,7 @@ from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavesInformation, saved_from
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.session import open_config
-from imucald.simulation import Drive, Model, random_model, simulate
+from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
 MOVED_DEG = (0.0, 2.0, 5.0, 8.0)
@@ -90,7 +90,7 @@ def moved(stored: StoredMount, turn: NDArray[np.float64]) -> StoredMount:
     )
 
 
-def turned_while_driving(model: Model, axis: NDArray[np.float64]) -> Model:
+def turned_while_driving(model: VehicleModel, axis: NDArray[np.float64]) -> VehicleModel:
     """The same vehicle, whose sensor is turned about an axis of the vehicle in the drive."""
     roll, pitch, yaw = (TURNED_DEG * axis).tolist()
     shift = {"t_s": TURNED_AT_S, "roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw}

@@ -19,7 +19,7 @@ from imucald.core.rotations import rotation_from_angles
 from imucald.inputs.protection_settings import checker_for
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import Correction, MountEstimate, MountState
-from imucald.runtime.consumers import companions_for
+from imucald.runtime.consumers import consumers_for
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_frames import OutputFrames
 
@@ -244,7 +244,7 @@ def engine_of(loaded: LoadedConfig, estimator: object | None = None, **options: 
         ScriptedEstimator() if estimator is None else estimator,
         output,
         loaded.config.output.status_rate,
-        companions=companions_for(loaded, output),
+        consumers=consumers_for(loaded, output),
         **options,
     )
 

@@ -165,7 +165,13 @@ def test_shipped_configurations_work(path: Path) -> None:
     for entry in loaded.config.database:
         if not loaded.database_path(entry).exists():
             pytest.skip(f"{entry.path} is not here")
-    make_engine(loaded)
+    engine = make_engine(loaded)
+    signals = yaml.safe_load(path.read_text())["signals"]
+    channels = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
+    for channel, name in {**channels, "speed": "speed", "steering": "steering_wheel_angle"}.items():
+        assert (channel in engine.router.channels) == (name in signals), name
+    assert list(engine.output.triads[:3]) == [c for c, name in channels.items() if name in signals]
+    assert engine.router.matches
 
 
 def test_the_packaged_example_is_the_one_in_the_examples() -> None:

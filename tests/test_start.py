@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
+from importlib import resources
 
 from imucald.can.logs.log_reader import CandumpWriter
 from imucald.cli import PROCESS_SETTINGS
@@ -68,8 +70,19 @@ def test_cantools_can_be_had_whole_after_a_database_was_read():
         "from imucald.runtime.output.output_frames import output_database\n"
         "output_database()\n"
         "import sys\n"
-        "assert 'can' not in sys.modules and 'cantools' not in sys.modules\n"
+        "print(*(name in sys.modules for name in ('can', 'cantools')))\n"
         "import cantools\n"
-        "assert cantools.database.load_file and cantools.tester.Tester\n"
+        "print(cantools.tester.Tester.__name__, *sys.argv[1:])\n"
+        "print(len(cantools.database.load_file(sys.argv[1]).messages))\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    file = resources.files("imucald") / "data" / "imucald_out.dbc"
+    process = subprocess.run(
+        [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=False
+    )
+    messages = re.findall(r"^BO_ ", file.read_text("utf-8"), re.M)
+    assert process.stderr == ""
+    assert process.stdout.splitlines() == [
+        "False False",
+        f"Tester {file}",
+        str(len(messages)),
+    ]

@@ -17,7 +17,7 @@ from imucald.compensation.trial import corrected_drive
 from imucald.core.rotations import vector_from_rotation
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.result import Diagnosis, FoundCause
-from imucald.model.model import Model, model_from_mapping
+from imucald.model.model import VehicleModel, model_from_mapping
 
 Array = NDArray[np.float64]
 
@@ -112,12 +112,14 @@ def _stated(model: Mapping[str, Any]) -> dict[str, float]:
 # what it is worth to the vehicle ---------------------------------------------------------------
 
 
-def vehicle_gain(drive: HiddenDrive, baseline: Model, diagnosis: Diagnosis) -> dict[str, Any]:
+def vehicle_gain(
+    drive: HiddenDrive, baseline: VehicleModel, diagnosis: Diagnosis
+) -> dict[str, Any]:
     """Mount angle and corrected force of the daemon: no model, the baseline, the extended model.
 
     What an effect does to the mount shows beside the same drive without it, which is added there.
     """
-    models: dict[str, Model | None] = {
+    models: dict[str, VehicleModel | None] = {
         "none": None,
         "before": baseline,
         "after": diagnosis.model_after,

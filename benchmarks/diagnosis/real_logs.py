@@ -36,7 +36,7 @@ from imucald.diagnosis.baseline import baseline_model
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.recording import Recording, read_samples
 from imucald.diagnosis.result import Diagnosis
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 from imucald.runtime.session import open_config
 
 LOGS = ("kingston_2008", "css_canmod_164", "wrx_sti")
@@ -90,7 +90,7 @@ class Log:
 
     name: str
     recording: Recording
-    baseline: Model
+    baseline: VehicleModel
 
     def part(self, start: float, stop: float) -> Samples:
         """Samples within shares of the time."""
@@ -243,7 +243,7 @@ def confirm_delay(log: Log, diagnosis: Diagnosis) -> Iterator[str]:
 # with effects ----------------------------------------------------------------------------------
 
 
-def extended(model: Model, samples: Samples) -> Model:
+def extended(model: VehicleModel, samples: Samples) -> VehicleModel:
     """The model that describes samples without an effect as far as a diagnosis can say."""
     for _ in range(MOST_EXTENSIONS):
         diagnosis = diagnose([samples], model)
@@ -254,7 +254,7 @@ def extended(model: Model, samples: Samples) -> Model:
 
 
 def hidden(
-    log: Log, model: Model, effects: Sequence[str], draws: int, path: Path
+    log: Log, model: VehicleModel, effects: Sequence[str], draws: int, path: Path
 ) -> Iterator[dict[str, Any]]:
     """Put effects into the second half; outcomes are kept in the file."""
     known = {}
@@ -282,7 +282,7 @@ def _cases(log: str, effects: Sequence[str], draws: int) -> Iterator[tuple[str, 
 
 
 def _one(
-    key: str, samples: Samples, model: Model, effect: str, level: int, draw: int
+    key: str, samples: Samples, model: VehicleModel, effect: str, level: int, draw: int
 ) -> dict[str, Any]:
     size = 0.0
     if effect:

@@ -25,11 +25,18 @@ import numpy as np
 from benchmarks.measured import ROOT, verdict
 from benchmarks.mount_accuracy.bound import error_and_bound
 from benchmarks.mount_accuracy.drives import Trace, drive, driven, estimators, run
+from benchmarks.mount_accuracy.seeds import (
+    BOUND_AT,
+    FIRST_SEED,
+    LONG_AT,
+    QUIET_AT,
+    SHIFTS_APART,
+    SHIFTS_AT,
+    tuned_on,
+)
 from benchmarks.mount_accuracy.tables import bars, quantiles, table
 from imucald.mount.estimator import FullEstimator
 
-FIRST_SEED = 5000
-"""Far from the seeds of tuning (0 .. 400)."""
 PAGE = ROOT / "docs" / "mount-accuracy.md"
 TIMES = (2.0, 5.0, 10.0, 40.0)
 SHIFTS = (
@@ -41,7 +48,7 @@ SHIFTS = (
     ("roll", 2.0, 300.0, 0.90),
     ("roll", 5.0, 120.0, 1.00),
 )
-"""CombinedAngle, size [deg], to be found within [s] of driving, in that share of drives."""
+"""Angle, size [deg], to be found within [s] of driving, in that share of drives."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +64,17 @@ class Size:
     quiet_minutes: float = 60.0
     times: tuple[float, ...] = TIMES
     first: int = FIRST_SEED
+
+    def seeds(self) -> set[int]:
+        """Seeds of all parts."""
+        parts = [
+            (0, self.drives),
+            (SHIFTS_AT, SHIFTS_APART * (len(SHIFTS) - 1) + self.shift_drives),
+            (BOUND_AT, self.bound_drives),
+            (LONG_AT, self.long_drives),
+            (QUIET_AT, self.quiet_drives),
+        ]
+        return {seed for at, n in parts for seed in range(self.first + at, self.first + at + n)}
 
 
 QUICK = Size(2, 2, 1, 12.0, 1, 1, 10.0, (2.0, 5.0))
@@ -105,11 +123,11 @@ def step_cost(size: Size) -> list[str]:
 def long_drives(size: Size) -> list[str]:
     """Pitch after four hours."""
     errors = []
-    for seed in range(size.first + 2000, size.first + 2000 + size.long_drives):
+    for seed in range(size.first + LONG_AT, size.first + LONG_AT + size.long_drives):
         made = drive(seed, size.long_minutes)
         trace = run(FullEstimator(), made, [size.long_minutes])
         errors.append(trace.said[size.long_minutes].error)
-        progress(f"long drive {seed - size.first - 1999} of {size.long_drives}")
+        progress(f"long drive {seed - size.first - LONG_AT + 1} of {size.long_drives}")
     _, p90 = quantiles(np.array(errors)[:, 1])
     yaw, _ = quantiles(np.array(errors)[:, 2])
     hours = size.long_minutes / 60.0
@@ -124,7 +142,7 @@ def efficiency(size: Size) -> list[str]:
     """Yaw against the Cramer-Rao bound."""
     minutes = 10.0
     pairs = []
-    for seed in range(size.first + 1200, size.first + 1200 + size.bound_drives):
+    for seed in range(size.first + BOUND_AT, size.first + BOUND_AT + size.bound_drives):
         pairs.append(error_and_bound(seed, minutes))
         progress(f"bound {len(pairs)} of {size.bound_drives}")
     error, bound = np.array(pairs).T
@@ -147,7 +165,7 @@ def shifts(size: Size) -> list[str]:
     for number, (axis, degrees, limit, bar) in enumerate(SHIFTS):
         after, n = [], size.shift_drives
         for k in range(n):
-            seed = size.first + 300 + number * 100 + k
+            seed = size.first + SHIFTS_AT + number * SHIFTS_APART + k
             rng = np.random.default_rng(seed)
             start = float(rng.uniform(900.0, 1200.0))
             change = {"t_s": start, f"{axis}_deg": degrees * float(rng.choice([-1.0, 1.0]))}
@@ -169,7 +187,7 @@ def false_alarms(size: Size) -> list[str]:
     """Shifts reported where there is none; and mounts that were doubted without one."""
     alarms = doubts = 0
     for k in range(size.quiet_drives):
-        seed = size.first + 3000 + k
+        seed = size.first + QUIET_AT + k
         estimator = FullEstimator()
         bad = run(estimator, drive(seed, size.quiet_minutes), []).bad_at
         reported = estimator.estimate().details["shifts"]
@@ -229,6 +247,10 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="first seed")
     options = parser.parse_args()
     size = replace(QUICK if options.quick else Size(), first=options.first)
+    if tuned := tuned_on(sorted(size.seeds())):
+        parser.error(
+            f"--first {size.first}: {len(tuned)} of its seeds were tuned on ({tuned[0]} ...)"
+        )
     lines: list[str] = []
     for name in options.only:
         part = PARTS[name](size)

@@ -31,9 +31,6 @@ LARGE_LIBRARIES = ("scipy",)
 GC_THRESHOLD = 50_000
 """Containers made before the collector looks for cycles: starting makes many that all stay."""
 
-DEFAULT_COLUMNS = 80
-"""Width of help texts where there is no terminal."""
-
 COMMANDS = {
     "run": "calibrate on a live bus and send corrected frames",
     "status": "ask a running daemon how it is",
@@ -56,28 +53,15 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
         description="Finds out how an inertial sensor sits in a vehicle, from what the CAN bus "
         "tells, and sends its signals corrected to vehicle axes.",
         epilog="'imucald COMMAND --help' tells more. First steps: imucald demo.",
-        formatter_class=_formatter,
     )
     parser.add_argument("--version", action="version", version=f"imucald {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
         about = f"{text[0].upper()}{text[1:]}."
-        sub = subparsers.add_parser(name, help=text, description=about, formatter_class=_formatter)
+        sub = subparsers.add_parser(name, help=text, description=about)
         if command is None or name == command:
             _command(name).add_arguments(sub)
     return parser
-
-
-def _formatter(prog: str) -> argparse.HelpFormatter:
-    """As argparse makes it (for every option), without importing shutil for the width."""
-    try:
-        columns = int(os.environ.get("COLUMNS", "")) or DEFAULT_COLUMNS
-    except ValueError:
-        try:
-            columns = os.get_terminal_size(sys.__stdout__.fileno()).columns  # type: ignore[union-attr]
-        except (AttributeError, OSError, ValueError):
-            columns = DEFAULT_COLUMNS
-    return argparse.HelpFormatter(prog, width=columns - 2)
 
 
 def _command(name: str) -> ModuleType:

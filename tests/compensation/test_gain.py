@@ -15,7 +15,7 @@ from imucald.compensation import Compensation, compensation_from_model
 from imucald.compensation.trial import CorrectedDrive, corrected_drive, corrected_with
 from imucald.compensation.truth_error import DriveErrors, drive_errors, true_signals
 from imucald.mount.estimator_settings import EstimatorSettings
-from imucald.simulation import Drive, Model, random_model, simulate
+from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 SEEDS = (31, 32)
 MINUTES = 8.0
@@ -23,7 +23,7 @@ FROM_S = 150.0
 
 
 @cache
-def base(seed: int) -> Model:
+def base(seed: int) -> VehicleModel:
     return random_model(seed, "mixed", standing_first=True)
 
 

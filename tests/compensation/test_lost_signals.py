@@ -9,13 +9,13 @@ from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.samples import Samples, Series
-from imucald.simulation import Drive, Model, random_model, simulate
+from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 MINUTES = 15.0
 
 
 @functools.cache
-def leaning_drive() -> tuple[Model, Drive]:
+def leaning_drive() -> tuple[VehicleModel, Drive]:
     """A drive in a vehicle that leans more than most, and its model."""
     seed = 51
     model = random_model(seed).with_changes(

@@ -1,4 +1,4 @@
-"""Model files as the daemon reads them: what is used, what is told, what is a mistake."""
+"""VehicleModel files as the daemon reads them: what is used, what is told, what is a mistake."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from imucald.compensation import compensation_from_model
 from imucald.core.errors import ConfigError
-from imucald.simulation import Model, random_model
+from imucald.simulation import VehicleModel, random_model
 from simulated_bus import CONFIG
 
 ALL = {"accel", "gyro", "mag", "speed", "temperature", "steering", "yaw_rate"}
@@ -118,7 +118,7 @@ def test_what_cannot_be_used_is_told():
 
 
 def test_reading_a_model_loads_none_of_the_simulation_and_nothing_without_one(tmp_path):
-    model = written(tmp_path, Model().to_yaml())
+    model = written(tmp_path, VehicleModel().to_yaml())
     text = CONFIG.read_text().replace("../../", f"{CONFIG.parent.parent.parent}/")
     (tmp_path / "plain.yaml").write_text(text)
     (tmp_path / "with.yaml").write_text(f"{text}\nmodel: {model}\n")

@@ -9,7 +9,7 @@ import pytest
 
 from imucald.compensation import compensation_from_model
 from imucald.core.samples import Series
-from imucald.simulation import Drive, Model, random_model, simulate
+from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 QUIET = {
     f"{sensor}.{key}": value
@@ -33,7 +33,7 @@ QUIET |= {"mag.noise_t": 0.0, "mag.lsb": 0.0, "mag.hard_iron_t": [0, 0, 0]}
 
 
 @cache
-def flawless() -> Model:
+def flawless() -> VehicleModel:
     return random_model(5, "mixed").with_changes(QUIET)
 
 

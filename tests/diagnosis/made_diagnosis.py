@@ -17,10 +17,10 @@ from imucald.diagnosis.result import (
     SignalPicture,
     Structure,
 )
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 RATE_HZ = 10.0
-BEFORE = Model()
+BEFORE = VehicleModel()
 AFTER = BEFORE.with_changes(
     {"suspension.roll_gradient": 0.01712345678, "accel.bias": [0.0, 0.2471, 0.0]}
 )

@@ -13,7 +13,7 @@ from hidden import Effect, HiddenDrive, hidden_drive
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults import Fault, corrected, extend, find_faults, spoilt
 from imucald.diagnosis.recording import read_samples
-from imucald.model.model import Model, model_from_mapping
+from imucald.model.model import VehicleModel, model_from_mapping
 from imucald.runtime.session import open_config
 
 ROOT = Path(__file__).parent.parent.parent
@@ -28,7 +28,7 @@ def drive(*effects: Effect) -> HiddenDrive:
     return hidden_drive(SEED, effects, MINUTES)
 
 
-def model() -> Model:
+def model() -> VehicleModel:
     return model_from_mapping(dict(drive().model), "model")
 
 
@@ -262,4 +262,4 @@ def test_measured_drives_have_no_fault(name):
     if not log.exists():
         pytest.skip(f"the measured drive {name} is not beside the repository")
     loaded = open_config(ROOT / "config" / "examples" / f"{name}.yaml")
-    assert find_faults(read_samples(loaded, [log]).samples, Model()) == []
+    assert find_faults(read_samples(loaded, [log]).samples, VehicleModel()) == []

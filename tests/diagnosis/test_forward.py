@@ -12,9 +12,9 @@ from imucald.diagnosis.cause import catalogue
 from imucald.diagnosis.causes.mount_shift import TIME
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import track_from_samples
-from imucald.simulation import Model, simulate
+from imucald.simulation import VehicleModel, simulate
 
-CLEAN = Model().with_changes(
+CLEAN = VehicleModel().with_changes(
     {
         "mount.roll_deg": 8.0,
         "mount.pitch_deg": -11.0,

@@ -282,9 +282,14 @@ def test_words_need_neither_library():
     """The terminal speaks with the same words where the extra is not installed."""
     code = (
         "import sys; sys.modules['jinja2'] = sys.modules['matplotlib'] = None;"
-        "import imucald.commands.diagnose_view, imucald.report.model_changes"
+        "import imucald.commands.diagnose_view, imucald.report.model_changes as changes;"
+        "from imucald.commands.diagnose_view import words;"
+        "print(words.percent(0.981), changes.value_text([1.5, None]))"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert (process.stderr, process.stdout) == ("", "98.1 % [1.5, null]\n")
 
 
 # words ---------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from imucald.diagnosis.spectra import transform
 from imucald.diagnosis.structure import _bursts, _humps, _pushes, find_structure
 from imucald.diagnosis.structure_guard import standing
 from imucald.diagnosis.structure_spectra import Spectra
-from imucald.model.model import Model, model_from_mapping
+from imucald.model.model import VehicleModel, model_from_mapping
 
 NAMES = ("accel_x", "accel_y", "gyro_x", "gyro_z", "yaw_rate", "lateral_accel")
 MINUTES = 20
@@ -47,7 +47,7 @@ def spectra_of(residual, predicted=None):
 
 
 FORWARD = SimpleNamespace(
-    model=Model(),
+    model=VehicleModel(),
     track=SimpleNamespace(top_hz=TOP_HZ, t=np.arange(MINUTES * 60 * GRID_HZ) / GRID_HZ),
 )
 

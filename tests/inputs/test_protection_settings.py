@@ -147,8 +147,7 @@ def test_a_new_kind_of_checksum_is_one_entry_in_the_table_of_kinds(tmp_path, mon
     def xmodem(message, options):
         return ChecksumSpec(message.length, message.length - 2, 2, checksums.CCITT_POLYNOMIAL)
 
-    known = {**checksums.KINDS, "crc16_xmodem": checksums.ChecksumKind(xmodem)}
-    monkeypatch.setattr("imucald.inputs.protection_settings.KINDS", known)
+    monkeypatch.setitem(checksums.KINDS, "crc16_xmodem", checksums.ChecksumKind(xmodem))
     frames = []
     for k in range(5):
         payload = bytes([k]) * (SIZE - 2)

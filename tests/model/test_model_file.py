@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from imucald.core.errors import ConfigError
-from imucald.simulation import Model, load_model, random_model
+from imucald.simulation import VehicleModel, load_model, random_model
 
 
-@pytest.mark.parametrize("model", [Model(), random_model(3), random_model(4, "motorway")])
+@pytest.mark.parametrize("model", [VehicleModel(), random_model(3), random_model(4, "motorway")])
 def test_a_written_model_is_read_back_the_same(tmp_path, model):
     path = tmp_path / "model.yaml"
     path.write_text(model.to_yaml())
@@ -23,7 +23,9 @@ def test_a_model_file_needs_only_what_differs(tmp_path):
     path = tmp_path / "model.yaml"
     path.write_text("suspension: {body_roll: false}\nmount:\n  yaw_deg: 12\n")
     model = load_model(path)
-    assert model == Model().with_changes({"suspension.body_roll": False, "mount.yaw_deg": 12})
+    assert model == VehicleModel().with_changes(
+        {"suspension.body_roll": False, "mount.yaw_deg": 12}
+    )
 
 
 @pytest.mark.parametrize(
@@ -63,17 +65,17 @@ def test_any_text_is_a_model_or_a_config_error(tmp_path_factory, text):
     path = tmp_path_factory.mktemp("model") / "model.yaml"
     path.write_text(text, encoding="utf-8", errors="replace")
     with contextlib.suppress(ConfigError):
-        assert isinstance(load_model(path), Model)
+        assert isinstance(load_model(path), VehicleModel)
 
 
 def test_unknown_parameters_are_refused():
     for key in ("road.crown", "roads.crown_mean", "road", "accel.bias.x"):
         if key == "road":
             with pytest.raises(ConfigError):
-                Model().with_changes({key: 1})
+                VehicleModel().with_changes({key: 1})
         else:
             with pytest.raises(ConfigError, match="no parameter"):
-                Model().with_changes({key: 1})
+                VehicleModel().with_changes({key: 1})
 
 
 def test_random_models_are_spread_as_asked():

@@ -1,4 +1,4 @@
-"""Model files written before the schema was one of msgspec are read as they were then.
+"""VehicleModel files written before the schema was one of msgspec are read as they were then.
 
 Keys and notes below are what the program made of the same files then (commit 737ab42).
 """
@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from imucald.compensation import compensation_from_model
-from imucald.simulation import Model, load_model
+from imucald.simulation import VehicleModel, load_model
 from paths import ROOT, SHARED_DATA
 
 FOLDER = ROOT / "tests" / "data" / "models"
@@ -36,7 +36,7 @@ def test_a_whole_file_is_read_and_written_again_to_the_last_byte(name):
 def test_a_whole_file_has_every_key_of_the_schema():
     """Otherwise the test above says nothing of a key that was renamed."""
     old = yaml.safe_load((FOLDER / "written_changed.yaml").read_text())
-    new = Model().dump()
+    new = VehicleModel().dump()
     assert list(new) == list(old)
     for section, content in new.items():
         if isinstance(content, dict):
@@ -51,7 +51,7 @@ def test_a_short_file_is_read_with_the_defaults_of_then():
         "suspension.roll_gradient": 0.01,
         "chassis.wheelbase_m": 3.0,
     }
-    assert load_model(FOLDER / "by_hand.yaml") == Model().with_changes(changes)
+    assert load_model(FOLDER / "by_hand.yaml") == VehicleModel().with_changes(changes)
 
 
 @pytest.mark.parametrize("name", KEYS)

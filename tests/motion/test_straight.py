@@ -17,6 +17,7 @@ from imucald.motion.straight import (
     windows_agree,
     yaw_rate_from_steering,
     yaw_rate_is_small,
+    yaw_rate_with_understeer,
 )
 from imucald.motion.ticks import ticks_from_samples
 
@@ -122,3 +123,16 @@ def test_a_silent_signal_is_held_for_a_second_and_no_longer() -> None:
     held = ticks[: 10 + MAX_HOLD_TICKS]
     assert last(YawRateSource(15.0, 2.7), held) == pytest.approx(0.2)
     assert math.isnan(last(YawRateSource(15.0, 2.7), ticks))
+
+
+def test_with_understeer_a_steady_bend_takes_the_wheel_that_tyres_need() -> None:
+    """Steady state of the single-track model: delta / n = L r / v + K v r."""
+    v, r, n, L, K = np.array([5.0, 15.0, 30.0]), np.array([0.2, -0.1, 0.05]), 15.0, 2.7, 0.0025
+    wheel = n * (L * r / v + K * v * r)
+    assert yaw_rate_with_understeer(v, wheel, n, L, K) == pytest.approx(r)
+
+
+def test_without_understeer_and_for_small_angles_both_forms_agree() -> None:
+    v, wheel = np.array([10.0]), np.array([0.1])
+    small = yaw_rate_with_understeer(v, wheel, 15.0, 2.7, 0.0)
+    assert small == pytest.approx(yaw_rate_from_steering(10.0, 0.1, 15.0, 2.7), rel=1e-4)

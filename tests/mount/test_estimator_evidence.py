@@ -15,6 +15,7 @@ from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
+from imucald.mount.evidence_spectra import Measured
 from imucald.mount.fusion import CommonCovariance, CommonError, fuse
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.offsets import Offsets
@@ -37,7 +38,7 @@ def test_overlapping_windows_keep_the_power_of_a_signal():
     x = np.sin(0.2 * np.arange(n))[:, None] * np.ones((1, sp.MEASURED))  # 0.3 Hz
     mask = np.ones(sp.WINDOW, dtype=bool)
     total = sum(
-        float((np.abs(sp.spectra(x[i : i + sp.WINDOW], mask)[:, sp.A]) ** 2).sum())
+        float((np.abs(sp.spectra(x[i : i + sp.WINDOW], mask)[:, Measured.DVDT]) ** 2).sum())
         for i in range(0, n - sp.WINDOW, BLOCK_TICKS)
     )
     used = x[sp.WINDOW // 2 : -sp.WINDOW // 2, 0]
@@ -68,11 +69,11 @@ def test_delay_from_the_phase(late):
     signals[:, 0] = 0.8 * fine[at]
     signals[:, 1] = 0.6 * fine[at]
     signals[:, :3] += 0.3 * rng.standard_normal((5000, 3))
-    signals[:, sp.A] = fine[at - round(100 * late)]
+    signals[:, Measured.DVDT] = fine[at - round(100 * late)]
     mask = np.ones(sp.WINDOW, dtype=bool)
     for i in range(0, 4500, BLOCK_TICKS):
         s = sp.spectra(signals[i : i + sp.WINDOW], mask)
-        search.add(s[:, sp.A], s[:, :3])
+        search.add(s[:, Measured.DVDT], s[:, :3])
     assert search.search() == pytest.approx(late, abs=0.03)
     assert search.std < 0.05
 
@@ -88,8 +89,8 @@ def response(
     truth = rotation_from_angles(0.2, -0.1, 2.0)
     signals = np.zeros((n, sp.MEASURED))
     signals[:, :3] = F @ truth + noise * rng.standard_normal((n, 3))
-    signals[:, sp.A], signals[:, sp.V] = a, v
-    signals[:, sp.AH], signals[:, sp.VH] = a, v
+    signals[:, Measured.DVDT], signals[:, Measured.LATERAL] = a, v
+    signals[:, Measured.DVDT_REMAINING], signals[:, Measured.LATERAL_REMAINING] = a, v
     evidence = ResponseEvidence()
     mask = np.ones(sp.WINDOW, dtype=bool)
     for i in range(0, n - sp.WINDOW, BLOCK_TICKS):

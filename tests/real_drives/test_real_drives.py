@@ -118,8 +118,8 @@ def test_signs_of_the_stability_control_signals():
     router = compile_router(open_config(EXAMPLES / "wrx_sti.yaml"))
     base, parts = TimeBase(), []
     for chunk in LogReader([log], router.matches):
-        for piece in base.columns(chunk.t):
-            parts.append(router.columns(piece.t, chunk.take(slice(piece.start, piece.stop))))
+        for segment in base.segments(chunk.t):
+            parts.append(router.columns(segment.t, chunk.take(slice(segment.start, segment.stop))))
     t = np.arange(1.0, 88.0, 0.2)
 
     def smooth(channel: str, column: int | None = None) -> np.ndarray:

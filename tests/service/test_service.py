@@ -377,16 +377,29 @@ def wait_until(condition: Callable[[], bool], limit: float = 5.0) -> None:
 
 
 def test_no_manager_or_one_that_does_not_listen_is_no_reason_to_stop(tmp_path):
-    for environment in (
-        {},
-        {"NOTIFY_SOCKET": str(tmp_path / "nobody")},
-        {"WATCHDOG_USEC": "x"},
-        {"NOTIFY_SOCKET": "@imucald-nobody", "WATCHDOG_USEC": "1", "WATCHDOG_PID": "1"},
-    ):
+    for environment in ({}, {"NOTIFY_SOCKET": "@imucald-nobody"}):
         notifier = Notifier(environment)
         notifier.ready()
-        notifier.feed()
         notifier.status("x")
+        notifier.stopping()
+    late = Notifier({"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "1"})
+    late.ready()
+    late.feed()
+    manager = Manager(tmp_path)
+    late.status("x")
+    late.feed()
+    assert manager.heard() == ["STATUS=x", "WATCHDOG=1"], "a manager that comes later is told"
+
+
+@pytest.mark.parametrize(
+    "watchdog", [{}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "1", "WATCHDOG_PID": "1"}]
+)
+def test_a_watchdog_that_is_not_ours_is_not_fed(tmp_path, watchdog):
+    manager = Manager(tmp_path)
+    notifier = Notifier({"NOTIFY_SOCKET": manager.path, **watchdog})
+    notifier.ready()
+    notifier.feed()
+    assert manager.heard() == ["READY=1"]
 
 
 def test_log_lines_of_one_kind_are_told_seldom_with_their_number():

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from imucald.core.errors import ConfigError
 from imucald.core.rotations import rotation_from_angles
 from imucald.core.samples import GRAVITY
-from imucald.simulation import Model, simulate
+from imucald.simulation import VehicleModel, simulate
 from imucald.simulation.single_track import handle
 
 QUIET = {
@@ -29,7 +29,9 @@ LEVEL = {"road.grade": False, "road.bank": False}
 
 
 def model(**changes):
-    return Model().with_changes(QUIET | {k.replace("__", "."): v for k, v in changes.items()})
+    return VehicleModel().with_changes(
+        QUIET | {k.replace("__", "."): v for k, v in changes.items()}
+    )
 
 
 def test_parked_on_level_road_feels_gravity_in_the_sensors_axes_plus_bias():
@@ -221,7 +223,7 @@ def test_a_vehicle_that_slides_off_is_an_error_not_a_number():
 def test_short_and_endless_drives_are_refused():
     for minutes in (0.0, -1.0, 0.01, float("nan"), float("inf")):
         with pytest.raises(ConfigError, match="a second"):
-            simulate(Model(), 1, minutes)
+            simulate(VehicleModel(), 1, minutes)
 
 
 def test_each_effect_can_be_switched_off():
@@ -260,7 +262,7 @@ def test_mount_shift_turns_the_sensor_about_vehicle_axes_from_its_time_on():
 
 
 def test_seed_decides_everything():
-    first, again, other = (simulate(Model(), seed, 1.0) for seed in (1, 1, 2))
+    first, again, other = (simulate(VehicleModel(), seed, 1.0) for seed in (1, 1, 2))
     for channel, series in first.samples.items():
         np.testing.assert_array_equal(series.t, again.samples[channel].t)
         np.testing.assert_array_equal(series.values, again.samples[channel].values)
@@ -268,8 +270,8 @@ def test_seed_decides_everything():
 
 
 def test_switching_one_effect_leaves_the_draws_of_the_others():
-    plain = simulate(Model(), 3, 2.0)
-    smooth = simulate(Model().with_changes({"road.roughness": False}), 3, 2.0)
+    plain = simulate(VehicleModel(), 3, 2.0)
+    smooth = simulate(VehicleModel().with_changes({"road.roughness": False}), 3, 2.0)
     np.testing.assert_array_equal(plain.truth.speed, smooth.truth.speed)
     np.testing.assert_array_equal(plain.truth.road_pitch, smooth.truth.road_pitch)
     np.testing.assert_array_equal(plain.samples["steering"].t, smooth.samples["steering"].t)
@@ -277,5 +279,5 @@ def test_switching_one_effect_leaves_the_draws_of_the_others():
 
 def test_a_hundred_times_faster_than_real_time():
     began = time.process_time()
-    simulate(Model(), 1, 10.0)
+    simulate(VehicleModel(), 1, 10.0)
     assert time.process_time() - began < 6.0

@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from imucald.model.vehicle import Chassis, Road, Route, Suspension
-from imucald.simulation import Model, simulate
+from imucald.model.vehicle import Chassis, DriveRoute, Road, Suspension
+from imucald.simulation import VehicleModel, simulate
 from imucald.simulation.driver import drive_route
 from imucald.simulation.road import road_attitude, road_roughness
 
 
 def driven(kind, seed=1, minutes=15.0, **route):
     """Driver alone, 50 Hz: quicker than a whole drive."""
-    return drive_route(Route(kind=kind, **route), seed, 60.0 * minutes, 50.0)
+    return drive_route(DriveRoute(kind=kind, **route), seed, 60.0 * minutes, 50.0)
 
 
 def truth_of(kind, seed=1, minutes=15.0, **changes):
     wanted = {"route.kind": kind} | {k.replace("__", "."): v for k, v in changes.items()}
-    return simulate(Model().with_changes(wanted), seed, minutes).truth
+    return simulate(VehicleModel().with_changes(wanted), seed, minutes).truth
 
 
 @pytest.mark.parametrize("kind", ["mixed", "city", "motorway"])
@@ -111,7 +111,7 @@ def test_slopes_have_the_asked_rms_and_mean(seed):
     road = Road(grade_mean=0.01)
     for side, sign in (("right", 1.0), ("left", -1.0)):
         found = road_attitude(
-            road, Route(driving_side=side), seed, distance, np.zeros(200_000), 100.0
+            road, DriveRoute(driving_side=side), seed, distance, np.zeros(200_000), 100.0
         )
         grade, fall = -np.tan(found.pitch), np.tan(found.roll)
         assert np.std(grade) == pytest.approx(0.02, rel=0.1)
@@ -175,7 +175,7 @@ def test_body_vibration_has_the_spectrum_of_a_quarter_car_on_an_iso_road():
 def test_rough_roads_shake_more_and_standing_is_quiet():
     def shake(n0):
         changes = {"road.roughness_n0": n0, "accel.vibration": False}
-        drive = simulate(Model().with_changes(changes), 5, 3.0)
+        drive = simulate(VehicleModel().with_changes(changes), 5, 3.0)
         series, truth = drive.samples["accel"], drive.truth
         speed = np.interp(series.t, truth.t, truth.speed)
         quick = np.diff(series.values[:, 2])

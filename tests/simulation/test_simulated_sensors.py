@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import welch
 
 from imucald.core.samples import GRAVITY
-from imucald.simulation import Model, simulate
+from imucald.simulation import VehicleModel, simulate
 
 CLEAN = {
     f"{sensor}.{key}": value
@@ -28,7 +28,7 @@ PARKED = {"route.kind": "parked", "road.grade": False, "road.bank": False}
 
 def run(changes=None, seed=1, minutes=2.0, **more):
     wanted = CLEAN | (changes or {}) | {k.replace("__", "."): v for k, v in more.items()}
-    return simulate(Model().with_changes(wanted), seed, minutes)
+    return simulate(VehicleModel().with_changes(wanted), seed, minutes)
 
 
 def lag_between(a, b, rate):
@@ -96,8 +96,8 @@ def test_speed_is_late_by_its_delay(delay):
     drive = run(speed__delay_s=delay, speed__jitter_s=0.0, speed__noise_mps=0.0, seed=2)
     grid = np.arange(5.0, 118.0, 0.02)
     truth = np.interp(grid, drive.truth.t, np.abs(drive.truth.speed))
-    said = np.interp(grid, drive.samples["speed"].t, drive.samples["speed"].values)
-    found = lag_between(np.gradient(truth), np.gradient(said), 50.0)
+    shown = np.interp(grid, drive.samples["speed"].t, drive.samples["speed"].values)
+    found = lag_between(np.gradient(truth), np.gradient(shown), 50.0)
     assert found == pytest.approx(delay, abs=0.004)
 
 
@@ -233,9 +233,9 @@ def test_magnetometer_turns_with_the_heading():
     error = np.angle(np.exp(1j * (compass - heading + np.radians(30.0))))
     assert np.max(np.abs(error)) < np.radians(10.0)
     assert abs(np.median(error)) < np.radians(4.0)
-    said = drive.samples["heading"]
-    true = np.interp(said.t, truth.t, truth.heading)
-    assert np.max(np.abs(np.angle(np.exp(1j * (said.values - true))))) < 0.05
+    shown = drive.samples["heading"]
+    true = np.interp(shown.t, truth.t, truth.heading)
+    assert np.max(np.abs(np.angle(np.exp(1j * (shown.values - true))))) < 0.05
 
 
 def test_signals_can_be_absent():

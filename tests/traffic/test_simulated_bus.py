@@ -13,7 +13,7 @@ from imucald.can.columns import FrameColumns
 from imucald.config import parse_config
 from imucald.core.errors import ConfigError, LogError
 from imucald.inputs.wiring import compile_router
-from imucald.simulation import Model, random_model, simulate
+from imucald.simulation import VehicleModel, random_model, simulate
 from imucald.traffic.can_log import EPOCH_S, bus_frames, live_frames, write_log
 from imucald.traffic.encoder import BusEncoder, example_config
 from imucald.traffic.other_units import arbitrated, background
@@ -211,7 +211,7 @@ signals:
         tmp_path / "config.yaml",
     )
     changes = {"route.standing_first_s": 0.0, "speed.lsb": 0.0, "speed.noise_mps": 0.0}
-    drive = simulate(Model().with_changes(changes), 2, 0.5)
+    drive = simulate(VehicleModel().with_changes(changes), 2, 0.5)
     other = cantools.database.load_string(OTHER_DBC)
     by_id: dict[int, list] = {}
     for t, can_id, data in live_frames(drive, BusEncoder(config)):
@@ -237,7 +237,7 @@ signals: {accelerometer: {x: ACC.AX, y: ACC.AY}, speed: MOVE.V}
 """
     encoder = BusEncoder(parse_config(text, tmp_path / "config.yaml"))
     for seed in range(30):
-        drive = simulate(Model().with_changes({"route.kind": "city"}), seed, 5.0)
+        drive = simulate(VehicleModel().with_changes({"route.kind": "city"}), seed, 5.0)
         if np.min(drive.truth.speed) < -1.0:
             break
     message = cantools.database.load_string(OTHER_DBC).get_message_by_name("MOVE")

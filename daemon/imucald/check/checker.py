@@ -67,9 +67,9 @@ class Check:
                     self.ids[key] += count
                 else:
                     self._uncounted += count
-        for piece in self._timebase.columns(frames.t):
-            chunk = frames.take(slice(piece.start, piece.stop))
-            self._means.add(self.router.columns(piece.t, chunk).samples)
+        for segment in self._timebase.segments(frames.t):
+            chunk = frames.take(slice(segment.start, segment.stop))
+            self._means.add(self.router.columns(segment.t, chunk).samples)
 
     # the report ------------------------------------------------------------------------------
 

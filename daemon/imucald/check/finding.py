@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]
@@ -22,7 +23,7 @@ WRONG_GAIN = 2.5
 """A gain beyond this (or below its inverse) is a unit, not a vehicle."""
 
 _FACTORS = (
-    (180.0 / math.pi, "deg against rad"),
+    (DEG_PER_RAD, "deg against rad"),
     (GRAVITY, "g against m/s²"),
     (3.6, "km/h against m/s"),
     (1.0 / 0.44704, "mph against m/s"),

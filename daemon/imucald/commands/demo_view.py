@@ -20,6 +20,7 @@ from rich.text import Text
 
 from imucald.commands.demo_drive import LAST_S, Angle, Demonstration, angles_beside
 from imucald.commands.terminal import plain_console
+from imucald.core.angles import DEG_PER_RAD
 from imucald.core.errors import ImucaldError
 from imucald.core.rotations import angles_from_rotation
 from imucald.mount.estimate import ANGLES, MountState
@@ -42,7 +43,6 @@ _STYLES = {
     MountState.SUSPECT: "red",
     MountState.RECALIBRATING: "red",
 }
-_DEG = 180.0 / math.pi
 
 
 class PlainView:
@@ -290,19 +290,19 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
 def _with_interval(angle: Angle | None) -> str:
     if angle is None:
         return "-"
-    return f"{angle.estimate * _DEG:+.2f} +- {2.0 * angle.std * _DEG:.2f}"
+    return f"{angle.estimate * DEG_PER_RAD:+.2f} +- {2.0 * angle.std * DEG_PER_RAD:.2f}"
 
 
 def _deg(angle: float) -> str:
-    return f"{angle * _DEG:+.2f}°"
+    return f"{angle * DEG_PER_RAD:+.2f}°"
 
 
 def _size(angle: float) -> str:
-    return f"{angle * _DEG:.2f}°"
+    return f"{angle * DEG_PER_RAD:.2f}°"
 
 
 def _history(widths: list[float]) -> str:
-    return "".join(_block(w * _DEG) for w in widths)
+    return "".join(_block(w * DEG_PER_RAD) for w in widths)
 
 
 def _block(width_deg: float) -> str:

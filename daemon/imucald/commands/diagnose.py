@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from imucald.config import LoadedConfig
     from imucald.diagnosis.recording import Recording
     from imucald.diagnosis.result import Diagnosis
-    from imucald.model.model import Model
+    from imucald.model.model import VehicleModel
 
 PAGE = "index.html"
 FEW_REJECTED = 1e-4
@@ -126,7 +126,7 @@ def _read(loaded: LoadedConfig, log: str, options: argparse.Namespace) -> Record
 
 
 def _diagnosed(
-    loaded: LoadedConfig, recordings: Sequence[Recording], model: Model | None, quiet: bool
+    loaded: LoadedConfig, recordings: Sequence[Recording], model: VehicleModel | None, quiet: bool
 ) -> Diagnosis:
     from imucald.commands.diagnose_view import share_bar
     from imucald.core.errors import EstimateError
@@ -182,7 +182,7 @@ def _model_text(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> str:
     from imucald.report.model_changes import model_changes, value_text
     from imucald.report.wording import duration, verdict
 
-    head = [f"Model file written by imucald diagnose {__version__} from:"]
+    head = [f"VehicleModel file written by imucald diagnose {__version__} from:"]
     head += [f"  {r.name} ({duration(r.duration_s)})" for r in recordings]
     head.append(verdict(diagnosis).headline)
     changes = model_changes(diagnosis.model_before, diagnosis.model_after)

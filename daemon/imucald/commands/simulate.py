@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imucald.model.model import Model
+    from imucald.model.model import VehicleModel
     from imucald.simulation.drive import Drive
     from imucald.traffic.encoder import BusEncoder
 
@@ -150,7 +151,7 @@ def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> Non
     print(f"{options.channel}: {frames} frames sent")
 
 
-def chosen_model(options: argparse.Namespace) -> Model:
+def chosen_model(options: argparse.Namespace) -> VehicleModel:
     """Return the model that the options ask for: file or drawn, then changed."""
     from imucald.model.model import load_model
     from imucald.simulation.random_model import random_model
@@ -202,7 +203,7 @@ def _report(log: Path, truth: Path, drive: Drive, frames: int) -> str:
     from imucald.core.rotations import angles_from_rotation
 
     angles = angles_from_rotation(drive.truth.mounts[0][1])
-    roll, pitch, yaw = (f"{57.29577951308232 * angle:.2f}" for angle in angles)
+    roll, pitch, yaw = (f"{math.degrees(angle):.2f}" for angle in angles)
     summary = drive.truth.summary()
     lines = [
         f"{log}: {frames} frames, {drive.duration_s:.0f} s, {summary['distance_m']:.0f} m driven",

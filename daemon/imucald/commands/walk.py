@@ -75,18 +75,18 @@ def _need_compass(loaded: LoadedConfig) -> None:
 
 def _steps(reader: LogReader, router: Router, travel: TravelDirection) -> list[Step]:
     from imucald.runtime.consumer import events_of
-    from imucald.runtime.consumers import TravelCompanion
+    from imucald.runtime.consumers import TravelConsumer
     from imucald.runtime.timebase import TimeBase
 
     timebase = TimeBase()
     steps: list[Step] = []
-    channels = TravelCompanion.channels
+    channels = TravelConsumer.channels
     for chunk in reader:
-        for piece in timebase.columns(chunk.t):
-            if piece.gap:
+        for segment in timebase.segments(chunk.t):
+            if segment.gap:
                 travel.gap()
-            part = chunk.take(slice(piece.start, piece.stop))
-            samples = router.columns(piece.t, part).samples
+            part = chunk.take(slice(segment.start, segment.stop))
+            samples = router.columns(segment.t, part).samples
             for _, t, channel, values in events_of(samples, channels):
                 step = travel.sample(t, channel, values)
                 if step is not None:

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from imucald.core.errors import ConfigError
+from imucald.core.explain import explain
 from imucald.core.locations import Marks, Place, infinite_places, located
 
 T = TypeVar("T")
@@ -38,8 +39,6 @@ def typed(
     try:
         return msgspec.convert(full, kind)
     except (ValueError, OverflowError) as error:  # msgspec.ValidationError is a ValueError
-        from imucald.core.explain import explain  # noqa: PLC0415 - a lighter start without
-
         lines = list(explain(data, full, kind, marks, name, whole, at))
         lines = lines or [f"{located(name, marks, at, whole)}: {error}"]
         raise ConfigError("\n".join(lines)) from None

@@ -16,7 +16,7 @@ from imucald.config import LoadedConfig
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis.recording import Recording
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
 
@@ -29,7 +29,7 @@ LARGEST_STD_DEG = 4.0
 SLOWEST_HZ, FASTEST_HZ = 0.2, 1000.0
 
 
-def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> Model:
+def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> VehicleModel:
     """Return a model for a configured vehicle and its drives.
 
     Raises EstimateError where the drives do not give the mount.
@@ -48,7 +48,7 @@ def baseline_model(loaded: LoadedConfig, recordings: Sequence[Recording]) -> Mod
         if name in ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel"):
             changes[f"{name}.lowpass_hz"] = None
     changes["grid_hz"] = max(200.0, *(changes.get(f"{n}.rate_hz", 0.0) for n in ("accel", "gyro")))
-    return Model().with_changes(changes)
+    return VehicleModel().with_changes(changes)
 
 
 def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:

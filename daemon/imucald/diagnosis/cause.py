@@ -19,7 +19,7 @@ from imucald.diagnosis.result import Estimated
 
 if TYPE_CHECKING:
     from imucald.diagnosis.state import State
-    from imucald.model.model import Model
+    from imucald.model.model import VehicleModel
 
 Values = Mapping[str, float]
 """Parameter key to its total value."""
@@ -106,7 +106,7 @@ class Cause:
     def offset(self, s: State, p: Values) -> None:
         """Add to signals."""
 
-    def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
+    def extend(self, model: VehicleModel, p: Values, keys: Sequence[str]) -> VehicleModel:
         """Return the model file with the cause's fitted values; keys: those that moved."""
         return with_values(model, {key: p[key] for key in keys})
 

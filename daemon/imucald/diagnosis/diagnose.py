@@ -25,7 +25,7 @@ from imucald.diagnosis.structure_guard import standing
 from imucald.diagnosis.trial import ACCEPT, Found
 from imucald.diagnosis.vehicle_gain import mount_errors_deg
 from imucald.diagnosis.verdict import look_alikes, losers_of, to_separate, verdict_of
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]
 BESIDE_ROADS = {"accel_bias": 40.0, "mount_rotation": 40.0, "mount_shift": 40.0}
@@ -39,7 +39,7 @@ STEP_SHARE = 0.12
 
 
 def diagnose(
-    drives: Sequence[Samples], model: Model, progress: Progress | None = None
+    drives: Sequence[Samples], model: VehicleModel, progress: Progress | None = None
 ) -> Diagnosis:
     """Say what the simulation with this model gets wrong beside measured drives of one vehicle.
 
@@ -106,12 +106,12 @@ def _silent(share: float, text: str) -> None:
     """Where no one asks for progress."""
 
 
-def _faults(samples: Samples, model: Model) -> list[Fault]:
+def _faults(samples: Samples, model: VehicleModel) -> list[Fault]:
     return [fault for fault in find_faults(samples, model) if fault.score > ACCEPT]
 
 
 def _forward(
-    i: int, drives: int, samples: Samples, faults: Sequence[Fault], model: Model
+    i: int, drives: int, samples: Samples, faults: Sequence[Fault], model: VehicleModel
 ) -> Forward:
     """The drive on the grid, without what is faulty, and what predicts it."""
     try:
@@ -134,7 +134,9 @@ class _Told:
     recorded: list[Forward]
     """The drives with what is faulty in them; empty where nothing is."""
 
-    def diagnosis(self, model: Model, structure: tuple[Structure, ...], absent: int) -> Diagnosis:
+    def diagnosis(
+        self, model: VehicleModel, structure: tuple[Structure, ...], absent: int
+    ) -> Diagnosis:
         search, found = self.search, self.found
         by_name: Mapping[str, Cause] = {c.name: c for c in catalogue()}
         sets, candidates = look_alikes(search, found)
@@ -214,7 +216,7 @@ class _Told:
             text=fault.text,
         )
 
-    def _extended(self, model: Model, by_name: Mapping[str, Cause]) -> Model:
+    def _extended(self, model: VehicleModel, by_name: Mapping[str, Cause]) -> VehicleModel:
         after = model
         for variant in self.found.active:
             after = by_name[variant.cause].extend(after, self.found.point.values, variant.keys)

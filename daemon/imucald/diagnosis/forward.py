@@ -21,7 +21,7 @@ from imucald.diagnosis.grid import Array, Track
 from imucald.diagnosis.handling import Handling
 from imucald.diagnosis.keys import model_value
 from imucald.diagnosis.state import Spectrum, State
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 SIGNALS = (
     "accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z",
@@ -44,7 +44,7 @@ class Forward:
     causes: in the order in which they act within a stage.
     """
 
-    def __init__(self, track: Track, model: Model, causes: Sequence[Cause]) -> None:
+    def __init__(self, track: Track, model: VehicleModel, causes: Sequence[Cause]) -> None:
         self.track, self.model = track, model
         self.causes = [cause for cause in causes if cause.parameters]
         self._handling = Handling(model.chassis)

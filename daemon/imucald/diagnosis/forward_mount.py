@@ -11,10 +11,10 @@ from imucald.core.rotations import (
     rotation_from_angles,
     rotation_from_vector,
 )
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 
-def mount_of(model: Model) -> Matrix3:
+def mount_of(model: VehicleModel) -> Matrix3:
     """Return R_vehicle_from_sensor of a model file, at the start of the drive."""
     mount = model.mount
     return rotation_from_angles(
@@ -22,7 +22,7 @@ def mount_of(model: Model) -> Matrix3:
     )
 
 
-def turned_mount(model: Model, rotation_vector: Sequence[float]) -> Model:
+def turned_mount(model: VehicleModel, rotation_vector: Sequence[float]) -> VehicleModel:
     """Return the model with its mount turned by a vector (3,) about vehicle axes [rad]."""
     R_vehicle_from_sensor = rotation_from_vector(rotation_vector) @ mount_of(model)
     roll, pitch, yaw = (math.degrees(x) for x in angles_from_rotation(R_vehicle_from_sensor))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 
-def model_value(model: Model, key: str) -> float:
+def model_value(model: VehicleModel, key: str) -> float:
     """Return a number of the model; 0 for a cause's own key (it begins with `_`).
 
     None in the model (a low-pass that is not there) is infinity.
@@ -21,7 +21,7 @@ def model_value(model: Model, key: str) -> float:
     return float("inf") if place is None else float(place)
 
 
-def with_values(model: Model, values: Mapping[str, float]) -> Model:
+def with_values(model: VehicleModel, values: Mapping[str, float]) -> VehicleModel:
     """Return the model with numbers replaced; a cause's own keys are left out."""
     changes: dict[str, Any] = {}
     for key, value in values.items():

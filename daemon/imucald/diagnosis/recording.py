@@ -18,7 +18,7 @@ from imucald.core.samples import CHANNEL_WIDTH, Samples, Series
 from imucald.inputs.router import Routed, Router
 from imucald.inputs.routes import MessageRoute, SignalRoute
 from imucald.inputs.wiring import compile_router, wanted_numbers
-from imucald.runtime.timebase import Piece, TimeBase
+from imucald.runtime.timebase import TimeBase, TimeSegment
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Recording:
     rejected_t: Mapping[str, Array] = field(default_factory=dict)
     """By channel, when a sample of it was rejected [s]: a fault, where it would else look lost."""
     gaps: tuple[float, ...] = ()
-    """Stream times at which a new piece begins after a hole or a step of the clock [s]."""
+    """Stream times at which a new segment begins after a hole or a step of the clock [s]."""
     cycle_s: Mapping[str, float] = field(default_factory=dict)
     """By channel, the message's cycle time as the database states it [s]; absent if it does not."""
     planar: bool = False
@@ -73,10 +73,10 @@ def read_samples(
     timebase = TimeBase()
     kept = _Kept()
     for chunk in reader:
-        for piece in timebase.columns(chunk.t):
-            whole = piece.stop - piece.start == len(chunk)
-            frames = chunk if whole else chunk.take(slice(piece.start, piece.stop))
-            kept.add(router.columns(piece.t, frames), piece)
+        for segment in timebase.segments(chunk.t):
+            whole = segment.stop - segment.start == len(chunk)
+            frames = chunk if whole else chunk.take(slice(segment.start, segment.stop))
+            kept.add(router.columns(segment.t, frames), segment)
     _refuse_empty(paths, reader, router)
     rejected = Counter(reader.rejected)
     rejected.update(router.rejected)
@@ -104,15 +104,15 @@ class _Kept:
         self._t: dict[str, list[Array]] = {}
         self._values: dict[str, list[Array]] = {}
 
-    def add(self, routed: Routed, piece: Piece) -> None:
-        """Take a piece's samples and when others were rejected."""
-        if piece.gap:
-            self.gaps.append(float(piece.t[0]))
+    def add(self, routed: Routed, segment: TimeSegment) -> None:
+        """Take the samples of a time segment, and when others were rejected."""
+        if segment.gap:
+            self.gaps.append(float(segment.t[0]))
         for channel, series in routed.samples.items():
             self._t.setdefault(channel, []).append(series.t)
             self._values.setdefault(channel, []).append(series.values)
         for channel, rows in routed.rejected.items():
-            self.rejected.setdefault(channel, []).append(piece.t[rows])
+            self.rejected.setdefault(channel, []).append(segment.t[rows])
 
     def samples(self) -> Samples:
         """All of them, in the channels' documented order."""

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 Verdict = Literal["found", "ambiguous", "unknown", "nothing"]
 Array = NDArray[np.float64]
@@ -128,8 +128,8 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     """What the person should know: signals absent, drives too short, stretches left out."""
     pictures: tuple[SignalPicture, ...] = ()
-    model_before: Model = field(default_factory=Model)
-    model_after: Model = field(default_factory=Model)
+    model_before: VehicleModel = field(default_factory=VehicleModel)
+    model_after: VehicleModel = field(default_factory=VehicleModel)
 
     def as_json(self) -> dict[str, Any]:
         """Return what tools rely on: plain numbers, lists and texts; nothing infinite."""

@@ -13,7 +13,7 @@ from imucald.core.rotations import Matrix3
 from imucald.diagnosis.grid import GRID_HZ, Array, Track
 
 if TYPE_CHECKING:
-    from imucald.model.model import Model
+    from imucald.model.model import VehicleModel
 
 Response = NDArray[np.inexact[Any]]
 """Frequency response along `Spectrum.frequency`; real where it has no phase."""
@@ -23,7 +23,7 @@ REFERENCE_DEGC = 25.0
 class State:
     """What the hooks of causes change, stage by stage; arrays (N,) or (3, N), SI, vehicle axes."""
 
-    def __init__(self, track: Track, model: Model, spectrum: Spectrum) -> None:
+    def __init__(self, track: Track, model: VehicleModel, spectrum: Spectrum) -> None:
         self.track, self.model, self.spectrum = track, model, spectrum
         n = len(track.t)
         self.n = n

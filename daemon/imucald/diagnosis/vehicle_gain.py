@@ -16,11 +16,11 @@ from imucald.compensation.trial import corrected_drive
 from imucald.core.rotations import Matrix3, rotation_from_angles, vector_from_rotation
 from imucald.core.samples import Samples
 from imucald.diagnosis.forward_mount import mount_of
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 
 def mount_errors_deg(
-    drives: Sequence[Samples], before: Model, after: Model
+    drives: Sequence[Samples], before: VehicleModel, after: VehicleModel
 ) -> tuple[float | None, float | None]:
     """Angle between the daemon's mount at the end of the drives and the extended model's [deg].
 
@@ -31,7 +31,7 @@ def mount_errors_deg(
     return _error(drives, before, final), _error(drives, after, final)
 
 
-def _final_mount(model: Model) -> Matrix3:
+def _final_mount(model: VehicleModel) -> Matrix3:
     R_vehicle_from_sensor = mount_of(model)
     for shift in model.mount.shifts:
         angles = (math.radians(x) for x in (shift.roll_deg, shift.pitch_deg, shift.yaw_deg))
@@ -39,7 +39,7 @@ def _final_mount(model: Model) -> Matrix3:
     return R_vehicle_from_sensor
 
 
-def _error(drives: Sequence[Samples], model: Model, final: Matrix3) -> float | None:
+def _error(drives: Sequence[Samples], model: VehicleModel, final: Matrix3) -> float | None:
     compensation = compensation_from_model(model.dump())
     squares = []
     for samples in drives:

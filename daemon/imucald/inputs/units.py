@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from msgspec import Struct
 
+from imucald.core.angles import RAD_PER_DEG
 from imucald.core.errors import ConfigError
 from imucald.core.samples import GRAVITY
 
@@ -19,8 +19,6 @@ class Unit(Struct, frozen=True):
     offset: float = 0.0
 
 
-_DEG = math.pi / 180.0
-
 _TABLE: tuple[tuple[Unit, tuple[str, ...]], ...] = (
     (Unit("acceleration", 1.0), ("m/s^2", "m/s²", "m/s2", "m/s/s", "m/ss", "m/s**2", "mps2")),
     (Unit("acceleration", 1.0), ("mps^2", "meter/s^2", "m/sec^2", "ms-2")),
@@ -29,12 +27,12 @@ _TABLE: tuple[tuple[Unit, tuple[str, ...]], ...] = (
     (Unit("acceleration", 1e-3), ("mm/s^2", "mm/s²")),
     (Unit("acceleration", 0.3048), ("ft/s^2", "ft/s²")),
     (Unit("angular_rate", 1.0), ("rad/s", "rad/sec", "1/s")),
-    (Unit("angular_rate", _DEG), ("deg/s", "°/s", "degree/s", "degrees/s", "deg/sec", "º/s")),
-    (Unit("angular_rate", _DEG), ("dps", "grad/s")),
-    (Unit("angular_rate", _DEG * 1e-3), ("mdeg/s", "mdps")),
-    (Unit("angular_rate", _DEG / 3600.0), ("deg/h", "°/h")),
+    (Unit("angular_rate", RAD_PER_DEG), ("deg/s", "°/s", "degree/s", "degrees/s", "deg/sec")),
+    (Unit("angular_rate", RAD_PER_DEG), ("º/s", "dps", "grad/s")),
+    (Unit("angular_rate", RAD_PER_DEG * 1e-3), ("mdeg/s", "mdps")),
+    (Unit("angular_rate", RAD_PER_DEG / 3600.0), ("deg/h", "°/h")),
     (Unit("angle", 1.0), ("rad",)),
-    (Unit("angle", _DEG), ("deg", "°", "degree", "degrees", "º", "grad")),
+    (Unit("angle", RAD_PER_DEG), ("deg", "°", "degree", "degrees", "º", "grad")),
     (Unit("speed", 1.0), ("m/s", "mps", "m/sec", "meter/s")),
     (Unit("speed", 1.0 / 3.6), ("km/h", "kph", "kmh", "kmph", "km/hr", "KPH")),
     (Unit("speed", 0.44704), ("mph", "mi/h", "miles/h")),

@@ -13,10 +13,11 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatc
 from imucald.can.dbc.database import Database, Message, Signal, load_database
 from imucald.can.dbc.decode import compile_decode
 from imucald.can.dbc.resolved_signal import raw_limits
+from imucald.can.e2e.checksums import KINDS
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
 from imucald.inputs.expression import Expression
-from imucald.inputs.protection_settings import checker_for
+from imucald.inputs.protection_settings import NO_CHECKSUM, checker_for
 from imucald.inputs.quantities import Conversion
 from imucald.inputs.router import Router
 from imucald.inputs.routes import Component, MessageRoute, RawRoute, SignalRoute, Tap
@@ -149,6 +150,7 @@ def compile_router(loaded: LoadedConfig) -> Router:
         else:
             _add_signal(loaded, databases, groups, wanted)
     _refuse_unknown_messages(loaded, groups)
+    _refuse_unknown_checksums(loaded)
     _refuse_split_planar(loaded, groups.values())
     routes += [_message_route(loaded, group) for group in groups.values()]
     signals = loaded.config.signals
@@ -305,6 +307,15 @@ def _refuse_unknown_messages(
             raise loaded.error(
                 ("messages", name), f"no signal is taken from this message (from: {known})"
             )
+
+
+def _refuse_unknown_checksums(loaded: LoadedConfig) -> None:
+    known = (NO_CHECKSUM, *KINDS)
+    for name, protection in loaded.config.messages.items():
+        checksum = protection.checksum
+        if checksum is not None and checksum.kind not in known:
+            text = f"{checksum.kind!r} is no kind of checksum (known: {', '.join(known)})"
+            raise loaded.error(("messages", name, "checksum", "kind"), text)
 
 
 def _refuse_split_planar(loaded: LoadedConfig, groups: Iterable[_MessageSignals]) -> None:

@@ -20,7 +20,7 @@ from imucald.model.plain import plain
 from imucald.model.section import Section
 from imucald.model.sensors import (
     Accelerometer,
-    Bus,
+    BusLoad,
     Flag,
     Gyroscope,
     Heading,
@@ -33,18 +33,18 @@ from imucald.model.sensors import (
     WheelSpeeds,
     YawRate,
 )
-from imucald.model.vehicle import Chassis, Mount, Road, Route, Suspension
+from imucald.model.vehicle import Chassis, DriveRoute, Mount, Road, Suspension
 
 WHOLE = "model file"
 """What texts call it where no key is to blame."""
 
 
-class Model(Section, frozen=True):
+class VehicleModel(Section, frozen=True):
     """All parameters of a drive but its seed and length. Immutable: see `with_changes`."""
 
     grid_hz: Annotated[float, Meta(ge=50.0, le=2000.0)] = 200.0
     """Rate of the physics; must not be below the inertial sensor's."""
-    route: Route = Route()
+    route: DriveRoute = DriveRoute()
     chassis: Chassis = Chassis()
     suspension: Suspension = Suspension()
     road: Road = Road()
@@ -62,7 +62,7 @@ class Model(Section, frozen=True):
     heading: Heading = Heading()
     mag: Magnetometer = Magnetometer()
     temperature: Temperature = Temperature()
-    bus: Bus = Bus()
+    bus: BusLoad = BusLoad()
 
     def __post_init__(self) -> None:
         fastest = max(self.accel.rate_hz, self.gyro.rate_hz)
@@ -80,7 +80,7 @@ class Model(Section, frozen=True):
 
         return yaml.safe_dump(self.dump(), sort_keys=False)
 
-    def with_changes(self, changes: Mapping[str, Any]) -> Model:
+    def with_changes(self, changes: Mapping[str, Any]) -> VehicleModel:
         """Return a copy with dotted keys replaced, as ``{"mount.yaw_deg": 30.0}``.
 
         Raises ConfigError for an unknown key or a value out of its range.
@@ -97,18 +97,18 @@ class Model(Section, frozen=True):
         return model_from_mapping(data, "model")
 
 
-def model_from_mapping(data: Mapping[str, Any], name: str) -> Model:
+def model_from_mapping(data: Mapping[str, Any], name: str) -> VehicleModel:
     """Return the model that a mapping (parsed YAML) describes; ConfigError names each mistake.
 
     name: what the texts call it.
     """
-    return typed(plain(data), Model, {}, name, WHOLE)
+    return typed(plain(data), VehicleModel, {}, name, WHOLE)
 
 
-def load_model(path: Path | str) -> Model:
+def load_model(path: Path | str) -> VehicleModel:
     """Read a model file; what it leaves out has its default.
 
     Raises ConfigError with one line for each mistake: file, line, key, reason, remedy.
     """
     data, marks = read_yaml_file(Path(path), WHOLE)
-    return typed({} if data is None else data, Model, marks, str(path), WHOLE)
+    return typed({} if data is None else data, VehicleModel, marks, str(path), WHOLE)

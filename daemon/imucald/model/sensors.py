@@ -24,13 +24,13 @@ DelayS = Annotated[float, Meta(ge=0.0, le=2.0)]
 
 
 class Gap(Section, frozen=True):
-    """A stretch of time."""
+    """A span of time."""
 
     start_s: NonNegative
     duration_s: Positive
 
 
-class Message(Section, frozen=True):
+class Transmission(Section, frozen=True):
     """When a signal's frames come: common to all signals."""
 
     enabled: bool = True
@@ -39,18 +39,18 @@ class Message(Section, frozen=True):
     delay_s: DelayS = 0.0
     """Age of the value when its frame is sent, on top of the low-pass."""
     jitter_s: NonNegative = 0.0005
-    """Mean lateness of a frame (exponential): arbitration and task scheduling."""
+    """Mean delay of a frame on the bus (exponential): arbitration and task scheduling."""
     clock_drift_ppm: float = 0.0
     """Error of the sending unit's clock."""
     loss: Fraction = 0.0
     """Probability that a frame is lost."""
     dropouts: tuple[Gap, ...] = ()
-    """Stretches without frames."""
+    """Segments without frames."""
     stuck: tuple[Gap, ...] = ()
-    """Stretches in which the value does not change although frames come."""
+    """Segments in which the value does not change although frames come."""
 
 
-class Triad(Message, frozen=True):
+class TriaxialSensor(Transmission, frozen=True):
     """Three-axis inertial sensor; units are those of the sensor (m/s^2, or rad/s)."""
 
     rate_hz: RateHz = 100.0
@@ -74,7 +74,7 @@ class Triad(Message, frozen=True):
     """Quantisation step."""
 
 
-class Accelerometer(Triad, frozen=True):
+class Accelerometer(TriaxialSensor, frozen=True):
     """Accelerometer [m/s^2]; figures of a consumer MEMS part."""
 
     noise_density: NonNegative = 0.0018
@@ -88,7 +88,7 @@ class Accelerometer(Triad, frozen=True):
     """Amplitude of the engine's second order in idle, about 25 Hz."""
 
 
-class Gyroscope(Triad, frozen=True):
+class Gyroscope(TriaxialSensor, frozen=True):
     """Gyroscope [rad/s]."""
 
     noise_density: NonNegative = 0.00012
@@ -102,7 +102,7 @@ class Gyroscope(Triad, frozen=True):
     """rms of angular vibration at 20 m/s."""
 
 
-class Temperature(Message, frozen=True):
+class Temperature(Transmission, frozen=True):
     """Sensor temperature: first-order warm-up."""
 
     rate_hz: RateHz = 1.0
@@ -112,7 +112,7 @@ class Temperature(Message, frozen=True):
     lsb: NonNegative = 0.5
 
 
-class Speed(Message, frozen=True):
+class Speed(Transmission, frozen=True):
     """Vehicle speed as broadcast: from the rear wheels."""
 
     scale: float = 0.0
@@ -125,7 +125,7 @@ class Speed(Message, frozen=True):
     """First-order filter in the sending unit."""
 
 
-class WheelSpeeds(Message, frozen=True):
+class WheelSpeeds(Transmission, frozen=True):
     """Four wheel speeds, with curve differences and drive or brake slip."""
 
     scale: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -135,13 +135,13 @@ class WheelSpeeds(Message, frozen=True):
     slip_per_mps2: NonNegative = 0.003
     """Slip of the driven (front) or braked (all) wheels per longitudinal specific force."""
     slip_events: tuple[Gap, ...] = ()
-    """Stretches in which the wheels slip and disagree, as on ice with the brakes' control at work;
+    """Segments in which the wheels slip and disagree, as on ice with the brakes' control at work;
     the speed signal suffers with the rear wheels."""
     slip_event_size: Fraction = 0.4
-    """Largest slip in such a stretch."""
+    """Largest slip in such a segment."""
 
 
-class Scalar(Message, frozen=True):
+class Scalar(Transmission, frozen=True):
     """A vehicle signal with offset and scale error."""
 
     offset: float = 0.0
@@ -182,7 +182,7 @@ class LongitudinalAccel(LateralAccel, frozen=True):
     """Longitudinal acceleration of the stability control [m/s^2]: a sensor in the body."""
 
 
-class Flag(Message, frozen=True):
+class Flag(Transmission, frozen=True):
     """A switch (reverse gear, brake pedal)."""
 
     rate_hz: RateHz = 10.0
@@ -197,7 +197,7 @@ class Heading(Scalar, frozen=True):
     noise: NonNegative = 0.01
 
 
-class Magnetometer(Message, frozen=True):
+class Magnetometer(Transmission, frozen=True):
     """Magnetometer [T] in sensor axes, parallel to the accelerometer."""
 
     enabled: bool = False
@@ -209,7 +209,7 @@ class Magnetometer(Message, frozen=True):
     lsb: NonNegative = 0.02e-6
 
 
-class Bus(Section, frozen=True):
+class BusLoad(Section, frozen=True):
     """The CAN bus that a log is written for."""
 
     bitrate: Positive = 500_000.0

@@ -25,7 +25,7 @@ RoadLength = Annotated[float, Meta(ge=15.0)]
 """Shorter waves are roughness."""
 
 
-FASTEST_MPS = 36.0
+MAX_SPEED_MPS = 36.0
 """Drivers do not go faster than this, whatever the route."""
 
 
@@ -65,7 +65,7 @@ class Chassis(Section, frozen=True):
     def __post_init__(self) -> None:
         if self.cg_to_front_m >= self.wheelbase_m:
             raise ValueError("cg_to_front_m must be shorter than wheelbase_m")
-        limit = -self.wheelbase_m / FASTEST_MPS**2
+        limit = -self.wheelbase_m / MAX_SPEED_MPS**2
         if self.understeer_gradient < limit:
             raise ValueError(
                 f"understeer_gradient below {limit:.4f} makes a vehicle that spins at speed"
@@ -123,7 +123,7 @@ class Road(Section, frozen=True):
     """Displacement spectral density at 0.1 cycles/m [m^3]; ISO 8608: A 16e-6, B 64e-6, C 256e-6."""
 
 
-class Route(Section, frozen=True):
+class DriveRoute(Section, frozen=True):
     """Where the drive goes and how the driver drives."""
 
     kind: RouteKind = "mixed"
@@ -158,7 +158,7 @@ class Route(Section, frozen=True):
                 raise ValueError(f"{name}: the lower bound comes first")
 
 
-class MountShift(Section, frozen=True):
+class ScheduledShift(Section, frozen=True):
     """The sensor is turned at a time; the angles are about the vehicle's axes."""
 
     t_s: NonNegative
@@ -176,7 +176,7 @@ class Mount(Section, frozen=True):
     lever_arm: bool = True
     lever_arm_m: Vector3 = ZERO
     """Sensor from the body's centre of rotation (below the centre of gravity), vehicle axes."""
-    shifts: tuple[MountShift, ...] = ()
+    shifts: tuple[ScheduledShift, ...] = ()
 
     def __post_init__(self) -> None:
         times = [shift.t_s for shift in self.shifts]

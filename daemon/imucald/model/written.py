@@ -16,7 +16,7 @@ from imucald.core.errors import ConfigError
 from imucald.core.locations import Marks, located
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml_file
-from imucald.model.model import WHOLE, Model
+from imucald.model.model import WHOLE, VehicleModel
 from imucald.model.plain import plain
 from imucald.model.section import Section
 
@@ -37,7 +37,7 @@ class WrittenModel:
         self._data: dict[str, dict[str, Any]] = {}
         self.unknown: list[str] = []
         for section, content in data.items():
-            kind = _types(Model).get(section)
+            kind = _types(VehicleModel).get(section)
             if kind is None:
                 self.unknown.append(section)
             elif isinstance(kind, type) and issubclass(kind, Section):
@@ -70,7 +70,7 @@ class WrittenModel:
         A wrong value is a mistake (see `check`), and counts as absent. A key that the section's
         schema does not have is absent.
         """
-        types = _types(_types(Model)[section])
+        types = _types(_types(VehicleModel)[section])
         if key not in types or key not in self._data.get(section, {}):
             return absent
         data, place = self._data[section][key], (section, key)

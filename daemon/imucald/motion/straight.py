@@ -70,6 +70,23 @@ def yaw_rate_from_steering(
     return speed * math.tan(steering / steering_ratio) / wheelbase
 
 
+def yaw_rate_with_understeer(
+    speed: NDArray[np.float64],
+    steering: NDArray[np.float64],
+    steering_ratio: float,
+    wheelbase: float,
+    understeer: float,
+) -> NDArray[np.float64]:
+    """The same of columns (N,), tyres that slip in a bend included, for small angles.
+
+    r = v delta / (n L (1 + K v^2 / L)); understeer: K [rad/(m/s^2)] (Gillespie, Fundamentals of
+    Vehicle Dynamics, ch. 6).
+    """
+    bend = steering_ratio * wheelbase * (1.0 + understeer / wheelbase * speed * speed)
+    result: NDArray[np.float64] = speed * steering / bend
+    return result
+
+
 class ZeroOffset:
     """Mean of a signal at rest, slowly forgetting."""
 

@@ -6,15 +6,7 @@ import math
 
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.fusion import CommonError
-
-SIDESLIP_STD = 0.0014
-"""What sideslip and body roll leave in the yaw from turns [rad], in simulated drives."""
-YAW_FLOOR_STD = 0.0007
-"""Both kinds of yaw stay off by that much in long simulated drives [rad]."""
-PITCHING_STD = 0.0014
-"""Squat and dive differ (gradients by 0.0014 rad/(m/s^2)): that much pitch stays in dv/dt [rad]."""
-BIAS_FLOOR_STD = 0.002
-"""The bias wanders with temperature (4 mg in a drive): that much stays in gravity [rad]."""
+from imucald.mount.priors import BIAS_FLOOR_STD, PITCHING_STD, SIDESLIP_STD, YAW_FLOOR_STD
 
 
 def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:

@@ -1,4 +1,18 @@
-"""The full mount estimator: roll, pitch and yaw of the sensor with an honest covariance."""
+"""The full mount estimator: roll, pitch and yaw of the sensor with an honest covariance.
+
+What happens, in order:
+
+1. Every tick goes to `SignalBlockMaker`; every 6.4 s it gives a block of even signals, each tick
+   flagged by whether it may be learnt from (`motion.signal_health`).
+2. `MountSolver.add` takes the block: the gyroscope carries the vertical through it, what is left
+   of the force goes to windows in the frequency domain and to the mean of gravity.
+3. `MountSolver.fit` turns all evidence so far into one rotation with variances.
+4. Once gyro bias and rotation are known, `Refit` goes through the first minutes a second time.
+5. After that every block is held against what was known before it. A sensor that was moved makes
+   the mount suspect; `Refit` starts again from what came after the shift.
+6. `judged` gives the state, with hysteresis, and `SlewedRotation` follows the rotation without a
+   jump. `MountEstimate` says all of it, and what each angle waits for.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +28,7 @@ from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep
+from imucald.mount.hysteresis import GOOD
 from imucald.mount.refit import KEPT_BLOCKS, Refit
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.shift import Shift
@@ -44,7 +59,12 @@ FROZEN_TICKS = 40
 
 
 class FullEstimator:
-    """Estimate from all evidence; `solver` fuses it, `supervision` judges it."""
+    """Estimate from all evidence; see the steps above.
+
+    State: `_signals` (ticks, offsets, signal health), `_solver` (the evidence and its rotation),
+    `_refit` (the solver to come, while one is being made), `_kept` (the blocks it is made of),
+    `_driven` and `_known` (what the state is judged by), `_served` (what is applied).
+    """
 
     def __init__(self, settings: EstimatorSettings | None = None) -> None:
         self._settings = settings or EstimatorSettings()
@@ -92,22 +112,27 @@ class FullEstimator:
     def _take_block(self, p: SignalBlock) -> None:
         self._blocks += 1
         self._kept.append(p)
-        if self._signals.without_speed != self._solver.response.without_speed:
-            self._solver = MountSolver(self._settings)  # speed has come, or will not
-            self._solver.response.without_speed = self._signals.without_speed
+        self._follow_speed()
         self._driven.add(*self._solver.add(p))
         self._follow_steering(p)
         if self._refit is not None:
             self._refit.push(p)
-        due = self._blocks % LAZY_BLOCKS == 0 or self._stands_out
-        if due or self._solver.blocks <= EAGER_BLOCKS:
+        is_turn = self._blocks % LAZY_BLOCKS == 0 or self._stands_out
+        is_young = self._solver.blocks <= EAGER_BLOCKS
+        is_refitting = self._refit is not None
+        if is_turn or is_young:
             self._solver.fit()
-        if self._refit is None:
-            if not self._looked_again:
-                self._look_again()
-            else:
-                self._look_for_shift(due)
+        if not is_refitting and not self._looked_again:
+            self._look_again()
+        elif not is_refitting:
+            self._look_for_shift(thoroughly=is_turn)
         self._judge(p)
+
+    def _follow_speed(self) -> None:
+        """Begin anew where a speed has come, or will not come: the evidence is of another kind."""
+        if self._signals.without_speed != self._solver.response.without_speed:
+            self._solver = MountSolver(self._settings)
+            self._solver.response.without_speed = self._signals.without_speed
 
     def _follow_steering(self, p: SignalBlock) -> None:
         """Steering offset against the measured yaw rate; steering alone knows no offset."""
@@ -126,10 +151,11 @@ class FullEstimator:
 
     def _look_again(self) -> None:
         """Once gyro bias and rotation are known, go through the first minutes again."""
-        known = self._signals.offsets.gyro_ticks >= KNOWN_REST_TICKS
-        if len(self._kept) < FIRST_LOOK_BLOCKS or not self._solver.sure():
-            return
-        if known or len(self._kept) >= LAST_LOOK_BLOCKS:
+        is_bias_known = self._signals.offsets.gyro_ticks >= KNOWN_REST_TICKS
+        is_rotation_known = self._solver.sure()
+        is_long_enough = len(self._kept) >= FIRST_LOOK_BLOCKS
+        is_late = len(self._kept) >= LAST_LOOK_BLOCKS
+        if is_rotation_known and is_long_enough and (is_bias_known or is_late):
             self._looked_again = True
             self._begin_refit(list(self._kept))
 
@@ -181,20 +207,22 @@ class FullEstimator:
             speed=not self._signals.without_speed and bool(p.ok_speed.any()),
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
         )
-        state = judged(self._known, self._state, self._settings)
-        good = state in {MountState.USABLE, MountState.FINE}
-        if self._moved and (self._refit is not None or not good):
-            ready = self._refit is None and state == MountState.LEVELLED
-            self._state = MountState.RECALIBRATING if ready else MountState.SUSPECT
-            return
-        self._moved = False
-        if good:
-            self._state = state
+        self._state = self._state_by(judged(self._known, self._state, self._settings))
+        if self._state in GOOD:
+            self._moved = False
             self._served.aim(self._answer()[0])
-        elif self._served.correction is not None:
-            self._state = MountState.SUSPECT
-        else:
-            self._state = state
+
+    def _state_by(self, found: MountState) -> MountState:
+        """The state to report for the one that the evidence gives."""
+        is_good = found in GOOD
+        is_refitting = self._refit is not None
+        is_recovering = self._moved and (is_refitting or not is_good)
+        is_serving = self._served.correction is not None
+        if is_recovering and found is MountState.LEVELLED and not is_refitting:
+            return MountState.RECALIBRATING
+        if is_recovering or (is_serving and not is_good):
+            return MountState.SUSPECT
+        return found
 
     def _answer(self) -> tuple[Array, Array]:
         """R_vehicle_from_sensor with the crown taken out, and its covariance."""

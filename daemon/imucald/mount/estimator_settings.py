@@ -1,6 +1,7 @@
 """What the full estimator is told about sensor, vehicle and road: priors, limits, delays.
 
-Every figure is a prior or a promise that the intervals rest on; none is learnt from truth.
+Every figure is a prior or a promise that the intervals rest on; `priors` says where each comes
+from.
 """
 
 from __future__ import annotations
@@ -8,6 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+from imucald.mount.priors import (
+    ACCEL_BIAS_STD,
+    ACCEL_SCALE_STD,
+    GYRO_MISALIGNMENT_STD,
+    SLOPE_LENGTH,
+    SLOPE_STD,
+    UNDERSTEER,
+)
 
 
 @dataclass(frozen=True)
@@ -25,11 +35,11 @@ class DelayPrior:
 class EstimatorSettings:
     """Settings of `FullEstimator`; SI units, angles in rad."""
 
-    accel_bias_std: float = 0.0981
+    accel_bias_std: float = ACCEL_BIAS_STD
     """Accelerometer bias per axis [m/s^2], one standard deviation; 10 mg."""
-    slope_std: float = 0.02
+    slope_std: float = SLOPE_STD
     """Road slope along and (about its mean) across the vehicle, rms tangent."""
-    slope_length: float = 200.0
+    slope_length: float = SLOPE_LENGTH
     """Distance over which the slope forgets itself [m]."""
     unevenness: tuple[float, float] = (1.0, 1.0)
     """How many times `slope_std` the roads' tangents across and along are, where a model says that
@@ -42,9 +52,9 @@ class EstimatorSettings:
     """Spread of that mean from drive to drive; no drive can tell it from mount roll."""
     accel_cross_axis_std: float = 0.0
     """Cross-axis error of the accelerometer (part); bounds what the accelerometer can say."""
-    accel_scale_std: float = 0.003
+    accel_scale_std: float = ACCEL_SCALE_STD
     """Scale error per axis of the accelerometer (part): in a tilted sensor a cross-axis error."""
-    gyro_misalignment_std: float = 0.002
+    gyro_misalignment_std: float = GYRO_MISALIGNMENT_STD
     """Turn of the gyroscope's triad against the accelerometer's [rad]."""
     delays: Mapping[str, DelayPrior] = field(
         default_factory=lambda: {"speed": DelayPrior(0.1, 0.3), "yaw_rate": DelayPrior(0.05, 0.1)}
@@ -56,8 +66,8 @@ class EstimatorSettings:
     """Steering-wheel angle over road-wheel angle; None: steering is not used for yaw rate."""
     wheelbase: float = 2.7
     """[m]"""
-    understeer: float = 0.0025
-    """K / L in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
+    understeer: float = UNDERSTEER
+    """K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
     track: float = 1.55
     """Distance between left and right wheels [m]."""
     accel_range: float = math.inf

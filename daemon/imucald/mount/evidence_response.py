@@ -35,6 +35,8 @@ from imucald.mount.evidence_spectra import (
     PAIR,
     PRODUCTS,
     WINDOW,
+    Measured,
+    Term,
 )
 from imucald.mount.road_segments import AngleEvidence, fit_regressions
 from imucald.mount.shift import ScoreSeries
@@ -136,9 +138,14 @@ class ResponseEvidence:
     def direction_sums(self) -> tuple[Array, Array, float, float]:
         """Sums over windows and bands: response to A (3,), to V (3,), power of A, of V."""
         p = self._products[: self._n].sum(axis=(0, 1))
-        to_a = np.array([p[sp.place(i, sp.A)] for i in range(3)])
-        to_v = np.array([p[sp.place(i, sp.V)] for i in range(3)])
-        return to_a, to_v, float(p[sp.place(sp.A, sp.A)]), float(p[sp.place(sp.V, sp.V)])
+        to_a = np.array([p[sp.place(i, Measured.DVDT)] for i in range(3)])
+        to_v = np.array([p[sp.place(i, Measured.LATERAL)] for i in range(3)])
+        return (
+            to_a,
+            to_v,
+            float(p[sp.place(Measured.DVDT, Measured.DVDT)]),
+            float(p[sp.place(Measured.LATERAL, Measured.LATERAL)]),
+        )
 
     def principal_direction(self, level: Matrix3) -> tuple[float, float]:
         """Direction of forward in level axes [rad], without speed, and how sure its sign is.
@@ -149,8 +156,8 @@ class ResponseEvidence:
         p = self._products[: self._n].sum(axis=(0, 1))
         C = np.array([[p[sp.place(i, j)] for j in range(3)] for i in range(3)])
         C = level @ C @ level.T
-        to_v = level @ np.array([p[sp.place(i, sp.V)] for i in range(3)])
-        power = max(float(p[sp.place(sp.V, sp.V)]), 1e-9)
+        to_v = level @ np.array([p[sp.place(i, Measured.LATERAL)] for i in range(3)])
+        power = max(float(p[sp.place(Measured.LATERAL, Measured.LATERAL)]), 1e-9)
         left = C[:2, :2] - np.outer(to_v[:2], to_v[:2]) / power
         _, vectors = np.linalg.eigh(left)
         x, y = (float(c) for c in vectors[:, 1])
@@ -250,9 +257,9 @@ class ResponseEvidence:
     def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
         """Noise per tick, band and axis, of windows weighted by what they tell."""
         power = np.empty_like(left)
-        power[:ROLL_ROW] = P[PAIR[sp.FA, sp.FA]] + P[PAIR[sp.FV, sp.FV]]
-        power[ROLL_ROW] = P[PAIR[sp.FV, sp.FV]]
-        power[P_ROW:] = P[PAIR[sp.R, sp.R]]
+        power[:ROLL_ROW] = P[PAIR[Term.DVDT, Term.DVDT]] + P[PAIR[Term.LATERAL, Term.LATERAL]]
+        power[ROLL_ROW] = P[PAIR[Term.LATERAL, Term.LATERAL]]
+        power[P_ROW:] = P[PAIR[Term.YAW_RATE, Term.YAW_RATE]]
         even = left * (weight * self.noise[:, None, :])
         total = np.maximum(power.sum(axis=1), 1e-12)
         told = (power * even).sum(axis=1) / total

@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.mount import evidence_spectra as sp
 from imucald.mount.evidence_rows import (
     GAINS,
     GP_QUARTER,
@@ -24,17 +23,17 @@ from imucald.mount.evidence_rows import (
     ROWS,
     TARGETS,
 )
-from imucald.mount.evidence_spectra import BAND_OMEGA2, BANDS, PAIR
+from imucald.mount.evidence_spectra import BAND_OMEGA2, BANDS, PAIR, Term
 
 Array = NDArray[np.float64]
 
 KNOWN = (
-    ((sp.FA, GX), (sp.FAI, GX_QUARTER)),
-    ((sp.FV, GY), (sp.FVI, GY_QUARTER)),
-    ((sp.FQ, GQ),),
+    ((Term.DVDT, GX), (Term.DVDT_QUARTER, GX_QUARTER)),
+    ((Term.LATERAL, GY), (Term.LATERAL_QUARTER, GY_QUARTER)),
+    ((Term.SPEED_PITCH, GQ),),
     (),
-    ((sp.FVI, GP_QUARTER),),
-    ((sp.FAI, GQ_QUARTER),),
+    ((Term.LATERAL_QUARTER, GP_QUARTER),),
+    ((Term.DVDT_QUARTER, GQ_QUARTER),),
 )
 """Per row: signals and gains that its target is freed from."""
 

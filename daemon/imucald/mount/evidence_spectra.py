@@ -8,6 +8,7 @@ the rotation, the gains and the noise of each band turn out to be.
 
 from __future__ import annotations
 
+import enum
 import math
 
 import numpy as np
@@ -28,26 +29,73 @@ BAND_EDGES = (0, 1, 2, 3, 4, 6, 9, 13, 19, 28, 52)
 BINS = BAND_EDGES[-1] - FIRST_BIN
 BANDS = len(BAND_EDGES) - 1
 
-A, V = 3, 4
-"""Columns: dv/dt and v r, after the force (0-2)."""
-TURNED = slice(5, 8)
-"""Speed times rate [m/s^2], sensor axes."""
-RATE = slice(8, 11)
-"""Rate [rad/s], sensor axes."""
-A2, V2, R2, AR, VR, AA, AV = 11, 12, 13, 14, 15, 16, 17
-"""Second-order terms: A^2, V^2, r^2, A r, V r, A |A|, A V."""
-AH, VH = 18, 19
-"""A and V less what the tracked vertical takes up of them; see `gravity_observer`."""
+
+class Measured(enum.IntEnum):
+    """Columns of a window: signals in time, force and rates in sensor axes.
+
+    DVDT is dv/dt and LATERAL is v r, r the yaw rate; the name of a product has both its factors.
+    """
+
+    FORCE_X = 0
+    FORCE_Y = 1
+    FORCE_Z = 2
+    DVDT = 3
+    LATERAL = 4
+    SPEED_RATE_X = 5  # speed times rate [m/s^2]
+    SPEED_RATE_Y = 6
+    SPEED_RATE_Z = 7
+    RATE_X = 8
+    RATE_Y = 9
+    RATE_Z = 10
+    DVDT_2 = 11
+    LATERAL_2 = 12
+    YAW_2 = 13
+    DVDT_YAW = 14
+    LATERAL_YAW = 15
+    DVDT_ABS = 16  # dv/dt |dv/dt|
+    DVDT_LATERAL = 17
+    DVDT_REMAINING = 18  # less what the carried vertical takes up of it; see `gravity_observer`
+    LATERAL_REMAINING = 19
+    DVDT_QUARTER = 20  # a quarter period ahead: lags, tyres and lever arms answer with these
+    LATERAL_QUARTER = 21
+
+
 MEASURED = 20
-"""Columns that come from time; two more are their quarter turns in frequency."""
-AI, VI = 20, 21
-"""A and V a quarter period ahead: lags, tyres and lever arms answer with these."""
-SIGNALS = 22
-_LATE = (A, A2, AR, AA, AV, AH)
+"""Columns that come from time; the two more are their quarter turns in frequency."""
+SIGNALS = len(Measured)
+SPEED_RATE = slice(Measured.SPEED_RATE_X, Measured.SPEED_RATE_Z + 1)
+RATE = slice(Measured.RATE_X, Measured.RATE_Z + 1)
+_LATE = (
+    Measured.DVDT, Measured.DVDT_2, Measured.DVDT_YAW, Measured.DVDT_ABS, Measured.DVDT_LATERAL,
+    Measured.DVDT_REMAINING,
+)  # fmt: skip
 """Columns that come with the speed's delay."""
 
-FX, FY, FZ, FA, FV, FQ, P, Q, R, FA2, FV2, FR2, FAR, FVR, FAI, FVI, FAA, FAV, FAH, FVH = range(20)
-"""Order of signals after `in_vehicle_axes`: force (3), A, V, v q, rate (3), even terms."""
+
+class Term(enum.IntEnum):
+    """Signals in vehicle axes, of which the regressions are made; names as in `Measured`."""
+
+    FORCE_X = 0
+    FORCE_Y = 1
+    FORCE_Z = 2
+    DVDT = 3
+    LATERAL = 4
+    SPEED_PITCH = 5  # speed times pitch rate
+    ROLL_RATE = 6
+    PITCH_RATE = 7
+    YAW_RATE = 8
+    DVDT_2 = 9
+    LATERAL_2 = 10
+    YAW_2 = 11
+    DVDT_YAW = 12
+    LATERAL_YAW = 13
+    DVDT_QUARTER = 14
+    LATERAL_QUARTER = 15
+    DVDT_ABS = 16
+    DVDT_LATERAL = 17
+    DVDT_REMAINING = 18
+    LATERAL_REMAINING = 19
+
 
 _TAPER = np.hanning(WINDOW + 1)[:WINDOW]
 _TAPER_SCALE = float(np.sqrt(2.0 / WINDOW / ((_TAPER**2).sum() / BLOCK_TICKS)))
@@ -83,48 +131,69 @@ def spectra(signals: Array, mask: NDArray[np.bool_], keep_mean: bool = False) ->
     return s
 
 
-_ALONE = (
-    (FA2, A2), (FV2, V2), (FR2, R2), (FAR, AR), (FVR, VR), (FAI, AI), (FVI, VI), (FAA, AA),
-    (FAV, AV), (FAH, AH), (FVH, VH),
-)  # fmt: skip
+_ALONE = tuple((term, Measured[term.name]) for term in Term if term >= Term.DVDT_2)
+"""Terms that are signals as they come."""
 
 
 def _turning(R_vehicle_from_sensor: Matrix3, without_speed: bool) -> Array:
-    """Matrix (20, SIGNALS) that takes the signals to vehicle axes.
+    """Matrix (len(Term), SIGNALS) that takes the signals to vehicle axes.
 
     Without speed the force along the vehicle stands in for dv/dt: least squares on it turns the
     x axis into the principal axis of the horizontal force.
     """
     R_vs = R_vehicle_from_sensor
-    turn = np.zeros((20, SIGNALS))
-    turn[FX : FZ + 1, 0:3] = R_vs
-    turn[FV, V] = 1.0
+    turn = np.zeros((len(Term), SIGNALS))
+    turn[Term.FORCE_X : Term.FORCE_Z + 1, 0:3] = R_vs
+    turn[Term.LATERAL, Measured.LATERAL] = 1.0
     if without_speed:
-        turn[FA, 0:3] = turn[FAH, 0:3] = R_vs[0]
+        turn[Term.DVDT, 0:3] = turn[Term.DVDT_REMAINING, 0:3] = R_vs[0]
     else:
-        turn[FA, A] = 1.0
-    turn[FQ, TURNED] = R_vs[1]
-    turn[P : R + 1, RATE] = R_vs
+        turn[Term.DVDT, Measured.DVDT] = 1.0
+    turn[Term.SPEED_PITCH, SPEED_RATE] = R_vs[1]
+    turn[Term.ROLL_RATE : Term.YAW_RATE + 1, RATE] = R_vs
     for row, column in _ALONE:
-        if not (without_speed and row == FAH):
+        if not (without_speed and row is Term.DVDT_REMAINING):
             turn[row, column] = 1.0
     return turn
 
 
-PAIRS = (
-    (FX, FX), (FY, FY), (FZ, FZ), (FX, FA), (FX, FV), (FX, FR2), (FX, FV2),
-    (FY, FV), (FY, FA), (FY, FR2), (FZ, FA), (FZ, FQ), (FZ, FA2), (FZ, FV), (FZ, FV2),
-    (FA, FA), (FV, FV), (FA, FV), (FQ, FQ), (FQ, FA), (FQ, FA2), (FA, FR2), (FA, FV2),
-    (FA, FA2), (FV, FR2), (FV, FV2), (FR2, FR2), (FR2, FV2), (FV2, FV2), (FA2, FA2),
-    (P, P), (Q, Q), (R, R), (P, R), (Q, R), (P, FAR), (Q, FVR), (R, FAR), (R, FVR),
-    (FAR, FAR), (FVR, FVR), (P, FV), (R, FV), (FAR, FV),
-    (FX, FAI), (FY, FVI), (P, FVI), (Q, FAI), (FAI, FAI), (FVI, FVI), (FVI, FA), (FVI, FR2),
-    (FAI, FV), (FAI, FR2), (FAI, FV2), (FVI, R), (FVI, FAR), (FVI, FV), (FAI, R), (FAI, FVR),
-    (FY, FAV), (FAV, FAV), (FA, FAV), (FR2, FAV), (FV, FAV), (FVI, FAV),
-    (FZ, FAA), (FAA, FAA), (FA, FAA), (FA2, FAA), (FQ, FAA),
-    (FY, FAH), (FV, FAH), (FVI, FAH), (FAH, FAH), (FAH, FR2), (FAH, FAV), (FA, FAH),
-    (FZ, FAH), (FQ, FAH), (FAH, FA2), (FAH, FAA), (FX, FVH), (FA, FVH), (FAI, FVH), (FVH, FVH),
-    (FVH, FR2), (FVH, FV2), (FZ, FVH), (FV, FVH),
+_T = Term
+PAIRS: tuple[tuple[int, int], ...] = (
+    (_T.FORCE_X, _T.FORCE_X), (_T.FORCE_Y, _T.FORCE_Y), (_T.FORCE_Z, _T.FORCE_Z),
+    (_T.FORCE_X, _T.DVDT), (_T.FORCE_X, _T.LATERAL), (_T.FORCE_X, _T.YAW_2),
+    (_T.FORCE_X, _T.LATERAL_2), (_T.FORCE_Y, _T.LATERAL), (_T.FORCE_Y, _T.DVDT),
+    (_T.FORCE_Y, _T.YAW_2), (_T.FORCE_Z, _T.DVDT), (_T.FORCE_Z, _T.SPEED_PITCH),
+    (_T.FORCE_Z, _T.DVDT_2), (_T.FORCE_Z, _T.LATERAL), (_T.FORCE_Z, _T.LATERAL_2),
+    (_T.DVDT, _T.DVDT), (_T.LATERAL, _T.LATERAL), (_T.DVDT, _T.LATERAL),
+    (_T.SPEED_PITCH, _T.SPEED_PITCH), (_T.SPEED_PITCH, _T.DVDT), (_T.SPEED_PITCH, _T.DVDT_2),
+    (_T.DVDT, _T.YAW_2), (_T.DVDT, _T.LATERAL_2), (_T.DVDT, _T.DVDT_2), (_T.LATERAL, _T.YAW_2),
+    (_T.LATERAL, _T.LATERAL_2), (_T.YAW_2, _T.YAW_2), (_T.YAW_2, _T.LATERAL_2),
+    (_T.LATERAL_2, _T.LATERAL_2), (_T.DVDT_2, _T.DVDT_2), (_T.ROLL_RATE, _T.ROLL_RATE),
+    (_T.PITCH_RATE, _T.PITCH_RATE), (_T.YAW_RATE, _T.YAW_RATE), (_T.ROLL_RATE, _T.YAW_RATE),
+    (_T.PITCH_RATE, _T.YAW_RATE), (_T.ROLL_RATE, _T.DVDT_YAW), (_T.PITCH_RATE, _T.LATERAL_YAW),
+    (_T.YAW_RATE, _T.DVDT_YAW), (_T.YAW_RATE, _T.LATERAL_YAW), (_T.DVDT_YAW, _T.DVDT_YAW),
+    (_T.LATERAL_YAW, _T.LATERAL_YAW), (_T.ROLL_RATE, _T.LATERAL), (_T.YAW_RATE, _T.LATERAL),
+    (_T.DVDT_YAW, _T.LATERAL), (_T.FORCE_X, _T.DVDT_QUARTER), (_T.FORCE_Y, _T.LATERAL_QUARTER),
+    (_T.ROLL_RATE, _T.LATERAL_QUARTER), (_T.PITCH_RATE, _T.DVDT_QUARTER),
+    (_T.DVDT_QUARTER, _T.DVDT_QUARTER), (_T.LATERAL_QUARTER, _T.LATERAL_QUARTER),
+    (_T.LATERAL_QUARTER, _T.DVDT), (_T.LATERAL_QUARTER, _T.YAW_2), (_T.DVDT_QUARTER, _T.LATERAL),
+    (_T.DVDT_QUARTER, _T.YAW_2), (_T.DVDT_QUARTER, _T.LATERAL_2), (_T.LATERAL_QUARTER, _T.YAW_RATE),
+    (_T.LATERAL_QUARTER, _T.DVDT_YAW), (_T.LATERAL_QUARTER, _T.LATERAL),
+    (_T.DVDT_QUARTER, _T.YAW_RATE), (_T.DVDT_QUARTER, _T.LATERAL_YAW),
+    (_T.FORCE_Y, _T.DVDT_LATERAL), (_T.DVDT_LATERAL, _T.DVDT_LATERAL), (_T.DVDT, _T.DVDT_LATERAL),
+    (_T.YAW_2, _T.DVDT_LATERAL), (_T.LATERAL, _T.DVDT_LATERAL),
+    (_T.LATERAL_QUARTER, _T.DVDT_LATERAL), (_T.FORCE_Z, _T.DVDT_ABS), (_T.DVDT_ABS, _T.DVDT_ABS),
+    (_T.DVDT, _T.DVDT_ABS), (_T.DVDT_2, _T.DVDT_ABS), (_T.SPEED_PITCH, _T.DVDT_ABS),
+    (_T.FORCE_Y, _T.DVDT_REMAINING), (_T.LATERAL, _T.DVDT_REMAINING),
+    (_T.LATERAL_QUARTER, _T.DVDT_REMAINING), (_T.DVDT_REMAINING, _T.DVDT_REMAINING),
+    (_T.DVDT_REMAINING, _T.YAW_2), (_T.DVDT_REMAINING, _T.DVDT_LATERAL),
+    (_T.DVDT, _T.DVDT_REMAINING), (_T.FORCE_Z, _T.DVDT_REMAINING),
+    (_T.SPEED_PITCH, _T.DVDT_REMAINING), (_T.DVDT_REMAINING, _T.DVDT_2),
+    (_T.DVDT_REMAINING, _T.DVDT_ABS), (_T.FORCE_X, _T.LATERAL_REMAINING),
+    (_T.DVDT, _T.LATERAL_REMAINING), (_T.DVDT_QUARTER, _T.LATERAL_REMAINING),
+    (_T.LATERAL_REMAINING, _T.LATERAL_REMAINING), (_T.LATERAL_REMAINING, _T.YAW_2),
+    (_T.LATERAL_REMAINING, _T.LATERAL_2), (_T.FORCE_Z, _T.LATERAL_REMAINING),
+    (_T.LATERAL, _T.LATERAL_REMAINING),
 )  # fmt: skip
 """Products in vehicle axes that the fit needs."""
 PAIR = {pair: i for i, pair in enumerate(PAIRS)} | {(j, i): k for k, (i, j) in enumerate(PAIRS)}
@@ -174,9 +243,9 @@ def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
     for column in _LATE:
         x[:, column] *= late
     if tau_turn:
-        x[:, V] *= np.exp(1j * OMEGA * tau_turn)
-    x[:, AI] = 1j * x[:, A]
-    x[:, VI] = 1j * x[:, V]
+        x[:, Measured.LATERAL] *= np.exp(1j * OMEGA * tau_turn)
+    x[:, Measured.DVDT_QUARTER] = 1j * x[:, Measured.DVDT]
+    x[:, Measured.LATERAL_QUARTER] = 1j * x[:, Measured.LATERAL]
     both = np.concatenate([x.real, x.imag], axis=1).reshape(BINS * 2, SIGNALS)
     out = np.empty((BANDS, PRODUCTS))
     for k in range(BANDS):

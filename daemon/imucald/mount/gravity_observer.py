@@ -89,8 +89,6 @@ class GravityObserver:
     def __init__(self) -> None:
         self._state: Array | None = None
         self._n = 0
-        self.bias_information = np.zeros((3, 3))
-        self.bias_score = np.zeros(3)
         self._open_information = np.zeros((3, 3))
         self._open_score = np.zeros(3)
         self._open_ticks = 0

@@ -29,6 +29,7 @@ from imucald.mount.estimate import (
     MountEstimator,
     MountState,
 )
+from imucald.mount.hysteresis import GOOD
 from imucald.mount.saved_information import SavedInformation, SavesInformation
 from imucald.mount.slewing import SlewedRotation
 
@@ -189,7 +190,7 @@ class RestoredEstimator:
 
     def _judge(self) -> None:
         """Who serves from now on."""
-        usable = self.inner.state in _GOOD
+        usable = self.inner.state in GOOD
         if usable and self.distance < AGREEMENT:
             self.phase = Phase.CONFIRMED
             self._join()

@@ -25,7 +25,7 @@ rule."""
 WITHOUT_SPEED_SHARE = 3.0
 """Without speed A r is not known: variances of rotation axes are so much larger."""
 MIN_INFORMATION = 50.0
-"""Less than this [1/rad^2], 8 deg, is not worth a piece."""
+"""Less than this [1/rad^2], 8 deg, is not worth a source."""
 
 
 @dataclass

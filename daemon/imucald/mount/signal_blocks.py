@@ -21,6 +21,7 @@ from imucald.motion.at_rest import (
     keeps_steady,
 )
 from imucald.motion.signal_health import SignalHealth
+from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S, TickRow, empty_rows
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.offsets import Offsets
@@ -236,8 +237,9 @@ class SignalBlockMaker:
         s = self._settings
         if s.steering_ratio is None or not ok_angle.any():
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
-        bend = s.steering_ratio * s.wheelbase * (1.0 + s.understeer / s.wheelbase * speed * speed)
-        return speed * (angle - self.steering_offset) / bend, ok_angle
+        steered = angle - self.steering_offset
+        turning = (s.steering_ratio, s.wheelbase, s.understeer)
+        return yaw_rate_with_understeer(speed, steered, *turning), ok_angle
 
     def _rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
         """At rest: speed zero (where there is one) and the force still."""

@@ -18,17 +18,17 @@ from imucald.core.rotations import (
 )
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount import evidence_spectra as sp
 from imucald.mount.common_errors import common_errors
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
-from imucald.mount.evidence_spectra import MEASURED, WINDOW, spectra
+from imucald.mount.evidence_spectra import MEASURED, RATE, SPEED_RATE, WINDOW, Measured, spectra
 from imucald.mount.fusion import CommonCovariance, Fused, fuse
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.prior_drives import PriorDrives
+from imucald.mount.priors import BIAS_DRIFT_STD
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import SavedInformation, named_series, saved_sources, together
 from imucald.mount.shift import NO_STEPS, SPANS, ScoreSeries, Shift, largest_change
@@ -36,14 +36,20 @@ from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
 
-_TAKEN = [sp.A2, sp.V2, sp.R2, sp.AA, sp.AV, sp.AH, sp.VH]
+_TAKEN = [
+    Measured.DVDT_2,
+    Measured.LATERAL_2,
+    Measured.YAW_2,
+    Measured.DVDT_ABS,
+    Measured.DVDT_LATERAL,
+    Measured.DVDT_REMAINING,
+    Measured.LATERAL_REMAINING,
+]
 """Terms that are not taken off the force before the vertical follows it."""
 MIN_POWER = 1e-3
 """A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
 CROSS_FALL_SHARE, SLOPE_SHARE = 1.7, 1.5
 """Superelevation, squat and leaning of the body widen the spread of slopes."""
-WARMING_STD = 0.04
-"""The bias moves by that much with temperature [m/s^2]."""
 SIGN_SURE = 0.3
 """Correlation of lateral force and turning from which forward is told from backward."""
 NO_GYRO_SHARE = 1.5
@@ -169,16 +175,16 @@ class MountSolver:
         w[:-BLOCK_TICKS] = w[BLOCK_TICKS:].copy()
         m[:-BLOCK_TICKS] = m[BLOCK_TICKS:].copy()
         w[-BLOCK_TICKS:, :3] = lone
-        w[-BLOCK_TICKS:, 3] = p.accel
-        w[-BLOCK_TICKS:, 4] = turn
+        w[-BLOCK_TICKS:, Measured.DVDT] = p.accel
+        w[-BLOCK_TICKS:, Measured.LATERAL] = turn
         rate = p.rate * p.ok_rate[:, None]
-        w[-BLOCK_TICKS:, 5:8] = rate * p.speed[:, None]
-        w[-BLOCK_TICKS:, 8:11] = rate
+        w[-BLOCK_TICKS:, SPEED_RATE] = rate * p.speed[:, None]
+        w[-BLOCK_TICKS:, RATE] = rate
         a = p.accel
         terms = np.stack([a * a, turn * turn, r * r, a * np.abs(a), a * turn, a, turn], axis=1)
         w[-BLOCK_TICKS:, _TAKEN] = self.vertical.remaining(terms, p)
-        w[-BLOCK_TICKS:, sp.AR] = a * r
-        w[-BLOCK_TICKS:, sp.VR] = turn * r
+        w[-BLOCK_TICKS:, Measured.DVDT_YAW] = a * r
+        w[-BLOCK_TICKS:, Measured.LATERAL_YAW] = turn * r
         m[-BLOCK_TICKS:] = p.learn & p.ok_speed & (not self.vertical.seeking)
         if m.sum() < 64:
             return
@@ -204,7 +210,7 @@ class MountSolver:
             return
         s = self._settings
         cross = s.accel_cross_axis_std
-        spread = math.sqrt(s.accel_bias_std**2 + WARMING_STD**2 + (GRAVITY * cross) ** 2)
+        spread = math.sqrt(s.accel_bias_std**2 + BIAS_DRIFT_STD**2 + (GRAVITY * cross) ** 2)
         bias, bias_cov = self.vertical.bias(spread)
         if not self.yaw_known:
             self._start()

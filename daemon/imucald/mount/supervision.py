@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.hysteresis import GOOD, Level, best_level
 
 Array = NDArray[np.float64]
 
@@ -101,16 +102,12 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     if not known.gravity:
         return MountState.WAITING
     roll, pitch, yaw = known.std
-    tilt = max(roll, pitch)
-    fine = SLACK if before == MountState.FINE else 1.0
-    usable = SLACK if before in {MountState.USABLE, MountState.FINE} else 1.0
-    if known.straight < NEEDED and usable == 1.0:
-        return MountState.LEVELLED
-    if yaw < fine * s.fine_std and tilt < fine * s.fine_tilt_std:
-        return MountState.FINE
-    if yaw < usable * s.usable_std and tilt < usable * s.usable_tilt_std:
-        return MountState.USABLE
-    return MountState.LEVELLED
+    enough = known.straight >= NEEDED or before in GOOD
+    levels = (
+        Level(MountState.FINE, s.fine_std, s.fine_tilt_std, enough),
+        Level(MountState.USABLE, s.usable_std, s.usable_tilt_std, enough),
+    )
+    return best_level(levels, before, yaw, max(roll, pitch), SLACK) or MountState.LEVELLED
 
 
 def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[str, Missing]]:

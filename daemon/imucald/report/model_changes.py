@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 SHOWN_ITEMS = 8
 """Longer lists (drop-outs, stretches) are told by their length: the full text has them."""
@@ -21,7 +21,7 @@ class Change:
     after: Any
 
 
-def model_changes(before: Model, after: Model) -> list[Change]:
+def model_changes(before: VehicleModel, after: VehicleModel) -> list[Change]:
     """Return every key whose value differs, in the file's order. Lists count as one value."""
     old = dict(_flat(before.dump()))
     new = dict(_flat(after.dump()))

@@ -1,7 +1,7 @@
 """What runs beside the mount calibration on the same samples.
 
-A companion takes samples one by one, in the same order live as in replay, and gives frames at ends
-of ticks. The engine knows companions only by the protocol here; `companions` has those there are.
+A consumer takes samples one by one, in the same order live as in replay, and gives frames at ends
+of ticks. The engine knows consumers only by the protocol here; `consumers` has those there are.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from typing import Any, Protocol
 
 from imucald.inputs.router import ColumnSamples, Sample
 from imucald.mount.estimate import Correction, MountEstimate
-from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.output_message import OutFrame
 
 ORDER = ("reverse", "speed", "heading", "gyro", "mag", "accel")
 """Samples of one frame are handed on in this order."""
 _RANK = {channel: rank for rank, channel in enumerate(ORDER)}
 
 
-class Companion(Protocol):
+class Consumer(Protocol):
     """Takes samples, gives frames. Pure: no I/O, no clock."""
 
     @property
@@ -50,7 +50,7 @@ class Companion(Protocol):
 
 
 def in_order(samples: Sequence[Sample]) -> Sequence[Sample]:
-    """Samples of one frame in the order companions take them."""
+    """Samples of one frame in the order consumers take them."""
     return samples if len(samples) < 2 else sorted(samples, key=lambda s: _RANK.get(s[0], 99))
 
 

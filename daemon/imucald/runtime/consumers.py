@@ -1,4 +1,4 @@
-"""The companions there are (attitude, direction of travel); imported only where one is on."""
+"""The consumers there are (attitude, direction of travel); for those that are switched on."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from imucald.core.rotations import times
 from imucald.motion.plausible import is_plausible
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import Correction, MountEstimate
-from imucald.runtime.consumer import ORDER, Companion
+from imucald.runtime.consumer import ORDER, Consumer
 from imucald.runtime.output.attitude_frames import AttitudeFrames
 from imucald.runtime.output.output_frames import OutputFrames
-from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.output.travel_frames import TravelFrames
 from imucald.travel_direction.direction import TravelDirection
 from imucald.travel_direction.settings import (
@@ -31,11 +31,11 @@ from imucald.travel_direction.settings import (
 )
 
 
-def companions_for(loaded: LoadedConfig, output: OutputFrames) -> list[Companion]:
+def consumers_for(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
     """What a configuration switches on. Raises ConfigError where an input is missing."""
     config = loaded.config
     signals = config.signals
-    found: list[Companion] = []
+    found: list[Consumer] = []
     for key, frames in (("attitude", output.attitude), ("travel_direction", output.travel)):
         if frames is not None and any(triad.z is None for triad in signals.accelerometer):
             raise loaded.error((key, "enabled"), "needs all three axes of the accelerometer")
@@ -48,17 +48,17 @@ def companions_for(loaded: LoadedConfig, output: OutputFrames) -> list[Companion
             raise loaded.error(("attitude", "filter", "heading"), "needs signals.heading")
         if source == "magnetometer" and signals.magnetometer is None:
             raise loaded.error(("attitude", "filter", "heading"), "needs signals.magnetometer")
-        found.append(AttitudeCompanion(config, output.attitude))
+        found.append(AttitudeConsumer(config, output.attitude))
     if output.travel is not None:
         if signals.magnetometer is None and signals.heading is None:
             raise loaded.error(
                 ("travel_direction", "enabled"), "needs signals.magnetometer or signals.heading"
             )
-        found.append(TravelCompanion(config, output.travel))
+        found.append(TravelConsumer(config, output.travel))
     return found
 
 
-class AttitudeCompanion:
+class AttitudeConsumer:
     """Methods B and C on the corrected samples."""
 
     channels = frozenset(ORDER)
@@ -168,7 +168,7 @@ class AttitudeCompanion:
         return {"free_acceleration_mps2": values}
 
 
-class TravelCompanion:
+class TravelConsumer:
     """Method D on the samples of a carried terminal, in its own axes."""
 
     channels = frozenset(("gyro", "mag", "heading", "accel"))

@@ -20,16 +20,16 @@ from imucald.core.rotations import times, times_columns
 from imucald.inputs.router import Routed, Router, Sample
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
-from imucald.runtime.consumer import Companion, events_of, in_order
+from imucald.runtime.consumer import Consumer, events_of, in_order
 from imucald.runtime.output.output_columns import (
     OutPart,
     corrected_count,
     merged,
 )
 from imucald.runtime.output.output_frames import STATUS_FRAMES, Health, OutputFrames
-from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.pipeline import Pipeline, Snapshot, TickCorrections
-from imucald.runtime.timebase import Piece, TimeBase
+from imucald.runtime.timebase import TimeBase, TimeSegment
 
 if TYPE_CHECKING:
     from imucald.compensation.preprocessing import Stages
@@ -57,7 +57,7 @@ class Engine:
 
     on_snapshot: called with every snapshot of the estimate (for terminals and state files).
     link_health: asked whenever a health frame is made.
-    companions: run beside, on the same samples.
+    consumers: run beside, on the same samples.
     new_estimator: makes the estimator of `restart_calibration`.
     stages: take out of the signals what a model file knows of them.
     """
@@ -70,7 +70,7 @@ class Engine:
         status_rate: int = 1,
         on_snapshot: Callable[[Snapshot], None] | None = None,
         link_health: Callable[[], LinkHealth] = LinkHealth,
-        companions: Sequence[Companion] = (),
+        consumers: Sequence[Consumer] = (),
         new_estimator: Callable[[], MountEstimator] | None = None,
         stages: Stages | None = None,
     ) -> None:
@@ -80,8 +80,8 @@ class Engine:
         evidence = None if stages is None else stages.evidence
         self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), evidence)
         self.timebase = TimeBase()
-        self.companions = tuple(companions)
-        self._accompanied = frozenset(c for one in self.companions for c in one.channels)
+        self.consumers = tuple(consumers)
+        self._consumed = frozenset(c for one in self.consumers for c in one.channels)
         self.sent = 0
         """Frames given out."""
         self._on_snapshot = on_snapshot
@@ -103,7 +103,7 @@ class Engine:
 
         stamp: reception time [s], wall clock. can_id with the flag for 29 bits.
         """
-        t, gap = self.timebase.one(stamp)
+        t, gap = self.timebase.stream_time(stamp)
         out: list[OutFrame] = []
         k = tick_index(t)
         if k > self.pipeline.k or gap:
@@ -115,7 +115,7 @@ class Engine:
         for channel in rejected:
             self.pipeline.reject(channel)
         self._count_rejections(k)
-        self._accompany(t, samples)
+        self._feed_consumers(t, samples)
         pipeline = self.pipeline
         correction = pipeline.correction
         turned: dict[str, Turned] = {}
@@ -144,40 +144,40 @@ class Engine:
         return out
 
     def _advance(self, k: int, gap: bool) -> list[OutFrame]:
-        """Close all ticks before k: status frames, then those of the companions."""
+        """Close all ticks before k: status frames, then those of the consumers."""
         pipeline = self.pipeline
         first = pipeline.k
         snapshots = pipeline.gap(k) if gap else pipeline.advance(k)
         if gap and self.stages is not None:
             self.stages.gap()
         out = self._statuses(snapshots)
-        if self.companions:
-            out += self._companion_ticks(first, k, snapshots)
+        if self.consumers:
+            out += self._consumer_ticks(first, k, snapshots)
             if gap:
-                for companion in self.companions:
-                    companion.gap()
+                for consumer in self.consumers:
+                    consumer.gap()
         return out
 
-    def _companion_ticks(
+    def _consumer_ticks(
         self, first: int, stop: int, snapshots: Sequence[Snapshot]
     ) -> list[OutFrame]:
         taken = {snapshot.k: snapshot.estimate for snapshot in snapshots}
         out: list[OutFrame] = []
         for k in range(first, stop):
-            for companion in self.companions:
+            for consumer in self.consumers:
                 if k in taken:
-                    companion.mounted(taken[k])
-                out += companion.tick(k)
+                    consumer.mounted(taken[k])
+                out += consumer.tick(k)
         return out
 
-    def _accompany(self, t: float, samples: Sequence[Sample]) -> None:
-        if not self.companions:
+    def _feed_consumers(self, t: float, samples: Sequence[Sample]) -> None:
+        if not self.consumers:
             return
         correction = self.pipeline.correction
         for channel, values in in_order(samples):
-            for companion in self.companions:
-                if channel in companion.channels:
-                    companion.sample(t, channel, values, correction)
+            for consumer in self.consumers:
+                if channel in consumer.channels:
+                    consumer.sample(t, channel, values, correction)
 
     def heartbeat(self) -> list[OutFrame]:
         """Status frames while no stream time passes: nothing was heard yet, or not for long."""
@@ -219,36 +219,36 @@ class Engine:
         """Take a chunk of frames; return the frames to send (None with keep=False)."""
         parts = [
             part
-            for piece in self.timebase.columns(frames.t)
-            for part in self._piece(piece, frames, keep)
+            for segment in self.timebase.segments(frames.t)
+            for part in self._segment(segment, frames, keep)
         ]
         if not keep:
             return None
         return merged(parts, frames)
 
-    def _piece(self, piece: Piece, frames: FrameColumns, keep: bool) -> Iterator[OutPart]:
-        base = piece.start
-        if piece.gap:
+    def _segment(self, segment: TimeSegment, frames: FrameColumns, keep: bool) -> Iterator[OutPart]:
+        base = segment.start
+        if segment.gap:
             first = self.pipeline.k
-            snapshots = self.pipeline.gap(tick_index(float(piece.t[0])))
+            snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
             if self.stages is not None:
                 self.stages.gap()
             yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
-            out = self._companion_ticks(first, self.pipeline.k, snapshots)
+            out = self._consumer_ticks(first, self.pipeline.k, snapshots)
             yield from self._frame_parts(out, base)
-            for companion in self.companions:
-                companion.gap()
-        whole = base == 0 and piece.stop == len(frames)
-        chunk = frames if whole else frames.take(slice(base, piece.stop))
-        routed = self.router.columns(piece.t, chunk)
+            for consumer in self.consumers:
+                consumer.gap()
+        whole = base == 0 and segment.stop == len(frames)
+        chunk = frames if whole else frames.take(slice(base, segment.stop))
+        routed = self.router.columns(segment.t, chunk)
         if self.stages is not None:
-            routed = self.stages.columns(routed, piece.t, self.router.rejected)
-        ticks = np.floor(piece.t * TICK_RATE).astype(np.int64)
-        times = {c: piece.t[rows] for c, rows in routed.rejected.items()}
+            routed = self.stages.columns(routed, segment.t, self.router.rejected)
+        ticks = np.floor(segment.t * TICK_RATE).astype(np.int64)
+        times = {c: segment.t[rows] for c, rows in routed.rejected.items()}
         first = self.pipeline.k
-        wanted = keep or bool(self.companions) or self._on_snapshot is not None
+        wanted = keep or bool(self.consumers) or self._on_snapshot is not None
         corrections, snapshots = self.pipeline.run(
-            routed.samples, times, float(piece.t[-1]), wanted
+            routed.samples, times, float(segment.t[-1]), wanted
         )
         if not wanted:
             self.sent += STATUS_FRAMES * self.pipeline.snapshots_due(first)
@@ -266,8 +266,8 @@ class Engine:
             if channel in routed.samples:
                 last = float(routed.samples[channel].t[-1])
                 self._watched[channel] = tick_index(last)
-        if self.companions:
-            yield from self._companion_parts(routed, corrections, snapshots, ticks, base)
+        if self.consumers:
+            yield from self._consumer_parts(routed, corrections, snapshots, ticks, base)
         if keep:
             yield from self._corrected_parts(routed, corrections, ticks, base)
         else:
@@ -312,7 +312,7 @@ class Engine:
         }
         return turned if self.stages is None else self.stages.corrected_columns(found, turned)
 
-    def _companion_parts(
+    def _consumer_parts(
         self,
         routed: Routed,
         corrections: TickCorrections,
@@ -320,7 +320,7 @@ class Engine:
         ticks: NDArray[np.int64],
         base: int,
     ) -> Iterator[OutPart]:
-        """Companions take samples one by one here too; their frames stand as status frames do."""
+        """Consumers take samples one by one here too; their frames stand as status frames do."""
         rotations: list[Correction | None] = [
             None if row[0] != row[0] else tuple(row) for row in corrections.rotations.tolist()
         ]
@@ -328,18 +328,18 @@ class Engine:
         due = {snapshot.k: snapshot for snapshot in snapshots}
 
         def close(k: int) -> Iterator[OutPart]:
-            out = self._companion_ticks(k, k + 1, [due[k]] if k in due else ())
+            out = self._consumer_ticks(k, k + 1, [due[k]] if k in due else ())
             row = base + int(np.searchsorted(ticks, k, side="right"))
             return self._frame_parts(out, row)
 
-        for row, t, channel, values in events_of(routed.samples, self._accompanied):
+        for row, t, channel, values in events_of(routed.samples, self._consumed):
             tick = int(ticks[row])
             while k < tick:
                 yield from close(k)
                 k += 1
-            for companion in self.companions:
-                if channel in companion.channels:
-                    companion.sample(t, channel, values, rotations[tick - first])
+            for consumer in self.consumers:
+                if channel in consumer.channels:
+                    consumer.sample(t, channel, values, rotations[tick - first])
         while k < int(ticks[-1]):
             yield from close(k)
             k += 1

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 from imucald.config import Config, Vehicle
 from imucald.mount.estimate import MountEstimator
+from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
 
 if TYPE_CHECKING:
@@ -21,17 +23,13 @@ _KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
 
 
 def estimator_for(config: Config, compensation: Compensation | None = None) -> MountEstimator:
-    """Return the estimator that a configuration asks for, told what its model knows."""
+    """Return the estimator that a configuration asks for, with what its model knows."""
     if config.calibration.estimator == "published":
-        from imucald.mount.method_a.estimator import PublishedEstimator  # noqa: PLC0415 - a lighter start
-
         published = published_settings(config)
         if compensation is not None:
             side = config.vehicle.driving_side
             published = compensation.published_settings(published, side, _stated(config.vehicle))
         return PublishedEstimator(published)
-    from imucald.mount.estimator import FullEstimator  # noqa: PLC0415 - a lighter start
-
     full = full_settings(config)
     if compensation is not None:
         full = compensation.full_settings(full, _stated(config.vehicle))

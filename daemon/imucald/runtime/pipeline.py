@@ -39,7 +39,7 @@ _QUALITY = {
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What the estimator said at the end of tick k."""
+    """The estimate at the end of tick k."""
 
     k: int
     estimate: MountEstimate

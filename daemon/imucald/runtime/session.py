@@ -12,7 +12,7 @@ from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
-from imucald.runtime.consumer import Companion
+from imucald.runtime.consumers import consumers_for
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.output.output_frames import OutputFrames
@@ -58,7 +58,7 @@ def make_engine(
         config.output.status_rate,
         on_snapshot,
         link_health,
-        _companions(loaded, output),
+        consumers_for(loaded, output),
         lambda: estimator_for(config, compensation),
         None if compensation is None else compensation.stages(router.channels, derived, rates),
     )
@@ -69,20 +69,12 @@ def open_compensation(loaded: LoadedConfig) -> Compensation | None:
     path, model = loaded.model_path, loaded.config.model
     if path is None or model is None:
         return None
-    from imucald.compensation import compensation_from_model  # noqa: PLC0415 - not without a model
+    from imucald.compensation import compensation_from_model  # noqa: PLC0415 - 20 ms, not without a model
 
     if not path.is_file():
         raise loaded.error(("model",), f"{path}: there is no such file")
     found = compensation_from_model(path, model.compensate_suspension)
     return found.with_speed_delay(loaded.config.calibration.speed_delay)
-
-
-def _companions(loaded: LoadedConfig, output: OutputFrames) -> Sequence[Companion]:
-    if not (loaded.config.attitude.enabled or loaded.config.travel_direction.enabled):
-        return ()
-    from imucald.runtime.consumers import companions_for  # noqa: PLC0415 - a lighter start without them
-
-    return companions_for(loaded, output)
 
 
 def _refuse_shared_ids(loaded: LoadedConfig, output: OutputFrames, inputs: list[IdMatch]) -> None:

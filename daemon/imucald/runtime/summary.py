@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.runtime.engine import Engine
-
-_DEG = 180.0 / math.pi
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ def summary(
     """
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline
-    more = dict(companion.summary() for companion in engine.companions)
+    more = dict(consumer.summary() for consumer in engine.consumers)
     if engine.stages is not None:
         more["model"] = engine.stages.summary()
     return {
@@ -64,12 +63,12 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
     """Angles, quaternion and deviations; None where there is none yet."""
     angles, quaternion, std = estimate.angles, estimate.quaternion, estimate.std
     result: dict[str, Any] = {
-        f"{name}_deg": None if angles is None else round(angles[i] * _DEG, 4)
+        f"{name}_deg": None if angles is None else round(angles[i] * DEG_PER_RAD, 4)
         for i, name in enumerate(ANGLES)
     }
     result["quaternion_wxyz"] = None if quaternion is None else [round(q, 8) for q in quaternion]
     result["std_deg"] = {
-        axis: None if std is None or not math.isfinite(std[i]) else round(std[i] * _DEG, 4)
+        axis: None if std is None or not math.isfinite(std[i]) else round(std[i] * DEG_PER_RAD, 4)
         for i, axis in enumerate("xyz")
     }
     return result

@@ -2,7 +2,7 @@
 
 Stamps are wall clock. They come a little out of order, stand still, and step when somebody sets the
 clock. Small disorder is flattened; a step (or a long hole) begins a new segment at the next tick,
-and whoever differences over time is told. A hole lasts `FORWARD_STEP` of stream time at most.
+and whoever differences over time is informed. A hole lasts `FORWARD_STEP` of stream time at most.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FORWARD_STEP = 10.0
 
 
 @dataclass(frozen=True)
-class Piece:
+class TimeSegment:
     """Rows [start, stop) of a chunk with their stream times; `gap`: a new segment begins here."""
 
     start: int
@@ -49,7 +49,7 @@ class TimeBase:
         """Stream time of the newest stamp [s]."""
         return self._now
 
-    def one(self, stamp: float) -> tuple[float, bool]:
+    def stream_time(self, stamp: float) -> tuple[float, bool]:
         """Return (stream time [s], whether a new segment begins)."""
         if not self.started:
             self.started = True
@@ -71,8 +71,8 @@ class TimeBase:
         self._now = max(self._now, self._frame + min(elapsed, FORWARD_STEP))
         return self._now
 
-    def columns(self, stamps: NDArray[np.float64]) -> Iterator[Piece]:
-        """Split a column of stamps (N,) into pieces without discontinuity, with stream times."""
+    def segments(self, stamps: NDArray[np.float64]) -> Iterator[TimeSegment]:
+        """Split a column of stamps (N,) into segments without discontinuity, with stream times."""
         start, n = 0, len(stamps)
         while start < n:
             gap = False
@@ -89,7 +89,7 @@ class TimeBase:
             t = np.maximum.accumulate(np.maximum(stamps[start:stop] - self._offset, self._now))
             self._newest = float(newest[stop - start - 1])
             self._now = self._frame = float(t[-1])
-            yield Piece(start, stop, t, gap)
+            yield TimeSegment(start, stop, t, gap)
             start = stop
 
     def _begin_segment(self, stamp: float) -> None:

@@ -17,7 +17,7 @@ from imucald.config import LoadedConfig
 from imucald.config.uds import Diagnostics
 from imucald.core.errors import ConfigError
 from imucald.runtime.engine import Engine
-from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.output_message import OutFrame
 from imucald.service.uds_host import LiveHost, RunningService
 from imucald.uds.dtc_memory import DtcMemory, DtcStatus
 from imucald.uds.identifiers import Identifier

@@ -8,9 +8,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, MountEstimate
-
-DEGREES = 57.29577951308232
 
 NOT_SAVED: dict[str, Any] = {
     "folder": None,
@@ -30,7 +29,7 @@ def status_line(estimate: MountEstimate, link: str) -> str:
     angles, std = estimate.angles, estimate.std
     if angles is not None and std is not None:
         parts += [
-            f"{name} {angle * DEGREES:+.2f} +-{2.0 * min(s * DEGREES, 180.0):.2f}"
+            f"{name} {angle * DEG_PER_RAD:+.2f} +-{2.0 * min(s * DEG_PER_RAD, 180.0):.2f}"
             for name, angle, s in zip(ANGLES, angles, std, strict=True)
         ]
     parts += [f"{name}: {text}" for name, text in list(estimate.waiting_for.items())[-1:]]

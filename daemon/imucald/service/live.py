@@ -15,7 +15,7 @@ from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.link.link import Link, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.runtime.engine import Engine, LinkHealth
-from imucald.runtime.output.sender import OutFrame
+from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.timebase import FORWARD_STEP
 
 WAIT_S = 0.05

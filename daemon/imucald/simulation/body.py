@@ -15,12 +15,12 @@ from imucald.core.samples import GRAVITY
 from imucald.model.section import Vector3
 from imucald.model.vehicle import Suspension
 from imucald.simulation.filters import Array, second_order
-from imucald.simulation.road import Attitude, Roughness
-from imucald.simulation.single_track import Handling
+from imucald.simulation.road import RoadAttitude, Roughness
+from imucald.simulation.single_track import VehicleResponse
 
 
 @dataclass(frozen=True)
-class Lean:
+class BodyAttitude:
     """Attitude of the body against the road and its rates, (N,) each [rad, rad/s]."""
 
     pitch: Array
@@ -45,7 +45,7 @@ class BodyMotion:
 
 
 def road_force(
-    speed: Array, acceleration: Array, handling: Handling, road: Attitude
+    speed: Array, acceleration: Array, handling: VehicleResponse, road: RoadAttitude
 ) -> tuple[Array, Array, Array]:
     """Specific force (a - g) of the road frame's origin, in road axes [m/s^2].
 
@@ -60,7 +60,7 @@ def road_force(
     return fx, fy, fz
 
 
-def _road_rates(handling: Handling, road: Attitude) -> tuple[Array, Array, Array, Array]:
+def _road_rates(handling: VehicleResponse, road: RoadAttitude) -> tuple[Array, Array, Array, Array]:
     """Angular rate of the road frame in its axes, and the heading rate (Euler kinematics)."""
     sin_roll, cos_roll = np.sin(road.roll), np.cos(road.roll)
     sin_pitch, cos_pitch = np.sin(road.pitch), np.cos(road.pitch)
@@ -70,13 +70,13 @@ def _road_rates(handling: Handling, road: Attitude) -> tuple[Array, Array, Array
     return p, q, handling.yaw_rate, heading_rate
 
 
-def lean(
+def suspension_attitude(
     suspension: Suspension,
     force_x: Array,
     force_y: Array,
     roughness: Roughness | None,
     rate: float,
-) -> Lean:
+) -> BodyAttitude:
     """Suspension's answer to the specific force in road axes and to the road's waves."""
     n = len(force_x)
     pitch, roll = np.zeros(n), np.zeros(n)
@@ -92,7 +92,7 @@ def lean(
         heave = roughness.heave_acceleration
     fp, zp = suspension.pitch_frequency_hz, suspension.pitch_damping
     fr, zr = suspension.roll_frequency_hz, suspension.roll_damping
-    return Lean(
+    return BodyAttitude(
         pitch=second_order(pitch, rate, fp, zp),
         roll=second_order(roll, rate, fr, zr),
         pitch_rate=second_order(pitch, rate, fp, zp, derivative=True),
@@ -103,9 +103,9 @@ def lean(
 
 def body_motion(
     force: tuple[Array, Array, Array],
-    handling: Handling,
-    road: Attitude,
-    leaning: Lean,
+    handling: VehicleResponse,
+    road: RoadAttitude,
+    body_attitude: BodyAttitude,
     lever_arm: Vector3,
     rate: float,
 ) -> BodyMotion:
@@ -115,9 +115,9 @@ def body_motion(
     """
     p, q, r, heading_rate = _road_rates(handling, road)
     fx, fy, fz = force
-    fz = fz + leaning.heave_acceleration
-    sp, cp = np.sin(leaning.pitch), np.cos(leaning.pitch)
-    sr, cr = np.sin(leaning.roll), np.cos(leaning.roll)
+    fz = fz + body_attitude.heave_acceleration
+    sp, cp = np.sin(body_attitude.pitch), np.cos(body_attitude.pitch)
+    sr, cr = np.sin(body_attitude.roll), np.cos(body_attitude.roll)
 
     def into_body(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         x, z = cp * x - sp * z, sp * x + cp * z
@@ -125,9 +125,9 @@ def body_motion(
 
     reference = into_body(fx, fy, fz)
     wx, wy, wz = into_body(p, q, r)
-    wx = wx + leaning.roll_rate
-    wy = wy + leaning.pitch_rate * cr
-    wz = wz - leaning.pitch_rate * sr
+    wx = wx + body_attitude.roll_rate
+    wy = wy + body_attitude.pitch_rate * cr
+    wz = wz - body_attitude.pitch_rate * sr
     at_sensor = reference
     if any(lever_arm):
         at_sensor = _carried(reference, (wx, wy, wz), lever_arm, rate)

@@ -12,17 +12,23 @@ from numpy.typing import NDArray
 from imucald.core.errors import ConfigError
 from imucald.core.rotations import Matrix3, angles_from_rotation, quaternion_from_rotation
 from imucald.core.samples import Samples, Series
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 from imucald.model.section import ZERO
-from imucald.simulation.body import BodyMotion, Lean, body_motion, lean, road_force
+from imucald.simulation.body import (
+    BodyAttitude,
+    BodyMotion,
+    body_motion,
+    road_force,
+    suspension_attitude,
+)
 from imucald.simulation.driver import Driving, drive_route
 from imucald.simulation.filters import Array, generator
 from imucald.simulation.imu import accel_series, gyro_series, mounts
-from imucald.simulation.road import Attitude, road_attitude, road_roughness, slope_distance
-from imucald.simulation.single_track import Handling, handle, steer_for
+from imucald.simulation.road import RoadAttitude, road_attitude, road_roughness, slope_distance
+from imucald.simulation.single_track import VehicleResponse, handle, steer_for
 from imucald.simulation.vehicle_signals import VehicleSignals
 
-SHORTEST_S = 1.0
+MIN_DURATION_S = 1.0
 MOVING_MPS = 1.0
 """Means 'while driving' are taken above this speed."""
 
@@ -98,7 +104,7 @@ class Drive:
 
     samples: Samples
     truth: Truth
-    model: Model
+    model: VehicleModel
     seed: int
 
     @property
@@ -112,14 +118,14 @@ class Drive:
         return {"seed": self.seed, **self.truth.summary(), "model": parameters}
 
 
-def simulate(model: Model, seed: int, minutes: float) -> Drive:
+def simulate(model: VehicleModel, seed: int, minutes: float) -> Drive:
     """Simulate a drive. The same model, seed and length give the same numbers.
 
     Times begin at 0; samples are in sensor axes and SI units (see `imucald.core.samples`).
     Raises ConfigError for a drive shorter than a second, or endless.
     """
     duration_s = 60.0 * minutes
-    if not SHORTEST_S <= duration_s < math.inf:
+    if not MIN_DURATION_S <= duration_s < math.inf:
         raise ConfigError(f"a drive of {minutes:g} min: at least a second, and an end, are needed")
     rate = model.grid_hz
     driving = drive_route(model.route, seed, duration_s, rate, model.chassis.friction)
@@ -128,7 +134,7 @@ def simulate(model: Model, seed: int, minutes: float) -> Drive:
     road = road_attitude(model.road, model.route, seed, passed, banked, rate)
     steer = steer_for(model.chassis, driving.speed, driving.curvature, road.roll)
     handling = handle(model.chassis, driving.speed, steer, road.roll, rate)
-    leaning, body = _body(model, seed, driving, handling, road)
+    body_attitude, body = _body(model, seed, driving, handling, road)
     heading = _heading(seed, body, rate)
     placed = mounts(model.mount)
     samples: dict[str, Series] = {}
@@ -145,22 +151,22 @@ def simulate(model: Model, seed: int, minutes: float) -> Drive:
     if model.heading.enabled:
         samples["heading"] = signals.heading(heading)
     if model.mag.enabled:
-        samples["mag"] = signals.magnetometer(heading, road, leaning, placed)
-    truth = _truth(model, driving, handling, road, leaning, body, heading)
+        samples["mag"] = signals.magnetometer(heading, road, body_attitude, placed)
+    truth = _truth(model, driving, handling, road, body_attitude, body, heading)
     return Drive(samples, truth, model, seed)
 
 
 def _body(
-    model: Model, seed: int, driving: Driving, handling: Handling, road: Attitude
-) -> tuple[Lean, BodyMotion]:
+    model: VehicleModel, seed: int, driving: Driving, handling: VehicleResponse, road: RoadAttitude
+) -> tuple[BodyAttitude, BodyMotion]:
     rate = model.grid_hz
     force = road_force(driving.speed, driving.acceleration, handling, road)
     roughness = road_roughness(
         model.road, model.chassis, model.suspension, seed, driving.speed, driving.distance, rate
     )
-    leaning = lean(model.suspension, force[0], force[1], roughness, rate)
+    body_attitude = suspension_attitude(model.suspension, force[0], force[1], roughness, rate)
     lever = model.mount.lever_arm_m if model.mount.lever_arm else ZERO
-    return leaning, body_motion(force, handling, road, leaning, lever, rate)
+    return body_attitude, body_motion(force, handling, road, body_attitude, lever, rate)
 
 
 def _heading(seed: int, body: BodyMotion, rate: float) -> Array:
@@ -170,11 +176,11 @@ def _heading(seed: int, body: BodyMotion, rate: float) -> Array:
 
 
 def _truth(
-    model: Model,
+    model: VehicleModel,
     driving: Driving,
-    handling: Handling,
-    road: Attitude,
-    leaning: Lean,
+    handling: VehicleResponse,
+    road: RoadAttitude,
+    body_attitude: BodyAttitude,
     body: BodyMotion,
     heading: Array,
 ) -> Truth:
@@ -189,8 +195,8 @@ def _truth(
         "heading": heading,
         "road_pitch": road.pitch,
         "road_roll": road.roll,
-        "body_pitch": leaning.pitch,
-        "body_roll": leaning.roll,
+        "body_pitch": body_attitude.pitch,
+        "body_roll": body_attitude.roll,
     }
     return Truth(
         mounts=tuple(mounts(model.mount)),

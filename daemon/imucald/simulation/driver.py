@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucald.core.samples import GRAVITY
-from imucald.model.vehicle import FASTEST_MPS, Route
+from imucald.model.vehicle import MAX_SPEED_MPS, DriveRoute
 from imucald.simulation.filters import Array, gauss_markov, generator, smoothed
 from imucald.simulation.route import Path, build_path
 
@@ -59,7 +59,7 @@ class Driving:
 
 
 def drive_route(
-    route: Route, seed: int, duration_s: float, rate: float, friction: float = 1.0
+    route: DriveRoute, seed: int, duration_s: float, rate: float, friction: float = 1.0
 ) -> Driving:
     """Drive a route for duration_s [s] on a grid of `rate` [Hz].
 
@@ -101,7 +101,7 @@ def _gentle(path: Path, most: float) -> Path:
 
 
 def _timed(
-    path: Path, route: Route, seed: int, duration_s: float
+    path: Path, route: DriveRoute, seed: int, duration_s: float
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return times, signed speeds, distances and curvatures of the nodes, stops doubled."""
     moving_start = route.standing_first_s <= 0.0
@@ -132,7 +132,7 @@ def _timed(
     return times, signed[order], s[order], path.curvature[order], banked[order]
 
 
-def _limits(path: Path, route: Route, seed: int) -> Array:
+def _limits(path: Path, route: DriveRoute, seed: int) -> Array:
     """Speed limit at each node [m/s]: target with the driver's wander, bends, stops."""
     rng = generator(seed, "speed_wander")
     planned = np.cumsum(path.step / path.target_mps)
@@ -140,7 +140,7 @@ def _limits(path: Path, route: Route, seed: int) -> Array:
     wander = gauss_markov(rng, n, WANDER_GRID_S, SPEED_WANDER_S)
     wander = np.interp(planned, np.arange(n) * WANDER_GRID_S, wander)
     limit = path.target_mps * np.clip(1.0 + route.speed_wander * wander, 0.6, 1.3)
-    limit = np.minimum(limit, FASTEST_MPS)
+    limit = np.minimum(limit, MAX_SPEED_MPS)
     bend = np.sqrt(path.lateral_mps2 / np.maximum(np.abs(path.curvature), 1e-6))
     result: Array = np.minimum(limit, bend)
     result[path.stop_s > 0.0] = 0.0
@@ -196,7 +196,7 @@ def _distance(t: Array, speed: Array, rate: float, node_t: Array, node_s: Array)
     return result
 
 
-def _steering_wander(route: Route, seed: int, speed: Array, rate: float) -> Array:
+def _steering_wander(route: DriveRoute, seed: int, speed: Array, rate: float) -> Array:
     """Small corrections of the driver as curvature (N,) [1/m]."""
     if route.steering_wander_mps2 == 0.0:
         return np.zeros(len(speed))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, rotation_from_angles
 from imucald.core.samples import Series
-from imucald.model.sensors import Accelerometer, Gyroscope, Temperature, Triad
+from imucald.model.sensors import Accelerometer, Gyroscope, Temperature, TriaxialSensor
 from imucald.model.vehicle import Mount
 from imucald.simulation.filters import Array, butterworth, filtered, generator
 from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
@@ -104,7 +104,9 @@ def gyro_series(
     return _finished(gyro, "gyro", temperature, timing, values, seed)
 
 
-def _sampled(triad: Triad, axes: list[Array], timing: Timing, rate: float) -> NDArray[np.float64]:
+def _sampled(
+    triad: TriaxialSensor, axes: list[Array], timing: Timing, rate: float
+) -> NDArray[np.float64]:
     if triad.lowpass_hz is not None and triad.lowpass_hz < 0.45 * rate:
         axes = [butterworth(x, rate, triad.lowpass_hz) for x in axes]
     when = timing.sampled - triad.delay_s
@@ -121,7 +123,7 @@ def turned(mount: Mounts, t: Array, vectors: NDArray[np.float64]) -> NDArray[np.
 
 
 def _finished(
-    triad: Triad,
+    triad: TriaxialSensor,
     name: str,
     temperature: Temperature,
     timing: Timing,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from imucald.core.samples import GRAVITY
-from imucald.model.model import Model, model_from_mapping
+from imucald.model.model import VehicleModel, model_from_mapping
 from imucald.model.vehicle import RouteKind
 from imucald.simulation.filters import generator
 
@@ -35,7 +35,7 @@ def random_model(
     cross_axis: float = 0.0,
     upside_down: bool | None = None,
     max_tilt_deg: float = MAX_TILT_DEG,
-) -> Model:
+) -> VehicleModel:
     """Return a model with every nuisance drawn from the seed.
 
     standing_first, upside_down: forced, or drawn (half, and one in ten). cross_axis: rms of the

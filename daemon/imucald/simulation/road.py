@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.core.samples import GRAVITY
-from imucald.model.vehicle import Chassis, Road, Route, Suspension
+from imucald.model.vehicle import Chassis, DriveRoute, Road, Suspension
 from imucald.simulation.filters import Array, bilinear, filtered, gauss_markov, generator, smoothed
 
 REFERENCE_WAVENUMBER = 0.1
 """[cycles/m] of ISO 8608."""
-SHORTEST_SLOPE_M = 7.0
+MIN_SLOPE_M = 7.0
 """Slope and cross fall are running means (twice) over such a length."""
-LONGEST_ROUGHNESS_M = 100.0
+MAX_ROUGHNESS_M = 100.0
 """Waves longer than this belong to slope and cross fall."""
-LONGEST_TILT_M = 20.0
+MAX_TILT_WAVE_M = 20.0
 """Longer waves lift both tracks alike."""
 SMOOTHER_FROM_MPS = 15.0
 """Faster roads are smoother: the density of roughness falls by 1 + (v / this)^2, and the lengths of
@@ -25,7 +25,7 @@ slopes grow by the root of that."""
 
 
 @dataclass(frozen=True)
-class Attitude:
+class RoadAttitude:
     """Attitude of the road plane, (N,) each; ISO 8855: pitch positive nose down."""
 
     pitch: Array
@@ -58,8 +58,8 @@ def slope_distance(speed: Array, rate: float) -> Array:
 
 
 def road_attitude(
-    road: Road, route: Route, seed: int, distance: Array, curve_accel: Array, rate: float
-) -> Attitude:
+    road: Road, route: DriveRoute, seed: int, distance: Array, curve_accel: Array, rate: float
+) -> RoadAttitude:
     """Slope and cross fall along a distance [m], see `slope_distance`.
 
     curve_accel: (N,) speed^2 * curvature of superelevated road [m/s^2]; 0 elsewhere.
@@ -81,13 +81,13 @@ def road_attitude(
         most = max(road.superelevation_max, 1e-9)
         fall = fall - most * np.tanh(road.superelevation * curve_accel / (GRAVITY * most))
     pitch, roll = -np.arctan(grade), np.arctan(fall)
-    return Attitude(pitch, roll, np.gradient(pitch) * rate, np.gradient(roll) * rate)
+    return RoadAttitude(pitch, roll, np.gradient(pitch) * rate, np.gradient(roll) * rate)
 
 
 def _waves(seed: int, name: str, n: int, length: float) -> Array:
     """Unit waves, one value a metre; what is shorter than a vehicle is roughness, not slope."""
     waves = gauss_markov(generator(seed, name), n, 1.0, length)
-    return smoothed(waves, 1.0, SHORTEST_SLOPE_M)
+    return smoothed(waves, 1.0, MIN_SLOPE_M)
 
 
 def _spline(x: Array, nodes: Array, values: Array) -> Array:
@@ -129,8 +129,8 @@ def road_roughness(
     across = velocity * rng.standard_normal(n) * math.sqrt(2.0)
     behind = np.maximum(distance - chassis.wheelbase_m, 0.0)
     usual = 2.0 * math.pi * max(float(np.mean(np.abs(speed))), 1.0)
-    front = _height(centre, rate, usual / LONGEST_ROUGHNESS_M)
-    tilt = _height(across, rate, usual / LONGEST_TILT_M)
+    front = _height(centre, rate, usual / MAX_ROUGHNESS_M)
+    tilt = _height(across, rate, usual / MAX_TILT_WAVE_M)
     rear = np.interp(behind, distance, front)
     tilt = 0.5 * (tilt + np.interp(behind, distance, tilt))
     return Roughness(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.model.vehicle import Route
+from imucald.model.vehicle import DriveRoute
 from imucald.simulation.filters import Array, generator
 
 FINE_STEP_M = 0.5
@@ -46,7 +46,7 @@ class Path:
 class RouteBuilder:
     """Collects pieces of road until they take long enough."""
 
-    def __init__(self, route: Route, seed: int) -> None:
+    def __init__(self, route: DriveRoute, seed: int) -> None:
         self._route = route
         self._rng = generator(seed, "route")
         self._columns: list[list[Array]] = [[] for _ in range(9)]
@@ -219,15 +219,15 @@ class RouteBuilder:
             self.stop(self.stop_time(), 14.0)
 
     def motorway(self, length: float) -> None:
-        """Add slip roads and a stretch of motorway with lane changes and slow traffic."""
+        """Add slip roads and a segment of motorway with lane changes and slow traffic."""
         near = self._near_side
         self.bend(self.uniform(45.0, 90.0), self.uniform(1.2, 3.5), 16.0, near, banked=True)
         done, cruise = 0.0, self.uniform(27.0, 34.0)
         self.straight(200.0, 24.0)
         self.lane_change(26.0, -near)
         while done < length:
-            stretch = self.uniform(300.0, 1200.0)
-            self.straight(stretch, cruise, banked=True)
+            segment = self.uniform(300.0, 1200.0)
+            self.straight(segment, cruise, banked=True)
             if self.chance(0.6):
                 self.lane_change(cruise, self.side())
             if self.chance(0.6):
@@ -236,14 +236,14 @@ class RouteBuilder:
             if self.chance(0.25):
                 slow = self.uniform(100.0, 500.0)
                 self.straight(slow, cruise * self.uniform(0.45, 0.8), banked=True)
-                stretch += slow
+                segment += slow
             cruise = float(np.clip(cruise + self.uniform(-2.5, 2.5), 25.0, 35.0))
-            done += stretch
+            done += segment
         self.lane_change(24.0, near)
         self.bend(self.uniform(45.0, 90.0), self.uniform(0.8, 2.0), 16.0, near, banked=True)
 
 
-def build_path(route: Route, seed: int, duration_s: float) -> Path | None:
+def build_path(route: DriveRoute, seed: int, duration_s: float) -> Path | None:
     """Return a path that takes at least duration_s; None for a parked vehicle."""
     builder = RouteBuilder(route, seed)
     if route.kind == "parked":
@@ -251,11 +251,11 @@ def build_path(route: Route, seed: int, duration_s: float) -> Path | None:
     if route.kind == "mixed":
         builder.straight(builder.uniform(15.0, 60.0), 8.3)
     while builder.least_time_s < duration_s or builder.is_empty:
-        _STRETCHES[route.kind](builder, route)
+        _KINDS[route.kind](builder, route)
     return builder.path()
 
 
-def _mixed(builder: RouteBuilder, _route: Route) -> None:
+def _mixed(builder: RouteBuilder, _route: DriveRoute) -> None:
     draw = builder.uniform(0.0, 1.0)
     for _ in range(round(builder.uniform(3.0, 7.0))):
         builder.city_block()
@@ -265,15 +265,15 @@ def _mixed(builder: RouteBuilder, _route: Route) -> None:
         builder.motorway(builder.uniform(2000.0, 5500.0))
 
 
-def _city(builder: RouteBuilder, _route: Route) -> None:
+def _city(builder: RouteBuilder, _route: DriveRoute) -> None:
     builder.city_block()
 
 
-def _motorway(builder: RouteBuilder, _route: Route) -> None:
+def _motorway(builder: RouteBuilder, _route: DriveRoute) -> None:
     builder.motorway(builder.uniform(20_000.0, 60_000.0))
 
 
-def _straight_only(builder: RouteBuilder, _route: Route) -> None:
+def _straight_only(builder: RouteBuilder, _route: DriveRoute) -> None:
     speed = builder.uniform(8.0, 22.0)
     builder.straight(builder.uniform(80.0, 300.0), speed)
     if builder.chance(0.4):
@@ -281,7 +281,7 @@ def _straight_only(builder: RouteBuilder, _route: Route) -> None:
     builder.stop(builder.stop_time(), speed)
 
 
-def _circles(builder: RouteBuilder, route: Route) -> None:
+def _circles(builder: RouteBuilder, route: DriveRoute) -> None:
     radius = route.circle_radius_m
     builder.piece(
         2.0 * math.pi * radius * 40.0,
@@ -290,7 +290,7 @@ def _circles(builder: RouteBuilder, route: Route) -> None:
     )
 
 
-_STRETCHES: dict[str, Callable[[RouteBuilder, Route], None]] = {
+_KINDS: dict[str, Callable[[RouteBuilder, DriveRoute], None]] = {
     "mixed": _mixed,
     "city": _city,
     "motorway": _motorway,

@@ -38,7 +38,7 @@ NEWTON_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
-class Handling:
+class VehicleResponse:
     """Response of the vehicle, (N,) each."""
 
     yaw_rate: Array
@@ -58,12 +58,14 @@ def steer_for(chassis: Chassis, speed: Array, curvature: Array, bank: Array) -> 
     return chassis.wheelbase_m * curvature + chassis.understeer_gradient * felt
 
 
-def handle(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: float) -> Handling:
+def handle(
+    chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: float
+) -> VehicleResponse:
     """Drive (speed, steer, bank), (N,) at `rate` [Hz]; speed is signed [m/s], angles in rad."""
     if not chassis.single_track:
         curvature = steer / chassis.wheelbase_m
         zero = np.zeros(len(speed))
-        return Handling(speed * curvature, zero, zero, steer)
+        return VehicleResponse(speed * curvature, zero, zero, steer)
     n, block, lead = len(speed), round(BLOCK_S * rate), round(LEAD_S * rate)
     state = np.empty((n, 2))
     for start in range(0, n, block):
@@ -76,7 +78,7 @@ def handle(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: floa
             "the simulated vehicle slides off the road: raise chassis.friction or "
             "chassis.understeer_gradient, or choose gentler bends and banks"
         )
-    return Handling(
+    return VehicleResponse(
         yaw_rate=np.ascontiguousarray(state[:, 1]),
         lateral_velocity=np.ascontiguousarray(state[:, 0]),
         lateral_velocity_rate=np.gradient(state[:, 0]) * rate,
@@ -85,7 +87,7 @@ def handle(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: floa
 
 
 def _solved(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: float) -> Array:
-    """States (N, 2) of a stretch that begins in a steady turn."""
+    """States (N, 2) of a segment that begins in a steady turn."""
     state = np.zeros((len(speed), 2))
     state[:, 1] = _steady_yaw_rate(chassis, speed, steer)
     state[:, 0] = chassis.cg_to_rear_m * state[:, 1]
@@ -106,7 +108,7 @@ def _solved(chassis: Chassis, speed: Array, steer: Array, bank: Array, rate: flo
 def _stepped(chassis: Chassis, speed: Array, steer: Array, forcing: Array, rate: float) -> Array:
     """Solve by linearly implicit Euler steps: first order, but a sliding vehicle does not stop it.
 
-    For stretches in which Newton's method finds nothing, as on ice.
+    For segments in which Newton's method finds nothing, as on ice.
     """
     state = np.zeros((len(speed), 2))
     state[0, 1] = float(_steady_yaw_rate(chassis, speed[:1], steer[:1])[0])

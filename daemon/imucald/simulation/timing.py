@@ -1,4 +1,4 @@
-"""When frames come: cycle, clock drift, lateness, losses, drop-outs, stuck values."""
+"""When frames come: cycle, clock drift, latency, losses, drop-outs, stuck values."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.model.sensors import Message
+from imucald.model.sensors import Transmission
 from imucald.simulation.filters import Array, generator
 
 SHARED_PHASE = {"accel": "imu", "gyro": "imu"}
 """Accelerometer and gyroscope are sampled by one unit, at the same moments."""
 SHARED_FRAME = dict.fromkeys(("yaw_rate", "lateral_accel", "longitudinal_accel"), "dynamics")
-"""The stability control sends its sensors in one frame: same moments, same lateness, same loss."""
+"""The stability control sends its sensors in one frame: same moments, same latency, same loss."""
 GYRO_AFTER_ACCEL_S = 0.00025
 """The gyroscope's frame follows the accelerometer's: one frame at 500 kbit/s."""
 
@@ -33,7 +33,7 @@ class Timing:
     source: NDArray[np.int64]
 
 
-def frame_timing(message: Message, name: str, seed: int, duration_s: float) -> Timing:
+def frame_timing(message: Transmission, name: str, seed: int, duration_s: float) -> Timing:
     """Draw the timing of a message over a drive."""
     frame = SHARED_FRAME.get(name, name)
     unit = SHARED_PHASE.get(name, frame)

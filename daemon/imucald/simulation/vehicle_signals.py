@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import Series
-from imucald.model.model import Model
-from imucald.model.sensors import Message, Scalar
-from imucald.simulation.body import BodyMotion, Lean
+from imucald.model.model import VehicleModel
+from imucald.model.sensors import Scalar, Transmission
+from imucald.simulation.body import BodyAttitude, BodyMotion
 from imucald.simulation.driver import Driving
 from imucald.simulation.filters import Array, butterworth, first_order, generator
 from imucald.simulation.imu import Mounts, temperature_at, turned
-from imucald.simulation.road import Attitude
-from imucald.simulation.single_track import Handling
+from imucald.simulation.road import RoadAttitude
+from imucald.simulation.single_track import VehicleResponse
 from imucald.simulation.timing import at_times, frame_timing, quantised
 
 SLIP_CYCLES_HZ = (5.0, 6.1, 4.3, 7.2)
@@ -24,7 +24,12 @@ class VehicleSignals:
     """Makes each signal of the vehicle from its motion."""
 
     def __init__(
-        self, model: Model, seed: int, driving: Driving, handling: Handling, body: BodyMotion
+        self,
+        model: VehicleModel,
+        seed: int,
+        driving: Driving,
+        handling: VehicleResponse,
+        body: BodyMotion,
     ) -> None:
         self._model, self._seed = model, seed
         self._driving, self._handling, self._body = driving, handling, body
@@ -62,13 +67,15 @@ class VehicleSignals:
         series = self._scalar("heading", self._model.heading, heading)
         return Series(series.t, np.mod(series.values, 2.0 * np.pi))
 
-    def magnetometer(self, heading: Array, road: Attitude, leaning: Lean, mount: Mounts) -> Series:
+    def magnetometer(
+        self, heading: Array, road: RoadAttitude, body_attitude: BodyAttitude, mount: Mounts
+    ) -> Series:
         """Magnetometer samples in sensor axes."""
         mag = self._model.mag
         x = mag.field_horizontal_t * np.cos(heading)
         y = mag.field_horizontal_t * np.sin(heading)
         z = np.full(len(heading), -mag.field_down_t)
-        for pitch, roll in ((road.pitch, road.roll), (leaning.pitch, leaning.roll)):
+        for pitch, roll in ((road.pitch, road.roll), (body_attitude.pitch, body_attitude.roll)):
             sp, cp, sr, cr = np.sin(pitch), np.cos(pitch), np.sin(roll), np.cos(roll)
             x, z = cp * x - sp * z, sp * x + cp * z
             y, z = cr * y + sr * z, cr * z - sr * y
@@ -80,7 +87,7 @@ class VehicleSignals:
         values = quantised(values + mag.noise_t * noise, mag.lsb)
         return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
 
-    def _sample(self, name: str, message: Message, *columns: Array) -> tuple[Array, ...]:
+    def _sample(self, name: str, message: Transmission, *columns: Array) -> tuple[Array, ...]:
         """Return stamps and the sampled columns (before loss and sticking are applied)."""
         timing = frame_timing(message, name, self._seed, self._duration)
         when = timing.sampled - message.delay_s
@@ -127,7 +134,7 @@ class VehicleSignals:
         )
 
     def _grip(self) -> list[Array | float]:
-        """Factor on each wheel's speed: 1, less in the stretches where wheels slip."""
+        """Factor on each wheel's speed: 1, less in the segments where wheels slip."""
         wheels, t = self._model.wheel_speeds, self._driving.t
         if not wheels.slip_events:
             return [1.0] * 4
@@ -148,7 +155,7 @@ class VehicleSignals:
         return Series(timing.stamp[timing.kept], values[timing.source[timing.kept]])
 
     def _flag(self, name: str, on: NDArray[np.bool_]) -> Series:
-        message: Message = getattr(self._model, name)
+        message: Transmission = getattr(self._model, name)
         t, values = self._sample(name, message, on.astype(float))
         return Series(t, np.rint(values))
 
@@ -164,5 +171,5 @@ def _rolling(
     v: Array, scale: float | Array, dead_band: float, lsb: float, noise: Array
 ) -> NDArray[np.float64]:
     """Speed signal: scale, noise while rolling, dead band, whole steps, never negative."""
-    said = np.maximum(v * (1.0 + scale) + noise, 0.0)
-    return quantised(np.where(v * (1.0 + scale) < max(dead_band, 1e-3), 0.0, said), lsb)
+    shown = np.maximum(v * (1.0 + scale) + noise, 0.0)
+    return quantised(np.where(v * (1.0 + scale) < max(dead_band, 1e-3), 0.0, shown), lsb)

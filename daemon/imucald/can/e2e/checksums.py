@@ -216,7 +216,7 @@ E2E_COUNTERS: Mapping[int, HeaderCounter] = {
 }
 """Alive counters of the AUTOSAR E2E profiles (1 and 11 leave 15 out)."""
 
-KINDS: Mapping[str, ChecksumKind] = {
+KINDS: dict[str, ChecksumKind] = {
     "xor": ChecksumKind(_in_signal(xor_checksum)),
     "crc8_j1850": ChecksumKind(_in_signal(crc8_j1850)),
     "e2e_p1": ChecksumKind(_p1, E2E_COUNTERS[1]),

@@ -6,6 +6,7 @@ length, channel) have lines of equal length, which are filled as a table and put
 
 from __future__ import annotations
 
+import gzip
 import re
 import sys
 from contextlib import suppress
@@ -139,8 +140,6 @@ def _open(name: str) -> BufferedIOBase:
         stdout: BufferedIOBase = sys.stdout.buffer  # type: ignore[assignment]
         return stdout
     if name.endswith(".gz"):
-        import gzip  # noqa: PLC0415 (seldom needed, and start-up time counts)
-
         return gzip.open(name, "wb", GZIP_LEVEL)
     return Path(name).open("wb")
 

@@ -12,7 +12,7 @@ from imucald.diagnosis.cause import Cause, Parameter, Values
 from imucald.diagnosis.forward_mount import turned_mount
 from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import State
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 KEYS = ("_mount.x", "_mount.y", "_mount.z")
 DEG = 0.017453292519943295
@@ -33,7 +33,7 @@ class MountRotation(Cause):
         if any(vector):
             s.turns.append((-math.inf, rotation_from_vector(np.negative(vector))))
 
-    def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
+    def extend(self, model: VehicleModel, p: Values, keys: Sequence[str]) -> VehicleModel:
         """Return the model with the mount turned."""
         return turned_mount(model, [p[key] for key in KEYS])
 

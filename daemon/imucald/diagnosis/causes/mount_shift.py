@@ -10,7 +10,7 @@ from imucald.core.rotations import rotation_from_vector
 from imucald.diagnosis.cause import Cause, Parameter, Values
 from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import State
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 KEYS = ("_shift.x", "_shift.y", "_shift.z")
 TIME = "_shift.t"
@@ -36,7 +36,7 @@ class MountShift(Cause):
         if any(vector):
             s.turns.append((p[TIME], rotation_from_vector(np.negative(vector))))
 
-    def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
+    def extend(self, model: VehicleModel, p: Values, keys: Sequence[str]) -> VehicleModel:
         """Return the model with one more shift."""
         shift = {
             "t_s": max(p[TIME], 0.0),

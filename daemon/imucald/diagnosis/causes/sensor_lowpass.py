@@ -12,7 +12,7 @@ from imucald.diagnosis.forward_mount import mount_of
 from imucald.diagnosis.grid import Track
 from imucald.diagnosis.result import Estimated
 from imucald.diagnosis.state import Response, State
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 NAMES = ("accel", "gyro", "yaw_rate")
 MOST_GAIN = 4.0
@@ -87,7 +87,7 @@ class SensorLowpass(Cause):
             if cutoff < 1e3:
                 s.filtered(name, s.spectrum.butterworth(cutoff))
 
-    def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
+    def extend(self, model: VehicleModel, p: Values, keys: Sequence[str]) -> VehicleModel:
         """Return the model with the lower cut-offs."""
         names = [key.removeprefix("_lowpass.") for key in keys]
         return model.with_changes(
@@ -105,7 +105,7 @@ class SensorLowpass(Cause):
         return told
 
     @staticmethod
-    def _cutoff(model: Model, name: str, p: Values) -> float:
+    def _cutoff(model: VehicleModel, name: str, p: Values) -> float:
         declared = getattr(model, name).lowpass_hz
         more = max(p.get(f"_lowpass.{name}", 0.0), 0.0)
         inverse = (0.0 if declared is None else 1.0 / declared) + more

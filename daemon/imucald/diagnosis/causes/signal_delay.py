@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from imucald.diagnosis.cause import Cause, Parameter, Values, Variant
 from imucald.diagnosis.state import State
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 INPUTS = ("speed", "steering", "yaw_rate")
 OUTPUTS = ("accel", "gyro", "lateral_accel", "longitudinal_accel", "yaw_rate")
@@ -44,7 +44,7 @@ class SignalDelay(Cause):
             if p[f"{name}.delay_s"]:
                 s.filtered(name, s.spectrum.delay(p[f"{name}.delay_s"]))
 
-    def extend(self, model: Model, p: Values, keys: Sequence[str]) -> Model:
+    def extend(self, model: VehicleModel, p: Values, keys: Sequence[str]) -> VehicleModel:
         """Return the model with the delays; what would come early makes all others late."""
         moved = {key: p[key] for key in keys}
         early = max(0.0, *(-value for value in moved.values()))

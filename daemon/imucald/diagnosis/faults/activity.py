@@ -7,7 +7,7 @@ import numpy as np
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults.fault import Array, Index, Mask, runs
 from imucald.diagnosis.forward_mount import mount_of
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 BIN_S = 0.5
 STANDING_MPS = 0.3
@@ -21,7 +21,7 @@ SLOWEST_MPS = 3.0
 """Below this a yaw rate says little about the steering."""
 
 
-def situations(name: str, samples: Samples, model: Model) -> Index:
+def situations(name: str, samples: Samples, model: VehicleModel) -> Index:
     """Return the kind of moment of each sample of a channel: (N,) small numbers."""
     series = samples[name]
     start = float(series.t[0])
@@ -73,7 +73,7 @@ def _motion(name: str, others: Samples, t: Array) -> Array:
     return np.zeros(len(t))
 
 
-def _change(name: str, others: Samples, t: Array, model: Model) -> Array:
+def _change(name: str, others: Samples, t: Array, model: VehicleModel) -> Array:
     """Size of the change that a signal should show around each moment, in any unit."""
     if name in ("speed", "wheel_speeds", "longitudinal_accel"):
         key = "wheel_speeds" if name == "speed" else "speed"
@@ -94,7 +94,7 @@ def _change(name: str, others: Samples, t: Array, model: Model) -> Array:
     return _range(turning)
 
 
-def _turning(name: str, others: Samples, t: Array, model: Model) -> Array | None:
+def _turning(name: str, others: Samples, t: Array, model: VehicleModel) -> Array | None:
     fine = _fine(t)
     for key in ("yaw_rate", "gyro", "steering"):
         if key in others:

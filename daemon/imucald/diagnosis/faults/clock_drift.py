@@ -16,7 +16,7 @@ from imucald.diagnosis.faults.cycle import Cycle
 from imucald.diagnosis.faults.fault import ACCEPT, PRIOR, Fault
 from imucald.diagnosis.faults.runoff import RunOff, run_off
 from imucald.diagnosis.result import Estimated
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 TOLERANCE_PPM = 50.0
 """What a crystal may be off."""
@@ -45,7 +45,7 @@ class _Off:
     stated: float
 
 
-def find(samples: Samples, model: Model, cycles: dict[str, Cycle]) -> list[Fault]:
+def find(samples: Samples, model: VehicleModel, cycles: dict[str, Cycle]) -> list[Fault]:
     """Return drifting clocks: the inertial unit's stamps, then cycles of all units."""
     off = [_off(name, model, cycle) for name, cycle in cycles.items()]
     off = [x for x in off if abs(x.ppm - x.stated) < UNKNOWN_PPM]
@@ -68,7 +68,7 @@ def find(samples: Samples, model: Model, cycles: dict[str, Cycle]) -> list[Fault
     return found
 
 
-def _off(name: str, model: Model, cycle: Cycle) -> _Off:
+def _off(name: str, model: VehicleModel, cycle: Cycle) -> _Off:
     message = getattr(model, name)
     ppm = 1e6 * (cycle.period_s * message.rate_hz - 1.0)
     return _Off(name, ppm, max(1e6 * cycle.std, LEAST_STD_PPM), message.clock_drift_ppm)

@@ -18,7 +18,7 @@ from imucald.diagnosis.faults.fault import (
     odds,
 )
 from imucald.diagnosis.result import Estimated
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 USUAL_LOSS = 3e-4
 """Frames that a sound bus or logger may lose one at a time."""
@@ -32,13 +32,15 @@ WITNESS_FRAMES = 3
 """So many frames of another signal should come in a hole for it to tell anything."""
 
 
-def find(samples: Samples, model: Model, cycles: dict[str, Cycle]) -> list[Fault]:
+def find(samples: Samples, model: VehicleModel, cycles: dict[str, Cycle]) -> list[Fault]:
     """Return the channels that lose frames beyond chance."""
     found = [_channel(name, samples, model, cycles) for name in cycles]
     return [fault for fault in found if fault is not None]
 
 
-def _channel(name: str, samples: Samples, model: Model, cycles: dict[str, Cycle]) -> Fault | None:
+def _channel(
+    name: str, samples: Samples, model: VehicleModel, cycles: dict[str, Cycle]
+) -> Fault | None:
     cycle, t = cycles[name], samples[name].t
     if not cycle.lost.any():
         return None

@@ -9,13 +9,13 @@ from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults import clock_drift, dropouts, saturation, stuck_signal
 from imucald.diagnosis.faults.cycle import cycle_of
 from imucald.diagnosis.faults.fault import Fault, Stretches, joined, watched
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 LONGEST_DROPOUT_LIST = 2000
 """A model file is made to be read."""
 
 
-def find_faults(samples: Samples, model: Model) -> list[Fault]:
+def find_faults(samples: Samples, model: VehicleModel) -> list[Fault]:
     """Return the faults that a drive's samples and stamps show, surest first.
 
     model: the baseline; its rates, losses and clock drifts are what is expected. Channels of less
@@ -57,7 +57,7 @@ def corrected(samples: Samples, faults: Sequence[Fault]) -> Samples:
     }
 
 
-def extend(model: Model, faults: Sequence[Fault]) -> Model:
+def extend(model: VehicleModel, faults: Sequence[Fault]) -> VehicleModel:
     """Return the model with the faults written where it has a place for them.
 
     `full_scale`, `loss` (of single frames), `dropouts`, `stuck`, `clock_drift_ppm`. A place is
@@ -69,7 +69,7 @@ def extend(model: Model, faults: Sequence[Fault]) -> Model:
     return model.with_changes(changes) if changes else model
 
 
-def _changes(model: Model, fault: Fault) -> Mapping[str, Any]:
+def _changes(model: VehicleModel, fault: Fault) -> Mapping[str, Any]:
     place = getattr(model, fault.signal)
     name = fault.signal
     gaps = [

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.faults.fault import Array, Mask
 from imucald.diagnosis.forward_mount import mount_of
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 Complex = NDArray[np.complex128]
 
@@ -50,7 +50,7 @@ class RunOff:
     against: str
 
 
-def run_off(samples: Samples, model: Model) -> RunOff | None:
+def run_off(samples: Samples, model: VehicleModel) -> RunOff | None:
     """Measure the run-off; None where the drive or its signals do not tell it."""
     R_vehicle_from_sensor = mount_of(model)
     best: RunOff | None = None

@@ -22,7 +22,7 @@ from imucald.diagnosis.faults.fault import (
     watched,
 )
 from imucald.diagnosis.result import Estimated
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 """Sensors; a speed or a steering angle has ends of its own."""
@@ -44,7 +44,7 @@ SPOILT_SHARE = 0.25
 WINDOW_S = 0.5
 
 
-def find(samples: Samples, model: Model) -> list[Fault]:
+def find(samples: Samples, model: VehicleModel) -> list[Fault]:
     """Return the sensors that sat on their rail."""
     found = [_channel(name, samples[name]) for name in watched(samples) if name in RAILED]
     return [fault for fault in found if fault is not None]

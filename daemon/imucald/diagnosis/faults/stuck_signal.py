@@ -31,7 +31,7 @@ from imucald.diagnosis.faults.fault import (
     watched,
 )
 from imucald.diagnosis.result import Estimated
-from imucald.model.model import Model
+from imucald.model.model import VehicleModel
 
 SHORTEST_S = 2.0
 """Shorter stretches do no harm."""
@@ -55,7 +55,7 @@ ALIKE = 0.2
 """if they are not far shorter than those that are clear."""
 
 
-def find(samples: Samples, model: Model, railed: frozenset[str]) -> list[Fault]:
+def find(samples: Samples, model: VehicleModel, railed: frozenset[str]) -> list[Fault]:
     """Return the channels that stood still. railed: channels that are known to saturate."""
     found: list[Fault] = []
     suspects, known = watched(samples), dict(samples)
@@ -79,7 +79,7 @@ def _without(series: Series, fault: Fault) -> Series:
     return Series(series.t[keep], series.values[keep])
 
 
-def _channel(name: str, samples: Samples, model: Model, railed: bool) -> Fault | None:
+def _channel(name: str, samples: Samples, model: VehicleModel, railed: bool) -> Fault | None:
     series = samples[name]
     same = repeats(series.values)
     first, last = runs(same)

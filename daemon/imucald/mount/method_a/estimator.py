@@ -21,6 +21,7 @@ from imucald.motion.straight import YawRateSource
 from imucald.motion.stuck import HeldForce
 from imucald.motion.ticks import ACCEL, BRAKE, LATERAL_ACCEL, REVERSE, SPEED, T, TickRow
 from imucald.mount.estimate import Correction, MountEstimate, MountState
+from imucald.mount.hysteresis import GOOD
 from imucald.mount.method_a.gate import StraightGate, WanderingOffset
 from imucald.mount.method_a.manoeuvres import (
     CombinedAngle,
@@ -297,7 +298,7 @@ class PublishedEstimator:
             manoeuvres=max(len(self._signed), len(self._unsigned)),
         )
         self._state = judged(self._known, self._state, self._settings)
-        if self._state in {MountState.USABLE, MountState.FINE} and self._target is not None:
+        if self._state in GOOD and self._target is not None:
             self._applied.aim(self._target)
 
     def _target_angle(self, level: Matrix3) -> tuple[CombinedAngle | None, bool]:

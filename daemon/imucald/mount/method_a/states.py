@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from imucald.mount.estimate import Missing, MountState
+from imucald.mount.hysteresis import Level, best_level
 from imucald.mount.method_a.levelling import Tilt
 from imucald.mount.method_a.manoeuvres import CombinedAngle
 from imucald.mount.method_a.settings import PublishedSettings
@@ -27,28 +28,25 @@ def judged(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> Mou
 
     A calibration that was usable and no longer is becomes suspect: it is still applied.
     """
-    if _within(known, s, fine=False, reached=before):
-        fine = _within(known, s, fine=True, reached=before)
-        return MountState.FINE if fine else MountState.USABLE
+    state = _good(known, before, s)
+    if state is not None:
+        return state
     if before >= MountState.USABLE:
         return MountState.SUSPECT
     return MountState.WAITING if known.tilt is None else MountState.LEVELLED
 
 
-def _within(known: TiltAndAngle, s: PublishedSettings, fine: bool, reached: MountState) -> bool:
+def _good(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> MountState | None:
     tilt, angle = known.tilt, known.angle
     if tilt is None or angle is None or not known.sign_known:
-        return False
-    if fine:
-        kept = reached == MountState.FINE
-        count, yaw_std, tilt_std = s.fine_manoeuvres, s.fine_yaw_std, s.fine_tilt_std
-    else:
-        kept = reached in {MountState.USABLE, MountState.FINE}
-        count, yaw_std, tilt_std = s.usable_manoeuvres, s.usable_yaw_std, s.usable_tilt_std
-    slack = s.hysteresis if kept else 1.0
-    return (
-        angle.manoeuvres >= count and angle.std <= yaw_std * slack and tilt.std <= tilt_std * slack
+        return None
+    n = angle.manoeuvres
+    usable = n >= s.usable_manoeuvres
+    levels = (
+        Level(MountState.FINE, s.fine_yaw_std, s.fine_tilt_std, n >= s.fine_manoeuvres and usable),
+        Level(MountState.USABLE, s.usable_yaw_std, s.usable_tilt_std, usable),
     )
+    return best_level(levels, before, angle.std, tilt.std, s.hysteresis)
 
 
 def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[str, Missing]]:

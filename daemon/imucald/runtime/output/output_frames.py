@@ -7,27 +7,24 @@ frames are the same bytes, counters included.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config import Config
+from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
-from imucald.runtime.output.sender import (
+from imucald.runtime.output.attitude_frames import AttitudeFrames
+from imucald.runtime.output.output_message import (
     NOT_AVAILABLE_SIGNED,
     NOT_AVAILABLE_UNSIGNED,
     OutFrame,
-    Sender,
+    OutputMessage,
     output_database,
 )
-
-if TYPE_CHECKING:
-    from imucald.runtime.output.attitude_frames import AttitudeFrames
-    from imucald.runtime.output.travel_frames import TravelFrames
+from imucald.runtime.output.travel_frames import TravelFrames
 
 __all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
 
@@ -36,10 +33,9 @@ STATUS_FRAMES = 3
 REJECTED_MAX = 65534
 LOST_MAX = 4094
 
-_TO_DEG = 180.0 / math.pi
 _LAYOUTS: Mapping[str, tuple[str, tuple[str, str, str], float]] = {
     "acceleration": ("IMUCALD_Acceleration", ("AccelX", "AccelY", "AccelZ"), 1.0),
-    "angular_rate": ("IMUCALD_AngularRate", ("RateX", "RateY", "RateZ"), _TO_DEG),
+    "angular_rate": ("IMUCALD_AngularRate", ("RateX", "RateY", "RateZ"), DEG_PER_RAD),
     "magnetic_field": ("IMUCALD_MagneticField", ("FieldX", "FieldY", "FieldZ"), 1e6),
 }
 """Per kind of sensor: message, signals, factor from SI to the message's unit."""
@@ -102,17 +98,17 @@ class OutputFrames:
             kinds[f"parallel/{sensor.name}"] = (sensor.kind, sensor.id)
         self.triads = tuple(kinds)
         self._checksum = output.checksum
-        self._senders = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
+        self._corrected = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
         self._factors = {c: _LAYOUTS[kind][2] for c, (kind, _) in kinds.items()}
         self._mount = self._signed("IMUCALD_Mount", ids.mount, "Mount{}", ANGLES)
-        self._deviation = Sender(
+        self._deviation = OutputMessage(
             "IMUCALD_MountDeviation",
             ("DeviationX", "DeviationY", "DeviationZ", "State"),
             ids.mount_deviation,
             output.checksum,
             {f"Deviation{a}": NOT_AVAILABLE_UNSIGNED for a in "XYZ"},
         )
-        self._health = Sender(
+        self._health = OutputMessage(
             "IMUCALD_Health",
             (
                 "State",
@@ -126,29 +122,29 @@ class OutputFrames:
             {},
         )
 
-        self.attitude = _attitude_frames(config)
-        self.travel = _travel_frames(config)
+        self.attitude = AttitudeFrames(config) if config.attitude.enabled else None
+        self.travel = TravelFrames(config) if config.travel_direction.enabled else None
 
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""
-        ids = {s.can_id for s in self._all_senders()}
+        ids = {s.can_id for s in self._all_messages()}
         for more in (self.attitude, self.travel):
             if more is not None:
                 ids |= more.can_ids
         return frozenset(ids)
 
-    def _all_senders(self) -> list[Sender]:
-        return [*self._senders.values(), self._mount, self._deviation, self._health]
+    def _all_messages(self) -> list[OutputMessage]:
+        return [*self._corrected.values(), self._mount, self._deviation, self._health]
 
     def prepare(self) -> None:
         """Compile all messages now, so that the first frame is as quick as the others."""
-        for sender in self._all_senders():
-            sender.prepare()
+        for message in self._all_messages():
+            message.prepare()
 
-    def _triad(self, kind: str, can_id: int) -> Sender:
+    def _triad(self, kind: str, can_id: int) -> OutputMessage:
         name, signals, _ = _LAYOUTS[kind]
-        return Sender(
+        return OutputMessage(
             name,
             (*signals, "Quality"),
             can_id,
@@ -156,9 +152,9 @@ class OutputFrames:
             dict.fromkeys(signals, NOT_AVAILABLE_SIGNED),
         )
 
-    def _signed(self, name: str, can_id: int, pattern: str, parts: Sequence[str]) -> Sender:
+    def _signed(self, name: str, can_id: int, pattern: str, parts: Sequence[str]) -> OutputMessage:
         signals = [pattern.format(part.capitalize()) for part in parts]
-        return Sender(
+        return OutputMessage(
             name,
             (*signals, "State"),
             can_id,
@@ -168,21 +164,21 @@ class OutputFrames:
 
     def corrected(self, channel: str, values: Sequence[float] | None, quality: int) -> OutFrame:
         """Frame of one corrected sample in SI (None: not available)."""
-        sender = self._senders[channel]
+        message = self._corrected[channel]
         if values is None:
-            return sender.frame((None, None, None, 0))
+            return message.frame((None, None, None, 0))
         factor = self._factors[channel]
         x, y, z = values
-        return sender.frame((x * factor, y * factor, z * factor, quality))
+        return message.frame((x * factor, y * factor, z * factor, quality))
 
     def corrected_columns(
         self, channel: str, values: NDArray[np.float64], quality: NDArray[np.uint8]
     ) -> tuple[int, NDArray[np.uint8]]:
         """Id and payloads (N, 8) of corrected samples (N, 3) in SI; NaN is not available."""
-        sender = self._senders[channel]
+        message = self._corrected[channel]
         factor = self._factors[channel]
         columns = [values[:, i] * factor for i in range(3)]
-        return sender.can_id, sender.columns([*columns, quality.astype(np.float64)])
+        return message.can_id, message.payloads([*columns, quality.astype(np.float64)])
 
     def status(self, estimate: MountEstimate, usable: bool, health: Health) -> list[OutFrame]:
         """The status frames for one snapshot; angles are there where they are usable."""
@@ -190,8 +186,8 @@ class OutputFrames:
         angles = estimate.angles if usable else None
         std = estimate.std if usable else None
         nothing: tuple[None, None, None] = (None, None, None)
-        angle_values = [v * _TO_DEG for v in angles] if angles else nothing
-        std_values = [min(v * _TO_DEG, 327.67) for v in std] if std else nothing
+        angle_values = [v * DEG_PER_RAD for v in angles] if angles else nothing
+        std_values = [min(v * DEG_PER_RAD, 327.67) for v in std] if std else nothing
         waiting = [int(estimate.missing.get(a, _default(estimate, a))) for a in ANGLES]
         counts = (min(health.rejected, REJECTED_MAX), min(health.lost, LOST_MAX))
         return [
@@ -199,22 +195,6 @@ class OutputFrames:
             self._deviation.frame((*std_values, state)),
             self._health.frame((state, *waiting, *map(float, health.flags), *counts)),
         ]
-
-
-def _attitude_frames(config: Config) -> AttitudeFrames | None:
-    if not config.attitude.enabled:
-        return None
-    from imucald.runtime.output.attitude_frames import AttitudeFrames  # noqa: PLC0415 - a lighter start without
-
-    return AttitudeFrames(config)
-
-
-def _travel_frames(config: Config) -> TravelFrames | None:
-    if not config.travel_direction.enabled:
-        return None
-    from imucald.runtime.output.travel_frames import TravelFrames  # noqa: PLC0415 - a lighter start without
-
-    return TravelFrames(config)
 
 
 def _default(estimate: MountEstimate, angle: str) -> Missing:

@@ -37,7 +37,7 @@ def output_database() -> Database:
     return load_database_text(text, "dbc", "imucald_out.dbc")
 
 
-class Sender:
+class OutputMessage:
     """Makes the frames of one message; a value that does not fit is sent as not available.
 
     message: its name in `output_database`. not_available: raw value by signal name.
@@ -82,7 +82,7 @@ class Sender:
         """Frame of one set of values, in the message's units; None is not available."""
         return self.can_id, self._protector.protect(self._plan.encode(values))
 
-    def columns(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.uint8]:
+    def payloads(self, columns: Sequence[NDArray[np.float64]]) -> NDArray[np.uint8]:
         """Payloads (N, length) of columns (N,); NaN is not available."""
         return self._protector.protect_columns(self._plan.encode_columns(columns))
 

@@ -1,0 +1,1 @@
+"""Is what is sent ever good and wrong? Run with python -m benchmarks.integrity."""

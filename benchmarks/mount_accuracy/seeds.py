@@ -1,0 +1,41 @@
+"""Seeds: which drives each part is made of, and which ones the estimator was tuned on.
+
+A figure counts only on drives that nothing was chosen by. docs/mount-accuracy.md says what was
+looked at when; seeds that become tuning seeds are added here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+FIRST_SEED = 400_000
+"""Nothing was tuned or looked at from here on."""
+
+TUNING_SEEDS = (
+    range(0, 401),
+    range(7200, 7320),
+    range(8000, 8480),
+    range(8500, 8620),
+    range(9000, 9794),
+    range(12000, 12060),
+    range(40000, 40620),
+    range(41000, 41100),
+    range(42000, 42120),
+    range(43000, 43060),
+    range(45000, 45040),
+    range(46000, 46040),
+    range(53000, 53150),
+    range(70000, 70240),
+    range(140000, 140150),
+    range(141000, 141200),
+    range(142000, 142160),
+    range(143000, 143080),
+)
+
+SHIFTS_AT, SHIFTS_APART, BOUND_AT, LONG_AT, QUIET_AT = 300, 100, 1200, 2000, 3000
+"""Where the seeds of each part begin, after the first; seeds between two kinds of shift."""
+
+
+def tuned_on(seeds: Iterable[int]) -> list[int]:
+    """Those of the seeds that the estimator was tuned on."""
+    return [seed for seed in seeds if any(seed in tuned for tuned in TUNING_SEEDS)]

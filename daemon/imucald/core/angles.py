@@ -1,0 +1,14 @@
+"""Degrees and radians: the factor, once. Inside the package angles are radians.
+
+`math.degrees`, `math.radians`, `np.rad2deg` and `np.deg2rad` multiply by the same doubles.
+"""
+
+from __future__ import annotations
+
+import math
+
+RAD_PER_DEG = math.pi / 180.0
+"""One degree [rad]."""
+
+DEG_PER_RAD = 180.0 / math.pi
+"""One radian [deg]."""

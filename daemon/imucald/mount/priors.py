@@ -1,0 +1,60 @@
+"""What the full estimator takes for granted before any data: figures of sensors, roads, vehicles.
+
+Every one is a promise that the intervals rest on, so each says where it comes from. None may come
+from the simulation alone, which also judges the estimator: its generator (`simulation`) draws from
+the same sources, and where a figure was fitted to simulated errors it says so, with the command.
+What a user can set (accelerometer bias, crown, cross-axis error) has its reason in `config`.
+"""
+
+from __future__ import annotations
+
+# The sensor. "Typical" values of MEMS data sheets are one standard deviation (Bosch Sensortec).
+
+ACCEL_BIAS_STD = 0.0981
+"""Zero error per axis [m/s^2]: 10 mg, of a unit whose offset was set at the end of its line. Bare
+consumer parts state 20 mg (LSM6DSO, BMI270) to 40 mg (BMI160, LSM6DSL) typical after soldering:
+such a sensor wants `calibration.accelerometer_bias: 0.2` to `0.4`."""
+ACCEL_SCALE_STD = 0.003
+"""Scale error per axis (part). Data sheets state 0.4 % (BMI270) to 1 % (LSM6DSO) typical of bare
+parts; a unit that was set at the end of its line is taken to be a little better. Half of it turns
+into a tilt (`common_errors`): 0.08 deg."""
+GYRO_MISALIGNMENT_STD = 0.002
+"""Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
+Calibrated units state 0.05 deg from axis to axis (ADIS16470), bare parts 1 % of cross-axis."""
+BIAS_DRIFT_STD = 0.04
+"""The zero error moves by that much while the sensor warms up [m/s^2], 4 mg: 0.1 mg/K typical
+(LSM6DSO; others state up to ten times that) times 40 K from a cold start."""
+BIAS_FLOOR_STD = 0.002
+"""What wandering leaves in the direction of gravity over a drive [rad]: 2 mg, a half of the above
+that no mean over the drive follows."""
+
+# The road.
+
+SLOPE_STD = 0.02
+"""Slope along, and about its mean across (tangent), rms. Rolling terrain is designed with grades
+up to 3 to 5 % and normal cross slopes of 1.5 to 2 % with 4 to 8 % in bends (AASHTO, A Policy on
+Geometric Design, ch. 3 and 4); gravity in measured drives differs by 0.7 to 3 deg (1.2 to 5 %) from
+one stop to the next."""
+SLOPE_LENGTH = 200.0
+"""Distance over which a slope forgets itself [m]: vertical curves at 50 to 100 km/h are 60 to 400 m
+long (AASHTO, sag and crest curves for 2 to 4 % of change)."""
+
+# The vehicle.
+
+UNDERSTEER = 0.0025
+"""K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]: 1.4 deg/g, a passenger car
+(Gillespie, Fundamentals of Vehicle Dynamics, ch. 6: some 1 to 4 deg/g)."""
+PITCHING_STD = 0.0014
+"""Pitch that squat and dive leave in dv/dt [rad]. Their gradients differ, as anti-dive and
+anti-squat geometry do, by some tenths of their size of 1 to 2 deg/g (0.002 to 0.004 rad/(m/s^2));
+times 1 m/s^2 of usual braking. The simulation draws the same difference."""
+
+# What is left over; fitted to the errors of simulated drives.
+
+SIDESLIP_STD = 0.0014
+"""What sideslip and body roll leave in the yaw from turns [rad]: chosen on simulated drives by
+`python -m benchmarks.mount_accuracy --only accuracy` (seeds of tuning, docs/mount-accuracy.md).
+Sideslip at 2 m/s^2 is of the order of 0.01 rad; the even part that averages out is not in it."""
+YAW_FLOOR_STD = 0.0007
+"""Both kinds of yaw stay off by that much [rad]: chosen on simulated drives of 4 h, by
+`python -m benchmarks.mount_accuracy --only long`."""
