@@ -31,14 +31,16 @@ from benchmarks.attitude_methods import (
 from benchmarks.measured import DATA, EXAMPLES, verdict
 from imucald.attitude.filter import AttitudeFilter
 from imucald.attitude.sensor_check import find_rests, six_parameters
-from imucald.attitude.settings import AttitudeSettings
 from imucald.config import load_config
+from imucald.config.attitude import AttitudeSettings, FilterSettings
 from imucald.core.samples import GRAVITY
 from imucald.model.model import VehicleModel
-from imucald.runtime.consumers import attitude_settings
 from imucald.simulation.drive import simulate
 from imucald.simulation.filters import generator
 
+ACCEL_BIAS = 0.098
+"""Accelerometer bias of the simulated drives, and what the filter is told of it [m/s^2]."""
+SETTINGS = AttitudeSettings(filter=FilterSettings(accel_random=ACCEL_BIAS))
 WARM_S = 60.0
 """Errors count from here on [s]: everybody has started."""
 MOVING = 1.0
@@ -59,7 +61,7 @@ def ins() -> bool:
         print("the measured data is not here: left out")
         return True
     events, truth, _ = kingston()
-    settings = attitude_settings(load_config(EXAMPLES / "kingston_2008.yaml").config)
+    settings = load_config(EXAMPLES / "kingston_2008.yaml").config.attitude
     both, _ = filtered(events, settings)
     tracks: dict[str, Track] = {
         "(a) accelerometer": accelerometer_only(events),
@@ -106,7 +108,7 @@ def drive_of(seed: int, kind: str, minutes: float = MINUTES) -> tuple[list[Event
     The gyroscope's error walks by DRIFT in five minutes; the presets allow for twice that.
     """
     rng = np.random.default_rng(seed)
-    c = AttitudeSettings().filter
+    c = SETTINGS.filter
     bias = c.gyro_start * rng.standard_normal(3)
     walk = math.radians(DRIFT) / math.sqrt(300.0)
     model = VehicleModel().with_changes(
@@ -114,7 +116,7 @@ def drive_of(seed: int, kind: str, minutes: float = MINUTES) -> tuple[list[Event
             "route.kind": kind,
             "gyro.bias": tuple(bias.tolist()),
             "gyro.bias_walk": walk,
-            "accel.bias": tuple((c.accel_random * rng.standard_normal(3)).tolist()),
+            "accel.bias": tuple((ACCEL_BIAS * rng.standard_normal(3)).tolist()),
             "accel.bias_walk": ACCEL_WALK,
             "gyro.scale": tuple((c.gyro_scale * rng.standard_normal(3)).tolist()),
             "gyro.cross_axis": tuple((c.gyro_scale * rng.standard_normal(6)).tolist()),
@@ -140,7 +142,7 @@ def drives() -> bool:
     for seed in range(1, RUNS + 1):
         kind = ("mixed", "city", "motorway")[seed % 3]
         events, truth, bias = drive_of(seed, kind)
-        attitude = AttitudeFilter()
+        attitude = AttitudeFilter(SETTINGS)
         found: list[tuple[float, ...]] = []
         at_300: list[Array] = []
 
@@ -198,8 +200,8 @@ def turn() -> bool:
         events += [(at, "gyro", gyro[i].tolist()), (at, "accel", accel[i].tolist())]
     turning = t > 52.0
     largest = {}
-    b_only = compensated(events, AttitudeSettings())
-    both, _ = filtered(events, AttitudeSettings())
+    b_only = compensated(events, SETTINGS)
+    both, _ = filtered(events, SETTINGS)
     for name, track in (
         ("accelerometer", accelerometer_only(events)),
         ("B", b_only),
@@ -224,7 +226,7 @@ def parked() -> bool:
     }
     events, truth = simulated(simulate(VehicleModel().with_changes(changes), 5, 60.0))
     raw = accelerometer_only(events)
-    both, _ = filtered(events, AttitudeSettings())
+    both, _ = filtered(events, SETTINGS)
 
     def drift(of: Track) -> Array:
         """Mean of the last five minutes less that of minutes 5 to 10 [deg]."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmarks.attitude_drives import Event, angles_of, feed
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.filter import AttitudeFilter
-from imucald.attitude.settings import AttitudeSettings
+from imucald.config.attitude import AttitudeSettings
 
 Array = NDArray[np.float64]
 

@@ -29,6 +29,7 @@ from benchmarks.measured import ROOT
 from imucald.compensation import Compensation, compensation_from_model
 from imucald.compensation.trial import corrected_drive, corrected_with
 from imucald.compensation.truth_error import drive_errors
+from imucald.config.network import VehicleSettings
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
@@ -136,9 +137,12 @@ def errors(drive: Drive, effect: Effect, compensation: Compensation | None) -> n
     samples = {c: s for c, s in drive.samples.items() if c not in effect.without}
     chassis = drive.model.chassis
     settings = EstimatorSettings(
-        driving_side=drive.model.route.driving_side,
-        steering_ratio=chassis.steering_ratio,
-        wheelbase=chassis.wheelbase_m,
+        vehicle=VehicleSettings(
+            driving_side=drive.model.route.driving_side,
+            steering_ratio=chassis.steering_ratio,
+            wheelbase=chassis.wheelbase_m,
+        ),
+        uses_steering=True,
     )
     truth = drive.truth
     R = truth.R_vehicle_from_sensor()

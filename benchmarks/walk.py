@@ -24,10 +24,10 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from gait import CARRYINGS, Walk, walk
 from imucald.can.logs.log_reader import LogReader
+from imucald.config.attitude import TravelDirectionSettings
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.session import open_config
 from imucald.travel_direction.direction import Step, TravelDirection
-from imucald.travel_direction.settings import TravelSettings
 
 SPEEDS = (0.9, 1.3, 1.7)
 SEEDS = (1, 2)
@@ -41,7 +41,7 @@ METHODS = ("compass", "tilt", "correlation", "published", "alternative")
 
 def steps_of(events: Iterable[tuple[str, float, Sequence[float]]]) -> list[Step]:
     """Feed samples in order; return the steps."""
-    travel = TravelDirection(TravelSettings())
+    travel = TravelDirection(TravelDirectionSettings())
     steps: list[Step] = []
     for channel, t, values in events:
         if channel == "gyro":

@@ -17,6 +17,7 @@ import yaml
 from imucald import cli
 from imucald.check import Check
 from imucald.config import Config, json_schema, load_config, parse_config
+from imucald.config.base import Settings
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountState
@@ -61,48 +62,53 @@ SECTIONS = {
     "ModelFile": "model",
     "OutputIds": "ids",
     "SecurityAccess": "security",
+    "StateLimits": "states",
     "StaticTest": "static",
     "StraightMotion": "straight",
     "TargetAngle": "target_angle",
+    "Alternative": "alternative",
+    "Step": "steps",
     "TravelDirection": "travel_direction",
     "Wheels": "wheel_speeds",
 }
-"""Where a model's heading is not its name."""
+"""Where a heading is not the name of its settings."""
 
 
-Model = msgspec.Struct
+def heading_of(settings: type[Settings]) -> str:
+    name = settings.__name__.removesuffix("Settings")
+    return SECTIONS.get(name, name.lower())
 
 
-def models(model: type[Model]) -> Iterator[type[Model]]:
-    yield model
-    for field in msgspec.structs.fields(model):
+def settings_in(kind: type[Settings]) -> Iterator[type[Settings]]:
+    yield kind
+    for field in msgspec.structs.fields(kind):
         for part in parts(field.type):
-            yield from models(part)
+            yield from settings_in(part)
 
 
-def parts(annotation: Any) -> Iterator[type[Model]]:
-    if isinstance(annotation, type) and issubclass(annotation, Model):
+def parts(annotation: Any) -> Iterator[type[Settings]]:
+    if isinstance(annotation, type) and issubclass(annotation, Settings):
         yield annotation
     for argument in get_args(annotation):
         yield from parts(argument)
 
 
-ALL_MODELS = sorted(set(models(Config)), key=lambda m: m.__name__)
+ALL_SETTINGS = sorted(set(settings_in(Config)), key=lambda m: m.__name__)
 
 
-@pytest.mark.parametrize("model", ALL_MODELS, ids=lambda m: m.__name__)
-def test_every_key_is_documented_with_its_default(model: type[Model]) -> None:
-    heading = SECTIONS.get(model.__name__, model.__name__.lower())
+@pytest.mark.parametrize("kind", ALL_SETTINGS, ids=lambda m: m.__name__)
+def test_every_key_is_documented_with_its_default(kind: type[Settings]) -> None:
+    heading = heading_of(kind)
     rows = tables(DOCS / "configuration.md")[heading]
-    fields = msgspec.structs.fields(model)
+    fields = msgspec.structs.fields(kind)
     assert list(rows) == [field.name for field in fields], "the same keys in the same order"
     for field in fields:
         name = field.name
         said = rows[name][0].strip("`")
         if field.required:
             assert said == "required", name
-        elif isinstance(field.default, Model):
-            assert said == "presets", name
+        elif isinstance(field.default, Settings):
+            assert said == "defaults", name
         elif field.default not in (None, (), msgspec.NODEFAULT):
             value = yaml.safe_load(said)
             default = list(field.default) if isinstance(field.default, tuple) else field.default
@@ -113,13 +119,13 @@ def test_every_key_is_documented_with_its_default(model: type[Model]) -> None:
 
 
 def test_there_is_no_key_that_does_not_exist() -> None:
-    headings = {SECTIONS.get(m.__name__, m.__name__.lower()) for m in ALL_MODELS}
+    headings = {heading_of(m) for m in ALL_SETTINGS}
     assert set(tables(DOCS / "configuration.md")) == headings
 
 
 def test_the_schema_carries_descriptions() -> None:
     schema = json.loads(json_schema())
-    source = schema["$defs"]["Source"]["properties"]
+    source = schema["$defs"]["SourceSettings"]["properties"]
     assert "unit in the database" in source["unit"]["description"]
 
 
@@ -242,8 +248,8 @@ def test_the_limits_of_usable_and_fine_are_those_of_the_configuration() -> None:
     text = (DOCS / "output-frames.md").read_text()
     full = full_settings(load_config(ROOT / "config" / "imucald.yaml").config)
     for name, yaw_std, tilt_std in (
-        ("usable", full.usable_std, full.usable_tilt_std),
-        ("fine", full.fine_std, full.fine_tilt_std),
+        ("usable", full.limits.usable_yaw, full.limits.usable_tilt),
+        ("fine", full.limits.fine_yaw, full.limits.fine_tilt),
     ):
         yaw, tilt = (round(math.degrees(std), 6) for std in (yaw_std, tilt_std))
         assert f"for *{name}* (yaw {yaw} deg, tilt {tilt} deg" in text
@@ -313,4 +319,4 @@ def test_links_and_named_files_exist(page: Path) -> None:
         headings = re.findall(r"^#+ (.*)$", other.read_text(), re.M)
         assert anchor in {h.lower().replace(" ", "-") for h in headings}
     for path in re.findall(r"`((?:config|dbc|docs|\.ci)/[\w./-]*)`", text):
-        assert (ROOT / path).exists(), path
+        assert (ROOT / path).exists() or (ROOT / "daemon" / "imucald" / path).exists(), path

@@ -64,23 +64,13 @@ MIN_BODY_LINES = 6
 """A function body of so many lines must not stand twice."""
 
 KNOWN: Mapping[str, set[str]] = {
-    "room": {
-        "config.attitude -> attitude.settings",
-        "config.attitude -> travel_direction.settings",
-        "config.calibration -> mount.estimator_settings",
-        "config.calibration -> mount.method_a.settings",
-    },
+    "room": set(),
     "circle": {
         "diagnosis.bent <-> diagnosis.contest <-> diagnosis.search <-> diagnosis.shifts",
     },
     "class": {
-        "Checksum: can.e2e.crc, config.network",
-        "Compensation: compensation.compensation, config.attitude",
         "Cycle: diagnosis.faults.cycle, travel_direction.cycles",
-        "Database: can.dbc.database, config.network",
         "RoadGrade: attitude.grade, diagnosis.causes.road_grade",
-        "Source: check.source, config.signals",
-        "TravelDirection: config.attitude, travel_direction.direction",
     },
     "function": set(),
     "import in a function": set(),

@@ -24,7 +24,7 @@ import numpy as np
 
 from benchmarks.measured import ROOT, verdict
 from benchmarks.mount_accuracy.bound import error_and_bound
-from benchmarks.mount_accuracy.drives import Trace, drive, driven, estimators, run
+from benchmarks.mount_accuracy.drives import FULL, Trace, drive, driven, estimators, run
 from benchmarks.mount_accuracy.seeds import (
     BOUND_AT,
     FIRST_SEED,
@@ -106,7 +106,7 @@ def accuracy(size: Size) -> list[str]:
 def step_cost(size: Size) -> list[str]:
     """Median and largest processor time of one step."""
     made = drive(size.first, max(size.times))
-    estimator = FullEstimator()
+    estimator = FullEstimator(FULL)
     times = []
     for row in made.rows.tolist():
         began = time.perf_counter_ns()
@@ -125,7 +125,7 @@ def long_drives(size: Size) -> list[str]:
     errors = []
     for seed in range(size.first + LONG_AT, size.first + LONG_AT + size.long_drives):
         made = drive(seed, size.long_minutes)
-        trace = run(FullEstimator(), made, [size.long_minutes])
+        trace = run(FullEstimator(FULL), made, [size.long_minutes])
         errors.append(trace.said[size.long_minutes].error)
         progress(f"long drive {seed - size.first - LONG_AT + 1} of {size.long_drives}")
     _, p90 = quantiles(np.array(errors)[:, 1])
@@ -170,7 +170,7 @@ def shifts(size: Size) -> list[str]:
             start = float(rng.uniform(900.0, 1200.0))
             change = {"t_s": start, f"{axis}_deg": degrees * float(rng.choice([-1.0, 1.0]))}
             made = drive(seed, 26.0, {"mount.shifts": [change]})
-            found = [t for t in run(FullEstimator(), made, []).bad_at if t > start]
+            found = [t for t in run(FullEstimator(FULL), made, []).bad_at if t > start]
             at = found[0] if found else np.inf
             after.append((driven(made, start, at) if found else np.inf, at - start))
             progress(f"shift {axis} {degrees:g} deg: {k + 1} of {n}")
@@ -188,7 +188,7 @@ def false_alarms(size: Size) -> list[str]:
     alarms = doubts = 0
     for k in range(size.quiet_drives):
         seed = size.first + QUIET_AT + k
-        estimator = FullEstimator()
+        estimator = FullEstimator(FULL)
         bad = run(estimator, drive(seed, size.quiet_minutes), []).bad_at
         reported = estimator.estimate().details["shifts"]
         assert isinstance(reported, list)

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from benchmarks.mount_accuracy.drives import Drive, run
+from benchmarks.mount_accuracy.drives import FULL, Drive, run
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimator import FullEstimator
 from imucald.simulation import random_model, simulate
@@ -69,5 +69,5 @@ def error_and_bound(seed: int, minutes: float) -> tuple[float, float]:
     bound = math.degrees(math.sqrt(float(np.linalg.inv(information)[2, 2])))
     rows = ticks_from_samples(made.samples, 0, int(minutes * 600))
     R = truth.R_vehicle_from_sensor()
-    said = run(FullEstimator(), Drive(seed, rows, R, 0.0), [minutes]).said
+    said = run(FullEstimator(FULL), Drive(seed, rows, R, 0.0), [minutes]).said
     return float(said[minutes].error[2]), bound

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.config.calibration import CalibrationSettings
+from imucald.config.network import VehicleSettings
 from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import ticks_from_samples
@@ -21,6 +23,7 @@ from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.method_a.estimator import PublishedEstimator
+from imucald.mount.method_a.settings import PublishedSettings
 from imucald.simulation import random_model, simulate
 
 Array = NDArray[np.float64]
@@ -84,6 +87,16 @@ class Said:
     shares: Mapping[str, Mapping[str, float]]
 
 
+KEEPS_RIGHT = VehicleSettings(driving_side="right")
+FULL = EstimatorSettings(vehicle=KEEPS_RIGHT)
+"""The full estimator knows on which side traffic keeps, as the configuration would say."""
+METHOD_A = PublishedSettings(
+    CalibrationSettings(accelerometer_bias=0.098),
+    VehicleSettings(crown_percent=0.0, crown_spread_percent=1.34),
+)
+"""Method A does not: the crown is noise to it."""
+
+
 @dataclass
 class Trace:
     """A run over a drive: what was said at the asked times, and when it became usable."""
@@ -97,8 +110,8 @@ class Trace:
 
 def estimators(cross_axis: float = 0.0) -> dict[str, MountEstimator]:
     """Both estimators, new."""
-    settings = EstimatorSettings(accel_cross_axis_std=cross_axis)
-    return {"full": FullEstimator(settings), "published": PublishedEstimator()}
+    settings = EstimatorSettings(CalibrationSettings(cross_axis=cross_axis), KEEPS_RIGHT)
+    return {"full": FullEstimator(settings), "published": PublishedEstimator(METHOD_A)}
 
 
 def run(estimator: MountEstimator, made: Drive, minutes: Sequence[float]) -> Trace:
@@ -155,7 +168,7 @@ def _said(estimator: MountEstimator, made: Drive) -> Said | None:
     if R is None or std is None:
         return None
     error = np.degrees(vector_from_rotation(made.R_vehicle_from_sensor @ R.T))
-    expected = EstimatorSettings().crown if isinstance(estimator, FullEstimator) else 0.0
+    expected = KEEPS_RIGHT.crown_mean if isinstance(estimator, FullEstimator) else 0.0
     turned = rotation_from_vector([made.crown - expected, 0.0, 0.0]) @ made.R_vehicle_from_sensor
     beyond = float(np.degrees(vector_from_rotation(turned @ R.T))[0])
     shares = estimate.details.get("evidence_share", {})

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import AttitudeState
 from imucald.attitude.filter import AttitudeFilter
-from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
+from imucald.config.attitude import AttitudeSettings, CompensationSettings, FilterSettings
 from imucald.core.rotations import rotation_from_angles
 
 G = 9.80665
@@ -21,7 +21,8 @@ DEG = math.pi / 180.0
 
 def settings(compensation=None, **of_filter) -> AttitudeSettings:
     return AttitudeSettings(
-        CompensationSettings(**(compensation or {})), FilterSettings(**of_filter)
+        compensation=CompensationSettings(**(compensation or {})),
+        filter=FilterSettings(**of_filter),
     )
 
 
@@ -264,7 +265,7 @@ def test_heading_follows_the_magnetometer_on_a_slope():
     def mag(attitude, i, t):
         attitude.mag(t, field.tolist())
 
-    use = settings(heading="magnetometer", declination=declination)
+    use = settings(heading="magnetometer", declination_deg=math.degrees(declination))
     e = motion.feed(AttitudeFilter(use), extra=mag)[-1]
     assert e.heading == pytest.approx(math.radians(73.0), abs=0.5 * DEG)
 

@@ -16,7 +16,6 @@ from imucald.can.logs.log_reader import LogReader
 from imucald.config import load_config
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.consumer import events_of
-from imucald.runtime.consumers import attitude_settings
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data" / "kingston_2008"
@@ -51,7 +50,7 @@ def truth(R):
 def test_the_filter_follows_the_ins():
     loaded = load_config(ROOT / "config" / "examples" / "kingston_2008.yaml")
     router, R = compile_router(loaded), mount()
-    attitude = AttitudeFilter(attitude_settings(loaded.config))
+    attitude = AttitudeFilter(loaded.config.attitude)
     known = truth(R)
     errors, inside, k = [], [], 0
     for chunk in LogReader([DATA / "drive.log.gz"], router.matches):

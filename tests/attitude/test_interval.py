@@ -12,7 +12,7 @@ from imucald.attitude.endpoints import KnotMaker
 from imucald.attitude.grade import RoadGrade
 from imucald.attitude.interval import Knot, along_body, interval
 from imucald.attitude.propagation import HISTORY_S, Propagator
-from imucald.attitude.settings import CompensationSettings
+from imucald.config.attitude import CompensationSettings
 
 G = 9.80665
 RATE = 200.0

@@ -15,7 +15,7 @@ from imucald.attitude.motion_compensation import (
     SpeedAverager,
     deflection,
 )
-from imucald.attitude.settings import CompensationSettings
+from imucald.config.attitude import CompensationSettings
 
 G = 9.80665
 UP = np.array([0.0, 0.0, G])

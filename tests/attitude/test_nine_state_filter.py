@@ -11,9 +11,13 @@ from scipy.stats import chi2
 
 from imucald.attitude.kalman import STATES, YAW_STD_MAX, NineStateFilter
 from imucald.attitude.right_forward_up import from_vector, rows
-from imucald.attitude.settings import FilterSettings
+from imucald.config.attitude import FilterSettings
+from imucald.config.calibration import CalibrationSettings
 
 G = 9.80665
+
+
+BIAS = CalibrationSettings().accelerometer_bias
 
 
 def started(**changes) -> NineStateFilter:
@@ -43,7 +47,7 @@ def test_time_update_is_the_models_transition():
     assert noise == pytest.approx(np.diag(np.diag(noise)), abs=1e-12)
     assert np.all(np.diag(noise) > 0.0)
     assert noise[3, 3] == pytest.approx(2.0 * s.gyro_random**2 * dt / s.gyro_random_time)
-    expected = s.accel_random**2 * (1.0 - math.exp(-2.0 * dt / s.accel_random_time))
+    expected = BIAS**2 * (1.0 - math.exp(-2.0 * dt / s.accel_random_time))
     assert noise[6, 6] == pytest.approx(expected)
 
 
@@ -99,9 +103,7 @@ def test_errors_are_as_large_as_it_says():
     for _ in range(runs):
         kalman = NineStateFilter(s)
         kalman.start(tilt, tilt, gyro)
-        x = np.concatenate(
-            [rng.normal(0, tilt, 3), rng.normal(0, gyro, 3), rng.normal(0, s.accel_random, 3)]
-        )
+        x = np.concatenate([rng.normal(0, tilt, 3), rng.normal(0, gyro, 3), rng.normal(0, BIAS, 3)])
         for k in range(steps):
             C = rows(from_vector(0.1 * math.sin(0.1 * k), 0.0, 0.05 * k))
             R = np.array(C).reshape(3, 3)
@@ -110,7 +112,7 @@ def test_errors_are_as_large_as_it_says():
             x[0:3] += -R @ (x[3:6] - kalman.bias) * dt
             x[0:3] += rng.normal(0, s.gyro_noise * math.sqrt(dt), 3)
             x[3:6] += rng.normal(0, s.gyro_random * math.sqrt(2 * dt / s.gyro_random_time), 3)
-            x[6:9] = keep * x[6:9] + rng.normal(0, s.accel_random * math.sqrt(1 - keep**2), 3)
+            x[6:9] = keep * x[6:9] + rng.normal(0, BIAS * math.sqrt(1 - keep**2), 3)
             kalman.predict(C, dt, 0.0)
             # the filter has fed its estimate back: errors are what is left of the state
             left = x - np.concatenate([np.zeros(3), kalman.bias, kalman.accel_error])

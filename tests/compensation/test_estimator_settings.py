@@ -40,8 +40,10 @@ def full(text: str):
 def test_crown_chassis_and_delays_come_from_the_model():
     found = full("vehicle: {driving_side: left}")
     assert found.crown == pytest.approx(-0.02)
-    assert found.crown_std == pytest.approx(0.0065), "the spread is the configuration's"
-    assert (found.wheelbase, found.steering_ratio, found.track) == (3.1, 17.0, 1.7)
+    assert found.vehicle.crown_std == pytest.approx(0.0065), "the spread is the configuration's"
+    assert found.uses_steering
+    vehicle = found.vehicle
+    assert (vehicle.wheelbase, vehicle.steering_ratio, vehicle.track) == (3.1, 17.0, 1.7)
     assert found.understeer == 0.004
     assert found.delays["speed"].mean == 0.0, "its ticks are brought together"
     assert found.delays["speed"].std < EstimatorSettings().delays["speed"].std
@@ -66,8 +68,8 @@ def test_roads_that_a_model_says_are_rough_come_from_it():
 def test_what_the_configuration_says_counts():
     found = full("vehicle: {driving_side: right, crown_percent: 0.5, wheelbase: 2.9}")
     assert found.crown == pytest.approx(0.005)
-    assert found.wheelbase == 2.9
-    assert found.steering_ratio == 17.0
+    assert found.vehicle.wheelbase == 2.9
+    assert found.vehicle.steering_ratio == 17.0
 
 
 def test_an_unknown_side_of_the_road_stays_unknown():
@@ -80,8 +82,8 @@ def test_method_a_is_told_the_same():
     )
     settings = estimator_for(config.config, compensation_from_model(MODEL))._settings
     assert settings.crown == pytest.approx(0.02)
-    assert settings.speed_delay == 0.0
-    assert (settings.wheelbase, settings.steering_ratio) == (3.1, 17.0)
+    assert settings.calibration.speed_delay == 0.0
+    assert (settings.vehicle.wheelbase, settings.vehicle.steering_ratio) == (3.1, 17.0)
 
 
 def test_a_configured_speed_delay_counts_more_than_the_models(tmp_path):

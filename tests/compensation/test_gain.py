@@ -14,8 +14,8 @@ import pytest
 from imucald.compensation import Compensation, compensation_from_model
 from imucald.compensation.trial import CorrectedDrive, corrected_drive, corrected_with
 from imucald.compensation.truth_error import DriveErrors, drive_errors, true_signals
-from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
+from mount_settings import full
 
 SEEDS = (31, 32)
 MINUTES = 8.0
@@ -38,7 +38,7 @@ def driven(seed: int, changes) -> Drive:
 
 def corrected(drive: Drive, compensation: Compensation | None) -> CorrectedDrive:
     side = drive.model.route.driving_side
-    return corrected_drive(drive.samples, compensation, EstimatorSettings(driving_side=side))
+    return corrected_drive(drive.samples, compensation, full(vehicle={"driving_side": side}))
 
 
 def before_and_after(changes, seeds, own_mount=True) -> tuple[list[DriveErrors], ...]:

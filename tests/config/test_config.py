@@ -150,7 +150,7 @@ def test_files_that_are_none_are_told(tmp_path):
 def test_the_schema_describes_every_key():
     schema = json.loads(json_schema())
     assert set(schema["properties"]) == set(Config.__struct_fields__)
-    assert "Source" in schema["$defs"]
+    assert "SourceSettings" in schema["$defs"]
 
 
 @given(st.text(max_size=200))

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imucald.config.calibration import StaticTestSettings
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Series
 from imucald.motion.standstill import (
     CONFIRM_TICKS,
     StandstillDetector,
-    StaticTestSettings,
     is_static,
     static_windows,
 )
@@ -55,7 +55,7 @@ def test_windows_of_a_preset_number_of_samples_are_judged_apart() -> None:
 
 
 def test_standstill_is_found_after_the_window_and_its_mean_is_right() -> None:
-    detector = StandstillDetector(StaticTestSettings(seconds=2.0))
+    detector = StandstillDetector(StaticTestSettings(duration=2.0))
     rows = rest_ticks(2.0, 0.1)
     assert windows(detector, rows, None) == []
     assert detector.still
@@ -66,7 +66,7 @@ def test_standstill_is_found_after_the_window_and_its_mean_is_right() -> None:
 
 
 def test_a_window_followed_at_once_by_motion_does_not_count() -> None:
-    detector = StandstillDetector(StaticTestSettings(seconds=2.0))
+    detector = StandstillDetector(StaticTestSettings(duration=2.0))
     assert windows(detector, rest_ticks(2.0, 0.1), True) == []
     for row in rest_ticks(0.1 * (CONFIRM_TICKS - 1), 0.1):
         assert detector.step(row, True) is None
@@ -89,8 +89,8 @@ def test_a_smooth_road_is_no_standstill_when_speed_says_so() -> None:
 
 
 def test_too_few_samples_make_no_window() -> None:
-    presets = StaticTestSettings(count=300, seconds=2.0)
-    found = windows(StandstillDetector(presets), rest_ticks(8.0, 0.1), None)
+    settings = StaticTestSettings(samples=300, duration=2.0)
+    found = windows(StandstillDetector(settings), rest_ticks(8.0, 0.1), None)
     assert [w.samples for w in found] == [300.0], "six seconds at 50 Hz, and no more"
 
 

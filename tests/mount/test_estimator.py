@@ -18,6 +18,7 @@ from imucald.mount.estimator import SLEW_RATE, FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
+from mount_settings import full
 
 SEED = 41
 MINUTES = 8.0
@@ -36,7 +37,7 @@ def rows(seed: int = SEED, minutes: float = MINUTES) -> NDArray[np.float64]:
 
 
 def after(ticks: NDArray[np.float64], settings: EstimatorSettings | None = None) -> FullEstimator:
-    estimator = FullEstimator(settings)
+    estimator = FullEstimator(settings or full())
     for row in ticks.tolist():
         estimator.step(row)
     return estimator
@@ -112,7 +113,7 @@ def test_the_same_ticks_give_the_same_bits():
 
 
 def test_nothing_is_applied_before_usable_and_then_it_turns_slowly():
-    estimator = FullEstimator()
+    estimator = FullEstimator(full())
     last = None
     changed = 0
     for row in rows(minutes=5.0).tolist():
@@ -130,7 +131,7 @@ def test_nothing_is_applied_before_usable_and_then_it_turns_slowly():
 
 
 def test_the_states_come_in_order_and_say_what_is_missing():
-    estimator = FullEstimator()
+    estimator = FullEstimator(full())
     seen: list[MountState] = []
     reasons: list[str] = []
     for k, row in enumerate(rows().tolist()):
@@ -172,7 +173,7 @@ def test_the_delay_of_the_speed_is_found():
 
 
 def test_a_configured_delay_is_taken():
-    settings = EstimatorSettings(delays={"speed": DelayPrior(0.4, 0.0)})
+    settings = full(delays={"speed": DelayPrior(0.4, 0.0)})
     estimate = after(rows(minutes=5.0), settings).estimate()
     assert estimate.details["speed_delay"] == 0.4
 
@@ -186,9 +187,9 @@ def test_without_gyro_the_yaw_rate_of_the_vehicle_serves():
 def test_without_any_yaw_rate_the_steering_stands_in():
     ticks = without(without_gyro(rows()), tk.YAW_RATE.n, tk.YAW_RATE.mean, tk.YAW_RATE.mean)
     chassis = drive().model.chassis
-    settings = EstimatorSettings(
-        steering_ratio=chassis.steering_ratio,
-        wheelbase=chassis.wheelbase_m,
+    settings = full(
+        vehicle={"steering_ratio": chassis.steering_ratio, "wheelbase": chassis.wheelbase_m},
+        uses_steering=True,
         understeer=chassis.understeer_gradient,
     )
     estimator = after(ticks, settings)
@@ -303,7 +304,7 @@ def test_a_gyroscope_stuck_on_the_way_to_a_stop_gives_no_bias():
 @pytest.mark.parametrize("seconds", [30, 120])
 @pytest.mark.parametrize("lost", [[tk.SPEED.n], [tk.GYRO.n], [tk.ACCEL.n, tk.GYRO.n]])
 def test_signals_that_are_lost_for_a_while_make_no_shift(lost, seconds):
-    estimator = FullEstimator()
+    estimator = FullEstimator(full())
     ticks = rows(minutes=20.0).copy()
     for first in (4200, 6600, 9000):
         ticks[first : first + 10 * seconds, lost] = 0.0
@@ -328,7 +329,7 @@ def test_numbers_that_are_none_do_no_harm():
 
 
 def test_a_gap_joins_nothing():
-    estimator = FullEstimator()
+    estimator = FullEstimator(full())
     ticks = rows()
     for row in ticks[:2400].tolist():
         estimator.step(row)
@@ -350,7 +351,7 @@ def test_speed_stuck_at_zero_does_not_teach_a_gyro_bias():
 
 
 def test_two_times_the_cross_axis_error_widens_the_interval():
-    wide = after(rows(minutes=5.0), EstimatorSettings(accel_cross_axis_std=0.01)).estimate()
+    wide = after(rows(minutes=5.0), full({"cross_axis": 0.01})).estimate()
     plain = after(rows(minutes=5.0)).estimate()
     assert wide.std is not None
     assert plain.std is not None
@@ -366,7 +367,7 @@ def test_a_known_lever_arm_does_not_turn_the_mount(seed):
         ticks = ticks_from_samples(made.samples, 0, int(MINUTES * 600))
         found[name] = after(ticks).estimate().R_vehicle_from_sensor
         if name == "far":
-            known = after(ticks, EstimatorSettings(lever_arm=arm))
+            known = after(ticks, full(lever_arm=arm))
             found["known"] = known.estimate().R_vehicle_from_sensor
 
     def turned(name: str) -> float:
@@ -389,10 +390,10 @@ def test_a_speed_stuck_while_driving_is_not_learnt_from():
 
 def test_the_crown_is_prior_and_in_the_interval():
     right = usual().estimate()
-    left = after(rows(), EstimatorSettings(driving_side="left")).estimate()
+    left = after(rows(), full(vehicle={"driving_side": "left"})).estimate()
     assert right.R_vehicle_from_sensor is not None
     assert left.R_vehicle_from_sensor is not None
     apart = vector_from_rotation(left.R_vehicle_from_sensor @ right.R_vehicle_from_sensor.T)
-    assert apart[0] == pytest.approx(2 * EstimatorSettings().crown, abs=1e-6)
+    assert apart[0] == pytest.approx(2 * full().crown, abs=1e-6)
     assert right.std is not None
-    assert right.std[0] > EstimatorSettings().crown_std
+    assert right.std[0] > full().vehicle.crown_std

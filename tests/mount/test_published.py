@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +14,20 @@ from imucald.motion.ticks import ACCEL, BRAKE, REVERSE, SPEED, T
 from imucald.mount.estimate import Missing, MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
+from mount_settings import published
 from published_drive import Drive, mount_error_deg
 
 MOUNT = Rotation.from_euler("ZYX", [2.2, 0.25, -0.3])
 Rows = Sequence[Sequence[float]]
+
+
+AS_PUBLISHED = published(
+    static={"average_stops": False},
+    straight={"lateral_limit": 0.0},
+    target={"subtract_lateral": False, "remove_offset_after": 0.0},
+    wander_speed=0.0,
+)
+"""Without what goes beyond the publication."""
 
 
 def run(rows: Rows, settings: PublishedSettings | None = None) -> MountEstimate:
@@ -86,7 +95,7 @@ def test_an_accelerometer_alone_among_turns_does_not_claim_what_it_lacks() -> No
     ("recogniser", "left_in"), [("steering", "steering"), ("yaw_rate", "gyro"), ("consistency", "")]
 )
 def test_a_recogniser_that_is_configured_alone_decides_alone(recogniser: str, left_in: str) -> None:
-    settings = PublishedSettings(recognisers=(recogniser,))
+    settings = published(straight={"recognise_by": (recogniser,)})
     drive = Drive(minutes=8, seed=2, mount=MOUNT)
     out = {"gyro", "yaw_rate", "steering", "brake"} - {left_in}
     assert abs(error_deg(run(drive.ticks(*out), settings))[2]) < 3.0
@@ -114,7 +123,7 @@ def test_circles_never_give_a_yaw() -> None:
 def test_an_unresolved_sign_is_never_usable_and_is_said() -> None:
     estimate = run(
         Drive(minutes=8, seed=4, mount=MOUNT).ticks("speed", "brake"),
-        PublishedSettings(sign_sources=("brake",)),
+        published(target={"sign_from": ("brake",)}),
     )
     assert estimate.state == MountState.LEVELLED
     assert estimate.missing["yaw"] == Missing.DIRECTION_OF_TRAVEL
@@ -128,7 +137,7 @@ def test_coarse_slow_and_late_speed_is_enough() -> None:
     )
     ticks = late.ticks("yaw_rate", "steering", "brake")
     for told in (0.0, 0.4):
-        estimate = run(ticks, PublishedSettings(speed_delay=told))
+        estimate = run(ticks, published({"speed_delay": told}))
         assert estimate.state >= MountState.USABLE
         assert abs(error_deg(estimate)[2]) < 1.5
 
@@ -243,7 +252,7 @@ def test_a_stuck_accelerometer_teaches_nothing(rows: Rows) -> None:
 
 
 def test_saturated_samples_are_left_out(rows: Rows) -> None:
-    settings = PublishedSettings(accel_range=8.0)  # gravity alone is close to full scale
+    settings = published({"accelerometer_range": 8.0})  # gravity alone is close to full scale
     assert run(rows, settings).details["manoeuvres"] == 0
 
 
@@ -277,7 +286,7 @@ def test_as_published_works_and_the_additions_make_it_better() -> None:
     plain, full = [], []
     for seed in range(4):
         ticks = Drive(minutes=8, seed=seed, mount=MOUNT).ticks("yaw_rate", "steering", "brake")
-        plain.append(error_deg(run(ticks, PublishedSettings().as_published())))
+        plain.append(error_deg(run(ticks, AS_PUBLISHED)))
         full.append(error_deg(run(ticks)))
     rms_plain, rms_full = (np.sqrt(np.mean(np.square(e), axis=0)) for e in (plain, full))
     assert rms_plain[2] < 3.0
@@ -287,7 +296,8 @@ def test_as_published_works_and_the_additions_make_it_better() -> None:
 
 def test_a_known_crown_is_taken_off_the_roll(rows: Rows) -> None:
     plain = run(rows)
-    leaning = run(rows, replace(PublishedSettings(), crown=0.012, crown_std=0.006))
+    leaning_right = {"driving_side": "right", "crown_percent": 1.2, "crown_spread_percent": 0.6}
+    leaning = run(rows, published(vehicle=leaning_right))
     assert plain.R_vehicle_from_sensor is not None
     assert leaning.R_vehicle_from_sensor is not None
     turn = leaning.R_vehicle_from_sensor @ plain.R_vehicle_from_sensor.T

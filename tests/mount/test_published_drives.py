@@ -14,6 +14,7 @@ from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
+from mount_settings import published
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 SCALES = {0x200: ("accel", 0.002), 0x201: ("gyro", math.radians(0.02))}
@@ -74,7 +75,7 @@ def test_circles_as_measured_never_give_a_usable_yaw() -> None:
 
 
 def test_a_hill_without_a_gyro_gives_the_yaw_and_does_not_overstate_it() -> None:
-    estimate = run(rows_of("quat_orient_21"), PublishedSettings(speed_delay=0.3))
+    estimate = run(rows_of("quat_orient_21"), published({"speed_delay": 0.3}))
     assert estimate.angles is not None
     assert estimate.std is not None
     assert abs(math.degrees(estimate.angles[2])) < 4.0

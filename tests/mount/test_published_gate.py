@@ -15,6 +15,7 @@ from imucald.mount.estimate import MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.gate import StraightGate, WanderingOffset
 from imucald.mount.method_a.settings import PublishedSettings
+from mount_settings import published
 from published_drive import Drive, mount_error_deg
 
 NAN = math.nan
@@ -37,7 +38,7 @@ def straight(
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_the_steering_angle_decides_where_it_is_preferred(side: float) -> None:
-    settings = PublishedSettings(recognisers=("steering",), steering_limit=10.0 * DEG)
+    settings = published(straight={"recognise_by": ("steering",), "steering_limit_deg": 10.0})
     assert straight(settings, interval(), steering=side * 9.9 * DEG)
     assert not straight(settings, interval(), steering=side * 10.1 * DEG)
     assert not straight(settings, interval()), "nothing recognises it"
@@ -47,8 +48,12 @@ def test_the_steering_angle_decides_where_it_is_preferred(side: float) -> None:
 def test_the_yaw_rate_has_a_narrower_limit_where_no_gate_on_v_r_stands_beside_it(
     side: float,
 ) -> None:
-    settings = PublishedSettings(
-        recognisers=("yaw_rate",), yaw_rate_limit=2.0 * DEG, yaw_rate_limit_without_speed=1.0 * DEG
+    settings = published(
+        straight={
+            "recognise_by": ("yaw_rate",),
+            "yaw_rate_limit_deg_s": 2.0,
+            "yaw_rate_limit_without_speed_deg_s": 1.0,
+        }
     )
     assert straight(settings, interval(10.0, side * 1.9 * DEG))
     assert not straight(settings, interval(10.0, side * 2.1 * DEG))
@@ -61,7 +66,7 @@ def test_the_yaw_rate_has_a_narrower_limit_where_no_gate_on_v_r_stands_beside_it
 def test_lateral_acceleration_must_be_small_whatever_recognises(
     recogniser: str, side: float
 ) -> None:
-    settings = PublishedSettings(recognisers=(recogniser,), lateral_limit=0.6)
+    settings = published(straight={"recognise_by": (recogniser,), "lateral_limit": 0.6})
     fast = interval(30.0, side * 1.3 * DEG)  # 0.68 m/s^2
     slow = interval(25.0, side * 1.3 * DEG)  # 0.57 m/s^2
     assert not straight(settings, fast, steering=0.0)
@@ -73,11 +78,11 @@ def test_lateral_acceleration_must_be_small_whatever_recognises(
 def test_the_vehicles_own_lateral_acceleration_stands_in_where_v_r_is_not_known(
     side: float,
 ) -> None:
-    settings = PublishedSettings(recognisers=("steering",), lateral_limit=0.6)
+    settings = published(straight={"recognise_by": ("steering",), "lateral_limit": 0.6})
     assert straight(settings, interval(), steering=0.0, own_lateral=side * 0.5)
     assert not straight(settings, interval(), steering=0.0, own_lateral=side * 0.7)
     assert straight(settings, interval(20.0, 0.0), steering=0.0, own_lateral=side * 0.7), "v r is 0"
-    without = PublishedSettings(recognisers=("steering",), lateral_limit=0.0)
+    without = published(straight={"recognise_by": ("steering",), "lateral_limit": 0.0})
     assert straight(without, interval(), steering=0.0, own_lateral=side * 5.0)
 
 
@@ -94,7 +99,7 @@ class Bent(Drive):
 
 def errors(subtract: bool) -> Iterator[float]:
     mount = Rotation.from_euler("ZYX", [1.1, 0.2, -0.1])
-    settings = PublishedSettings(subtract_lateral=subtract)
+    settings = published(target={"subtract_lateral": subtract})
     for seed in range(3):
         drive = Bent(minutes=8, seed=seed, mount=mount, turns=False, slope_deg=0.3)
         estimator = PublishedEstimator(settings)
@@ -115,7 +120,7 @@ def test_the_brake_switch_alone_tells_the_sign() -> None:
     drive = Drive(minutes=8, seed=4, mount=mount, turns=False)
     found = []
     for leave_out in (("speed", "gyro", "yaw_rate", "steering"), ("speed", "gyro", "brake")):
-        estimator = PublishedEstimator(PublishedSettings(sign_sources=("brake",)))
+        estimator = PublishedEstimator(published(target={"sign_from": ("brake",)}))
         for row in drive.ticks(*leave_out):
             estimator.step(row)
         found.append(estimator.estimate())

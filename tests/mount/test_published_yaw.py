@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imucald.core.errors import EstimateError
-from imucald.motion.standstill import StaticTestSettings
-from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.yaw import (
     combined_angle,
     combined_axis,
@@ -23,11 +20,12 @@ from imucald.mount.method_a.yaw import (
     target_angles,
     with_sign,
 )
+from mount_settings import published
 from published_drive import mount_error_deg
 
 G = 9.80665
 ANGLE = st.floats(-math.pi, math.pi)
-PLAIN = PublishedSettings(static=StaticTestSettings(count=50))
+PLAIN = published(static={"samples": 50})
 
 
 def recording(mount: Rotation) -> dict[str, np.ndarray]:
@@ -65,11 +63,15 @@ def test_any_mount_is_found_exactly_and_the_correction_restores_vehicle_axes(
 def test_window_consistency_alone_leaves_the_bend_out() -> None:
     mount = Rotation.from_euler("ZYX", [2.0, 0.3, -0.4])
     drive = recording(mount)
-    presets = replace(PLAIN, consistency_window=20, consistency_spread=0.05)
-    found = solve_published(drive["accel"], presets, drive["accelerating"])
+    narrow = published(
+        static={"samples": 50}, straight={"consistency_window": 20, "consistency_range_deg": 3.0}
+    )
+    found = solve_published(drive["accel"], narrow, drive["accelerating"])
     assert abs(mount_error_deg(found.R_vehicle_from_sensor, mount)[2]) < 0.3
     # A spread as wide as the circle lets the bend in, and it shows: the gate is what keeps it out.
-    open_gate = replace(presets, consistency_spread=7.0)
+    open_gate = published(
+        static={"samples": 50}, straight={"consistency_window": 20, "consistency_range_deg": 400.0}
+    )
     worse = solve_published(drive["accel"], open_gate, drive["accelerating"])
     assert abs(mount_error_deg(worse.R_vehicle_from_sensor, mount)[2]) > 2.0
 
@@ -112,7 +114,7 @@ def test_an_axis_ignores_the_sign() -> None:
 def test_the_preferred_recogniser_with_a_signal_decides() -> None:
     angles = np.zeros(20)
     turning, straight = np.full(20, 1.0), np.zeros(20)
-    both = replace(PLAIN, recognisers=("steering", "yaw_rate"))
+    both = published(straight={"recognise_by": ("steering", "yaw_rate")})
     assert straight_samples(angles, both, straight, turning).all()
     assert not straight_samples(angles, both, turning, straight).any()
     assert straight_samples(angles, both, None, straight).all()

@@ -14,6 +14,7 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.shift import NO_STEPS, UNEVEN_STD, ScoreSeries, largest_change
 from imucald.mount.supervision import SLACK, Manoeuvres, MountKnowledge, judged, waiting_for
 from imucald.simulation import random_model, simulate
+from mount_settings import full
 
 SETTINGS = EstimatorSettings()
 DEG = math.radians(1.0)
@@ -39,7 +40,7 @@ def test_a_small_standard_deviation_without_manoeuvres_is_not_believed():
 
 @pytest.mark.parametrize(
     ("state", "limit"),
-    [(MountState.USABLE, SETTINGS.usable_std), (MountState.FINE, SETTINGS.fine_std)],
+    [(MountState.USABLE, SETTINGS.limits.usable_yaw), (MountState.FINE, SETTINGS.limits.fine_yaw)],
 )
 def test_a_state_is_left_only_well_beyond_its_limit(state, limit):
     just_over = known(math.degrees(limit) * (SLACK - 0.05))
@@ -215,7 +216,7 @@ def test_a_moved_sensor_is_suspect_then_found_again():
     shift = {"t_s": start, "yaw_deg": 5.0}
     model = random_model(seed, standing_first=True).with_changes({"mount.shifts": [shift]})
     made = simulate(model, seed, 14.0)
-    estimator = FullEstimator()
+    estimator = FullEstimator(full())
     states: list[tuple[float, MountState]] = []
     served = None
     for row in ticks_from_samples(made.samples, 0, 8400).tolist():

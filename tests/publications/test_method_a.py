@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,6 +22,7 @@ from imucald.mount.method_a.yaw import (
     target_angles,
     with_sign,
 )
+from mount_settings import published
 from publications import method_a as text
 from publications.recordings import recording
 from published_drive import Drive, mount_error_deg
@@ -140,16 +140,16 @@ def test_a_whole_recording_is_solved_as_by_the_claims(name: str) -> None:
     samples = drive.samples()
     accel = samples["accel"].values
     t, _, a, _ = drive.motion()
-    settings = PublishedSettings().as_published()
-    J = accel[: settings.static.count].mean(axis=0)
-    assert text.is_static(accel[: settings.static.count], settings.static.thresholds)
+    settings = published(straight={"recognise_by": ("consistency",)})
+    static, straight = settings.calibration.static, settings.calibration.straight
+    J = accel[: static.samples].mean(axis=0)
+    assert text.is_static(accel[: static.samples], static.threshold)
     angles = text.group_angles(accel, J)
     usable = text.straight_by_agreement(
-        angles, settings.consistency_window, settings.consistency_spread
+        angles, straight.consistency_window, straight.consistency_range
     )
-    R, lam = text.solve(accel, J, usable, a > 0.0, settings.min_speed_change)
-    by_agreement = replace(settings, recognisers=("consistency",))
-    found = solve_published(accel, by_agreement, a > 0.0)
+    R, lam = text.solve(accel, J, usable, a > 0.0, straight.min_speed_change)
+    found = solve_published(accel, settings, a > 0.0)
     assert found.R_vehicle_from_sensor == pytest.approx(R, abs=1e-9)
     assert math.remainder(found.target_angle - lam, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
     assert len(t) == len(accel)
@@ -159,17 +159,23 @@ def test_a_whole_recording_is_solved_as_by_the_claims(name: str) -> None:
 
 NAMES = ("level", "upside down", "pitched 85", "leaning")
 PLACES = {
-    "steering": (("gyro", "yaw_rate"), {"recognisers": ("steering",)}),
-    "yaw rate of the vehicle": (("gyro", "steering"), {"recognisers": ("yaw_rate",)}),
-    "gyroscope": (("yaw_rate", "steering"), {"recognisers": ("yaw_rate",)}),
-    "agreement": (("gyro", "yaw_rate", "steering"), {"recognisers": ("consistency",)}),
-    "sign by speed": (("brake",), {"sign_sources": ("speed",)}),
-    "sign by brake": (("speed",), {"sign_sources": ("brake",)}),
-    "sign by turns": (("speed", "brake"), {"sign_sources": ("turn",)}),
-    "sign by first motion": (("speed", "brake"), {"sign_sources": ("first_motion",)}),
-    "last stop decides": ((), {"average_stops": False}),
-    "offset stays": ((), {"remove_offset_after": 0.0}),
-    "v r stays": ((), {"subtract_lateral": False}),
+    "steering": (("gyro", "yaw_rate"), {"straight": {"recognise_by": ("steering",)}}),
+    "yaw rate of the vehicle": (
+        ("gyro", "steering"),
+        {"straight": {"recognise_by": ("yaw_rate",)}},
+    ),
+    "gyroscope": (("yaw_rate", "steering"), {"straight": {"recognise_by": ("yaw_rate",)}}),
+    "agreement": (
+        ("gyro", "yaw_rate", "steering"),
+        {"straight": {"recognise_by": ("consistency",)}},
+    ),
+    "sign by speed": (("brake",), {"target": {"sign_from": ("speed",)}}),
+    "sign by brake": (("speed",), {"target": {"sign_from": ("brake",)}}),
+    "sign by turns": (("speed", "brake"), {"target": {"sign_from": ("turn",)}}),
+    "sign by first motion": (("speed", "brake"), {"target": {"sign_from": ("first_motion",)}}),
+    "last stop decides": ((), {"static": {"average_stops": False}}),
+    "offset stays": ((), {"target": {"remove_offset_after": 0.0}}),
+    "v r stays": ((), {"target": {"subtract_lateral": False}}),
 }
 BOUND_DEG = {"last stop decides": 4.0, "sign by first motion": 2.0, "agreement": 2.0}
 """A single stop has the slope of its place, 1.3 deg per axis; agreement takes slow turns along."""
@@ -187,7 +193,7 @@ def run(drive: Drive, missing: tuple[str, ...], settings: PublishedSettings) -> 
 def test_each_option_is_enough_alone(option: str, name: str) -> None:
     missing, changes = PLACES[option]
     drive = Drive(minutes=12, seed=7, mount=mount(name), imu_rate=50.0)
-    estimate = run(drive, missing, replace(PublishedSettings(), **changes)).estimate()
+    estimate = run(drive, missing, published(**changes)).estimate()
     assert estimate.state >= MountState.USABLE, estimate.waiting_for
     assert estimate.R_vehicle_from_sensor is not None
     off = float(np.linalg.norm(mount_error_deg(estimate.R_vehicle_from_sensor, mount(name))))
@@ -212,12 +218,13 @@ def test_kingston_batch_to_the_letter_equals_the_claims() -> None:
     gyro = np.column_stack([np.interp(t, samples["gyro"][0], g) for g in samples["gyro"][1].T])
     t_speed, speed = samples["speed"]
     growing = np.interp(t, 0.5 * (t_speed[1:] + t_speed[:-1]) + 0.2, np.diff(speed)) > 0.0
-    settings = replace(PublishedSettings().as_published(), recognisers=("yaw_rate",))
-    count = settings.static.count
-    first = int(np.flatnonzero(static_windows(accel, count, settings.static.thresholds))[0])
+    settings = published(straight={"recognise_by": ("yaw_rate",)})
+    static = settings.calibration.static
+    count = static.samples
+    first = int(np.flatnonzero(static_windows(accel, count, static.threshold))[0])
     J = accel[first * count : (first + 1) * count].mean(axis=0)
     rate = gyro @ (J / np.linalg.norm(J))
-    limit = settings.yaw_rate_limit_without_speed
+    limit = settings.calibration.straight.yaw_rate_limit_without_speed
     R, _ = text.solve(accel, J, text.straight(yaw_rate=rate, yaw_rate_limit=limit), growing, 0.25)
     found = solve_published(accel, settings, growing, yaw_rate=rate)
     assert found.R_vehicle_from_sensor == pytest.approx(R, abs=1e-9)

@@ -19,7 +19,7 @@ from imucald.attitude.right_forward_up import (
     vehicle_from_text,
 )
 from imucald.attitude.sensor_check import rest_errors
-from imucald.attitude.settings import AttitudeSettings, FilterSettings
+from imucald.config.attitude import AttitudeSettings, FilterSettings
 from imucald.core.rotations import levelling_rotation, times
 from publications import method_b
 from publications import method_c as text
@@ -138,7 +138,7 @@ def test_19_and_20_time_and_measurement_update() -> None:
             P = F @ P @ F.T
             P += np.diag([s.gyro_noise**2 * dt] * 3
                          + [2.0 * s.gyro_random**2 * dt / s.gyro_random_time] * 3
-                         + [s.accel_random**2 * (1.0 - keep**2)] * 3)  # fmt: skip
+                         + [ours.accel_random**2 * (1.0 - keep**2)] * 3)  # fmt: skip
             d *= keep
             H, z = RNG.normal(0.0, 1.0, (3, 9)), RNG.normal(0.0, 0.1, 3)
             R = np.diag(RNG.uniform(1e-4, 1e-2, 3))
@@ -182,7 +182,9 @@ def test_c1_the_check_repeats_on_command() -> None:
 def test_c2_noise_is_that_of_each_axis() -> None:
     """(11): the data sheet gives the dynamic noise of each axis."""
     noise = (1e-4, 2e-4, 4e-4)
-    ours = NineStateFilter(FilterSettings(gyro_noise=noise, gyro_scale=0.0))
+    ours = NineStateFilter(
+        FilterSettings(gyro_noise_deg_s=tuple(math.degrees(n) for n in noise), gyro_scale=0.0)
+    )
     ours.start(0.0, 0.0, 0.0)
     C = text.attitude_matrix(0.3, 0.4, 1.0)
     ours.predict(matrix(C), 0.5, 0.0)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from gait import CARRYINGS, walk
+from imucald.config.attitude import ChoiceSettings, TravelDirectionSettings
 from imucald.travel_direction.cycles import POINTS, Cycle
 from imucald.travel_direction.direction import Step, TravelDirection
 from imucald.travel_direction.published import (
@@ -20,7 +20,6 @@ from imucald.travel_direction.published import (
     projected,
     tilt,
 )
-from imucald.travel_direction.settings import ChoiceSettings, TravelSettings
 from publications import method_d as text
 from publications.recordings import recording, table
 
@@ -117,7 +116,7 @@ PRESETS = {
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_0037_to_0053_the_choice_under_each_preset(name: str) -> None:
     presets = PRESETS[name]
-    choice = ChoiceSettings(**{key: math.radians(value) for key, value in presets.items()})
+    choice = ChoiceSettings(**{f"{key}_deg": value for key, value in presets.items()})
     ours, theirs = PublishedDirection(choice), text.Choice(**presets)
     compass, tilts = 0.0, 0
     for _ in range(300):
@@ -134,9 +133,9 @@ def test_0037_to_0053_the_choice_under_each_preset(name: str) -> None:
     assert 20 < tilts < 280
 
 
-def steps_of(samples: dict, settings: TravelSettings | None = None) -> list[Step]:
+def steps_of(samples: dict, settings: TravelDirectionSettings | None = None) -> list[Step]:
     """Feed {channel: (t, values)} in order of time."""
-    travel = TravelDirection(settings or TravelSettings())
+    travel = TravelDirection(settings or TravelDirectionSettings())
     order = ("gyro", "mag", "heading", "accel")
     events = sorted(
         (t, order.index(channel), v)
@@ -200,7 +199,7 @@ def test_d2_a_terminal_that_reads_minus_g_upwards_says_so_and_is_understood(carr
     w = walk(carrying, seconds=40.0, seed=4)
     plain = steps_of(carried(w))
     turned = carried(w) | {"accel": (w.t, -w.accel)}
-    found = steps_of(turned, replace(TravelSettings(), convention="gravity"))
+    found = steps_of(turned, TravelDirectionSettings(convention="gravity"))
     assert len(found) == len(plain) > 30
     for a, b in zip(plain, found, strict=True):
         assert apart(a.heading, b.heading) < 1e-9
@@ -216,7 +215,7 @@ def test_d2_a_compass_that_counts_the_other_way_says_so_and_is_understood() -> N
     plain = {"accel": (w.t, w.accel), "heading": (w.t, way % FULL)}
     other = plain | {"heading": (w.t, -way % FULL)}
     a = steps_of(plain)
-    b = steps_of(other, replace(TravelSettings(), compass="counter_clockwise"))
+    b = steps_of(other, TravelDirectionSettings(compass="counter_clockwise"))
     assert len(a) == len(b) > 30
     for one, two in zip(a, b, strict=True):
         assert apart(one.heading, two.heading) < 1e-9
@@ -228,7 +227,7 @@ def test_d2_a_compass_that_counts_the_other_way_says_so_and_is_understood() -> N
 def test_ped_ethz_every_step_is_the_texts() -> None:
     """867 cycles: headings, choice and turns of a chain of its own on the package's cycles."""
     samples = recording("ped_ethz")
-    travel = TravelDirection(TravelSettings())
+    travel = TravelDirection(TravelDirectionSettings())
     cycles: list[Cycle] = []
     keep = travel.published.take
 

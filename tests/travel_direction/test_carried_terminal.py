@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from gait import CARRYINGS, walk
+from imucald.config.attitude import StepSettings, TravelDirectionSettings
 from imucald.travel_direction.cycles import StepCycles
 from imucald.travel_direction.direction import TravelDirection, TravelState
 from imucald.travel_direction.north import NorthFilter
-from imucald.travel_direction.settings import StepSettings, TravelSettings
 
 BY_NAME = {carrying.name: carrying for carrying in CARRYINGS}
 
 
 def run(w, settings=None, gyro=True, mag=True, heading=None):
-    travel = TravelDirection(settings or TravelSettings())
+    travel = TravelDirection(settings or TravelDirectionSettings())
     steps = []
     for i, t in enumerate(w.t.tolist()):
         if gyro:
@@ -112,7 +112,7 @@ def test_the_state_tells_standing_walking_and_silence():
 def test_the_method_of_the_settings_is_sent():
     w = walk(BY_NAME["in front, flat"], 1.3, seconds=20.0, seed=6)
     for method in ("alternative", "published"):
-        _, steps = run(w, TravelSettings(method=method))
+        _, steps = run(w, TravelDirectionSettings(method=method))
         last = steps[-1]
         expected = last.modern if method == "alternative" else last.published.heading
         assert last.heading == expected
@@ -121,7 +121,7 @@ def test_the_method_of_the_settings_is_sent():
 def test_declination_turns_every_heading():
     w = walk(BY_NAME["in front, flat"], 1.3, seconds=20.0, seed=6)
     plain = run(w)[1][-1]
-    turned = run(w, TravelSettings(declination=0.1))[1][-1]
+    turned = run(w, TravelDirectionSettings(declination_deg=math.degrees(0.1)))[1][-1]
     for name in ("compass", "modern"):
         change = math.remainder(getattr(turned, name) - getattr(plain, name), 2.0 * math.pi)
         assert change == pytest.approx(0.1, abs=1e-9)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from imucald.config.attitude import ChoiceSettings
 from imucald.travel_direction.cycles import POINTS, Cycle
 from imucald.travel_direction.published import (
     PublishedDirection,
@@ -22,7 +23,6 @@ from imucald.travel_direction.published import (
     tilt_angle,
     tilt_heading,
 )
-from imucald.travel_direction.settings import ChoiceSettings
 
 G = 9.80665
 DEG = math.pi / 180.0
@@ -186,8 +186,8 @@ def test_on_a_turn_a_flat_terminal_is_for_the_correlation():
 def test_all_presets_are_presets():
     lean = cycle_of(0.0, (-10.0 * DEG, 0.0))
     against = cycle_of(90.0 * DEG, STEEP)
-    assert not taken((lean, 0.0), choice=ChoiceSettings(tilt=11.0 * DEG))[0].used_tilt
-    presets = ChoiceSettings(turn=20.0 * DEG, tilt_on_turn=11.0 * DEG)
-    assert not taken((lean, 0.0), (lean, 0.5), choice=presets)[1].used_tilt
-    presets = ChoiceSettings(differ=100.0 * DEG)
-    assert taken((against, 0.0), (against, 0.0), choice=presets)[1].used_tilt
+    assert not taken((lean, 0.0), choice=ChoiceSettings(tilt_deg=11.0))[0].used_tilt
+    settings = ChoiceSettings(turn_deg=20.0, tilt_on_turn_deg=11.0)
+    assert not taken((lean, 0.0), (lean, 0.5), choice=settings)[1].used_tilt
+    settings = ChoiceSettings(differ_deg=100.0)
+    assert taken((against, 0.0), (against, 0.0), choice=settings)[1].used_tilt

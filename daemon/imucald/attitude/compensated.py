@@ -14,7 +14,7 @@ from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
 from imucald.attitude.rest import RestingGyro
 from imucald.attitude.right_forward_up import text_from_vehicle, vehicle_from_text
-from imucald.attitude.settings import AttitudeSettings
+from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import Vector
 
 NAN = math.nan

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from imucald.attitude.interval import Knot
 from imucald.attitude.motion_compensation import AverageSpeed, SpeedAverager
 from imucald.attitude.propagation import Propagator
-from imucald.attitude.settings import CompensationSettings
+from imucald.config.attitude import CompensationSettings
 
 MAX_KNOTS = 64
 """Averaged speeds that wait for the accelerometer: a leading speed is ahead by a second."""

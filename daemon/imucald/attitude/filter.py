@@ -31,7 +31,7 @@ from imucald.attitude.right_forward_up import (
     vehicle_from_text,
 )
 from imucald.attitude.sensor_check import rest_errors
-from imucald.attitude.settings import AttitudeSettings
+from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import (
     Rows,
     Vector,

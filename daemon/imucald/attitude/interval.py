@@ -14,7 +14,7 @@ import math
 from typing import NamedTuple
 
 from imucald.attitude.propagation import Moment
-from imucald.attitude.settings import CompensationSettings
+from imucald.config.attitude import CompensationSettings
 from imucald.core.rotations import Vector
 
 LEAST_LEVEL = 0.5

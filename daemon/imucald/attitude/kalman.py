@@ -20,7 +20,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.attitude.settings import FilterSettings
+from imucald.config.attitude import FilterSettings
+from imucald.config.calibration import CalibrationSettings
 from imucald.core.rotations import Rows, Vector, matrix_times
 
 Array = NDArray[np.float64]
@@ -44,6 +45,7 @@ class NineStateFilter:
 
     def __init__(self, settings: FilterSettings) -> None:
         self.settings = settings
+        self.accel_random = settings.accel_random or CalibrationSettings().accelerometer_bias
         self.bias: Vector = (0.0, 0.0, 0.0)
         self.accel_error: Vector = (0.0, 0.0, 0.0)
         self.P: Array = np.zeros((STATES, STATES))
@@ -53,9 +55,8 @@ class NineStateFilter:
 
     def start(self, tilt_std: float, heading_std: float, gyro_std: float) -> None:
         """Begin anew; standard deviations in rad and rad/s."""
-        s = self.settings
         self.P = np.diag(
-            [tilt_std**2] * 2 + [heading_std**2] + [gyro_std**2] * 3 + [s.accel_random**2] * 3
+            [tilt_std**2] * 2 + [heading_std**2] + [gyro_std**2] * 3 + [self.accel_random**2] * 3
         )
 
     def predict(self, C_nav_from_body: Rows, dt: float, turned: float) -> None:
@@ -69,7 +70,7 @@ class NineStateFilter:
         grown = np.array(
             [angle] * 3
             + [2.0 * s.gyro_random**2 * dt / s.gyro_random_time] * 3
-            + [s.accel_random**2 * (1.0 - keep_d * keep_d)] * 3
+            + [self.accel_random**2 * (1.0 - keep_d * keep_d)] * 3
         )
         P[np.diag_indices(STATES)] += grown
         self.P = 0.5 * (P + P.T)

@@ -30,7 +30,7 @@ from collections import deque
 from typing import NamedTuple
 
 from imucald.attitude.right_forward_up import cross, text_from_vehicle
-from imucald.attitude.settings import CompensationSettings
+from imucald.config.attitude import CompensationSettings
 from imucald.core.rotations import Vector
 from imucald.core.samples import GRAVITY
 
@@ -77,7 +77,7 @@ class SpeedAverager:
             samples.popleft()
         n = len(samples)
         mean_t = sum(s[0] for s in samples) / n
-        return AverageSpeed(mean_t - settings.delay, sum(s[1] for s in samples) / n)
+        return AverageSpeed(mean_t - (settings.delay or 0.0), sum(s[1] for s in samples) / n)
 
 
 class Compensated(NamedTuple):

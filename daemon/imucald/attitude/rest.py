@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from imucald.attitude.settings import FilterSettings
+from imucald.config.attitude import FilterSettings
 from imucald.core.rotations import Vector
 from imucald.core.samples import GRAVITY
 

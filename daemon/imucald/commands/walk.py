@@ -44,7 +44,6 @@ def run(options: argparse.Namespace) -> int:
     from imucald.commands.files import STANDARD, check_files, write_text
     from imucald.commands.terminal import progress_bar
     from imucald.inputs.wiring import compile_router
-    from imucald.runtime.consumers import travel_settings
     from imucald.runtime.session import open_config
     from imucald.runtime.summary import as_json
     from imucald.travel_direction.direction import TravelDirection
@@ -53,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     loaded = open_config(options.config, options.database)
     _need_compass(loaded)
     router = compile_router(loaded)
-    travel = TravelDirection(travel_settings(loaded.config))
+    travel = TravelDirection(loaded.config.travel_direction)
     with progress_bar("walk", options.quiet) as progress:
         reader = LogReader(options.logs, router.matches, options.strict, progress)
         steps = _steps(reader, router, travel)

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from msgspec import structs
+
 from imucald.compensation.preprocessing import Stages
 from imucald.compensation.reading import read_terms
 from imucald.compensation.sensors import SensorStage
@@ -16,6 +18,7 @@ from imucald.compensation.terms import Terms, TriadTerms
 from imucald.compensation.tick_preprocessing import EvidenceStage
 from imucald.compensation.time_alignment import Retiming, shifts_of
 from imucald.compensation.vehicle import VehicleStage
+from imucald.config.network import VehicleSettings
 from imucald.core.samples import Samples, Series
 from imucald.model.section import ZERO
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
@@ -26,7 +29,6 @@ KNOWN_DELAY_STD = 0.1
 The estimator then finds the rest; where there is none, so wide a prior costs nothing."""
 STATED_DELAY_STD = 0.03
 """The same of a delay that the configuration states."""
-_KERB = {"right": 1.0, "left": -1.0, "unknown": 0.0}
 
 
 @dataclass(frozen=True)
@@ -168,34 +170,42 @@ class Compensation:
             if channel in terms.lateness:
                 delays[channel] = DelayPrior(0.0, std)
         roads = (terms.bank_rms / settings.slope_std, terms.grade_rms / settings.slope_std)
-        known: dict[str, Any] = {
-            "delays": delays,
-            "lever_arm": terms.lever_arm,
-            "unevenness": (max(roads[0], 1.0), max(roads[1], 1.0)),
-        }
-        if terms.crown_mean is not None and "crown_percent" not in stated:
-            known["crown_mean"] = terms.crown_mean
-        for key in ("wheelbase", "track", "steering_ratio", "understeer"):
-            value = getattr(chassis, key)
-            if value is not None and key not in stated and getattr(settings, key) is not None:
-                known[key] = value
-        return replace(settings, **known)
+        understeer = chassis.understeer
+        return replace(
+            settings,
+            vehicle=self._vehicle(settings.vehicle, stated),
+            crown_mean=self._crown_mean(stated),
+            delays=delays,
+            lever_arm=terms.lever_arm,
+            unevenness=(max(roads[0], 1.0), max(roads[1], 1.0)),
+            understeer=settings.understeer if understeer is None else understeer,
+        )
 
     def published_settings(
-        self, settings: PublishedSettings, side: str, stated: Collection[str] = ()
+        self, settings: PublishedSettings, stated: Collection[str] = ()
     ) -> PublishedSettings:
-        """The same for method A; side: the configuration's driving side."""
-        terms, chassis = self.terms, self.terms.chassis
-        known: dict[str, Any] = {}
-        if "speed" in terms.lateness:
-            known["speed_delay"] = 0.0
-        if terms.crown_mean is not None and "crown_percent" not in stated:
-            known["crown"] = _KERB[side] * terms.crown_mean
-        for key in ("wheelbase", "steering_ratio"):
-            value = getattr(chassis, key)
-            if value is not None and key not in stated:
-                known[key] = value
-        return replace(settings, **known)
+        """The same for method A."""
+        calibration = settings.calibration
+        if "speed" in self.terms.lateness:
+            calibration = structs.replace(calibration, speed_delay=0.0)
+        return replace(
+            settings,
+            calibration=calibration,
+            vehicle=self._vehicle(settings.vehicle, stated),
+            crown_mean=self._crown_mean(stated),
+        )
+
+    def _vehicle(self, vehicle: VehicleSettings, stated: Collection[str]) -> VehicleSettings:
+        """The vehicle with the model's measures where the user gave none."""
+        known = {
+            key: value
+            for key in ("wheelbase", "track", "steering_ratio")
+            if (value := getattr(self.terms.chassis, key)) is not None and key not in stated
+        }
+        return structs.replace(vehicle, **known)
+
+    def _crown_mean(self, stated: Collection[str]) -> float | None:
+        return None if "crown_percent" in stated else self.terms.crown_mean
 
     @property
     def estimate_key(self) -> str:

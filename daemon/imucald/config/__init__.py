@@ -1,36 +1,43 @@
 """YAML -> typed settings. Every mistake is one clear line with its place in the file and a remedy.
 
-The models below are the configuration reference's source: `imucald schema` prints their JSON schema
-and ``docs/configuration.md`` is checked against them. Files are untrusted: size, nesting and
+The settings below are the configuration reference's source: `imucald schema` prints their JSON
+schema and ``docs/configuration.md`` is checked against them. Files are untrusted: size, nesting and
 aliases are bounded before anything is built from them.
 """
 
 from __future__ import annotations
 
 from imucald.config.base import EXTENDED_ID_MAX, STANDARD_ID_MAX
-from imucald.config.calibration import Calibration
+from imucald.config.calibration import CalibrationSettings
 from imucald.config.network import (
-    Bus,
-    Checksum,
+    BusSettings,
+    ChecksumSettings,
     Counter,
-    Database,
+    DatabaseSettings,
     MessageProtection,
     Output,
     OutputIds,
-    Vehicle,
+    VehicleSettings,
 )
 from imucald.config.root import Config, LoadedConfig, json_schema, load_config, parse_config
-from imucald.config.signals import ParallelSensor, RawSource, Signals, Source, Triad, Wheels
+from imucald.config.signals import (
+    ParallelSensor,
+    RawSource,
+    Signals,
+    SourceSettings,
+    TriadSettings,
+    Wheels,
+)
 
 __all__ = [
     "EXTENDED_ID_MAX",
     "STANDARD_ID_MAX",
-    "Bus",
-    "Calibration",
-    "Checksum",
+    "BusSettings",
+    "CalibrationSettings",
+    "ChecksumSettings",
     "Config",
     "Counter",
-    "Database",
+    "DatabaseSettings",
     "LoadedConfig",
     "MessageProtection",
     "Output",
@@ -38,9 +45,9 @@ __all__ = [
     "ParallelSensor",
     "RawSource",
     "Signals",
-    "Source",
-    "Triad",
-    "Vehicle",
+    "SourceSettings",
+    "TriadSettings",
+    "VehicleSettings",
     "Wheels",
     "json_schema",
     "load_config",

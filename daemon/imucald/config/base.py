@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 from msgspec import Meta, Struct
@@ -10,7 +11,7 @@ STANDARD_ID_MAX = 0x7FF
 EXTENDED_ID_MAX = 0x1FFF_FFFF
 
 
-class Model(Struct, frozen=True, forbid_unknown_fields=True):
+class Settings(Struct, frozen=True, forbid_unknown_fields=True):
     """Unknown keys are mistakes; nothing changes once it is read."""
 
 
@@ -21,3 +22,31 @@ Share = Annotated[float, Meta(ge=0, le=0.5)]
 """Relative uncertainty."""
 Angle = Annotated[float, Meta(ge=-180, le=180)]
 """[deg]"""
+
+
+class Radians:
+    """An angle (or rate) that the file gives in degrees, in radians for those who read it."""
+
+    def __init__(self, key: str) -> None:
+        self._key = key
+
+    def __get__(self, settings: Struct, owner: type[Struct]) -> float:
+        return math.radians(getattr(settings, self._key))
+
+
+class RadiansOrNone(Radians):
+    """The same of a key that may be absent."""
+
+    def __get__(self, settings: Struct, owner: type[Struct]) -> float | None:  # type: ignore[override]
+        degrees = getattr(settings, self._key)
+        return None if degrees is None else math.radians(degrees)
+
+
+class Part:
+    """A share that the file gives in percent, as a part of one for those who read it."""
+
+    def __init__(self, key: str) -> None:
+        self._key = key
+
+    def __get__(self, settings: Struct, owner: type[Struct]) -> float:
+        return float(getattr(settings, self._key)) / 100.0

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from msgspec import Meta, field, structs
 
-from imucald.config.base import CanId, Model, Positive
+from imucald.config.base import CanId, Part, Positive, Settings
 
 
-class Database(Model, frozen=True):
+class DatabaseSettings(Settings, frozen=True):
     """A CAN database file, relative to the configuration file."""
 
     path: str
@@ -19,10 +20,10 @@ class Database(Model, frozen=True):
     """Match 29-bit ids by PGN, whatever the source address; default: as the database says."""
 
 
-Databases = Annotated[tuple[Database, ...], Meta(min_length=1)]
+Databases = Annotated[tuple[DatabaseSettings, ...], Meta(min_length=1)]
 
 
-class Counter(Model, frozen=True):
+class Counter(Settings, frozen=True):
     """Alive counter of a message."""
 
     signal: str
@@ -32,7 +33,7 @@ class Counter(Model, frozen=True):
     """Largest step that is still believed (frames lost in between)."""
 
 
-class Checksum(Model, frozen=True):
+class ChecksumSettings(Settings, frozen=True):
     """Checksum of a message."""
 
     kind: str
@@ -48,19 +49,19 @@ class Checksum(Model, frozen=True):
     """E2E: first byte of the header in the frame."""
 
 
-class MessageProtection(Model, frozen=True):
+class MessageProtection(Settings, frozen=True):
     """What is known about a message's cycle and protection."""
 
     cycle_time: Positive | None = None
     """[s]; default: GenMsgCycleTime of the database, else none is assumed."""
     timeout_cycles: Annotated[float, Meta(ge=1.5, le=1000)] = 10.0
     counter: Counter | None = None
-    checksum: Checksum | None = None
+    checksum: ChecksumSettings | None = None
     recover_after: Annotated[int, Meta(ge=0, le=1000)] = 3
     """Good frames in a row after a fault before the message is believed again."""
 
 
-class Bus(Model, frozen=True):
+class BusSettings(Settings, frozen=True):
     """The bus that `imucald run` listens and sends on."""
 
     interface: str = "socketcan"
@@ -71,7 +72,7 @@ class Bus(Model, frozen=True):
     """Further arguments of python-can's bus."""
 
 
-class OutputIds(Model, frozen=True):
+class OutputIds(Settings, frozen=True):
     """Identifiers of the frames that imucald sends (see dbc/imucald_out.dbc)."""
 
     acceleration: CanId = 0x640
@@ -93,7 +94,7 @@ class OutputIds(Model, frozen=True):
             raise ValueError("two output frames have the same id")
 
 
-class Output(Model, frozen=True):
+class Output(Settings, frozen=True):
     """What is sent."""
 
     ids: OutputIds = OutputIds()
@@ -102,7 +103,7 @@ class Output(Model, frozen=True):
     checksum: Literal["crc8_j1850", "xor", "none"] = "crc8_j1850"
 
 
-class ModelFile(Model, frozen=True):
+class ModelFile(Settings, frozen=True):
     """The model file of the vehicle: what it knows is taken out of the signals."""
 
     path: str
@@ -111,7 +112,7 @@ class ModelFile(Model, frozen=True):
     """The body's squat, dive and roll are taken out of the corrected signals."""
 
 
-class Vehicle(Model, frozen=True):
+class VehicleSettings(Settings, frozen=True):
     """What is known about the vehicle."""
 
     id: Annotated[str, Meta(max_length=64)] = "vehicle"
@@ -128,3 +129,17 @@ class Vehicle(Model, frozen=True):
     """Steering-wheel angle over road-wheel angle."""
     track: Positive = 1.55
     """[m]; how much the wheels may differ in a curve."""
+
+    crown_mean = Part("crown_percent")
+    crown_spread = Part("crown_spread_percent")
+
+    @property
+    def kerb(self) -> float:
+        """Sign of the roll that the crown of a road gives this vehicle; 0 where unknown."""
+        return {"right": 1.0, "left": -1.0}.get(self.driving_side, 0.0)
+
+    @property
+    def crown_std(self) -> float:
+        """Spread of the crown's roll [rad]: with an unknown side its mean is in it too."""
+        spread = self.crown_spread
+        return spread if self.kerb else math.hypot(self.crown_mean, spread)

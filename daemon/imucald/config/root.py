@@ -8,17 +8,17 @@ from typing import Any
 
 import msgspec
 
-from imucald.config.attitude import Attitude, TravelDirection
-from imucald.config.base import Model
-from imucald.config.calibration import Calibration
+from imucald.config.attitude import AttitudeSettings, TravelDirectionSettings
+from imucald.config.base import Settings
+from imucald.config.calibration import CalibrationSettings
 from imucald.config.network import (
-    Bus,
-    Database,
+    BusSettings,
     Databases,
+    DatabaseSettings,
     MessageProtection,
     ModelFile,
     Output,
-    Vehicle,
+    VehicleSettings,
 )
 from imucald.config.shorthand import spelled_out
 from imucald.config.signals import Signals
@@ -31,20 +31,33 @@ from imucald.core.yaml_lines import read_yaml, read_yaml_file
 _WHOLE = "configuration"
 
 
-class Config(Model, frozen=True, kw_only=True):
+class Config(Settings, frozen=True, kw_only=True):
     """A whole configuration file."""
 
-    vehicle: Vehicle = Vehicle()
+    vehicle: VehicleSettings = VehicleSettings()
     model: ModelFile | None = None
     database: Databases
     signals: Signals
     messages: dict[str, MessageProtection] = msgspec.field(default_factory=dict)
-    bus: Bus = Bus()
-    calibration: Calibration = Calibration()
+    bus: BusSettings = BusSettings()
+    calibration: CalibrationSettings = CalibrationSettings()
     output: Output = Output()
-    attitude: Attitude = Attitude()
-    travel_direction: TravelDirection = TravelDirection()
+    attitude: AttitudeSettings = AttitudeSettings()
+    travel_direction: TravelDirectionSettings = TravelDirectionSettings()
     diagnostics: Diagnostics = Diagnostics()
+
+    def __post_init__(self) -> None:
+        """Fill in the defaults that are another key's value."""
+        calibration, attitude = self.calibration, self.attitude
+        compensation, of_filter = attitude.compensation, attitude.filter
+        if compensation.delay is None:
+            delay = calibration.speed_delay or 0.0
+            compensation = msgspec.structs.replace(compensation, delay=delay)
+        if of_filter.accel_random is None:
+            random = calibration.accelerometer_bias
+            of_filter = msgspec.structs.replace(of_filter, accel_random=random)
+        attitude = msgspec.structs.replace(attitude, compensation=compensation, filter=of_filter)
+        msgspec.structs.force_setattr(self, "attitude", attitude)
 
 
 class LoadedConfig:
@@ -58,7 +71,7 @@ class LoadedConfig:
         self.path = path
         self._marks = marks
 
-    def database_path(self, database: Database) -> Path:
+    def database_path(self, database: DatabaseSettings) -> Path:
         """Return a database's absolute path: relative ones are relative to the configuration."""
         return self._resolved(database.path)
 
@@ -72,7 +85,7 @@ class LoadedConfig:
         base = self.path.parent if self.path is not None else Path.cwd()
         return (base / path).resolve()
 
-    def with_databases(self, entries: tuple[Database, ...]) -> LoadedConfig:
+    def with_databases(self, entries: tuple[DatabaseSettings, ...]) -> LoadedConfig:
         """The same configuration with other database entries."""
         config = msgspec.structs.replace(self.config, database=entries)
         return LoadedConfig(config, self.path, self._marks)

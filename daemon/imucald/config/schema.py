@@ -1,4 +1,4 @@
-"""JSON schema of the configuration, with what is said of each key in the models' docstrings.
+"""JSON schema of the configuration, with what is said of each key in the settings' docstrings.
 
 Only `imucald schema` needs it.
 """
@@ -14,23 +14,23 @@ from typing import Any
 
 import msgspec
 
-from imucald.config.base import Model
+from imucald.config.base import Settings
 from imucald.config.shorthand import ONE_OF_LIST, SHORT_TEXTS
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 REFERENCE = "#/$defs/"
 
 
-def described_schema(model: type[Model]) -> dict[str, Any]:
-    """JSON schema of a model and of all models within it, with a description of each key."""
-    _, parts = msgspec.json.schema_components([model], ref_template=f"{REFERENCE}{{name}}")
-    models = {found.__name__: found for found in _models_within(Model)}
+def described_schema(kind: type[Settings]) -> dict[str, Any]:
+    """JSON schema of settings and of all that they hold, with a description of each key."""
+    _, parts = msgspec.json.schema_components([kind], ref_template=f"{REFERENCE}{{name}}")
+    kinds = {found.__name__: found for found in _settings_within(Settings)}
     for name, part in parts.items():
         part["properties"] = {k: _with_short(v) for k, v in part.get("properties", {}).items()}
-        for key, text in _texts(models[name]).items():
+        for key, text in _texts(kinds[name]).items():
             if key in part["properties"]:
                 part["properties"][key].setdefault("description", text)
-    whole = parts.pop(model.__name__)
+    whole = parts.pop(kind.__name__)
     return {"$schema": DRAFT, **whole, "$defs": parts}
 
 
@@ -57,7 +57,7 @@ def _with_short(node: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _models_within(base: type[Model]) -> Iterator[type[Model]]:
+def _settings_within(base: type[Settings]) -> Iterator[type[Settings]]:
     pending = list(base.__subclasses__())
     while pending:
         found = pending.pop()
@@ -65,9 +65,9 @@ def _models_within(base: type[Model]) -> Iterator[type[Model]]:
         yield found
 
 
-def _texts(model: type[Model]) -> dict[str, str]:
+def _texts(kind: type[Settings]) -> dict[str, str]:
     """The string that follows each annotated name in the class's source."""
-    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     found: dict[str, str] = {}
     for field, text in itertools.pairwise(tree.body if isinstance(tree, ast.ClassDef) else []):
         match field, text:

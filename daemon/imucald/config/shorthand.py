@@ -12,13 +12,13 @@ from typing import Any
 from imucald.config.signals import MESSAGE_SIGNAL
 
 SHORT_TEXTS: dict[str, dict[str, Any]] = {
-    "Source": {"type": "string", "pattern": MESSAGE_SIGNAL},
-    "Database": {"type": "string"},
+    "SourceSettings": {"type": "string", "pattern": MESSAGE_SIGNAL},
+    "DatabaseSettings": {"type": "string"},
     "ModelFile": {"type": "string"},
 }
-"""JSON schema of the text that may stand for a model of this name."""
-ONE_OF_LIST = frozenset({"Source", "Database", "Triad"})
-"""Models of which a single one may stand where a list is expected."""
+"""JSON schema of the text that may stand for settings of this class."""
+ONE_OF_LIST = frozenset({"SourceSettings", "DatabaseSettings", "TriadSettings"})
+"""Settings of which a single one may stand where a list is expected."""
 _TRIADS = frozenset({"accelerometer", "gyroscope", "magnetometer"})
 _AXES = frozenset({"x", "y", "z"})
 

@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from imucald.config.base import STANDARD_ID_MAX, CanId, Model
+from imucald.config.base import STANDARD_ID_MAX, CanId, Settings
 
 MESSAGE_SIGNAL = r"^[^.\s]+\.[^.\s]+$"
 
 
-class RawSource(Model, frozen=True, kw_only=True):
+class RawSource(Settings, frozen=True, kw_only=True):
     """A value computed from a frame's bytes, for frames that no database describes (OBD-II)."""
 
     id: CanId
@@ -28,7 +28,7 @@ class RawSource(Model, frozen=True, kw_only=True):
         return self.extended or self.id > STANDARD_ID_MAX
 
 
-class Source(Model, frozen=True):
+class SourceSettings(Settings, frozen=True):
     """Where one number comes from: ``MESSAGE.SIGNAL`` alone, or a mapping with more."""
 
     signal: Annotated[str, Meta(pattern=MESSAGE_SIGNAL)] | None = None
@@ -58,43 +58,43 @@ class Source(Model, frozen=True):
             raise ValueError("range must be [low, high] with low < high")
 
 
-Sources = Annotated[tuple[Source, ...], Meta(min_length=1)]
+Sources = Annotated[tuple[SourceSettings, ...], Meta(min_length=1)]
 """One source, or several in order of preference."""
 
 
-class Triad(Model, frozen=True):
+class TriadSettings(Settings, frozen=True):
     """Three axes of one sensor, in its own axes; an accelerometer may lack z (planar)."""
 
-    x: Source
-    y: Source
-    z: Source | None = None
+    x: SourceSettings
+    y: SourceSettings
+    z: SourceSettings | None = None
 
 
-Triads = Annotated[tuple[Triad, ...], Meta(min_length=1)]
+Triads = Annotated[tuple[TriadSettings, ...], Meta(min_length=1)]
 
 
-class Wheels(Model, frozen=True):
+class Wheels(Settings, frozen=True):
     """Wheel speeds."""
 
-    front_left: Source
-    front_right: Source
-    rear_left: Source
-    rear_right: Source
+    front_left: SourceSettings
+    front_right: SourceSettings
+    rear_left: SourceSettings
+    rear_right: SourceSettings
 
 
-class ParallelSensor(Model, frozen=True):
+class ParallelSensor(Settings, frozen=True):
     """Another sensor whose axes are parallel to the accelerometer's; gets the same correction."""
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$(?!\n)")]
     kind: Literal["acceleration", "angular_rate", "magnetic_field"]
-    x: Source
-    y: Source
-    z: Source
+    x: SourceSettings
+    y: SourceSettings
+    z: SourceSettings
     id: CanId
     """Identifier of the frame with its corrected values."""
 
 
-class Signals(Model, frozen=True):
+class Signals(Settings, frozen=True):
     """Which signal is which quantity."""
 
     accelerometer: Triads

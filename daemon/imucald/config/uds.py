@@ -6,12 +6,12 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from imucald.config.base import CanId, Model, Positive
+from imucald.config.base import CanId, Positive, Settings
 
 KeyFunctionName = Annotated[str, Meta(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
 
 
-class SecurityAccess(Model, frozen=True):
+class SecurityAccess(Settings, frozen=True):
     """Who may start routines."""
 
     key_function: KeyFunctionName | None = None
@@ -22,7 +22,7 @@ class SecurityAccess(Model, frozen=True):
     """How long no key is taken then [s]."""
 
 
-class Diagnostics(Model, frozen=True):
+class Diagnostics(Settings, frozen=True):
     """An ISO 14229 server over ISO-TP."""
 
     enabled: bool = False

@@ -66,14 +66,14 @@ class Wanted(Struct, frozen=True):
     slot: int
     width: int
     planar: bool
-    source: cfg.Source
+    source: cfg.SourceSettings
     place: Place
 
 
 class LoadedDatabase(Struct):
     """A database of the configuration, read."""
 
-    entry: cfg.Database
+    entry: cfg.DatabaseSettings
     database: Database
     place: Place
 
@@ -92,16 +92,16 @@ class _MessageSignals:
 def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
     """Every number that the configuration's `signals` section names."""
     for key, channel in _TRIADS.items():
-        triads: Sequence[cfg.Triad] | None = getattr(signals, key)
+        triads: Sequence[cfg.TriadSettings] | None = getattr(signals, key)
         for rank, triad in enumerate(triads or ()):
             place: Place = ("signals", key, rank)
             yield from _axes(channel, DIMENSIONS[channel], rank, triad, place)
     for sensor_index, sensor in enumerate(signals.parallel):
-        triad = cfg.Triad(x=sensor.x, y=sensor.y, z=sensor.z)
+        triad = cfg.TriadSettings(x=sensor.x, y=sensor.y, z=sensor.z)
         place = ("signals", "parallel", sensor_index)
         yield from _axes(f"parallel/{sensor.name}", sensor.kind, 0, triad, place)
     for key, channel in _SCALARS.items():
-        sources: Sequence[cfg.Source] | None = getattr(signals, key)
+        sources: Sequence[cfg.SourceSettings] | None = getattr(signals, key)
         for rank, source in enumerate(sources or ()):
             place = ("signals", key, rank)
             yield Wanted(channel, DIMENSIONS[channel], rank, 0, 1, False, source, place)
@@ -113,11 +113,11 @@ def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
 
 
 def _axes(
-    channel: str, dimension: str, rank: int, triad: cfg.Triad, place: Place
+    channel: str, dimension: str, rank: int, triad: cfg.TriadSettings, place: Place
 ) -> Iterator[Wanted]:
     planar = triad.z is None
     for slot, axis in enumerate("xyz"):
-        source: cfg.Source | None = getattr(triad, axis)
+        source: cfg.SourceSettings | None = getattr(triad, axis)
         if source is not None:
             here = (*place, axis)
             yield Wanted(channel, dimension, rank, slot, 3, planar, source, here)
@@ -235,7 +235,7 @@ def _unit(text: str | None, dimension: str) -> Unit:
     return find_unit(text or "", dimension)
 
 
-def _rails(signal: Signal | None, source: cfg.Source) -> tuple[float, float] | None:
+def _rails(signal: Signal | None, source: cfg.SourceSettings) -> tuple[float, float] | None:
     """Physical values at which the sensor has run into its end."""
     if signal is None or signal.is_float:
         return None

@@ -2,7 +2,7 @@
 
 They differ because what is asked differs: whether the *signal* says zero, whether the *sensor*
 feels nothing but an engine at idle, whether a mean rate at rest is the gyroscope's error or a turn.
-The static test of method A is the published one; its presets are settings (`standstill`).
+The static test of method A is the published one; its limits are settings (`config.calibration`).
 """
 
 from __future__ import annotations
@@ -20,9 +20,6 @@ Flags = NDArray[np.bool_]
 ZERO_SPEED = 0.05
 """A speed below is standstill [m/s] where speeds are interpolated: finer than any bus's step, so
 only zero itself passes, and rounding."""
-ZERO_SPEED_COARSE = 0.3
-"""The same [m/s] where one step of the signal above zero may still be standstill: one step of an
-OBD-II speed is 0.28 m/s (SAE J1979: 1 km/h)."""
 ZERO_SPEED_SMOOTHED = 0.1
 """The same [m/s] of a speed that was averaged over its neighbours: a step of a coarse signal in
 one of them is not zero, noise about zero is."""

@@ -66,14 +66,14 @@ def spread_out(flags: Flags, ticks: int) -> Flags:
 class SignalHealth:
     """Watches the signals of one vehicle and one sensor.
 
-    accel_range: full scale of the accelerometer [m/s^2]; track: between left and right wheels [m].
+    full_scale: full scale of the accelerometer [m/s^2]; track: between left and right wheels [m].
     new: which of the rows of a call no call before had among these; they are counted.
     found: of the last block, by signal and fault, the ticks (N,), or (N, axes), that have it.
     """
 
-    def __init__(self, new: slice, accel_range: float = math.inf, track: float = 1.55) -> None:
+    def __init__(self, new: slice, full_scale: float = math.inf, track: float = 1.55) -> None:
         self._new = new
-        self._accel_range, self._track = accel_range, track
+        self._full_scale, self._track = full_scale, track
         self._sensors = {
             "accel": StuckSensor(ACCEL.n, ACCEL.x, moving=True),
             "gyro": StuckSensor(GYRO.n, GYRO.x, moving=False),
@@ -128,7 +128,7 @@ class SignalHealth:
         self.found |= {
             ("accel", SignalFault.IMPLAUSIBLE): ok_force & ((size2 < low**2) | (size2 > high**2)),
             ("gyro", SignalFault.IMPLAUSIBLE): turning > MAX_ROAD_RATE,
-            ("accel", SignalFault.SATURATED): saturated_axes(rows, self._accel_range),
+            ("accel", SignalFault.SATURATED): saturated_axes(rows, self._full_scale),
             ("wheel_speeds", SignalFault.WHEEL_SLIP): self._slipping(rows, speed, turning),
             ("speed", SignalFault.SPEED_JUMP): ok_speed & wild,
         }

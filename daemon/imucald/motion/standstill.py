@@ -7,12 +7,12 @@ is, wider thresholds apply, because a running engine shakes a sensor more than a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from imucald.config.calibration import StaticTestSettings
 from imucald.core.errors import EstimateError
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
@@ -46,21 +46,6 @@ def static_windows(accel: ArrayLike, count: int, thresholds: ArrayLike) -> NDArr
     return result
 
 
-@dataclass(frozen=True)
-class StaticTestSettings:
-    """Presets of the static test.
-
-    count: accelerometer samples a window needs; seconds: and the time it must span [s].
-    thresholds: per axis, max - min [m/s^2], where speed is not known.
-    thresholds_at_zero_speed: the same where speed is known to be zero.
-    """
-
-    count: int = 20
-    seconds: float = 2.0
-    thresholds: Vector = (0.4, 0.4, 0.4)
-    thresholds_at_zero_speed: Vector = (1.2, 1.2, 1.2)
-
-
 class StaticWindow(NamedTuple):
     """A window that passed the static test: mean specific force [m/s^2], samples, end [s]."""
 
@@ -77,9 +62,9 @@ class StandstillDetector:
     still: whether the vehicle stands now, that is, a window has passed and the run goes on.
     """
 
-    def __init__(self, presets: StaticTestSettings) -> None:
-        self._presets = presets
-        self._ticks_needed = max(1, round(presets.seconds / TICK_S))
+    def __init__(self, settings: StaticTestSettings) -> None:
+        self._settings = settings
+        self._ticks_needed = max(1, round(settings.duration / TICK_S))
         self.still = False
         self._passed: StaticWindow | None = None
         self._confirm = 0
@@ -122,8 +107,8 @@ class StandstillDetector:
         return self._advance(tick[0])
 
     def _within(self, tick: TickRow, stopped: bool | None) -> bool:
-        presets = self._presets
-        limit = presets.thresholds_at_zero_speed if stopped else presets.thresholds
+        settings = self._settings
+        limit = settings.threshold_at_zero_speed if stopped else settings.threshold
         low, high = self._low, self._high
         lx, ly, lz = tick[ACCEL.min_x], tick[ACCEL.min_y], tick[ACCEL.min_z]
         hx, hy, hz = tick[ACCEL.max_x], tick[ACCEL.max_y], tick[ACCEL.max_z]
@@ -151,7 +136,7 @@ class StandstillDetector:
             self._confirm += 1
             if self._confirm >= CONFIRM_TICKS:
                 confirmed, self._passed = self._passed, None
-        if self._ticks + self._holes >= self._ticks_needed and self._n >= self._presets.count:
+        if self._ticks + self._holes >= self._ticks_needed and self._n >= self._settings.samples:
             n = self._n
             self._passed = StaticWindow(self._x / n, self._y / n, self._z / n, n, t)
             self._confirm = 0

@@ -17,7 +17,7 @@ def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
     signs, as e_y from dv/dt does against gravity, which counts it as bias.
     """
     scale = settings.accel_scale_std / math.sqrt(5.0)
-    cross = settings.accel_cross_axis_std
+    cross = settings.calibration.cross_axis
     return (
         CommonError(scale, {"yaw_dvdt": 1.0, "yaw_turn": -1.0}),
         CommonError(SIDESLIP_STD, {"yaw_turn": 1.0}),

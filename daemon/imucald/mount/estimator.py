@@ -147,7 +147,7 @@ class FullEstimator:
 
     def _steering_fitted(self) -> tuple[float, float] | None:
         s = self._settings
-        return self._steering.fitted(s.crown, 1.5 * s.crown_std)
+        return self._steering.fitted(s.crown, 1.5 * s.vehicle.crown_std)
 
     def _look_again(self) -> None:
         """Once gyro bias and rotation are known, go through the first minutes again."""
@@ -234,7 +234,7 @@ class FullEstimator:
         if not solver.yaw_known:
             variance[2] = (math.pi / math.sqrt(3.0)) ** 2
         covariance = np.diag(variance)
-        covariance[0, 0] += s.crown_std**2
+        covariance[0, 0] += s.vehicle.crown_std**2
         return R, covariance
 
     # what outlives the process; see `mount.restored`

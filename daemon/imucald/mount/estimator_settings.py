@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
 
+from imucald.config.calibration import CalibrationSettings
+from imucald.config.network import VehicleSettings
 from imucald.mount.priors import (
-    ACCEL_BIAS_STD,
     ACCEL_SCALE_STD,
     GYRO_MISALIGNMENT_STD,
     SLOPE_LENGTH,
@@ -31,12 +33,58 @@ class DelayPrior:
     std: float = 0.3
 
 
-@dataclass(frozen=True)
-class EstimatorSettings:
-    """Settings of `FullEstimator`; SI units, angles in rad."""
+class Limits(NamedTuple):
+    """Standard deviations [rad] below which an estimate is usable, and fine."""
 
-    accel_bias_std: float = ACCEL_BIAS_STD
-    """Accelerometer bias per axis [m/s^2], one standard deviation; 10 mg."""
+    usable_yaw: float
+    usable_tilt: float
+    fine_yaw: float
+    fine_tilt: float
+
+
+@dataclass(frozen=True)
+class MountSettings:
+    """What both estimators take from the configuration, and what a model file knows better.
+
+    crown_mean: mean lean of the roads towards the kerb (tangent); None: the configuration's.
+    """
+
+    OWN_LIMITS: ClassVar[Limits]
+    """The estimator's, where the configuration gives none."""
+
+    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
+    vehicle: VehicleSettings = field(default_factory=VehicleSettings)
+    crown_mean: float | None = None
+
+    @property
+    def crown(self) -> float:
+        """Expected lean as roll of the vehicle [rad]: positive where traffic keeps right."""
+        mean = self.vehicle.crown_mean if self.crown_mean is None else self.crown_mean
+        return self.vehicle.kerb * mean
+
+    @property
+    def limits(self) -> Limits:
+        """Limits of the states: the configured ones, else the estimator's own."""
+        given, own = self.calibration.states, self.OWN_LIMITS
+        return Limits(
+            given.usable_yaw or own.usable_yaw,
+            given.usable_tilt or own.usable_tilt,
+            given.fine_yaw or own.fine_yaw,
+            given.fine_tilt or own.fine_tilt,
+        )
+
+
+@dataclass(frozen=True)
+class EstimatorSettings(MountSettings):
+    """What the user sets, what a model file says, and priors that nobody sets. SI units, rad."""
+
+    OWN_LIMITS = Limits(
+        usable_yaw=math.radians(1.0),
+        usable_tilt=math.radians(2.0),
+        fine_yaw=math.radians(0.3),
+        fine_tilt=math.radians(0.7),
+    )
+
     slope_std: float = SLOPE_STD
     """Road slope along and (about its mean) across the vehicle, rms tangent."""
     slope_length: float = SLOPE_LENGTH
@@ -44,14 +92,6 @@ class EstimatorSettings:
     unevenness: tuple[float, float] = (1.0, 1.0)
     """How many times `slope_std` the roads' tangents across and along are, where a model says that
     they are more uneven; what is taken for a moved sensor bears it in mind."""
-    driving_side: str = "right"
-    """"right" or "left": the kerb, towards which roads lean; "none": no mean lean."""
-    crown_mean: float = 0.012
-    """Mean lean of the road towards the kerb (tangent)."""
-    crown_std: float = 0.0065
-    """Spread of that mean from drive to drive; no drive can tell it from mount roll."""
-    accel_cross_axis_std: float = 0.0
-    """Cross-axis error of the accelerometer (part); bounds what the accelerometer can say."""
     accel_scale_std: float = ACCEL_SCALE_STD
     """Scale error per axis of the accelerometer (part): in a tilted sensor a cross-axis error."""
     gyro_misalignment_std: float = GYRO_MISALIGNMENT_STD
@@ -62,24 +102,7 @@ class EstimatorSettings:
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of the sensor from the body's centre of rotation, vehicle axes [m], where a model knows it;
     what it is beyond that is found as nuisance."""
-    steering_ratio: float | None = None
-    """Steering-wheel angle over road-wheel angle; None: steering is not used for yaw rate."""
-    wheelbase: float = 2.7
-    """[m]"""
     understeer: float = UNDERSTEER
     """K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]."""
-    track: float = 1.55
-    """Distance between left and right wheels [m]."""
-    accel_range: float = math.inf
-    """Full scale of the accelerometer [m/s^2]; beyond 98 % of it nothing is learnt."""
-    usable_std: float = math.radians(1.0)
-    """Yaw is usable below this standard deviation."""
-    usable_tilt_std: float = math.radians(2.0)
-    fine_std: float = math.radians(0.3)
-    fine_tilt_std: float = math.radians(0.7)
-
-    @property
-    def crown(self) -> float:
-        """Expected lean as roll of the vehicle [rad]: positive where traffic keeps right."""
-        sign = {"right": 1.0, "left": -1.0}.get(self.driving_side, 0.0)
-        return sign * self.crown_mean
+    uses_steering: bool = False
+    """Whether the angle of the steering wheel may stand for the yaw rate."""

@@ -10,10 +10,6 @@ from __future__ import annotations
 
 # The sensor. "Typical" values of MEMS data sheets are one standard deviation (Bosch Sensortec).
 
-ACCEL_BIAS_STD = 0.0981
-"""Zero error per axis [m/s^2]: 10 mg, of a unit whose offset was set at the end of its line. Bare
-consumer parts state 20 mg (LSM6DSO, BMI270) to 40 mg (BMI160, LSM6DSL) typical after soldering:
-such a sensor wants `calibration.accelerometer_bias: 0.2` to `0.4`."""
 ACCEL_SCALE_STD = 0.003
 """Scale error per axis (part). Data sheets state 0.4 % (BMI270) to 1 % (LSM6DSO) typical of bare
 parts; a unit that was set at the end of its line is taken to be a little better. Half of it turns

@@ -110,7 +110,7 @@ class SignalBlockMaker:
         self._reverse = 0.0
         self._rest_run = 0
         new = slice(BEFORE, BEFORE + BLOCK_TICKS)
-        self.health = SignalHealth(new, settings.accel_range, settings.track)
+        self.health = SignalHealth(new, settings.calibration.full_scale, settings.vehicle.track)
         self.seen: set[str] = set()
         self.blocks = 0
 
@@ -235,10 +235,10 @@ class SignalBlockMaker:
             self.seen.add("yaw_rate")
             return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE.mean], YAW_GAP)
         s = self._settings
-        if s.steering_ratio is None or not ok_angle.any():
+        if not s.uses_steering or not ok_angle.any():
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
         steered = angle - self.steering_offset
-        turning = (s.steering_ratio, s.wheelbase, s.understeer)
+        turning = (s.vehicle.steering_ratio, s.vehicle.wheelbase, s.understeer)
         return yaw_rate_with_understeer(speed, steered, *turning), ok_angle
 
     def _rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:

@@ -209,8 +209,10 @@ class MountSolver:
         if not self.gravity.known:
             return
         s = self._settings
-        cross = s.accel_cross_axis_std
-        spread = math.sqrt(s.accel_bias_std**2 + BIAS_DRIFT_STD**2 + (GRAVITY * cross) ** 2)
+        cross = s.calibration.cross_axis
+        spread = math.sqrt(
+            s.calibration.accelerometer_bias**2 + BIAS_DRIFT_STD**2 + (GRAVITY * cross) ** 2
+        )
         bias, bias_cov = self.vertical.bias(spread)
         if not self.yaw_known:
             self._start()
@@ -283,7 +285,7 @@ class MountSolver:
     def join(self, kept: SavedInformation) -> None:
         """Bring in what prior drives found; it stays apart and can be left again."""
         if self.yaw_known and kept.without_speed == self.response.without_speed:
-            crown_std = self._settings.crown_std
+            crown_std = self._settings.vehicle.crown_std
             self.prior_drives = PriorDrives(kept, common_errors(self._settings), crown_std)
 
     def kept(self) -> SavedInformation | None:

@@ -102,10 +102,11 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     if not known.gravity:
         return MountState.WAITING
     roll, pitch, yaw = known.std
+    limits = s.limits
     enough = known.straight >= NEEDED or before in GOOD
     levels = (
-        Level(MountState.FINE, s.fine_std, s.fine_tilt_std, enough),
-        Level(MountState.USABLE, s.usable_std, s.usable_tilt_std, enough),
+        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough),
+        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, enough),
     )
     return best_level(levels, before, yaw, max(roll, pitch), SLACK) or MountState.LEVELLED
 
@@ -122,13 +123,13 @@ def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[
     if not known.gravity:
         text = "waiting for a standstill or for driving", Missing.STANDSTILL
         out = {"roll": text, "pitch": text}
-    if known.std[2] > s.fine_std or known.straight < NEEDED:
+    if known.std[2] > s.limits.fine_yaw or known.straight < NEEDED:
         out["yaw"] = _yaw_reason(known, s)
     if "roll" in out:
         return out
-    if known.std[0] > s.fine_tilt_std:
+    if known.std[0] > s.limits.fine_tilt:
         out["roll"] = _roll_reason(known)
-    if known.std[1] > s.fine_tilt_std:
+    if known.std[1] > s.limits.fine_tilt:
         out["pitch"] = _pitch_reason(known)
     return out
 
@@ -145,7 +146,7 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
     if known.straight < NEEDED:
         text = f"waiting for {_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION
-    if known.std[2] > s.usable_std:
+    if known.std[2] > s.limits.usable_yaw:
         return f"waiting for more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
     return f"waiting for more driving to be fine (+-{_deg(known.std[2])} deg)", Missing.MORE_DRIVING
 

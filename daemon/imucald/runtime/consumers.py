@@ -10,9 +10,7 @@ from typing import Any
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import SETTLED_STD, AttitudeEstimate, AttitudeState
 from imucald.attitude.filter import AttitudeFilter
-from imucald.attitude.settings import AttitudeSettings, CompensationSettings, FilterSettings
 from imucald.config import Config, LoadedConfig
-from imucald.config.attitude import Attitude
 from imucald.core.rotations import times
 from imucald.motion.plausible import is_plausible
 from imucald.motion.ticks import TICK_RATE
@@ -23,12 +21,6 @@ from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.output.travel_frames import TravelFrames
 from imucald.travel_direction.direction import TravelDirection
-from imucald.travel_direction.settings import (
-    ChoiceSettings,
-    ModernSettings,
-    StepSettings,
-    TravelSettings,
-)
 
 
 def consumers_for(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
@@ -64,7 +56,7 @@ class AttitudeConsumer:
     channels = frozenset(ORDER)
 
     def __init__(self, config: Config, frames: AttitudeFrames) -> None:
-        settings = attitude_settings(config)
+        settings = config.attitude
         self.filter = (
             CompensatedAttitude(settings)
             if config.attitude.method == "compensation"
@@ -174,7 +166,7 @@ class TravelConsumer:
     channels = frozenset(("gyro", "mag", "heading", "accel"))
 
     def __init__(self, config: Config, frames: TravelFrames) -> None:
-        self.travel = TravelDirection(travel_settings(config))
+        self.travel = TravelDirection(config.travel_direction)
         self._frames = frames
         self._sent_steps = 0
         self._every = round(TICK_RATE)
@@ -209,80 +201,3 @@ class TravelConsumer:
             "rejected_samples": self.travel.rejected,
             "heading_deg": None if heading is None else round(heading, 2),
         }
-
-
-def attitude_settings(config: Config) -> AttitudeSettings:
-    """Settings of methods B and C."""
-    attitude: Attitude = config.attitude
-    c, f = attitude.compensation, attitude.filter
-    delay = config.calibration.speed_delay or 0.0
-    return AttitudeSettings(
-        CompensationSettings(
-            average=c.average,
-            interval=c.interval,
-            timeout=c.timeout,
-            delay=delay if c.delay is None else c.delay,
-            lever_arm=c.lever_arm,
-            speed_is=c.speed_is,
-            centripetal=c.centripetal,
-            rate_time=c.rate_time,
-            send=c.send,
-            speed_noise=c.speed_noise,
-            speed_scale=c.speed_scale,
-            creep_speed=c.creep_speed,
-            lever_uncertainty=c.lever_uncertainty,
-        ),
-        FilterSettings(
-            heading=f.heading,
-            declination=math.radians(f.declination_deg),
-            check=f.check,
-            check_level=f.check_level,
-            start=f.start,
-            longest_step=f.longest_step,
-            rest_update=f.rest_update,
-            rest_accel_spread=f.rest_accel_spread,
-            rest_gyro_spread=math.radians(f.rest_gyro_spread_deg_s),
-            gyro_noise=math.radians(f.gyro_noise_deg_s),
-            gyro_start=math.radians(f.gyro_start_deg_s),
-            gyro_random=math.radians(f.gyro_random_deg_s),
-            gyro_random_time=f.gyro_random_time,
-            gyro_scale=f.gyro_scale,
-            accel_noise=f.accel_noise,
-            accel_random=f.accel_random or config.calibration.accelerometer_bias,
-            accel_random_time=f.accel_random_time,
-            unknown_motion=f.unknown_motion,
-            heading_noise=math.radians(f.heading_noise_deg),
-            magnetometer_noise=math.radians(f.magnetometer_noise_deg),
-            gate=f.gate,
-        ),
-        attitude.squat,
-        attitude.grade_time,
-    )
-
-
-def travel_settings(config: Config) -> TravelSettings:
-    """Settings of method D and its alternative."""
-    travel = config.travel_direction
-    steps, choice, other = travel.steps, travel.choice, travel.alternative
-    return TravelSettings(
-        method=travel.method,
-        convention=travel.convention,
-        compass=travel.compass,
-        declination=math.radians(travel.declination_deg),
-        step=StepSettings(
-            steps.shortest, steps.longest, steps.threshold, steps.corner_hz, steps.gravity_time
-        ),
-        choice=ChoiceSettings(
-            math.radians(choice.turn_deg),
-            math.radians(choice.tilt_on_turn_deg),
-            math.radians(choice.differ_deg),
-            math.radians(choice.tilt_deg),
-        ),
-        modern=ModernSettings(
-            gravity_time=other.gravity_time,
-            compass_time=other.compass_time,
-            lead=math.radians(other.lead_deg),
-            memory_steps=other.memory_steps,
-            carry_change=math.radians(other.carry_change_deg),
-        ),
-    )

@@ -7,7 +7,7 @@ from typing import Any
 
 from msgspec import to_builtins
 
-from imucald.config import LoadedConfig, Source
+from imucald.config import LoadedConfig, SourceSettings
 from imucald.core.digest import sha256
 from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute
@@ -33,7 +33,7 @@ def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey
     return StateKey(loaded.config.vehicle.id, sha256(text.encode()).hexdigest())
 
 
-def _described(source: Source, router: Router) -> dict[str, Any]:
+def _described(source: SourceSettings, router: Router) -> dict[str, Any]:
     """Everything that decides which number a source gives."""
     found: dict[str, Any] = {
         "configured": {k: v for k, v in to_builtins(source).items() if k in _DECISIVE}

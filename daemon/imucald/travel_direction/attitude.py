@@ -17,10 +17,10 @@ from imucald.attitude.right_forward_up import (
     rotated,
     rows,
 )
+from imucald.config.attitude import AlternativeSettings
 from imucald.core.rotations import Rows, Vector, levelling_rotation, quaternion_from_rotation, times
 from imucald.motion.at_rest import MAX_TERMINAL_BIAS, TERMINAL_RATE_RANGE
 from imucald.travel_direction.north import NorthFilter
-from imucald.travel_direction.settings import ModernSettings
 
 TWO_PI = 2.0 * math.pi
 GAP_S = 0.5
@@ -31,7 +31,7 @@ REST_S = 1.0
 class TerminalAttitude:
     """Level frame P from terminal axes, and where north is in it."""
 
-    def __init__(self, settings: ModernSettings) -> None:
+    def __init__(self, settings: AlternativeSettings) -> None:
         self.settings = settings
         self.north = NorthFilter()
         self.zero_error: Vector = (0.0, 0.0, 0.0)

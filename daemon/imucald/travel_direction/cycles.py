@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.travel_direction.settings import StepSettings
+from imucald.config.attitude import StepSettings
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]

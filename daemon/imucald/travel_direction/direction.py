@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.config.attitude import TravelDirectionSettings
 from imucald.core.rotations import Vector, times, transposed_times
 from imucald.motion.plausible import is_plausible
 from imucald.travel_direction.attitude import TerminalAttitude
@@ -29,7 +30,6 @@ from imucald.travel_direction.published import (
     levelling_angles,
     projected,
 )
-from imucald.travel_direction.settings import TravelSettings
 
 TWO_PI = 2.0 * math.pi
 STALE_S = 2.0
@@ -70,13 +70,13 @@ class Step:
 class TravelDirection:
     """The whole of method D and the alternative, for one terminal."""
 
-    def __init__(self, settings: TravelSettings | None = None) -> None:
-        self.settings = settings or TravelSettings()
+    def __init__(self, settings: TravelDirectionSettings | None = None) -> None:
+        self.settings = settings or TravelDirectionSettings()
         s = self.settings
-        self.cycles = StepCycles(s.step)
+        self.cycles = StepCycles(s.steps)
         self.published = PublishedDirection(s.choice)
-        self.modern = ModernDirection(s.modern)
-        self.attitude = TerminalAttitude(s.modern)
+        self.modern = ModernDirection(s.alternative)
+        self.attitude = TerminalAttitude(s.alternative)
         self._upwards = -1.0 if s.convention == "gravity" else 1.0
         self._clockwise = -1.0 if s.compass == "counter_clockwise" else 1.0
         self.last: Step | None = None
@@ -129,7 +129,7 @@ class TravelDirection:
         """Take a magnetic field [T]."""
         field = (values[0], values[1], values[2])
         self._fields.append((t, field))
-        while self._fields[0][0] < t - self.settings.step.longest - COMPASS_STALE_S:
+        while self._fields[0][0] < t - self.settings.steps.longest - COMPASS_STALE_S:
             self._fields.popleft()
         self.attitude.mag(t, field)
 

@@ -14,9 +14,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.config.attitude import AlternativeSettings
 from imucald.core.rotations import Vector
 from imucald.travel_direction.cycles import POINTS, Cycle
-from imucald.travel_direction.settings import ModernSettings
 
 Array = NDArray[np.complex128]
 
@@ -31,7 +31,7 @@ class ModernDirection:
     Angles are clockwise from its y axis.
     """
 
-    def __init__(self, settings: ModernSettings) -> None:
+    def __init__(self, settings: AlternativeSettings) -> None:
         self.settings = settings
         self.restart()
 

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.config.attitude import ChoiceSettings
 from imucald.travel_direction.cycles import POINTS, Cycle
-from imucald.travel_direction.settings import ChoiceSettings
 
 Array = NDArray[np.float64]
 

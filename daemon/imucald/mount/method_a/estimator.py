@@ -60,11 +60,17 @@ class PublishedEstimator:
     def __init__(self, settings: PublishedSettings | None = None) -> None:
         s = self._settings = settings or PublishedSettings()
         self._tilt = TiltEstimator(s)
-        self._intervals = SpeedIntervalMaker(s.block_s, s.speed_delay, s.speed_timeout)
-        self._yaw_source = YawRateSource(s.steering_ratio, s.wheelbase, "steering" in s.recognisers)
-        self._offset = WanderingOffset(s.remove_offset_after)
+        self._intervals = SpeedIntervalMaker(
+            s.block_s, s.calibration.speed_delay or 0.0, s.speed_timeout
+        )
+        self._yaw_source = YawRateSource(
+            s.vehicle.steering_ratio,
+            s.vehicle.wheelbase,
+            "steering" in s.calibration.straight.recognise_by,
+        )
+        self._offset = WanderingOffset(s.calibration.target_angle.remove_offset_after)
         self._gate = StraightGate(s, self._offset)
-        self._sign = SignEvidence(s.sign_sources)
+        self._sign = SignEvidence(s.calibration.target_angle.sign_from)
         self._signed = ManoeuvreBook(MANOEUVRES_KEPT)
         self._unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
         self._applied = SlewedRotation(s.slew)
@@ -134,7 +140,9 @@ class PublishedEstimator:
         if self._target is not None and known.tilt is not None and known.angle is not None:
             yaw_std = known.angle.std if known.sign_known else UNKNOWN_SIGN_STD
             tilt_variance = known.tilt.std**2
-            covariance = np.diag([tilt_variance + s.crown_std**2, tilt_variance, yaw_std**2])
+            covariance = np.diag(
+                [tilt_variance + s.vehicle.crown_std**2, tilt_variance, yaw_std**2]
+            )
         return MountEstimate(
             state=self._state,
             R_vehicle_from_sensor=self._target,
@@ -185,12 +193,13 @@ class PublishedEstimator:
         force = (tick[ACCEL.x], tick[ACCEL.y], z)
         size = math.sqrt(force[0] * force[0] + force[1] * force[1] + z * z)
         low, high = ROAD_FORCE_WIDE
-        if not low <= size <= high or is_saturated(tick, self._settings.accel_range):
+        if not low <= size <= high or is_saturated(tick, self._settings.calibration.full_scale):
             return False
         stuck = self._held.step(tick, force)
         self._force = force
         self._gate.push(force)
-        return not stuck or not abs(self._speed) > self._settings.standstill_speed
+        stands = self._settings.calibration.static.standstill_speed
+        return not stuck or not abs(self._speed) > stands
 
     # What a interval brings.
 
@@ -213,7 +222,8 @@ class PublishedEstimator:
             return
         known = not isnan(interval.dvdt)
         dvdt = interval.dvdt if known else 0.0
-        lateral = interval.speed * interval.yaw_rate if s.subtract_lateral else 0.0
+        target = s.calibration.target_angle
+        lateral = interval.speed * interval.yaw_rate if target.subtract_lateral else 0.0
         lateral = 0.0 if isnan(lateral) else lateral
         self._offset.add(interval, dvdt, lateral, with_speed=known)
         self._straight_s += dt
@@ -222,23 +232,24 @@ class PublishedEstimator:
             return
         braking = self._brake > 0.5
         self._sign.take_straight(interval, f, self._tilt.up, self._reverse, braking)
-        if known and "speed" in s.sign_sources:
+        if known and "speed" in target.sign_from:
             self._collect(interval, f, dvdt - m_dvdt, lateral - m_lateral)
         else:
             self._collect_without_sign(interval, f)
 
     def _collect(self, interval: SpeedInterval, f: Vector, along: float, lateral: float) -> None:
         s, m = self._settings, self._open
-        slowest = s.min_speed if self._reverse_known else s.min_speed_unknown_gear
+        straight = s.calibration.straight
+        slowest = straight.min_speed if self._reverse_known else s.min_speed_unknown_gear
         if (
             abs(interval.speed) < slowest
-            or max(abs(along), abs(interval.dvdt)) < s.min_speed_change
+            or max(abs(along), abs(interval.dvdt)) < straight.min_speed_change
         ):
             return
         if (
             m is not None
             and m.peak * interval.dvdt < 0.0
-            and abs(interval.dvdt) >= s.min_speed_change
+            and abs(interval.dvdt) >= straight.min_speed_change
         ):
             self._close()  # from braking to accelerating: another manoeuvre
         m = self._manoeuvre(interval, signed=True)
@@ -252,7 +263,7 @@ class PublishedEstimator:
     def _collect_without_sign(self, interval: SpeedInterval, f: Vector) -> None:
         x, y, _ = (self._tilt.level @ np.array(f)).tolist()
         size = math.hypot(x, y)
-        if size >= self._settings.min_speed_change:
+        if size >= self._settings.calibration.straight.min_speed_change:
             m = self._manoeuvre(interval, signed=False)
             m.add(interval, f, 0.0, 0.0, 1.0)
             m.peak = max(m.peak, size)
@@ -273,7 +284,7 @@ class PublishedEstimator:
     def _close(self) -> None:
         """End the open manoeuvre; if it was one, count it and solve again."""
         m, self._open = self._open, None
-        if m is None or abs(m.peak) < self._settings.manoeuvre_peak:
+        if m is None or abs(m.peak) < self._settings.calibration.straight.manoeuvre_peak:
             return
         if m.seconds >= MIN_MANOEUVRE_S:
             (self._signed if m.signed else self._unsigned).add(m)

@@ -82,13 +82,14 @@ class StraightGate:
     """
 
     def __init__(self, settings: PublishedSettings, offset: WanderingOffset) -> None:
-        self._settings = settings
+        self._limits = settings.calibration.straight
+        self._smoothing = settings.consistency_smoothing
         self._offset = offset
         self.restart()
 
     def restart(self) -> None:
         """Forget the window of angles."""
-        kept = self._settings.consistency_window + self._settings.consistency_smoothing
+        kept = self._limits.consistency_window + self._smoothing
         self._recent: deque[Vector] = deque(maxlen=kept)
 
     def push(self, force: Vector) -> None:
@@ -106,8 +107,8 @@ class StraightGate:
         lateral = interval.speed * interval.yaw_rate
         if not self._lateral_is_small(interval, lateral, own_lateral, level):
             return False
-        s = self._settings
-        for recogniser in s.recognisers:
+        s = self._limits
+        for recogniser in s.recognise_by:
             if recogniser == "yaw_rate" and not isnan(interval.yaw_rate):
                 gated = s.lateral_limit > 0.0 and not isnan(lateral)
                 limit = s.yaw_rate_limit if gated else s.yaw_rate_limit_without_speed
@@ -120,7 +121,7 @@ class StraightGate:
 
     def is_turning(self, interval: SpeedInterval) -> bool:
         """Say whether a interval is well beyond the limits of yaw rate and lateral acceleration."""
-        s = self._settings
+        s = self._limits
         lateral = abs(interval.speed * interval.yaw_rate)
         if lateral > TURN_FACTOR * s.lateral_limit > 0.0:
             return True
@@ -130,7 +131,7 @@ class StraightGate:
     def _lateral_is_small(
         self, interval: SpeedInterval, lateral: float, own_lateral: float, level: Matrix3
     ) -> bool:
-        limit = self._settings.lateral_limit
+        limit = self._limits.lateral_limit
         if limit <= 0.0:
             return True
         if not isnan(lateral):
@@ -156,7 +157,7 @@ class StraightGate:
         Motion that does not vary has no angle. It counts as straight, for the offset's sake, and
         is too weak to give a target angle.
         """
-        n = self._settings.consistency_smoothing
+        n = self._smoothing
         if len(self._recent) <= n:
             return False
         forces = np.array(self._recent)
@@ -165,9 +166,9 @@ class StraightGate:
         sums = np.cumsum(forces, axis=0)
         smooth = ((sums[n:] - sums[:-n]) / n) @ level.T
         sizes = np.hypot(smooth[:, 0], smooth[:, 1])
-        least = self._settings.min_speed_change
+        least = self._limits.min_speed_change
         if not self._offset.ready or float(sizes.max()) < least:
             return True
         strong = sizes >= 0.5 * least
         angles = np.arctan2(smooth[strong, 1], smooth[strong, 0])
-        return angles_agree(angles, self._settings.consistency_spread)
+        return angles_agree(angles, self._limits.consistency_range)

@@ -40,11 +40,12 @@ def _good(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> Moun
     tilt, angle = known.tilt, known.angle
     if tilt is None or angle is None or not known.sign_known:
         return None
-    n = angle.manoeuvres
+    n, limits = angle.manoeuvres, s.limits
     usable = n >= s.usable_manoeuvres
+    fine = n >= s.fine_manoeuvres and usable
     levels = (
-        Level(MountState.FINE, s.fine_yaw_std, s.fine_tilt_std, n >= s.fine_manoeuvres and usable),
-        Level(MountState.USABLE, s.usable_yaw_std, s.usable_tilt_std, usable),
+        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, fine),
+        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, usable),
     )
     return best_level(levels, before, angle.std, tilt.std, s.hysteresis)
 
@@ -53,9 +54,12 @@ def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[st
     """One reason per angle, in words and as a code; no entry where nothing is missing."""
     reasons: dict[str, tuple[str, Missing]] = {}
     if known.tilt is None:
-        reason = f"standstill of {s.static.seconds:g} s not seen yet", Missing.STANDSTILL
+        reason = (
+            f"standstill of {s.calibration.static.duration:g} s not seen yet",
+            Missing.STANDSTILL,
+        )
         reasons["roll"] = reasons["pitch"] = reason
-    elif known.tilt.std > s.fine_tilt_std and not s.planar:
+    elif known.tilt.std > s.limits.fine_tilt and not s.planar:
         text = f"waiting for stops in other places, slope averages out ({known.stops} seen)"
         reasons["roll"] = reasons["pitch"] = text, Missing.STANDSTILL
     yaw = _waiting_for_yaw(known, s)
@@ -67,7 +71,7 @@ def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[st
 def _waiting_for_yaw(known: TiltAndAngle, s: PublishedSettings) -> tuple[str, Missing] | None:
     angle = known.angle
     count = known.manoeuvres if angle is None else angle.manoeuvres
-    what = f"straight acceleration above {s.manoeuvre_peak:g} m/s2"
+    what = f"straight acceleration above {s.calibration.straight.manoeuvre_peak:g} m/s2"
     seen = f"waiting for {what} ({count} of {s.usable_manoeuvres} seen)"
     if known.tilt is None:
         return f"levelling first, then {seen}", Missing.STANDSTILL
@@ -76,9 +80,9 @@ def _waiting_for_yaw(known: TiltAndAngle, s: PublishedSettings) -> tuple[str, Mi
     if not known.sign_known:
         text = "waiting for forward or backward: brake switch, a turn, or moving off from rest"
         return text, Missing.DIRECTION_OF_TRAVEL
-    if angle.std > s.usable_yaw_std:
+    if angle.std > s.limits.usable_yaw:
         std = math.degrees(angle.std)
         return f"manoeuvres do not agree yet ({count} seen, +-{std:.1f} deg)", Missing.AGREEMENT
-    if count < s.fine_manoeuvres or angle.std > s.fine_yaw_std:
+    if count < s.fine_manoeuvres or angle.std > s.limits.fine_yaw:
         return f"waiting for more {what} ({count} seen)", Missing.ACCELERATION
     return None

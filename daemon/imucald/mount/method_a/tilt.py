@@ -31,9 +31,10 @@ class TiltEstimator:
 
     def __init__(self, settings: PublishedSettings) -> None:
         s = self._settings = settings
-        self._stops = StopBook(s.slope_std, s.accel_bias_std, s.average_stops)
-        self._long_run = LongRunLevel(s.slope_std, s.accel_bias_std)
-        self._standstill = StandstillDetector(s.static)
+        bias_std = s.calibration.accelerometer_bias
+        self._stops = StopBook(s.slope_std, bias_std, s.calibration.static.average_stops)
+        self._long_run = LongRunLevel(s.slope_std, bias_std)
+        self._standstill = StandstillDetector(s.calibration.static)
         self._moved = self._moved_s = math.inf
         self._sum = (0.0, 0.0, 0.0)
         self._ticks = 0.0
@@ -60,7 +61,7 @@ class TiltEstimator:
         force (3,) [m/s^2], and whether it may be learnt from; speed [m/s] or NaN.
         """
         s = self._settings
-        stopped = None if isnan(speed) else abs(speed) <= s.standstill_speed
+        stopped = None if isnan(speed) else abs(speed) <= s.calibration.static.standstill_speed
         if not clean:
             self._standstill.restart()
         window = self._standstill.step(tick, stopped) if clean else None

@@ -90,14 +90,15 @@ def straight_samples(
     yaw_rate: ArrayLike | None = None,
 ) -> NDArray[np.bool_]:
     """Step 4 on arrays (N,): the first preferred recogniser whose signal is there; (N,) bool."""
-    for recogniser in settings.recognisers:
+    limits = settings.calibration.straight
+    for recogniser in limits.recognise_by:
         if recogniser == "steering" and steering is not None:
-            return steering_is_small(steering, settings.steering_limit)
+            return steering_is_small(steering, limits.steering_limit)
         if recogniser == "yaw_rate" and yaw_rate is not None:
-            return yaw_rate_is_small(yaw_rate, settings.yaw_rate_limit_without_speed)
+            return yaw_rate_is_small(yaw_rate, limits.yaw_rate_limit_without_speed)
         if recogniser == "consistency":
-            spread = settings.consistency_spread
-            return windows_agree(angles, settings.consistency_window, spread)
+            spread = limits.consistency_range
+            return windows_agree(angles, limits.consistency_window, spread)
     raise EstimateError("no recogniser of straight motion has its signal")
 
 
@@ -115,8 +116,9 @@ def solve_published(
     Raises EstimateError where the recording holds no standstill or no variable-speed motion.
     """
     a = np.asarray(accel, dtype=float)
-    count = settings.static.count
-    static = np.flatnonzero(static_windows(a, count, settings.static.thresholds))
+    test = settings.calibration.static
+    count = test.samples
+    static = np.flatnonzero(static_windows(a, count, test.threshold))
     if len(static) == 0:
         raise EstimateError("no standstill in the recording: nothing to level with")
     first = int(static[0]) * count
@@ -124,7 +126,7 @@ def solve_published(
     R = levelled(a, J)
     angles = target_angles(R)
     horizontal = np.hypot(R[:, 0], R[:, 1])
-    motion = horizontal >= settings.min_speed_change
+    motion = horizontal >= settings.calibration.straight.min_speed_change
     motion &= straight_samples(angles, settings, steering, yaw_rate)
     if not motion.any():
         raise EstimateError("no straight variable-speed motion in the recording")
