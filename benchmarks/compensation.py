@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measured import ROOT
-from imucald.compensation import Compensation, compensation_from_model
+from imucald.compensation import ModelCompensation, compensation_from_model
 from imucald.compensation.trial import corrected_drive, corrected_with
 from imucald.compensation.truth_error import drive_errors
 from imucald.config.network import VehicleSettings
@@ -133,7 +133,7 @@ class Row:
         return np.sqrt(total / np.where(known.any(axis=0), known.sum(axis=0), np.nan))
 
 
-def errors(drive: Drive, effect: Effect, compensation: Compensation | None) -> np.ndarray:
+def errors(drive: Drive, effect: Effect, compensation: ModelCompensation | None) -> np.ndarray:
     samples = {c: s for c, s in drive.samples.items() if c not in effect.without}
     chassis = drive.model.chassis
     settings = EstimatorSettings(
@@ -235,7 +235,9 @@ def cost() -> float:
     force, rate = [("accel", (0.1, 0.2, 9.8))], [("gyro", (0.01, 0.02, 0.2))]
     took = []
     for _ in range(7):
-        stages = compensation.stages({"accel", "gyro", "temperature"}, derived_speed=False)
+        stages = compensation.preprocessing_chain(
+            {"accel", "gyro", "temperature"}, derived_speed=False
+        )
         rejected: Counter[str] = Counter()
         stages.frame(0.0, [("temperature", (40.0,))], rejected)
         began = time.process_time()

@@ -383,6 +383,12 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path, monkeypatch, capsys):
     assert [x["key"] for x in kept] == first + done
 
 
+def test_seeds_that_were_tuned_on_are_refused(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["integrity", "--first", "41000"])
+    assert command.main() == 2
+    assert "41000 was tuned on" in capsys.readouterr().err
+
+
 def line(row, **changed):
     """An outcome without anything wrong."""
     sound = {

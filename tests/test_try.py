@@ -7,6 +7,7 @@ import importlib.util
 import sys
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -130,6 +131,20 @@ def test_the_installation_stands_until_the_project_file_changes(script: Any) -> 
     assert not script.is_done("dev")
     script.STAMP.write_text("[1, 2")
     assert not script.is_done("")
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_the_fast_lane_leaves_out_slow_tests_and_kernels(script: Any, fast: bool) -> None:
+    done: list[str] = []
+    script.prepare = lambda extra: done.append(f"extra {extra}")
+    script.prepare_can_kernel = lambda: done.append("kernel")
+    script.os = SimpleNamespace(chdir=done.append, execv=lambda _, program: done.extend(program))
+    script.main(["tests", *(["--fast"] if fast else []), "-x"])
+    assert ("kernel" in done) != fast
+    assert ("not slow" in done) == fast
+    assert ("tests/vcan" in done) == fast
+    assert "--fast" not in done
+    assert done[-1] == "-x"
 
 
 def test_an_old_python_is_told_what_to_install(

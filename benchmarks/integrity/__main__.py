@@ -1,8 +1,9 @@
 """Is what is sent ever good and wrong? The figures of docs/integrity.md.
 
-    python -m benchmarks.integrity [--only PART ...] [--row NAME ...] [--drives N] [--hours N]
-                                   [--first SEED] [--jobs N] [--quick] [--results FILE]
-                                   [--table] [--diagram FILE] [--write]
+    python -m benchmarks.integrity [--only PART ...] [--row NAME ...] [--base BASE ...]
+                                   [--drives N] [--hours N] [--logs N] [--first SEED] [--jobs N]
+                                   [--quick] [--results FILE] [--table] [--worst N]
+                                   [--diagram FILE] [--write]
 
 Faults are edited into the samples of simulated drives and measured logs; frames are made of them
 and taken through the real engine; what it sends is held against the truth. Each drive's outcome is
@@ -30,10 +31,11 @@ from typing import Any
 
 from benchmarks.integrity.cases import PARTS, QUICK, Case, Size, cases
 from benchmarks.integrity.diagram import diagram
-from benchmarks.integrity.page import PAGE, report, written
+from benchmarks.integrity.page import PAGE, report, worst, written
 from benchmarks.measured import FOLDER, ROOT
+from benchmarks.mount_accuracy.seeds import tuned_on
 
-INTERRUPTED = 130
+INTERRUPTED, USAGE = 130, 2
 SHOWS_ONLY = ("__main__.py", "page.py", "diagram.py")
 TOLD_EVERY_S = 30.0
 
@@ -44,8 +46,13 @@ def main() -> int:
     given = {k: getattr(options, k) for k in ("drives", "first", "hours", "logs")}
     size = replace(size, **{k: v for k, v in given.items() if v is not None})
     wanted = list(cases(size, tuple(options.only)))
+    if tuned := tuned_on(sorted({int(case.base) for case in wanted if case.base.isdigit()})):
+        print(f"--first {size.first}: seed {tuned[0]} was tuned on", file=sys.stderr)
+        return USAGE
     if options.row:
         wanted = [case for case in wanted if case.row in options.row]
+    if options.base:
+        wanted = [case for case in wanted if case.base in options.base]
     path = options.results or FOLDER / f"integrity-{state()}.jsonl"
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -58,6 +65,8 @@ def main() -> int:
     lines = [line for line in _read(path) if line["key"] in keys]
     text = report(lines)
     print(text)
+    if options.worst:
+        print(worst(lines, options.worst))
     if options.diagram is not None:
         options.diagram.write_text(diagram(lines), encoding="utf-8")
     if options.write:
@@ -72,6 +81,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART",
                         help="of " + ", ".join(PARTS))  # fmt: skip
     parser.add_argument("--row", nargs="+", help="only these faults, as the table names them")
+    parser.add_argument("--base", nargs="+", help="only these seeds or logs")
     parser.add_argument("--drives", type=int, help="simulated drives a fault")
     parser.add_argument("--hours", type=int, help="of driving without a fault")
     parser.add_argument("--logs", type=int, help="how many of the measured logs")
@@ -80,6 +90,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help="a few drives, in two minutes")
     parser.add_argument("--results", type=Path)
     parser.add_argument("--table", action="store_true", help="only tell what is there")
+    parser.add_argument("--worst", type=int, help="name so many of the worst drives of each fault")
     parser.add_argument("--diagram", type=Path, help="SVG to write")
     parser.add_argument("--write", action="store_true", help=f"put the figures into {PAGE.name}")
     return parser.parse_args()

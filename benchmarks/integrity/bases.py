@@ -201,7 +201,7 @@ def _decoded(name: str, config: Path, log: Path) -> Samples:
     base = TimeBase()
     parts: dict[str, list[Series]] = {}
     for chunk in LogReader([log], router.matches):
-        for piece in base.columns(chunk.t):
+        for piece in base.segments(chunk.t):
             rows = chunk.take(slice(piece.start, piece.stop))
             for channel, series in router.columns(piece.t, rows).samples.items():
                 parts.setdefault(channel, []).append(series)

@@ -20,8 +20,7 @@ from benchmarks.measured import made_once
 from imucald.can.columns import FrameColumns
 from imucald.config import LoadedConfig, parse_config
 from imucald.core.samples import Samples, Series
-from imucald.model.model import Model
-from imucald.simulation import Drive, Truth, random_model
+from imucald.simulation import Drive, Truth, VehicleModel, random_model
 from imucald.traffic.encoder import BusEncoder
 from imucald.traffic.other_units import joined
 
@@ -125,7 +124,7 @@ def probe_lengths(seconds: int) -> Array:
 
 
 def frames(
-    samples: Samples, duration_s: float, loaded: LoadedConfig, model: Model | None, seed: int
+    samples: Samples, duration_s: float, loaded: LoadedConfig, model: VehicleModel | None, seed: int
 ) -> FrameColumns:
     """Frames of samples in order of time, the probes' in the middle of each second.
 

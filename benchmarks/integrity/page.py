@@ -41,11 +41,23 @@ def report(lines: Sequence[Line]) -> str:
     return "\n".join(out)
 
 
+def worst(lines: Sequence[Line], number: int) -> str:
+    """The drives of each fault that were misleading for longest after the allowed time."""
+    out = ["fault, base, number, onset [s], seen: late, misleading, good [s]; time to alert"]
+    for row in ROWS:
+        found = [x for x in lines if x["row"] == row.name and (x["beyond"] > 0.0 or x["crash"])]
+        for x in sorted(found, key=lambda x: -float(x["beyond"]))[:number]:
+            alert = "never" if x["alert_clock"] is None else f"{x['alert_clock']:.1f} s"
+            place = f"{row.name}, {x['base']}, {x['variant']}, {x['onset']:.1f}, {x['seen']}"
+            times = f"{x['beyond']:.1f}, {x['misleading']:.1f}, {x['good']:.0f}; {alert}"
+            out.append(f"{place}: {times} {x['crash'] or ''}".rstrip())
+    return "\n".join(out)
+
+
 def _drives(lines: Sequence[Line]) -> str:
-    seeds = sorted(
-        {int(x["base"]) for x in lines if x["base"].isdigit() and x["row"] != QUIET.name}
-    )
-    logs = {x["base"] for x in lines if not x["base"].isdigit() and x["row"] != AS_RECORDED.name}
+    edited = {x["base"] for x in lines if x["row"] not in (QUIET.name, AS_RECORDED.name)}
+    seeds = sorted(int(base) for base in edited if base.isdigit())
+    logs = [base for base in edited if not base.isdigit()]
     drives = f"{len(seeds)} simulated drives from seed {seeds[0]} on" if seeds else "No drives"
     return f"{drives} and {len(logs)} logs have had faults put in, in {len(lines)} runs."
 

@@ -323,6 +323,7 @@ def test_method_b_alone_finds_the_zero_error_at_rest():
     assert e.bias == pytest.approx((0.01, -0.02, 0.03), abs=2e-4)
 
 
+@pytest.mark.slow
 def test_a_day_of_stops_and_drives():
     """Twenty-four hours at one sample a second: no blow-up, angles where they were."""
     attitude = AttitudeFilter(settings({"interval": 4.0, "average": 0.5}, longest_step=2.0))

@@ -47,6 +47,7 @@ def truth(R):
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_the_filter_follows_the_ins():
     loaded = load_config(ROOT / "config" / "examples" / "kingston_2008.yaml")
     router, R = compile_router(loaded), mount()

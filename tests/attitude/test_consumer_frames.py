@@ -314,6 +314,7 @@ def test_what_cannot_be_is_left_out_and_counted(tmp_path):
     assert content["roll_deg"] == pytest.approx(0.0, abs=0.05)
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(
     st.sampled_from(ORDER), st.floats(0.0, 3.0),
     st.tuples(*[st.floats(allow_nan=True, allow_infinity=True) | st.floats(-20, 20)] * 3),

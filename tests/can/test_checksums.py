@@ -147,6 +147,7 @@ def test_profile_5_equals_an_independent_one(
     assert Checksum(e2e_profile_5(len(frame), data_id, 8 * offset)).is_right(theirs)
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     frame=st.integers(3, 64).flatmap(lambda n: st.binary(min_size=n, max_size=n)),
@@ -182,6 +183,7 @@ def any_spec(size: int) -> st.SearchStrategy[ChecksumSpec]:
     )
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(size=st.integers(3, 64), seed=st.integers(0, 2**32 - 1), data=st.data())
 def test_columns_equal_frame_by_frame(size: int, seed: int, data: st.DataObject) -> None:

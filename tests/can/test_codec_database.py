@@ -126,6 +126,7 @@ def test_xml_that_unfolds_without_end_is_refused() -> None:
             load_database_text(text, kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dbc", "kcd", "sym", "arxml"])
 def test_a_damaged_database_never_crashes(kind: str) -> None:
     """Each damaged text loads or is refused; what loads compiles or is refused."""

@@ -7,6 +7,7 @@ import random
 
 import cantools.database
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -39,6 +40,7 @@ def bits(value: float | None) -> bytes | None:
     return b"nan" if math.isnan(value) else np.float64(value).tobytes()
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(rng=st.randoms(use_true_random=False), multiplexed=st.booleans())
 def test_decoding_equals_cantools_and_columns_equal_single_frames(
@@ -75,6 +77,7 @@ def test_decoding_equals_cantools_and_columns_equal_single_frames(
         }
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(rng=st.randoms(use_true_random=False))
 def test_a_plan_of_some_signals_gives_what_the_plan_of_all_gives(rng: random.Random) -> None:
@@ -87,6 +90,7 @@ def test_a_plan_of_some_signals_gives_what_the_plan_of_all_gives(rng: random.Ran
         assert [bits(v) for v in part.decode(frame)] == [bits(every[n]) for n in some]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(rng=st.randoms(use_true_random=False))
 def test_encoding_equals_cantools_and_columns_equal_single_frames(rng: random.Random) -> None:

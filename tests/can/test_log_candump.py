@@ -53,6 +53,7 @@ def read(path: Path, text: bytes | str, keep: list[IdMatch] | None = None) -> li
     return frames_of(*reader)
 
 
+@pytest.mark.slow
 @LENIENT
 @given(st.lists(written_frames(), max_size=25))
 def test_any_mixture_of_frames_is_read_as_it_was_written(
@@ -65,6 +66,7 @@ def test_any_mixture_of_frames_is_read_as_it_was_written(
     assert read(path, "\n".join(line for line, _ in written)) == frames
 
 
+@pytest.mark.slow
 @LENIENT
 @given(
     st.lists(written_frames(), max_size=30),
@@ -167,6 +169,7 @@ def test_reads_what_python_can_reads(tmp_path: Path, mixed_log: tuple[bytes, lis
     assert read(tmp_path / "a.log", text) == frames
 
 
+@pytest.mark.slow
 def test_a_block_may_end_at_any_place_in_a_line(
     tmp_path: Path, mixed_log: tuple[bytes, list[Frame]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,6 +179,7 @@ def test_a_block_may_end_at_any_place_in_a_line(
         assert read(tmp_path / "a.log", text) == frames
 
 
+@pytest.mark.slow
 def test_a_file_may_end_at_any_place_in_a_block(
     tmp_path: Path, mixed_log: tuple[bytes, list[Frame]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

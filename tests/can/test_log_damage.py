@@ -99,6 +99,7 @@ def test_every_single_byte_of_a_line_is_checked(tmp_path: Path, line: str) -> No
     check_against_judge(tmp_path / "a.log", [text, *wrong, text])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", GOOD)
 def test_a_line_cut_anywhere_is_no_frame_unless_complete(tmp_path: Path, line: str) -> None:
     text = line.encode()
@@ -243,6 +244,7 @@ def test_what_was_read_before_a_compressed_file_is_cut_is_kept(tmp_path: Path) -
         list(LogReader([path], strict=True))
 
 
+@pytest.mark.slow
 def test_a_cut_compressed_file_gives_no_cut_line_as_a_frame(tmp_path: Path) -> None:
     text = big_log(400)
     stored = gzip.compress(text)

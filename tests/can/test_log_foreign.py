@@ -158,6 +158,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path, name: str) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a.asc", "a.trc", "a.csv"])
 def test_no_cut_text_log_gives_a_frame_it_did_not_hold(tmp_path: Path, name: str) -> None:
     path = tmp_path / name

@@ -18,6 +18,7 @@ DRIVES = sorted(DATA.glob("*/drive.log.gz"))
 pytestmark = pytest.mark.skipif(not DRIVES, reason=f"no measured drives in {DATA}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", DRIVES, ids=lambda path: path.parent.name)
 def test_every_line_of_a_drive_is_a_frame(path: Path) -> None:
     lines = gzip.decompress(path.read_bytes()).splitlines()

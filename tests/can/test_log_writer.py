@@ -55,6 +55,7 @@ def stamp(t: float) -> str:
     return f"{t:017.6f}"
 
 
+@pytest.mark.slow
 @LENIENT
 @given(st.lists(frames(), max_size=20))
 def test_frames_are_read_back_as_they_were_written(
@@ -69,6 +70,7 @@ def test_frames_are_read_back_as_they_were_written(
     assert path.read_text().splitlines() == expected
 
 
+@pytest.mark.slow
 @LENIENT
 @given(st.lists(frames(), max_size=20))
 def test_single_frames_are_written_like_columns(

@@ -297,6 +297,7 @@ def state(checker: MessageChecker) -> tuple[object, ...]:
     return (checker.accepted, checker.rejected, checker.lost, *position)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     spec=specs(),

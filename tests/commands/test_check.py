@@ -119,6 +119,7 @@ MISTAKES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_planted_mistake_is_named_and_nothing_else(frames: Frames, mistake: str) -> None:
     (signal, change), quantity, words = MISTAKES[mistake]
@@ -213,6 +214,7 @@ def test_an_empty_log_is_not_usable() -> None:
     json.dumps(report, allow_nan=False)
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_numpy_whatever_the_chunks(frames: Frames) -> None:
     whole = checked(frames)
     pieces = [chunk.take(slice(i, i + 997)) for chunk in frames for i in range(0, len(chunk), 997)]
@@ -223,6 +225,7 @@ def test_figures_are_those_of_numpy_whatever_the_chunks(frames: Frames) -> None:
     assert [f["text"] for f in whole["findings"]] == [f["text"] for f in cut["findings"]]
 
 
+@pytest.mark.slow
 def test_a_fuzzed_bus_is_survived_and_counted() -> None:
     """Random bytes under our ids and any others: a report, finite and complete."""
     rng = np.random.default_rng(5)
@@ -331,6 +334,7 @@ def real(name: str) -> dict[str, Any]:
     return check.report()
 
 
+@pytest.mark.slow
 def test_css_drive_is_right_handed_and_in_the_right_units() -> None:
     report = real("css_canmod_164")
     assert report["usable"]

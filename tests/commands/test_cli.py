@@ -29,6 +29,7 @@ HELP_S = 3.0
 """A help takes 0.2 s on an idle machine; this is for a busy one."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["", *cli.COMMANDS])
 def test_every_help_comes_quickly_and_fits_eighty_columns(command: str) -> None:
     arguments = [command] if command else []
@@ -78,6 +79,7 @@ def test_a_missing_file_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert "nowhere.yaml" in text
 
 
+@pytest.mark.slow
 def test_output_that_knows_ascii_only_is_served(tmp_path: Path) -> None:
     log = tmp_path / "drive.log"
     commands = [["simulate", "--minutes", "0.3", "--out", str(log)],
@@ -226,6 +228,7 @@ def with_damaged_text(rng: random.Random) -> str:
     return text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [with_junk, with_damaged_text])
 def test_damaged_configurations_give_an_error_with_place_or_work(
     damage: Callable[[random.Random], str], monkeypatch: pytest.MonkeyPatch
@@ -255,6 +258,7 @@ def test_damaged_configurations_give_an_error_with_place_or_work(
     assert outcomes["works"] > 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["replay", "check"])
 def test_a_reader_that_has_had_enough_is_no_error(command: str, tmp_path: Path) -> None:
     config = shuttle.write(tmp_path, cycles=1)

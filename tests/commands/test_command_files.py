@@ -157,6 +157,7 @@ def test_a_bus_without_speed_is_refused_rather_than_ignored(told, log):
     assert "--speed" in text
 
 
+@pytest.mark.slow
 def test_frames_on_standard_output_are_not_mixed_with_tables(log):
     done = subprocess.run(
         [sys.executable, "-m", "imucald", *map(str, replay(log, "--out", "-"))],
@@ -187,6 +188,7 @@ def test_simulate_does_not_overwrite_what_it_reads(told, tmp_path):
         assert model.read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_ctrl_c_says_that_the_output_is_cut(log, tmp_path):
     out = tmp_path / "out.log"

@@ -45,6 +45,7 @@ def finished() -> Demonstration:
         return demo
 
 
+@pytest.mark.slow
 def test_the_estimate_ends_near_the_truth(finished: Demonstration) -> None:
     angles = angles_beside(finished.estimate(), finished.truth)
     assert [a.name for a in angles] == ["roll", "pitch", "yaw"]
@@ -73,6 +74,7 @@ def test_corrected_acceleration_is_near_the_truth_as_far_as_noise_allows(
     assert found.corrected < 1.5 * found.known_mount
 
 
+@pytest.mark.slow
 def test_replay_of_the_same_drive_gives_the_same_estimate(
     finished: Demonstration, tmp_path: Path
 ) -> None:
@@ -86,6 +88,7 @@ def test_replay_of_the_same_drive_gives_the_same_estimate(
     assert result["state"] == ours.state.name.lower()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_demonstration() -> None:
     def values() -> list[tuple[float, ...] | None]:
         with Demonstration(short_drive(0.3), example_config()) as demo:
@@ -118,6 +121,7 @@ def test_an_unknown_angle_is_left_out() -> None:
 # the command -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_prints_lines_and_the_result(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -144,6 +148,7 @@ def test_wrong_options_are_told(
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_interrupting_on_a_terminal_stops_cleanly() -> None:
     """Ctrl-C in the live picture: status 130, one line, the cursor is shown again."""
     leader, follower = pty.openpty()

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imucald.compensation import Compensation, compensation_from_model
+from imucald.compensation import ModelCompensation, compensation_from_model
 from imucald.compensation.trial import CorrectedDrive, corrected_drive, corrected_with
 from imucald.compensation.truth_error import DriveErrors, drive_errors, true_signals
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
@@ -36,7 +36,7 @@ def driven(seed: int, changes) -> Drive:
     return _driven(seed, json.dumps(changes))
 
 
-def corrected(drive: Drive, compensation: Compensation | None) -> CorrectedDrive:
+def corrected(drive: Drive, compensation: ModelCompensation | None) -> CorrectedDrive:
     side = drive.model.route.driving_side
     return corrected_drive(drive.samples, compensation, full(vehicle={"driving_side": side}))
 
@@ -73,6 +73,7 @@ SIGNAL_CASES = {
 """Changes, what is looked at, its axes, and the largest part of the error that may be left."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(SIGNAL_CASES))
 def test_corrected_signals_are_nearer_to_the_truth(name):
     """With the true mount: the signals' own error."""
@@ -91,6 +92,7 @@ MOUNT_CASES = {
 """Changes, angles that they turn; axes of the force, and how much of its error may be left."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(MOUNT_CASES))
 def test_mount_and_signals_are_nearer_to_the_truth_where_the_effect_had_turned_it(name):
     changes, angles, axes, most = MOUNT_CASES[name]
@@ -100,6 +102,7 @@ def test_mount_and_signals_are_nearer_to_the_truth_where_the_effect_had_turned_i
     assert rms(after, "accel", axes) < most * rms(before, "accel", axes)
 
 
+@pytest.mark.slow
 def test_a_delay_that_the_model_has_wrong_is_still_found():
     """Nobody looked: the file says what a new file says, no delay."""
     drive = driven(31, {"speed.delay_s": 0.25})
@@ -108,6 +111,7 @@ def test_a_delay_that_the_model_has_wrong_is_still_found():
     assert float(found.estimate.details["speed_delay"]) == pytest.approx(0.25, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_known_delay_of_speed_need_not_be_learnt():
     """The estimator sees signals of one time: what it would find as delay is nothing."""
     drive = driven(31, {"speed.delay_s": 0.4})
@@ -118,8 +122,9 @@ def test_a_known_delay_of_speed_need_not_be_learnt():
     assert np.isfinite(known.accel.values).all(axis=1).mean() > 0.5
 
 
+@pytest.mark.slow
 def test_nothing_of_the_noise_is_made_louder():
-    """Single samples, vibration and all: with lever arm and leaning no axis is worse."""
+    """Single samples, vibration and all: with lever arm and suspension no axis is worse."""
     drive = driven(31, {"mount.lever_arm_m": [1.5, 0.3, 0.5]})
     data = drive.model.dump()
     bare = {**data, "mount": {}, "suspension": {}}
@@ -137,6 +142,7 @@ def test_nothing_of_the_noise_is_made_louder():
     assert (errors[1][[0, 1, 3, 4]] < 0.98 * errors[0][[0, 1, 3, 4]]).all()
 
 
+@pytest.mark.slow
 def test_the_trial_without_a_model_is_the_plain_pipeline():
     drive = driven(31, {"speed.delay_s": 0.4})
     plain, empty = corrected(drive, None), corrected(drive, compensation_from_model({}))

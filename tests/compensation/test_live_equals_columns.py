@@ -36,7 +36,9 @@ def engine_with(loaded, model):
     signals = loaded.config.signals
     channels = {"accel", "gyro", "temperature", "speed"}
     rates = [f"parallel/{p.name}" for p in signals.parallel]
-    stages = compensation_from_model(model).stages(channels, signals.speed is None, rates)
+    stages = compensation_from_model(model).preprocessing_chain(
+        channels, signals.speed is None, rates
+    )
     return engine_of(loaded, stages=stages)
 
 
@@ -67,6 +69,7 @@ def told(engine):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CONFIGS))
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32))
@@ -116,6 +119,7 @@ signals:
 """
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_the_same_at_a_drives_rhythm_with_holes_and_jumps(tmp_path_factory, seed):
@@ -134,6 +138,7 @@ def test_the_same_at_a_drives_rhythm_with_holes_and_jumps(tmp_path_factory, seed
     assert told(other) == told(single)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_columns", [False, True])
 def test_a_clock_that_is_set_ends_what_was_known_of_the_turning(tmp_path, by_columns):
     loaded = load(DENSE, tmp_path)

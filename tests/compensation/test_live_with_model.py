@@ -48,6 +48,7 @@ def rows(frames):
         yield t, can_id, data[:length].tobytes()
 
 
+@pytest.mark.slow
 def test_frames_on_a_virtual_bus_equal_those_of_replay_byte_for_byte(tmp_path):
     config = simulated(tmp_path)
     frames = drive_frames().take(slice(0, 24_000))
@@ -92,6 +93,7 @@ def test_frames_on_a_virtual_bus_equal_those_of_replay_byte_for_byte(tmp_path):
     assert without != expected, "the model does something"
 
 
+@pytest.mark.slow
 def test_the_full_estimator_gets_the_same_ticks_live_and_in_columns(tmp_path):
     config = simulated(tmp_path, "full")
     frames = drive_frames()
@@ -251,5 +253,5 @@ def test_the_long_form_and_the_switch(bench):
     )
     stages = make_engine(open_config(bench.config)).stages
     assert stages.vehicle is None
-    assert stages.evidence is not None, "the mount is found without the leaning all the same"
+    assert stages.evidence is not None, "the mount is found without the suspension all the same"
     assert any("compensate_suspension" in note for note in stages.notes)

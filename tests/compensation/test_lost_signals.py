@@ -36,6 +36,7 @@ def without(samples: Samples, channels: tuple[str, ...], starts, seconds: float)
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.45, 3.0, 9.0])
 @pytest.mark.parametrize("lost", [("accel",), ("accel", "gyro")], ids=["accel", "both"])
 def test_a_lost_accelerometer_makes_a_leaning_body_no_moved_sensor(lost, seconds):

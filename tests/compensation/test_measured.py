@@ -89,6 +89,7 @@ CASES = {
 """What is done to the drive, the model that knows it, and how far it turns the mount [deg]."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_what_was_put_into_a_measured_drive_is_taken_out(name):
     disturb, model, turned = CASES[name]
@@ -101,6 +102,7 @@ def test_what_was_put_into_a_measured_drive_is_taken_out(name):
     assert forward_error(after) == pytest.approx(forward_error(undisturbed()), abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_late_accelerometer_is_brought_together_with_speed_and_rate():
     """Speed leads this accelerometer by 0.2 to 0.25 s as it is: a model of the car would say so.
 

@@ -35,8 +35,8 @@ def test_what_is_left_out_stays_in_the_signals(tmp_path):
     """Unlike in a simulated drive, where the preset of a car is taken."""
     empty = compensation_from_model(written(tmp_path, "{}"))
     assert empty.compensated(ALL) == []
-    assert empty.evidence_stage() is None
-    assert empty.vehicle_stage(ALL).neutral
+    assert empty.tick_preprocessing() is None
+    assert empty.vehicle_correction(ALL).neutral
     one = compensation_from_model(written(tmp_path, "accel: {bias: [0.1, 0, 0]}"))
     assert one.compensated(ALL) == ["accel.bias"]
 
@@ -48,7 +48,7 @@ def test_switches_are_obeyed(tmp_path):
     with pytest.raises(ConfigError, match="roll_gradient"):
         compensation_from_model(written(tmp_path, text))
     text = text.replace("roll_gradient: 1", "roll_gradient: 0.01")
-    assert compensation_from_model(written(tmp_path, text)).terms.lean.neutral
+    assert compensation_from_model(written(tmp_path, text)).terms.suspension.neutral
     text = "mount: {lever_arm: false, lever_arm_m: [1, 0, 0]}"
     assert compensation_from_model(written(tmp_path, text)).compensated(ALL) == []
 
@@ -117,6 +117,7 @@ def test_what_cannot_be_used_is_told():
     assert "needs" not in with_all
 
 
+@pytest.mark.slow
 def test_reading_a_model_loads_none_of_the_simulation_and_nothing_without_one(tmp_path):
     model = written(tmp_path, VehicleModel().to_yaml())
     text = CONFIG.read_text().replace("../../", f"{CONFIG.parent.parent.parent}/")

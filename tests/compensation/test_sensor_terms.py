@@ -69,6 +69,7 @@ def flawed(changes) -> tuple[dict[str, Series], dict[str, Series]]:
     return raw, compensation_from_model(model.dump()).samples(raw)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", sorted(EXACT))
 def test_what_the_model_knows_is_gone(channel):
     raw, found = flawed(EXACT[channel])
@@ -122,7 +123,7 @@ def test_what_the_gyroscope_feels_of_the_force_is_gone():
 
 def test_a_speed_made_of_wheels_is_made_of_corrected_ones():
     model = {"wheel_speeds": {"scale": [0.1, 0.0, 0.0, -0.1]}, "speed": {"scale": 0.5}}
-    stage = compensation_from_model(model).sensor_stage(derived_speed=True)
+    stage = compensation_from_model(model).sensor_correction(derived_speed=True)
     wheels, speed = (11.0, 9.0, 12.0, 9.9), (9.95,)  # truly 10, 9, 12, 11
     out, refused = stage.frame(0.0, [("wheel_speeds", wheels), ("speed", speed)])
     assert refused == []
@@ -145,7 +146,7 @@ def test_what_was_clipped_or_cannot_be_is_refused():
     # at the rail: refused; beyond it there is none; 70 / 0.3 is no acceleration of a car
     assert found["accel"].t.tolist() == [0.0, 3.0, 5.0]
     assert found["lateral_accel"].t.tolist() == [0.0, 2.0, 3.0, 4.0, 5.0]
-    stage = compensation.sensor_stage()
+    stage = compensation.sensor_correction()
     for i, v in enumerate(values.tolist()):
         out, refused = stage.frame(float(i), [("accel", v)])
         assert (refused == []) == (i in (0, 3, 5)) == (len(out) == 1)

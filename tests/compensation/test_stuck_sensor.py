@@ -12,6 +12,7 @@ from imucald.simulation import random_model, simulate
 SEED, MINUTES = 47, 5.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", ["gyro", "accel"])
 def test_terms_that_change_from_sample_to_sample_do_not_make_a_stuck_sensor_move(channel):
     model = random_model(SEED, standing_first=True).with_changes(

@@ -1,4 +1,4 @@
-"""Lever arm and leaning: motions whose truth is known in closed form; noise is not made louder."""
+"""Lever arm and suspension: motions whose truth is known in closed form; noise stays as it is."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from imucald.compensation import compensation_from_model
-from imucald.compensation.suspension import Leaning
-from imucald.compensation.terms import LeanTerms
+from imucald.compensation.suspension import SuspensionFilter
+from imucald.compensation.terms import SuspensionTerms
 from imucald.core.samples import GRAVITY
 
 DT = 0.01
@@ -17,7 +17,7 @@ CHANNELS = {"accel", "gyro"}
 
 
 def stage(model, suspension=True):
-    return compensation_from_model(model, suspension).vehicle_stage(CHANNELS)
+    return compensation_from_model(model, suspension).vehicle_correction(CHANNELS)
 
 
 def run(made, rates, forces, dt=DT):
@@ -111,9 +111,9 @@ def test_an_accelerometer_that_fell_silent_in_mid_swing_turns_no_rate():
 
 def test_a_sensor_of_ten_a_second_and_one_of_a_thousand_lean_alike():
     for rate in (10.0, 1000.0):
-        leaning = Leaning(LeanTerms(roll=0.01, squat=0.004, dive=0.004))
+        suspension = SuspensionFilter(SuspensionTerms(roll=0.01, squat=0.004, dive=0.004))
         for i in range(int(4.0 * rate)):
-            lean = leaning.push(i / rate, 2.0, 0.0 if i < rate else 3.0)
+            lean = suspension.push(i / rate, 2.0, 0.0 if i < rate else 3.0)
         assert lean[0] == pytest.approx(0.03 / (1.0 + 0.01 * GRAVITY), rel=1e-3)
         assert lean[1] == pytest.approx(-0.008 / (1.0 + 0.004 * GRAVITY), rel=1e-3)
 
@@ -132,12 +132,12 @@ def shaken(rng, rms, n):
 
 
 @pytest.mark.parametrize(
-    "model", [{"mount": {"lever_arm_m": [1.5, 0.3, 0.5]}}, USUAL], ids=["lever", "leaning"]
+    "model", [{"mount": {"lever_arm_m": [1.5, 0.3, 0.5]}}, USUAL], ids=["lever", "suspension"]
 )
 def test_noise_is_hardly_made_louder(model):
     """A consumer part at 100 Hz on a bad road; a long lever, the springs of most cars.
 
-    What is added to the rates is less than what leaning there is in a drive (see `test_gain`).
+    What is added to the rates is less than what suspension there is in a drive (see `test_gain`).
     """
     rng = np.random.default_rng(7)
     n = 6000

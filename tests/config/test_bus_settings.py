@@ -59,6 +59,7 @@ def test_losses_and_failed_sends_are_told_for_a_second(tmp_path):
     assert not daemon.link_health().send_failed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [1, 2, 5, 10])
 def test_status_frames_come_as_often_as_configured(rate, tmp_path):
     engine = make_engine(load(f"{HEAD}output: {{status_rate: {rate}}}\n", tmp_path))

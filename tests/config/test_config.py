@@ -173,6 +173,7 @@ YAML = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(st.dictionaries(st.sampled_from(sorted(Config.__struct_fields__)), YAML))
 def test_values_of_any_kind_are_a_configuration_or_an_error_of_ours(data):
     problem = None

@@ -73,6 +73,7 @@ def test_mistakes_have_their_lines_behind_a_kept_configuration(tmp_path, folder)
     assert "nonsense" in texts[0]
 
 
+@pytest.mark.slow
 def test_a_restart_loads_no_parser_of_yaml_and_no_openssl(tmp_path):
     environment = {**os.environ, "CACHE_DIRECTORY": str(tmp_path / "cache")}
     command = [sys.executable, "-c", PROBE, str(EXAMPLES[0])]

@@ -16,6 +16,8 @@ from imucald.diagnosis.verdict import verdict_of
 from imucald.model.model import model_from_mapping
 from imucald.simulation import load_model
 
+pytestmark = pytest.mark.slow
+
 MINUTES = 16.0
 FIRST_SEED = 800_000
 

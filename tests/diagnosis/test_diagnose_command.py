@@ -19,6 +19,8 @@ from imucald import cli
 from imucald.commands.diagnose_view import print_diagnosis
 from imucald.simulation import load_model
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent.parent
 CONFIG = str(ROOT / "config" / "examples" / "simulated.yaml")
 

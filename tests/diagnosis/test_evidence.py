@@ -10,6 +10,8 @@ from imucald.diagnosis.cause import Parameter
 from imucald.diagnosis.evidence import LENIENCE, Evidence
 from imucald.diagnosis.spectra import Normal
 
+pytestmark = pytest.mark.slow
+
 TOLERANCE, WIDE = 0.1, 3.0
 
 

@@ -16,6 +16,8 @@ from imucald.diagnosis.recording import read_samples
 from imucald.model.model import VehicleModel, model_from_mapping
 from imucald.runtime.session import open_config
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent.parent
 DATA = ROOT.parent / "shared" / "data"
 SEED, MINUTES = 21, 10.0

@@ -14,6 +14,8 @@ from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.grid import track_from_samples
 from imucald.simulation import VehicleModel, simulate
 
+pytestmark = pytest.mark.slow
+
 CLEAN = VehicleModel().with_changes(
     {
         "mount.roll_deg": 8.0,

@@ -15,6 +15,8 @@ from hidden import CAUSES, OUTSIDE, SIZES, TOLERANCES, Effect, HiddenDrive, hidd
 from imucald.core.samples import GRAVITY
 from imucald.model.model import model_from_mapping
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 SEED, MINUTES = 11, 4.0
 RATE = 200.0

@@ -15,6 +15,8 @@ from imucald.diagnosis.recording import read_samples
 from imucald.runtime.session import open_config
 from simulated_bus import drive, drive_frames, loaded, with_data, with_times
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent.parent
 DATA = ROOT.parent / "shared" / "data"
 

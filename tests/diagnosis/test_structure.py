@@ -19,6 +19,8 @@ from imucald.diagnosis.structure_guard import standing
 from imucald.diagnosis.structure_spectra import Spectra
 from imucald.model.model import VehicleModel, model_from_mapping
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("accel_x", "accel_y", "gyro_x", "gyro_z", "yaw_rate", "lateral_accel")
 MINUTES = 20
 TOP_HZ = 1.8

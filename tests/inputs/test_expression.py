@@ -122,6 +122,7 @@ ANY = st.one_of(
 )
 
 
+@pytest.mark.slow
 @given(ANY, st.lists(st.binary(min_size=8, max_size=8), min_size=1, max_size=8))
 def test_columns_equal_single_frames_and_python(text, frames):
     try:

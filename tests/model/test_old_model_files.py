@@ -75,6 +75,7 @@ def test_the_daemon_says_the_same_of_what_it_does_not_use():
     assert compensation_from_model(FOLDER / "by_hand.yaml").notes == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path", sorted((SHARED_DATA / "second_world").glob("*/model.yaml")), ids=str
 )

@@ -31,6 +31,7 @@ def test_small_steering_and_yaw_rate_are_straight_either_way() -> None:
     assert yaw_rate_is_small(x, 2.0 * DEG).tolist() == expected
 
 
+@pytest.mark.slow
 @given(
     st.lists(st.floats(0.0, 0.3), min_size=1, max_size=20),
     st.floats(-10.0, 10.0),

@@ -34,6 +34,7 @@ def flagged(speed: NDArray[np.float64]) -> NDArray[np.bool_]:
     return out[KEEP:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [3, 8, 60])
 def test_a_stuck_speed_is_flagged_from_its_first_tick_to_its_last(seconds):
     speed = np.round(true_speed() / 0.0028) * 0.0028
@@ -52,6 +53,7 @@ def test_a_tick_of_which_half_is_stuck_is_flagged_as_well():
     assert flagged(speed)[3000:3081].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.0028, 0.028, 0.28, 1.0])
 def test_a_sound_speed_is_not_flagged_however_coarse(step):
     assert not flagged(np.round(true_speed() / step) * step).any()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -58,6 +59,7 @@ def bits(rows: np.ndarray) -> list[bytes]:
     return [b"nan" if x != x else struct.pack("<d", x) for x in row.ravel().tolist()]  # noqa: PLR0124
 
 
+@pytest.mark.slow
 @settings(max_examples=80, deadline=None)
 @given(channels(), st.lists(TIME, max_size=5))
 def test_columns_give_the_bits_of_single_samples(
@@ -70,6 +72,7 @@ def test_columns_give_the_bits_of_single_samples(
     assert bits(columns) == bits(live)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(channels(), st.integers(0, 12))
 def test_cutting_the_columns_elsewhere_changes_nothing(

@@ -71,6 +71,7 @@ def without_gyro(ticks: NDArray[np.float64]) -> NDArray[np.float64]:
     return without(ticks, tk.GYRO.n, tk.GYRO.x, tk.GYRO.age)
 
 
+@pytest.mark.slow
 def test_eight_minutes_give_the_mount():
     estimate = usual().estimate()
     roll, pitch, yaw = np.abs(error(estimate, drive()))
@@ -81,6 +82,7 @@ def test_eight_minutes_give_the_mount():
     assert estimate.state in GOOD
 
 
+@pytest.mark.slow
 def test_a_sensor_upside_down_is_found():
     made = drive(seed=43, minutes=6.0, upside_down=True)
     ticks = ticks_from_samples(made.samples, 0, 3600)
@@ -89,6 +91,7 @@ def test_a_sensor_upside_down_is_found():
     assert within(estimate, made)
 
 
+@pytest.mark.slow
 def test_turning_the_sensor_turns_the_answer_and_nothing_else():
     turn = rotation_from_angles(0.4, -0.3, 2.0)
     samples = dict(drive().samples)
@@ -105,6 +108,7 @@ def test_turning_the_sensor_turns_the_answer_and_nothing_else():
     assert np.abs(np.degrees(apart)).max() < 0.02
 
 
+@pytest.mark.slow
 def test_the_same_ticks_give_the_same_bits():
     again = after(rows()).estimate()
     first = usual().estimate()
@@ -112,6 +116,7 @@ def test_the_same_ticks_give_the_same_bits():
     assert np.array_equal(again.covariance, first.covariance)
 
 
+@pytest.mark.slow
 def test_nothing_is_applied_before_usable_and_then_it_turns_slowly():
     estimator = FullEstimator(full())
     last = None
@@ -130,6 +135,7 @@ def test_nothing_is_applied_before_usable_and_then_it_turns_slowly():
     assert changed > 5
 
 
+@pytest.mark.slow
 def test_the_states_come_in_order_and_say_what_is_missing():
     estimator = FullEstimator(full())
     seen: list[MountState] = []
@@ -161,6 +167,7 @@ def test_a_parked_vehicle_is_levelled_and_waits_for_driving():
     assert estimate.waiting_for["yaw"].startswith("waiting for acceleration or braking")
 
 
+@pytest.mark.slow
 def test_the_delay_of_the_speed_is_found():
     samples = dict(drive().samples)
     series = samples["speed"]
@@ -224,6 +231,7 @@ def test_offsets_of_yaw_rate_and_steering_are_published():
     assert abs(offset - model.steering.offset) < 3.0 * std
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reason", "change"),
     [
@@ -266,6 +274,7 @@ def test_a_stuck_accelerometer_is_not_learnt_from():
     assert within(estimator.estimate(), drive())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("every", "least"), [(1, 450), (2, 440)], ids=["10 Hz", "5 Hz"])
 def test_a_gyroscope_stuck_in_a_turn_is_not_learnt_from(every, least):
     bad = rows(minutes=5.0).copy()
@@ -288,6 +297,7 @@ def test_a_gyroscope_stuck_in_a_turn_is_not_learnt_from(every, least):
     assert math.degrees(estimate.std[1]) < 0.35
 
 
+@pytest.mark.slow
 def test_a_gyroscope_stuck_on_the_way_to_a_stop_gives_no_bias():
     bad = rows(minutes=5.0).copy()
     rates = bad[:, tk.GYRO.x : tk.GYRO.z + 1]
@@ -301,6 +311,7 @@ def test_a_gyroscope_stuck_on_the_way_to_a_stop_gives_no_bias():
     assert np.degrees(np.abs(learnt - plain)).max() < 0.05  # 0.25 if it were learnt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [30, 120])
 @pytest.mark.parametrize("lost", [[tk.SPEED.n], [tk.GYRO.n], [tk.ACCEL.n, tk.GYRO.n]])
 def test_signals_that_are_lost_for_a_while_make_no_shift(lost, seconds):
@@ -316,6 +327,7 @@ def test_signals_that_are_lost_for_a_while_make_no_shift(lost, seconds):
     assert within(estimator.estimate(), drive(minutes=20.0))
 
 
+@pytest.mark.slow
 def test_numbers_that_are_none_do_no_harm():
     bad = rows(minutes=5.0).copy()
     bad[1000, tk.ACCEL.x] = np.nan
@@ -328,6 +340,7 @@ def test_numbers_that_are_none_do_no_harm():
     assert within(estimator.estimate(), drive())
 
 
+@pytest.mark.slow
 def test_a_gap_joins_nothing():
     estimator = FullEstimator(full())
     ticks = rows()
@@ -342,6 +355,7 @@ def test_a_gap_joins_nothing():
     assert within(estimator.estimate(), drive())
 
 
+@pytest.mark.slow
 def test_speed_stuck_at_zero_does_not_teach_a_gyro_bias():
     bad = rows(minutes=5.0).copy()
     bad[600:1500, tk.SPEED.mean] = 0.0
@@ -350,6 +364,7 @@ def test_speed_stuck_at_zero_does_not_teach_a_gyro_bias():
     assert np.abs(bias - plain).max() < math.radians(0.5)
 
 
+@pytest.mark.slow
 def test_two_times_the_cross_axis_error_widens_the_interval():
     wide = after(rows(minutes=5.0), full({"cross_axis": 0.01})).estimate()
     plain = after(rows(minutes=5.0)).estimate()
@@ -359,6 +374,7 @@ def test_two_times_the_cross_axis_error_widens_the_interval():
     assert wide.std[1] > plain.std[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [42, 43])
 def test_a_known_lever_arm_does_not_turn_the_mount(seed):
     model, found = random_model(seed, standing_first=True), {}
@@ -376,6 +392,7 @@ def test_a_known_lever_arm_does_not_turn_the_mount(seed):
     assert turned("known") < 0.5 * turned("far")
 
 
+@pytest.mark.slow
 def test_a_speed_stuck_while_driving_is_not_learnt_from():
     bad = rows(minutes=5.0).copy()
     moving = np.abs(bad[:, tk.SPEED.mean]) > 8.0
@@ -388,6 +405,7 @@ def test_a_speed_stuck_while_driving_is_not_learnt_from():
     assert within(estimate, drive())
 
 
+@pytest.mark.slow
 def test_the_crown_is_prior_and_in_the_interval():
     right = usual().estimate()
     left = after(rows(), full(vehicle={"driving_side": "left"})).estimate()

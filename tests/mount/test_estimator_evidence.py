@@ -109,6 +109,7 @@ def test_response_finds_yaw_pitch_and_roll():
         assert piece.value == pytest.approx(error[axis], abs=3.0 * math.sqrt(piece.variance))
 
 
+@pytest.mark.slow
 def test_old_windows_stay_in_the_sums():
     error = np.array([0.0, 0.0, 1.0]) * DEG
     few = response(error, 0.3, 7, windows=110)["yaw_dvdt"]
@@ -117,6 +118,7 @@ def test_old_windows_stay_in_the_sums():
     assert many.value == pytest.approx(error[2], abs=4 * math.sqrt(many.variance))
 
 
+@pytest.mark.slow
 def test_intervals_of_the_response_hold_the_truth():
     inside = []
     for seed in range(30):
@@ -125,6 +127,7 @@ def test_intervals_of_the_response_hold_the_truth():
     assert np.mean(inside) >= 0.85
 
 
+@pytest.mark.slow
 def test_a_turn_tells_bias_from_slope():
     """On a slope the vertical turns against the sensor; a bias does not."""
     bias = np.array([0.08, -0.05, 0.0])

@@ -56,6 +56,7 @@ def watched(
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "degrees"), [(0, 2.0), (0, -2.0), (1, 2.0), (1, -2.0)])
 def test_a_step_is_found_within_a_minute_with_axis_sign_and_size(axis, degrees):
     moved = np.zeros(3)
@@ -67,6 +68,7 @@ def test_a_step_is_found_within_a_minute_with_axis_sign_and_size(axis, degrees):
     assert step.size == pytest.approx(degrees * DEG, rel=0.35)
 
 
+@pytest.mark.slow
 def test_slopes_that_the_gyroscope_sees_are_no_step():
     for seed in range(3):
         assert not any(watched(120, 999, np.zeros(3), seed, turning=True))
@@ -78,6 +80,7 @@ def test_a_step_tells_how_long_ago_it_was():
     assert abs((block_found + 1 - step.blocks) - 60) <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "degrees"), [(0, 1.5), (1, -1.5)])
 def test_minutes_later_it_is_known_how_far_a_step_stood_out_and_when(axis, degrees):
     """Road segments that show a change are compared with that, long after the step itself."""

@@ -25,6 +25,7 @@ def test_tilt_angles_of_a_sensor_turned_about_one_axis() -> None:
     assert tilt_angles([0.0, 0.0, -G]) == pytest.approx((0.0, 0.0, math.pi))
 
 
+@pytest.mark.slow
 @given(ANGLE, ANGLE, ANGLE, st.floats(5.0, 15.0))
 def test_levelling_is_exact_for_any_mount(yaw: float, pitch: float, roll: float, g: float) -> None:
     mount = Rotation.from_euler("ZYX", [yaw, pitch, roll])

@@ -48,6 +48,7 @@ def rows() -> list[list[float]]:
     return Drive(minutes=8, seed=1, mount=MOUNT).ticks("brake", "steering", "yaw_rate")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_any_mount_converges_within_its_own_interval(seed: int) -> None:
     mount = Rotation.random(random_state=seed)
@@ -60,6 +61,7 @@ def test_any_mount_converges_within_its_own_interval(seed: int) -> None:
     assert std.max() < 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("missing", "limit_deg"),
     [
@@ -78,6 +80,7 @@ def test_each_recogniser_and_each_sign_source_is_enough(
     assert abs(error_deg(estimate)[2]) < limit_deg
 
 
+@pytest.mark.slow
 def test_an_accelerometer_and_a_brake_switch_alone_are_enough_on_a_straight_road() -> None:
     drive = Drive(minutes=10, seed=4, mount=MOUNT, turns=False)
     estimate = run(drive.ticks("speed", "gyro", "yaw_rate", "steering"))
@@ -85,12 +88,14 @@ def test_an_accelerometer_and_a_brake_switch_alone_are_enough_on_a_straight_road
     assert abs(error_deg(estimate)[2]) < 3.0
 
 
+@pytest.mark.slow
 def test_an_accelerometer_alone_among_turns_does_not_claim_what_it_lacks() -> None:
     drive = Drive(minutes=10, seed=4, mount=MOUNT)
     estimate = run(drive.ticks("speed", "gyro", "yaw_rate", "steering"))
     assert abs(error_deg(estimate)[2]) < 3.0 * math.degrees((estimate.std or (0, 0, 0))[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("recogniser", "left_in"), [("steering", "steering"), ("yaw_rate", "gyro"), ("consistency", "")]
 )
@@ -104,6 +109,7 @@ def test_a_recogniser_that_is_configured_alone_decides_alone(recogniser: str, le
         assert silent.details["manoeuvres"] == 0
 
 
+@pytest.mark.slow
 def test_circles_never_give_a_yaw() -> None:
     drive = Drive(minutes=8, seed=1, mount=MOUNT, circles=True)
     for missing in (
@@ -120,6 +126,7 @@ def test_circles_never_give_a_yaw() -> None:
         assert "yaw" in estimator.estimate().waiting_for
 
 
+@pytest.mark.slow
 def test_an_unresolved_sign_is_never_usable_and_is_said() -> None:
     estimate = run(
         Drive(minutes=8, seed=4, mount=MOUNT).ticks("speed", "brake"),
@@ -131,6 +138,7 @@ def test_an_unresolved_sign_is_never_usable_and_is_said() -> None:
     assert estimate.std[2] > 1.5, "half a turn is open"
 
 
+@pytest.mark.slow
 def test_coarse_slow_and_late_speed_is_enough() -> None:
     late = Drive(
         minutes=8, seed=5, mount=MOUNT, speed_rate=1.0, speed_step=1 / 3.6, speed_delay=0.4
@@ -142,6 +150,7 @@ def test_coarse_slow_and_late_speed_is_enough() -> None:
         assert abs(error_deg(estimate)[2]) < 1.5
 
 
+@pytest.mark.slow
 def test_a_planar_accelerometer_is_level_and_needs_no_stop() -> None:
     mount = Rotation.from_euler("Z", 0.8)
     ticks = Drive(minutes=8, seed=3, mount=mount).ticks("gyro", "steering", "brake")
@@ -157,6 +166,7 @@ def test_a_planar_accelerometer_is_level_and_needs_no_stop() -> None:
     assert first.state == MountState.LEVELLED
 
 
+@pytest.mark.slow
 def test_reverse_gear_turns_the_answer_round(rows: Rows) -> None:
     # The same path driven backwards throughout: the vehicle points the other way.
     backwards = [list(row) for row in rows]
@@ -166,6 +176,7 @@ def test_reverse_gear_turns_the_answer_round(rows: Rows) -> None:
     assert np.abs(error_deg(estimate, Rotation.from_euler("Z", math.pi) * MOUNT))[2] < 1.0
 
 
+@pytest.mark.slow
 def test_the_level_of_a_drive_without_a_stop_comes_late_and_uncertain() -> None:
     ticks = Drive(minutes=8, seed=6, mount=MOUNT, stops=False).ticks("brake", "steering")
     moving = ticks[200:]
@@ -185,6 +196,7 @@ def test_the_level_of_a_drive_without_a_stop_comes_late_and_uncertain() -> None:
     assert std[1] > np.degrees((stopped.std or ())[1]) - 1.0
 
 
+@pytest.mark.slow
 def test_the_correction_is_smooth_and_the_same_every_time(rows: Rows) -> None:
     a, b = PublishedEstimator(), PublishedEstimator()
     before = None
@@ -201,6 +213,7 @@ def test_the_correction_is_smooth_and_the_same_every_time(rows: Rows) -> None:
     assert before is not None
 
 
+@pytest.mark.slow
 def test_asking_for_the_estimate_changes_nothing(rows: Rows) -> None:
     a, b = PublishedEstimator(), PublishedEstimator()
     for row in rows:
@@ -210,6 +223,7 @@ def test_asking_for_the_estimate_changes_nothing(rows: Rows) -> None:
     assert a.correction == b.correction
 
 
+@pytest.mark.slow
 def test_nothing_is_learnt_while_samples_are_rejected(rows: Rows) -> None:
     estimator = PublishedEstimator()
     for row in rows[:3000]:
@@ -225,6 +239,7 @@ def test_nothing_is_learnt_while_samples_are_rejected(rows: Rows) -> None:
     assert np.array_equal(before.covariance, after.covariance)
 
 
+@pytest.mark.slow
 def test_scattered_bad_samples_and_implausible_forces_do_no_harm(rows: Rows) -> None:
     rng = np.random.default_rng(0)
     damaged = []
@@ -243,6 +258,7 @@ def test_scattered_bad_samples_and_implausible_forces_do_no_harm(rows: Rows) -> 
     assert abs(error_deg(run(damaged))[2]) < 1.0
 
 
+@pytest.mark.slow
 def test_a_stuck_accelerometer_teaches_nothing(rows: Rows) -> None:
     stuck = [list(row) for row in rows]
     for row in stuck[100:]:
@@ -256,6 +272,7 @@ def test_saturated_samples_are_left_out(rows: Rows) -> None:
     assert run(rows, settings).details["manoeuvres"] == 0
 
 
+@pytest.mark.slow
 def test_a_gap_in_time_is_survived(rows: Rows) -> None:
     estimator = PublishedEstimator()
     for k, row in enumerate(rows):
@@ -268,6 +285,7 @@ def test_a_gap_in_time_is_survived(rows: Rows) -> None:
     assert abs(error_deg(estimator.estimate())[2]) < 1.0
 
 
+@pytest.mark.slow
 def test_speed_that_comes_and_goes_is_survived(rows: Rows) -> None:
     patchy = [list(row) for row in rows]
     for k, row in enumerate(patchy):
@@ -277,11 +295,13 @@ def test_speed_that_comes_and_goes_is_survived(rows: Rows) -> None:
     assert abs(error_deg(estimate)[2]) < 1.5
 
 
+@pytest.mark.slow
 def test_the_brake_switch_may_stay_unknown(rows: Rows) -> None:
     assert all(math.isnan(row[BRAKE]) for row in rows)
     assert run(rows).state >= MountState.USABLE
 
 
+@pytest.mark.slow
 def test_as_published_works_and_the_additions_make_it_better() -> None:
     plain, full = [], []
     for seed in range(4):
@@ -294,6 +314,7 @@ def test_as_published_works_and_the_additions_make_it_better() -> None:
     assert np.hypot(*rms_full[:2]) < np.hypot(*rms_plain[:2])
 
 
+@pytest.mark.slow
 def test_a_known_crown_is_taken_off_the_roll(rows: Rows) -> None:
     plain = run(rows)
     leaning_right = {"driving_side": "right", "crown_percent": 1.2, "crown_spread_percent": 0.6}

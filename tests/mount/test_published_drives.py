@@ -54,6 +54,7 @@ def run(rows: list[list[float]], settings: PublishedSettings | None = None) -> M
     return estimator.estimate()
 
 
+@pytest.mark.slow
 def test_kingston_forward_axis_within_a_degree_of_the_ins() -> None:
     estimate = run(rows_of("kingston_2008"))
     truth = np.array([0.0039, 0.9998, 0.0155])
@@ -74,6 +75,7 @@ def test_circles_as_measured_never_give_a_usable_yaw() -> None:
             assert estimator.state < MountState.USABLE
 
 
+@pytest.mark.slow
 def test_a_hill_without_a_gyro_gives_the_yaw_and_does_not_overstate_it() -> None:
     estimate = run(rows_of("quat_orient_21"), published({"speed_delay": 0.3}))
     assert estimate.angles is not None
@@ -82,6 +84,7 @@ def test_a_hill_without_a_gyro_gives_the_yaw_and_does_not_overstate_it() -> None
     assert math.degrees(estimate.std[2]) > 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["vehsense_2017_10_23_2245", "vehsense_2017_10_25_1829"])
 def test_a_loosely_held_phone_is_not_called_fine(name: str) -> None:
     estimate = run(rows_of(name))

@@ -110,11 +110,13 @@ def errors(subtract: bool) -> Iterator[float]:
         yield abs(float(mount_error_deg(found, mount)[2]))
 
 
+@pytest.mark.slow
 def test_v_r_that_passes_the_gate_is_subtracted() -> None:
     assert max(errors(subtract=True)) < 1.5
     assert min(errors(subtract=False)) > 3.0
 
 
+@pytest.mark.slow
 def test_the_brake_switch_alone_tells_the_sign() -> None:
     mount = Rotation.from_euler("ZYX", [1.1, 0.2, -0.1])
     drive = Drive(minutes=8, seed=4, mount=mount, turns=False)

@@ -138,7 +138,7 @@ def test_19_and_20_time_and_measurement_update() -> None:
             P = F @ P @ F.T
             P += np.diag([s.gyro_noise**2 * dt] * 3
                          + [2.0 * s.gyro_random**2 * dt / s.gyro_random_time] * 3
-                         + [ours.accel_random**2 * (1.0 - keep**2)] * 3)  # fmt: skip
+                         + [ours.accel_random[0] ** 2 * (1.0 - keep**2)] * 3)  # fmt: skip
             d *= keep
             H, z = RNG.normal(0.0, 1.0, (3, 9)), RNG.normal(0.0, 0.1, 3)
             R = np.diag(RNG.uniform(1e-4, 1e-2, 3))
@@ -188,7 +188,8 @@ def test_c2_noise_is_that_of_each_axis() -> None:
     ours.start(0.0, 0.0, 0.0)
     C = text.attitude_matrix(0.3, 0.4, 1.0)
     ours.predict(matrix(C), 0.5, 0.0)
-    expected = C @ np.diag(np.square(noise) * 0.5) @ C.T
+    right, forward, up = noise[1], noise[0], noise[2]  # the keys are of vehicle axes
+    expected = C @ np.diag(np.square([right, forward, up]) * 0.5) @ C.T
     assert ours.P[0:3, 0:3] == pytest.approx(expected, abs=1e-15)
 
 

@@ -23,6 +23,8 @@ from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.timebase import TimeBase
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent.parent
 DATA = ROOT.parent / "shared" / "data"
 EXAMPLES = ROOT / "config" / "examples"

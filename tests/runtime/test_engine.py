@@ -51,6 +51,7 @@ def told(engine: Engine):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CONFIGS))
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32), scalar_share=st.sampled_from([0.0, 0.5]))
@@ -63,6 +64,7 @@ def test_columns_and_single_frames_are_the_same_engine(loaded, name, seed, scala
     assert told(other) == told(single)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(CONFIGS))
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32))

@@ -144,6 +144,7 @@ def test_a_reload_with_other_settings_takes_the_evidence_along(told):
     assert behind.stored.evidence is not None
 
 
+@pytest.mark.slow
 def test_live_and_replay_are_the_same_behind_a_saved_state(told):
     frames = drive_frames(minutes=8.0)
     frames = with_times(frames, frames.t + GAP_S)
@@ -163,6 +164,7 @@ def test_live_and_replay_are_the_same_behind_a_saved_state(told):
     assert (a.estimate().std, a.distance) == (b.estimate().std, b.distance)
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_stands_wears_out_no_memory(told):
     engine = make_engine(loaded())
     drive(engine, drive_frames(minutes=8.0))

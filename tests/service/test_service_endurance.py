@@ -12,10 +12,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import shuttle
 from imucald.can.logs.log_reader import LogReader
 from imucald.service.figures import process_figures
 from imucald.service.service import Service, ServiceOptions
+
+pytestmark = pytest.mark.slow
 
 WARM_UP_S, MEASURED_S = 1800.0, 1800.0
 GROWTH_LIMIT = 1 << 20

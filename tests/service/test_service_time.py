@@ -13,6 +13,8 @@ from imucald.can.logs.log_reader import LogReader
 from imucald.core.rotations import vector_from_rotation
 from imucald.runtime.session import make_engine, open_config
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):

@@ -17,6 +17,8 @@ from machine import Outcome, run_machine
 
 import shuttle
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 LIMIT_S = 500.0

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 UNIT = """[Unit]
 BindsTo=sys-subsystem-net-devices-vcan0.device
 After=sys-subsystem-net-devices-vcan0.device

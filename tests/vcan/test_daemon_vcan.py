@@ -14,10 +14,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import pytest
+
 import shuttle
 from imucald.can.dbc.decode import compile_decode
 from imucald.can.logs.log_reader import LogReader
 from imucald.runtime.output.output_frames import output_database
+
+pytestmark = pytest.mark.slow
 
 CORRECTED = (0x640, 0x641)
 STATUS = (0x643, 0x644, 0x645)

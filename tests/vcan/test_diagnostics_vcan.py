@@ -18,6 +18,8 @@ from udsoncan.exceptions import NegativeResponseException
 from imucald.can.python_can import can
 from uds_bus import REQUEST, RESPONSE, asking, guarded_config, with_diagnostics
 
+pytestmark = pytest.mark.slow
+
 CALIBRATE, RESET = 0xF010, 0xF011
 TESTS = Path(__file__).parent.parent
 

@@ -18,6 +18,8 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatc
 from imucald.can.link.link import Link, LinkEvent, LinkState
 from imucald.core.errors import LinkError
 
+pytestmark = pytest.mark.slow
+
 WANTED = IdMatch(0x123, CAN_SFF_MASK)
 OWN = 0x600
 RESUME_LIMIT_S = 1.0

@@ -17,11 +17,15 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import shuttle
 from imucald.runtime.session import make_engine, open_config
 from imucald.service.identity import state_key
 from imucald.service.state import SavedState, StateStore
 from imucald.service.status import ask
+
+pytestmark = pytest.mark.slow
 
 FRAME = struct.Struct("=IB3x8s")
 CORRECTED = 0x640

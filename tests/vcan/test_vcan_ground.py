@@ -7,6 +7,10 @@ import struct
 import subprocess
 from typing import Any
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 FRAME = struct.Struct("=IB3x8s")
 
 

@@ -16,7 +16,7 @@ from imucald.attitude.endpoints import KnotMaker
 from imucald.attitude.estimate import SETTLED_STD, STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.grade import RoadGrade
 from imucald.attitude.interval import Interval, Knot, along_body, interval
-from imucald.attitude.kalman import NineStateFilter
+from imucald.attitude.kalman import NineStateFilter, of_axes
 from imucald.attitude.measurements import LEAST_UP, heading_difference, rest_rates, tilt
 from imucald.attitude.motion_compensation import MotionCompensation
 from imucald.attitude.propagation import Propagator
@@ -32,6 +32,7 @@ from imucald.attitude.right_forward_up import (
 )
 from imucald.attitude.sensor_check import rest_errors
 from imucald.config.attitude import AttitudeSettings
+from imucald.config.base import per_axis
 from imucald.core.rotations import (
     Rows,
     Vector,
@@ -242,7 +243,7 @@ class AttitudeFilter:
         if c.speed_is == "horizontal":
             up = transposed_times(rows(self._correction), (0.0, 0.0, 1.0))
             first, last = along_body(first, up), along_body(last, up)
-        return interval(first, last, c, s.filter.accel_noise, s.filter.unknown_motion)
+        return interval(first, last, c, per_axis(s.filter.accel_noise), s.filter.unknown_motion)
 
     def _is_rest(self, first: Knot, last: Knot, found: Interval) -> bool:
         s = self.settings.filter
@@ -250,7 +251,7 @@ class AttitudeFilter:
         quiet = (
             found.force_variance < s.rest_accel_spread**2
             and found.rate_variance < s.rest_gyro_spread**2
-            and turn < LARGEST_ZERO_ERROR * s.gyro_start
+            and turn < LARGEST_ZERO_ERROR * max(s.gyro_start)
         )
         if math.isnan(found.speed):
             # without a speed only what is as still as a parked vehicle is taken for rest
@@ -297,7 +298,7 @@ class AttitudeFilter:
         if resting and self.settings.filter.rest_update:
             p, b = self.constant_bias, self.kalman.bias
             bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
-            measurements += rest_rates(found, bias, self.settings.filter.gyro_noise)
+            measurements += rest_rates(found, bias, of_axes(self.settings.filter.gyro_noise))
         self._apply(self.kalman.update(measurements))
         self._grade.take(found, -vehicle_angles(self._C())[1])
 
@@ -323,5 +324,5 @@ class AttitudeFilter:
         self.constant_bias, extra = rest_errors(found.rate, mean, s.check_level)
         old = self.constant_accel_error
         self.constant_accel_error = (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2])
-        self.kalman.forget_bias(s.gyro_random)
+        self.kalman.forget_bias()
         self.checked = True

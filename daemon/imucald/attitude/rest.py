@@ -107,7 +107,7 @@ class RestingGyro:
         s, rates, forces = self._settings, self._rates, self._forces
         if rates.variance > s.rest_gyro_spread**2 or not forces.n:
             return False
-        if math.hypot(*rates.mean) > LARGEST_ZERO_ERROR * s.gyro_start:
+        if math.hypot(*rates.mean) > LARGEST_ZERO_ERROR * max(s.gyro_start):
             return False
         if speed_known:
             return forces.variance < s.rest_accel_spread**2

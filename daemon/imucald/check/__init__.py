@@ -1,6 +1,7 @@
 """What a configuration decodes from a log or a bus: sources, units, rates, gaps, suspicions.
 
-The frames go through the daemon's own router, so what is told here is what `imucald run` would do.
+The frames go through the daemon's own router, so what is reported here is what `imucald run` would
+do.
 """
 
 from __future__ import annotations

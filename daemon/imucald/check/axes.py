@@ -10,7 +10,7 @@ import numpy as np
 
 from imucald.check.finding import (
     CLEAR,
-    FEWEST,
+    MIN_TICKS,
     WRONG_GAIN,
     Array,
     Finding,
@@ -19,9 +19,9 @@ from imucald.check.finding import (
     spread,
 )
 from imucald.check.motion import Motion, shifted, smooth
-from imucald.check.yaw_rate_check import LEAST_TURNING
+from imucald.check.yaw_rate_check import MIN_TURNING
 
-LEAST_BRAKING = 0.25
+MIN_BRAKING = 0.25
 """Least standard deviation of the change of speed for a judgement [m/s^2]."""
 AXIS_DEG = 20.0
 """Largest plausible angle between a gyroscope's axis in turns and gravity [deg]: body roll and
@@ -31,8 +31,8 @@ HANDED = 0.7
 ODD_SPEED = 1.4
 """A gain of the accelerometer over the change of speed beyond this (or below its inverse) is odd:
 measured and simulated vehicles show 0.8 to 1.2, miles taken for kilometres 0.6 or 1.6 of that."""
-WORTH_TELLING_DELAY = 2
-"""Ticks of speed delay from which it is told."""
+MIN_REPORTED_DELAY = 2
+"""Ticks of speed delay from which it is reported."""
 MAX_DELAY = 12
 """Ticks: a speed is up to 1.2 s late."""
 _DELAYS = range(-MAX_DELAY // 2, MAX_DELAY + 1)
@@ -56,7 +56,7 @@ def _response(accel: Array, change: Array, turn: Array, delay: int) -> Response 
     """Least squares of the axes on change of speed and centripetal acceleration."""
     change = shifted(change, delay)
     rows = np.isfinite(accel).all(axis=1) & np.isfinite(change) & np.isfinite(turn)
-    if np.count_nonzero(rows) < FEWEST or float(np.std(change[rows])) < LEAST_BRAKING:
+    if np.count_nonzero(rows) < MIN_TICKS or float(np.std(change[rows])) < MIN_BRAKING:
         return None
     known = np.column_stack([change[rows], turn[rows], np.ones(np.count_nonzero(rows))])
     coefficients, *_ = np.linalg.lstsq(known, accel[rows], rcond=None)
@@ -73,7 +73,7 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
     """The response with the delay that explains most; None where it is not clear."""
     if motion.change is None or motion.accel is None or motion.speed is None:
         return None
-    reference = next((r for r in rates.values() if spread(r) > LEAST_TURNING), None)
+    reference = next((r for r in rates.values() if spread(r) > MIN_TURNING), None)
     turn = np.zeros_like(motion.speed) if reference is None else motion.speed * reference
     fits = [_response(motion.accel, motion.change, turn, delay) for delay in _DELAYS]
     best = max((fit for fit in fits if fit is not None), key=lambda f: f.explained, default=None)
@@ -88,7 +88,7 @@ def speed_findings(gain: float, delay: int) -> Iterator[Finding]:
     else:
         text = f"its changes show in the accelerometer (gain {gain:.2f})"
         yield Finding("ok", "speed", text)
-    if abs(delay) >= WORTH_TELLING_DELAY:
+    if abs(delay) >= MIN_REPORTED_DELAY:
         word = "behind" if delay > 0 else "ahead of"
         text = f"is about {abs(delay) / 10:.1f} s {word} the accelerometer (this is allowed for)"
         yield Finding("note", "speed", text)
@@ -117,12 +117,12 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
 
 def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Iterator[Finding]:
     """In turns a gyroscope turns about the direction that the accelerometer calls up."""
-    names = [n for n, rate in rates.items() if n != "gyroscope" and spread(rate) > LEAST_TURNING]
+    names = [n for n, rate in rates.items() if n != "gyroscope" and spread(rate) > MIN_TURNING]
     if "gyro" not in motion.grid or not names:
         return
     rate, gyro = rates[names[0]], smooth(motion.grid["gyro"])
     rows = np.isfinite(rate) & np.isfinite(gyro).all(axis=1)
-    if np.count_nonzero(rows) < FEWEST:
+    if np.count_nonzero(rows) < MIN_TICKS:
         return
     axis = np.cov(gyro[rows].T, rate[rows])[3, :3]
     aligned = abs(float(axis @ up)) / max(float(np.linalg.norm(axis)), 1e-12)

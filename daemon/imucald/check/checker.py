@@ -32,12 +32,12 @@ from imucald.runtime.timebase import TimeBase
 EVERY_FRAME = (IdMatch(0, 0), IdMatch(CAN_EFF_FLAG, 0))
 """Lets every identifier through, 11 and 29 bits."""
 MAX_IDS = 20_000
-"""Identifiers that are told apart; a vehicle has hundreds, a fuzzed bus any number."""
+"""Identifiers that are counted one by one; a vehicle has hundreds, a fuzzed bus any number."""
 _OUTPUTS = ("acceleration", "angular_rate", "magnetic_field", "mount", "mount_deviation", "health")
 
 
 class Check:
-    """Takes frames; tells at the end what they were.
+    """Takes frames; reports at the end what they were.
 
     Raises ConfigError where the configuration cannot be wired.
     """
@@ -79,7 +79,7 @@ class Check:
         return self._timebase.now
 
     def findings(self) -> list[Finding]:
-        """Everything to tell, the worst first."""
+        """Every finding, the worst first."""
         decoding = Decoding(
             self.loaded,
             self.probes,

@@ -1,4 +1,4 @@
-"""What the frames themselves tell: what does not come, what is rejected, what that costs."""
+"""What the frames themselves show: what does not come, what is rejected, what that costs."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 from imucald.can.columns import CAN_EFF_FLAG, IdMatch
 from imucald.check.finding import Finding
-from imucald.check.source import Source, id_text, stated_cycle, word_of
+from imucald.check.source import QuantitySource, configured_name, id_text, stated_cycle
 from imucald.check.statistics import Probe
 from imucald.config import LoadedConfig
 
 CYCLE_TOLERANCE = 1.5
-"""A cycle is told when it is so many times longer or shorter than the database states."""
-MANY_REJECTED = 0.01
-"""Part of rejected frames or values from which it is told."""
-FEWEST_STUCK = 100
+"""A cycle is reported when it is so many times longer or shorter than the database states."""
+MIN_REJECTED_SHARE = 0.01
+"""Part of rejected frames or values from which it is reported."""
+MIN_EQUAL_VALUES = 100
 """So many equal values of a sensor in a row, and no other, look stuck."""
 
 _NO_SPEED = "missing: yaw takes longer and is less certain; "
@@ -41,7 +41,7 @@ class Decoding:
 
     loaded: LoadedConfig
     probes: list[Probe]
-    sources: list[Source]
+    sources: list[QuantitySource]
     ids: Mapping[tuple[str, int], int]
     samples: Mapping[str, int]
     steps: int
@@ -49,7 +49,7 @@ class Decoding:
     output_ids: frozenset[int]
 
     def findings(self) -> Iterator[Finding]:
-        """Yield everything to tell, in no order."""
+        """Yield every finding, in no order."""
         yield from self._silent()
         yield from self._doubtful()
         yield from self._cycles()
@@ -62,13 +62,13 @@ class Decoding:
     def _silent(self) -> Iterator[Finding]:
         """Messages that did not come, and frames that were all refused."""
         for probe in self.probes:
-            quantity = ", ".join(dict.fromkeys(word_of(tap.channel) for tap in probe.taps))
+            quantity = ", ".join(dict.fromkeys(configured_name(tap.channel) for tap in probe.taps))
             if not probe.frames:
                 text = f"no frame of {probe.name} ({id_text(probe.match.can_id)}) came"
                 yield Finding("warning", quantity, text + self._elsewhere(probe.match))
                 continue
             bad = probe.rejected.total()
-            if bad > MANY_REJECTED * probe.frames:
+            if bad > MIN_REJECTED_SHARE * probe.frames:
                 reasons = _counts_text(probe.rejected)
                 text = f"{bad} of {probe.frames} frames of {probe.name} are rejected ({reasons})"
                 yield Finding("warning", quantity, text + _remedy(probe.rejected))
@@ -88,13 +88,13 @@ class Decoding:
         for source in self.sources:
             statistics = source.statistics
             good, bad = statistics.si.count, statistics.rejected.total()
-            if bad > MANY_REJECTED * (good + bad):
+            if bad > MIN_REJECTED_SHARE * (good + bad):
                 reasons = _counts_text(statistics.rejected)
                 text = f"{bad} of {good + bad} values of {source.name} are rejected ({reasons})"
                 yield Finding("warning", source.quantity, text + _remedy(statistics.rejected))
             sensor = source.wanted.channel in ("accel", "gyro")
             same = statistics.si.least == statistics.si.largest
-            if sensor and good >= FEWEST_STUCK and same:
+            if sensor and good >= MIN_EQUAL_VALUES and same:
                 text = f"never changes ({statistics.physical.least:g} {source.unit})"
                 yield Finding("warning", source.quantity, text)
 
@@ -139,7 +139,7 @@ class Decoding:
     def _without_gyro(self) -> str:
         for channel in ("yaw_rate", "steering"):
             if self._has(channel):
-                word = word_of(channel)
+                word = configured_name(channel)
                 return f"missing: turns are taken from {word}; {_NO_GYRO}"
         return f"missing, and {_NO_TURNS}; {_NO_GYRO}"
 

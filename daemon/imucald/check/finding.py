@@ -1,4 +1,4 @@
-"""What `imucald check` has to tell, and the arithmetic that decides it."""
+"""A finding of `imucald check`, and the arithmetic that decides it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from imucald.core.samples import GRAVITY
 Array = NDArray[np.float64]
 Level = Literal["error", "warning", "note", "ok"]
 
-FEWEST = 200
+MIN_TICKS = 200
 """Ticks in motion that a judgement needs: 20 s."""
 CLEAR = 0.6
 """Correlation from which two signals are taken to show the same motion."""
@@ -34,7 +34,7 @@ _FACTORS = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing to tell; `quantity` as in the configuration."""
+    """One finding; `quantity` as in the configuration."""
 
     level: Level
     quantity: str
@@ -63,7 +63,7 @@ def gain_guess(ratio: float) -> str:
 def spread(x: Array) -> float:
     """Standard deviation of what is known of x; 0 where that is too little."""
     known = x[np.isfinite(x)]
-    return float(np.std(known)) if len(known) >= FEWEST else 0.0
+    return float(np.std(known)) if len(known) >= MIN_TICKS else 0.0
 
 
 def gain_between(reference: Array, signal: Array) -> tuple[float, float]:
@@ -72,7 +72,7 @@ def gain_between(reference: Array, signal: Array) -> tuple[float, float]:
     The gain is the ratio of spreads: noise in either of them moves it less than a regression.
     """
     rows = np.isfinite(reference) & np.isfinite(signal)
-    if np.count_nonzero(rows) < FEWEST:
+    if np.count_nonzero(rows) < MIN_TICKS:
         return 1.0, 0.0
     a, b = reference[rows], signal[rows]
     if np.std(a) == 0.0 or np.std(b) == 0.0:

@@ -12,10 +12,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from imucald.check.axes import LEAST_BRAKING, axes_findings, best_response, speed_findings
-from imucald.check.finding import CLEAR, FEWEST, Finding, gain_between, gain_guess, is_wrong, spread
+from imucald.check.axes import MIN_BRAKING, axes_findings, best_response, speed_findings
+from imucald.check.finding import (
+    CLEAR,
+    MIN_TICKS,
+    Finding,
+    gain_between,
+    gain_guess,
+    is_wrong,
+    spread,
+)
 from imucald.check.motion import Motion
-from imucald.check.yaw_rate_check import turn_findings
+from imucald.check.yaw_rate_check import yaw_rate_findings
 from imucald.core.samples import GRAVITY
 
 REST_WRONG, REST_ODD = 0.25, 0.03
@@ -28,17 +36,17 @@ REVERSE_SPEED = 5.0
 """Nobody reverses faster for long [m/s]."""
 REVERSE_SHARE = 0.1
 """Part of the time above that speed that reverse may be on: a lever passing by."""
-FEWEST_BRAKING = 50
+MIN_BRAKING_TICKS = 50
 """Ticks with and without brake that a judgement of it needs: 5 s."""
 
 
 def judge(
     motion: Motion, track: float, wheelbase: float, steering_ratio: float
 ) -> Iterator[Finding]:
-    """Yield everything that the motion tells about units, signs and axes.
+    """Yield everything that the motion shows about units, signs and axes.
 
-    A wrong scale of accelerometer or speed is told once and then allowed for, so that it is not
-    told again of every signal that is compared with them.
+    A wrong scale of accelerometer or speed is reported once and then allowed for, so that it is not
+    reported again for every signal that is compared with them.
     """
     yield from _at_rest(motion)
     backwards = list(_reverse(motion))
@@ -54,7 +62,7 @@ def judge(
             if is_wrong(gain):
                 motion = motion.scaled(speed=gain)
     rates = motion.turn_rates(track, wheelbase, steering_ratio)
-    yield from turn_findings(rates)
+    yield from yaw_rate_findings(rates)
     yield from _along(motion)
     if not motion.planar:
         yield from axes_findings(motion, rates)
@@ -94,7 +102,7 @@ def _at_rest(motion: Motion) -> Iterator[Finding]:
 
 def _along(motion: Motion) -> Iterator[Finding]:
     """Signals that must follow the change of speed."""
-    if motion.change is None or spread(motion.change) < LEAST_BRAKING:
+    if motion.change is None or spread(motion.change) < MIN_BRAKING:
         return
     signals = {}
     if "longitudinal_accel" in motion.grid:
@@ -123,7 +131,7 @@ def _reverse(motion: Motion) -> Iterator[Finding]:
         return
     fast = np.nan_to_num(np.abs(motion.speed)) > REVERSE_SPEED
     reverse = motion.grid["reverse"][fast]
-    share = float(np.mean(reverse > 0.5)) if len(reverse) >= FEWEST else 0.0
+    share = float(np.mean(reverse > 0.5)) if len(reverse) >= MIN_TICKS else 0.0
     if share > REVERSE_SHARE:
         text = f"is on for {100 * share:.0f} % of the time above 18 km/h: see 'equals:'"
         yield Finding("warning", "reverse", text)
@@ -135,6 +143,6 @@ def _brake(motion: Motion) -> Iterator[Finding]:
     moving = (np.nan_to_num(np.abs(motion.speed)) > 1.0) & np.isfinite(motion.change)
     brake = motion.grid["brake"] > 0.5
     on, off = motion.change[moving & brake], motion.change[moving & ~brake]
-    if min(len(on), len(off)) >= FEWEST_BRAKING and on.mean() > off.mean() + 0.1:
+    if min(len(on), len(off)) >= MIN_BRAKING_TICKS and on.mean() > off.mean() + 0.1:
         text = "is on when the vehicle accelerates: see 'equals:' and 'above:'"
         yield Finding("warning", "brake", text)

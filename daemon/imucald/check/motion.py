@@ -19,8 +19,8 @@ MAX_HOLE = 25
 """Holes up to so many ticks are bridged: speed over OBD-II comes once a second."""
 SMOOTH = 11
 """Ticks of the moving mean, 1.1 s: delays between signals and the road's bumps matter less."""
-FEWEST_STANDING = 20
-"""Ticks of standing (after smoothing) that tell something: two seconds."""
+MIN_STANDING_TICKS = 20
+"""Ticks of standing (after smoothing) that show something: two seconds."""
 
 
 class TickMeans:
@@ -140,7 +140,7 @@ class Motion:
         if self.speed is None:
             return None
         calm = np.nan_to_num(np.abs(self.speed), nan=np.inf) < ZERO_SPEED_SMOOTHED
-        return calm if np.count_nonzero(calm) >= FEWEST_STANDING else None
+        return calm if np.count_nonzero(calm) >= MIN_STANDING_TICKS else None
 
     def _gravity(self) -> Array | None:
         """Mean specific force at rest (3,) [m/s^2]; over the whole drive where it never rests."""

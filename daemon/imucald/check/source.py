@@ -35,13 +35,13 @@ _WORDS = {
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
-def word_of(channel: str) -> str:
+def configured_name(channel: str) -> str:
     """The configuration's name of a channel."""
     return _WORDS.get(channel, channel).replace("/", ".")
 
 
 @dataclass(frozen=True)
-class Source:
+class QuantitySource:
     """One configured number with the figures that its signal gave."""
 
     wanted: Wanted
@@ -53,7 +53,7 @@ class Source:
     @property
     def quantity(self) -> str:
         """The quantity's name in the configuration, with axis or wheel."""
-        word = word_of(self.wanted.channel)
+        word = configured_name(self.wanted.channel)
         if self.wanted.width == 3:
             return f"{word}.{'xyz'[self.wanted.slot]}"
         return f"{word}.{_WHEELS[self.wanted.slot]}" if self.wanted.width == 4 else word
@@ -65,7 +65,7 @@ class Source:
         return stated if stated is not None else self.signal.unit if self.signal else ""
 
 
-def sources(loaded: LoadedConfig, probes: Sequence[Probe]) -> Iterator[Source]:
+def sources(loaded: LoadedConfig, probes: Sequence[Probe]) -> Iterator[QuantitySource]:
     """Yield all configured numbers, in the order of the configuration."""
     by_key: dict[tuple[str, int, int], tuple[Probe, str, Signal | None]] = {}
     for probe in probes:
@@ -80,7 +80,7 @@ def sources(loaded: LoadedConfig, probes: Sequence[Probe]) -> Iterator[Source]:
     for wanted in wanted_numbers(loaded.config.signals):
         key = wanted.channel, wanted.rank, wanted.slot
         probe, name, signal = by_key[key]
-        yield Source(wanted, probe, signal, name, probe.signals[key])
+        yield QuantitySource(wanted, probe, signal, name, probe.signals[key])
 
 
 def message_row(loaded: LoadedConfig, probe: Probe) -> dict[str, Any]:
@@ -96,7 +96,7 @@ def message_row(loaded: LoadedConfig, probe: Probe) -> dict[str, Any]:
     }
 
 
-def quantity_row(source: Source) -> dict[str, Any]:
+def quantity_row(source: QuantitySource) -> dict[str, Any]:
     """A configured number as JSON has it."""
     conversion = source.statistics.conversion
     return {

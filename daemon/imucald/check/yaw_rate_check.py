@@ -1,4 +1,4 @@
-"""Witnesses of the yaw rate beside one another: signs and units of what tells of turns."""
+"""Witnesses of the yaw rate beside one another: signs and units of what shows turns."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from imucald.check.finding import CLEAR, Array, Finding, gain_between, gain_guess, is_wrong, spread
 
-LEAST_TURNING = 0.008
+MIN_TURNING = 0.008
 """Least standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""
-MUCH_TURNING = 0.04
-"""The same from which a signal that does not follow is told [rad/s]: a city."""
+MIN_TURNING_TO_FOLLOW = 0.04
+"""The same from which a signal that does not follow is reported [rad/s]: a city."""
 
 
-def turn_findings(rates: Mapping[str, Array]) -> Iterator[Finding]:
+def yaw_rate_findings(rates: Mapping[str, Array]) -> Iterator[Finding]:
     """Compare all witnesses of the yaw rate with the first one that turns."""
-    names = [name for name, rate in rates.items() if spread(rate) > LEAST_TURNING]
+    names = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
     if len(names) < 2:
         return
     reference, *others = names
@@ -25,7 +25,7 @@ def turn_findings(rates: Mapping[str, Array]) -> Iterator[Finding]:
         gain, correlation = gain_between(rates[reference], rates[name])
         if abs(correlation) >= CLEAR:
             gains[name] = gain
-        elif abs(correlation) < CLEAR / 2.0 and spread(rates[reference]) > MUCH_TURNING:
+        elif abs(correlation) < CLEAR / 2.0 and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
             text = f"hardly follows {reference} in turns (correlation {correlation:+.2f})"
             yield Finding("warning", name, text)
     yield from _signs(gains)

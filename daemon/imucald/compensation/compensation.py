@@ -10,14 +10,14 @@ from typing import Any
 
 from msgspec import structs
 
-from imucald.compensation.preprocessing import Stages
+from imucald.compensation.preprocessing import PreprocessingChain
 from imucald.compensation.reading import read_terms
-from imucald.compensation.sensors import SensorStage
-from imucald.compensation.suspension import Leaning
-from imucald.compensation.terms import Terms, TriadTerms
-from imucald.compensation.tick_preprocessing import EvidenceStage
-from imucald.compensation.time_alignment import Retiming, shifts_of
-from imucald.compensation.vehicle import VehicleStage
+from imucald.compensation.sensors import SensorCorrection
+from imucald.compensation.suspension import SuspensionFilter
+from imucald.compensation.terms import Terms, TriadTerms, saved_text
+from imucald.compensation.tick_preprocessing import TickPreprocessing
+from imucald.compensation.time_alignment import TimeAlignment, alignment_shifts
+from imucald.compensation.vehicle import VehicleCorrection
 from imucald.config.network import VehicleSettings
 from imucald.core.samples import Samples, Series
 from imucald.model.section import ZERO
@@ -25,19 +25,19 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.method_a.settings import PublishedSettings
 
 KNOWN_DELAY_STD = 0.1
-"""How well a model's delays are taken to be known [s]: where nobody looked, a preset stands there.
+"""How well a model's delays are taken to be known [s]: where nobody looked, a default stands there.
 The estimator then finds the rest; where there is none, so wide a prior costs nothing."""
 STATED_DELAY_STD = 0.03
 """The same of a delay that the configuration states."""
 
 
 @dataclass(frozen=True)
-class Compensation:
+class ModelCompensation:
     """The terms of one model file. Immutable; the stages made of it carry what changes.
 
     name: of the file. notes: what of it is not used, a line each. suspension: whether the body's
-    leaning is taken out of the corrected signals. speed_delay_std: how well the model's lateness of
-    speed is known [s].
+    roll and pitch on its springs are taken out of the corrected signals. speed_delay_std: how well
+    the model's latency of speed is known [s].
     """
 
     terms: Terms
@@ -46,7 +46,7 @@ class Compensation:
     suspension: bool = True
     speed_delay_std: float = KNOWN_DELAY_STD
 
-    # what is told ----------------------------------------------------------------------------
+    # reports ---------------------------------------------------------------------------------
 
     def notes_for(self, channels: Collection[str]) -> list[str]:
         """`notes`, and what cannot be used for want of a signal; channels: those there are."""
@@ -60,7 +60,7 @@ class Compensation:
                 )
         if any(terms.lever_arm) and "gyro" not in channels:
             found.append("mount.lever_arm_m: needs signals.gyroscope, left in")
-        if not terms.lean.neutral and not self.suspension:
+        if not terms.suspension.neutral and not self.suspension:
             found.append("suspension: left in, as compensate_suspension is off")
         return found
 
@@ -89,7 +89,7 @@ class Compensation:
                 yield f"{channel}.offset", channel
         if any(terms.lever_arm):
             yield "mount.lever_arm_m", "gyro"
-        if self.suspension and not terms.lean.neutral:
+        if self.suspension and not terms.suspension.neutral:
             yield "suspension", "accel"
         if self.shifts():
             yield "delays (for the mount)", "accel"
@@ -99,66 +99,66 @@ class Compensation:
     def samples(self, samples: Samples) -> Samples:
         """Columns of samples less the terms that need no mount; refused ones are left out."""
         order = {channel: series.t for channel, series in samples.items()}
-        taken = self.sensor_stage().columns(samples, order)
+        taken = self.sensor_correction().columns(samples, order)
         out = dict(samples)
         for channel, one in taken.items():
             good = ~one.refused
             out[channel] = Series(samples[channel].t[good], one.values[good])
         return out
 
-    def stages(
+    def preprocessing_chain(
         self, channels: Collection[str], derived_speed: bool, parallel_rates: Collection[str] = ()
-    ) -> Stages:
+    ) -> PreprocessingChain:
         """All stages of one engine.
 
         channels: those that its router can give. parallel_rates: the parallel gyroscopes.
         """
-        vehicle = self.vehicle_stage(channels, ("gyro", *parallel_rates))
-        return Stages(
+        vehicle = self.vehicle_correction(channels, ("gyro", *parallel_rates))
+        return PreprocessingChain(
             self.name,
             self.estimate_key,
-            self.sensor_stage(derived_speed),
+            self.sensor_correction(derived_speed),
             None if vehicle.neutral else vehicle,
-            self.evidence_stage(),
+            self.tick_preprocessing(),
             tuple(self.compensated(channels)),
             tuple(self.notes_for(channels)),
         )
 
-    def with_speed_delay(self, delay: float | None) -> Compensation:
+    def with_speed_delay(self, delay: float | None) -> ModelCompensation:
         """The same where the configuration says how late speed is against the accelerometer [s]."""
         if delay is None:
             return self
-        accel = self.terms.lateness.get("accel", 0.0)
-        lateness = {**self.terms.lateness, "accel": accel, "speed": accel + delay}
-        terms = replace(self.terms, lateness=lateness)
+        accel = self.terms.latency.get("accel", 0.0)
+        latency = {**self.terms.latency, "accel": accel, "speed": accel + delay}
+        terms = replace(self.terms, latency=latency)
         return replace(self, terms=terms, speed_delay_std=STATED_DELAY_STD)
 
-    def sensor_stage(self, derived_speed: bool = False) -> SensorStage:
+    def sensor_correction(self, derived_speed: bool = False) -> SensorCorrection:
         """Takes out the terms that need no mount; derived_speed: the wheels give the speed."""
-        return SensorStage(self.terms, derived_speed)
+        return SensorCorrection(self.terms, derived_speed)
 
-    def vehicle_stage(
+    def vehicle_correction(
         self, channels: Collection[str], rates: Collection[str] = ("gyro",)
-    ) -> VehicleStage:
+    ) -> VehicleCorrection:
         """Takes out those that need it; rates: the channels that are angular rates."""
         terms = self.terms if "gyro" in channels else replace(self.terms, lever_arm=ZERO)
-        return VehicleStage(terms, self.suspension, rates)
+        return VehicleCorrection(terms, self.suspension, rates)
 
-    def evidence_stage(self) -> EvidenceStage | None:
+    def tick_preprocessing(self) -> TickPreprocessing | None:
         """What is done to ticks before the estimator sees them; None: nothing."""
-        shifts, leans = self.shifts(), not self.terms.lean.neutral
+        shifts, leans = self.shifts(), not self.terms.suspension.neutral
         if not shifts and not leans:
             return None
-        return EvidenceStage(
-            Retiming(shifts) if shifts else None,
-            Leaning(self.terms.lean) if leans else None,
+        return TickPreprocessing(
+            TimeAlignment(shifts) if shifts else None,
+            SuspensionFilter(self.terms.suspension) if leans else None,
         )
 
     def shifts(self) -> dict[str, float]:
         """How long each channel is held back from the estimator [s]; empty: none is."""
-        return shifts_of(self.terms.lateness)
+        return alignment_shifts(self.terms.latency)
 
-    # what the estimator is told --------------------------------------------------------------
+    # settings of the estimators ---------------------------------------------------------------
 
     def full_settings(
         self, settings: EstimatorSettings, stated: Collection[str] = ()
@@ -167,7 +167,7 @@ class Compensation:
         terms, chassis = self.terms, self.terms.chassis
         delays = dict(settings.delays)
         for channel, std in (("speed", self.speed_delay_std), ("yaw_rate", KNOWN_DELAY_STD)):
-            if channel in terms.lateness:
+            if channel in terms.latency:
                 delays[channel] = DelayPrior(0.0, std)
         roads = (terms.bank_rms / settings.slope_std, terms.grade_rms / settings.slope_std)
         understeer = chassis.understeer
@@ -186,7 +186,7 @@ class Compensation:
     ) -> PublishedSettings:
         """The same for method A."""
         calibration = settings.calibration
-        if "speed" in self.terms.lateness:
+        if "speed" in self.terms.latency:
             calibration = structs.replace(calibration, speed_delay=0.0)
         return replace(
             settings,
@@ -210,14 +210,14 @@ class Compensation:
     @property
     def estimate_key(self) -> str:
         """Names what an estimate of the mount rests on: equal keys, equal estimates."""
-        return hashlib.sha256(repr(self.terms).encode()).hexdigest()
+        return hashlib.sha256(saved_text(self.terms).encode()).hexdigest()
 
 
 def compensation_from_model(
     model: Path | str | Mapping[str, Any], compensate_suspension: bool = True
-) -> Compensation:
+) -> ModelCompensation:
     """Read a model file, or a mapping of its content. Raises ConfigError with the place."""
     source = model if isinstance(model, Mapping) else Path(model)
     name = "model" if isinstance(model, Mapping) else str(model)
     terms, notes = read_terms(source, name)
-    return Compensation(terms, name, notes, compensate_suspension)
+    return ModelCompensation(terms, name, notes, compensate_suspension)

@@ -1,7 +1,7 @@
 """A sensor that says the same again and again is stuck, and must still be seen to be.
 
-Terms that change from sample to sample (warmth, the force that a gyroscope feels) would make a
-stuck sensor move. So a sample that repeats the one before it gets the same result.
+Terms that change from sample to sample (the bias with the temperature, the force that a gyroscope
+feels) would make a stuck sensor move. So a sample that repeats the one before it gets its result.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.sensors import SensorStage
-from imucald.compensation.tick_preprocessing import EvidenceStage
-from imucald.compensation.vehicle import Corrected, VehicleStage
+from imucald.compensation.sensors import SensorCorrection
+from imucald.compensation.tick_preprocessing import TickPreprocessing
+from imucald.compensation.vehicle import Corrected, VehicleCorrection
 from imucald.inputs.router import ColumnSamples, Routed, Sample
 from imucald.model.section import Vector3
 
@@ -23,7 +23,7 @@ REFUSED = "out_of_range"
 
 
 @dataclass
-class Stages:
+class PreprocessingChain:
     """What a model knows, taken out on the way from router to output.
 
     name: of the model file. estimate_key: names what an estimate of the mount rests on: equal keys,
@@ -33,9 +33,9 @@ class Stages:
 
     name: str
     estimate_key: str
-    sensors: SensorStage
-    vehicle: VehicleStage | None
-    evidence: EvidenceStage | None
+    sensors: SensorCorrection
+    vehicle: VehicleCorrection | None
+    evidence: TickPreprocessing | None
     used: tuple[str, ...]
     notes: tuple[str, ...]
 

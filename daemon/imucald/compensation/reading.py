@@ -15,8 +15,8 @@ from imucald.compensation.terms import (
     BUTTERWORTH_DELAY,
     NO_RAIL,
     ChassisTerms,
-    LeanTerms,
     ScalarTerms,
+    SuspensionTerms,
     Terms,
     TriadTerms,
     inverse_gain,
@@ -91,8 +91,8 @@ class _Reader:
             wheel_scales=wheels,
             scalars={name: s for name, s in scalars.items() if s != ScalarTerms()},
             lever_arm=self._lever_arm(),
-            lean=self._lean(),
-            lateness=self._latency(),
+            suspension=self._suspension(),
+            latency=self._latency(),
             chassis=ChassisTerms(
                 self._value("chassis", "wheelbase_m"),
                 self._value("chassis", "track_m"),
@@ -171,16 +171,16 @@ class _Reader:
             self._file.refuse("mount", "lever_arm_m", "is longer than a vehicle")
         return arm
 
-    def _lean(self) -> LeanTerms:
+    def _suspension(self) -> SuspensionTerms:
         if not self._file.has("suspension"):
-            return LeanTerms()
+            return SuspensionTerms()
 
         def gradient(key: str, switch: str) -> float:
             found: float = self._value("suspension", key, 0.0)
             return found if self._value("suspension", switch, True) else 0.0
 
-        springs = LeanTerms()
-        return LeanTerms(
+        springs = SuspensionTerms()
+        return SuspensionTerms(
             gradient("squat_gradient", "squat_dive"),
             gradient("dive_gradient", "squat_dive"),
             self._value("suspension", "pitch_frequency_hz", springs.pitch_hz),

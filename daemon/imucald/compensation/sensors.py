@@ -32,7 +32,7 @@ Sample = tuple[str, Sequence[float]]
 FELT_HZ = 5.0
 """The force that the gyroscope feels, for its g-sensitivity: vibration is not to be carried over
 from one sensor to the other, whose samples are of other instants."""
-COLDEST, WARMEST = -60.0, 150.0
+MIN_DEGC, MAX_DEGC = -60.0, 150.0
 """A temperature beyond is none [degC]; the last one stands."""
 _FIRST = {"temperature": 0, "accel": 1, "gyro": 2, "wheel_speeds": 3}
 CHANNELS = (
@@ -53,7 +53,7 @@ class Taken:
     refused: Flags
 
 
-class SensorStage:
+class SensorCorrection:
     """Takes what the model knows of each sensor out of its samples.
 
     derived_speed: speed comes from the wheels and is to be made again of the corrected ones.
@@ -70,7 +70,7 @@ class SensorStage:
             for channel, t in triads.items()
             if t != TriadTerms() or (channel == "gyro" and self._sensitive)
         }
-        self._warmed = [t for t in self._triads.values() if t.follows_temperature]
+        self._temperature_dependent = [t for t in self._triads.values() if t.follows_temperature]
         self._scalars = {
             channel: ScalarCompensator(s, LIMITS[_DIMENSION[channel]])
             for channel, s in terms.scalars.items()
@@ -97,14 +97,14 @@ class SensorStage:
             steps = [HeldSteps(self._repeats[channel], steps)]
         if channel == "accel" and self._sensitive:
             steps.append(self._feel)
-        if channel == "temperature" and self._warmed:
+        if channel == "temperature" and self._temperature_dependent:
             steps.append(self._temperature)
         if channel == "wheel_speeds" and self._wheels is not None:
             steps.append(self._wheels.sample)
         return steps
 
     def gap(self) -> None:
-        """Time jumped: what is carried from sample to sample is forgotten (not the warmth)."""
+        """Time jumped: what is carried from sample to sample is forgotten (not the temperature)."""
         self._felt.restart()
         for repeats in self._repeats.values():
             repeats.restart()
@@ -137,9 +137,9 @@ class SensorStage:
 
     def _temperature(self, t: float, v: Sequence[float]) -> Sequence[float]:
         degc = v[0]
-        if COLDEST <= degc <= WARMEST:
-            for triad in self._warmed:
-                triad.warmed(degc)
+        if MIN_DEGC <= degc <= MAX_DEGC:
+            for triad in self._temperature_dependent:
+                triad.set_temperature(degc)
         return v
 
     def _feel(self, t: float, v: Sequence[float]) -> Sequence[float]:
@@ -162,19 +162,19 @@ class SensorStage:
         order: by channel a number for each sample, never decreasing, that says which came first;
         equal ones came in one frame.
         """
-        warmth = self._warmth(samples, order)
+        temperatures = self._temperatures(samples, order)
         out: dict[str, Taken] = {}
         for channel, triad in self._triads.items():
             if channel in samples:
-                before = _before(order[channel], warmth[0])
-                values, refused = triad.columns(samples[channel].values, (before, warmth[1]))
+                before = _before(order[channel], temperatures[0])
+                values, refused = triad.columns(samples[channel].values, (before, temperatures[1]))
                 out[channel] = Taken(values, refused)
         self._repeat("accel", samples, out)
         if self._sensitive:
             self._take_felt(samples, order, out)
         self._repeat("gyro", samples, out)
-        for triad in self._warmed if len(warmth[1]) else ():
-            triad.warmed(float(warmth[1][-1]))
+        for triad in self._temperature_dependent if len(temperatures[1]) else ():
+            triad.set_temperature(float(temperatures[1][-1]))
         for channel, scalar in self._scalars.items():
             if channel in samples:
                 out[channel] = Taken(*scalar.columns(samples[channel].values))
@@ -192,14 +192,14 @@ class SensorStage:
             found = self._repeats[channel].columns(raw, taken.values, taken.refused)
             out[channel] = Taken(*found)
 
-    def _warmth(
+    def _temperatures(
         self, samples: Mapping[str, Series], order: Mapping[str, Order]
     ) -> tuple[Order, Array]:
         """Order and temperatures [degC] that count."""
         series = samples.get("temperature")
-        if series is None or not self._warmed:
+        if series is None or not self._temperature_dependent:
             return np.zeros(0), np.zeros(0)
-        good = (series.values >= COLDEST) & (series.values <= WARMEST)
+        good = (series.values >= MIN_DEGC) & (series.values <= MAX_DEGC)
         return order["temperature"][good], series.values[good]
 
     def _take_felt(

@@ -13,19 +13,19 @@ from __future__ import annotations
 
 import math
 
-from imucald.compensation.terms import LeanTerms
+from imucald.compensation.terms import SuspensionTerms
 from imucald.core.samples import GRAVITY
 
 GAP_S = 0.5
 """A force older than that tells no lean; after such a hole the body is taken to be at rest on its
 springs [s]."""
-LARGEST = 0.15
+MAX_ANGLE = 0.15
 """No car leans further [rad]."""
 
-Lean = tuple[float, float, float, float]
+SuspensionAttitude = tuple[float, float, float, float]
 """Roll, pitch [rad] and their rates [rad/s]; ISO 8855: roll positive left side up, pitch nose
 down."""
-UPRIGHT: Lean = (0.0, 0.0, 0.0, 0.0)
+UPRIGHT: SuspensionAttitude = (0.0, 0.0, 0.0, 0.0)
 
 
 class _Axis:
@@ -54,17 +54,17 @@ class _Axis:
         push = step * (square * gradient * force - stiffness * angle)
         self.rate = (rate * (1.0 - m) + push) / (1.0 + m)
         angle += 0.5 * step * (rate + self.rate)
-        self.angle = min(max(angle, -LARGEST), LARGEST)
+        self.angle = min(max(angle, -MAX_ANGLE), MAX_ANGLE)
 
 
-class Leaning:
+class SuspensionFilter:
     """Takes forces in vehicle (body) axes, tells how the body leans."""
 
-    def __init__(self, terms: LeanTerms) -> None:
+    def __init__(self, terms: SuspensionTerms) -> None:
         self._roll = _Axis(terms.roll, terms.roll, terms.roll_hz, terms.roll_damping)
         # the axis is driven by -f_x, which is positive while braking
         self._pitch = _Axis(terms.dive, terms.squat, terms.pitch_hz, terms.pitch_damping)
-        self.lean: Lean = UPRIGHT
+        self.attitude: SuspensionAttitude = UPRIGHT
         """With the newest force."""
         self.t = -math.inf
         """When that came [s]."""
@@ -72,17 +72,17 @@ class Leaning:
     def restart(self) -> None:
         """Forget: time jumped, or the axes did."""
         self.t = -math.inf
-        self.lean = UPRIGHT
+        self.attitude = UPRIGHT
 
-    def at(self, t: float) -> Lean:
+    def at(self, t: float) -> SuspensionAttitude:
         """The lean at t [s]; upright where the newest force is too old to tell."""
-        return self.lean if t - self.t <= GAP_S else UPRIGHT
+        return self.attitude if t - self.t <= GAP_S else UPRIGHT
 
-    def push(self, t: float, x: float, y: float) -> Lean:
+    def push(self, t: float, x: float, y: float) -> SuspensionAttitude:
         """Take the force along and across the vehicle at t [s]; NaN makes it begin anew."""
         if math.isnan(x):
             self.restart()
-            return self.lean
+            return self.attitude
         roll, pitch = self._roll, self._pitch
         step = t - self.t
         self.t = t
@@ -92,5 +92,5 @@ class Leaning:
         else:
             roll.settle(y)
             pitch.settle(-x)
-        self.lean = roll.angle, pitch.angle, roll.rate, pitch.rate
-        return self.lean
+        self.attitude = roll.angle, pitch.angle, roll.rate, pitch.rate
+        return self.attitude

@@ -53,7 +53,7 @@ class ScalarTerms:
 
 
 @dataclass(frozen=True)
-class LeanTerms:
+class SuspensionTerms:
     """How the body leans on its springs: angle per specific force [rad/(m/s^2)], and how fast.
 
     Each axis is a second-order system. squat: nose up per forward force. dive: nose down per
@@ -90,9 +90,9 @@ class Terms:
 
     g_sensitivity: rate per specific force on the same sensor axis [(rad/s)/(m/s^2)].
     wheel_scales: of four wheels. scalars: by channel. lever_arm: of the sensor from the body's
-    centre of rotation, vehicle axes [m]. lateness: by channel, how old a value is when its frame
-    comes [s], filters included. crown_mean: cross fall towards the kerb (tangent), None: not said.
-    bank_rms, grade_rms: of the roads' tangents across and along; 0: not said.
+    centre of rotation, vehicle axes [m]. latency: by channel, how old a value is when its frame
+    comes [s], filters included. crown_mean: cross fall towards the kerb (tangent), None: not given.
+    bank_rms, grade_rms: of the roads' tangents across and along; 0: not given.
     """
 
     accel: TriadTerms = TriadTerms()
@@ -102,8 +102,8 @@ class Terms:
     wheel_scales: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     scalars: Mapping[str, ScalarTerms] = field(default_factory=dict)
     lever_arm: Vector3 = ZERO
-    lean: LeanTerms = LeanTerms()
-    lateness: Mapping[str, float] = field(default_factory=dict)
+    suspension: SuspensionTerms = SuspensionTerms()
+    latency: Mapping[str, float] = field(default_factory=dict)
     chassis: ChassisTerms = ChassisTerms()
     crown_mean: float | None = None
     bank_rms: float = 0.0
@@ -116,7 +116,7 @@ def inverse_gain(scale: Vector3, cross_axis: tuple[float, ...]) -> Matrix9 | Non
     a, e, i = (1.0 + s for s in scale)
     minors = (e * i - yz * zy, yz * zx - yx * i, yx * zy - e * zx)
     determinant = a * minors[0] + xy * minors[1] + xz * minors[2]
-    if not abs(determinant) > SMALLEST_GAIN or min(a, e, i) <= SMALLEST_GAIN:
+    if not abs(determinant) > MIN_GAIN or min(a, e, i) <= MIN_GAIN:
         return None
     cofactors = (
         minors[0], xz * zy - xy * i, xy * yz - xz * e,
@@ -127,5 +127,20 @@ def inverse_gain(scale: Vector3, cross_axis: tuple[float, ...]) -> Matrix9 | Non
     return m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
 
 
-SMALLEST_GAIN = 0.2
+MIN_GAIN = 0.2
 """A sensor that says a fifth of the truth is not one to be corrected."""
+
+
+def saved_text(terms: Terms) -> str:
+    """Text of terms by which a saved calibration is found again: its words never change.
+
+    The suspension's terms were called lean, and latency lateness, when the first were saved.
+    """
+    text = repr(terms)
+    for now, then in (
+        ("SuspensionTerms(", "LeanTerms("),
+        ("suspension=", "lean="),
+        ("latency=", "lateness="),
+    ):
+        text = text.replace(now, then)
+    return text

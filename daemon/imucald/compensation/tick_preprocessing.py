@@ -1,4 +1,4 @@
-"""The estimator's ticks with what the model knows: delays evened out, the body's leaning taken out.
+"""The estimator's ticks with what the model knows: signals of one time, on a stiff suspension.
 
 A body that rolls more in left turns than in right ones, or squats more than it dives, turns the
 mean of what the mount is found from. The mount in force is good enough to place its lean; before
@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from imucald.compensation.held_repeats import HeldRepeats
-from imucald.compensation.suspension import Leaning
-from imucald.compensation.time_alignment import Retiming
-from imucald.compensation.vehicle import less_lean_rate, on_road
+from imucald.compensation.suspension import SuspensionFilter
+from imucald.compensation.time_alignment import TimeAlignment
+from imucald.compensation.vehicle import less_suspension_rate, on_road
 from imucald.core.rotations import times, transposed_times
 from imucald.motion import ticks as tk
 from imucald.motion.stuck import SAME
@@ -25,24 +25,26 @@ _RATES = slice(tk.GYRO.x, tk.GYRO.z + 1)
 _SENSORS = ((tk.ACCEL.n, _FORCES), (tk.GYRO.n, _RATES))
 
 
-class EvidenceStage:
+class TickPreprocessing:
     """Takes rows of ticks, gives those that the estimator is to see.
 
-    leaning: of the body, at ten a second; None: it does not lean.
+    suspension: of the body, at ten a second; None: it is stiff.
     """
 
-    def __init__(self, retiming: Retiming | None, leaning: Leaning | None) -> None:
-        self._retiming = retiming
-        self._leaning = leaning
+    def __init__(
+        self, time_alignment: TimeAlignment | None, suspension: SuspensionFilter | None
+    ) -> None:
+        self._time_alignment = time_alignment
+        self._suspension = suspension
         self._taken: tuple[float, float] | None = None
         self._repeats = tuple(HeldRepeats(SAME) for _ in _SENSORS)
 
     def gap(self) -> None:
         """Time jumped: nothing before is joined with what follows."""
-        if self._retiming is not None:
-            self._retiming.gap()
-        if self._leaning is not None:
-            self._leaning.restart()
+        if self._time_alignment is not None:
+            self._time_alignment.gap()
+        if self._suspension is not None:
+            self._suspension.restart()
         self._taken = None
         for repeats in self._repeats:
             repeats.restart()
@@ -52,14 +54,14 @@ class EvidenceStage:
 
         correction: the mount in force during the tick.
         """
-        if self._retiming is not None:
-            row = self._retiming.row(row)
-        if self._leaning is None:
+        if self._time_alignment is not None:
+            row = self._time_alignment.row(row)
+        if self._suspension is None:
             return row
-        return self._repeated(row, self._upright(self._leaning, row, correction))
+        return self._repeated(row, self._upright(self._suspension, row, correction))
 
     def _upright(
-        self, leaning: Leaning, row: Sequence[float], correction: Correction | None
+        self, suspension: SuspensionFilter, row: Sequence[float], correction: Correction | None
     ) -> Sequence[float]:
         """Force and rate of a tick as if the body were stiff.
 
@@ -67,20 +69,20 @@ class EvidenceStage:
         at one also over a hole in the force, in which the gyroscope sees the body lean.
         """
         if correction is None:
-            leaning.restart()
+            suspension.restart()
             self._taken = None
             return row
         out = list(row)
         if row[tk.ACCEL.n]:
             force = times(correction, row[_FORCES])
-            lean = leaning.push(row[tk.T], force[0], force[1])
+            lean = suspension.push(row[tk.T], force[0], force[1])
             out[_FORCES] = transposed_times(correction, on_road(lean, *force))
-        roll, pitch = leaning.lean[:2]
+        roll, pitch = suspension.attitude[:2]
         if row[tk.GYRO.n]:
             before = self._taken or (roll, pitch)
             change = (roll - before[0]) / TICK_S, (pitch - before[1]) / TICK_S
             lean = roll, pitch, *change
-            rate = less_lean_rate(lean, *times(correction, row[_RATES]))
+            rate = less_suspension_rate(lean, *times(correction, row[_RATES]))
             out[_RATES] = transposed_times(correction, on_road(lean, *rate))
         self._taken = (roll, pitch) if row[tk.GYRO.n] else None
         return out

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import TICK_RATE, TICK_S, TickAccumulator
 
-LEAST_S = 0.001
+MIN_SHIFT_S = 0.001
 """Smaller differences are left."""
 
 
@@ -49,7 +49,7 @@ class _Shift:
     rest: float  # part of a tick, 0 .. 1
 
 
-class Retiming:
+class TimeAlignment:
     """Rows of ticks in, rows in which all channels are of one time out.
 
     shifts: by channel how long it is held back [s].
@@ -99,15 +99,15 @@ class Retiming:
                 out[mean] += shift.rest * (earlier[mean] - row[mean])
 
 
-def shifts_of(lateness: Mapping[str, float]) -> dict[str, float]:
+def alignment_shifts(latency: Mapping[str, float]) -> dict[str, float]:
     """How long each channel is held back [s], so that all are as late as the latest.
 
-    lateness: by channel [s]; one not told of is as late as the accelerometer. The accelerometer is
+    latency: by channel [s]; one not told of is as late as the accelerometer. The accelerometer is
     held back by whole ticks, so that its ticks stay what they are. Empty: nothing to do.
     """
-    accel = lateness.get("accel", 0.0)
-    most = max((late - accel for late in lateness.values()), default=0.0)
-    hold = math.ceil((most - LEAST_S) * TICK_RATE) / TICK_RATE if most > LEAST_S else 0.0
-    shifts = {channel: hold - (lateness.get(channel, accel) - accel) for channel in _GROUPS}
+    accel = latency.get("accel", 0.0)
+    most = max((late - accel for late in latency.values()), default=0.0)
+    hold = math.ceil((most - MIN_SHIFT_S) * TICK_RATE) / TICK_RATE if most > MIN_SHIFT_S else 0.0
+    shifts = {channel: hold - (latency.get(channel, accel) - accel) for channel in _GROUPS}
     shifts = {channel: max(shift, 0.0) for channel, shift in shifts.items()}
-    return shifts if any(shift > LEAST_S for shift in shifts.values()) else {}
+    return shifts if any(shift > MIN_SHIFT_S for shift in shifts.values()) else {}

@@ -30,12 +30,12 @@ class TriadCompensator:
         self._low, self._high = terms.rail
         self._rails = terms.rail != NO_RAIL
 
-    def warmed(self, degc: float) -> None:
+    def set_temperature(self, degc: float) -> None:
         """The sensor is that warm from now on [degC]."""
-        warmth = degc - REFERENCE_DEGC
+        warmer = degc - REFERENCE_DEGC
         a, b, c = self.terms.bias
         x, y, z = self.terms.bias_temperature
-        self._bias = a + warmth * x, b + warmth * y, c + warmth * z
+        self._bias = a + warmer * x, b + warmer * y, c + warmer * z
 
     def sample(self, t: float, v: Sequence[float]) -> Vector3 | None:
         """One sample at t [s]; None where it is refused."""
@@ -56,17 +56,17 @@ class TriadCompensator:
         return None
 
     def columns(
-        self, v: Array, warmest: tuple[NDArray[np.int64], Array]
+        self, v: Array, temperatures: tuple[NDArray[np.int64], Array]
     ) -> tuple[Array, NDArray[np.bool_]]:
         """Samples (N, 3) as `sample` has them, and which are refused (N,).
 
-        warmest: for each sample how many of the temperatures (M,) [degC] had come before it.
+        temperatures: for each sample how many of the temperatures (M,) [degC] had come before it.
         """
         bias = np.array([self._bias])
         if self.follows_temperature:
-            before, degc = warmest
-            warmth = (degc - REFERENCE_DEGC)[:, None]
-            own = np.array([self.terms.bias]) + warmth * np.array([self.terms.bias_temperature])
+            before, degc = temperatures
+            warmer = (degc - REFERENCE_DEGC)[:, None]
+            own = np.array([self.terms.bias]) + warmer * np.array([self.terms.bias_temperature])
             bias = np.concatenate([bias, own])[before]
         values = v - bias
         if self._mixes:

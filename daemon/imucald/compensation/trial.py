@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.compensation import Compensation
+from imucald.compensation.compensation import ModelCompensation
 from imucald.compensation.vehicle import Corrected
 from imucald.core.rotations import times_columns
 from imucald.core.samples import Samples, Series
@@ -28,9 +28,9 @@ class CorrectedDrive:
     """What the daemon makes of a drive.
 
     accel, gyro: corrected samples (N, 3), SI, as they would have been sent: in vehicle axes (the
-    road's where leaning is taken out), NaN while the mount was not known. A channel that the drive
-    lacks is None. estimate: of the mount, at the end; None where the mount was given. snapshots:
-    one a second.
+    road's where the suspension is taken out), NaN while the mount was not known. A channel that the
+    drive lacks is None. estimate: of the mount, at the end; None where the mount was given.
+    snapshots: one a second.
     """
 
     accel: Series | None
@@ -41,7 +41,7 @@ class CorrectedDrive:
 
 def corrected_drive(
     samples: Samples,
-    compensation: Compensation | None,
+    compensation: ModelCompensation | None,
     settings: EstimatorSettings | None = None,
 ) -> CorrectedDrive:
     """Run samples through sensor terms, estimator and correction, as `run` and `replay` do.
@@ -54,7 +54,7 @@ def corrected_drive(
     if compensation is not None:
         samples = compensation.samples(samples)
         settings = compensation.full_settings(settings)
-        evidence = compensation.evidence_stage()
+        evidence = compensation.tick_preprocessing()
     pipeline = Pipeline(FullEstimator(settings), preprocessor=evidence)
     t_last = max((float(s.t[-1]) for s in samples.values() if len(s.t)), default=0.0)
     corrections, snapshots = pipeline.run(samples, {}, t_last)
@@ -68,7 +68,7 @@ def corrected_drive(
 
 
 def corrected_with(
-    samples: Samples, compensation: Compensation | None, R_vehicle_from_sensor: Array
+    samples: Samples, compensation: ModelCompensation | None, R_vehicle_from_sensor: Array
 ) -> CorrectedDrive:
     """The same with a mount (3, 3) that is given: what is wrong then is the signals' own error."""
     channels = frozenset(samples)
@@ -83,7 +83,7 @@ def corrected_with(
 def _corrected(
     samples: Samples,
     channels: frozenset[str],
-    compensation: Compensation | None,
+    compensation: ModelCompensation | None,
     rotations: Callable[[Array], Array],
 ) -> tuple[Series | None, Series | None]:
     """Corrected accelerometer and gyroscope; rotations: times (N,) -> (N, 9)."""
@@ -94,6 +94,6 @@ def _corrected(
     }
     columns = {channel: one.values for channel, one in turned.items()}
     if compensation is not None:
-        columns = compensation.vehicle_stage(channels).columns(turned)
+        columns = compensation.vehicle_correction(channels).columns(turned)
     found = {channel: Series(turned[channel].t, values) for channel, values in columns.items()}
     return found.get("accel"), found.get("gyro")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.compensation.trial import CorrectedDrive
-from imucald.compensation.vehicle import less_lean_rate, on_road
+from imucald.compensation.vehicle import less_suspension_rate, on_road
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.samples import Series
 
@@ -67,7 +67,7 @@ def true_signals(truth: Truth, on_the_road: bool) -> tuple[Array, Array]:
     roll, pitch = truth.body_roll, truth.body_pitch
     lean = (roll, pitch, np.gradient(roll, truth.t), np.gradient(pitch, truth.t))
     force = on_road(lean, *truth.reference_force.T)
-    rate = on_road(lean, *less_lean_rate(lean, *truth.rate.T))
+    rate = on_road(lean, *less_suspension_rate(lean, *truth.rate.T))
     return np.stack(force, axis=1), np.stack(rate, axis=1)
 
 

@@ -2,8 +2,8 @@
 
 Lever arm: the force at the body's centre of rotation is that at the sensor less
 dw/dt x l + w x (w x l), of which dw/dt is taken about the vertical only (see `yaw_acceleration`).
-Leaning: the corrected axes are turned from the body's to the road's, and the body's turning against
-the road is taken off the rates (see `leaning`).
+Suspension: the corrected axes are turned from the body's to the road's, and the body's turning
+against the road is taken off the rates (see `suspension`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.suspension import GAP_S, UPRIGHT, Lean, Leaning
+from imucald.compensation.suspension import GAP_S, UPRIGHT, SuspensionAttitude, SuspensionFilter
 from imucald.compensation.terms import Terms
 from imucald.compensation.yaw_acceleration import YawAcceleration
 from imucald.model.section import Vector3
@@ -44,8 +44,8 @@ class Corrected:
     values: Array
 
 
-class VehicleStage:
-    """Takes lever arm and leaning out of corrected samples.
+class VehicleCorrection:
+    """Takes lever arm and suspension out of corrected samples.
 
     Of one frame the gyroscope is taken first, the accelerometer last. rates: the channels that are
     angular rates.
@@ -56,11 +56,11 @@ class VehicleStage:
     ) -> None:
         self._arm = terms.lever_arm
         self._levers = any(terms.lever_arm)
-        self._leans = suspension and not terms.lean.neutral
+        self._leans = suspension and not terms.suspension.neutral
         self._rates = frozenset(rates)
         self._yaw = YawAcceleration()
         self._turning = NO_TURNING
-        self._leaning = Leaning(terms.lean)
+        self._suspension = SuspensionFilter(terms.suspension)
 
     @property
     def neutral(self) -> bool:
@@ -71,7 +71,7 @@ class VehicleStage:
         """Time jumped: the filters begin anew."""
         self._yaw.restart()
         self._turning = NO_TURNING
-        self._leaning.restart()
+        self._suspension.restart()
 
     # one frame -----------------------------------------------------------------------------
 
@@ -86,7 +86,7 @@ class VehicleStage:
         if "accel" in turned:
             v = turned["accel"]
             if v is None:
-                self._leaning.restart()
+                self._suspension.restart()
             else:
                 v = self._accel(t, v)
             out["accel"] = v
@@ -107,15 +107,15 @@ class VehicleStage:
                 a, b, c = carried(self._arm, p, q, r, change)
                 x, y, z = x - a, y - b, z - c
         if self._leans:
-            self._leaning.push(t, x, y)
-            return on_road(self._leaning.lean, x, y, z)
+            self._suspension.push(t, x, y)
+            return on_road(self._suspension.attitude, x, y, z)
         return x, y, z
 
     def _on_road(self, t: float, channel: str, v: Vector3) -> Vector3:
         if not self._leans:
             return v
-        lean = self._leaning.at(t)
-        return on_road(lean, *(less_lean_rate(lean, *v) if channel in self._rates else v))
+        lean = self._suspension.at(t)
+        return on_road(lean, *(less_suspension_rate(lean, *v) if channel in self._rates else v))
 
     # columns -------------------------------------------------------------------------------
 
@@ -133,7 +133,7 @@ class VehicleStage:
             if forces is not None:
                 out["accel"] = np.stack(forces, axis=1)
             return out
-        times = np.array([self._leaning.t, *(() if accel is None else accel.t)])
+        times = np.array([self._suspension.t, *(() if accel is None else accel.t)])
         leans = np.array(self._leans_of(accel, forces))
         order = np.zeros(0) if accel is None else accel.order
         for channel, one in turned.items():
@@ -149,7 +149,7 @@ class VehicleStage:
             )  # fmt: skip
             x, y, z = axes
             if channel in self._rates:
-                x, y, z = less_lean_rate(now, x, y, z)
+                x, y, z = less_suspension_rate(now, x, y, z)
             out[channel] = np.stack(on_road(now, x, y, z), axis=1)
         return out
 
@@ -179,11 +179,13 @@ class VehicleStage:
         taken = carried(self._arm, known[:, 1], known[:, 2], known[:, 3], known[:, 4])
         return [np.where(fresh, f - c, f) for f, c in zip(forces, taken, strict=True)]
 
-    def _leans_of(self, accel: Corrected | None, forces: list[Array] | None) -> list[Lean]:
-        """Lean before the first force, and with each."""
-        found = [self._leaning.lean]
+    def _leans_of(
+        self, accel: Corrected | None, forces: list[Array] | None
+    ) -> list[SuspensionAttitude]:
+        """Attitude before the first force, and with each."""
+        found = [self._suspension.attitude]
         if accel is not None and forces is not None:
-            push = self._leaning.push
+            push = self._suspension.push
             x, y = forces[0].tolist(), forces[1].tolist()
             found += [push(t, a, b) for t, a, b in zip(accel.t.tolist(), x, y, strict=True)]
         return found
@@ -214,7 +216,7 @@ def on_road(
     return c * x + s * z, y, c * z - s * x
 
 
-def less_lean_rate(
+def less_suspension_rate(
     lean: tuple[Number, Number, Number, Number], x: Number, y: Number, z: Number
 ) -> tuple[Number, Number, Number]:
     """Rates in body axes less the body's turning against the road."""

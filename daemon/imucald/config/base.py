@@ -24,6 +24,15 @@ Angle = Annotated[float, Meta(ge=-180, le=180)]
 """[deg]"""
 
 
+PerAxis = Positive | tuple[Positive, Positive, Positive]
+"""One number for all axes, or one for each of x, y, z."""
+
+
+def per_axis(value: PerAxis) -> tuple[float, float, float]:
+    """The numbers of x, y, z."""
+    return value if isinstance(value, tuple) else (value, value, value)
+
+
 class Radians:
     """An angle (or rate) that the file gives in degrees, in radians for those who read it."""
 
@@ -32,6 +41,16 @@ class Radians:
 
     def __get__(self, settings: Struct, owner: type[Struct]) -> float:
         return math.radians(getattr(settings, self._key))
+
+
+class RadiansPerAxis(Radians):
+    """The same of a key that may have a number per axis; always three."""
+
+    def __get__(  # type: ignore[override]
+        self, settings: Struct, owner: type[Struct]
+    ) -> tuple[float, float, float]:
+        x, y, z = per_axis(getattr(settings, self._key))
+        return math.radians(x), math.radians(y), math.radians(z)
 
 
 class RadiansOrNone(Radians):

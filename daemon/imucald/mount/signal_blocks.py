@@ -237,8 +237,8 @@ class SignalBlockMaker:
         s = self._settings
         if not s.uses_steering or not ok_angle.any():
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
-        steered = angle - self.steering_offset
-        turning = (s.vehicle.steering_ratio, s.vehicle.wheelbase, s.understeer)
+        steered, vehicle = angle - self.steering_offset, s.vehicle
+        turning = (vehicle.steering_ratio, vehicle.wheelbase, s.understeer)
         return yaw_rate_with_understeer(speed, steered, *turning), ok_angle
 
     def _rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:

@@ -32,7 +32,7 @@ from imucald.runtime.pipeline import Pipeline, Snapshot, TickCorrections
 from imucald.runtime.timebase import TimeBase, TimeSegment
 
 if TYPE_CHECKING:
-    from imucald.compensation.preprocessing import Stages
+    from imucald.compensation.preprocessing import PreprocessingChain
 
 MISSING_TICKS = 10
 """An input that gave no sample for so many ticks is missing: one second."""
@@ -72,7 +72,7 @@ class Engine:
         link_health: Callable[[], LinkHealth] = LinkHealth,
         consumers: Sequence[Consumer] = (),
         new_estimator: Callable[[], MountEstimator] | None = None,
-        stages: Stages | None = None,
+        stages: PreprocessingChain | None = None,
     ) -> None:
         self.router = router
         self.output = output

@@ -13,13 +13,13 @@ from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
 
 if TYPE_CHECKING:
-    from imucald.compensation import Compensation
+    from imucald.compensation import ModelCompensation
 
 CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""
 
 
-def estimator_for(config: Config, compensation: Compensation | None = None) -> MountEstimator:
+def estimator_for(config: Config, compensation: ModelCompensation | None = None) -> MountEstimator:
     """Return the estimator that a configuration asks for, with what its model knows."""
     if config.calibration.estimator == "published":
         published = published_settings(config)

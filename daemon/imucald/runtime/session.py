@@ -19,7 +19,7 @@ from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import Snapshot
 
 if TYPE_CHECKING:
-    from imucald.compensation import Compensation
+    from imucald.compensation import ModelCompensation
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
@@ -60,11 +60,13 @@ def make_engine(
         link_health,
         consumers_for(loaded, output),
         lambda: estimator_for(config, compensation),
-        None if compensation is None else compensation.stages(router.channels, derived, rates),
+        None
+        if compensation is None
+        else compensation.preprocessing_chain(router.channels, derived, rates),
     )
 
 
-def open_compensation(loaded: LoadedConfig) -> Compensation | None:
+def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:
     """Read the configuration's model file, where it names one. Raises ConfigError."""
     path, model = loaded.model_path, loaded.config.model
     if path is None or model is None:

@@ -9,14 +9,15 @@ import random
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from compensation.models import random_terms
-from imucald.compensation import Compensation, compensation_from_model
-from imucald.compensation.sensors import SensorStage
+from imucald.compensation import ModelCompensation, compensation_from_model
+from imucald.compensation.sensors import SensorCorrection
 from imucald.compensation.terms import ScalarTerms
-from imucald.compensation.vehicle import Corrected, VehicleStage
+from imucald.compensation.vehicle import Corrected, VehicleCorrection
 from imucald.core.samples import CHANNEL_WIDTH, Series
 
 SENSED = ("accel", "gyro", "mag", "speed", "wheel_speeds", "yaw_rate", "temperature")
@@ -25,7 +26,7 @@ SIZES |= {"yaw_rate": 1.0, "temperature": 80.0}
 TRIADS = ("gyro", "parallel/second", "mag", "accel")
 
 
-def random_compensation(rng: random.Random) -> Compensation:
+def random_compensation(rng: random.Random) -> ModelCompensation:
     found = compensation_from_model(random_terms(rng))
     scalars = dict(found.terms.scalars)
     if rng.random() < 0.5:
@@ -49,13 +50,14 @@ def chunks(rng: random.Random, n: int):
         start = stop
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_the_sensors_stage(seed):
     rng = random.Random(seed)
     compensation = random_compensation(rng)
     derived = rng.random() < 0.5
-    single, other = compensation.sensor_stage(derived), compensation.sensor_stage(derived)
+    single, other = compensation.sensor_correction(derived), compensation.sensor_correction(derived)
     times = random_times(rng, rng.choice([2, 30, 80]))
     frames = []
     last: dict[str, tuple[float, ...]] = {}
@@ -84,13 +86,13 @@ def test_the_sensors_stage(seed):
     assert got == expected
 
 
-def by_frame(stage: SensorStage, t, samples):
+def by_frame(stage: SensorCorrection, t, samples):
     out, refused = stage.frame(t, list(samples))
     values = {channel: tuple(v) for channel, v in out}
     return {c: values.get(c) for c, _ in samples if c in values or c in refused}
 
 
-def by_columns(stage: SensorStage, frames):
+def by_columns(stage: SensorCorrection, frames):
     series, rows = {}, {}
     for row, (t, samples) in enumerate(frames):
         for channel, values in samples:
@@ -116,13 +118,14 @@ def by_columns(stage: SensorStage, frames):
     return [{c: out[row][c] for c, _ in samples} for row, (_, samples) in enumerate(frames)]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_the_vehicles_stage(seed):
     rng = random.Random(seed)
     compensation = random_compensation(rng)
     suspension = replace(compensation, suspension=rng.random() < 0.8)
-    made = [suspension.vehicle_stage(TRIADS, ("gyro", "parallel/second")) for _ in range(2)]
+    made = [suspension.vehicle_correction(TRIADS, ("gyro", "parallel/second")) for _ in range(2)]
     times = random_times(rng, rng.choice([2, 30, 100]))
     known, frames = True, []
     for t in times:
@@ -144,7 +147,7 @@ def test_the_vehicles_stage(seed):
     assert got == expected
 
 
-def vehicle_columns(stage: VehicleStage, frames):
+def vehicle_columns(stage: VehicleCorrection, frames):
     columns = {}
     for channel in TRIADS:
         found = [(row, t, turned[channel]) for row, (t, turned) in enumerate(frames)
