@@ -56,6 +56,7 @@ def test_the_estimate_ends_near_the_truth(finished: Demonstration) -> None:
     assert finished.engine.pipeline.first_usable is not None
 
 
+@pytest.mark.slow
 def test_every_frame_passes_the_bus_undamaged(finished: Demonstration) -> None:
     series = finished.drive.samples["accel"]
     assert finished.listener.frames == len(series.t)

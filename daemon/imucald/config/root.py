@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -128,8 +129,8 @@ def _name(path: Path | None) -> str:
     return "<config>" if path is None else str(path)
 
 
-def json_schema() -> str:
-    """JSON schema (draft 2020-12) of the configuration."""
+def json_schema(choices: Mapping[tuple[str, str], Sequence[str]] | None = None) -> str:
+    """JSON schema (draft 2020-12) of the configuration; choices: see `described_schema`."""
     from imucald.config.schema import described_schema  # noqa: PLC0415 - only for this
 
-    return json.dumps(described_schema(Config), indent=2)
+    return json.dumps(described_schema(Config, choices or {}), indent=2)
