@@ -208,7 +208,7 @@ def test_the_corrected_acceleration_is_gravity_also_while_speed_changes(
     bound = 0.05 if method == "filter" else 0.09
     for one in free[5 * 22 : 5 * 27]:  # 2 m/s2 all the while
         assert [one[f"FreeAccel{a}"] for a in "XYZ"] == pytest.approx(gravity, abs=bound)
-    content = engine.companions[0].summary()[1]["free_acceleration_mps2"]
+    content = engine.consumers[0].summary()[1]["free_acceleration_mps2"]
     assert content == pytest.approx(gravity, abs=bound)
     plain = engine_for(load(CAR, tmp_path, DBC))
     assert "IMUCALD_FreeAcceleration" not in by_name(out_dbc, live(plain, car_frames(bus, 30.0)))

@@ -136,8 +136,8 @@ def test_19_and_20_time_and_measurement_update() -> None:
             keep = math.exp(-dt / s.accel_random_time)
             F[6:9, 6:9] *= keep
             P = F @ P @ F.T
-            P += np.diag([s.gyro_noise**2 * dt] * 3
-                         + [2.0 * s.gyro_random**2 * dt / s.gyro_random_time] * 3
+            P += np.diag([s.gyro_noise[0] ** 2 * dt] * 3
+                         + [2.0 * s.gyro_random[0] ** 2 * dt / s.gyro_random_time] * 3
                          + [ours.accel_random[0] ** 2 * (1.0 - keep**2)] * 3)  # fmt: skip
             d *= keep
             H, z = RNG.normal(0.0, 1.0, (3, 9)), RNG.normal(0.0, 0.1, 3)

@@ -24,13 +24,15 @@ Angle = Annotated[float, Meta(ge=-180, le=180)]
 """[deg]"""
 
 
-PerAxis = Positive | tuple[Positive, Positive, Positive]
-"""One number for all axes, or one for each of x, y, z."""
+PerAxis = Positive | Annotated[tuple[Positive, ...], Meta(min_length=3, max_length=3)]
+"""One number for all axes, or one for each of x, y, z. (A union with a tuple of fixed length
+crashes msgspec 0.22 when garbage is collected.)"""
 
 
-def per_axis(value: PerAxis) -> tuple[float, float, float]:
+def per_axis(value: float | tuple[float, ...]) -> tuple[float, float, float]:
     """The numbers of x, y, z."""
-    return value if isinstance(value, tuple) else (value, value, value)
+    x, y, z = value if isinstance(value, tuple) else (value, value, value)
+    return x, y, z
 
 
 class Radians:
