@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from imucald.config.calibration import MethodASettings
 from imucald.core.rotations import levelling_rotation
+from imucald.motion.speed import SpeedInterval
 from imucald.motion.standstill import is_static, static_windows
 from imucald.motion.straight import windows_agree
 from imucald.mount.estimate import MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
+from imucald.mount.method_a.gate import StraightGate, WanderingOffset
 from imucald.mount.method_a.levelling import levelled, tilt_angles
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.yaw import (
@@ -198,6 +201,100 @@ def test_each_option_is_enough_alone(option: str, name: str) -> None:
     assert estimate.R_vehicle_from_sensor is not None
     off = float(np.linalg.norm(mount_error_deg(estimate.R_vehicle_from_sensor, mount(name))))
     assert off < BOUND_DEG.get(option, 1.5)
+
+
+ALONE = ("speed", "gyro", "yaw_rate", "steering", "brake")
+
+
+def random_mount_error(seed: int, settings: PublishedSettings) -> tuple[MountState, float, float]:
+    """State, error of the yaw, stated deviation [deg]: the accelerometer and nothing else."""
+    turned = Rotation.random(random_state=seed)
+    estimate = run(Drive(minutes=12, seed=seed, mount=turned), ALONE, settings).estimate()
+    assert estimate.R_vehicle_from_sensor is not None
+    assert estimate.std is not None
+    yaw = float(mount_error_deg(estimate.R_vehicle_from_sensor, turned)[2])
+    return estimate.state, abs(yaw), math.degrees(estimate.std[2])
+
+
+def test_a4_claim_2_alone_the_accelerometer_and_nothing_else() -> None:
+    """Four drives with steady turns, which agree as well as straight motion does."""
+    found = [random_mount_error(seed, published(use_speed=False)) for seed in (4, 5, 6, 7)]
+    assert all(yaw < 3.0 * std for _, yaw, std in found)
+    usable = [yaw for state, yaw, _ in found if state == MountState.USABLE]
+    assert len(usable) >= 3
+    assert max(usable) < 1.5
+
+
+def together(recognise_by: object, yaw_rate: float, steering_deg: float) -> bool:
+    """What is said of 2 s of driving with this yaw rate and wheel angle."""
+    settings = published(straight={"recognise_by": recognise_by, "lateral_limit": 0.0})
+    gate = StraightGate(settings, WanderingOffset(1.0))
+    interval = SpeedInterval(0.0, 0.2, 1.0, 0.0, G, 10.0, 1.0, yaw_rate, True)
+    return gate.is_straight(interval, math.radians(steering_deg), math.nan, np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("recognise_by", "yaw_rate", "steering_deg", "expected"),
+    [
+        ("all", 0.0, 0.0, True),
+        ("all", 0.0, 115.0, False),
+        ("all", 0.05, 0.0, False),
+        ("all", 0.0, math.nan, False),  # one of them is not there
+        (("yaw_rate", "steering"), 0.0, 115.0, True),  # by preference
+        (("steering", "yaw_rate"), 0.05, 0.0, True),
+        ((("steering", "yaw_rate"), "yaw_rate"), 0.0, math.nan, True),  # the group's signal is gone
+        ((("steering", "yaw_rate"), "yaw_rate"), 0.05, math.nan, False),
+    ],
+)
+def test_a3_claim_4_steering_and_yaw_rate_together(
+    recognise_by: object, yaw_rate: float, steering_deg: float, expected: bool
+) -> None:
+    assert together(recognise_by, yaw_rate, steering_deg) is expected
+    if not math.isnan(steering_deg) and recognise_by == "all":
+        claim = text.straight(
+            np.array([math.radians(steering_deg)]), np.array([yaw_rate]), math.radians(10.0),
+            math.radians(1.0), need="all",
+        )  # fmt: skip
+        assert bool(claim[0]) is expected
+
+
+def test_a3_both_together_find_the_mount() -> None:
+    drive = Drive(minutes=10, seed=7, mount=mount("leaning"), imu_rate=50.0)
+    estimate = run(drive, ("gyro",), published(straight={"recognise_by": "all"})).estimate()
+    assert estimate.state >= MountState.USABLE
+    assert estimate.R_vehicle_from_sensor is not None
+    error = mount_error_deg(estimate.R_vehicle_from_sensor, mount("leaning"))
+    assert float(np.linalg.norm(error)) < 1.5
+
+
+def test_a2_to_the_letter_leaves_out_all_that_was_added() -> None:
+    """The last stop decides: the tilt is that stop's, slope and all."""
+    letter = MethodASettings(to_the_letter=True)
+    drive = Drive(minutes=10, seed=7, mount=mount("leaning"), imu_rate=50.0, turns=False)
+    estimator = run(drive, ("steering", "brake"), published({"method_a": letter}))
+    plain = run(drive, ("steering", "brake"), published())
+    applied = estimator._settings
+    assert not applied.calibration.static.average_stops
+    assert not applied.calibration.target_angle.subtract_lateral
+    assert (applied.wander_speed, applied.settle) == (0.0, 0.0)
+    R, other = (e.estimate().R_vehicle_from_sensor for e in (estimator, plain))
+    assert R is not None
+    assert other is not None
+    error = float(np.linalg.norm(mount_error_deg(R, mount("leaning"))))
+    assert error < 4.0
+    assert error > float(np.linalg.norm(mount_error_deg(other, mount("leaning"))))
+
+
+def test_claims_1_to_5_without_6_a_level_sensor_is_not_levelled() -> None:
+    turned = Rotation.from_euler("z", -70.0, degrees=True)
+    drive = Drive(minutes=8, seed=7, mount=turned, imu_rate=50.0, stops=False)
+    flat = published({"method_a": MethodASettings(level=False)})
+    estimate = run(drive, ("steering", "brake"), flat).estimate()
+    R = estimate.R_vehicle_from_sensor
+    assert estimate.state >= MountState.USABLE, estimate.waiting_for
+    assert R is not None
+    assert R[2] == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
+    assert abs(mount_error_deg(R, turned)[2]) < 1.0
 
 
 # Measured ---------------------------------------------------------------------------------------
