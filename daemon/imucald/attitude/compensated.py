@@ -14,6 +14,7 @@ from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
 from imucald.attitude.rest import RestingGyro
 from imucald.attitude.right_forward_up import text_from_vehicle, vehicle_from_text
+from imucald.attitude.sensor_check import CheckResult
 from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import Vector
 
@@ -57,6 +58,18 @@ class CompensatedAttitude:
     def running(self) -> bool:
         """Whether there is an attitude."""
         return self._last is not None
+
+    @property
+    def check(self) -> CheckResult | None:
+        """The zero error of the last rest, vehicle axes; None before the first."""
+        if not self.checked:
+            return None
+        return CheckResult(vehicle_from_text(*self.compensation.zero_error), (0.0, 0.0, 0.0))
+
+    def restore_check(self, found: CheckResult) -> None:
+        """Take what an earlier check found, vehicle axes; the next rest renews it."""
+        self.compensation.zero_error = text_from_vehicle(*found.rate)
+        self.checked = True
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""

@@ -30,7 +30,7 @@ from imucald.attitude.right_forward_up import (
     vehicle_angles,
     vehicle_from_text,
 )
-from imucald.attitude.sensor_check import rest_errors
+from imucald.attitude.sensor_check import CheckResult, rest_errors
 from imucald.config.attitude import AttitudeSettings
 from imucald.config.base import per_axis
 from imucald.core.rotations import (
@@ -167,6 +167,21 @@ class AttitudeFilter:
         """Repeat the sensor check at the next rest that is long enough."""
         self.checked = False
         self._rest = None
+
+    @property
+    def check(self) -> CheckResult | None:
+        """What the sensor check found, vehicle axes; None before it."""
+        if not self.checked:
+            return None
+        return CheckResult(
+            vehicle_from_text(*self.constant_bias), vehicle_from_text(*self.constant_accel_error)
+        )
+
+    def restore_check(self, found: CheckResult) -> None:
+        """Take what an earlier check found, vehicle axes, in the place of a check of one's own."""
+        self.constant_bias = text_from_vehicle(*found.rate)
+        self.constant_accel_error = text_from_vehicle(*found.force)
+        self.checked = True
 
     # result ----------------------------------------------------------------------------------
 

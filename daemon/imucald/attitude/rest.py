@@ -18,7 +18,7 @@ LARGEST_ZERO_ERROR = 6.0
 """In standard deviations: what turns faster than any zero error is not at rest."""
 
 
-class _Sums:
+class _TriadSums:
     """Count, sum and sum of squares of three axes."""
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class _Sums:
         self.z += z
         self.square += x * x + y * y + z * z
 
-    def include(self, other: _Sums) -> None:
+    def include(self, other: _TriadSums) -> None:
         self.n += other.n
         self.x += other.x
         self.y += other.y
@@ -64,12 +64,12 @@ class RestingGyro:
 
     def begin(self) -> None:
         """The rest, if it was one, is over."""
-        self._total = _Sums()
+        self._total = _TriadSums()
         self._since = math.nan
         self._begin_block()
 
     def _begin_block(self) -> None:
-        self._rates, self._forces = _Sums(), _Sums()
+        self._rates, self._forces = _TriadSums(), _TriadSums()
         self._block = math.nan
 
     def accel(self, force: Vector) -> None:

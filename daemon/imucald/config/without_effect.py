@@ -6,15 +6,40 @@ A key that cannot ever be met is an error (`impossible`); one that is merely idl
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import Protocol
 
+from imucald.config.attitude import AttitudeSettings, TravelDirectionSettings
+from imucald.config.calibration import CalibrationSettings
+from imucald.config.signals import Signals
 from imucald.core.locations import Place
-
-if TYPE_CHECKING:
-    from imucald.config.root import Config
 
 Rule = tuple[tuple[str, ...], bool, str]
 """Key (dotted path in parts), whether it is idle, why."""
+
+
+class Keys(Protocol):
+    """The sections whose keys are looked at."""
+
+    @property
+    def signals(self) -> Signals:
+        """Which signal is which quantity."""
+        ...
+
+    @property
+    def calibration(self) -> CalibrationSettings:
+        """How the mount is found."""
+        ...
+
+    @property
+    def attitude(self) -> AttitudeSettings:
+        """Methods B and C."""
+        ...
+
+    @property
+    def travel_direction(self) -> TravelDirectionSettings:
+        """Method D."""
+        ...
+
 
 FILTER_ONLY = ("speed_noise", "speed_scale", "creep_speed", "lever_uncertainty")
 """Of `attitude.compensation`: what widens the filter's noise."""
@@ -29,7 +54,7 @@ B_READS = (
 """Of `attitude.filter`: what method B alone reads for its rests."""
 
 
-def idle_keys(config: Config, is_given: Callable[[Place], bool]) -> Iterator[tuple[Place, str]]:
+def idle_keys(config: Keys, is_given: Callable[[Place], bool]) -> Iterator[tuple[Place, str]]:
     """Places of given keys that have no effect, each with its reason."""
     for rules in (_calibration(config), _attitude(config), _travel(config)):
         for place, idle, why in rules:
@@ -37,7 +62,7 @@ def idle_keys(config: Config, is_given: Callable[[Place], bool]) -> Iterator[tup
                 yield place, f"has no effect {why}"
 
 
-def impossible(config: Config) -> Iterator[tuple[Place, str]]:
+def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
     """Places of keys of method A that no sample can ever meet, each with what they need."""
     calibration, signals = config.calibration, config.signals
     if calibration.estimator != "published":
@@ -60,7 +85,7 @@ def impossible(config: Config) -> Iterator[tuple[Place, str]]:
         yield ("calibration", "target_angle", "sign_from"), text
 
 
-def _calibration(config: Config) -> Iterator[Rule]:
+def _calibration(config: Keys) -> Iterator[Rule]:
     calibration = config.calibration
     at = "calibration"
     published = calibration.estimator == "published"
@@ -104,7 +129,7 @@ def _calibration(config: Config) -> Iterator[Rule]:
     yield (at, "speed_delay"), not has_speed, "without a speed"
 
 
-def _attitude(config: Config) -> Iterator[Rule]:
+def _attitude(config: Keys) -> Iterator[Rule]:
     attitude = config.attitude
     if not attitude.enabled:  # prepared and switched off: that is what `enabled` is for
         return
@@ -133,7 +158,7 @@ def _attitude(config: Config) -> Iterator[Rule]:
         yield (at, "compensation", key), idle, "without a speed"
 
 
-def _travel(config: Config) -> Iterator[Rule]:
+def _travel(config: Keys) -> Iterator[Rule]:
     travel, signals = config.travel_direction, config.signals
     if not travel.enabled:
         return
