@@ -11,20 +11,20 @@ from scipy.spatial.transform import Rotation
 from imucald.config.calibration import MethodASettings
 from imucald.core.rotations import levelling_rotation
 from imucald.motion.speed import SpeedInterval
-from imucald.motion.standstill import is_static, static_windows
 from imucald.motion.straight import windows_agree
 from imucald.mount.estimate import MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.gate import StraightGate, WanderingOffset
 from imucald.mount.method_a.levelling import levelled, tilt_angles
 from imucald.mount.method_a.settings import PublishedSettings
-from imucald.mount.method_a.yaw import (
+from imucald.mount.method_a.solver import (
     combined_angle,
     correction_rotation,
     solve_published,
     target_angles,
     with_sign,
 )
+from imucald.mount.method_a.static_test import is_static, static_windows
 from mount_settings import published
 from publications import method_a as text
 from publications.recordings import recording

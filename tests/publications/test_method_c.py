@@ -13,14 +13,13 @@ from imucald.attitude.kalman import NineStateFilter
 from imucald.attitude.measurements import heading_difference, tilt
 from imucald.attitude.propagation import Propagator
 from imucald.attitude.right_forward_up import (
-    rows,
-    text_rotation,
+    rfu_rotation,
     vehicle_angles,
-    vehicle_from_text,
+    vehicle_from_rfu,
 )
 from imucald.attitude.sensor_check import rest_errors
 from imucald.config.attitude import AttitudeSettings, FilterSettings
-from imucald.core.rotations import levelling_rotation, times
+from imucald.core.rotations import levelling_rotation, rows_from_quaternion, times
 from publications import method_b
 from publications import method_c as text
 from publications.recordings import recording, table
@@ -59,7 +58,7 @@ def test_1_and_2_system_errors_at_rest() -> None:
 def test_3_and_14_the_matrix_and_its_angles() -> None:
     for p, r, y in attitudes(200):
         C = text.attitude_matrix(p, r, y)
-        ours = np.array(rows(text_rotation(r, -p, y))).reshape(3, 3)
+        ours = np.array(rows_from_quaternion(rfu_rotation(r, -p, y))).reshape(3, 3)
         assert ours == pytest.approx(C, abs=1e-12)
         roll, pitch, heading = vehicle_angles(matrix(C))
         pg, rg, yg = text.angles_of_matrix(C)
@@ -169,13 +168,13 @@ def test_c1_the_check_repeats_on_command() -> None:
 
     stand(60.0, 0.004)
     assert attitude.checked
-    found = vehicle_from_text(*attitude.constant_bias)
+    found = vehicle_from_rfu(*attitude.constant_bias)
     assert found == pytest.approx((0.004,) * 3, abs=2e-5)
     attitude.check_again()
     assert not attitude.checked
     stand(60.0, 0.006)
     assert attitude.checked
-    found = vehicle_from_text(*attitude.constant_bias)
+    found = vehicle_from_rfu(*attitude.constant_bias)
     assert found == pytest.approx((0.006,) * 3, abs=1e-4)
 
 

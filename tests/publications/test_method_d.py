@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from gait import CARRYINGS, walk
 from imucald.config.attitude import ChoiceSettings, TravelDirectionSettings
-from imucald.travel_direction.cycles import POINTS, Cycle
+from imucald.travel_direction.cycles import POINTS, StepCycle
 from imucald.travel_direction.direction import Step, TravelDirection
-from imucald.travel_direction.published import (
+from imucald.travel_direction.method_d import (
     PublishedDirection,
     compass_of,
     correlation_angle,
@@ -93,7 +93,7 @@ def test_d2_both_formula_pairs_are_of_an_accelerometer_that_reads_minus_g_upward
 # The whole method -------------------------------------------------------------------------------
 
 
-def random_cycle() -> Cycle:
+def random_cycle() -> StepCycle:
     phase = FULL * np.arange(POINTS) / POINTS
     way, amount = float(RNG.uniform(0.0, FULL)), float(RNG.uniform(0.2, 1.5))
     level = np.column_stack([amount * math.sin(way) * np.cos(phase + 1.7),
@@ -101,7 +101,7 @@ def random_cycle() -> Cycle:
                              G + 1.5 * np.cos(phase)])  # fmt: skip
     lean = Rotation.from_euler("xy", RNG.normal(0.0, 8.0, 2), degrees=True)
     accel = lean.apply(level) + RNG.normal(0.0, 0.1, (POINTS, 3))
-    return Cycle(0.0, 0.5, accel, np.zeros((POINTS, 3)), np.zeros((POINTS, 2)))
+    return StepCycle(0.0, 0.5, accel, np.zeros((POINTS, 3)), np.zeros((POINTS, 2)))
 
 
 PRESETS = {
@@ -228,10 +228,10 @@ def test_ped_ethz_every_step_is_the_texts() -> None:
     """867 cycles: headings, choice and turns of a chain of its own on the package's cycles."""
     samples = recording("ped_ethz")
     travel = TravelDirection(TravelDirectionSettings())
-    cycles: list[Cycle] = []
+    cycles: list[StepCycle] = []
     keep = travel.published.take
 
-    def taken(cycle: Cycle, compass: float):
+    def taken(cycle: StepCycle, compass: float):
         cycles.append(cycle)
         return keep(cycle, compass)
 

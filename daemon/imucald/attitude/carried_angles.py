@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import math
 
-from imucald.attitude.right_forward_up import from_vector, rows
-from imucald.core.rotations import Vector, times
+from imucald.core.rotations import Vector, quaternion_from_vector, rows_from_quaternion, times
 
 
 def vertical(pitch: float, roll: float) -> Vector:
@@ -48,8 +47,8 @@ class CarriedAngles:
             self._up = None
             return
         k = -0.5 * dt  # the vertical turns in the body the other way
-        turned = from_vector(*(k * (a + b) for a, b in zip(rate, last, strict=True)))
-        self._up = times(rows(turned), self._up)
+        turned = quaternion_from_vector(*(k * (a + b) for a, b in zip(rate, last, strict=True)))
+        self._up = times(rows_from_quaternion(turned), self._up)
 
     def draw(self, t: float, pitch: float, roll: float) -> None:
         """Take pitch and roll of the corrected acceleration at t [s]."""

@@ -13,7 +13,7 @@ from imucald.attitude.carried_angles import CarriedAngles
 from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
 from imucald.attitude.rest import RestingGyro
-from imucald.attitude.right_forward_up import text_from_vehicle, vehicle_from_text
+from imucald.attitude.right_forward_up import rfu_from_vehicle, vehicle_from_rfu
 from imucald.attitude.sensor_check import CheckResult
 from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import Vector
@@ -64,16 +64,16 @@ class CompensatedAttitude:
         """The zero error of the last rest, vehicle axes; None before the first."""
         if not self.checked:
             return None
-        return CheckResult(vehicle_from_text(*self.compensation.zero_error), (0.0, 0.0, 0.0))
+        return CheckResult(vehicle_from_rfu(*self.compensation.zero_error), (0.0, 0.0, 0.0))
 
     def restore_check(self, found: CheckResult) -> None:
         """Take what an earlier check found, vehicle axes; the next rest renews it."""
-        self.compensation.zero_error = text_from_vehicle(*found.rate)
+        self.compensation.zero_error = rfu_from_vehicle(*found.rate)
         self.checked = True
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
-        self._rate = text_from_vehicle(values[0], values[1], values[2])
+        self._rate = rfu_from_vehicle(values[0], values[1], values[2])
         self._t_gyro = t
         stands = self.compensation.is_standing(t)
         zero_error = self._rest.gyro(t, self._rate, stands, is_first=not self.checked)
@@ -88,7 +88,7 @@ class CompensatedAttitude:
         """Take a specific force [m/s^2]."""
         if self._rate is None or t - self._t_gyro > self.settings.filter.longest_step:
             return
-        force = text_from_vehicle(values[0], values[1], values[2])
+        force = rfu_from_vehicle(values[0], values[1], values[2])
         self._rest.accel(force)
         last = self._last = self.compensation.take(t, force, self._rate)
         self._t = t
@@ -134,10 +134,10 @@ class CompensatedAttitude:
             pitch=NAN if last is None else -pitch,
             heading=NAN,
             std=_NOTHING,
-            rate=_NOTHING if last is None else vehicle_from_text(*last.rate),
+            rate=_NOTHING if last is None else vehicle_from_rfu(*last.rate),
             rate_std=_NOTHING,
             grade=NAN,
             grade_std=NAN,
-            bias=vehicle_from_text(*b),
-            free_acceleration=_NOTHING if last is None else vehicle_from_text(*last.force),
+            bias=vehicle_from_rfu(*b),
+            free_acceleration=_NOTHING if last is None else vehicle_from_rfu(*last.force),
         )

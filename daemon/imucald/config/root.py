@@ -17,13 +17,12 @@ from imucald.config.network import (
     Databases,
     DatabaseSettings,
     MessageProtection,
-    ModelFile,
     Output,
-    VehicleSettings,
 )
 from imucald.config.shorthand import spelled_out
 from imucald.config.signals import Signals
 from imucald.config.uds import Diagnostics
+from imucald.config.vehicle import ModelFile, VehicleSettings
 from imucald.config.without_effect import idle_keys, impossible
 from imucald.core.errors import ConfigError
 from imucald.core.locations import Marks, Place, located
@@ -85,7 +84,10 @@ class LoadedConfig:
 
     def _resolved(self, path: str) -> Path:
         base = self.path.parent if self.path is not None else Path.cwd()
-        return (base / path).resolve()
+        try:
+            return (base / path).resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a NUL in the name
+            raise ConfigError(f"{_name(self.path)}: {path!r} is no path: {error}") from None
 
     def with_databases(self, entries: tuple[DatabaseSettings, ...]) -> LoadedConfig:
         """The same configuration with other database entries."""

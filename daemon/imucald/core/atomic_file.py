@@ -33,12 +33,6 @@ def write_file(path: Path, data: bytes) -> None:
     sync_folder(path.parent)
 
 
-def read_file(path: Path, max_bytes: int) -> bytes:
-    """Return a file's bytes, one more than `max_bytes` at most; OSError where it cannot be read."""
-    with path.open("rb") as file:
-        return file.read(max_bytes + 1)
-
-
 def with_checksum(title: str, body: bytes) -> bytes:
     """Return the bytes of a file: title (one line of ASCII) and SHA-256, then the body."""
     return f"{title} {sha256(body).hexdigest()}\n".encode() + body

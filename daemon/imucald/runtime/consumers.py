@@ -15,7 +15,7 @@ from imucald.attitude.filter import AttitudeFilter
 from imucald.attitude.sensor_check import CheckResult
 from imucald.config import Config, LoadedConfig
 from imucald.core.rotations import Matrix3, times
-from imucald.motion.plausible import is_plausible
+from imucald.motion.physical_limits import is_plausible
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import Correction, MountEstimate
 from imucald.runtime.consumer import ORDER, Consumer

@@ -30,12 +30,12 @@ from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
 from imucald.service.live import Daemon, open_link
 from imucald.service.notify import Notifier
-from imucald.service.reload import behind_the_known, estimates_alike, listens_otherwise
+from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
 from imucald.service.state import StateStore
 from imucald.service.status import StatusServer
 
 if TYPE_CHECKING:
-    from imucald.service.bus_uds import BusUds
+    from imucald.service.uds_on_bus import BusUds
 
 CHORE_S = 0.1
 """The loop turns to everything but frames so often [s]."""
@@ -129,7 +129,7 @@ class Service:
         if not loaded.config.diagnostics.enabled:
             return None
         # imported only where it is wanted: it loads OpenSSL (3.6 MiB) for keys
-        from imucald.service.bus_uds import bus_uds_for  # noqa: PLC0415
+        from imucald.service.uds_on_bus import bus_uds_for  # noqa: PLC0415
 
         if self.dtc_store is None:
             folder, key = self.options.state_folder, state_key(loaded, engine.router)

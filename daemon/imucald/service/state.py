@@ -19,13 +19,13 @@ from typing import Any
 
 from imucald.core.atomic_file import (
     free_name,
-    read_file,
     split_checksum,
     sync_folder,
     with_checksum,
     write_file,
 )
 from imucald.core.digest import sha256
+from imucald.core.regular_file import read_regular
 
 MAGIC = "imucald-state"
 VERSION = 2
@@ -144,7 +144,7 @@ class StateStore:
         sync_folder(self.folder)
 
     def _read(self, path: Path) -> tuple[int, SavedState]:
-        generation, key, state = decoded(read_file(path, MAX_BYTES))
+        generation, key, state = decoded(read_regular(path, MAX_BYTES))
         if key != self.key:
             word = "vehicle" if key.vehicle != self.key.vehicle else "sensor"
             raise _NotBelievedError(f"other-{word}", f"it is of another {word}")

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from imucald.config.attitude import TravelDirectionSettings
 from imucald.core.rotations import Vector, times, transposed_times
-from imucald.motion.plausible import is_plausible
+from imucald.motion.physical_limits import is_plausible
 from imucald.travel_direction.attitude import TerminalAttitude
-from imucald.travel_direction.cycles import Cycle, StepCycles
-from imucald.travel_direction.gyro_step_axis import ModernDirection
-from imucald.travel_direction.published import (
+from imucald.travel_direction.cycles import StepCycle, StepCycles
+from imucald.travel_direction.gyro_step_axis import GyroStepAxis
+from imucald.travel_direction.method_d import (
     PublishedDirection,
     PublishedResult,
     compass_of,
@@ -63,7 +63,7 @@ class Step:
     heading: float | None
     compass: float | None
     published: PublishedResult | None
-    modern: float | None
+    alternative: float | None
     trust: float
 
 
@@ -75,7 +75,7 @@ class TravelDirection:
         s = self.settings
         self.cycles = StepCycles(s.steps)
         self.published = PublishedDirection(s.choice)
-        self.modern = ModernDirection(s.alternative)
+        self.alternative = GyroStepAxis(s.alternative)
         self.attitude = TerminalAttitude(s.alternative)
         self._upwards = -1.0 if s.convention == "gravity" else 1.0
         self._clockwise = -1.0 if s.compass == "counter_clockwise" else 1.0
@@ -94,7 +94,7 @@ class TravelDirection:
         """Time jumped: nothing before this may be differenced with what follows."""
         self.cycles.restart()
         self.published.restart()
-        self.modern.restart()
+        self.alternative.restart()
         self.attitude.restart()
         self._fields: deque[tuple[float, Vector]] = deque(maxlen=MAX_FIELDS)
         self._heading: tuple[float, float] | None = None
@@ -166,14 +166,14 @@ class TravelDirection:
         turning = last.published is not None and last.published.is_turn
         return TravelState.TURNING if turning else TravelState.WALKING
 
-    def _step(self, cycle: Cycle) -> Step:
+    def _step(self, cycle: StepCycle) -> Step:
         compass = self._compass(cycle)
         published = None if compass is None else self.published.take(cycle, compass)
-        modern = self._modern(cycle)
+        alternative = self._alternative(cycle)
         by_published = None if published is None else published.heading
         heading = by_published
-        if self.settings.method == "alternative" and modern is not None:
-            heading = modern
+        if self.settings.method == "alternative" and alternative is not None:
+            heading = alternative
         return Step(
             t=cycle.t1,
             duration=cycle.duration,
@@ -181,23 +181,23 @@ class TravelDirection:
             heading=heading,
             compass=compass,
             published=published,
-            modern=modern,
-            trust=self.modern.trust if modern is not None else 0.0,
+            alternative=alternative,
+            trust=self.alternative.trust if alternative is not None else 0.0,
         )
 
-    def _modern(self, cycle: Cycle) -> float | None:
+    def _alternative(self, cycle: StepCycle) -> float | None:
         yaw = self.attitude.yaw
         if not self._has_gyro:
             return None
         up = transposed_times(self.attitude.level, (0.0, 0.0, 1.0))
-        angle = self.modern.take(cycle, self.attitude.turned, up)
+        angle = self.alternative.take(cycle, self.attitude.turned, up)
         if angle is None or yaw is None:
             return None
         # turning P by yaw, counter-clockwise, takes it from clockwise angles; true north follows
         declination = self.settings.declination if self._heading is None else 0.0
         return (angle - yaw + declination) % TWO_PI
 
-    def _compass(self, cycle: Cycle) -> float | None:
+    def _compass(self, cycle: StepCycle) -> float | None:
         """Compass of the cycle: from the mean field in it, else from the newest heading."""
         field = self._mean_field(cycle)
         if field is not None:
@@ -209,7 +209,7 @@ class TravelDirection:
             return self._heading[1] % TWO_PI
         return None
 
-    def _mean_field(self, cycle: Cycle) -> NDArray[np.float64] | None:
+    def _mean_field(self, cycle: StepCycle) -> NDArray[np.float64] | None:
         """Mean of the fields of the cycle (3,) [T]; of a slower sensor, the newest one."""
         inside = [field for t, field in self._fields if cycle.t0 <= t < cycle.t1]
         if not inside:
