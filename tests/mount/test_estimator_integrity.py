@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from test_estimator import GOOD, drive, usual
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import Samples, Series
@@ -16,7 +17,6 @@ from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.restored import RestoredEstimator, StoredMount
 from mount_settings import full
-from test_estimator import GOOD, drive, usual
 
 MINUTES = 8.0
 
