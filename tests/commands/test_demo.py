@@ -26,7 +26,7 @@ from imucald.runtime.session import make_engine
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 from imucald.traffic.can_log import write_log
-from imucald.traffic.encoder import BusEncoder, example_config
+from imucald.traffic.drive_encoder import BusEncoder, example_config
 
 MOUNT_DEG = (-20.0, 8.0, 120.0)
 

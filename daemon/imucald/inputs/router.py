@@ -99,6 +99,11 @@ class Router:
             found.add("reverse")
         return frozenset(found)
 
+    @property
+    def measured_axes(self) -> dict[str, int]:
+        """How many axes of each channel come from signals: a planar accelerometer has two."""
+        return {tap.channel: 2 if tap.planar else _width(tap.channel) for tap in self._taps()}
+
     # one frame -----------------------------------------------------------------------------
 
     def frame(self, t: float, can_id: int, data: bytes) -> tuple[list[Sample], list[str]]:

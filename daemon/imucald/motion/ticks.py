@@ -11,7 +11,7 @@ also an empty one: rows are a uniform 10 Hz grid. NaN marks what was not there.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -122,6 +122,18 @@ _EMPTY = [0.0 if i in _NEVER_NAN else NAN for i in range(COLUMNS)]
 def empty_rows(n: int) -> NDArray[np.float64]:
     """Rows of ticks without any sample, (n, COLUMNS)."""
     return np.tile(np.array(_EMPTY), (n, 1))
+
+
+_SENSORS = {"accel": slice(ACCEL.n, ACCEL.bad + 1), "gyro": slice(GYRO.n, GYRO.bad + 1)}
+
+
+def emptied(row: TickRow, channels: Iterable[str]) -> TickRow:
+    """The row without what accelerometer or gyroscope said, for those among the channels."""
+    out = list(row)
+    for channel in channels:
+        if channel in _SENSORS:
+            out[_SENSORS[channel]] = _EMPTY[_SENSORS[channel]]
+    return out
 
 
 def tick_index(t: float) -> int:

@@ -18,6 +18,7 @@ from imucald.can.columns import FrameColumns
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import times, times_columns
 from imucald.inputs.router import Routed, Router, Sample
+from imucald.motion.sample_health import Faults, SampleHealth
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
 from imucald.runtime.consumer import Consumer, events_of, in_order
@@ -78,7 +79,8 @@ class Engine:
         self.output = output
         self.stages = stages
         evidence = None if stages is None else stages.evidence
-        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), evidence)
+        health = SampleHealth(router.measured_axes)
+        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), evidence, health)
         self.timebase = TimeBase()
         self.consumers = tuple(consumers)
         self._consumed = frozenset(c for one in self.consumers for c in one.channels)
@@ -109,6 +111,8 @@ class Engine:
         if k > self.pipeline.k or gap:
             out += self._advance(k, gap)
         samples, rejected = self.router.frame(t, can_id, data)
+        for channel, values in samples:
+            self.pipeline.health.add(channel, values)
         if self.stages is not None:
             samples, refused = self.stages.frame(t, samples, self.router.rejected)
             rejected += refused
@@ -127,9 +131,11 @@ class Engine:
                 turned[channel] = None if correction is None else times(correction, values)
         if self.stages is not None and turned:
             turned = self.stages.corrected(t, turned)
+        faults = pipeline.health.faults
         for channel in self.output.triads:
             if channel in turned:
-                out.append(self.output.corrected(channel, turned[channel], pipeline.quality))
+                values = None if self.output.sensor_of[channel] in faults else turned[channel]
+                out.append(self.output.corrected(channel, values, pipeline.quality))
         for channel in self.output.triads:
             if channel in rejected and channel not in turned:
                 out.append(self.output.corrected(channel, None, 0))
@@ -186,7 +192,7 @@ class Engine:
         out = self.output.status(
             pipeline.estimator.estimate(),
             False,
-            self._health(dict.fromkeys(self._watched, True), False, self._rejected_total, link),
+            self._health(dict.fromkeys(self._watched, True), False, self._rejected_total, link, {}),
         )
         self.sent += len(out)
         return out
@@ -241,6 +247,7 @@ class Engine:
         whole = base == 0 and segment.stop == len(frames)
         chunk = frames if whole else frames.take(slice(base, segment.stop))
         routed = self.router.columns(segment.t, chunk)
+        watched = routed.samples
         if self.stages is not None:
             routed = self.stages.columns(routed, segment.t, self.router.rejected)
         ticks = np.floor(segment.t * TICK_RATE).astype(np.int64)
@@ -248,7 +255,7 @@ class Engine:
         first = self.pipeline.k
         wanted = keep or bool(self.consumers) or self._on_snapshot is not None
         corrections, snapshots = self.pipeline.run(
-            routed.samples, times, float(segment.t[-1]), wanted
+            routed.samples, times, float(segment.t[-1]), wanted, watched
         )
         if not wanted:
             self.sent += STATUS_FRAMES * self.pipeline.snapshots_due(first)
@@ -285,6 +292,11 @@ class Engine:
             row = np.zeros(0, np.int64) if series is None else series.row
             turned = corrected.get(channel, np.zeros((0, 3)))
             quality = corrections.quality[ticks[row] - corrections.first]
+            unfit = corrections.unfit.get(self.output.sensor_of[channel])
+            if unfit is not None:
+                lost = unfit[ticks[row] - corrections.first]
+                turned = np.where(lost[:, None], np.nan, turned)
+                quality = np.where(lost, 0, quality).astype(np.uint8)
             if bad is not None:
                 bad = np.setdiff1d(bad, row)
                 row = np.concatenate([row, bad])
@@ -391,7 +403,9 @@ class Engine:
         """What a health frame would say now; before the first frame of ours all is missing."""
         k, silent = self.pipeline.k, not self.timebase.started
         missing = {c: silent or k - last >= MISSING_TICKS for c, last in self._watched.items()}
-        return self._health(missing, self._recent(k), self._rejected_total, self._link_health())
+        faults = self.pipeline.health.faults
+        link = self._link_health()
+        return self._health(missing, self._recent(k), self._rejected_total, link, faults)
 
     def _statuses(self, snapshots: list[Snapshot]) -> list[OutFrame]:
         out: list[OutFrame] = []
@@ -411,15 +425,22 @@ class Engine:
         if self._on_snapshot is not None:
             self._on_snapshot(snapshot)
         missing = {c: snapshot.k - k >= MISSING_TICKS for c, k in last.items()}
-        health = self._health(missing, recent, rejected, self._link_health())
+        health = self._health(missing, recent, rejected, self._link_health(), snapshot.faults)
         return self.output.status(snapshot.estimate, snapshot.usable, health)
 
     @staticmethod
     def _health(
-        missing: Mapping[str, bool], recent: bool, rejected: int, link: LinkHealth
+        missing: Mapping[str, bool],
+        recent: bool,
+        rejected: int,
+        link: LinkHealth,
+        faults: Mapping[str, Faults],
     ) -> Health:
         return Health(
             **{_SENSORS[c]: is_missing for c, is_missing in missing.items()},
+            accelerometer_faulty="accel" in faults,
+            gyroscope_faulty="gyro" in faults,
+            magnetometer_faulty="mag" in faults,
             input_rejected=recent,
             rejected=rejected,
             frames_lost=link.frames_lost,

@@ -8,18 +8,21 @@ whole columns (`run`); both give the same corrections to the last bit.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import Samples, Series
+from imucald.motion.hops import HOP_TICKS
+from imucald.motion.sample_health import Faults, SampleHealth
 from imucald.motion.ticks import (
     SPEED,
     TICK_RATE,
     TickAccumulator,
     TickRow,
+    emptied,
     tick_index,
     ticks_from_samples,
 )
@@ -45,6 +48,8 @@ class Snapshot:
     estimate: MountEstimate
     usable: bool
     """Whether a correction is in force from this tick on."""
+    faults: Mapping[str, Faults] = field(default_factory=dict)
+    """Sensors that are not fit to be used, by channel."""
 
     @property
     def t(self) -> float:
@@ -57,11 +62,13 @@ class TickCorrections:
     """The corrections in force during ticks `first`, `first` + 1, ...
 
     rotations: (n, 9), rows of R_vehicle_from_sensor, NaN where not usable; quality: (n,).
+    unfit: by channel the ticks (n,) in which its sensor is not fit to be used; absent: always fit.
     """
 
     first: int
     rotations: NDArray[np.float64]
     quality: NDArray[np.uint8]
+    unfit: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
 
 class TickPreprocessor(Protocol):
@@ -81,6 +88,8 @@ class Pipeline:
 
     status_ticks: a snapshot of the estimate is taken every so many ticks.
     preprocessor: takes what a model knows out of ticks before the estimator sees them.
+    health: judges the samples as the sensors gave them (`watch`); the estimator gets none of a
+    sensor that is not fit to be used.
     """
 
     def __init__(
@@ -88,8 +97,10 @@ class Pipeline:
         estimator: MountEstimator,
         status_ticks: int = 10,
         preprocessor: TickPreprocessor | None = None,
+        health: SampleHealth | None = None,
     ) -> None:
         self.estimator = estimator
+        self.health = health or SampleHealth({})
         self._preprocessor = preprocessor
         self.correction: Correction | None = estimator.correction
         self.quality: Quality = 0
@@ -118,13 +129,15 @@ class Pipeline:
         """Close all ticks before tick k, which becomes the open one; return the snapshots due."""
         snapshots: list[Snapshot] = []
         while self.k < k:
-            self._close(self._ticks.close(self.k), snapshots)
+            self.health.close(self.k)
+            self._close(self._ticks.close(self.k), snapshots, self.health.faults)
         return snapshots
 
     def gap(self, k: int) -> list[Snapshot]:
         """Time was discontinuous: close all ticks before k, where a new segment begins."""
         snapshots = self.advance(k)
         self.estimator.gap()
+        self.health.gap()
         if self._preprocessor is not None:
             self._preprocessor.gap()
         return snapshots
@@ -145,10 +158,12 @@ class Pipeline:
         rejected: Mapping[str, NDArray[np.float64]],
         t_last: float,
         with_snapshots: bool = True,
+        watched: Samples | None = None,
     ) -> tuple[TickCorrections, list[Snapshot]]:
         """Add columns of samples up to stream time t_last [s], whose tick stays open.
 
-        Samples are those since the last call; rejected: channel to times [s].
+        Samples are those since the last call; rejected: channel to times [s]. watched: the samples
+        as the sensors gave them, where these are others.
         Returns the corrections from the tick that was open to the one that is now, and snapshots
         (none without `with_snapshots`, which saves their time).
         """
@@ -157,19 +172,24 @@ class Pipeline:
         quality = [self.quality]
         snapshots: list[Snapshot] = []
         taken = snapshots if with_snapshots else None
+        faults = [self.health.faults]
+        faults += self.health.columns(samples if watched is None else watched, first, last)
+        hop = first // HOP_TICKS
         self._add_tick(samples, rejected, first)
         if last > first:
-            self._close(self._ticks.close(first), taken)
+            self._close(self._ticks.close(first), taken, faults[(first + 1) // HOP_TICKS - hop])
             rows.append(self.correction)
             quality.append(self.quality)
             for row in ticks_from_samples(samples, first + 1, last, rejected).tolist():
-                self._close(row, taken)
+                self._close(row, taken, faults[(self.k + 1) // HOP_TICKS - hop])
                 rows.append(self.correction)
                 quality.append(self.quality)
             self._add_tick(samples, rejected, last)
         nothing = (np.nan,) * 9
         rotations = np.array([nothing if row is None else row for row in rows])
-        return TickCorrections(first, rotations, np.array(quality, dtype=np.uint8)), snapshots
+        unfit = _unfit_ticks(faults, first, last)
+        found = TickCorrections(first, rotations, np.array(quality, dtype=np.uint8), unfit)
+        return found, snapshots
 
     def _add_tick(
         self, samples: Samples, rejected: Mapping[str, NDArray[np.float64]], k: int
@@ -189,8 +209,13 @@ class Pipeline:
         """How many snapshots fell due while tick `first` and those up to now were open."""
         return self.k // self.status_ticks - first // self.status_ticks
 
-    def _close(self, row: TickRow, snapshots: list[Snapshot] | None) -> None:
+    def _close(
+        self, row: TickRow, snapshots: list[Snapshot] | None, faults: Mapping[str, Faults]
+    ) -> None:
+        """Close a tick; faults: in force from its end on."""
         estimator = self.estimator
+        if faults:
+            row = emptied(row, faults)
         if row[SPEED.n]:
             self.speed = self.k, row[SPEED.mean]
         if self._preprocessor is not None:
@@ -200,7 +225,7 @@ class Pipeline:
         self._judge()
         self.k += 1
         if snapshots is not None and self.k % self.status_ticks == 0:
-            snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0))
+            snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0, faults))
 
     def _judge(self) -> None:
         if self.correction is None:
@@ -216,3 +241,14 @@ class Pipeline:
 def _of_tick(series: Series, k: int) -> Series:
     low, high = np.searchsorted(np.floor(series.t * TICK_RATE), [k, k + 1])
     return Series(series.t[low:high], series.values[low:high])
+
+
+def _unfit_ticks(
+    faults: Sequence[Mapping[str, Faults]], first: int, last: int
+) -> dict[str, NDArray[np.bool_]]:
+    """Ticks `first` to `last` in which a sensor is unfit, by channel; faults: one a hop."""
+    channels = {channel for of_hop in faults for channel in of_hop}
+    if not channels:
+        return {}
+    hop = np.arange(first, last + 1) // HOP_TICKS - first // HOP_TICKS
+    return {c: np.array([c in of_hop for of_hop in faults])[hop] for c in sorted(channels)}

@@ -55,6 +55,15 @@ class RunningService(Protocol):
         """Keep nothing of what was saved."""
         ...
 
+    def check_sensors(self) -> bool:
+        """Repeat the sensor check at the next rest; whether there is one to repeat."""
+        ...
+
+    @property
+    def sensors_checked(self) -> bool:
+        """Whether the sensor check has been made."""
+        ...
+
     def log_tester(self, text: str) -> None:
         """Write what a tester did into the log; those lines may come without end."""
         ...
@@ -134,12 +143,19 @@ class LiveHost:
         watched = {"accel": "accelerometer", "gyro": "gyroscope", "speed": "speed"}
         if self.uptime < START_S:
             watched = {}
+        faults = engine.pipeline.health.faults
+        sensors = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
         return Symptoms(
             usable=engine.pipeline.quality > 0,
             moved=engine.pipeline.estimator.state in _MOVED,
             missing={name: missing[name] for c, name in watched.items() if c in channels},
             counts=self.counts(),
             state_corrupt=self._service.state_corrupt,
+            faulty={
+                name: [str(fault) for fault in faults.get(c, ())]
+                for c, name in sensors.items()
+                if c in channels
+            },
         )
 
     def begin_calibration(self) -> None:
@@ -159,6 +175,15 @@ class LiveHost:
     def accept_calibration(self) -> None:
         """Let go of the former estimator."""
         self._former = None
+
+    def check_sensors(self) -> bool:
+        """Repeat the sensor check at the next rest; whether there is one to repeat."""
+        return self._service.check_sensors()
+
+    @property
+    def sensors_checked(self) -> bool:
+        """Whether the sensor check has been made."""
+        return self._service.sensors_checked
 
     def _settings(self) -> object:
         """All that an estimator depends on; the file may be read again meanwhile."""

@@ -23,7 +23,7 @@ from imucald.core.rotations import (
     rows_from_quaternion,
     times,
 )
-from imucald.motion.at_rest import MAX_TERMINAL_BIAS, TERMINAL_RATE_RANGE
+from imucald.motion.rest_thresholds import MAX_TERMINAL_BIAS, TERMINAL_RATE_RANGE
 from imucald.travel_direction.north import NorthFilter
 
 TWO_PI = 2.0 * math.pi

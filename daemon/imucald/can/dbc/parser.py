@@ -16,7 +16,7 @@ from imucald.can.columns import CAN_EFF_FLAG
 from imucald.can.dbc.database_limits import refuse_heavy
 from imucald.can.dbc.message import Message, Signal
 from imucald.core.errors import DatabaseError
-from imucald.core.lean_import import standing_in
+from imucald.core.partial_import import standing_in
 
 
 def parse(text: str, database_format: str, source: str) -> list[Message]:

@@ -3,7 +3,7 @@
 Static test -> tilt -> straight variable-speed motion -> target angle -> correction, as published,
 with what stands on top of it since the first day: the gate on v r, v r subtracted, dv/dt from
 speed for sign and weight, several stops combined, and the wandering offset removed.
-Bad samples are never learnt from: a interval that holds one is dropped whole.
+Bad samples are never learnt from: an interval that holds one is dropped whole.
 """
 
 from __future__ import annotations
@@ -15,14 +15,19 @@ import numpy as np
 
 from imucald.core.rotations import Matrix3, rotation_from_angles
 from imucald.core.samples import GRAVITY
-from imucald.motion.plausible import ROAD_FORCE_WIDE, is_saturated
+from imucald.motion.physical_limits import ROAD_FORCE_WIDE, is_saturated
 from imucald.motion.speed import SpeedInterval, SpeedIntervalMaker
 from imucald.motion.straight import YawRateSource
 from imucald.motion.stuck import HeldForce
 from imucald.motion.ticks import ACCEL, BRAKE, LATERAL_ACCEL, REVERSE, SPEED, T, TickRow
 from imucald.mount.estimate import Correction, MountEstimate, MountState
 from imucald.mount.hysteresis import GOOD
-from imucald.mount.method_a.gate import StraightGate, WanderingOffset
+from imucald.mount.method_a.gate import (
+    OFFSET_LOST_SPEED_S,
+    OFFSET_WITHOUT_SPEED_S,
+    StraightGate,
+    WanderingOffset,
+)
 from imucald.mount.method_a.manoeuvres import (
     CombinedAngle,
     Manoeuvre,
@@ -32,9 +37,9 @@ from imucald.mount.method_a.manoeuvres import (
 )
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.sign import SignEvidence
+from imucald.mount.method_a.solver import rotation_about_up
 from imucald.mount.method_a.states import TiltAndAngle, judged, waiting_for
 from imucald.mount.method_a.tilt import TiltEstimator
-from imucald.mount.method_a.yaw import rotation_about_up
 from imucald.mount.slewing import SlewedRotation
 
 NAN = math.nan
@@ -58,7 +63,10 @@ class PublishedEstimator:
     """The published solver as an estimator of the mount; see `mount.estimate.MountEstimator`."""
 
     def __init__(self, settings: PublishedSettings | None = None) -> None:
-        s = self._settings = settings or PublishedSettings()
+        s = settings or PublishedSettings()
+        if s.calibration.method_a.to_the_letter:
+            s = s.to_the_letter()
+        self._settings = s
         self._tilt = TiltEstimator(s)
         self._intervals = SpeedIntervalMaker(
             s.block_s, s.calibration.speed_delay or 0.0, s.speed_timeout
@@ -66,9 +74,10 @@ class PublishedEstimator:
         self._yaw_source = YawRateSource(
             s.vehicle.steering_ratio,
             s.vehicle.wheelbase,
-            "steering" in s.calibration.straight.recognise_by,
+            "steering" in s.calibration.straight.recognisers,
         )
-        self._offset = WanderingOffset(s.calibration.target_angle.remove_offset_after)
+        lost = OFFSET_LOST_SPEED_S if s.use_speed else OFFSET_WITHOUT_SPEED_S
+        self._offset = WanderingOffset(s.calibration.target_angle.remove_offset_after, lost)
         self._gate = StraightGate(s, self._offset)
         self._sign = SignEvidence(s.calibration.target_angle.sign_from)
         self._signed = ManoeuvreBook(MANOEUVRES_KEPT)
@@ -201,7 +210,7 @@ class PublishedEstimator:
         stands = self._settings.calibration.static.standstill_speed
         return not stuck or not abs(self._speed) > stands
 
-    # What a interval brings.
+    # What an interval brings.
 
     def _take_interval(self, interval: SpeedInterval) -> None:
         s, dt = self._settings, interval.t1 - interval.t0

@@ -48,12 +48,14 @@ _HEALTH_FLAGS = (
     "FramesLost",
     "IdConflict",
     "SendFailed",
+    "SensorFaulty",
 )
+_MAIN = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag"}
 
 
 @dataclass(frozen=True)
 class Health:
-    """What the health frame says besides the calibration."""
+    """What the health frame says besides the calibration, and which of the sensors is faulty."""
 
     accelerometer_missing: bool = False
     gyroscope_missing: bool = False
@@ -62,6 +64,9 @@ class Health:
     frames_lost: bool = False
     id_conflict: bool = False
     send_failed: bool = False
+    accelerometer_faulty: bool = False
+    gyroscope_faulty: bool = False
+    magnetometer_faulty: bool = False
     rejected: int = 0
     lost: int = 0
 
@@ -76,13 +81,15 @@ class Health:
             self.frames_lost,
             self.id_conflict,
             self.send_failed,
+            self.accelerometer_faulty or self.gyroscope_faulty or self.magnetometer_faulty,
         )
 
 
 class OutputFrames:
     """Encodes everything that imucald sends for one configuration.
 
-    triads: the channels that get a corrected frame, in the order they are sent in.
+    triads: the channels that get a corrected frame, in the order they are sent in. sensor_of: the
+    channel of the sensor whose health they follow: a parallel sensor's is the main one of its kind.
     attitude, travel: frames of methods B and C, and of D, where they are configured.
     """
 
@@ -97,6 +104,7 @@ class OutputFrames:
         for sensor in signals.parallel:
             kinds[f"parallel/{sensor.name}"] = (sensor.kind, sensor.id)
         self.triads = tuple(kinds)
+        self.sensor_of = {channel: _MAIN[kind] for channel, (kind, _) in kinds.items()}
         self._checksum = output.checksum
         self._corrected = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
         self._factors = {c: _LAYOUTS[kind][2] for c, (kind, _) in kinds.items()}

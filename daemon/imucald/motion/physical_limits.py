@@ -1,0 +1,90 @@
+"""What sensors and road vehicles can show: limits of mount, attitude and motion, side by side.
+
+Three kinds. A number that no sensor of the kind can have measured is *impossible*: it is dropped
+before anything is made of it. A motion that no road vehicle makes is *implausible*: a fall, a
+turntable, a wrong unit. A value at the end of the sensor's range is *saturated*: the truth is
+beyond. (What a signal's database states about its own range is judged in `inputs.quantities`.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import ACCEL, GYRO, SPEED, STEERING, TICK_S, YAW_RATE, TickRow
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# impossible --------------------------------------------------------------------------------
+
+MAX_SAMPLE: Mapping[str, float] = {
+    "gyro": 100.0,
+    "accel": 1000.0,
+    "mag": 0.01,
+    "speed": 500.0,
+    "heading": 100.0,
+    "reverse": 1.0,
+}
+"""Of single samples by channel, SI, also of a terminal that a person carries and drops: 5,700
+deg/s, 100 g, a hundred times the earth's field."""
+MAX_TICK: tuple[tuple[int, slice, float], ...] = (
+    (ACCEL.n, slice(ACCEL.x, ACCEL.z + 1), 400.0),
+    (ACCEL.n, slice(ACCEL.age, ACCEL.age + 1), 1.01 * TICK_S),
+    (GYRO.n, slice(GYRO.x, GYRO.z + 1), 60.0),
+    (GYRO.n, slice(GYRO.age, GYRO.age + 1), 1.01 * TICK_S),
+    (SPEED.n, slice(SPEED.mean, SPEED.mean + 1), 150.0),
+    (SPEED.n, slice(SPEED.age, SPEED.age + 1), 1.01 * TICK_S),
+    (STEERING.n, slice(STEERING.mean, STEERING.mean + 1), 100.0),
+    (YAW_RATE.n, slice(YAW_RATE.mean, YAW_RATE.mean + 1), 20.0),
+)
+"""Of means over a tick in a vehicle, lower as a mean evens out shocks: column of the count,
+columns, largest size in SI (40 g, 3,400 deg/s, 540 km/h, 16 turns of the steering wheel)."""
+
+
+def is_plausible(channel: str, values: Sequence[float]) -> bool:
+    """Whether every number of a sample is finite and of a size that can be."""
+    limit = MAX_SAMPLE[channel]
+    return all(-limit <= value <= limit for value in values)
+
+
+# implausible on a road ---------------------------------------------------------------------
+
+ROAD_FORCE = (0.5 * GRAVITY, 1.7 * GRAVITY)
+"""Size of the mean specific force of a tick [m/s^2] from which the full estimator learns: gravity,
+with 1 g of tyre grip across at most (a size of 1.41 g) and some of the road's waves."""
+ROAD_FORCE_WIDE = (0.3 * GRAVITY, 3.0 * GRAVITY)
+"""The same for method A, which keeps its intervals apart and weighs outliers down by itself: only
+what is no drive at all is refused, potholes and kerbs are not."""
+MAX_ROAD_RATE = 4.0
+"""No road vehicle turns faster [rad/s]: a rollover is quicker, a spin on ice is not."""
+MAX_ROAD_DVDT = 12.0
+"""No road vehicle changes its speed faster [m/s^2]: tyres grip with some 1 g."""
+
+# saturated ---------------------------------------------------------------------------------
+
+NEAR_FULL_SCALE = 0.98
+"""Share of the full scale from which a value counts as clipped: gain errors of sensors are within
+1 % to 2 % (data sheets of automotive accelerometers), so the stop may stand that much lower."""
+
+
+def is_saturated(tick: TickRow, full_scale: float) -> bool:
+    """Whether any axis of the accelerometer came close to its full scale [m/s^2] in a tick."""
+    limit = NEAR_FULL_SCALE * full_scale
+    if limit == math.inf:
+        return False
+    highest = max(tick[ACCEL.max_x], tick[ACCEL.max_y], tick[ACCEL.max_z])
+    lowest = min(tick[ACCEL.min_x], tick[ACCEL.min_y], tick[ACCEL.min_z])
+    return highest >= limit or lowest <= -limit
+
+
+def saturated_axes(rows: Array, full_scale: float) -> Flags:
+    """The same of ticks (N, COLUMNS), axis by axis (N, 3); a rejected sample counts for all."""
+    high = rows[:, ACCEL.max_x : ACCEL.max_z + 1]
+    low = rows[:, ACCEL.min_x : ACCEL.min_z + 1]
+    clipped: Flags = np.maximum(high, -low) > NEAR_FULL_SCALE * full_scale
+    return clipped | (rows[:, ACCEL.bad] > 0)[:, None]

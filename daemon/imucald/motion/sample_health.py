@@ -1,0 +1,300 @@
+"""Which sensors are fit to be used, from every sample: for what is sent and what is learnt.
+
+`SampleHealth` looks at hops of half a second (`hops`), live and by columns alike, to the last bit.
+A fault counts from the end of the hop that shows it until the sensor has been sound for SOUND_S.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.angles import DEG_PER_RAD
+from imucald.core.samples import Samples, Series
+from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
+from imucald.motion.rest_thresholds import ROLLING_SPEED
+from imucald.motion.sensor_judges import (
+    FORCE_HOPS,
+    RATE_HOPS,
+    Lasting,
+    Rails,
+    StuckAxis,
+    UnitChange,
+    turning_wildly,
+    unlike_gravity,
+)
+from imucald.motion.signal_health import SignalFault
+from imucald.motion.ticks import TICK_RATE
+
+SOUND_S = 10.0
+"""A sensor is used again when it has been sound for so long [s]: longer than a loose contact's
+pauses, of which each costs two seconds at most."""
+SPEED_HOPS = 6
+"""A speed is known for so many hops (3 s): sources of one a second, with two lost."""
+NOISE: Mapping[str, float] = {"accel": 0.0018, "gyro": 0.00012, "mag": 8e-8}
+"""Noise densities of consumer sensors per root of hertz: 180 ug, 0.007 deg/s (BMI160 data sheet),
+0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset: 0.08 uT by that is less)."""
+EVENTS = 50
+"""So many faults are remembered for the report."""
+WATCHED = ("accel", "gyro", "mag")
+AXES = "xyz"
+_UNITS = {"gyro": DEG_PER_RAD}
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+_More = tuple[Array, NDArray[np.int64]]
+"""Samples and their hops."""
+
+Faults = Mapping[SignalFault, str]
+"""Faults and the axes that have them, such as {stuck: "y"}."""
+
+
+@dataclass
+class FaultEvent:
+    """A fault that was told: since and until stream time [s]; None while it lasts."""
+
+    channel: str
+    fault: SignalFault
+    axes: str
+    since: float
+    until: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain, for JSON."""
+        until = None if self.until is None else round(self.until, 1)
+        return {
+            "sensor": self.channel,
+            "fault": str(self.fault),
+            "axes": self.axes,
+            "since_s": round(self.since, 1),
+            "until_s": until,
+        }
+
+
+class _Sensor:
+    """One sensor: its samples of the open hop, its judges, and what they found."""
+
+    def __init__(self, channel: str, axes: int) -> None:
+        self.channel, self.axes = channel, axes
+        self.pending: list[Sequence[float]] = []
+        self.carry = Carry.none(axes)
+        self.stuck = [StuckAxis(NOISE[channel]) for _ in range(axes)]
+        self.rails = Rails(axes)
+        self._wild = Lasting(FORCE_HOPS if channel == "accel" else RATE_HOPS)
+        self._unit = UnitChange(_UNITS[channel], axes) if channel in _UNITS else None
+        self.faults: dict[SignalFault, str] = {}
+        self.sound: dict[SignalFault, float] = {}
+
+    def restart(self) -> None:
+        self.pending = []
+        self.carry.restart()
+        for axis in self.stuck:
+            axis.restart()
+        if self._unit is not None:
+            self._unit.restart()
+
+    def rows(self, moving: Flags, more: _More | None) -> HopRows | None:
+        """The figures of hops from what is pending, which are in the first, and more."""
+        pending, self.pending = self.pending, []
+        values, hop = more if more is not None else (np.zeros((0, 3)), np.zeros(0, np.int64))
+        if pending:
+            values = np.concatenate([np.array(pending), values])
+            hop = np.concatenate([np.zeros(len(pending), np.int64), hop])
+        if not len(values):
+            return None
+        return hop_rows(values[:, : self.axes], hop, moving, self.carry)
+
+    def judge(
+        self, rows: HopRows, moving: Flags, moved_hops: int, other: Array
+    ) -> list[dict[SignalFault, str] | None]:
+        """Faults that each hop shows; None for a hop without samples."""
+        wild = np.zeros(len(moving), dtype=bool)
+        some = rows.count > 0
+        if self.axes == 3 and self.channel == "accel":
+            wild[some] = self._wild.step(unlike_gravity(rows.mean[some]))
+        if self.channel == "gyro":
+            wild[some] = self._wild.step(turning_wildly(rows.mean[some]))
+        if self._unit is not None:
+            wild[some] |= self._unit.step(rows.level[some], other[some])
+        due = self.rails.due(rows, moving)
+        columns = (moving, rows.count, rows.ended, rows.longest, rows.run, rows.step, wild)
+        found: list[dict[SignalFault, str] | None] = []
+        for h, (moves, count, *axes, is_wild) in enumerate(
+            zip(*(column.tolist() for column in columns), strict=True)
+        ):
+            moved_hops += moves
+            if count == 0:
+                found.append(None)
+                continue
+            faults: dict[SignalFault, str] = {}
+            stuck = [
+                judge.step(moves, count, *one)
+                for judge, *one in zip(self.stuck, *axes, strict=True)
+            ]
+            if due[h]:
+                self.rails.step(rows, h, due[h], moved_hops if moves else -1, self.stuck)
+            if True in stuck:
+                faults[SignalFault.STUCK] = "".join(AXES[i] for i, s in enumerate(stuck) if s)
+            if self.rails.found:
+                faults[SignalFault.SATURATED] = self.rails.found
+            if is_wild:
+                faults[SignalFault.IMPLAUSIBLE] = AXES[: self.axes]
+            found.append(faults)
+        return found
+
+
+class SampleHealth:
+    """Watches the sensors of one unit.
+
+    axes: how many axes of each channel are measured (a planar accelerometer has two).
+    """
+
+    def __init__(self, axes: Mapping[str, int]) -> None:
+        self._sensors = {c: _Sensor(c, axes[c]) for c in WATCHED if c in axes}
+        self._speed, self._speed_age = 0.0, SPEED_HOPS
+        self._moved = False
+        self._moved_hops = 0
+        self._heard: float | None = None
+        self.faults: Mapping[str, Faults] = {}
+        """By channel, of those that are not fit to be used now."""
+        self.events: deque[FaultEvent] = deque(maxlen=EVENTS)
+
+    # live ----------------------------------------------------------------------------------
+
+    def add(self, channel: str, values: Sequence[float]) -> None:
+        """Take a sample of the open hop, as the sensor gave it."""
+        sensor = self._sensors.get(channel)
+        if sensor is not None:
+            sensor.pending.append(values)
+        elif channel == "speed":
+            self._heard = values[0]
+
+    def close(self, k: int) -> None:
+        """Tick k is over."""
+        if (k + 1) % HOP_TICKS == 0:
+            self._take([self._heard], (k + 1) // HOP_TICKS - 1, {})
+            self._heard = None
+
+    def gap(self) -> None:
+        """Time jumped: nothing before is joined with what follows."""
+        for sensor in self._sensors.values():
+            sensor.restart()
+        self._speed_age, self._moved, self._heard = SPEED_HOPS, False, None
+
+    # columns -------------------------------------------------------------------------------
+
+    def columns(self, samples: Samples, first: int, last: int) -> list[Mapping[str, Faults]]:
+        """Take all samples of ticks `first` to `last`, which stays open.
+
+        Returns the faults in force after each hop that ended in between.
+        """
+        begin = first // HOP_TICKS
+        hops = last // HOP_TICKS - begin
+        speeds: list[float | None] = [self._heard] + [None] * hops
+        series = samples.get("speed")
+        if series is not None and len(series.t):
+            of = _hop_of(series, begin)
+            ends = np.append(np.flatnonzero(np.diff(of)), len(of) - 1)
+            for hop, value in zip(of[ends].tolist(), series.values[ends].tolist(), strict=True):
+                speeds[hop] = value
+        self._heard = speeds.pop()
+        taken: dict[str, _More] = {}
+        rest: dict[str, Array] = {}
+        for channel in self._sensors:
+            series = samples.get(channel)
+            if series is not None:
+                of = _hop_of(series, begin)
+                done = int(np.searchsorted(of, hops))
+                taken[channel] = series.values[:done], of[:done]
+                rest[channel] = series.values[done:]
+        found = self._take(speeds, begin, taken) if hops else []
+        for channel, values in rest.items():
+            self._sensors[channel].pending += values.tolist()
+        return found
+
+    # both ----------------------------------------------------------------------------------
+
+    def _take(
+        self, speeds: Sequence[float | None], first: int, more: Mapping[str, _More]
+    ) -> list[Mapping[str, Faults]]:
+        """Judge hops `first`, `first` + 1, ..., one for each of the speeds last heard in them.
+
+        more: samples of channels with their hops, counted from `first`, after those pending.
+        """
+        moves = [self._is_moving(speed) for speed in speeds]
+        moving = np.array(moves)
+        rows = {c: s.rows(moving, more.get(c)) for c, s in self._sensors.items()}
+        level = {
+            c: np.zeros(len(moving)) if r is None else np.sqrt((r.level * r.level).sum(axis=1))
+            for c, r in rows.items()
+        }
+        nothing = np.zeros(len(moving))
+        found = {}
+        for channel, sensor in self._sensors.items():
+            of = rows[channel]
+            if of is not None:
+                other = level.get("accel" if channel == "gyro" else "gyro", nothing)
+                found[channel] = sensor.judge(of, moving, self._moved_hops, other)
+        self._moved_hops += sum(moves)
+        out: list[Mapping[str, Faults]] = []
+        for h in range(len(moves)):
+            for channel, faults in found.items():
+                now = faults[h]
+                if now or (now is not None and channel in self.faults):
+                    self._keep(self._sensors[channel], now, (first + h + 1) * HOP_S)
+            out.append(self.faults)
+        return out
+
+    def _is_moving(self, speed: float | None) -> bool:
+        """Whether the vehicle moved in all of a hop, as far as speeds say."""
+        self._speed_age += 1
+        if speed is not None:
+            self._speed, self._speed_age = speed, 0
+        moves = self._speed_age < SPEED_HOPS and abs(self._speed) > ROLLING_SPEED
+        before, self._moved = self._moved, moves
+        return moves and before
+
+    def summary(self) -> dict[str, Any]:
+        """Each watched sensor's faults now, and those that were told; for JSON."""
+        return {
+            "sensors": {
+                channel: {str(fault): axes for fault, axes in self.faults.get(channel, {}).items()}
+                for channel in self._sensors
+            },
+            "events": [event.as_dict() for event in self.events],
+        }
+
+    def _keep(self, sensor: _Sensor, found: Mapping[SignalFault, str], now: float) -> None:
+        """Go on with the faults found and those that have not been gone for long enough."""
+        faults = dict(sensor.faults)
+        for fault in list(faults):
+            if fault in found:
+                sensor.sound[fault] = 0.0
+            else:
+                sensor.sound[fault] += HOP_S
+                if sensor.sound[fault] >= SOUND_S:
+                    del faults[fault]
+                    self._ended(sensor.channel, fault, now)
+        for fault, axes in found.items():
+            if fault not in faults:
+                self.events.append(FaultEvent(sensor.channel, fault, axes, now))
+            faults[fault] = "".join(sorted({*faults.get(fault, ""), *axes}))
+            sensor.sound[fault] = 0.0
+        sensor.faults = faults
+        others = {c: f for c, f in self.faults.items() if c != sensor.channel}
+        self.faults = {**others, sensor.channel: faults} if faults else others
+
+    def _ended(self, channel: str, fault: SignalFault, now: float) -> None:
+        for event in self.events:
+            if event.channel == channel and event.fault is fault and event.until is None:
+                event.until = now
+
+
+def _hop_of(series: Series, first: int) -> NDArray[np.int64]:
+    """The hop of each sample, counted from `first`."""
+    return np.floor(series.t * TICK_RATE).astype(np.int64) // HOP_TICKS - first

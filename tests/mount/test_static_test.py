@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucald.config.calibration import StaticTestSettings
+from imucald.core.errors import EstimateError
+from imucald.core.samples import Series
+from imucald.motion.ticks import ACCEL, ticks_from_samples
+from imucald.mount.method_a.static_test import (
+    CONFIRM_TICKS,
+    StandstillDetector,
+    is_static,
+    static_windows,
+)
+
+G = 9.80665
+
+
+def rest_ticks(
+    seconds: float, shake: float, seed: int = 0, rate: float = 50.0
+) -> list[list[float]]:
+    """Ticks of a sensor at rest that shakes within +-shake [m/s^2] on each axis."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(seconds * rate)) / rate
+    f = np.array([0.3, -0.2, G]) + rng.uniform(-shake, shake, (len(t), 3))
+    return ticks_from_samples({"accel": Series(t, f)}, 0, int(seconds * 10)).tolist()
+
+
+def windows(detector: StandstillDetector, rows: list[list[float]], stopped: bool | None) -> list:
+    return [w for row in rows if (w := detector.step(row, stopped)) is not None]
+
+
+def test_static_when_every_axis_stays_within_its_threshold() -> None:
+    a = np.array([[0.0, 0.0, 9.8], [0.1, 0.2, 9.9]])
+    assert is_static(a, [0.1, 0.2, 0.11])
+    for axis in range(3):
+        thresholds = [0.2, 0.3, 0.2]
+        thresholds[axis] = 0.05
+        assert not is_static(a, thresholds), "each axis is judged by its own threshold"
+
+
+def test_static_test_rejects_what_is_no_sample_array() -> None:
+    with pytest.raises(EstimateError):
+        is_static(np.zeros((0, 3)), [1, 1, 1])
+    with pytest.raises(EstimateError):
+        is_static(np.zeros(3), [1, 1, 1])
+
+
+def test_windows_of_a_preset_number_of_samples_are_judged_apart() -> None:
+    a = np.zeros((25, 3))
+    a[12, 1] = 1.0
+    assert static_windows(a, 10, [0.5, 0.5, 0.5]).tolist() == [True, False]
+    assert static_windows(a, 10, [0.5, 1.0, 0.5]).tolist() == [True, True]
+
+
+def test_standstill_is_found_after_the_window_and_its_mean_is_right() -> None:
+    detector = StandstillDetector(StaticTestSettings(duration=2.0))
+    rows = rest_ticks(2.0, 0.1)
+    assert windows(detector, rows, None) == []
+    assert detector.still
+    found = windows(detector, rest_ticks(1.0, 0.1, seed=1), None)
+    assert len(found) == 1
+    assert found[0].samples == 100
+    assert (found[0].x, found[0].y, found[0].z) == pytest.approx((0.3, -0.2, G), abs=0.03)
+
+
+def test_a_window_followed_at_once_by_motion_does_not_count() -> None:
+    detector = StandstillDetector(StaticTestSettings(duration=2.0))
+    assert windows(detector, rest_ticks(2.0, 0.1), True) == []
+    for row in rest_ticks(0.1 * (CONFIRM_TICKS - 1), 0.1):
+        assert detector.step(row, True) is None
+    assert detector.step(rest_ticks(0.1, 0.1)[0], False) is None
+    assert not detector.still
+    assert windows(detector, rest_ticks(1.0, 0.1), True) == []
+
+
+def test_shaking_beyond_the_threshold_is_no_standstill_without_speed() -> None:
+    assert windows(StandstillDetector(StaticTestSettings()), rest_ticks(10.0, 0.4), None) == []
+
+
+def test_a_shaking_engine_is_standstill_when_speed_is_zero() -> None:
+    found = windows(StandstillDetector(StaticTestSettings()), rest_ticks(10.0, 0.4), True)
+    assert len(found) >= 3
+
+
+def test_a_smooth_road_is_no_standstill_when_speed_says_so() -> None:
+    assert windows(StandstillDetector(StaticTestSettings()), rest_ticks(10.0, 0.01), False) == []
+
+
+def test_too_few_samples_make_no_window() -> None:
+    settings = StaticTestSettings(samples=300, duration=2.0)
+    found = windows(StandstillDetector(settings), rest_ticks(8.0, 0.1), None)
+    assert [w.samples for w in found] == [300.0], "six seconds at 50 Hz, and no more"
+
+
+def test_a_rejected_sample_breaks_the_window() -> None:
+    rows = rest_ticks(3.5, 0.1)
+    rows[15][ACCEL.bad] = 1.0
+    assert windows(StandstillDetector(StaticTestSettings()), rows, True) == []
+
+
+def test_a_slow_drift_is_no_standstill() -> None:
+    t = np.arange(500) / 50.0
+    f = np.column_stack([0.25 * t, np.zeros(500), np.full(500, G)])
+    rows = ticks_from_samples({"accel": Series(t, f)}, 0, 100).tolist()
+    assert windows(StandstillDetector(StaticTestSettings()), rows, None) == []
