@@ -26,6 +26,7 @@ from imucald.config.signals import (
     Signals,
     SourceSettings,
     TriadSettings,
+    ValidWhen,
     Wheels,
 )
 
@@ -47,6 +48,7 @@ __all__ = [
     "Signals",
     "SourceSettings",
     "TriadSettings",
+    "ValidWhen",
     "VehicleSettings",
     "Wheels",
     "json_schema",

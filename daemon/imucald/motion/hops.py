@@ -20,7 +20,7 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 HOP_TICKS = 5
-"""Ticks of a hop: half a second, so that three of them are over before a fault is two seconds old."""
+"""Ticks of a hop: half a second, so that three are over before a fault is two seconds old."""
 HOP_S = HOP_TICKS * TICK_S
 
 SIDES = 2
@@ -127,9 +127,20 @@ def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
     if carry.moved // WINDOW_HOPS > window[-1]:
         carry.extreme[:] = -math.inf
     return HopRows(
-        count, mean.T, level.T, step.T, ended.reshape(axes, hops).T, longest.T, run.T,
-        *(np.moveaxis(a, -1, 0) for a in (top, extreme, at_it, ties, below)), window,
-    )  # fmt: skip
+        count=count,
+        mean=mean.T,
+        level=level.T,
+        step=step.T,
+        ended=ended.reshape(axes, hops).T,
+        longest=longest.T,
+        run=run.T,
+        top=np.moveaxis(top, -1, 0),
+        extreme=np.moveaxis(extreme, -1, 0),
+        at_it=np.moveaxis(at_it, -1, 0),
+        ties=np.moveaxis(ties, -1, 0),
+        below=np.moveaxis(below, -1, 0),
+        window=window,
+    )
 
 
 def _steps(size: Array, cell: Index, cells: int, axes: int, carry: Carry) -> Array:

@@ -134,8 +134,9 @@ class Engine:
         faults = pipeline.health.faults
         for channel in self.output.triads:
             if channel in turned:
-                values = None if self.output.sensor_of[channel] in faults else turned[channel]
-                out.append(self.output.corrected(channel, values, pipeline.quality))
+                fit = self.output.sensor_of[channel] not in faults
+                sent = turned[channel] if fit else None
+                out.append(self.output.corrected(channel, sent, pipeline.quality))
         for channel in self.output.triads:
             if channel in rejected and channel not in turned:
                 out.append(self.output.corrected(channel, None, 0))
