@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measured import DATA, EXAMPLES
-from imucald.attitude.right_forward_up import IDENTITY, rotated, rows
 from imucald.can.logs.log_reader import LogReader
+from imucald.core.rotations import IDENTITY, quaternion_turned, rows_from_quaternion
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.timebase import TimeBase
 from imucald.simulation.drive import Drive
@@ -125,7 +125,9 @@ def _ins(first: float, R_vehicle_from_sensor: Array) -> Truth:
     with gzip.open(DATA / "kingston_2008" / "ins_truth.csv.gz", "rt") as file:
         for line in csv.DictReader(file):
             pitch, roll = (math.radians(float(line[f"{k}_deg"])) for k in ("pitch", "roll"))
-            C = rows(rotated(rotated(IDENTITY, pitch, 0.0, 0.0), 0.0, roll, 0.0))
+            C = rows_from_quaternion(
+                quaternion_turned(quaternion_turned(IDENTITY, pitch, 0.0, 0.0), 0.0, roll, 0.0)
+            )
             speed = math.hypot(float(line["v_east_mps"]), float(line["v_north_mps"]))
             found.append((float(line["time_s"]) - first, *C[6:9], speed))
     table = np.array(found)

@@ -29,7 +29,7 @@ from benchmarks.measured import ROOT
 from imucald.compensation import ModelCompensation, compensation_from_model
 from imucald.compensation.trial import corrected_drive, corrected_with
 from imucald.compensation.truth_error import drive_errors
-from imucald.config.network import VehicleSettings
+from imucald.config.vehicle import VehicleSettings
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
 

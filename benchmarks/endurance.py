@@ -25,7 +25,7 @@ from imucald.service.figures import process_figures
 from imucald.service.service import Service, ServiceOptions
 from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import bus_frames
-from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.drive_encoder import BusEncoder
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
 EPOCH = 1.6e9

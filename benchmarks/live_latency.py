@@ -32,7 +32,7 @@ from imucald.runtime.session import make_engine, open_config
 from imucald.service.live import Daemon, open_link
 from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import live_frames
-from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.drive_encoder import BusEncoder
 
 CONFIG = EXAMPLES / "simulated.yaml"
 RATE_HZ = 200.0

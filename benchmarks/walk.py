@@ -69,7 +69,7 @@ def headings(step: Step) -> dict[str, float | None]:
         "tilt": p.tilt_heading if p else None,
         "correlation": p.correlation_heading if p else None,
         "published": p.heading if p else None,
-        "alternative": step.modern,
+        "alternative": step.alternative,
     }
 
 

@@ -11,7 +11,7 @@ from imucald.config.calibration import (
     StraightMotionSettings,
     TargetAngleSettings,
 )
-from imucald.config.network import VehicleSettings
+from imucald.config.vehicle import VehicleSettings
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.method_a.settings import PublishedSettings
 

@@ -16,7 +16,7 @@ from imucald.runtime.engine import Engine
 from imucald.runtime.session import make_engine, open_config
 from imucald.simulation import Drive, random_model, simulate
 from imucald.traffic.can_log import bus_frames
-from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.drive_encoder import BusEncoder
 
 CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
 EPOCH = 1.6e9

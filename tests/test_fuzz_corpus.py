@@ -27,6 +27,7 @@ def test_every_entry_has_seeds(name: str):
     assert any(path.parent.name == name for path in KEPT)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed")
 @pytest.mark.parametrize("name", TARGETS)
 def test_some_seconds_of_new_inputs_break_nothing(name: str, tmp_path: Path):

@@ -67,8 +67,8 @@ def assert_all_judged(engine, frames_by_id) -> None:
     for route in engine.router.routes:
         if isinstance(route, MessageRoute):
             sent = frames_by_id.get(route.match.can_id, 0)
-            rejected = sum(route.guard.rejected.values())
-            assert route.guard.accepted + rejected == sent, route.name
+            rejected = sum(route.checker.rejected.values())
+            assert route.checker.accepted + rejected == sent, route.name
             guard_total += rejected
     counted = engine.router.rejected
     assert sum(counted[r] for r in FRAME_REASONS if r) == guard_total
@@ -229,7 +229,7 @@ def test_a_takeover_with_right_checksums_is_not_learnt_from(clean):
     attacked = frames.take(last_minute & (frames.can_id == 0x200))
     protector = make_engine(loaded())
     route = next(r for r in protector.router.routes if r.match.can_id == 0x200)
-    forged = MessageProtector(route.guard.spec)
+    forged = MessageProtector(route.checker.spec)
     data = forged.protect_columns(of_another_mount(attacked, None).data)
     forgery = with_data(attacked, data)
     disturbed = fed(estimator, merged(frames, with_times(forgery, forgery.t + 2e-6)))

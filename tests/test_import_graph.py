@@ -54,7 +54,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "report.page._breakable: markupsafe": "comes with jinja2, an extra",
     "report.page._pictures: report.plots": "loads matplotlib",
     "runtime.session.open_compensation: compensation": "11 ms, 3.9 MiB: few have a model file",
-    "service.service._new_uds: service.bus_uds": "14 ms, 4.7 MiB: few have UDS",
+    "service.service._new_uds: service.uds_on_bus": "14 ms, 4.7 MiB: few have UDS",
 }
 """Modules of ours that a function may import, with what a start without them saves: the daemon is
 ready within 0.3 s and takes less than 50 MiB, with those parts only that its configuration uses.
@@ -68,10 +68,7 @@ KNOWN: Mapping[str, set[str]] = {
     "circle": {
         "diagnosis.bent <-> diagnosis.contest <-> diagnosis.search <-> diagnosis.shifts",
     },
-    "class": {
-        "Cycle: diagnosis.faults.cycle, travel_direction.cycles",
-        "RoadGrade: attitude.grade, diagnosis.causes.road_grade",
-    },
+    "class": set(),
     "function": set(),
     "import in a function": set(),
 }

@@ -29,11 +29,11 @@ from benchmarks.integrity.outcome import rows
 from benchmarks.integrity.page import report, written
 from benchmarks.integrity.sent import sent
 from benchmarks.measured import DATA
+from benchmarks.mount_accuracy.drives import FULL
 
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.rotations import vector_from_rotation
 from imucald.inputs.wiring import compile_router
-from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
 from imucald.runtime.replay import Replay
@@ -207,7 +207,7 @@ def base(drive):
         drive.samples,
         360.0,
         R,
-        lean=drive.truth.mean_crown() - EstimatorSettings().crown,
+        lean=drive.truth.mean_crown() - FULL.crown,
         accel_bias=model.accel.bias,
         gyro_bias=model.gyro.bias,
         seed=SEED,

@@ -14,10 +14,12 @@ from benchmarks.diagnosis.cases import Case
 from hidden import HiddenDrive, hidden_drive
 from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
+from imucald.config.vehicle import VehicleSettings
 from imucald.core.rotations import vector_from_rotation
 from imucald.diagnosis.diagnose import diagnose
 from imucald.diagnosis.result import Diagnosis, FoundCause
 from imucald.model.model import VehicleModel, model_from_mapping
+from imucald.mount.estimator_settings import EstimatorSettings
 
 Array = NDArray[np.float64]
 
@@ -130,10 +132,14 @@ def vehicle_gain(
     }
 
 
+KEEPS_RIGHT = EstimatorSettings(vehicle=VehicleSettings(driving_side="right"))
+"""The hidden drives keep to the right."""
+
+
 def daemon(drive: HiddenDrive, model: Mapping[str, Any] | None) -> dict[str, Any]:
     """Errors of the daemon's mount at the end, and of its corrected acceleration all along."""
     compensation = None if model is None else compensation_from_model(model)
-    done = corrected_drive(drive.samples, compensation)
+    done = corrected_drive(drive.samples, compensation, KEEPS_RIGHT)
     R = done.estimate.R_vehicle_from_sensor
     std = done.estimate.std
     if R is None or std is None:

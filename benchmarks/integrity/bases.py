@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measured import DATA, EXAMPLES, FOLDER, ROOT
+from benchmarks.mount_accuracy.drives import FULL
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.rotations import Matrix3, rotation_from_angles, rotation_from_vector
 from imucald.core.samples import Samples, Series
 from imucald.inputs.wiring import compile_router
-from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.runtime.session import open_config
 from imucald.runtime.timebase import TimeBase
 from imucald.simulation import random_model, simulate
@@ -94,7 +94,7 @@ def simulated(seed: int, minutes: float, keep: bool = True) -> Base:
         samples,
         60.0 * minutes,
         R,
-        lean=crown - EstimatorSettings().crown,
+        lean=crown - FULL.crown,
         accel_bias=model.accel.bias,
         gyro_bias=model.gyro.bias,
         seed=seed,
@@ -179,7 +179,7 @@ def _second_world(name: str, folder: Path) -> Base:
         samples,
         max(float(s.t[-1]) for s in samples.values()),
         _rotation(truth["mount"]),
-        lean=truth["parameters"]["road"]["crown"] - EstimatorSettings().crown,
+        lean=truth["parameters"]["road"]["crown"] - FULL.crown,
         accel_bias=tuple(imu["accel_bias"]),
         gyro_bias=(x, y, z),
         mounts=mounts,

@@ -21,7 +21,7 @@ from imucald.can.columns import FrameColumns
 from imucald.config import LoadedConfig, parse_config
 from imucald.core.samples import Samples, Series
 from imucald.simulation import Drive, Truth, VehicleModel, random_model
-from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.drive_encoder import BusEncoder
 from imucald.traffic.other_units import joined
 
 Array = NDArray[np.float64]

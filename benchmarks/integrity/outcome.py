@@ -23,11 +23,11 @@ from benchmarks.integrity.judge import (
     until_told,
 )
 from benchmarks.integrity.sent import FINE, Sent, Triad, sent
+from benchmarks.mount_accuracy.drives import FULL
 from imucald.can.columns import FrameColumns
 from imucald.check.checker import Check
 from imucald.config import LoadedConfig
 from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
-from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.simulation import random_model
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ def rows(base: Base, faulty: Faulty, found: Sent) -> Seconds:
     n = base.seconds
     error = np.full((n, 3), np.nan)
     beyond = np.full(n, np.nan)
-    expected = EstimatorSettings().crown
+    expected = FULL.crown
     beyond_expected = -base.lean - 2.0 * expected if faulty.is_turned_round else base.lean
     lean = rotation_from_vector([beyond_expected, 0.0, 0.0])
     for k in np.flatnonzero(np.isfinite(found.rotation).all(axis=(1, 2))).tolist():

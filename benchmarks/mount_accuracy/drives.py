@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.calibration import CalibrationSettings
-from imucald.config.network import VehicleSettings
+from imucald.config.vehicle import VehicleSettings
 from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import ticks_from_samples

@@ -11,17 +11,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imucald.attitude.right_forward_up import (
-    from_vector,
-    product,
-    rows,
-    text_from_vehicle,
-    text_rotation,
+    rfu_from_vehicle,
+    rfu_rotation,
     vehicle_angles,
-    vehicle_from_text,
+    vehicle_from_rfu,
 )
 from imucald.core.rotations import (
     angles_from_rotation,
+    quaternion_from_vector,
+    quaternion_product,
     rotation_from_angles,
+    rows_from_quaternion,
     times,
     transposed_times,
 )
@@ -39,22 +39,24 @@ def scipy_of(q):
 @given(VECTOR)
 def test_the_exponential_is_scipys(v):
     expected = Rotation.from_rotvec(v).as_matrix().ravel()
-    assert rows(from_vector(*v)) == pytest.approx(expected, abs=1e-12)
+    assert rows_from_quaternion(quaternion_from_vector(*v)) == pytest.approx(expected, abs=1e-12)
 
 
 @given(VECTOR.map(lambda v: tuple(c * 1e-5 for c in v)))
 def test_the_exponential_of_small_vectors_is_scipys(v):
     expected = Rotation.from_rotvec(v).as_quat()
-    w, x, y, z = from_vector(*v)
+    w, x, y, z = quaternion_from_vector(*v)
     assert (x, y, z, w) == pytest.approx(tuple(expected), abs=1e-15)
 
 
 @given(VECTOR, VECTOR, VECTOR)
 def test_products_and_matrices_are_scipys(a, b, v):
-    p, q = from_vector(*a), from_vector(*b)
+    p, q = quaternion_from_vector(*a), quaternion_from_vector(*b)
     both = Rotation.from_rotvec(a) * Rotation.from_rotvec(b)
-    assert times(rows(product(p, q)), v) == pytest.approx(both.apply(v), abs=1e-12)
-    assert transposed_times(rows(q), v) == pytest.approx(
+    assert times(rows_from_quaternion(quaternion_product(p, q)), v) == pytest.approx(
+        both.apply(v), abs=1e-12
+    )
+    assert transposed_times(rows_from_quaternion(q), v) == pytest.approx(
         Rotation.from_rotvec(b).inv().apply(v), abs=1e-12
     )
 
@@ -62,33 +64,33 @@ def test_products_and_matrices_are_scipys(a, b, v):
 @given(ANGLE, st.floats(-1.5, 1.5), st.floats(0.0, 6.28))
 def test_angles_are_those_of_the_vehicle_in_iso_8855(roll, pitch, heading):
     """Truth by the project's own Z-Y-X angles of R_earth_from_vehicle, yaw being -heading."""
-    q = text_rotation(roll, pitch, heading)
-    C = np.array(rows(q)).reshape(3, 3)
-    text = np.array([text_from_vehicle(*axis) for axis in np.eye(3)]).T
+    q = rfu_rotation(roll, pitch, heading)
+    C = np.array(rows_from_quaternion(q)).reshape(3, 3)
+    text = np.array([rfu_from_vehicle(*axis) for axis in np.eye(3)]).T
     # earth axes of the project: x north, y west, z up; of the text: east, north, up
     earth = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     R_earth_from_vehicle = earth @ C @ text
     assert rotation_from_angles(roll, pitch, -heading) == pytest.approx(
         R_earth_from_vehicle, abs=1e-9
     )
-    found = vehicle_angles(rows(q))
+    found = vehicle_angles(rows_from_quaternion(q))
     assert found[:2] == pytest.approx(angles_from_rotation(R_earth_from_vehicle)[:2], abs=1e-9)
     assert math.remainder(found[2] - heading, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
 @given(VECTOR)
 def test_axes_there_and_back(v):
-    assert vehicle_from_text(*text_from_vehicle(*v)) == v
+    assert vehicle_from_rfu(*rfu_from_vehicle(*v)) == v
 
 
 def test_forward_left_up_are_where_the_text_has_them():
-    assert text_from_vehicle(1.0, 0.0, 0.0) == (0.0, 1.0, 0.0)  # forward is y
-    assert text_from_vehicle(0.0, 1.0, 0.0) == (-1.0, 0.0, 0.0)  # left is minus right
+    assert rfu_from_vehicle(1.0, 0.0, 0.0) == (0.0, 1.0, 0.0)  # forward is y
+    assert rfu_from_vehicle(0.0, 1.0, 0.0) == (-1.0, 0.0, 0.0)  # left is minus right
 
 
 def test_a_million_turns_leave_a_unit_quaternion():
     q = (1.0, 0.0, 0.0, 0.0)
-    step = from_vector(0.011, -0.007, 0.019)
+    step = quaternion_from_vector(0.011, -0.007, 0.019)
     for _ in range(100_000):
-        q = product(q, step)
+        q = quaternion_product(q, step)
     assert sum(c * c for c in q) == pytest.approx(1.0, abs=1e-14)

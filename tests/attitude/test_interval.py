@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imucald.attitude.endpoints import KnotMaker
-from imucald.attitude.grade import RoadGrade
-from imucald.attitude.interval import Knot, along_body, interval
+from imucald.attitude.endpoints import EndpointMaker
+from imucald.attitude.grade import GradeFilter
+from imucald.attitude.interval import Endpoint, along_body, interval
 from imucald.attitude.propagation import HISTORY_S, Propagator
 from imucald.config.attitude import CompensationSettings
 
@@ -40,10 +40,10 @@ def travelled(seconds=3.0, lever=(0.0, 0.0, 0.0), speed=lambda t: 10.0 + 1.5 * t
     return propagator, t, R, rate, force, speed
 
 
-def knot(propagator, t, speed):
-    moment = propagator.at(t)
-    assert moment is not None
-    return Knot(moment, speed)
+def endpoint(propagator, t, speed):
+    snapshot = propagator.at(t)
+    assert snapshot is not None
+    return Endpoint(snapshot, speed)
 
 
 def test_the_gyroscope_carries_the_attitude():
@@ -58,7 +58,8 @@ def test_an_interval_is_the_mean_of_bs_instants():
     propagator, t, R, rate, force, speed = travelled()
     i, j = 100, 420
     found = interval(
-        knot(propagator, t[i], float(speed(t[i]))), knot(propagator, t[j], float(speed(t[j]))),
+        endpoint(propagator, t[i], float(speed(t[i]))),
+        endpoint(propagator, t[j], float(speed(t[j]))),
         PLAIN, 0.02, 1.0,
     )  # fmt: skip
     forward = np.array([0.0, 1.0, 0.0])
@@ -124,7 +125,7 @@ def test_a_hole_begins_a_new_segment():
 def sigmas(v0, v1, settings=PLAIN, **motion):
     propagator, t, *_ = travelled(**motion)
     found = interval(
-        knot(propagator, t[100], v0), knot(propagator, t[300], v1), settings, 0.02, 1.0
+        endpoint(propagator, t[100], v0), endpoint(propagator, t[300], v1), settings, 0.02, 1.0
     )
     return found.sigma_forward, found.sigma_lateral
 
@@ -151,17 +152,17 @@ def test_a_lever_arm_that_is_not_known_makes_unsure():
 
 def test_a_horizontal_speed_is_longer_along_the_slope():
     propagator, t, *_ = travelled()
-    k = knot(propagator, t[0], 10.0)
+    k = endpoint(propagator, t[0], 10.0)
     up = (0.0, math.sin(0.2), math.cos(0.2))  # forward rises by 0.2 rad
     assert along_body(k, up).speed == pytest.approx(10.0 / math.cos(0.2))
 
 
-# knots -----------------------------------------------------------------------------------------
+# endpoints -----------------------------------------------------------------------------------
 
 
-def knots_of(settings, speeds, seconds=6.0):
+def endpoints_of(settings, speeds, seconds=6.0):
     propagator = Propagator(0.5, (0.0, 0.0, 0.0))
-    maker = KnotMaker(settings, propagator)
+    maker = EndpointMaker(settings, propagator)
     pending = list(speeds)
     found = []
     for k in range(int(seconds * 50)):
@@ -175,28 +176,28 @@ def knots_of(settings, speeds, seconds=6.0):
 
 
 def test_intervals_are_a_second_at_least():
-    found = knots_of(PLAIN, [(0.1 * k, 5.0) for k in range(60)])
+    found = endpoints_of(PLAIN, [(0.1 * k, 5.0) for k in range(60)])
     assert found[0][0] is None
-    lengths = [b.moment.t - a.moment.t for a, b in found[1:]]
+    lengths = [b.snapshot.t - a.snapshot.t for a, b in found[1:]]
     assert len(lengths) >= 4
     assert min(lengths) == pytest.approx(1.0, abs=0.11)
 
 
 def test_late_speed_meets_the_force_of_its_time():
     settings = CompensationSettings(delay=0.4, average=0.01)
-    found = knots_of(settings, [(1.0 * k, float(k)) for k in range(6)])
-    assert [b.moment.t for _, b in found] == pytest.approx([0.6, 1.6, 2.6, 3.6, 4.6])
+    found = endpoints_of(settings, [(1.0 * k, float(k)) for k in range(6)])
+    assert [b.snapshot.t for _, b in found] == pytest.approx([0.6, 1.6, 2.6, 3.6, 4.6])
     assert [b.speed for _, b in found] == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
 def test_leading_speed_waits():
     settings = CompensationSettings(delay=-0.3, average=0.01)
-    found = knots_of(settings, [(1.0 * k, float(k)) for k in range(6)])
-    assert [b.moment.t for _, b in found] == pytest.approx([0.3, 1.3, 2.3, 3.3, 4.3, 5.3])
+    found = endpoints_of(settings, [(1.0 * k, float(k)) for k in range(6)])
+    assert [b.snapshot.t for _, b in found] == pytest.approx([0.3, 1.3, 2.3, 3.3, 4.3, 5.3])
 
 
 def test_without_speed_intervals_go_on_by_time():
-    found = knots_of(CompensationSettings(timeout=1.5), [(0.0, 3.0)], 8.0)
+    found = endpoints_of(CompensationSettings(timeout=1.5), [(0.0, 3.0)], 8.0)
     unknown = [(a, b) for a, b in found if math.isnan(b.speed)]
     assert len(unknown) >= 5
 
@@ -204,8 +205,8 @@ def test_without_speed_intervals_go_on_by_time():
 def test_grade_is_less_what_the_springs_add():
     propagator, t, *_ = travelled()
     accelerating = interval(
-        knot(propagator, t[100], 10.0), knot(propagator, t[300], 12.0), PLAIN, 0.02, 1.0
+        endpoint(propagator, t[100], 10.0), endpoint(propagator, t[300], 12.0), PLAIN, 0.02, 1.0
     )
-    grade = RoadGrade(0.005, 1.0)
+    grade = GradeFilter(0.005, 1.0)
     grade.take(accelerating, 0.05)
     assert grade.grade == pytest.approx(math.tan(0.05 - 0.005 * 2.0))

@@ -10,9 +10,9 @@ from scipy.linalg import expm
 from scipy.stats import chi2
 
 from imucald.attitude.kalman import STATES, YAW_STD_MAX, NineStateFilter
-from imucald.attitude.right_forward_up import from_vector, rows
 from imucald.config.attitude import FilterSettings
 from imucald.config.calibration import CalibrationSettings
+from imucald.core.rotations import quaternion_from_vector, rows_from_quaternion
 
 G = 9.80665
 
@@ -27,7 +27,7 @@ def started(**changes) -> NineStateFilter:
 
 
 def rotation(rng):
-    return rows(from_vector(*rng.normal(0.0, 1.0, 3)))
+    return rows_from_quaternion(quaternion_from_vector(*rng.normal(0.0, 1.0, 3)))
 
 
 def test_time_update_is_the_models_transition():
@@ -105,7 +105,7 @@ def test_errors_are_as_large_as_it_says():
         kalman.start(tilt, tilt, gyro)
         x = np.concatenate([rng.normal(0, tilt, 3), rng.normal(0, gyro, 3), rng.normal(0, BIAS, 3)])
         for k in range(steps):
-            C = rows(from_vector(0.1 * math.sin(0.1 * k), 0.0, 0.05 * k))
+            C = rows_from_quaternion(quaternion_from_vector(0.1 * math.sin(0.1 * k), 0.0, 0.05 * k))
             R = np.array(C).reshape(3, 3)
             keep = math.exp(-dt / s.accel_random_time)
             # the truth's bias less the estimate turns the attitude; then everything walks
@@ -141,7 +141,7 @@ def test_a_day_leaves_a_covariance():
     rng = np.random.default_rng(5)
     error = np.zeros(3)  # of the attitude; the truth's biases are zero
     for k in range(21_600):  # every four seconds
-        C = rows(from_vector(0.05 * math.sin(k), 0.03, 0.4 * k))
+        C = rows_from_quaternion(quaternion_from_vector(0.05 * math.sin(k), 0.03, 0.4 * k))
         R = np.array(C).reshape(3, 3)
         error += R @ kalman.bias * 4.0
         left = np.concatenate([error, -np.array(kalman.bias), -np.array(kalman.accel_error)])

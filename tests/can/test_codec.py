@@ -11,8 +11,9 @@ import pytest
 from msgspec.structs import replace
 
 from imucald.can.columns import CAN_EFF_FLAG, IdMatch
-from imucald.can.dbc.database import Database, Message, load_database, load_database_text
+from imucald.can.dbc.database import Database, load_database, load_database_text
 from imucald.can.dbc.decode import compile_decode, id_match
+from imucald.can.dbc.message import Message
 from imucald.core.errors import DatabaseError, DecodeError
 from paths import ROOT
 

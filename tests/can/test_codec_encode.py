@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imucald.can.dbc.database import Database, Message, load_database, load_database_text
+from imucald.can.dbc.database import Database, load_database, load_database_text
 from imucald.can.dbc.decode import compile_decode
 from imucald.can.dbc.encode import EncodePlan, compile_encode
+from imucald.can.dbc.message import Message
 from imucald.core.errors import DatabaseError, EncodeError
 from paths import ROOT
 

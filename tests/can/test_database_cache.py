@@ -32,13 +32,13 @@ def folder(tmp_path, monkeypatch):
 def parsed(monkeypatch):
     """Sources that were really parsed."""
     found: list[str] = []
-    real = database._parse_anew
+    real = database.parse_bounded
 
     def parse(text: str, database_format: str, source: str):
         found.append(source)
         return real(text, database_format, source)
 
-    monkeypatch.setattr(database, "_parse_anew", parse)
+    monkeypatch.setattr(database, "parse_bounded", parse)
     return found
 
 

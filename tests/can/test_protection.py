@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from imucald.can.dbc.bits import Field, field_at
-from imucald.can.dbc.database import Signal
+from imucald.can.dbc.message import Signal
 from imucald.can.e2e.checksums import (
     E2E_COUNTERS,
     crc8_j1850,

@@ -22,7 +22,7 @@ from imucald.config import parse_config
 from imucald.runtime.session import open_config
 from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import EPOCH_S, bus_frames
-from imucald.traffic.encoder import BusEncoder, example_config
+from imucald.traffic.drive_encoder import BusEncoder, example_config
 from paths import ROOT
 
 DATA = ROOT.parent / "shared" / "data"

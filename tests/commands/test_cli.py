@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import random
 import re
 import subprocess
@@ -271,3 +272,10 @@ def test_a_reader_that_has_had_enough_is_no_error(command: str, tmp_path: Path) 
         assert process.wait(60) == 0
         assert process.stderr is not None
         assert b"Traceback" not in process.stderr.read()
+
+
+def test_the_schema_lists_every_kind_of_checksum(capsys):
+    assert cli.main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    kinds = schema["$defs"]["ChecksumSettings"]["properties"]["kind"]["enum"]
+    assert kinds == ["none", "xor", "crc8_j1850", "e2e_p1", "e2e_p2", "e2e_p5", "e2e_p11"]

@@ -26,7 +26,7 @@ from imucald.runtime.session import make_engine
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 from imucald.traffic.can_log import write_log
-from imucald.traffic.encoder import BusEncoder, example_config
+from imucald.traffic.drive_encoder import BusEncoder, example_config
 
 MOUNT_DEG = (-20.0, 8.0, 120.0)
 
@@ -56,6 +56,7 @@ def test_the_estimate_ends_near_the_truth(finished: Demonstration) -> None:
     assert finished.engine.pipeline.first_usable is not None
 
 
+@pytest.mark.slow
 def test_every_frame_passes_the_bus_undamaged(finished: Demonstration) -> None:
     series = finished.drive.samples["accel"]
     assert finished.listener.frames == len(series.t)

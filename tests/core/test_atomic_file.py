@@ -11,18 +11,18 @@ import pytest
 
 from imucald.core.atomic_file import (
     free_name,
-    read_file,
     split_checksum,
     with_checksum,
     write_file,
 )
+from imucald.core.regular_file import read_regular
 
 
 def test_a_written_file_is_read_back_and_leaves_nothing_beside_it(tmp_path):
     path = tmp_path / "new" / "a"
     write_file(path, b"one")
     write_file(path, b"two")
-    assert read_file(path, 10) == b"two"
+    assert read_regular(path, 10) == b"two"
     assert [p.name for p in path.parent.iterdir()] == ["a"]
 
 
@@ -60,7 +60,7 @@ def test_file_and_folder_are_forced_to_the_disk(tmp_path, monkeypatch):
 def test_no_more_than_asked_is_read_of_a_long_file(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(b"x" * 100)
-    assert len(read_file(path, 10)) == 11
+    assert len(read_regular(path, 10)) == 11
 
 
 def test_the_checksum_is_sha_256_of_the_body_and_any_damage_breaks_it():

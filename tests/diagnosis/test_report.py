@@ -87,6 +87,7 @@ def found() -> Page:
     return Page(whole("found"))
 
 
+@pytest.mark.slow
 def test_causes_come_with_values_intervals_and_evidence(found):
     text = found.text
     assert "Found: body roll and accelerometer bias" in text
@@ -221,6 +222,7 @@ def test_hostile_names_are_text_and_nothing_else():
         assert "script" not in {e.tag.removeprefix(SVG) for e in ET.fromstring(svg).iter()}
 
 
+@pytest.mark.slow
 def test_a_long_drive_with_thousands_of_rows_makes_a_page_for_a_mail():
     names = [f"accel_{i}" for i in range(40)]
     picture = made.picture(seconds=6 * 3600.0)

@@ -129,11 +129,11 @@ def _whole_state() -> dict[str, Any]:
 
 
 def saved_dtcs(data: bytes) -> None:
-    """A file of saved trouble codes under a right checksum, restored into the memory."""
+    """A file of saved DTCs under a right checksum, restored into the memory."""
     path = FOLDER / "dtcs"
     path.write_bytes(f"{dtc_store.MAGIC} {hashlib.sha256(data).hexdigest()}\n".encode() + data)
-    keeper = dtc_store.DtcStore(path, lambda _line: None)
-    keeper.close()
+    store = dtc_store.DtcStore(path, lambda _line, _priority: None)
+    store.close()
     for file in FOLDER.glob("dtcs*"):
         file.unlink()
 
@@ -153,7 +153,7 @@ def isotp_frames(data: bytes) -> None:
         bench.clock.now += (head >> 6) * 0.3
         for _, frame in channel.frame(ids[head >> 4 & 1], payload) + channel.poll():
             assert len(frame) <= 8
-    assert bench.subject.done == []
+    assert bench.host.done == []
 
 
 @functools.cache

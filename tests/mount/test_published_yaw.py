@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imucald.core.errors import EstimateError
-from imucald.mount.method_a.yaw import (
+from imucald.mount.method_a.solver import (
     combined_angle,
     combined_axis,
     correction_rotation,

@@ -72,6 +72,7 @@ def test_nothing_saved_is_no_state_and_no_problem(tmp_path):
     assert load(tmp_path).problems == ()
 
 
+@pytest.mark.slow
 def test_300_kills_at_random_instants_lose_nothing(tmp_path):
     """What was acknowledged is there, or something newer: in either generation."""
     random.seed(4)

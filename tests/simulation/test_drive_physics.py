@@ -215,6 +215,7 @@ def test_on_a_slippery_road_the_driver_is_gentle_and_stays_on_it():
     assert np.max(np.abs(truth.lateral_velocity)) < 2.0
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_slides_off_is_an_error_not_a_number():
     with pytest.raises(ConfigError, match="slides off"):
         simulate(model(chassis__friction=0.15, road__bank_rms=0.3), 7, 10.0)

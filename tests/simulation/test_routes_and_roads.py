@@ -20,6 +20,7 @@ def truth_of(kind, seed=1, minutes=15.0, **changes):
     return simulate(VehicleModel().with_changes(wanted), seed, minutes).truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mixed", "city", "motorway"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_speeds_and_accelerations_are_those_of_drivers(kind, seed):
@@ -72,6 +73,7 @@ def test_standing_first_or_moving_from_the_start():
     assert moving.speed[0] > 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mixed", "city", "motorway", "straight_only"])
 def test_the_drive_goes_on_to_its_end_and_ends_standing(kind):
     for seed in range(25):

@@ -12,7 +12,7 @@ from imucald.config import load_config
 from imucald.simulation import load_model, random_model
 from imucald.simulation import simulate as run_model
 from imucald.traffic.can_log import live_frames
-from imucald.traffic.encoder import BusEncoder, example_config
+from imucald.traffic.drive_encoder import BusEncoder, example_config
 
 
 def simulate(tmp_path, *options):

@@ -21,9 +21,11 @@ pytestmark = pytest.mark.slow
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-LIMIT_S = 500.0
+LIMIT_S = 700.0
 USABLE_AGAIN_S = 2.0
 RESUME_S = 1.0
+MOST_RESTARTS = 10
+"""In a minute."""
 
 STARTER = """#!/usr/bin/python3 -IS
 import sys
@@ -122,6 +124,22 @@ def test_a_hung_loop_is_killed_by_the_watchdog_and_restarted(outcome):
     assert found["restarts"] == 1
     assert found["said"]
     assert found["took"] < 40.0, "3 s of the watchdog, the rest is a busy host"
+
+
+def test_no_loop_starts_it_more_than_ten_times_a_minute_and_the_first_restart_is_at_once(outcome):
+    found = scene(outcome, "crash_loop")
+    print("first restart after a crash [s]:", round(found["first"], 2))
+    assert found["first"] < USABLE_AGAIN_S
+    assert 4 < found["restarts"] <= MOST_RESTARTS
+    assert found["active"] == "active", "it goes on when its cause is gone"
+
+
+def test_a_database_too_large_for_the_unit_changes_nothing_on_reload_and_makes_no_loop(outcome):
+    found = scene(outcome, "heavy_database")
+    assert found["same_process"]
+    assert found["code"] == "78"
+    assert found["told"]
+    assert found["restarts"] == 0
 
 
 def test_reloading_keeps_process_and_estimate_and_refuses_nonsense(outcome):

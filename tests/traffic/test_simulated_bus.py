@@ -15,7 +15,7 @@ from imucald.core.errors import ConfigError, LogError
 from imucald.inputs.wiring import compile_router
 from imucald.simulation import VehicleModel, random_model, simulate
 from imucald.traffic.can_log import EPOCH_S, bus_frames, live_frames, write_log
-from imucald.traffic.encoder import BusEncoder, example_config
+from imucald.traffic.drive_encoder import BusEncoder, example_config
 from imucald.traffic.other_units import arbitrated, background
 
 LINE = re.compile(r"\((\d+\.\d{6})\) (\w+) ([0-9A-F]{3}|[0-9A-F]{8})#([0-9A-F]*)")

@@ -64,7 +64,7 @@ def test_steps_are_counted_without_a_gyroscope():
     w = walk(BY_NAME["in front, tilted"], 1.3, seconds=40.0, seed=5)
     travel, steps = run(w, gyro=False)
     assert abs(travel.steps - w.steps) <= max(1, 0.03 * w.steps)
-    assert all(step.modern is None for step in steps)
+    assert all(step.alternative is None for step in steps)
     assert all(step.heading == step.published.heading for step in steps)
 
 
@@ -73,7 +73,7 @@ def test_steps_are_counted_without_a_gyroscope():
 def test_the_alternative_finds_the_direction(name, is_left):
     w = walk(BY_NAME[name], 1.3, is_left, seconds=90.0, seed=2, disturbance_ut=1.0)
     _, steps = run(w)
-    found = errors(w, steps, lambda step: step.modern)
+    found = errors(w, steps, lambda step: step.alternative)
     assert np.median(found) < 15.0
     assert np.percentile(found, 90) < 35.0
 
@@ -89,7 +89,7 @@ def test_the_published_method_finds_a_terminal_held_towards_the_face():
 def test_a_heading_signal_is_a_compass_too():
     w = walk(BY_NAME["in front, flat"], 1.3, seconds=60.0, seed=6)
     _, steps = run(w, mag=False, heading=w.course + 0.05)
-    assert np.median(errors(w, steps, lambda step: step.modern)) < 15.0
+    assert np.median(errors(w, steps, lambda step: step.alternative)) < 15.0
     assert np.median(errors(w, steps, lambda step: step.compass)) < 5.0
 
 
@@ -114,7 +114,7 @@ def test_the_method_of_the_settings_is_sent():
     for method in ("alternative", "published"):
         _, steps = run(w, TravelDirectionSettings(method=method))
         last = steps[-1]
-        expected = last.modern if method == "alternative" else last.published.heading
+        expected = last.alternative if method == "alternative" else last.published.heading
         assert last.heading == expected
 
 
@@ -122,7 +122,7 @@ def test_declination_turns_every_heading():
     w = walk(BY_NAME["in front, flat"], 1.3, seconds=20.0, seed=6)
     plain = run(w)[1][-1]
     turned = run(w, TravelDirectionSettings(declination_deg=math.degrees(0.1)))[1][-1]
-    for name in ("compass", "modern"):
+    for name in ("compass", "alternative"):
         change = math.remainder(getattr(turned, name) - getattr(plain, name), 2.0 * math.pi)
         assert change == pytest.approx(0.1, abs=1e-9)
 

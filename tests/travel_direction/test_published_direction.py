@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imucald.config.attitude import ChoiceSettings
-from imucald.travel_direction.cycles import POINTS, Cycle
-from imucald.travel_direction.published import (
+from imucald.travel_direction.cycles import POINTS, StepCycle
+from imucald.travel_direction.method_d import (
     PublishedDirection,
     compass_of,
     correlation_angle,
@@ -30,7 +30,7 @@ LEAN = st.floats(-1.2, 1.2)
 PHASE = 2.0 * np.pi * np.arange(POINTS) / POINTS
 
 
-def cycle_of(direction, lean=(0.0, 0.0), lead=90.0, sway=0.0) -> Cycle:
+def cycle_of(direction, lean=(0.0, 0.0), lead=90.0, sway=0.0) -> StepCycle:
     """One step, walking `direction` [rad, clockwise from y] in level axes, terminal leaning."""
     forward = 0.8 * np.cos(PHASE + math.radians(lead))
     side = sway * np.cos(0.5 * PHASE)
@@ -40,7 +40,7 @@ def cycle_of(direction, lean=(0.0, 0.0), lead=90.0, sway=0.0) -> Cycle:
     )
     # leaning: first about x, then about the new y, as a terminal in a hand does
     terminal = Rotation.from_euler("xy", [lean[0], lean[1]]).apply(level)
-    return Cycle(0.0, 0.5, terminal, np.zeros((POINTS, 3)), np.zeros((POINTS, 2)))
+    return StepCycle(0.0, 0.5, terminal, np.zeros((POINTS, 3)), np.zeros((POINTS, 2)))
 
 
 # tilt ------------------------------------------------------------------------------------------

@@ -11,8 +11,8 @@ import shuttle
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.runtime.session import make_engine
-from imucald.service.bus_uds import bus_uds_for
 from imucald.service.uds_host import configuration_identity
+from imucald.service.uds_on_bus import bus_uds_for
 
 
 class NoHost:

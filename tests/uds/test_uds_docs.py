@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from imucald.service.bus_uds import TRANSPORT_COUNTERS_IDENTIFIER
+from imucald.service.uds_on_bus import TRANSPORT_COUNTERS_IDENTIFIER
 from imucald.uds.codes import Nrc
 from imucald.uds.dtc import DTCS
 from imucald.uds.identifiers import COUNTED_FAULTS, MAX_RESPONSE

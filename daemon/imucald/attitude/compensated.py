@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
-from imucald.attitude.right_forward_up import text_from_vehicle, vehicle_from_text
+from imucald.attitude.right_forward_up import rfu_from_vehicle, vehicle_from_rfu
 from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import Vector
 
@@ -48,7 +48,7 @@ class CompensatedAttitude:
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
-        self._rate = text_from_vehicle(values[0], values[1], values[2])
+        self._rate = rfu_from_vehicle(values[0], values[1], values[2])
         self._t_gyro = t
         if not self.checked:
             self._rest(t, self._rate)
@@ -57,7 +57,7 @@ class CompensatedAttitude:
         """Take a specific force [m/s^2]."""
         if self._rate is None or t - self._t_gyro > self.settings.filter.longest_step:
             return
-        force = text_from_vehicle(values[0], values[1], values[2])
+        force = rfu_from_vehicle(values[0], values[1], values[2])
         self._last = self.compensation.take(t, force, self._rate)
         self._t = t
 
@@ -94,11 +94,11 @@ class CompensatedAttitude:
             pitch=NAN if last is None else -last.pitch,
             heading=NAN,
             std=_NOTHING,
-            rate=_NOTHING if last is None else vehicle_from_text(*last.rate),
+            rate=_NOTHING if last is None else vehicle_from_rfu(*last.rate),
             rate_std=_NOTHING,
             grade=NAN,
             grade_std=NAN,
-            bias=vehicle_from_text(*b),
+            bias=vehicle_from_rfu(*b),
         )
 
     def _rest_begin(self) -> None:

@@ -6,19 +6,19 @@ import math
 from collections import deque
 from collections.abc import Iterator
 
-from imucald.attitude.interval import Knot
+from imucald.attitude.interval import Endpoint
 from imucald.attitude.motion_compensation import AverageSpeed, SpeedAverager
 from imucald.attitude.propagation import Propagator
 from imucald.config.attitude import CompensationSettings
 
-MAX_KNOTS = 64
+MAX_ENDPOINTS = 64
 """Averaged speeds that wait for the accelerometer: a leading speed is ahead by a second."""
 SLACK_S = 1e-6
 """Times a second apart differ by this much less in their rounding [s]."""
 
 
-class KnotMaker:
-    """Pairs of knots, each the interval between two averaged speeds, from samples as they come."""
+class EndpointMaker:
+    """Pairs of endpoints, each an interval between two averaged speeds, from samples."""
 
     def __init__(self, settings: CompensationSettings, propagator: Propagator) -> None:
         self._settings = settings
@@ -28,8 +28,8 @@ class KnotMaker:
     def restart(self) -> None:
         """Forget everything: time has jumped."""
         self._average = SpeedAverager(self._settings)
-        self._waiting: deque[AverageSpeed] = deque(maxlen=MAX_KNOTS)
-        self._open: Knot | None = None
+        self._waiting: deque[AverageSpeed] = deque(maxlen=MAX_ENDPOINTS)
+        self._open: Endpoint | None = None
         self._heard = -math.inf
         self._last = -math.inf
         self._sign = 1.0
@@ -47,28 +47,28 @@ class KnotMaker:
         """Say whether the vehicle drives backwards."""
         self._sign = -1.0 if is_reverse else 1.0
 
-    def complete(self) -> Iterator[tuple[Knot | None, Knot]]:
+    def complete(self) -> Iterator[tuple[Endpoint | None, Endpoint]]:
         """Beginning and end of the intervals complete by now; no beginning: it begins there."""
         newest = self._propagator.newest
         if newest is None:
             return
-        if self._open is not None and self._open.moment.t < self._propagator.segment_start:
+        if self._open is not None and self._open.snapshot.t < self._propagator.segment_start:
             self._open = None
         if newest.t - self._heard > self._settings.timeout:
             self._waiting.clear()
-            if self._open is None or newest.t - self._open.moment.t >= self._settings.interval:
-                yield self._next(Knot(newest, math.nan))
+            if self._open is None or newest.t - self._open.snapshot.t >= self._settings.interval:
+                yield self._next(Endpoint(newest, math.nan))
             return
         while self._waiting and self._waiting[0].t <= newest.t:
             average = self._waiting.popleft()
-            moment = self._propagator.at(average.t)
-            if moment is None:
+            snapshot = self._propagator.at(average.t)
+            if snapshot is None:
                 self._open = None
             else:
-                yield self._next(Knot(moment, average.speed))
+                yield self._next(Endpoint(snapshot, average.speed))
 
-    def _next(self, knot: Knot) -> tuple[Knot | None, Knot]:
-        first, self._open = self._open, knot
-        if first is not None and knot.moment.t <= first.moment.t:
+    def _next(self, endpoint: Endpoint) -> tuple[Endpoint | None, Endpoint]:
+        first, self._open = self._open, endpoint
+        if first is not None and endpoint.snapshot.t <= first.snapshot.t:
             first = None
-        return first, knot
+        return first, endpoint

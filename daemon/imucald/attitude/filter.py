@@ -12,42 +12,38 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from imucald.attitude.endpoints import KnotMaker
+from imucald.attitude.endpoints import EndpointMaker
 from imucald.attitude.estimate import SETTLED_STD, STALE_S, AttitudeEstimate, AttitudeState
-from imucald.attitude.grade import RoadGrade
-from imucald.attitude.interval import Interval, Knot, along_body, interval
+from imucald.attitude.grade import GradeFilter
+from imucald.attitude.interval import Endpoint, Interval, along_body, interval
 from imucald.attitude.kalman import NineStateFilter
-from imucald.attitude.measurements import LEAST_UP, heading_difference, rest_rates, tilt
+from imucald.attitude.measurements import MIN_UP, heading_difference, rest_rates, tilt
 from imucald.attitude.propagation import Propagator
-from imucald.attitude.right_forward_up import (
-    IDENTITY,
-    Quaternion,
-    from_vector,
-    product,
-    rows,
-    text_from_vehicle,
-    vehicle_angles,
-    vehicle_from_text,
-)
+from imucald.attitude.right_forward_up import rfu_from_vehicle, vehicle_angles, vehicle_from_rfu
 from imucald.attitude.sensor_check import rest_errors
 from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import (
+    IDENTITY,
+    Quaternion,
     Rows,
     Vector,
     levelling_rotation,
     matrix_times,
     quaternion_from_rotation,
+    quaternion_from_vector,
+    quaternion_product,
+    rows_from_quaternion,
     times,
     transposed_times,
 )
 from imucald.core.samples import GRAVITY
-from imucald.motion.at_rest import PARKED_GRAVITY, PARKED_SAMPLE_STD
+from imucald.motion.rest_thresholds import PARKED_GRAVITY, PARKED_SAMPLE_STD
 
 START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)
 """Tilt error taken for granted at the start: so large that what the first interval finds is tilt,
 and nothing of it an accelerometer error that would be forgotten slowly."""
-LARGEST_ZERO_ERROR = 6.0
+MAX_ZERO_ERROR = 6.0
 """In standard deviations: what turns faster than any zero error is not at rest."""
 HEADING_KNOWN_STD = math.radians(20.0)
 """A heading less sure than this is not called a heading [rad]."""
@@ -63,17 +59,17 @@ class AttitudeFilter:
         compensation, of_filter = self.settings.compensation, self.settings.filter
         self.kalman = NineStateFilter(of_filter)
         self.constant_bias: Vector = (0.0, 0.0, 0.0)
-        """bs of the text [rad/s], its axes."""
+        """bs of the publication [rad/s], right-forward-up axes."""
         self.constant_accel_error: Vector = (0.0, 0.0, 0.0)
-        """ds of the text [m/s^2], its axes."""
+        """ds of the publication [m/s^2], right-forward-up axes."""
         self.checked = False
         """Whether the sensor check has been made."""
         self.last_interval: Interval | None = None
         self._propagator = Propagator(
-            of_filter.longest_step, text_from_vehicle(*compensation.lever_arm)
+            of_filter.longest_step, rfu_from_vehicle(*compensation.lever_arm)
         )
-        self._knots = KnotMaker(compensation, self._propagator)
-        self._grade = RoadGrade(self.settings.squat, self.settings.grade_time)
+        self._endpoints = EndpointMaker(compensation, self._propagator)
+        self._grade = GradeFilter(self.settings.squat, self.settings.grade_time)
         self.reset()
 
     # verbs -----------------------------------------------------------------------------------
@@ -88,9 +84,9 @@ class AttitudeFilter:
     def gap(self) -> None:
         """Time jumped: nothing before this may be differenced with what follows."""
         self._propagator.restart()
-        self._knots.restart()
-        self._start: Knot | None = None
-        self._rest: Knot | None = None
+        self._endpoints.restart()
+        self._start: Endpoint | None = None
+        self._rest: Endpoint | None = None
         self._accel_seen = self._heading_seen = -math.inf
         self._predicted = -math.inf
         self._grade.restart()
@@ -99,24 +95,24 @@ class AttitudeFilter:
         """Take an angular rate [rad/s]."""
         p, b = self.constant_bias, self.kalman.bias
         bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
-        self._propagator.gyro(t, text_from_vehicle(values[0], values[1], values[2]), bias)
-        for first, last in self._knots.complete():
+        self._propagator.gyro(t, rfu_from_vehicle(values[0], values[1], values[2]), bias)
+        for first, last in self._endpoints.complete():
             self._close(first, last)
 
     def accel(self, t: float, values: Sequence[float]) -> None:
         """Take a specific force [m/s^2]."""
-        x, y, z = text_from_vehicle(values[0], values[1], values[2])
+        x, y, z = rfu_from_vehicle(values[0], values[1], values[2])
         d = self.constant_accel_error
         self._accel_seen = t
         self._propagator.accel(t, (x - d[0], y - d[1], z - d[2]))
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""
-        self._knots.speed(t, speed)
+        self._endpoints.speed(t, speed)
 
     def reverse(self, is_reverse: bool) -> None:
         """Say whether the vehicle drives backwards."""
-        self._knots.reverse(is_reverse)
+        self._endpoints.reverse(is_reverse)
 
     def heading(self, t: float, heading: float) -> None:
         """Take a heading, clockwise from north [rad]."""
@@ -127,7 +123,7 @@ class AttitudeFilter:
         """Take a magnetic field in vehicle axes [T]; its level part points north."""
         if self.settings.filter.heading != "magnetometer" or not self.running:
             return
-        m = text_from_vehicle(values[0], values[1], values[2])
+        m = rfu_from_vehicle(values[0], values[1], values[2])
         east, north, _ = times(self._C(), m)
         if math.hypot(east, north) > 0.0:
             # the field seems turned by as much as the estimate is turned the other way
@@ -187,11 +183,11 @@ class AttitudeFilter:
             pitch=pitch,
             heading=heading,
             std=std,
-            rate=vehicle_from_text(*self._propagator.rate),
+            rate=vehicle_from_rfu(*self._propagator.rate),
             rate_std=(spread[1], spread[0], spread[2]),
             grade=self._grade.grade,
             grade_std=math.hypot(std[1], self._grade.spread),
-            bias=vehicle_from_text(a[0] + b[0], a[1] + b[1], a[2] + b[2]),
+            bias=vehicle_from_rfu(a[0] + b[0], a[1] + b[1], a[2] + b[2]),
         )
 
     def _heading_std(self) -> float:
@@ -199,43 +195,43 @@ class AttitudeFilter:
 
     def _C(self) -> Rows:
         """C_nav_from_body: the correction after the gyroscope's matrix."""
-        return rows(product(self._correction, self._propagator.q))
+        return rows_from_quaternion(quaternion_product(self._correction, self._propagator.q))
 
     # intervals -------------------------------------------------------------------------------
 
-    def _close(self, first: Knot | None, knot: Knot) -> None:
+    def _close(self, first: Endpoint | None, endpoint: Endpoint) -> None:
         if first is None:
             self._start = self._rest = None
             return
-        found = self._interval(first, knot)
+        found = self._interval(first, endpoint)
         self.last_interval = found
-        resting = self._is_rest(first, knot, found)
+        resting = self._is_rest(first, endpoint, found)
         if not resting:
             self._rest = None
         elif self._rest is None:
             self._rest = first
         if not self.running:
-            self._try_start(first, knot, resting)
+            self._try_start(first, endpoint, resting)
             return
         self._filter(found, resting)
         if resting and self._rest is not None and not self.checked:
-            self._check(self._rest, knot)
+            self._check(self._rest, endpoint)
 
-    def _interval(self, first: Knot, last: Knot) -> Interval:
+    def _interval(self, first: Endpoint, last: Endpoint) -> Interval:
         s = self.settings
         c = s.compensation
         if c.speed_is == "horizontal":
-            up = transposed_times(rows(self._correction), (0.0, 0.0, 1.0))
+            up = transposed_times(rows_from_quaternion(self._correction), (0.0, 0.0, 1.0))
             first, last = along_body(first, up), along_body(last, up)
         return interval(first, last, c, s.filter.accel_noise, s.filter.unknown_motion)
 
-    def _is_rest(self, first: Knot, last: Knot, found: Interval) -> bool:
+    def _is_rest(self, first: Endpoint, last: Endpoint, found: Interval) -> bool:
         s = self.settings.filter
         turn = math.dist(found.rate, self.constant_bias)
         quiet = (
             found.force_variance < s.rest_accel_spread**2
             and found.rate_variance < s.rest_gyro_spread**2
-            and turn < LARGEST_ZERO_ERROR * s.gyro_start
+            and turn < MAX_ZERO_ERROR * s.gyro_start
         )
         if math.isnan(found.speed):
             # without a speed only what is as still as a parked vehicle is taken for rest
@@ -247,21 +243,23 @@ class AttitudeFilter:
             )
         return quiet and first.speed == 0.0 and last.speed == 0.0
 
-    def _try_start(self, first: Knot, last: Knot, resting: bool) -> None:
+    def _try_start(self, first: Endpoint, last: Endpoint, resting: bool) -> None:
         if self._start is None or (resting and self._rest is first):
             self._start = first
-        if last.moment.t - self._start.moment.t < self.settings.filter.start - 1e-6:
+        if last.snapshot.t - self._start.snapshot.t < self.settings.filter.start - 1e-6:
             return
         found = self._interval(self._start, last)
         if math.isnan(found.speed) and not resting:
             self._start = None  # nothing tells gravity from motion: wait for a rest or a speed
             return
-        if math.sqrt(sum(c * c for c in found.up)) < LEAST_UP:
+        if math.sqrt(sum(c * c for c in found.up)) < MIN_UP:
             self._start = None
             return
         self._correction = quaternion_from_rotation(levelling_rotation(found.up))
         heading = vehicle_angles(self._C())[2]
-        self._correction = product(from_vector(0.0, 0.0, heading), self._correction)
+        self._correction = quaternion_product(
+            quaternion_from_vector(0.0, 0.0, heading), self._correction
+        )
         s = self.settings.filter
         tilt = START_REST_STD if resting else START_MOVING_STD
         free = 0.0 if s.heading == "free" else math.pi
@@ -276,7 +274,7 @@ class AttitudeFilter:
         self._predicted = found.t1
         C = self._C()
         self.kalman.predict(C, dt, found.angle)
-        gravity = times(rows(self._correction), found.up)
+        gravity = times(rows_from_quaternion(self._correction), found.up)
         lag = max(self._propagator.t - 0.5 * (found.t0 + found.t1), 0.0)
         measurements = tilt(found, gravity, C, self.kalman.accel_error, lag)
         if resting and self.settings.filter.rest_update:
@@ -295,15 +293,15 @@ class AttitudeFilter:
         self._apply(self.kalman.update([measurement]))
 
     def _apply(self, error: Vector) -> None:
-        self._correction = product(from_vector(*error), self._correction)
+        self._correction = quaternion_product(quaternion_from_vector(*error), self._correction)
 
-    def _check(self, first: Knot, last: Knot) -> None:
+    def _check(self, first: Endpoint, last: Endpoint) -> None:
         """The sensor check at rest: constant errors of gyroscope and accelerometer."""
         s = self.settings.filter
-        if last.moment.t - first.moment.t < s.check - 1e-6:
+        if last.snapshot.t - first.snapshot.t < s.check - 1e-6:
             return
         found = self._interval(first, last)
-        low, high, n = first.moment.body, last.moment.body, found.n
+        low, high, n = first.snapshot.body, last.snapshot.body, found.n
         mean = ((high[0] - low[0]) / n, (high[1] - low[1]) / n, (high[2] - low[2]) / n)
         self.constant_bias, extra = rest_errors(found.rate, mean, s.check_level)
         old = self.constant_accel_error

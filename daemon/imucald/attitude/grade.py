@@ -10,7 +10,7 @@ SUSPENSION_STD = math.radians(0.5)
 """What the springs add to the pitch of the body, where nothing is known of them [rad]."""
 
 
-class RoadGrade:
+class GradeFilter:
     """Road grade, tangent, positive uphill.
 
     squat: nose-up pitch per forward specific force [rad/(m/s^2)]. time: time constant [s].

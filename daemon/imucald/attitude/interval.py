@@ -13,11 +13,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from imucald.attitude.propagation import Moment
+from imucald.attitude.propagation import IntegralSnapshot
 from imucald.config.attitude import CompensationSettings
 from imucald.core.rotations import Vector
 
-LEAST_LEVEL = 0.5
+MIN_LEVEL = 0.5
 """Cosine of the steepest slope that a horizontal speed is turned to."""
 
 
@@ -51,28 +51,28 @@ class Interval(NamedTuple):
         return self.t1 - self.t0
 
 
-class Knot(NamedTuple):
+class Endpoint(NamedTuple):
     """An end of an interval: the integrals there and the speed [m/s], NaN where unknown."""
 
-    moment: Moment
+    snapshot: IntegralSnapshot
     speed: float
 
 
-def along_body(knot: Knot, up: Vector) -> Knot:
-    """A knot whose speed is horizontal, with the speed along the body; up: unit vector in P."""
-    rise = sum(a * b for a, b in zip(knot.moment.forward, up, strict=True))
-    level = math.sqrt(max(1.0 - rise * rise, LEAST_LEVEL**2))
-    return Knot(knot.moment, knot.speed / level)
+def along_body(endpoint: Endpoint, up: Vector) -> Endpoint:
+    """A endpoint whose speed is horizontal, with the speed along the body; up: unit vector in P."""
+    rise = sum(a * b for a, b in zip(endpoint.snapshot.forward, up, strict=True))
+    level = math.sqrt(max(1.0 - rise * rise, MIN_LEVEL**2))
+    return Endpoint(endpoint.snapshot, endpoint.speed / level)
 
 
 def interval(
-    first: Knot, last: Knot, settings: CompensationSettings, noise: float, unknown: float
+    first: Endpoint, last: Endpoint, settings: CompensationSettings, noise: float, unknown: float
 ) -> Interval:
-    """Make the interval between two knots of one segment.
+    """Make the interval between two endpoints of one segment.
 
     noise: of a mean specific force, unknown: of an acceleration without speed [m/s^2].
     """
-    a, b = first.moment, last.moment
+    a, b = first.snapshot, last.snapshot
     T = b.t - a.t
     mean = tuple((y - x) / T for x, y in zip(a.force, b.force, strict=True))
     v0, v1 = first.speed, last.speed
@@ -109,7 +109,7 @@ def interval(
 
 
 def _known_sigma(
-    first: Knot, last: Knot, settings: CompensationSettings, forward: float, lateral: float
+    first: Endpoint, last: Endpoint, settings: CompensationSettings, forward: float, lateral: float
 ) -> tuple[float, float]:
     """How unsure the correction is, along and across the direction of motion [m/s^2].
 
@@ -117,13 +117,13 @@ def _known_sigma(
     and the centripetal acceleration of a lever arm that is not known. Across: scale, and the
     change of the side-slip, which is that lever arm too.
     """
-    T = last.moment.t - first.moment.t
+    T = last.snapshot.t - first.snapshot.t
     if first.speed == 0.0 and last.speed == 0.0:
         return 0.0, 0.0
     noise = settings.speed_noise * math.sqrt(2.0)
     if min(abs(first.speed), abs(last.speed)) < settings.creep_speed:
         noise += 0.3 * settings.creep_speed
-    r0, r1 = first.moment.up_rate, last.moment.up_rate
+    r0, r1 = first.snapshot.up_rate, last.snapshot.up_rate
     arm = settings.lever_uncertainty
     along = (noise / T) ** 2 + (settings.speed_scale * forward) ** 2
     along += (arm * 0.5 * (r0 * r0 + r1 * r1)) ** 2 + (settings.speed_scale * lateral) ** 2

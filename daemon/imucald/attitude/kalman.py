@@ -2,8 +2,8 @@
 
 x = (dp, dr, dy, bx, by, bz, dx, dy, dz): attitude error (rotation vector about east, north, up;
 C_true = exp(skew(e)) C), random error of the gyroscope [rad/s] and of the accelerometer
-[m/s^2] in body axes. With the text's axes of the body (x right, y forward, z up) an error about
-the right axis is one of pitch, about the forward axis one of roll.
+[m/s^2] in body axes. In right-forward-up axes of the body an error about the right
+axis is one of pitch, about the forward axis one of roll.
 
 Model: x_{k+1} = F x_k + w, e' = -C b, b' = w_b, d' = -d / T_a + w_d. The accelerometer's random
 error is a Gauss-Markov process. The gyroscope's is its short-time form, a random walk: with a pull
@@ -40,7 +40,7 @@ _EYE = np.eye(STATES)
 class NineStateFilter:
     """Covariance (9, 9) and the fed-back random errors.
 
-    bias: gyroscope [rad/s]; accel_error [m/s^2]; both body axes, of the text.
+    bias: gyroscope [rad/s]; accel_error [m/s^2]; both in body axes, right-forward-up.
     """
 
     def __init__(self, settings: FilterSettings) -> None:

@@ -1,7 +1,7 @@
 """The measurements z of method C and how the nine states show in them.
 
 z is the attitude of the propagated matrix less that of the accelerometer (pitch, roll) and of the
-heading input; a gyroscope at rest is a further one, beyond the text.
+heading input; a gyroscope at rest is a further one, beyond the publication.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from imucald.attitude.right_forward_up import vehicle_angles, wrapped
 from imucald.core.rotations import Rows, Vector, times, transposed_times
 from imucald.core.samples import GRAVITY
 
-LEAST_UP = 0.3 * GRAVITY
+MIN_UP = 0.3 * GRAVITY
 """Less than this is not gravity: falling, or a broken sensor [m/s^2]."""
 REST_RATE_STD = math.radians(0.003)
 """What a standing vehicle still turns, people getting in [rad/s]."""
@@ -35,7 +35,7 @@ def tilt(
     """
     d = times(C, accel_error)
     east, north, up = gravity[0] - d[0], gravity[1] - d[1], gravity[2] - d[2]
-    if math.sqrt(east * east + north * north + up * up) < LEAST_UP:
+    if math.sqrt(east * east + north * north + up * up) < MIN_UP:
         return []
     heading = vehicle_angles(C)[2]
     s, c = math.sin(heading), math.cos(heading)
@@ -67,7 +67,7 @@ def rest_rates(interval: Interval, bias: Vector, noise: float) -> list[Measureme
 def heading_difference(heading: float, C: Rows, noise: float, is_known: bool) -> Measurement:
     """A heading input [rad] against the propagated matrix; gated once a heading is known.
 
-    The text's angle is counter-clockwise, a heading clockwise: hence the order.
+    The publication's angle is counter-clockwise, a heading clockwise: hence the order.
     """
     h = np.zeros(STATES)
     h[2] = -1.0

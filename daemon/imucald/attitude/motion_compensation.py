@@ -18,7 +18,7 @@ delta is not known yet, the previous angle is: J_n = phi_n - S(phi_{n-1}), K_n l
 - Roll: s = omega_up v, measured in the body, and a = s / cos(delta). With the full omega x v both
   components of a are already those along the deflected axes, and S is zero.
 
-Everything is in the text's axes: x right, y forward, z up. Pitch is positive nose up, roll is
+Everything is in right-forward-up axes: x right, y forward, z up. Pitch is positive nose up, roll is
 positive right side down.
 """
 
@@ -28,9 +28,9 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from imucald.attitude.right_forward_up import cross, text_from_vehicle
+from imucald.attitude.right_forward_up import rfu_from_vehicle
 from imucald.config.attitude import CompensationSettings
-from imucald.core.rotations import Vector
+from imucald.core.rotations import Vector, cross
 from imucald.core.samples import GRAVITY
 
 ROAD_TIME = 3.0
@@ -80,7 +80,7 @@ class SpeedAverager:
 
 
 class Compensated(NamedTuple):
-    """What method B makes of one instant; axes of the text.
+    """What method B makes of one instant; right-forward-up axes.
 
     force: specific force less motion [m/s^2]; rate: less zero error [rad/s]; pitch, roll: from
     the force, less the deflection; raw_pitch, raw_roll: before that [rad]; known: speed was.
@@ -98,7 +98,7 @@ class Compensated(NamedTuple):
 class MotionCompensation:
     """Method B, instant by instant, from what is known by then.
 
-    zero_error: of the gyroscope [rad/s], axes of the text.
+    zero_error: of the gyroscope [rad/s], right-forward-up axes.
     """
 
     def __init__(
@@ -107,13 +107,13 @@ class MotionCompensation:
         self.settings = settings
         self.zero_error = zero_error
         self._average = SpeedAverager(settings)
-        self._lever = text_from_vehicle(*settings.lever_arm)
+        self._lever = rfu_from_vehicle(*settings.lever_arm)
         self.restart()
 
     def restart(self) -> None:
         """Forget everything: time has jumped."""
         self._average.restart()
-        self._knots: deque[AverageSpeed] = deque(maxlen=MAX_SPEEDS)
+        self._endpoints: deque[AverageSpeed] = deque(maxlen=MAX_SPEEDS)
         self._heard = -math.inf
         self._a_fwd = 0.0
         self._last: tuple[float, Vector] | None = None
@@ -123,31 +123,31 @@ class MotionCompensation:
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], signed, that came at t [s]."""
         self._heard = t
-        knot = self._average.add(t, speed)
-        knots = self._knots
-        if knots and knot.t <= knots[-1].t:
+        endpoint = self._average.add(t, speed)
+        endpoints = self._endpoints
+        if endpoints and endpoint.t <= endpoints[-1].t:
             return
-        if knots and knot.t - knots[-1].t > self.settings.timeout:
-            knots.clear()
-        knots.append(knot)
-        while len(knots) > 2 and knots[-1].t - knots[1].t >= self.settings.interval:
-            knots.popleft()
-        if len(knots) > 1:
-            first, last = knots[0], knots[-1]
+        if endpoints and endpoint.t - endpoints[-1].t > self.settings.timeout:
+            endpoints.clear()
+        endpoints.append(endpoint)
+        while len(endpoints) > 2 and endpoints[-1].t - endpoints[1].t >= self.settings.interval:
+            endpoints.popleft()
+        if len(endpoints) > 1:
+            first, last = endpoints[0], endpoints[-1]
             self._a_fwd = (last.speed - first.speed) / (last.t - first.t)
 
     def is_standing(self, t: float) -> bool:
-        """Whether speed is known at t [s], and zero since the last knots."""
-        known = t - self._heard <= self.settings.timeout and len(self._knots) > 1
-        return known and all(knot.speed == 0.0 for knot in self._knots)
+        """Whether speed is known at t [s], and zero since the last endpoints."""
+        known = t - self._heard <= self.settings.timeout and len(self._endpoints) > 1
+        return known and all(endpoint.speed == 0.0 for endpoint in self._endpoints)
 
     def take(self, t: float, force: Vector, rate: Vector) -> Compensated:
         """Correct one sample of accelerometer [m/s^2] and gyroscope [rad/s] at t [s]."""
         bx, by, bz = self.zero_error
         rate = (rate[0] - bx, rate[1] - by, rate[2] - bz)
-        known = t - self._heard <= self.settings.timeout and len(self._knots) > 1
+        known = t - self._heard <= self.settings.timeout and len(self._endpoints) > 1
         a_fwd = self._a_fwd if known else 0.0
-        speed = self._knots[-1].speed if known else 0.0
+        speed = self._endpoints[-1].speed if known else 0.0
         cx, cy, cz = cross(rate, (0.0, speed, 0.0))
         if self.settings.centripetal == "plane":
             cz = 0.0
@@ -163,7 +163,7 @@ class MotionCompensation:
     def _deflected(
         self, t: float, raw_pitch: float, raw_roll: float, a_fwd: float, a_right: float
     ) -> tuple[float, float]:
-        """J and K of the text: the angles less S of the previous ones."""
+        """J and K of the publication: the angles less S of the previous ones."""
         pitch, roll = self._angles
         if self._last is None:
             self._road = (raw_pitch, raw_roll)

@@ -12,8 +12,17 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from imucald.attitude.right_forward_up import IDENTITY, Quaternion, cross, product, rotated, rows
-from imucald.core.rotations import Rows, Vector, times
+from imucald.core.rotations import (
+    IDENTITY,
+    Quaternion,
+    Rows,
+    Vector,
+    cross,
+    quaternion_product,
+    quaternion_turned,
+    rows_from_quaternion,
+    times,
+)
 
 HISTORY_S = 8.0
 """How far back intervals can be looked at [s]: an interval, its lateness, and a slow speed."""
@@ -22,7 +31,7 @@ MAX_PENDING = 64
 """Accelerometer samples that wait for a gyroscope sample to place them."""
 
 
-class Moment(NamedTuple):
+class IntegralSnapshot(NamedTuple):
     """Running integrals up to time t [s], and the body's direction then; frame P.
 
     force: integral of specific force [m/s]. forward, right: unit axes of the body. arm: velocity
@@ -47,7 +56,7 @@ class Moment(NamedTuple):
 
 
 class Propagator:
-    """Attitude by gyroscope samples; history by accelerometer samples. Axes of the text.
+    """Attitude by gyroscope samples; history by accelerometer samples. Right-forward-up axes.
 
     longest_step: samples further apart than this [s] begin a new segment.
     lever: from the point whose velocity is the speed to the sensor [m].
@@ -63,30 +72,30 @@ class Propagator:
     def restart(self) -> None:
         """Forget everything but the attitude: time has jumped."""
         self.segment_start = math.inf
-        """Time of the first moment of history that belongs together [s]."""
+        """Time of the first snapshot of history that belongs together [s]."""
         self.t = -math.inf
         """Time of the newest gyroscope sample [s]."""
-        self.C: Rows = rows(self.q)
+        self.C: Rows = rows_from_quaternion(self.q)
         self._C_before = self.C
         self._t_before = -math.inf
         self.rate: Vector = (0.0, 0.0, 0.0)
         """Newest angular rate, free of bias [rad/s]."""
         self.raw_rate: Vector = (0.0, 0.0, 0.0)
         self._pending: deque[tuple[float, Vector]] = deque(maxlen=MAX_PENDING)
-        self._history: deque[Moment] = deque(maxlen=MAX_HISTORY)
+        self._history: deque[IntegralSnapshot] = deque(maxlen=MAX_HISTORY)
         self._force: Vector = (0.0, 0.0, 0.0)  # newest, in P
         self._turns, self._angle, self._rate_square = 0.0, 0.0, 0.0
         self._rate_sum: Vector = (0.0, 0.0, 0.0)
 
     @property
-    def newest(self) -> Moment | None:
-        """The newest moment of the history."""
+    def newest(self) -> IntegralSnapshot | None:
+        """The newest snapshot of the history."""
         return self._history[-1] if self._history else None
 
     def turn_body(self, q_old_from_new: Quaternion) -> None:
         """The body's axes are defined anew; the sensor has not moved."""
-        self.q = product(self.q, q_old_from_new)
-        self.C = rows(self.q)
+        self.q = quaternion_product(self.q, q_old_from_new)
+        self.C = rows_from_quaternion(self.q)
 
     def gyro(self, t: float, raw: Vector, bias: Vector) -> None:
         """Take an angular rate [rad/s] and its bias; place the accelerometer samples up to t."""
@@ -99,8 +108,8 @@ class Propagator:
             x, y, z = self.rate
             rx, ry, rz = k * (x + rate[0]), k * (y + rate[1]), k * (z + rate[2])
             self._t_before, self._C_before = self.t, self.C
-            self.q = rotated(self.q, rx, ry, rz)
-            self.C = rows(self.q)
+            self.q = quaternion_turned(self.q, rx, ry, rz)
+            self.C = rows_from_quaternion(self.q)
             self._angle += math.sqrt(rx * rx + ry * ry + rz * rz)
         self.t = t
         self.rate, self.raw_rate = rate, raw
@@ -151,7 +160,7 @@ class Propagator:
             body = (last.body[0] + x, last.body[1] + y, last.body[2] + z)
         self._force = now
         history.append(
-            Moment(
+            IntegralSnapshot(
                 t, total, forward, right, arm, self.rate[2], n, body, square,
                 self._turns, self._rate_sum, self._rate_square, self._angle,
             )
@@ -159,12 +168,12 @@ class Propagator:
         while history[0].t < t - HISTORY_S:
             history.popleft()
 
-    def at(self, t: float) -> Moment | None:
+    def at(self, t: float) -> IntegralSnapshot | None:
         """Return the integrals at time t [s], interpolated; None where history does not reach."""
         history = self._history
         if not history or t < history[0].t or t > history[-1].t:
             return None
-        i = bisect.bisect_left(history, t, key=lambda moment: moment.t)
+        i = bisect.bisect_left(history, t, key=lambda snapshot: snapshot.t)
         b = history[i]
         if i == 0 or b.t == t:
             return b

@@ -23,14 +23,14 @@ Array = NDArray[np.float64]
 ITERATIONS = 50
 CONVERGED = 1e-12
 """Relative change of the parameters at which the fit stands."""
-LEAST_POSITIONS = 6
+MIN_POSITIONS = 6
 """Six unknowns."""
-MOST_CONDITION = 1e8
+MAX_CONDITION = 1e8
 """A worse-conditioned set of positions does not show all six (all in one plane, say)."""
 
 
 def rest_errors(mean_rate: Vector, mean_force: Vector, is_level: bool) -> tuple[Vector, Vector]:
-    """bs and ds of the text from the means of a rest [rad/s, m/s^2], vertical axis z.
+    """bs and ds of the publication from the means of a rest [rad/s, m/s^2], vertical axis z.
 
     Level: ds is the mean less gravity on z. Otherwise only its part along the measured vertical is
     taken: the rest of a mean that leans is slope as well as error.
@@ -99,8 +99,8 @@ def six_parameters(means: ArrayLike, size: float = GRAVITY) -> SixParameters:
     Raises EstimateError where the positions do not show all six parameters.
     """
     m = np.asarray(means, dtype=float)
-    if m.ndim != 2 or m.shape[1] != 3 or len(m) < LEAST_POSITIONS:
-        raise EstimateError(f"the fit needs at least {LEAST_POSITIONS} positions at rest")
+    if m.ndim != 2 or m.shape[1] != 3 or len(m) < MIN_POSITIONS:
+        raise EstimateError(f"the fit needs at least {MIN_POSITIONS} positions at rest")
     middle, spread = m.mean(axis=0), float(m.std()) or 1.0
     u = (m - middle) / spread
     bias, scale = _ellipsoid(u)
@@ -109,7 +109,7 @@ def six_parameters(means: ArrayLike, size: float = GRAVITY) -> SixParameters:
         w = parameters[3:] * (u - parameters[:3])
         length = np.sqrt((w * w).sum(axis=1))
         J = np.hstack([-w * parameters[3:], w * (u - parameters[:3])]) / length[:, None]
-        if np.linalg.cond(J) > MOST_CONDITION:
+        if np.linalg.cond(J) > MAX_CONDITION:
             raise EstimateError("the positions at rest are too much alike for the fit")
         step, *_ = np.linalg.lstsq(J, size - length, rcond=None)
         parameters = parameters + step

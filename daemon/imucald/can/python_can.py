@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from imucald.core.lean_import import standing_in
+from imucald.core.partial_import import standing_in
 
 with standing_in("asammdf", None):
     import can

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from imucald.can.columns import CAN_EFF_MASK
-from imucald.can.dbc.database import Signal
+from imucald.can.dbc.message import Signal
 from imucald.check.statistics import Probe, SignalStatistics
 from imucald.config import LoadedConfig
 from imucald.inputs.routes import MessageRoute

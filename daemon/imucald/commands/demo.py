@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.commands.simulate import chosen_model
     from imucald.commands.terminal import plain_where_needed
     from imucald.simulation.drive import simulate
-    from imucald.traffic.encoder import example_config
+    from imucald.traffic.drive_encoder import example_config
 
     minutes = options.minutes
     if minutes is None:

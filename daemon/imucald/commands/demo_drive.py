@@ -32,7 +32,7 @@ from imucald.runtime.session import make_engine
 from imucald.service.live import Daemon, open_link
 from imucald.simulation.drive import Drive
 from imucald.traffic.can_log import EPOCH_S, live_frames
-from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.drive_encoder import BusEncoder
 
 SLICE_S = 0.25
 """The car sends so much of the drive [s] before the daemon gets its turn: four views a second of

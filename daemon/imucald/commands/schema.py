@@ -11,7 +11,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the schema."""
+    from imucald.can.e2e.checksums import KINDS
     from imucald.config import json_schema
 
-    print(json_schema())
+    print(json_schema({("ChecksumSettings", "kind"): ["none", *KINDS]}))
     return 0

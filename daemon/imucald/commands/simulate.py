@@ -15,7 +15,7 @@ from imucald.core.errors import ConfigError
 if TYPE_CHECKING:
     from imucald.model.model import VehicleModel
     from imucald.simulation.drive import Drive
-    from imucald.traffic.encoder import BusEncoder
+    from imucald.traffic.drive_encoder import BusEncoder
 
 ROUTES = ("mixed", "city", "motorway", "straight_only", "circles", "parked")
 MAX_MINUTES = 600.0
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.commands.files import check_files, write_text
     from imucald.config import load_config
     from imucald.simulation.drive import simulate
-    from imucald.traffic.encoder import BusEncoder, example_config
+    from imucald.traffic.drive_encoder import BusEncoder, example_config
 
     if not 0.0 < options.minutes <= MAX_MINUTES:
         raise ConfigError(f"--minutes must be between 0 and {MAX_MINUTES:g}")

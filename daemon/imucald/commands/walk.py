@@ -126,7 +126,7 @@ def _step(step: Step) -> dict[str, Any]:
         "t_s": round(step.t, 3),
         "heading_deg": _degrees(step.heading),
         "compass_deg": _degrees(step.compass),
-        "alternative_deg": _degrees(step.modern),
+        "alternative_deg": _degrees(step.alternative),
         "published_deg": None,
     }
     if published is not None:

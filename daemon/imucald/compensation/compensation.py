@@ -18,7 +18,7 @@ from imucald.compensation.terms import Terms, TriadTerms, saved_text
 from imucald.compensation.tick_preprocessing import TickPreprocessing
 from imucald.compensation.time_alignment import TimeAlignment, alignment_shifts
 from imucald.compensation.vehicle import VehicleCorrection
-from imucald.config.network import VehicleSettings
+from imucald.config.vehicle import VehicleSettings
 from imucald.core.samples import Samples, Series
 from imucald.model.section import ZERO
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings

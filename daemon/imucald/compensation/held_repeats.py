@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.steps import Step, through
+from imucald.compensation.sample_chain import Step, through
 from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.compensation.held_repeats import HeldRepeats, HeldSteps
+from imucald.compensation.sample_chain import Step, through
 from imucald.compensation.scalars import ScalarCompensator, WheelsCompensator
 from imucald.compensation.smoothing import Smoothed
-from imucald.compensation.steps import Step, through
 from imucald.compensation.terms import ScalarTerms, Terms, TriadTerms
 from imucald.compensation.triads import TriadCompensator
 from imucald.core.samples import Series

@@ -17,7 +17,6 @@ from imucald.config.network import (
     MessageProtection,
     Output,
     OutputIds,
-    VehicleSettings,
 )
 from imucald.config.root import Config, LoadedConfig, json_schema, load_config, parse_config
 from imucald.config.signals import (
@@ -29,6 +28,7 @@ from imucald.config.signals import (
     ValidWhen,
     Wheels,
 )
+from imucald.config.vehicle import VehicleSettings
 
 __all__ = [
     "EXTENDED_ID_MAX",

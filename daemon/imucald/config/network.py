@@ -1,13 +1,12 @@
-"""Databases, message protection, the bus, what is sent, the vehicle."""
+"""Databases, message protection, the bus, what is sent."""
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal
 
 from msgspec import Meta, field, structs
 
-from imucald.config.base import CanId, Part, Positive, Settings
+from imucald.config.base import CanId, Positive, Settings
 
 
 class DatabaseSettings(Settings, frozen=True):
@@ -100,45 +99,3 @@ class Output(Settings, frozen=True):
     status_rate: Literal[1, 2, 5, 10] = 1
     """Status frames per second."""
     checksum: Literal["crc8_j1850", "xor", "none"] = "crc8_j1850"
-
-
-class ModelFile(Settings, frozen=True):
-    """The model file of the vehicle: what it knows is taken out of the signals."""
-
-    path: str
-    """Relative to the configuration file."""
-    compensate_suspension: bool = True
-    """The body's squat, dive and roll are taken out of the corrected signals."""
-
-
-class VehicleSettings(Settings, frozen=True):
-    """What is known about the vehicle."""
-
-    id: Annotated[str, Meta(max_length=64)] = "vehicle"
-    """Identity; a saved state is used for the same vehicle only."""
-    driving_side: Literal["left", "right", "unknown"] = "unknown"
-    """Side of the road it drives on: the road's crown leans the vehicle towards the kerb."""
-    crown_percent: Annotated[float, Meta(ge=0, le=5)] = 1.2
-    """Mean cross slope of the roads it uses, towards the kerb."""
-    crown_spread_percent: Annotated[float, Meta(gt=0, le=5)] = 0.65
-    """Spread of that mean from drive to drive."""
-    wheelbase: Positive = 2.7
-    """[m]; turns the steering angle into a yaw rate where there is no other."""
-    steering_ratio: Positive = 15.0
-    """Steering-wheel angle over road-wheel angle."""
-    track: Positive = 1.55
-    """[m]; how much the wheels may differ in a curve."""
-
-    crown_mean = Part("crown_percent")
-    crown_spread = Part("crown_spread_percent")
-
-    @property
-    def kerb(self) -> float:
-        """Sign of the roll that the crown of a road gives this vehicle; 0 where unknown."""
-        return {"right": 1.0, "left": -1.0}.get(self.driving_side, 0.0)
-
-    @property
-    def crown_std(self) -> float:
-        """Spread of the crown's roll [rad]: with an unknown side its mean is in it too."""
-        spread = self.crown_spread
-        return spread if self.kerb else math.hypot(self.crown_mean, spread)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,12 @@ from imucald.config.network import (
     Databases,
     DatabaseSettings,
     MessageProtection,
-    ModelFile,
     Output,
-    VehicleSettings,
 )
 from imucald.config.shorthand import spelled_out
 from imucald.config.signals import Signals
 from imucald.config.uds import Diagnostics
+from imucald.config.vehicle import ModelFile, VehicleSettings
 from imucald.core.errors import ConfigError
 from imucald.core.locations import Marks, Place, located
 from imucald.core.typed import typed
@@ -83,7 +83,10 @@ class LoadedConfig:
 
     def _resolved(self, path: str) -> Path:
         base = self.path.parent if self.path is not None else Path.cwd()
-        return (base / path).resolve()
+        try:
+            return (base / path).resolve()
+        except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a NUL in the name
+            raise ConfigError(f"{_name(self.path)}: {path!r} is no path: {error}") from None
 
     def with_databases(self, entries: tuple[DatabaseSettings, ...]) -> LoadedConfig:
         """The same configuration with other database entries."""
@@ -128,8 +131,8 @@ def _name(path: Path | None) -> str:
     return "<config>" if path is None else str(path)
 
 
-def json_schema() -> str:
-    """JSON schema (draft 2020-12) of the configuration."""
+def json_schema(choices: Mapping[tuple[str, str], Sequence[str]] | None = None) -> str:
+    """JSON schema (draft 2020-12) of the configuration; choices: see `described_schema`."""
     from imucald.config.schema import described_schema  # noqa: PLC0415 - only for this
 
-    return json.dumps(described_schema(Config), indent=2)
+    return json.dumps(described_schema(Config, choices or {}), indent=2)

@@ -9,7 +9,7 @@ import ast
 import inspect
 import itertools
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -21,8 +21,14 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 REFERENCE = "#/$defs/"
 
 
-def described_schema(kind: type[Settings]) -> dict[str, Any]:
-    """JSON schema of settings and of all that they hold, with a description of each key."""
+def described_schema(
+    kind: type[Settings], choices: Mapping[tuple[str, str], Sequence[str]]
+) -> dict[str, Any]:
+    """JSON schema of settings and of all that they hold, with a description of each key.
+
+    choices: the words that a key takes, by the settings' class and the key, where another room
+    knows them.
+    """
     _, parts = msgspec.json.schema_components([kind], ref_template=f"{REFERENCE}{{name}}")
     kinds = {found.__name__: found for found in _settings_within(Settings)}
     for name, part in parts.items():
@@ -30,6 +36,8 @@ def described_schema(kind: type[Settings]) -> dict[str, Any]:
         for key, text in _texts(kinds[name]).items():
             if key in part["properties"]:
                 part["properties"][key].setdefault("description", text)
+    for (name, key), words in choices.items():
+        parts[name]["properties"][key]["enum"] = list(words)
     whole = parts.pop(kind.__name__)
     return {"$schema": DRAFT, **whole, "$defs": parts}
 

@@ -112,8 +112,8 @@ def _is_ours(folder: Path) -> bool:
 def _stamp() -> str:
     """What reads databases and YAML: our modules and their libraries, by size and time."""
     package = Path(__file__).parents[1]
-    ours = (f"{package}/can/dbc/database.py", f"{package}/core/yaml_parser.py")
-    found = [os.stat(file) for file in (*ours, *_libraries())]  # noqa: PTH116
+    ours = ("can/dbc/message.py", "can/dbc/parser.py", "core/yaml_parser.py")
+    found = [os.stat(f) for f in (*(f"{package}/{name}" for name in ours), *_libraries())]  # noqa: PTH116
     return " ".join(f"{one.st_size} {one.st_mtime_ns}" for one in found)
 
 

@@ -21,6 +21,9 @@ Matrix3 = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Rows = tuple[float, float, float, float, float, float, float, float, float]
 """A 3 x 3 matrix as plain numbers, row by row: per sample an array costs more than its sums."""
+Quaternion = tuple[float, float, float, float]
+"""w, x, y, z of a unit quaternion."""
+IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
 def times(m: Rows, v: Sequence[float]) -> Vector:
@@ -103,7 +106,7 @@ def vector_from_rotation(R: ArrayLike) -> NDArray[np.float64]:
     return np.array([x * factor, y * factor, z * factor])
 
 
-def quaternion_from_rotation(R: ArrayLike) -> tuple[float, float, float, float]:
+def quaternion_from_rotation(R: ArrayLike) -> Quaternion:
     """Return unit quaternion (w, x, y, z) with w >= 0 of a rotation (3, 3) (Shepperd's method)."""
     M = np.asarray(R, dtype=float)
     candidates = [
@@ -154,3 +157,49 @@ def orthonormalised(R: ArrayLike) -> Matrix3:
     D = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
     result: Matrix3 = U @ D @ Vt
     return result
+
+
+def quaternion_from_vector(x: float, y: float, z: float) -> Quaternion:
+    """Unit quaternion of a rotation vector [rad]."""
+    square = x * x + y * y + z * z
+    if square < 1e-8:  # sin and cos to double precision: the next terms are below 1e-17
+        k = 0.5 - square / 48.0
+        return 1.0 - square / 8.0, x * k, y * k, z * k
+    angle = math.sqrt(square)
+    k = math.sin(0.5 * angle) / angle
+    return math.cos(0.5 * angle), x * k, y * k, z * k
+
+
+def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
+    """Product p q, normalised: rotation q first, then p."""
+    pw, px, py, pz = p
+    qw, qx, qy, qz = q
+    w = pw * qw - px * qx - py * qy - pz * qz
+    x = pw * qx + px * qw + py * qz - pz * qy
+    y = pw * qy - px * qz + py * qw + pz * qx
+    z = pw * qz + px * qy - py * qx + pz * qw
+    k = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    return w * k, x * k, y * k, z * k
+
+
+def quaternion_turned(q: Quaternion, x: float, y: float, z: float) -> Quaternion:
+    """q followed, in body axes, by a rotation vector [rad]; stays of unit length."""
+    return quaternion_product(q, quaternion_from_vector(x, y, z))
+
+
+def rows_from_quaternion(q: Quaternion) -> Rows:
+    """The rotation matrix of a unit quaternion."""
+    w, x, y, z = q
+    xx, yy, zz = x * x, y * y, z * z
+    xy, xz, yz = x * y, x * z, y * z
+    wx, wy, wz = w * x, w * y, w * z
+    return (
+        1.0 - 2.0 * (yy + zz), 2.0 * (xy - wz), 2.0 * (xz + wy),
+        2.0 * (xy + wz), 1.0 - 2.0 * (xx + zz), 2.0 * (yz - wx),
+        2.0 * (xz - wy), 2.0 * (yz + wx), 1.0 - 2.0 * (xx + yy),
+    )  # fmt: skip
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """Cross product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

@@ -10,6 +10,7 @@ from msgspec import Struct
 from imucald.core import file_cache
 from imucald.core.errors import ConfigError
 from imucald.core.locations import Marks, Place
+from imucald.core.regular_file import read_regular
 
 MAX_FILE_BYTES = 1_000_000
 """Largest accepted file: a thousand times a real one."""
@@ -46,10 +47,10 @@ def read_yaml_file(path: Path, whole: str) -> tuple[Any, Marks]:
     Raises ConfigError also where the file is too long, is no text or cannot be read.
     """
     try:
-        size = path.stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise ConfigError(f"{path}: {size} bytes is too long for a {whole}")
-        text = path.read_text(encoding="utf-8")
+        data = read_regular(path, MAX_FILE_BYTES)
+        if len(data) > MAX_FILE_BYTES:
+            raise ConfigError(f"{path}: more than {MAX_FILE_BYTES} bytes: too long for a {whole}")
+        text = data.decode("utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:

@@ -12,7 +12,12 @@ from imucald.core.locations import Marks, Place
 
 MAX_DEPTH = 30
 """Deepest accepted nesting."""
+MAX_EVENTS = 20_000
+"""Most keys, values, brackets and ends of them: thirty times those of a whole model file."""
+MAX_NUMBER = 64
+"""Longest number [characters]; those in base 60 (1:30:00) take the square of their length."""
 
+_NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 _EXPONENT = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+")
 """Numbers that YAML 1.1, unlike 1.2, takes for text: 1e-3."""
 
@@ -26,8 +31,7 @@ def parse_yaml(text: str, name: str) -> tuple[Any, Marks]:
     try:
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
         try:
-            if "*" in text:
-                _refuse_aliases(text, type(loader), name)
+            _refuse_heavy(text, type(loader), name)
             node = loader.get_single_node()
             marks: Marks = {}
             data = None if node is None else _build(loader, node, (), marks, name)
@@ -45,11 +49,19 @@ def parse_yaml(text: str, name: str) -> tuple[Any, Marks]:
     return data, marks
 
 
-def _refuse_aliases(text: str, loader: type, name: str) -> None:
-    for event in yaml.parse(text, Loader=loader):
+def _refuse_heavy(text: str, loader: type, name: str) -> None:
+    """Look at the text's events, one by one: composing them recurses, in C without any limit."""
+    depth = 0
+    for count, event in enumerate(yaml.parse(text, Loader=loader)):
+        line = event.start_mark.line + 1 if event.start_mark else 1
         if isinstance(event, yaml.AliasEvent):
-            line = event.start_mark.line + 1 if event.start_mark else 1
             raise ConfigError(f"{name}:{line}: YAML aliases (*name) are not accepted")
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise ConfigError(f"{name}:{line}: nested too deeply")
+        if count > MAX_EVENTS:
+            raise ConfigError(f"{name}:{line}: more keys and values than any real file has")
 
 
 def _has_tab(text: str, line: int) -> bool:
@@ -60,8 +72,6 @@ def _has_tab(text: str, line: int) -> bool:
 def _build(loader: Any, node: yaml.Node, place: Place, marks: Marks, name: str) -> Any:
     line = node.start_mark.line + 1
     marks.setdefault(place, line)
-    if len(place) > MAX_DEPTH:
-        raise ConfigError(f"{name}:{line}: nested too deeply")
     if isinstance(node, yaml.SequenceNode):
         return [_build(loader, n, (*place, i), marks, name) for i, n in enumerate(node.value)]
     if isinstance(node, yaml.MappingNode):
@@ -76,6 +86,8 @@ def _build(loader: Any, node: yaml.Node, place: Place, marks: Marks, name: str) 
             marks[(*place, key)] = key_line
             result[key] = _build(loader, value_node, (*place, key), marks, name)
         return result
+    if node.tag in _NUMBER_TAGS and len(node.value) > MAX_NUMBER:
+        raise ConfigError(f"{name}:{line}: a number of {len(node.value)} characters")
     value = _scalar(loader, node)
     if value is not None and not isinstance(value, str | int | float | bool):
         raise ConfigError(f"{name}:{line}: {node.value!r} is neither text nor number")

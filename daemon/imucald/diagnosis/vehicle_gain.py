@@ -13,10 +13,12 @@ import numpy as np
 
 from imucald.compensation import compensation_from_model
 from imucald.compensation.trial import corrected_drive
+from imucald.config.vehicle import VehicleSettings
 from imucald.core.rotations import Matrix3, rotation_from_angles, vector_from_rotation
 from imucald.core.samples import Samples
 from imucald.diagnosis.forward_mount import mount_of
 from imucald.model.model import VehicleModel
+from imucald.mount.estimator_settings import EstimatorSettings
 
 
 def mount_errors_deg(
@@ -39,11 +41,15 @@ def _final_mount(model: VehicleModel) -> Matrix3:
     return R_vehicle_from_sensor
 
 
+KEEPS_RIGHT = EstimatorSettings(vehicle=VehicleSettings(driving_side="right"))
+"""As before the settings moved: the gain is that of a vehicle that keeps to the right."""
+
+
 def _error(drives: Sequence[Samples], model: VehicleModel, final: Matrix3) -> float | None:
     compensation = compensation_from_model(model.dump())
     squares = []
     for samples in drives:
-        estimate = corrected_drive(samples, compensation).estimate
+        estimate = corrected_drive(samples, compensation, KEEPS_RIGHT).estimate
         R = None if estimate is None else estimate.R_vehicle_from_sensor
         if R is not None:
             squares.append(float(np.sum(vector_from_rotation(R @ final.T) ** 2)))

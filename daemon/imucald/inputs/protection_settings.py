@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from imucald.can.dbc.database import Message
+from imucald.can.dbc.message import Message
 from imucald.can.e2e.checksums import KINDS, ChecksumKind
 from imucald.can.e2e.crc import ChecksumSpec
 from imucald.can.e2e.protection import CounterSpec, MessageChecker, ProtectionSpec, counter_of

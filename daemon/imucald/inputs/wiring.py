@@ -10,8 +10,9 @@ from msgspec import Struct
 
 from imucald import config as cfg
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
-from imucald.can.dbc.database import Database, Message, Signal, load_database
+from imucald.can.dbc.database import Database, load_database
 from imucald.can.dbc.decode import compile_decode
+from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.can.e2e.checksums import KINDS
 from imucald.config import LoadedConfig

@@ -112,7 +112,8 @@ def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
     starts = np.flatnonzero(new)
     of_start = cell[starts]
     step = _steps(size[starts], of_start, cells, axes, carry)
-    window = (carry.moved + np.cumsum(moving) - moving) // WINDOW_HOPS
+    moved = moving & (count > 0)
+    window = (carry.moved + np.cumsum(moved) - moved) // WINDOW_HOPS
     top, extreme = _extremes(v, edges, count, moving, window, carry)
     is_new = new.reshape(axes, n)
     alone = (~is_new & (is_new.sum(axis=0) > 0)).ravel()
@@ -123,7 +124,7 @@ def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
     carry.last = v[:, -1].copy()
     carry.run, carry.step = run[:, -1].copy(), step[:, -1].copy()
     carry.extreme = extreme[:, :, -1].copy()
-    carry.moved += int(moving.sum())
+    carry.moved += int(moved.sum())
     if carry.moved // WINDOW_HOPS > window[-1]:
         carry.extreme[:] = -math.inf
     return HopRows(

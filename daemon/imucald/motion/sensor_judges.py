@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion.hops import HOP_S
-from imucald.motion.plausible import ROAD_FORCE
+from imucald.motion.physical_limits import ROAD_FORCE
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

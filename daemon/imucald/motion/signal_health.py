@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.motion.plausible import (
+from imucald.motion.physical_limits import (
     MAX_ROAD_DVDT,
     MAX_ROAD_RATE,
     MAX_TICK,

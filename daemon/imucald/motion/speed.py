@@ -17,7 +17,7 @@ from imucald.motion.ticks import TICK_S
 
 NAN = math.nan
 HISTORY_TICKS = 64
-"""Ticks of running sums that are kept: a delay of up to 2 s and a interval of up to 4 s."""
+"""Ticks of running sums that are kept: a delay of up to 2 s and an interval of up to 4 s."""
 MAX_DELAY = 2.0
 """Speed delay [s] that can be matched, either way."""
 

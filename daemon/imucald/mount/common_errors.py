@@ -36,3 +36,16 @@ def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
         CommonError(BIAS_FLOOR_STD, {"roll_gravity": 1.0}),
         CommonError(BIAS_FLOOR_STD, {"pitch_gravity": 1.0}),
     )
+
+
+def cross_axis_errors() -> tuple[CommonError, ...]:
+    """What cross-axis errors of an rms of one (part) make of each source.
+
+    A half of what gravity's direction gets is counted as bias (see `MountSolver.fit`).
+    """
+    whole = ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn")
+    half = ("pitch_gravity", "roll_gravity")
+    return (
+        *(CommonError(1.0, {name: 1.0}) for name in whole),
+        *(CommonError(0.5, {name: 1.0}) for name in half),
+    )

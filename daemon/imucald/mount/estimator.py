@@ -24,11 +24,14 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.motion.ticks import TickRow
-from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
+from imucald.mount.contradictions import WORDS, Contradictions, StandingFault
+from imucald.mount.creep import BELIEVED, P_CONSTANT, P_CONSTANT_AGAIN
+from imucald.mount.estimate import ANGLES, Correction, Missing, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.hysteresis import GOOD
+from imucald.mount.large_change import LargeChange, LargeChangeDetector, is_off_vertical
 from imucald.mount.refit import KEPT_BLOCKS, Refit
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.shift import Shift
@@ -54,6 +57,16 @@ FIRST_LOOK_BLOCKS = 14
 """The second look takes at least that many blocks (90 s)."""
 LAST_LOOK_BLOCKS = 28
 """Without a rest to know the gyro bias from, it waits no longer than that (3 min)."""
+FAILED_BLOCKS = 14
+"""Numbers out of range stand as a fault for so long after the last of them (90 s)."""
+AFRESH = math.radians(20.0)
+"""After a turn by more [rad] not even the rotation so far is a hint of the new one."""
+STUCK_BLOCKS = 40
+"""While a contradiction stands the rotation is sought anew every 4 min: the mount may move."""
+FOUND_ANEW = frozenset({StandingFault.FORCE_TURNS, StandingFault.FORCE_SPEED})
+"""Faults that end by a rotation that was found while they stood: that one stays."""
+SHIFTS_ALLOWED = 1
+"""After more of them in one drive the mount is loose: it is never *fine*."""
 FROZEN_TICKS = 40
 """Learning counts as frozen when so many of a block's ticks were not to be trusted."""
 
@@ -79,7 +92,14 @@ class FullEstimator:
         self._refit: Refit | None = None
         self._looked_again = False
         self._moved = self._stands_out = False
-        self._shifts: list[tuple[int, Shift | GravityStep]] = []
+        self._shifts: list[tuple[int, Shift | GravityStep | LargeChange]] = []
+        self._contradictions = Contradictions(self._settings)
+        self._large = LargeChangeDetector(self._settings)
+        self._faults: tuple[StandingFault, ...] = ()
+        self._faults_seen: list[tuple[int, StandingFault]] = []
+        self._segment = 0
+        self._failures = 0
+        self._failed_for = 0
         self._known = MountKnowledge(accelerometer=False)
 
     @property
@@ -109,12 +129,34 @@ class FullEstimator:
         self._refit = None
         self._kept.clear()
 
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Contradictions that stand now, by the names of `StandingFault`."""
+        return tuple(fault.value for fault in self._faults)
+
     def _take_block(self, p: SignalBlock) -> None:
+        """Learn from a block; numbers that no arithmetic bears freeze learning and are told."""
         self._blocks += 1
+        self._failed_for = max(self._failed_for - 1, 0)
+        try:
+            with np.errstate(over="raise", invalid="raise", divide="raise"):
+                self._learn_from(p)
+        except (np.linalg.LinAlgError, ArithmeticError):
+            self._fail()
+        self._judge(p)
+
+    def _fail(self) -> None:
+        """Drop what was learnt: numbers that cannot be are in it."""
+        self._failures += 1
+        self._failed_for = FAILED_BLOCKS
+        self._begin_without_rotation([])
+
+    def _learn_from(self, p: SignalBlock) -> None:
         self._kept.append(p)
         self._follow_speed()
         self._driven.add(*self._solver.add(p))
         self._follow_steering(p)
+        self._watch(p)
         if self._refit is not None:
             self._refit.push(p)
         is_turn = self._blocks % LAZY_BLOCKS == 0 or self._stands_out
@@ -122,11 +164,74 @@ class FullEstimator:
         is_refitting = self._refit is not None
         if is_turn or is_young:
             self._solver.fit()
+        if self._solver.response.segment != self._segment:
+            self._segment = self._solver.response.segment
+            self._solver.p_constant = P_CONSTANT_AGAIN if self._shifts else P_CONSTANT
+            self._solver.follow_creep()
+        if self._look_for_large_change(p):
+            return
         if not is_refitting and not self._looked_again:
             self._look_again()
         elif not is_refitting:
             self._look_for_shift(thoroughly=is_turn)
-        self._judge(p)
+
+    def _watch(self, p: SignalBlock) -> None:
+        """Hold the signals against one another; a contradiction that has ended begins anew."""
+        solver, signals = self._solver, self._signals
+        if signals.without_speed:
+            return
+        R = solver.R if solver.yaw_known else None
+        self._contradictions.add(
+            p,
+            solver.turn_rate,
+            solver.own_gyro,
+            R,
+            signals.steering_offset,
+            "yaw_rate" in signals.seen,
+        )
+        before, self._faults = self._faults, self._contradictions.faults
+        new = [fault for fault in self._faults if fault not in before]
+        self._faults_seen += [(self._blocks, fault) for fault in new]
+        is_stuck = bool(self._faults) and self._solver.blocks >= STUCK_BLOCKS
+        if new or (before and not self._faults and FOUND_ANEW.isdisjoint(before)) or is_stuck:
+            self._begin_without_rotation([p])
+
+    def _look_for_large_change(self, p: SignalBlock) -> bool:
+        """Look for a turn by several degrees, and for gravity far from the vertical."""
+        solver, large = self._solver, self._large
+        if solver.R is None or not solver.yaw_known or (self._moved and self._refit is not None):
+            large.restart()
+            return False
+        if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
+            self._begin_without_rotation([p])
+            return True
+        large.add(p, solver.R, p.speed * solver.turn_rate, solver.gains(), self._has_speed)
+        change = large.while_standing(p, solver.R)
+        if self._state not in GOOD:
+            return False  # nothing is served as good, and the fit is young
+        if change is None:
+            change = large.found((0, 1, 2) if solver.own_gyro else (0, 1))
+        if change is None:
+            return False
+        self._take_shift(change, max(change.blocks - 1, 1))  # the oldest holds the change itself
+        return True
+
+    @property
+    def _has_speed(self) -> bool:
+        return not self._signals.without_speed
+
+    def _begin_without_rotation(self, blocks: list[SignalBlock]) -> None:
+        """Begin anew from these blocks: not even the rotation so far is a hint."""
+        self._moved, self._stands_out = True, False
+        self._driven = Manoeuvres()
+        self._looked_again = True
+        self._solver = MountSolver(self._settings)
+        self._solver.response.without_speed = self._signals.without_speed
+        self._refit = None
+        self._large.restart()
+        self._contradictions.forget_forces()
+        for p in blocks:
+            self._driven.add(*self._solver.add(p))
 
     def _follow_speed(self) -> None:
         """Begin anew where a speed has come, or will not come: the evidence is of another kind."""
@@ -183,18 +288,30 @@ class FullEstimator:
             if found is None or found.excess < 1.0:
                 return
         after = found.blocks if isinstance(found, GravityStep) else found.segments * GROUP
+        self._take_shift(found, after)
+
+    def _take_shift(self, found: Shift | GravityStep | LargeChange, after: int) -> None:
+        """The sensor was moved: what came in the blocks after is all that counts."""
         self._shifts.append((self._blocks, found))
+        if abs(found.size) > AFRESH:
+            self._begin_without_rotation(list(self._kept)[-min(after, len(self._kept)) :])
+            return
         self._moved, self._stands_out = True, False
         self._solver.prior_drives = None  # it is about the mount before
         self._driven = Manoeuvres()
+        self._large.restart()
+        self._looked_again = True
         self._begin_refit(list(self._kept)[-min(after, len(self._kept)) :])
 
     def _judge(self, p: SignalBlock) -> None:
         solver = self._solver
+        if self._failed_for:
+            self._faults = (*self._faults, StandingFault.NUMERICS)
         fused = solver.fused
         std = (math.inf, math.inf, math.inf)
         if fused is not None:
-            x, y, z = (math.sqrt(v) for v in fused.variance.tolist())
+            more = np.zeros(3) if solver.creep is None else solver.creep.variance
+            x, y, z = (math.sqrt(v) for v in (fused.variance + more).tolist())
             std = (x, y, z if solver.yaw_known else math.inf)
         self._known = MountKnowledge(
             gravity=fused is not None,
@@ -207,14 +324,37 @@ class FullEstimator:
             speed=not self._signals.without_speed and bool(p.ok_speed.any()),
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
         )
-        self._state = self._state_by(judged(self._known, self._state, self._settings))
-        if self._state in GOOD:
+        found = judged(self._known, self._state, self._settings)
+        was_good = self._state in GOOD
+        self._state = self._state_by(self._allowed(found))
+        if self._state not in GOOD:
+            return
+        self._served.aim(self._answer()[0])
+        if was_good or self._served.has_arrived:
             self._moved = False
-            self._served.aim(self._answer()[0])
+        else:  # good again, but what is applied is still on the way from what was wrong
+            self._state = MountState.RECALIBRATING
+
+    def _allowed(self, found: MountState) -> MountState:
+        """No *fine* before the tests can see, and nothing good in the face of a contradiction."""
+        serving = self._served.correction is not None
+        if found in GOOD and not serving and self._contradictions.doubtful:
+            return MountState.LEVELLED
+        if found is MountState.FINE and not self._may_be_fine():
+            return MountState.USABLE
+        return found
+
+    def _may_be_fine(self) -> bool:
+        """Whether every test is armed, the signals were seen to agree, and little has happened."""
+        if len(self._shifts) > SHIFTS_ALLOWED or not self._solver.armed:
+            return False
+        return self._signals.without_speed or self._contradictions.agreed
 
     def _state_by(self, found: MountState) -> MountState:
         """The state to report for the one that the evidence gives."""
         is_good = found in GOOD
+        if self._faults and (is_good or self._served.correction is not None):
+            return MountState.SUSPECT
         is_refitting = self._refit is not None
         is_recovering = self._moved and (is_refitting or not is_good)
         is_serving = self._served.correction is not None
@@ -231,6 +371,9 @@ class FullEstimator:
             return np.eye(3), np.eye(3)
         R = rotation_from_vector([-s.crown, 0.0, 0.0]) @ solver.R
         variance = solver.fused.variance.copy()
+        if solver.creep is not None:
+            R = rotation_from_vector(solver.creep.level) @ R
+            variance += solver.creep.variance
         if not solver.yaw_known:
             variance[2] = (math.pi / math.sqrt(3.0)) ** 2
         covariance = np.diag(variance)
@@ -270,10 +413,46 @@ class FullEstimator:
         reasons = waiting_for(self._known, self._settings)
         words = {name: text for name, (text, _) in reasons.items()}
         codes = {name: code for name, (_, code) in reasons.items()}
+        for angle, text in self._troubles().items():
+            words[angle], codes[angle] = text, Missing.OTHER
         if self._solver.fused is None:
-            return MountEstimate(self._state, waiting_for=words, missing=codes)
+            return MountEstimate(self._state, waiting_for=words, missing=codes, faults=self.faults)
         R, covariance = self._answer()
-        return MountEstimate(self._state, R, covariance, words, codes, self._details())
+        return MountEstimate(self._state, R, covariance, words, codes, self._details(), self.faults)
+
+    def _troubles(self) -> dict[str, str]:
+        """What more driving does not mend, per angle: contradictions, and a mount that moves."""
+        if self._faults:
+            text = "; ".join(WORDS[fault] for fault in self._faults)
+            return dict.fromkeys(ANGLES, text)
+        if self._state is MountState.FINE:
+            return {}
+        creeping = self._creep()
+        if self._state in GOOD:
+            return {
+                angle: f"the mount creeps: about {abs(found['deg_per_h']):.0f} deg/h"
+                for angle, found in creeping.items()
+            }
+        return {
+            angle: f"the mount moves by {abs(found['moved_deg']):.1f} deg within the drive"
+            for angle, found in creeping.items()
+        }
+
+    def _creep(self) -> dict[str, dict[str, float]]:
+        """Angles that creep: how fast by the time of driving, how far so far, how sure that is."""
+        creep = self._solver.creep
+        if creep is None:
+            return {}
+        an_hour = 3600.0 / (GROUP * BLOCK_S)
+        return {
+            angle: {
+                "deg_per_h": math.degrees(float(creep.rate[i])) * an_hour,
+                "moved_deg": math.degrees(float(creep.moved[i])),
+                "probability": float(creep.probability[i]),
+            }
+            for i, angle in enumerate(ANGLES)
+            if creep.probability[i] > BELIEVED
+        }
 
     def _details(self) -> dict[str, object]:
         solver, signals, known = self._solver, self._signals, self._known
@@ -308,6 +487,11 @@ class FullEstimator:
                     "deviations": shift.deviations,
                 }
                 for block, shift in self._shifts
+            ],
+            "creep": self._creep(),
+            "cross_axis_std": solver.cross_axis_std,
+            "faults": [
+                {"t": block * BLOCK_S, "fault": fault.value} for block, fault in self._faults_seen
             ],
             "frozen_ticks": dict(signals.health.counts),
         }

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 from imucald.config.calibration import CalibrationSettings
-from imucald.config.network import VehicleSettings
+from imucald.config.vehicle import VehicleSettings
 from imucald.mount.priors import (
     ACCEL_SCALE_STD,
     GYRO_MISALIGNMENT_STD,

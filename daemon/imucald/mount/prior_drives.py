@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
+from imucald.mount.common_errors import cross_axis_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
 from imucald.mount.fusion import AXES, MAX_WIDENED, CommonCovariance, CommonError, Fused, fuse
 from imucald.mount.road_segments import AngleEvidence
@@ -48,28 +49,35 @@ class PriorDrives:
         self._between = (math.hypot(roll, crown_std), pitch, yaw)
         self.contradiction = 0.0
         """Of prior drives and this one at the last fit: chi-square with 3 degrees of freedom."""
-        both = [
-            CommonError(s.std, {**s.signs, **{name + BEFORE: x for name, x in s.signs.items()}})
-            for s in shared
-        ]
+        both = _on_both_sides(shared)
         between = [
             CommonError(std, {name + BEFORE: 1.0 for name in KINDS if axis_of(name) == axis})
             for axis, std in enumerate(self._between)
         ]
         self._shared = (*both, *between)
 
+    @property
+    def segments(self) -> int:
+        """Road segments of the best known kind."""
+        return max((len(p.score) for p in self.kept.sources.values()), default=0)
+
     def fused(
-        self, sources: Mapping[str, AngleEvidence], R: Matrix3, bias: tuple[float, float]
+        self,
+        sources: Mapping[str, AngleEvidence],
+        R: Matrix3,
+        bias: tuple[float, float],
+        cross_axis: float = 0.0,
     ) -> Fused:
         """Fuse this drive's sources about R with those of before.
 
         bias: variance of the accelerometer's bias in roll and pitch from gravity, in the sources.
+        cross_axis: error that the sources are probably off by (part).
         """
         now, kept = dict(sources), self.kept.about(R).sources
         before = {
             n: AngleEvidence(p.value, p.variance + p.bias, len(p.score)) for n, p in kept.items()
         }
-        shared = list(self._shared)
+        shared = [*self._shared, *_on_both_sides(cross_axis_errors(), cross_axis)]
         for name, present in zip(GRAVITY_KINDS, bias, strict=True):
             if name in now and name in kept:
                 common = min(present, kept[name].bias)
@@ -104,6 +112,14 @@ def _behind(one: ScoreSeries, kept: SavedSource, part: float) -> ScoreSeries:
     mean = kept.information * (kept.score.sum() / max(float(kept.information.sum()), 1e-12))
     score = part * mean + math.sqrt(part) * (kept.score - mean)
     return one.behind(score, part * kept.information)
+
+
+def _on_both_sides(shared: Sequence[CommonError], times: float = 1.0) -> list[CommonError]:
+    """Errors that a drive shares with those before."""
+    return [
+        CommonError(times * s.std, {**s.signs, **{name + BEFORE: x for name, x in s.signs.items()}})
+        for s in shared
+    ]
 
 
 def _less(source: AngleEvidence, variance: float) -> AngleEvidence:

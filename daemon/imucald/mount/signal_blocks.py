@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
-from imucald.motion.at_rest import (
+from imucald.motion.rest_thresholds import (
     PARKED_FORCE_CHANGE,
     PARKED_FORCE_STD,
     PARKED_RATE_STD,

@@ -18,20 +18,29 @@ from imucald.core.rotations import (
 )
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.common_errors import common_errors
+from imucald.mount.common_errors import common_errors, cross_axis_errors
+from imucald.mount.creep import P_CONSTANT, Creep, creep
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_spectra import MEASURED, RATE, SPEED_RATE, WINDOW, Measured, spectra
-from imucald.mount.fusion import CommonCovariance, Fused, fuse
+from imucald.mount.fusion import CommonCovariance, Fused, fuse, probable_scale2
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.prior_drives import PriorDrives
-from imucald.mount.priors import BIAS_DRIFT_STD
+from imucald.mount.priors import BIAS_DRIFT_STD, CROSS_AXIS
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import SavedInformation, named_series, saved_sources, together
-from imucald.mount.shift import NO_STEPS, SPANS, ScoreSeries, Shift, largest_change
+from imucald.mount.shift import (
+    MIN_BEFORE,
+    NO_STEPS,
+    SPANS,
+    UNEVEN_STD,
+    ScoreSeries,
+    Shift,
+    largest_change,
+)
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
@@ -60,6 +69,8 @@ SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
 """Windows after which the delay is sought: first, and then every so many."""
+UNEVEN_TILT = {name: std for name, std in UNEVEN_STD.items() if not name.startswith("yaw")}
+"""What roads make sources of roll and pitch differ by, beside what the sensor does."""
 SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
@@ -88,8 +99,15 @@ class MountSolver:
         self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
         self.blocks = 0
-        self._sharing = CommonCovariance(common_errors(settings))
+        self._certain = CommonCovariance(common_errors(settings))
+        self._sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
+        if settings.calibration.cross_axis > 0.0:
+            self._sharing.scale2 = 0.0  # configured: in the common errors
+        else:
+            self._sharing.scale2 = CROSS_AXIS[0][0] ** 2
         self.prior_drives: PriorDrives | None = None
+        self.creep: Creep | None = None
+        self.p_constant = P_CONSTANT
         self._tilt_bias = (0.0, 0.0)
         self._began: deque[int] = deque([0], maxlen=int(SPANS[-1]))  # blocks, of road segments
         self.response.delays = (self.delay_speed.value, 0.0)
@@ -209,7 +227,7 @@ class MountSolver:
         if not self.gravity.known:
             return
         s = self._settings
-        cross = s.calibration.cross_axis
+        cross = self.cross_axis_std
         spread = math.sqrt(
             s.calibration.accelerometer_bias**2 + BIAS_DRIFT_STD**2 + (GRAVITY * cross) ** 2
         )
@@ -242,10 +260,16 @@ class MountSolver:
                 source = sources["yaw_dvdt"]
                 sources["yaw_dvdt"] = replace(source, variance=source.variance + PRINCIPAL_STD**2)
             self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
+            if s.calibration.cross_axis == 0.0:
+                self._sharing.scale2 = probable_scale2(
+                    sources, self._sharing, CROSS_AXIS, UNEVEN_TILT
+                )
             if self.prior_drives is None:
-                fused = fuse(sources, self._sharing)
+                fused = fuse(sources, self._sharing, self._certain)
             else:
-                fused = self.prior_drives.fused(sources, self.R, self._tilt_bias)
+                fused = self.prior_drives.fused(
+                    sources, self.R, self._tilt_bias, math.sqrt(self._sharing.scale2)
+                )
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
             self.sources, self.fused = sources, fused
         self.bias, self.bias_cov = bias, bias_cov
@@ -256,6 +280,27 @@ class MountSolver:
             self.vertical.steps.history.go_on()
             return None
         return self.vertical.steps.found(self.R)
+
+    @property
+    def cross_axis_std(self) -> float:
+        """Cross-axis error that is reckoned with (part): configured, or probable."""
+        return math.hypot(self._settings.calibration.cross_axis, math.sqrt(self._sharing.scale2))
+
+    def follow_creep(self) -> None:
+        """See whether the mount creeps; once a road segment."""
+        if self.R is None or self.bias is None or not self.yaw_known:
+            return
+        series = self.response.series
+        if not self.response.without_speed:
+            series = series + self._gravity_series(self.R, self.bias)
+        self.creep = creep(series, self.sources, self.p_constant)
+
+    @property
+    def armed(self) -> bool:
+        """Whether a change of each angle would be seen: enough road before, and after."""
+        segments = self.response.segment
+        before = 0 if self.prior_drives is None else self.prior_drives.segments
+        return segments >= SPANS[0] and segments + before >= max(MIN_BEFORE) + SPANS[0]
 
     def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
         """The change of the mount that the last minutes' evidence speaks for most."""

@@ -12,7 +12,7 @@ from imucald.attitude.estimate import SETTLED_STD, AttitudeEstimate, AttitudeSta
 from imucald.attitude.filter import AttitudeFilter
 from imucald.config import Config, LoadedConfig
 from imucald.core.rotations import times
-from imucald.motion.plausible import is_plausible
+from imucald.motion.physical_limits import is_plausible
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import Correction, MountEstimate
 from imucald.runtime.consumer import ORDER, Consumer

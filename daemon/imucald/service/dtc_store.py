@@ -13,13 +13,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from imucald.core.atomic_file import (
-    free_name,
-    read_file,
-    split_checksum,
-    with_checksum,
-    write_file,
-)
+from imucald.core.atomic_file import free_name, split_checksum, with_checksum, write_file
+from imucald.core.regular_file import read_regular
 from imucald.service.journal import WARNING
 from imucald.service.state_writer import Say, StateWriter
 from imucald.uds.dtc_memory import DtcMemory
@@ -82,7 +77,7 @@ class DtcStore:
 
     def _read(self, path: Path) -> Mapping[str, Any]:
         try:
-            data = read_file(path, MAX_BYTES)
+            data = read_regular(path, MAX_BYTES)
         except FileNotFoundError:
             return {}
         except OSError as error:

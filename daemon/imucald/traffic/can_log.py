@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.simulation.drive import Drive
-from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.drive_encoder import BusEncoder
 from imucald.traffic.other_units import arbitrated, background, joined
 
 EPOCH_S = 1_600_000_000.0

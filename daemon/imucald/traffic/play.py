@@ -8,7 +8,7 @@ from typing import Protocol
 
 from imucald.simulation.drive import Drive
 from imucald.traffic.can_log import Progress, live_frames
-from imucald.traffic.encoder import BusEncoder
+from imucald.traffic.drive_encoder import BusEncoder
 
 EARLY_S = 0.0005
 """Frames due within this are sent at once: sleeping shorter than that is not dependable."""

@@ -8,18 +8,22 @@ from __future__ import annotations
 
 import math
 
-from imucald.attitude.right_forward_up import (
+from imucald.config.attitude import AlternativeSettings
+from imucald.core.rotations import (
     IDENTITY,
     Quaternion,
+    Rows,
+    Vector,
     cross,
-    from_vector,
-    product,
-    rotated,
-    rows,
+    levelling_rotation,
+    quaternion_from_rotation,
+    quaternion_from_vector,
+    quaternion_product,
+    quaternion_turned,
+    rows_from_quaternion,
+    times,
 )
-from imucald.config.attitude import AlternativeSettings
-from imucald.core.rotations import Rows, Vector, levelling_rotation, quaternion_from_rotation, times
-from imucald.motion.at_rest import MAX_TERMINAL_BIAS, TERMINAL_RATE_RANGE
+from imucald.motion.rest_thresholds import MAX_TERMINAL_BIAS, TERMINAL_RATE_RANGE
 from imucald.travel_direction.north import NorthFilter
 
 TWO_PI = 2.0 * math.pi
@@ -42,7 +46,7 @@ class TerminalAttitude:
         """Begin anew: time has jumped."""
         self.q: Quaternion = IDENTITY
         """Terminal to P."""
-        self.level: Rows = rows(IDENTITY)
+        self.level: Rows = rows_from_quaternion(IDENTITY)
         self.turned = 0.0
         """Angle turned about the vertical by the gyroscope, clockwise seen from above [rad]."""
         self.ready = False
@@ -68,7 +72,7 @@ class TerminalAttitude:
             last = self.rate
             v = (k * (rate[0] + last[0]), k * (rate[1] + last[1]), k * (rate[2] + last[2]))
             self.turned -= times(self.level, v)[2]
-            self._set(rotated(self.q, *v))
+            self._set(quaternion_turned(self.q, *v))
         self._t_gyro, self.rate = t, rate
 
     def accel(self, t: float, force: Vector) -> None:
@@ -86,7 +90,7 @@ class TerminalAttitude:
         x, y, z = times(self.level, force)
         part = dt / (min(self.settings.gravity_time, self._age) + dt)
         ex, ey, _ = cross((x / size, y / size, z / size), (0.0, 0.0, 1.0))
-        self._set(product(from_vector(ex * part, ey * part, 0.0), self.q))
+        self._set(quaternion_product(quaternion_from_vector(ex * part, ey * part, 0.0), self.q))
 
     def mag(self, t: float, field: Vector) -> None:
         """Take a magnetic field [T]."""
@@ -106,7 +110,7 @@ class TerminalAttitude:
         if self._signal_yaw is None:
             self._signal_yaw, self._signal_age = yaw, 0.0
             return
-        if dt <= 0.0:  # of the same moment: it weighs nothing
+        if dt <= 0.0:  # of the same snapshot: it weighs nothing
             return
         self._signal_age += dt
         part = dt / (min(self.settings.compass_time, self._signal_age) + dt)
@@ -119,7 +123,7 @@ class TerminalAttitude:
 
     def _set(self, q: Quaternion) -> None:
         self.q = q
-        self.level = rows(q)
+        self.level = rows_from_quaternion(q)
 
     def _rest_begin(self) -> None:
         self._rest_start = math.nan

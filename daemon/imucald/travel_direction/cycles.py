@@ -21,12 +21,12 @@ GAP_S = 0.25
 """Samples further apart than this do not belong to one cycle [s]."""
 SOFT_SHARE = 0.4
 """While walking, the threshold is this part of the vertical acceleration's rms, or lower."""
-LEAST_SAMPLES = 6
+MIN_SAMPLES = 6
 """A sine needs so many samples."""
 
 
 @dataclass(frozen=True)
-class Cycle:
+class StepCycle:
     """One step: its time [s], and the acceleration (POINTS, 3) on equal parts of it [m/s^2].
 
     Terminal axes; level: the same in the level frame that was handed in; turning: (POINTS, 2)
@@ -79,7 +79,7 @@ class StepCycles:
         level: Vector = (0.0, 0.0, 0.0),
         turning: tuple[float, float] = (0.0, 0.0),
         up: float | None = None,
-    ) -> Cycle | None:
+    ) -> StepCycle | None:
         """Take a sample [m/s^2] at t [s]; return the cycle that it ends, if any.
 
         level, turning: in a level frame, kept with the cycle. up: the part along the vertical,
@@ -113,13 +113,13 @@ class StepCycles:
         part = -before / (vertical - before)
         return self._crossing(t - dt + part * dt)
 
-    def _crossing(self, t: float) -> Cycle | None:
+    def _crossing(self, t: float) -> StepCycle | None:
         s = self.settings
         start, duration = self._start, t - self._start
         if duration < s.shortest:
             self._armed = False
             return None
-        whole = self._high and duration <= s.longest and len(self._samples) >= LEAST_SAMPLES
+        whole = self._high and duration <= s.longest and len(self._samples) >= MIN_SAMPLES
         cycle = self._cut(start, t) if whole else None
         self._start = t
         self._armed = self._high = False
@@ -128,11 +128,11 @@ class StepCycles:
             self.steps += 1
         return cycle
 
-    def _cut(self, t0: float, t1: float) -> Cycle:
+    def _cut(self, t0: float, t1: float) -> StepCycle:
         columns = np.array(self._samples)
         grid = t0 + (t1 - t0) * (np.arange(POINTS) / POINTS)
         made = np.column_stack([np.interp(grid, columns[:, 0], c) for c in columns.T[1:]])
-        return Cycle(t0, t1, made[:, :3], made[:, 3:6], made[:, 6:])
+        return StepCycle(t0, t1, made[:, :3], made[:, 3:6], made[:, 6:])
 
     def _threshold(self, dt: float, vertical: float) -> float:
         """Lower while somebody walks softly: an arm that swings takes from every other step."""

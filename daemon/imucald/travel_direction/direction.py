@@ -16,11 +16,11 @@ import numpy as np
 
 from imucald.config.attitude import TravelDirectionSettings
 from imucald.core.rotations import Vector, times, transposed_times
-from imucald.motion.plausible import is_plausible
+from imucald.motion.physical_limits import is_plausible
 from imucald.travel_direction.attitude import TerminalAttitude
-from imucald.travel_direction.cycles import Cycle, StepCycles
-from imucald.travel_direction.gyro_step_axis import ModernDirection
-from imucald.travel_direction.published import (
+from imucald.travel_direction.cycles import StepCycle, StepCycles
+from imucald.travel_direction.gyro_step_axis import GyroStepAxis
+from imucald.travel_direction.method_d import (
     PublishedDirection,
     PublishedResult,
     compass_of,
@@ -58,7 +58,7 @@ class Step:
     heading: float | None
     compass: float | None
     published: PublishedResult | None
-    modern: float | None
+    alternative: float | None
     trust: float
 
 
@@ -70,7 +70,7 @@ class TravelDirection:
         s = self.settings
         self.cycles = StepCycles(s.steps)
         self.published = PublishedDirection(s.choice, s.convention)
-        self.modern = ModernDirection(s.alternative)
+        self.alternative = GyroStepAxis(s.alternative)
         self.attitude = TerminalAttitude(s.alternative)
         self.last: Step | None = None
         """The newest step."""
@@ -87,7 +87,7 @@ class TravelDirection:
         """Time jumped: nothing before this may be differenced with what follows."""
         self.cycles.restart()
         self.published.restart()
-        self.modern.restart()
+        self.alternative.restart()
         self.attitude.restart()
         self._field_sum: Vector = (0.0, 0.0, 0.0)
         self._fields = 0
@@ -159,14 +159,14 @@ class TravelDirection:
         turning = last.published is not None and last.published.is_turn
         return TravelState.TURNING if turning else TravelState.WALKING
 
-    def _step(self, cycle: Cycle) -> Step:
+    def _step(self, cycle: StepCycle) -> Step:
         compass = self._compass(cycle)
         published = None if compass is None else self.published.take(cycle, compass)
-        modern = self._modern(cycle)
+        alternative = self._alternative(cycle)
         by_published = None if published is None else published.heading
         heading = by_published
-        if self.settings.method == "alternative" and modern is not None:
-            heading = modern
+        if self.settings.method == "alternative" and alternative is not None:
+            heading = alternative
         return Step(
             t=cycle.t1,
             duration=cycle.duration,
@@ -174,23 +174,23 @@ class TravelDirection:
             heading=heading,
             compass=compass,
             published=published,
-            modern=modern,
-            trust=self.modern.trust if modern is not None else 0.0,
+            alternative=alternative,
+            trust=self.alternative.trust if alternative is not None else 0.0,
         )
 
-    def _modern(self, cycle: Cycle) -> float | None:
+    def _alternative(self, cycle: StepCycle) -> float | None:
         yaw = self.attitude.yaw
         if not self._has_gyro:
             return None
         up = transposed_times(self.attitude.level, (0.0, 0.0, 1.0))
-        angle = self.modern.take(cycle, self.attitude.turned, up)
+        angle = self.alternative.take(cycle, self.attitude.turned, up)
         if angle is None or yaw is None:
             return None
         # turning P by yaw, counter-clockwise, takes it from clockwise angles; true north follows
         declination = self.settings.declination if self._heading is None else 0.0
         return (angle - yaw + declination) % TWO_PI
 
-    def _compass(self, cycle: Cycle) -> float | None:
+    def _compass(self, cycle: StepCycle) -> float | None:
         """Compass of the cycle: from the mean field in it, else from the newest heading."""
         if self._fields:
             n = self._fields

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from imucald.config.attitude import AlternativeSettings
 from imucald.core.rotations import Vector
-from imucald.travel_direction.cycles import POINTS, Cycle
+from imucald.travel_direction.cycles import POINTS, StepCycle
 
 Array = NDArray[np.complex128]
 
@@ -25,7 +25,7 @@ SWING_POWER = 0.5
 TWO_PI = 2.0 * math.pi
 
 
-class ModernDirection:
+class GyroStepAxis:
     """Direction of travel from step cycles in the level frame.
 
     Angles are clockwise from its y axis.
@@ -44,7 +44,7 @@ class ModernDirection:
         self._up: Vector | None = None
         self._before: tuple[float, Array] | None = None
 
-    def take(self, cycle: Cycle, turned: float, up_in_terminal: Vector) -> float | None:
+    def take(self, cycle: StepCycle, turned: float, up_in_terminal: Vector) -> float | None:
         """Return the direction after this cycle [0, 2 pi); None: not known.
 
         turned: angle turned so far about the vertical, clockwise [rad]; up_in_terminal: (3,).
@@ -76,7 +76,7 @@ class ModernDirection:
             angle += math.pi
         return angle % TWO_PI
 
-    def _swing(self, cycle: Cycle) -> tuple[complex, complex, complex]:
+    def _swing(self, cycle: StepCycle) -> tuple[complex, complex, complex]:
         """Amplitudes at the step's frequency, in x, y, up.
 
         Mean of this step and the one before it: sway at half the frequency leaks into both with
@@ -90,7 +90,7 @@ class ModernDirection:
         return east, north, up
 
     @staticmethod
-    def _pendulum(cycle: Cycle) -> tuple[float, complex]:
+    def _pendulum(cycle: StepCycle) -> tuple[float, complex]:
         """Power of turns about horizontal axes, and the same with their doubled angle.
 
         It counts from the swing of a leg or an arm on; a terminal held still only trembles.

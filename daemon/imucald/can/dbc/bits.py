@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.can.dbc.database import ByteOrder, Signal
+from imucald.can.dbc.message import ByteOrder, Signal
 
 MAX_FRAME_BYTES = 64
 """Longest CAN FD frame [byte]."""

@@ -11,9 +11,6 @@ from collections.abc import Mapping, Sequence
 
 from imucald.core.errors import DatabaseError
 
-MAX_FILE_BYTES = 256 * 2**20
-"""Vehicle-wide ARXML files reach 100 MB; more than this is no database."""
-
 MAX_MESSAGE_BYTES = 4096
 """Longest message taken (J1939 transport: 1785 bytes)."""
 
@@ -38,7 +35,6 @@ _NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
     "sym": (
         (r"\bLen\s*=\s*(\d+)", MAX_MESSAGE_BYTES),
         (r"\b(?:unsigned|signed|bit|char|string|raw)\s+(\d+)", MAX_BITS),
-        (r"\b(?:Sig|Var|Mux)\s*=[^\n/]*?\s(\d{5,})(?![\dA-Fa-fh])", MAX_BITS),
     ),
     "arxml": (
         (r"<(?:\w+:)?FRAME-LENGTH>\s*(\d+)", MAX_BITS),
@@ -47,6 +43,8 @@ _NUMBERS: Mapping[str, Sequence[tuple[str, int]]] = {
 }
 """Numbers that cost memory, by format: a pattern with the digits as its group, and their limit."""
 
+_SYM_SIGNAL = re.compile(r"\b(?:Sig|Var|Mux)\s*=")
+_SYM_NUMBER = re.compile(r"\s(\d{5,})(?![\dA-Fa-fh])")
 _MULTIPLEXED = re.compile(r"\s+(\d{1,20})\s+(\w+)\s+(\w+)\s+(.*)", re.DOTALL)
 _RANGE = re.compile(r"(\d{1,20})\s*-\s*(\d{1,20})")
 
@@ -55,12 +53,29 @@ def refuse_heavy(text: str, database_format: str, source: str) -> None:
     """Raise DatabaseError, with file and line, where a number in the text is beyond its limit."""
     for pattern, limit in _NUMBERS.get(database_format, ()):
         for match in re.finditer(pattern, text):
-            digits = match.group(1)
-            if len(digits) > 12 or int(digits) > limit:
-                place = _place(text, match.start(), source)
-                raise DatabaseError(f"{place}: the number {digits[:20]} is larger than {limit}")
+            _refuse_number(match.group(1), limit, text, match.start(), source)
     if database_format == "dbc":
         _refuse_multiplexers(text, source)
+    elif database_format == "sym":
+        _refuse_sym_positions(text, source)
+
+
+def _refuse_sym_positions(text: str, source: str) -> None:
+    """Refuse a position or length of a SYM signal that is too large; a line is looked at once."""
+    at = 0
+    for line in text.split("\n"):
+        said = line.partition("/")[0]
+        signal = _SYM_SIGNAL.search(said)
+        if signal:
+            for number in _SYM_NUMBER.finditer(said, signal.end()):
+                _refuse_number(number.group(1), MAX_BITS, text, at, source)
+        at += len(line) + 1
+
+
+def _refuse_number(digits: str, limit: int, text: str, at: int, source: str) -> None:
+    if len(digits) > 12 or int(digits) > limit:
+        place = _place(text, at, source)
+        raise DatabaseError(f"{place}: the number {digits[:20]} is larger than {limit}")
 
 
 def _refuse_multiplexers(text: str, source: str) -> None:

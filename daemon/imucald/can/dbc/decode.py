@@ -24,7 +24,7 @@ from imucald.can.dbc.bits import (
     signed_column,
     words_of,
 )
-from imucald.can.dbc.database import Message, Signal
+from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, resolve
 from imucald.core.errors import DatabaseError, DecodeError
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from imucald.can.dbc.bits import Columns, field_of, write_bits, write_column
-from imucald.can.dbc.database import Message, Signal
+from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, resolve
 from imucald.can.dbc.signal_encoder import SignalEncoder, float_bits
 from imucald.core.errors import DatabaseError, EncodeError

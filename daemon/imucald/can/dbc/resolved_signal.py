@@ -16,7 +16,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import MAX_FRAME_BYTES, Field, field_of
-from imucald.can.dbc.database import Message, Signal
+from imucald.can.dbc.message import Message, Signal
 from imucald.core.errors import DatabaseError
 
 MAX_MULTIPLEXER_VALUE = 2**63

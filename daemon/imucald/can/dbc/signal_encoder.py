@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import Field
-from imucald.can.dbc.database import Message, Signal
+from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import FLOAT_CODES, ResolvedSignal, raw_limits
 from imucald.core.errors import DatabaseError, EncodeError
 

@@ -29,7 +29,7 @@ from imucald.can.dbc.bits import (
     read_column,
     words_of,
 )
-from imucald.can.dbc.database import Signal
+from imucald.can.dbc.message import Signal
 from imucald.can.e2e.crc import Checksum, ChecksumSpec
 from imucald.core.errors import ConfigError
 

@@ -3,7 +3,7 @@
 Static test -> tilt -> straight variable-speed motion -> target angle -> correction, as published,
 with what stands on top of it since the first day: the gate on v r, v r subtracted, dv/dt from
 speed for sign and weight, several stops combined, and the wandering offset removed.
-Bad samples are never learnt from: a interval that holds one is dropped whole.
+Bad samples are never learnt from: an interval that holds one is dropped whole.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from imucald.core.rotations import Matrix3, rotation_from_angles
 from imucald.core.samples import GRAVITY
-from imucald.motion.plausible import ROAD_FORCE_WIDE, is_saturated
+from imucald.motion.physical_limits import ROAD_FORCE_WIDE, is_saturated
 from imucald.motion.speed import SpeedInterval, SpeedIntervalMaker
 from imucald.motion.straight import YawRateSource
 from imucald.motion.stuck import HeldForce
@@ -32,9 +32,9 @@ from imucald.mount.method_a.manoeuvres import (
 )
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.sign import SignEvidence
+from imucald.mount.method_a.solver import rotation_about_up
 from imucald.mount.method_a.states import TiltAndAngle, judged, waiting_for
 from imucald.mount.method_a.tilt import TiltEstimator
-from imucald.mount.method_a.yaw import rotation_about_up
 from imucald.mount.slewing import SlewedRotation
 
 NAN = math.nan
@@ -201,7 +201,7 @@ class PublishedEstimator:
         stands = self._settings.calibration.static.standstill_speed
         return not stuck or not abs(self._speed) > stands
 
-    # What a interval brings.
+    # What an interval brings.
 
     def _take_interval(self, interval: SpeedInterval) -> None:
         s, dt = self._settings, interval.t1 - interval.t0

@@ -67,14 +67,14 @@ class WanderingOffset:
             self._weight = self._weight * keep + dt
 
     def fade(self, dt: float) -> None:
-        """Count a interval that is not straight: what was known of the offset ages."""
+        """Count an interval that is not straight: what was known of the offset ages."""
         keep = math.exp(-dt / OFFSET_FADE_S)
         self._sums = [s * keep for s in self._sums]
         self._weight *= keep
 
 
 class StraightGate:
-    """Says whether a interval is straight motion.
+    """Says whether an interval is straight motion.
 
     The preferred recogniser whose signal is there decides, and the gate on lateral acceleration
     must agree: v r where both are known, else the vehicle's own lateral acceleration, else the
@@ -99,7 +99,7 @@ class StraightGate:
     def is_straight(
         self, interval: SpeedInterval, steering: float, own_lateral: float, level: Matrix3
     ) -> bool:
-        """Judge a interval.
+        """Judge an interval.
 
         steering: wheel angle [rad] or NaN; own_lateral: the vehicle's lateral acceleration [m/s^2]
         or NaN; level: rotation sensor -> level (3, 3).
@@ -120,7 +120,7 @@ class StraightGate:
         return False
 
     def is_turning(self, interval: SpeedInterval) -> bool:
-        """Say whether a interval is well beyond the limits of yaw rate and lateral acceleration."""
+        """Whether an interval is well beyond the limits of yaw rate and lateral acceleration."""
         s = self._limits
         lateral = abs(interval.speed * interval.yaw_rate)
         if lateral > TURN_FACTOR * s.lateral_limit > 0.0:

@@ -67,7 +67,7 @@ class Manoeuvre:
         lateral: float,
         weight: float,
     ) -> None:
-        """Take a interval: force less offset (3,) [m/s^2], dv/dt and v r likewise [m/s^2]."""
+        """Take an interval: force less offset (3,) [m/s^2], dv/dt and v r likewise [m/s^2]."""
         dt = interval.t1 - interval.t0
         x, y, z = f
         motion = (

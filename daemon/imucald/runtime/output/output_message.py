@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import CAN_EFF_FLAG
-from imucald.can.dbc.database import Database, Message, load_database_text
+from imucald.can.dbc.database import Database, load_database_text
 from imucald.can.dbc.encode import EncodePlan, compile_encode
+from imucald.can.dbc.message import Message
 from imucald.can.e2e.checksums import crc8_j1850, xor_checksum
 from imucald.can.e2e.crc import ChecksumSpec
 from imucald.can.e2e.protection import ProtectionSpec, counter_of

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, FrameColumns
-from imucald.can.dbc.database import Signal
 from imucald.can.dbc.encode import compile_encode
+from imucald.can.dbc.message import Signal
 from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.can.e2e.protector import MessageProtector
 from imucald.config import LoadedConfig, load_config

@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import Matrix3, levelling_rotation
-from imucald.motion.standstill import static_windows
 from imucald.motion.straight import steering_is_small, windows_agree, yaw_rate_is_small
 from imucald.mount.method_a.levelling import levelled, tilt_angles
 from imucald.mount.method_a.settings import PublishedSettings
+from imucald.mount.method_a.static_test import static_windows
 
 Floats = NDArray[np.float64]
 

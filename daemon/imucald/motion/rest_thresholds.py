@@ -1,4 +1,4 @@
-"""Standing still: the thresholds of all who ask, side by side, each with its reason.
+"""Standing still: the thresholds of mount, attitude and motion, side by side, each with its reason.
 
 They differ because what is asked differs: whether the *signal* says zero, whether the *sensor*
 feels nothing but an engine at idle, whether a mean rate at rest is the gyroscope's error or a turn.

@@ -1,7 +1,7 @@
 """Method D as published (CN103543289A), to the letter; angles in radians.
 
 Terminal axes: x to the right, y to the upper edge, z out of the screen. The compass is the
-clockwise angle from north of the y axis' horizontal projection. What the text lacks is
+clockwise angle from north of the y axis' horizontal projection. What the publication lacks is
 *reconstructed* and marked so.
 
 Two axis conventions. In the first, "gravity", the accelerometer reads -g on the axis that points
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.attitude import AxisConvention, ChoiceSettings
-from imucald.travel_direction.cycles import POINTS, Cycle
+from imucald.travel_direction.cycles import POINTS, StepCycle
 
 Array = NDArray[np.float64]
 
@@ -29,13 +29,13 @@ TWO_PI = 2.0 * math.pi
 
 
 def tilt(mean: Array) -> tuple[float, float]:
-    """Pitch and roll of the text (*reconstructed*) from a mean acceleration (3,), any unit."""
+    """Pitch and roll of the publication (*reconstructed*) from a mean acceleration (3,)."""
     x, y, z = (float(c) for c in mean)
     return math.atan2(y, math.hypot(x, z)), math.atan2(x, math.hypot(y, z))
 
 
 def tilt_angle(pitch: float, roll: float, convention: AxisConvention) -> float:
-    """Direction of the raised edge as the text has it, in its convention [0, 2 pi)."""
+    """Direction of the raised edge as the publication has it, in its convention [0, 2 pi)."""
     if convention == "gravity":
         return (math.atan2(roll, pitch) + math.pi) % TWO_PI
     return math.atan2(pitch, roll) % TWO_PI
@@ -51,13 +51,13 @@ def tilt_heading(pitch: float, roll: float, compass: float, convention: AxisConv
 
 
 def levelling_angles(mean: Array) -> tuple[float, float]:
-    """a and b of the text's projection, such that the mean (3,) lands on +z."""
+    """a and b of the publication's projection, such that the mean (3,) lands on +z."""
     x, y, z = (float(c) for c in mean)
     return math.atan2(-x, math.hypot(y, z)), math.atan2(y, z)
 
 
 def projected(vectors: Array, a: float, b: float) -> Array:
-    """The text's projection to the horizontal plane; (..., 3) -> (..., 3)."""
+    """The publication's projection to the horizontal plane; (..., 3) -> (..., 3)."""
     X, Y, Z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     ca, sa, cb, sb = math.cos(a), math.sin(a), math.cos(b), math.sin(b)
     ax = X * ca + Y * sa * sb + Z * cb * sa
@@ -122,7 +122,7 @@ class PublishedDirection:
         self._compass: float | None = None
         self._contradicted = False
 
-    def take(self, cycle: Cycle, compass: float) -> PublishedResult:
+    def take(self, cycle: StepCycle, compass: float) -> PublishedResult:
         """Take a cycle (its acceleration reading +g upwards) and its compass [rad]."""
         c = self.choice
         mean = cycle.accel.mean(axis=0)

@@ -1,4 +1,4 @@
-"""What a sensor, and what a road vehicle, can show: the limits of all who ask, side by side.
+"""What sensors and road vehicles can show: limits of mount, attitude and motion, side by side.
 
 Three kinds. A number that no sensor of the kind can have measured is *impossible*: it is dropped
 before anything is made of it. A motion that no road vehicle makes is *implausible*: a fall, a

@@ -6,13 +6,13 @@ import pytest
 from imucald.config.calibration import StaticTestSettings
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Series
-from imucald.motion.standstill import (
+from imucald.motion.ticks import ACCEL, ticks_from_samples
+from imucald.mount.method_a.static_test import (
     CONFIRM_TICKS,
     StandstillDetector,
     is_static,
     static_windows,
 )
-from imucald.motion.ticks import ACCEL, ticks_from_samples
 
 G = 9.80665
 

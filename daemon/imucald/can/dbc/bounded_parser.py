@@ -1,0 +1,110 @@
+"""Parsing of databases within bounds: a large one in a process of its own, with limits.
+
+The parser needs 30 to 220 times the memory of its text, which nothing in the text foretells. A
+process of its own may use up what it is given, or crash, and it is a database that was refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from imucald.can.dbc.message import Message
+from imucald.can.dbc.parser import parse
+from imucald.core.errors import DatabaseError
+from imucald.core.memory import allowed_memory
+
+SMALL = 64 * 2**10
+"""Characters of text that this process parses itself: 220 times that is 14 MiB."""
+MAX_FILE_BYTES = 256 * 2**20
+"""Vehicle-wide ARXML files reach 100 MB; more than this is no database."""
+PARSER_SHARE = 0.6
+"""Of the memory allowed, for the parser; the rest holds this process, and the text twice."""
+TEXT_SHARE = 1 / 16
+"""Of the memory allowed, for the text: as bytes, and as text of two bytes a character."""
+MIN_SECONDS = 60
+"""Processor time for any database [s]: a slow processor takes 10 s for each megabyte of DBC."""
+SECONDS_PER_MB = 10
+_MB = 10**6
+_START = """
+import json, sys
+sys.path[:] = json.loads(sys.argv[1])
+from imucald.can.dbc.bounded_parser import parse_for_parent
+sys.exit(parse_for_parent(*sys.argv[2:]))
+"""
+
+
+def max_file_bytes() -> int:
+    """Size of the largest file that is taken: what the memory allowed can hold."""
+    return min(MAX_FILE_BYTES, int(allowed_memory() * TEXT_SHARE))
+
+
+def parse_bounded(text: str, database_format: str, source: str) -> list[Message]:
+    """Return the messages of a database's text; DatabaseError where it is wrong or too much."""
+    if len(text) <= SMALL or not sys.executable:
+        return parse(text, database_format, source)
+    memory = int(allowed_memory() * PARSER_SHARE)
+    seconds = max(MIN_SECONDS, SECONDS_PER_MB * len(text) // _MB)
+    flags = [flag for flag, is_set in _interpreter_flags() if is_set]
+    arguments = [json.dumps(sys.path), database_format, source, str(memory), str(seconds)]
+    try:
+        done = subprocess.run(
+            [sys.executable, *flags, "-c", _START, *arguments],
+            input=text.encode("utf-8", "surrogatepass"),
+            capture_output=True,
+            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+            timeout=4.0 * seconds,  # of any clock, where the processor is shared
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise DatabaseError(f"{source}: reading it takes too long") from None
+    except (OSError, ValueError) as error:
+        raise DatabaseError(f"{source}: no process could be started for it: {error}") from None
+    if done.returncode != 0:
+        raise DatabaseError(f"{source}: {_why(done, memory, seconds)}")
+    return msgspec.json.decode(done.stdout, type=list[Message])
+
+
+def parse_for_parent(database_format: str, source: str, memory: str, seconds: str) -> int:
+    """What the process of its own does: text of standard input -> JSON, or status 1 and why not."""
+    _limit(int(memory), int(seconds))
+    try:
+        text = sys.stdin.buffer.read().decode("utf-8", "surrogatepass")
+        found = msgspec.json.encode(parse(text, database_format, source))
+    except DatabaseError as error:
+        sys.stderr.write(str(error).removeprefix(f"{source}: "))
+        return 1
+    except MemoryError:
+        return 2
+    sys.stdout.buffer.write(found)
+    return 0
+
+
+def _limit(memory: int, seconds: int) -> None:
+    for kind, value in ((resource.RLIMIT_DATA, memory), (resource.RLIMIT_CPU, seconds)):
+        with contextlib.suppress(ValueError, OSError):  # there is a lower one
+            resource.setrlimit(kind, (value, value))
+    with contextlib.suppress(OSError):  # where memory gets short, this is what has to go
+        Path("/proc/self/oom_score_adj").write_text("1000")
+
+
+def _why(done: subprocess.CompletedProcess[bytes], memory: int, seconds: int) -> str:
+    said = done.stderr.decode("utf-8", "replace").strip().splitlines()
+    if done.returncode == 1 and said:
+        return said[-1]
+    return (
+        f"cannot be read with {memory // 2**20} MiB of memory and {seconds} s of processor time; "
+        "leave in it the messages that are used, or allow more memory (MemoryMax= of the unit)"
+    )
+
+
+def _interpreter_flags() -> list[tuple[str, Any]]:
+    return [("-I", sys.flags.isolated), ("-S", sys.flags.no_site), ("-s", sys.flags.no_user_site)]

@@ -1,0 +1,73 @@
+"""What a CAN database says of a message and of its signals: plain, frozen, known to every codec."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Literal
+
+import msgspec
+from msgspec import Struct
+
+from imucald.core.errors import DatabaseError
+
+ByteOrder = Literal["little_endian", "big_endian"]
+
+
+class Signal(Struct, frozen=True, omit_defaults=True):
+    """One signal: where its bits are and what they mean.
+
+    `start` and `byte_order` as in a DBC: the least significant bit of an Intel signal, the most
+    significant of a Motorola one, in the DBC's numbering (bit 0 = byte 0's lowest).
+    Physical = raw * scale + offset, in `unit`. `minimum`, `maximum`: physical, None where not
+    stated. `selectors`: the multiplexers that must hold, outermost first, each with the raw
+    values under which this signal is there. `initial_raw`, `invalid_raw`: as the database states.
+    """
+
+    name: str
+    start: int
+    length: int
+    byte_order: ByteOrder = "little_endian"
+    is_signed: bool = False
+    is_float: bool = False
+    scale: int | float = 1
+    offset: int | float = 0
+    minimum: float | None = None
+    maximum: float | None = None
+    unit: str = ""
+    choices: Mapping[int, str] = msgspec.field(default_factory=dict)
+    is_multiplexer: bool = False
+    selectors: tuple[tuple[str, frozenset[int]], ...] = ()
+    initial_raw: int | float | None = None
+    invalid_raw: int | float | None = None
+    comment: str = ""
+
+
+class Message(Struct, frozen=True, omit_defaults=True):
+    """One message. `can_id` carries `CAN_EFF_FLAG` for 29 bits; `cycle_time` in seconds."""
+
+    name: str
+    can_id: int
+    length: int
+    signals: Mapping[str, Signal]
+    is_fd: bool = False
+    is_j1939: bool = False
+    cycle_time: float | None = None
+    comment: str = ""
+    source: str = ""
+    unsupported: str = ""
+
+    def signal(self, name: str) -> Signal:
+        """Return the signal; DatabaseError with the nearest names where there is none."""
+        try:
+            return self.signals[name]
+        except KeyError:
+            hint = nearest(name, list(self.signals))
+            text = f"{self.source}: message {self.name} has no signal {name!r}{hint}"
+            raise DatabaseError(text) from None
+
+
+def nearest(name: str, names: list[str]) -> str:
+    """The names that may have been meant, in brackets; nothing where none is near."""
+    near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    return f" (nearest: {', '.join(near)})" if near else ""

@@ -1,0 +1,239 @@
+"""Signals that contradict one another: signs, exchanged axes, handedness, units.
+
+The estimator finds the rotation under which the sensor's signals fit the vehicle's best; where a
+sign or a unit is wrong the best is still wrong. So pairs of signals that must show the same motion
+are held against one another all the time: turning by the gyroscope and by the vehicle's own
+signals, v r and the force to the left, dv/dt and the force ahead.
+
+A pair is judged in pieces that hold a bend or a braking each, by correlation and gain of the piece.
+Sound pairs correlate by 0.8 to 1 there. Two signals that have nothing to do with one another come
+out below `UNLIKE` in nine pieces of ten, and sound ones do so in fewer than one of a hundred, so
+`TO_ACCUSE` of the last `REMEMBERED` by chance are fewer than one in a million pieces.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.motion.straight import yaw_rate_with_understeer
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.signal_blocks import SignalBlock
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+UNLIKE = 0.3
+"""Correlation of a piece below which its signals do not show the same motion."""
+OPPOSITE = -0.3
+"""The same where slope and a speed of few samples are in the signals: the wrong sign only."""
+LIKE = 0.6
+"""From here on they do (`check` asks for as much)."""
+TO_ACCUSE, TO_ACQUIT = 2, 2
+"""Unlike pieces, of those remembered, that make a fault; like ones in a row that end it."""
+REMEMBERED = 5
+WRONG_UNIT = 1.9
+"""A gain beyond, or below its inverse: half way, as a ratio, from right to 3.6 times, the smallest
+factor between units that are mixed up. Body roll, superelevation and squat make 0.7 to 1.3."""
+MIN_TURNING = 0.25
+"""Energy of turning in a piece [(rad/s)^2 ticks]: a right-angled bend has ten times as much."""
+MIN_FORCE = 30.0
+"""The same of v r and dv/dt [(m/s^2)^2 ticks]: 3 s at 1 m/s^2."""
+MAX_BLOCKS = 40
+"""A piece that does not fill within so many blocks (4 min) begins anew: noise adds up as well."""
+TURNS, HARD_TURNS = 1.2, 2.0
+"""Sizes of v r [m/s^2] from which the force in turns is asked for its sign, and for its gain: a bend
+banked by 8 % takes 0.8 m/s^2 of it away (AASHTO, superelevation)."""
+MOVING = 2.0
+"""Below this speed [m/s] steering and turning say little of one another."""
+
+
+class StandingFault(enum.StrEnum):
+    """What contradicts what; names for machines, words in `WORDS`."""
+
+    TURN_YAW_RATE = "gyroscope_against_yaw_rate"
+    TURN_STEERING = "turning_against_steering"
+    FORCE_TURNS = "accelerometer_against_turns"
+    FORCE_SPEED = "accelerometer_against_speed"
+    GYRO_GAIN = "gyroscope_unit"
+    SPEED_GAIN = "speed_unit"
+    NUMERICS = "numbers_out_of_range"
+
+
+WORDS = {
+    StandingFault.TURN_YAW_RATE: "the gyroscope does not turn as the vehicle's yaw rate: a sign, "
+    "exchanged axes of gyroscope or accelerometer, or the yaw rate's sign",
+    StandingFault.TURN_STEERING: "the vehicle does not turn as it is steered: the sign of the "
+    "steering angle, reverse without a signal, or signs of the sensor",
+    StandingFault.FORCE_TURNS: "the force in turns is not where turning says: a sign or exchanged "
+    "axes of accelerometer or gyroscope, or a mount that moves",
+    StandingFault.FORCE_SPEED: "the force does not follow the change of speed",
+    StandingFault.GYRO_GAIN: "the gyroscope's unit is wrong",
+    StandingFault.SPEED_GAIN: "the speed's unit is wrong",
+    StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
+}
+
+
+class PairWatch:
+    """Pieces of two signals that must show the same motion, and what they came to."""
+
+    def __init__(self, least: float, unlike: float = UNLIKE, unit_known: bool = True) -> None:
+        self._least, self._unlike, self._unit_known = least, unlike, unit_known
+        self._sums = np.zeros(3)  # x x, x y, y y
+        self._blocks = 0
+        self._pieces: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
+        self.accused = False
+        self.odd_gain = False
+
+    def forget(self) -> None:
+        """Remember no piece; what stands stands until new ones acquit."""
+        self._sums[:], self._blocks = 0.0, 0
+        self._pieces.clear()
+
+    @property
+    def pieces(self) -> int:
+        """Pieces remembered."""
+        return len(self._pieces)
+
+    @property
+    def last_unlike(self) -> bool:
+        """Whether the last piece speaks against the pair."""
+        return bool(self._pieces) and self._is_wrong(*self._pieces[-1])
+
+    @property
+    def agreed(self) -> bool:
+        """Whether it has been seen to show the same motion, and nothing since says otherwise."""
+        if self.accused or self.odd_gain or not self._pieces:
+            return False
+        correlation, gain = self._pieces[-1]
+        return correlation >= LIKE and not self._is_odd(correlation, gain)
+
+    @property
+    def gain(self) -> float:
+        """Median of the pieces' gains."""
+        return float(np.median([g for _, g in self._pieces])) if self._pieces else 1.0
+
+    def add(self, x: Array, y: Array, use: Flags) -> None:
+        """Take a block; x: (N,) what is sure, y: (N,) what must follow it."""
+        if not use.any():
+            return
+        x, y = x[use], y[use]
+        self._sums += (float(x @ x), float(x @ y), float(y @ y))
+        self._blocks += 1
+        xx, xy, yy = self._sums.tolist()
+        if not math.isfinite(xx + yy):
+            self._sums[:] = 0.0
+            return
+        if xx >= self._least:
+            correlation = xy / math.sqrt(max(xx * yy, 1e-30))
+            self._pieces.append((correlation, xy / xx))
+            self._judge()
+        if xx >= self._least or self._blocks >= MAX_BLOCKS:
+            self._sums[:], self._blocks = 0.0, 0
+
+    def _is_odd(self, correlation: float, gain: float) -> bool:
+        is_other = not 1.0 / WRONG_UNIT < gain < WRONG_UNIT
+        return self._unit_known and correlation > LIKE and is_other
+
+    def _is_wrong(self, correlation: float, gain: float) -> bool:
+        return correlation < self._unlike or self._is_odd(correlation, gain)
+
+    def _judge(self) -> None:
+        unlike = sum(c < self._unlike for c, _ in self._pieces)
+        odd = sum(self._is_odd(*piece) for piece in self._pieces)
+        last = list(self._pieces)[-TO_ACQUIT:]
+        acquitted = len(last) == TO_ACQUIT and not any(self._is_wrong(*piece) for piece in last)
+        self.accused = not acquitted and (self.accused or unlike >= TO_ACCUSE)
+        self.odd_gain = not acquitted and (self.odd_gain or odd >= TO_ACCUSE)
+
+
+class Contradictions:
+    """Watches all pairs that the signals allow."""
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._settings = settings
+        self.yaw_rate = PairWatch(MIN_TURNING)
+        self.steering = PairWatch(MIN_TURNING, unit_known=False)
+        self.turns = PairWatch(MIN_FORCE, unit_known=False)
+        self.hard_turns = PairWatch(MIN_FORCE)
+        self.speed = PairWatch(MIN_FORCE, OPPOSITE)
+
+    def forget_forces(self) -> None:
+        """The rotation is found anew; what stands against the old one stands until it agrees."""
+        for pair in (self.turns, self.hard_turns, self.speed):
+            pair.forget()
+
+    def add(
+        self,
+        p: SignalBlock,
+        turn_rate: Array,
+        own_gyro: bool,
+        R: Array | None,
+        steering_offset: float,
+        measured_yaw_rate: bool,
+    ) -> None:
+        """Take a block; turn_rate: (N,) what the estimator takes for the yaw rate [rad/s]."""
+        moving = p.ok_speed & (np.abs(p.speed) > MOVING)
+        if own_gyro and measured_yaw_rate:
+            self.yaw_rate.add(p.yaw_rate, turn_rate, p.ok_yaw & p.ok_rate & moving)
+        if own_gyro or measured_yaw_rate:
+            s, v = self._settings, self._settings.vehicle
+            angle = p.steering - steering_offset
+            vehicle = (v.steering_ratio, v.wheelbase, s.understeer)
+            steered = yaw_rate_with_understeer(p.speed, angle, *vehicle)
+            self.steering.add(steered, turn_rate, p.ok_steering & moving & (p.ok_rate | p.ok_yaw))
+        if self.yaw_rate.last_unlike and self.steering.last_unlike:  # two witnesses of one bend
+            self.yaw_rate.accused = self.steering.accused = True
+        if R is not None:
+            force = p.force @ np.asarray(R).T
+            use = moving & p.ok_force & p.learn
+            turn = p.speed * turn_rate
+            turning = use & (p.ok_rate | p.ok_yaw)
+            self.turns.add(turn, force[:, 1], turning & (np.abs(turn) > TURNS))
+            self.hard_turns.add(turn, force[:, 1], turning & (np.abs(turn) > HARD_TURNS))
+            ahead = force[:, 0] - force[:, 0].mean()
+            self.speed.add(p.accel - p.accel.mean(), ahead, use)
+
+    @property
+    def faults(self) -> tuple[StandingFault, ...]:
+        """What stands."""
+        found = []
+        if self.yaw_rate.accused:
+            found.append(StandingFault.TURN_YAW_RATE)
+        if self.steering.accused:
+            found.append(StandingFault.TURN_STEERING)
+        if self.turns.accused:
+            found.append(StandingFault.FORCE_TURNS)
+        if self.speed.accused:
+            found.append(StandingFault.FORCE_SPEED)
+        if self.yaw_rate.odd_gain:
+            found.append(StandingFault.GYRO_GAIN)
+        elif self.hard_turns.odd_gain:
+            gyro_unknown = not self.yaw_rate.pieces
+            is_speed = self.speed.odd_gain or not gyro_unknown
+            found.append(StandingFault.SPEED_GAIN if is_speed else StandingFault.GYRO_GAIN)
+        elif self.speed.odd_gain and self.speed.gain > 1.0:
+            found.append(StandingFault.SPEED_GAIN)
+        return tuple(found)
+
+    @property
+    def _pairs(self) -> tuple[PairWatch, ...]:
+        return self.yaw_rate, self.steering, self.turns, self.hard_turns, self.speed
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether any pair's last piece speaks against it: no time to begin to be good."""
+        return any(pair.last_unlike for pair in self._pairs)
+
+    @property
+    def agreed(self) -> bool:
+        """Whether every pair that has had its occasion was seen to agree, that of turns at least.
+
+        Slope and a speed of few samples may hide what dv/dt says: there no contradiction is enough.
+        """
+        seen = [pair for pair in (self.yaw_rate, self.steering) if pair.pieces]
+        return self.turns.agreed and all(pair.agreed for pair in seen)

@@ -1,0 +1,254 @@
+"""Has the sensor been turned by much? Asked of every block, from the first minutes on.
+
+`shift` finds small changes, once enough road has been driven to know what is usual. A sensor that
+is turned by several degrees shows in single blocks: in the direction of gravity with the motion
+taken out, in the direction in which the force answers to dv/dt and v r, and while the vehicle
+stands in any turn at all. For every block of the last minutes as the time of a change the mean
+before is held against the mean after (a generalised likelihood ratio test; Basseville and
+Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-Markov process
+over the distance driven, as in `evidence_gravity`; its spread, and that of yaw, begins at a prior
+and is learnt.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.rotations import Matrix3, vector_from_rotation
+from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.signal_blocks import SignalBlock
+
+Array = NDArray[np.float64]
+
+REMEMBERED = 50
+"""Blocks (320 s)."""
+LEAST_BEFORE = (5, 5, 3)
+"""Blocks that a change is held against; a change as large shows in yaw in a few."""
+MOST_AFTER = 12
+"""Blocks since the change that are tried (77 s)."""
+LEAST_TICKS = 32
+"""Half a block must be good to say anything."""
+TILT_NOISE = math.radians(0.5)
+"""A block's tilt beside the road's slope: squat, gains, what is missed of the motion [rad]."""
+FORCE_NOISE2 = 0.25**2 * 5.0
+"""Squared noise of the force times the ticks over which it hangs together [(m/s^2)^2]."""
+YAW_NOISE = math.radians(3.5)
+"""A block's yaw beside that noise [rad]: sideslip, and a speed that comes 0.1 to 0.3 s late where
+braking goes over into a bend of 2 s turns the force by 0.05 to 0.1."""
+MAX_RATE = 0.25
+"""Turning faster than this [rad/s] a lever arm of 1.5 m adds more than 0.1 m/s^2 along."""
+LEAST_MOTION = 3.0
+"""A block with less squared motion says nothing of yaw [(m/s^2)^2 ticks]; its deviation is 16 deg
+there, 8 deg at four times as much."""
+PRIOR_BLOCKS = 10.0
+"""The spread is taken as the prior's with that weight."""
+LIMITS = (6.0, 6.0, 6.0)
+"""Roll, pitch, yaw: standard deviations from which a change is one. Of a normal variable 2e-9 two-sided:
+with 560 blocks an hour and a dozen tries each, of which two or three are independent, one in
+3,000 h; what is left for tails that are heavier."""
+MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(4.0))
+"""Smaller changes are left to `shift` [rad]: no mean slope of half a minute differs so much from
+that of the minutes before but on mountain roads (10 %)."""
+AGREEING = 0.4
+"""Every block since a change shows at least that share of it: one gust, one bad road is none."""
+CLEAR_YAW = 1.0 / (math.radians(8.0) ** 2 + YAW_NOISE**2)
+"""Of blocks that know yaw that well [1/rad^2]; at least one must be there."""
+STANDING_TURN = math.radians(3.0)
+"""A vehicle that stands does not turn or tilt by so much [rad]; people getting in make a half."""
+STANDING_TICKS = 12
+"""Ticks of standing that its tilt is known from."""
+
+
+@dataclass(frozen=True)
+class LargeChange:
+    """axis: 0 roll, 1 pitch, 2 yaw. size [rad], in standard deviations, blocks since."""
+
+    axis: int
+    size: float
+    deviations: float
+    blocks: int
+
+
+class LargeChangeDetector:
+    """Blocks' tilt and yaw about the rotation so far."""
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        across, along = settings.unevenness
+        self._slope = settings.slope_std * np.array([across, along])
+        self._length = settings.slope_length
+        self.restart()
+
+    def restart(self) -> None:
+        """What comes next is compared with nothing before."""
+        self._e = np.zeros((0, 3))
+        self._metres = np.zeros(0)
+        self._weight = np.zeros((0, 3))  # of tilt (metres and a little), of yaw (information)
+        self._R: Matrix3 | None = None
+        self._stopped_at: Array | None = None
+        self._turned = np.zeros(3)
+
+    def forget(self, blocks: int) -> None:
+        """Keep only the last blocks."""
+        self._e, self._metres = self._e[-blocks:], self._metres[-blocks:]
+        self._weight = self._weight[-blocks:]
+
+    def add(
+        self, p: SignalBlock, R: Matrix3, turn: Array, gains: tuple[float, float], has_speed: bool
+    ) -> None:
+        """Take a block; R: the rotation so far, turn: (N,) v r."""
+        if self._R is not None and R is not self._R:
+            moved = vector_from_rotation(R @ self._R.T)
+            if math.sqrt(moved @ moved) > 0.35:
+                self.restart()
+            else:
+                self._e -= moved
+        self._R = R
+        use = p.learn & (p.ok_speed | p.rest)
+        if not has_speed or np.count_nonzero(use) < LEAST_TICKS:
+            return
+        force = p.force[use] @ R.T
+        a, v = p.accel[use], turn[use]
+        x, y, z = (
+            float((force[:, 0] - gains[0] * a).mean()),
+            float((force[:, 1] - gains[1] * v).mean()),
+            float(force[:, 2].mean()),
+        )
+        yaw, power = _direction(force, a, v, np.abs(v) < MAX_RATE * np.abs(p.speed[use]))
+        metres = float(np.abs(p.speed[use]).sum()) * TICK_S
+        known = 1.0 / (FORCE_NOISE2 / power + YAW_NOISE**2) if power > LEAST_MOTION else 0.0
+        row = np.array([math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw])
+        self._e = np.concatenate([self._e[1 - REMEMBERED :], row[None]])
+        self._metres = np.append(self._metres[1 - REMEMBERED :], metres)
+        weight = np.array([metres + 3.0, metres + 3.0, known])
+        self._weight = np.concatenate([self._weight[1 - REMEMBERED :], weight[None]])
+
+    def found(self, axes: tuple[int, ...]) -> LargeChange | None:
+        """The change that stands out most, where it is one."""
+        best: LargeChange | None = None
+        excess = 1.0
+        for axis in axes:
+            change = self._tilt(axis) if axis < 2 else self._yaw()
+            if change is not None and abs(change.deviations) / LIMITS[axis] > excess:
+                best, excess = change, abs(change.deviations) / LIMITS[axis]
+        return best
+
+    def _tilt(self, axis: int) -> LargeChange | None:
+        e, w, n = self._e[:, axis], self._weight[:, axis], len(self._e)
+        return self._best(
+            axis, e, w, np.arange(n), lambda m, metres: self._tilt_variance(axis, m, metres)
+        )
+
+    def _tilt_variance(self, axis: int, blocks: int, metres: float) -> float:
+        q = max(metres / self._length, 1e-3)
+        part = 2.0 / q * (1.0 - (1.0 - math.exp(-q)) / q)
+        return float(self._slope[axis] ** 2) * part + TILT_NOISE**2 / blocks
+
+    def _yaw(self) -> LargeChange | None:
+        at = np.flatnonzero(self._weight[:, 2] > 0.0)
+        return self._best(2, self._e[at, 2], self._weight[at, 2], at, None)
+
+    def _best(
+        self,
+        axis: int,
+        e: Array,
+        w: Array,
+        at: NDArray[np.int64],
+        variance: object,
+    ) -> LargeChange | None:
+        n = len(e)
+        best: LargeChange | None = None
+        for after in range(2, min(MOST_AFTER, n - LEAST_BEFORE[axis]) + 1):
+            k = n - after
+            wa, wb = float(w[k:].sum()), float(w[:k].sum())
+            new, old = float(w[k:] @ e[k:]) / wa, float(w[:k] @ e[:k]) / wb
+            size = new - old
+            if abs(size) < MIN_SIZE[axis]:
+                continue
+            clear = w[k:] >= (CLEAR_YAW if axis == 2 else 0.0)
+            if not clear.any() or float(((e[k:] - old)[clear] / size).min()) < AGREEING:
+                continue
+            left = e[:k] - old
+            if axis == 2:
+                spread = float(w[:k] @ (left * left))
+                each, before = 1.0 / wa, 1.0 / wb
+                spread /= k
+            else:
+                metres = self._metres[at]
+                one = self._tilt_variance(axis, 1, float(metres[:k].mean()))
+                spread = float(w[:k] @ (left * left)) / wb / one
+                each = self._tilt_variance(axis, after, float(metres[k:].sum()))
+                before = self._tilt_variance(axis, k, float(metres[:k].sum()))
+            scale = max((PRIOR_BLOCKS + k * spread) / (PRIOR_BLOCKS + k), 0.8)
+            deviations = size / math.sqrt(scale * (each + before))
+            if best is None or abs(deviations) > abs(best.deviations):
+                blocks = n - k if axis < 2 else int(len(self._e) - at[k])
+                best = LargeChange(axis, size, deviations, blocks)
+        return best
+
+    def while_standing(self, p: SignalBlock, R: Matrix3) -> LargeChange | None:
+        """A turn, or a tilt, of a sensor whose vehicle stands."""
+        rest = p.rest & p.ok_force
+        if not rest.any():
+            self._stopped_at = None
+            self._turned[:] = 0.0
+            return None
+        last = int(np.flatnonzero(~rest)[-1]) + 1 if not rest.all() else 0
+        if last > 0:  # it has moved within the block: another stop
+            self._stopped_at = None
+            self._turned[:] = 0.0
+        if len(rest) - last < STANDING_TICKS:
+            return None
+        force, rate = p.force[last:], p.rate[last:] * p.ok_rate[last:, None]
+        began = force[:STANDING_TICKS].mean(axis=0)
+        if self._stopped_at is None:
+            self._stopped_at = began
+        self._turned += rate.sum(axis=0) * TICK_S
+        now = force[-STANDING_TICKS:].mean(axis=0)
+        cross = R @ np.cross(now, self._stopped_at)
+        tilt = cross / max(float(np.linalg.norm(now) * np.linalg.norm(self._stopped_at)), 1e-9)
+        turned = R @ self._turned
+        self._turned *= 0.5  # a bias adds up, a turn is quick
+        e = np.array([tilt[0], tilt[1], turned[2]])
+        axis = int(np.argmax(np.abs(e)))
+        if abs(e[axis]) < STANDING_TURN:
+            return None
+        self._stopped_at, self._turned = None, np.zeros(3)
+        return LargeChange(axis, float(e[axis]), float(e[axis]) / (STANDING_TURN / 6.0), 1)
+
+
+def _direction(force: Array, a: Array, v: Array, use: NDArray[np.bool_]) -> tuple[float, float]:
+    """By how much the force's answer is turned from a and v (n,) [rad], and their power."""
+    if np.count_nonzero(use) < LEAST_TICKS:
+        return 0.0, 0.0
+    a, v, f = a[use] - a[use].mean(), v[use] - v[use].mean(), force[use] - force[use].mean(axis=0)
+    turned = math.atan2(float(v @ f[:, 0] - a @ f[:, 1]), float(a @ f[:, 0] + v @ f[:, 1]))
+    return turned, float(a @ a + v @ v)
+
+
+OFF_VERTICAL = math.radians(25.0)
+"""The steepest street has 35 % (19.3 deg, Baldwin Street); the rest is what a mount, levelled on
+one slope, may still be off."""
+
+
+def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
+    """Whether gravity, through R, points further from the vertical than any road does.
+
+    Both ways, as it comes and with the motion taken out, so that neither hard driving nor a wrong
+    speed or turn rate is taken for it.
+    """
+    use = p.ok_force
+    if np.count_nonzero(use) < LEAST_TICKS:
+        return False
+    mean = R @ p.force[use].mean(axis=0)
+    motion = np.array([float(p.accel[use].mean()), float(turn[use].mean()), 0.0])
+    if not mean.any() or float(np.linalg.norm(mean)) < 0.5 * GRAVITY:
+        return False
+    return all(
+        math.atan2(math.hypot(f[0], f[1]), f[2]) > OFF_VERTICAL for f in (mean, mean - motion)
+    )

@@ -1,0 +1,158 @@
+"""Databases that take all memory or time: refused, by a process that pays for it alone."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from imucald.can.dbc import bounded_parser, database
+from imucald.can.dbc.database import load_database, load_database_text
+from imucald.can.dbc.database_limits import refuse_heavy
+from imucald.core.errors import DatabaseError
+from imucald.core.memory import allowed_memory
+
+UNIT_MEMORY = 512 * 2**20
+HEAD = 'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 16 M: 8 A\n SG_ S : 0|8@1+ (1,0) [0|0] "" A\n'
+COMMENT = 'CM_ BO_ 16 "{}";\n'
+PROBE = """
+import resource, sys
+from pathlib import Path
+from imucald.can.dbc import bounded_parser
+from imucald.can.dbc.database import load_database
+from imucald.core.errors import DatabaseError
+bounded_parser.allowed_memory = lambda: int(sys.argv[2])
+try:
+    print("read", len(load_database([Path(sys.argv[1])]).messages))
+except DatabaseError as error:
+    print("refused", error)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024)
+"""
+
+
+def ordinary(messages: int) -> str:
+    """A database as vehicles have them: 12 signals a message, a comment each."""
+    lines = ['VERSION ""\nNS_ :\nBS_:\nBU_: A']
+    for m in range(messages):
+        lines.append(f"BO_ {0x8000_0001 + m} MSG_{m}: 8 A")
+        lines += [f' SG_ Signal_{m}_{s} : {5 * s}|5@1+ (0.01,0) [0|100] "m/s" A' for s in range(12)]
+    lines += [f'CM_ SG_ {0x8000_0001 + m} Signal_{m}_0 "what it says";' for m in range(messages)]
+    return "\n".join(lines) + "\n"
+
+
+def probed(path: Path, memory: int) -> tuple[str, int, int]:
+    """What loading says, and the peak of this process and of the parser's [MiB]."""
+    command = [sys.executable, "-c", PROBE, str(path), str(memory)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    said, own, parsers = done.stdout.splitlines()
+    return said, int(own), int(parsers)
+
+
+@pytest.mark.parametrize("megabytes", [5, 20])
+def test_megabytes_of_comment_are_refused_within_what_the_unit_allows(megabytes, tmp_path):
+    path = tmp_path / "talk.dbc"
+    path.write_text(HEAD + COMMENT.format("word " * (megabytes * 200_000)))
+    said, own, parsers = probed(path, UNIT_MEMORY)
+    assert said.startswith("refused")
+    assert "307 MiB of memory" in said
+    assert own < 150
+    assert own + parsers < UNIT_MEMORY / 2**20
+
+
+def test_a_vehicles_whole_database_is_read_within_what_the_unit_allows(tmp_path):
+    path = tmp_path / "car.dbc"
+    path.write_text(ordinary(5000))
+    assert path.stat().st_size > 3_500_000
+    said, own, parsers = probed(path, UNIT_MEMORY)
+    assert said == "read 5000"
+    assert own + parsers < UNIT_MEMORY / 2**20
+
+
+def test_a_process_of_its_own_reads_the_same_and_refuses_in_the_same_words(monkeypatch):
+    good, bad = ordinary(50), ordinary(50) + " SG_ S : oops\n"
+    here = load_database_text(good, "dbc", "x")
+    with pytest.raises(DatabaseError) as refused_here:
+        load_database_text(bad, "dbc", "x")
+    monkeypatch.setattr(bounded_parser, "SMALL", 0)
+    assert load_database_text(good, "dbc", "x").messages == here.messages
+    with pytest.raises(DatabaseError) as refused_there:
+        load_database_text(bad, "dbc", "x")
+    assert str(refused_there.value) == str(refused_here.value)
+
+
+def test_a_parser_that_crashes_is_a_database_that_was_refused(monkeypatch):
+    crash = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
+    monkeypatch.setattr(bounded_parser, "_START", crash)
+    monkeypatch.setattr(bounded_parser, "SMALL", 0)
+    with pytest.raises(DatabaseError, match=r"^x: cannot be read with \d+ MiB"):
+        load_database_text(HEAD, "dbc", "x")
+
+
+def test_a_parser_that_takes_for_ever_is_ended(monkeypatch):
+    endless = """
+import sys, json
+sys.path[:] = json.loads(sys.argv[1])
+from imucald.can.dbc.bounded_parser import _limit
+_limit(1 << 30, 1)
+while True: pass
+"""
+    monkeypatch.setattr(bounded_parser, "_START", endless)
+    monkeypatch.setattr(bounded_parser, "SMALL", 0)
+    began = time.monotonic()
+    with pytest.raises(DatabaseError, match="of processor time"):
+        load_database_text(HEAD, "dbc", "x")
+    assert time.monotonic() - began < 30.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("sym", "Sig=" * 250_000),
+        ("sym", "Sig= x " * 150_000),
+        ("sym", "Sig=A 1" + " 12345h" * 150_000),
+        ("sym", "Sig=A " + "9" * 12 + " " * 900_000),
+        ("dbc", "SG_ " * 250_000),
+        ("dbc", "SG_ a " + "b" * 1_000_000),
+        ("dbc", "BO_ " + "1" * 1_000_000),
+        ("dbc", "SG_MUL_VAL_ " * 80_000),
+        ("kcd", "<Message " * 110_000),
+        ("kcd", "<Message " + "length " * 150_000),
+        ("arxml", "<a:" * 300_000),
+    ],
+    ids=lambda value: value[:14] if len(value) > 5 else value,
+)
+def test_a_megabyte_of_anything_is_looked_through_in_a_moment(kind, text):
+    began = time.process_time()
+    with contextlib.suppress(DatabaseError):
+        refuse_heavy(text, kind, "x")
+    assert time.process_time() - began < 1.0
+
+
+def test_a_file_larger_than_memory_could_hold_is_refused_unread(tmp_path, monkeypatch):
+    path = tmp_path / "long.arxml"
+    with path.open("wb") as file:
+        file.truncate(40 * 2**20)
+    monkeypatch.setattr(bounded_parser, "allowed_memory", lambda: UNIT_MEMORY)
+    assert database.max_file_bytes() == 32 * 2**20
+    with pytest.raises(DatabaseError, match="larger than 32 MiB"):
+        load_database([path])
+
+
+def test_the_memory_allowed_is_the_least_of_the_groups_around(tmp_path):
+    inner = tmp_path / "system.slice" / "imucald"
+    inner.mkdir(parents=True)
+    own = tmp_path / "own"
+    own.write_text("1:name=systemd:/x\n0::/system.slice/imucald\n")
+    physical = allowed_memory(own, tmp_path)
+    (inner / "memory.max").write_text("max\n")
+    assert allowed_memory(own, tmp_path) == physical > 1 << 28
+    (inner / "memory.max").write_text("100000000\n")
+    assert allowed_memory(own, tmp_path) == 100_000_000
+    (inner.parent / "memory.max").write_text("90000000\n")
+    assert allowed_memory(own, tmp_path) == 90_000_000
+    assert allowed_memory(tmp_path / "none", tmp_path) == physical
