@@ -16,6 +16,7 @@ from imucald.can.e2e.protection import REASONS, MessageChecker
 from imucald.core.samples import GRAVITY
 from imucald.inputs.expression import Expression
 from imucald.inputs.quantities import STATUS, Conversion
+from imucald.inputs.rate_guard import RateGuard
 
 ABSENT = -1
 """Code of a value that the frame does not carry (another multiplexer value)."""
@@ -118,6 +119,14 @@ class SignalRoute(Protocol):
     def taps(self) -> tuple[Tap, ...]:
         """What they carry."""
 
+    @property
+    def guard(self) -> RateGuard:
+        """How often they may come."""
+
+    @property
+    def stated_cycle(self) -> float | None:
+        """Their cycle [s] as the configuration or the database states it."""
+
     def check(self, t: float, data: bytes) -> str | None:
         """Judge a frame at stream time t [s]: "" good, None not of this kind, else the reason."""
 
@@ -142,6 +151,8 @@ class MessageRoute:
         self.plan = plan
         self.checker = checker
         self.taps = tuple(sorted(taps, key=lambda tap: tap.rank))
+        self.stated_cycle = checker.spec.cycle_time or plan.message.cycle_time
+        self.guard = RateGuard(self.stated_cycle, checker.spec.counter is not None)
 
     def check(self, t: float, data: bytes) -> str | None:
         """Length, checksum, counter, time-out."""
@@ -179,6 +190,8 @@ class RawRoute:
         self.name = name
         self.match = match
         self.taps = (tap,)
+        self.stated_cycle: float | None = None
+        self.guard = RateGuard()
         self._when = when
         self._value = value
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
-from imucald.motion.at_rest import ROLLING_SPEED
 from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
 from imucald.motion.rails import Rails
+from imucald.motion.rest_thresholds import ROLLING_SPEED
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
     RATE_HOPS,
