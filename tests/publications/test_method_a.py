@@ -27,6 +27,7 @@ from imucald.mount.method_a.solver import (
 from imucald.mount.method_a.static_test import is_static, static_windows
 from mount_settings import published
 from publications import method_a as text
+from publications.on_the_van import NAME, solved, yaw_off
 from publications.recordings import recording
 from published_drive import Drive, mount_error_deg
 
@@ -299,30 +300,18 @@ def test_claims_1_to_5_without_6_a_level_sensor_is_not_levelled() -> None:
 
 # Measured ---------------------------------------------------------------------------------------
 
-FORWARD = np.array([0.0039, 0.9998, 0.0155])
-"""Of the van, in sensor axes, by its INS, +-0.3 deg."""
-
-
-def yaw_off(R: np.ndarray) -> float:
-    """Angle about the sensor's up (near the vehicle's) from the INS' forward axis to ours [deg]."""
-    return math.degrees(math.atan2(R[0, 1], R[0, 0]) - math.atan2(FORWARD[1], FORWARD[0]))
-
 
 def test_kingston_batch_to_the_letter_equals_the_claims() -> None:
     """Gate 1 deg/s, |R'| >= 0.25: 6 deg off, as found before; from 0.8 m/s2 on 1.7."""
-    samples = recording("kingston_2008")
-    t, accel = samples["accel"]
-    gyro = np.column_stack([np.interp(t, samples["gyro"][0], g) for g in samples["gyro"][1].T])
-    t_speed, speed = samples["speed"]
-    growing = np.interp(t, 0.5 * (t_speed[1:] + t_speed[:-1]) + 0.2, np.diff(speed)) > 0.0
+    samples = recording(NAME)
+    accel = samples["accel"][1]
     settings = published(straight={"recognise_by": ("yaw_rate",)})
     static = settings.calibration.static
     count = static.samples
     first = int(np.flatnonzero(static_windows(accel, count, static.threshold))[0])
     J = accel[first * count : (first + 1) * count].mean(axis=0)
-    rate = gyro @ (J / np.linalg.norm(J))
     limit = settings.calibration.straight.yaw_rate_limit_without_speed
-    R, _ = text.solve(accel, J, text.straight(yaw_rate=rate, yaw_rate_limit=limit), growing, 0.25)
+    R, growing, rate = solved(samples, J, limit, 0.25)
     found = solve_published(accel, settings, growing, yaw_rate=rate)
     assert found.R_vehicle_from_sensor == pytest.approx(R, abs=1e-9)
     assert 1.0 < abs(yaw_off(R)) < 8.0  # what the additions are for
