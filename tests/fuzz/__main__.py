@@ -8,6 +8,8 @@ An input that breaks something is written to the work folder and told. Needs ath
 from __future__ import annotations
 
 import argparse
+import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -31,6 +33,8 @@ NAMES = [
     "frame_check",
     "wrong_keys",
 ]
+ITSELF = "IMUCALD_FUZZ_ITSELF"
+"""Names a program that libFuzzer starts as itself: a merge runs inputs in other processes."""
 INPUT_S, MEMORY_MB, LONGEST = 10, 2048, 65536
 """Limits of one input: time [s], memory [MB], length [bytes]."""
 
@@ -43,7 +47,7 @@ def fuzz_one(name: str, arguments: list[str]) -> None:
     sys.path.insert(0, str(HERE.parent))
     with atheris.instrument_imports(include=["imucald"]):
         from targets import TARGETS
-    atheris.Setup([sys.argv[0], *arguments], TARGETS[name])
+    atheris.Setup([os.environ.get(ITSELF, sys.argv[0]), *arguments], TARGETS[name])
     atheris.Fuzz()
 
 
@@ -90,12 +94,17 @@ def fuzz(name: str, work: Path, seconds: int) -> bool:
 def keep(name: str, work: Path) -> None:
     """Merge what is needed for the coverage into the kept corpus."""
     (CORPUS / name).mkdir(parents=True, exist_ok=True)
-    subprocess.run(
-        command(name, "-merge=1", f"-max_len={LONGEST}", str(CORPUS / name), str(work / name)),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        check=False,
-    )
+    itself = work / f"{name}.sh"
+    itself.write_text(f'#!/bin/sh\nexec {shlex.join(command(name))} "$@"\n')
+    itself.chmod(0o755)
+    with (work / f"{name}.merge.txt").open("wb") as output:
+        subprocess.run(
+            command(name, "-merge=1", f"-max_len={LONGEST}", str(CORPUS / name), str(work / name)),
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=os.environ | {ITSELF: str(itself)},
+            check=True,
+        )
     print(f"{name:16s} {len(list((CORPUS / name).iterdir()))} inputs kept")
 
 
