@@ -6,6 +6,7 @@ import json
 import math
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -352,3 +353,14 @@ def test_wrx_drive_has_the_signs_that_its_configuration_states() -> None:
     assert "wheel_speeds" in told(report, "ok")["yaw_rate"]
     rows = {row["quantity"]: row for row in report["quantities"]}
     assert rows["steering_wheel_angle"]["in_si"]["max"] == pytest.approx(math.radians(457.3), 1e-3)
+
+
+def test_a_sensor_that_sticks_within_the_log_is_told(frames: Frames) -> None:
+    check = Check(parse_config(EXAMPLE.read_text(), EXAMPLE))
+    for chunk in frames:
+        late = (chunk.can_id == 0x200) & (chunk.t - EPOCH_S > 150.0)
+        data = chunk.data.copy()
+        data[late, 2:4] = 7  # the y axis; its checksum is not looked at below
+        check.feed(replace(chunk, data=data))
+    text = told(check.report(), "warning")["accelerometer"]
+    assert "y says the same again and again (stuck, from 15" in text
