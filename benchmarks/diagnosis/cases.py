@@ -1,74 +1,77 @@
-"""Which drives are diagnosed: kind, seed, length and hidden effects of each."""
+"""Which drives are diagnosed: named before the run, by part, log, piece, effect, size and draw."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 
-import numpy as np
+from benchmarks.diagnosis.measured_logs import LOGS, is_there
+from benchmarks.diagnosis.outside_effects import OUTSIDE
+from benchmarks.diagnosis.real_effects import EFFECTS
+from benchmarks.measured import DATA
+from hidden import CAUSES
+from hidden import OUTSIDE as GENERATED_OUTSIDE
 
-from hidden import CAUSES, OUTSIDE, Effect, random_effect
-from hidden.effects import Size
-
-PARTS = ("naming", "nulls", "pairs", "outside")
-FIRST_SEED = 700_000
-"""Far from the seeds that the diagnosis was tuned on (below 1000, and 300,000 to 330,100)."""
-PER_CAUSE = 15
-NULLS, PAIRS = 100, 60
-SHORTEST_MIN, LONGEST_MIN = 20.0, 30.0
-SIZE_NAMES: tuple[Size, Size, Size] = ("medium", "large", "small")
-IDENTIFIABLE: tuple[Size, Size] = ("medium", "large")
-GAIN_PER_CAUSE = 5
-"""Of a cause's drives, so many go through the daemon as well, if the effect is not small."""
-GAIN_NULLS = 20
-PART_SEEDS = 10_000
-"""Seeds of different parts lie this far apart."""
+PARTS = ("nulls", "measured", "outside", "second_world", "generated", "generated_nulls",
+         "generated_outside")  # fmt: skip
+FIRST_SEED = 1_200_000
+"""Far from the seeds that were looked at (below 1,000,000)."""
+MINUTES = 20.0
 
 
 @dataclass(frozen=True)
 class Case:
-    """One drive to diagnose."""
+    """One diagnosis. log: a measured log, a drive of second_world, or a seed."""
 
     part: str
-    seed: int
-    minutes: float
-    effects: tuple[Effect, ...]
-    with_gain: bool = False
-    """Also run the daemon's estimator and correction, without and with models."""
+    log: str
+    effect: str = ""
+    level: int = 0
+    draw: int = 0
+    pieces: int = 2
+    piece: int = 1
 
     @property
     def key(self) -> str:
         """Names the case in the file of outcomes."""
-        hidden = "+".join(f"{e.cause}:{e.size}" for e in self.effects)
-        return f"{self.part}/{self.seed}/{hidden}"
+        return (
+            f"{self.part}/{self.log}/{self.effect}/{self.level}/{self.draw}/"
+            f"{self.piece}of{self.pieces}"
+        )
 
 
-def cases(part: str, drives: int | None, first: int) -> Iterator[Case]:
-    """Cases of a part; drives: per cause (naming, outside) or in all, default the full number."""
-    start = first + PART_SEEDS * PARTS.index(part)
-    gains = {"naming": GAIN_PER_CAUSE * len(CAUSES), "nulls": GAIN_NULLS}.get(part, 0)
-    for i, effects in enumerate(_effects(part, drives, start)):
-        rng = np.random.default_rng([start + i, 1])
-        minutes = round(float(rng.uniform(SHORTEST_MIN, LONGEST_MIN)), 1)
-        with_gain = i < gains and all(effect.size != "small" for effect in effects)
-        yield Case(part, start + i, minutes, effects, with_gain)
-
-
-def _effects(part: str, drives: int | None, start: int) -> Iterator[tuple[Effect, ...]]:
-    rng = np.random.default_rng([start, 2])
-    if part == "naming":
-        # Causes alternate, so that a part of the run is a sample of all.
-        for k in range(PER_CAUSE if drives is None else drives):
-            for cause in CAUSES:
-                yield (random_effect(rng, cause, SIZE_NAMES[k % 3]),)
-    elif part == "nulls":
-        yield from [()] * (NULLS if drives is None else drives)
-    elif part == "pairs":
-        for _ in range(PAIRS if drives is None else drives):
-            first, second = (str(c) for c in rng.choice(CAUSES, 2, replace=False))
-            sizes = (IDENTIFIABLE[int(rng.integers(2))], IDENTIFIABLE[int(rng.integers(2))])
-            yield (random_effect(rng, first, sizes[0]), random_effect(rng, second, sizes[1]))
+def cases(part: str, draws: int) -> Iterator[Case]:
+    """Cases of a part, in the order of the run: every log and effect early."""
+    if part == "nulls":
+        for pieces, log in product((2, 3), filter(is_there, LOGS)):
+            yield from (Case(part, log, "", 0, 0, pieces, i) for i in range(pieces))
+    elif part == "measured":
+        logs = [log for log in LOGS if is_there(log)]
+        for draw, level, effect, (i, log) in product(
+            range(draws), (1, 2, 0, 3), EFFECTS, enumerate(logs)
+        ):
+            # Halves take turns, so that both are model and test.
+            yield Case(part, log, effect, level, draw, 2, (i + level + draw) % 2)
+    elif part == "outside":
+        for draw, effect in product(range(draws), OUTSIDE):
+            yield from (Case(part, log, effect, 1, draw, 2, draw % 2)
+                            for log in filter(is_there, LOGS))  # fmt: skip
+    elif part == "second_world":
+        folder = DATA / "second_world"
+        if folder.is_dir():
+            for path in sorted(p for p in folder.iterdir() if p.is_dir()):
+                yield Case(part, path.name, path.name.partition("_")[2])
     else:
-        for k in range(PER_CAUSE if drives is None else drives):
-            for cause in OUTSIDE:
-                yield (Effect(cause, SIZE_NAMES[k % 3]),)
+        yield from _generated(part, draws)
+
+
+def _generated(part: str, draws: int) -> Iterator[Case]:
+    seed = FIRST_SEED + 10_000 * PARTS.index(part)
+    names = {"generated": CAUSES, "generated_nulls": ("",) * 10,
+             "generated_outside": GENERATED_OUTSIDE}[part]  # fmt: skip
+    for draw in range(draws):
+        for level in (1, 2) if part == "generated" else (1,):
+            for effect in names:
+                yield Case(part, str(seed), effect, level, draw)
+                seed += 1

@@ -1,163 +1,166 @@
-"""What counts as right: one outcome against what was hidden."""
+"""What counts as right, and the tables of it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from benchmarks.diagnosis.measured_logs import BUILT_ON
+from benchmarks.diagnosis.real_effects import EFFECTS
 
-from hidden import OUTSIDE_SIGNALS
-
-Array = NDArray[np.float64]
 Line = Mapping[str, Any]
-
-LARGEST_SET = 3
-"""An ambiguous set counts where it holds the right cause and at most two others."""
-WITHIN_STD = 3.0
-NEAR_FLOOR = 1.10
+LONG_MIN = 15.0
 
 
-def hidden_names(line: Line) -> list[str]:
-    return [cause for cause, _ in line["hidden"]]
+def names_of(line: Line) -> set[str]:
+    """What was said, with what was said to look like it."""
+    return set(line["said"]) | {n for group in line["sets"] for n in group}
 
 
-def said_names(line: Line) -> list[str]:
-    return [cause["name"] for cause in line["said"]["causes"]]
+def is_right(line: Line) -> bool:
+    """The cause was named, alone or in a set; `unknown` where that is right."""
+    if "unknown" in line["right"]:
+        return line["verdict"] == "unknown" and not line["said"]
+    return bool(set(line["right"]) & names_of(line))
 
 
-def is_identifiable(line: Line) -> bool:
-    """Every hidden effect is of medium size at least."""
-    return all(size in {"medium", "large"} for _, size in line["hidden"])
+def wrong_names(line: Line, known: set[str]) -> list[str]:
+    """Names that are neither hidden nor in the log as it is, nor in a set with what is hidden."""
+    right = set(line["right"])
+    alike = {n for g in line["sets"] if right & set(g) for n in g}
+    return [n for n in line["said"] if n not in right | alike | known]
 
 
-def size_of(line: Line) -> str:
-    return str(line["hidden"][0][1])
+def _row(*cells: object) -> str:
+    return "| " + " | ".join(str(c) for c in cells) + " |"
 
 
-def set_with(line: Line, cause: str) -> Sequence[str]:
-    """The set of look-alikes that holds a cause; empty without one or where it is too large."""
-    for names in line["said"].get("look_alikes", []):
-        if cause in names and len(names) <= LARGEST_SET:
-            return list(names)
-    return []
+def nulls(lines: Sequence[Line]) -> Iterator[str]:
+    """Measured pieces against the model that the other pieces gave."""
+    yield _row("log", "pieces", "nothing", "named", "left over")
+    yield _row(*["---"] * 5)
+    for log in dict.fromkeys(x["log"] for x in lines):
+        own = [x for x in lines if x["log"] == log and "refused" not in x]
+        refused = sum("refused" in x for x in lines if x["log"] == log)
+        said = sorted(n for x in own for n in x["said"])
+        left = sorted(k for x in own for k in x["left"])
+        count = f"{len(own)}" + (f" ({refused} refused: too short)" if refused else "")
+        quiet = sum(x["verdict"] == "nothing" for x in own)
+        mark = "" if log in BUILT_ON else " (held back)"
+        yield _row(log + mark, count, quiet, ", ".join(said) or "-", ", ".join(left) or "-")
 
 
-def naming(line: Line) -> str:
-    """How a single hidden effect was named.
-
-    `right`: it and nothing else. `set`: an ambiguous set of at most three with it, and nothing
-    else. `beside`: it, and something that is not there. `wrong`: others only. Else the verdict.
-    """
-    (true,) = hidden_names(line)
-    verdict, said = line["said"]["verdict"], said_names(line)
-    if verdict in {"nothing", "unknown", "error"} and not said:
-        return str(verdict)
-    alike = set_with(line, true)
-    if verdict == "found" and said == [true]:
-        return "right"
-    if alike and set(said) <= {true, *alike}:
-        return "set"
-    if verdict == "unknown":
-        return "unknown"
-    return "beside" if true in said else "wrong"
-
-
-def named(line: Line) -> list[str]:
-    """Hidden causes that were named, alone or in a set with something that was said."""
-    said = set(said_names(line))
-    return [
-        cause
-        for cause in hidden_names(line)
-        if cause in said or (said & set(set_with(line, cause)))
-    ]
-
-
-def invented(line: Line) -> list[str]:
-    """Causes said that are not hidden, and not in a set with one that is."""
-    true = hidden_names(line)
-    alike = {name for cause in true for name in set_with(line, cause)}
-    return [name for name in said_names(line) if name not in true and name not in alike]
-
-
-def outside_signals_are_right(line: Line) -> bool:
-    """Structure was reported in a signal that the effect touches."""
-    touched = {s for cause in hidden_names(line) for s in OUTSIDE_SIGNALS[cause]}
-    return any(s["signal"] in touched for s in line["said"].get("structure", []))
-
-
-def z_scores(lines: Sequence[Line]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Errors of the parameters of rightly named causes, in their standard deviations."""
-    return np.array(
-        [
-            (score["value"] - score["true"]) / max(score["std"], 1e-300)
-            for line in lines
-            for score in line["scores"]
-            if score["cause"] in hidden_names(line)
-        ]
+def hidden(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
+    """Effects hidden in measured logs, by effect and size."""
+    known: dict[str, set[str]] = {}
+    for x in null_lines:
+        if "refused" not in x:
+            known.setdefault(x["log"], set()).update(x["said"])
+    lines = [x for x in lines if "refused" not in x]
+    yield _row("effect", *(f"size {i + 1}" for i in range(4)), "wrong names", "in 15 min and more")
+    yield _row(*["---"] * 7)
+    wrong = single = 0
+    for name, effect in EFFECTS.items():
+        own = [x for x in lines if x["effect"] == name]
+        if not own:
+            continue
+        cells = []
+        for level, size in enumerate(effect.sizes):
+            some = [x for x in own if x["level"] == level]
+            if some:
+                found = sum(map(is_right, some))
+                cells.append(f"{size / effect.per:g} {effect.unit}: {found}/{len(some)}")
+            else:
+                cells.append("-")
+        bad = [n for x in own for n in wrong_names(x, known.get(x["log"], set()))]
+        wrong += sum(bool(wrong_names(x, known.get(x["log"], set()))) for x in own)
+        single += sum(
+            len(x["said"]) == 1 and not x["sets"]
+            and bool(wrong_names(x, known.get(x["log"], set()))) for x in own
+        )  # fmt: skip
+        long = [x for x in own if x["minutes"] >= LONG_MIN]
+        by_level = [
+            f"{sum(is_right(x) for x in long if x['level'] == i)}/"
+            f"{sum(x['level'] == i for x in long)}" for i in range(4)
+        ]  # fmt: skip
+        shown = ", ".join(f"{n} x{bad.count(n)}" for n in sorted(set(bad))) or "-"
+        yield _row(name, *cells, shown, " ".join(by_level))
+    held, sized = intervals(lines)
+    total = len(lines)
+    yield ""
+    yield (
+        f"{sum(map(is_right, lines))} of {total} right; a name that is not there in {wrong} "
+        f"({100 * wrong / max(total, 1):.1f} %), alone in {single}; intervals hold the hidden "
+        f"size in {held} of {sized}."
     )
 
 
-def relative_error(line: Line) -> float | None:
-    """Error of the named cause's parameters together, relative to their hidden change.
-
-    Axes of a triad count as one vector. None where the cause was not named.
-    """
-    (true,) = hidden_names(line)
-    scores = [s for s in line["scores"] if s["cause"] == true]
-    if not scores:
-        return None
-    error = np.array([s["value"] - s["true"] for s in scores])
-    change = np.array([s["true"] - s["base"] for s in scores])
-    return float(np.linalg.norm(error)) / max(float(np.linalg.norm(change)), 1e-300)
-
-
-def floors(line: Line) -> list[float]:
-    """Residual over noise floor after extension, of the signals that the named causes touch."""
-    touched = {s for cause in line["said"]["causes"] for s in cause["signals"]}
-    return [
-        s["rms_after"] / s["noise_floor"]
-        for name, s in line["said"]["signals"].items()
-        if name in touched and s["noise_floor"]
-    ]
+def intervals(lines: Sequence[Line]) -> tuple[int, int]:
+    """How many intervals of named parameters hold what was put in."""
+    held = sized = 0
+    for x in lines:
+        truth = x.get("truth") or {}
+        got = x["values"].get(truth.get("key") or "")
+        if got is None:
+            continue
+        value, se, q = got
+        sized += 1
+        held += abs(value - truth["value"]) <= q * se
+    return held, sized
 
 
-def mount_error(line: Line, model: str) -> float | None:
-    """Angle [deg] by which the daemon's mount is wrong at the end of the drive."""
-    vector = line.get("vehicle", {}).get(model, {}).get("mount_deg")
-    return None if vector is None else float(np.linalg.norm(vector))
+def drives(lines: Sequence[Line]) -> Iterator[str]:
+    """One row a drive: second_world, and drives that the generator makes."""
+    yield _row("drive", "hidden", "verdict", "named", "alike", "likely", "left over", "right")
+    yield _row(*["---"] * 8)
+    for x in lines:
+        good = is_right(x) if x["right"] else not x["said"]
+        sets = "; ".join(" = ".join(g) for g in x["sets"])
+        yield _row(
+            x["log"], x["effect"] or "-", x["verdict"], ", ".join(x["said"]) or "-", sets or "-",
+            ", ".join(x["likely"]) or "-", ", ".join(x["left"]) or "-", "yes" if good else "no",
+        )  # fmt: skip
 
 
-def turn(line: Line, model: str) -> Array | None:
-    """Rotation vector (3,) [deg] by which the effect turns the daemon's mount.
-
-    That is against the same drive without the effect.
-    """
-    vehicle = line.get("vehicle", {})
-    with_it, without = (vehicle.get(name, {}).get("mount_deg") for name in (model, "without"))
-    if with_it is None or without is None:
-        return None
-    return np.asarray(np.subtract(with_it, without))
+def summary(part: str, lines: Sequence[Line]) -> str:
+    """One line a part."""
+    lines = [x for x in lines if "refused" not in x]
+    if not lines:
+        return f"{part}: nothing to tell"
+    good = [x for x in lines if (is_right(x) if x["right"] else not x["said"])]
+    invented = sum(bool(wrong_names(x, set())) for x in lines)
+    return f"{part}: {len(good)} of {len(lines)} right; names that are not there in {invented}"
 
 
-def turned(line: Line, model: str) -> float | None:
-    """Size of `turn` [deg]."""
-    vector = turn(line, model)
-    return None if vector is None else float(np.linalg.norm(vector))
+def calibration(lines: Sequence[Line]) -> Iterator[str]:
+    """Of what was told as certain and as likely, how much was there."""
+    yield _row("world", "certain", "right", "likely", "right")
+    yield _row(*["---"] * 5)
+    for part in dict.fromkeys(x["part"] for x in lines):
+        own = [x for x in lines if x["part"] == part and "refused" not in x]
+        base = {n for x in lines if x["part"] == "nulls" for n in x.get("said", [])}
+        taken = base if part in {"measured", "outside"} else set()
+        sure = [(n, x) for x in own for n in x["said"] if n not in taken or n in x["right"]]
+        bad = sum(n in wrong_names(x, taken) for n, x in sure)
+        likely = [(n, x) for x in own for n in x["likely"] if n not in taken]
+        good = sum(n in x["right"] for n, x in likely)
+        yield _row(part, len(sure), len(sure) - bad, len(likely), good)
 
 
-def turned_deviations(line: Line, model: str, stated: str = "before") -> float | None:
-    """The same, about the axis where it is largest, in deviations that the daemon states there.
-
-    stated: with which mount: `before`, the one with the effect and the honest model file, or
-    `without` the effect. The first is wider where an effect makes all less certain.
-    """
-    vector, std = turn(line, model), line.get("vehicle", {}).get(stated, {}).get("std_deg")
-    return None if vector is None or std is None else float(np.max(np.abs(vector) / std))
+def file_alone(lines: Sequence[Line]) -> str:
+    """Whether the written file does alone what the page says, within 5 %."""
+    pairs = [v for x in lines for v in (x.get("file") or {}).values() if v[2] > 0.0]
+    near = sum(abs(after - alone) <= 0.05 * alone for _, after, alone in pairs)
+    return f"Within 5 % of what the page says: {near} of {len(pairs)} signals."
 
 
-def force_error(line: Line, model: str) -> float | None:
-    """rms error of the corrected horizontal force [m/s^2]."""
-    force = line.get("vehicle", {}).get(model, {}).get("force")
-    return None if force is None else float(np.hypot(force[0], force[1]))
+def cost(lines: Sequence[Line]) -> str:
+    """Processor time and memory."""
+    per_hour = sorted(x["cpu_s_per_h"] for x in lines if x.get("minutes", 0.0) >= LONG_MIN)
+    if not per_hour:
+        return "No drive of 15 min."
+    middle = per_hour[len(per_hour) // 2]
+    return (
+        f"Processor time per hour of driving: median {middle:.0f} s, most {per_hour[-1]:.0f} s; "
+        f"memory up to {max(x['mib'] for x in lines if 'mib' in x)} MiB."
+    )

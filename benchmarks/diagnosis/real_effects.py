@@ -1,8 +1,12 @@
-"""Effects put into the samples of a measured drive."""
+"""Effects put into the samples of a measured drive, sample by sample.
+
+Shares nothing with the forward model: vectors are turned, samples are moved, dropped or repeated.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +14,26 @@ from numpy.typing import NDArray
 from imucald.core.samples import Samples, Series
 
 Array = NDArray[np.float64]
-DEG = np.pi / 180.0
-Put = Callable[[dict[str, Series], float, np.random.Generator, Array], None]
+Drive = dict[str, Series]
+DEG = float(np.pi / 180.0)
+Put = Callable[[Drive, float, np.random.Generator, Array], float]
+"""(samples, size, generator, R_vehicle_from_sensor) -> the signed number that was put in."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect: which names are right, how it is put in, four sizes."""
+
+    right: tuple[str, ...]
+    put: Put
+    sizes: tuple[float, float, float, float]
+    unit: str
+    per: float = 1.0
+    """Size of the unit in SI."""
+    key: str = ""
+    """Parameter whose interval should hold the number; empty: none is compared."""
+    needs: tuple[str, ...] = ()
+    least_min: float = 0.0
 
 
 def _direction(rng: np.random.Generator) -> Array:
@@ -26,166 +48,239 @@ def _sign(rng: np.random.Generator) -> float:
 def _rotated(values: Array, axis: Array, angle: float) -> Array:
     """Vectors (N, 3) turned about a unit axis."""
     along = (values @ axis)[:, None] * axis
-    result: Array = (
+    return np.asarray(
         along + np.cos(angle) * (values - along) + np.sin(angle) * np.cross(axis, values)
     )
-    return result
 
 
-def _values(samples: dict[str, Series], name: str, values: Array) -> None:
-    samples[name] = Series(samples[name].t, values)
+def _set(s: Drive, name: str, values: Array) -> None:
+    s[name] = Series(s[name].t, values)
 
 
-def _accel_bias(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    _values(s, "accel", s["accel"].values + size * _direction(rng))
+def _bias(name: str, row: int | None) -> Put:
+    """Along a vehicle axis (row), or along any direction."""
+
+    def put(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+        x = _sign(rng) * size
+        way = _direction(rng) if row is None else R[row]
+        _set(s, name, s[name].values + x * way)
+        return x
+
+    return put
 
 
-def _gyro_bias(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    _values(s, "gyro", s["gyro"].values + size * _direction(rng))
+def _bias_drift(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Grows evenly from 0 to twice the size over the drive."""
+    t = s["accel"].t
+    share = (t - t[0]) / (t[-1] - t[0])
+    _set(s, "accel", s["accel"].values + 2.0 * size * share[:, None] * _direction(rng))
+    return size
 
 
-def _gyro_scale(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    _values(s, "gyro", s["gyro"].values * (1.0 + _sign(rng) * size))
+def _scale(name: str) -> Put:
+    def put(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+        x = _sign(rng) * size
+        _set(s, name, s[name].values * (1.0 + x))
+        return x
+
+    return put
 
 
-def _g_sensitivity(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    felt = np.column_stack([np.interp(s["gyro"].t, s["accel"].t, a) for a in s["accel"].values.T])
-    _values(s, "gyro", s["gyro"].values + _sign(rng) * size * felt)
+def _offset(name: str) -> Put:
+    def put(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+        x = _sign(rng) * size
+        _set(s, name, s[name].values + x)
+        return x
+
+    return put
 
 
-def _mount_rotation(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    axis = _direction(rng)
+def _cross_axis(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    i, j = rng.choice(3, 2, replace=False)
+    values = s["accel"].values.copy()
+    x = _sign(rng) * size
+    values[:, i] += x * s["accel"].values[:, j]
+    _set(s, "accel", values)
+    return x
+
+
+def _late(*names: str) -> Put:
+    def put(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+        for name in names:
+            s[name] = Series(s[name].t + size, s[name].values)
+        return size
+
+    return put
+
+
+def _lowpass(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Speed through a first-order low-pass with this time constant."""
+    t, x = s["speed"].t, s["speed"].values
+    out = np.empty_like(x)
+    out[0] = x[0]
+    for k in range(1, len(x)):
+        keep = np.exp(-(t[k] - t[k - 1]) / size)
+        out[k] = keep * out[k - 1] + (1.0 - keep) * 0.5 * (x[k] + x[k - 1])
+    _set(s, "speed", out)
+    return size
+
+
+def _clip(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """One axis of the accelerometer, both ends, so that this share of samples is on the rail."""
+    values = s["accel"].values.copy()
+    axis = int(rng.integers(3))
+    x = values[:, axis] - np.median(values[:, axis])
+    rail = float(np.quantile(np.abs(x), 1.0 - size))
+    values[:, axis] = np.clip(x, -rail, rail) + np.median(values[:, axis])
+    _set(s, "accel", values)
+    return size
+
+
+def _stuck(name: str) -> Put:
+    """One stretch of driving, of `size` seconds."""
+
+    def put(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+        t, v = s["speed"].t, s["speed"].values
+        fast = t[(v > 5.0) & (t < t[-1] - size)]
+        start = float(rng.choice(fast))
+        own = s[name]
+        inside = (own.t >= start) & (own.t < start + size)
+        values = own.values.copy()
+        values[inside] = values[np.flatnonzero(inside)[0]]
+        _set(s, name, values)
+        return size
+
+    return put
+
+
+def _lost(name: str) -> Put:
+    def put(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+        kept = rng.random(len(s[name].t)) >= size
+        s[name] = Series(s[name].t[kept], s[name].values[kept])
+        return size
+
+    return put
+
+
+def _doubled(name: str) -> Put:
+    """Sent again a tenth of the cycle later."""
+
+    def put(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+        t, values = s[name].t, s[name].values
+        again = rng.random(len(t)) < size
+        later = t[again] + 0.1 * float(np.median(np.diff(t)))
+        order = np.argsort(np.concatenate([t, later]), kind="stable")
+        s[name] = Series(np.concatenate([t, later])[order],
+                         np.concatenate([values, values[again]])[order])  # fmt: skip
+        return size
+
+    return put
+
+
+def _turn(s: Drive, size: float, rng: np.random.Generator, R: Array, axis: Array) -> None:
     for name in ("accel", "gyro"):
-        _values(s, name, _rotated(s[name].values, axis, size))
+        if name in s:
+            _set(s, name, _rotated(s[name].values, axis, size))
 
 
-def _mount_shift(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    axis, share = _direction(rng), rng.uniform(0.25, 0.75)
+def _rotation(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """About the vehicle's upward axis, all along."""
+    x = _sign(rng) * size
+    _turn(s, x, rng, R, R[2])
+    return x
+
+
+def _remount(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """About any axis, somewhere in the middle 40 % of the drive."""
+    axis, share = _direction(rng), rng.uniform(0.3, 0.7)
     for name in ("accel", "gyro"):
+        if name not in s:
+            continue
         t, values = s[name].t, s[name].values.copy()
         after = t > t[0] + share * (t[-1] - t[0])
         values[after] = _rotated(values[after], axis, size)
-        _values(s, name, values)
+        _set(s, name, values)
+    return size
 
 
-def _speed_scale(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    _values(s, "speed", s["speed"].values * (1.0 + _sign(rng) * size))
-
-
-def _speed_delay(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    s["speed"] = Series(s["speed"].t + size, s["speed"].values)
-
-
-def _lever_arm(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    """Along the vehicle: the sensor is moved forward or back."""
-    accel, gyro = s["accel"], s["gyro"]
-    arm = R.T @ np.array([_sign(rng) * size, 0.0, 0.0])
-    w = np.column_stack([np.interp(accel.t, gyro.t, x) for x in gyro.values.T])
-    # The rate's own noise would be differentiated: means over half a second.
-    n = max(1, round(0.5 / float(np.median(np.diff(accel.t)))))
-    w = np.column_stack([np.convolve(x, np.ones(n) / n, "same") for x in w.T])
-    turning = np.gradient(w, accel.t, axis=0)
-    felt = np.cross(turning, arm) + np.cross(w, np.cross(w, arm))
-    _values(s, "accel", accel.values + np.where(np.isfinite(felt), felt, 0.0))
-
-
-def _cross_axis(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    i, j = rng.choice(3, 2, replace=False)
-    values = s["accel"].values.copy()
-    values[:, i] += _sign(rng) * size * s["accel"].values[:, j]
-    _values(s, "accel", values)
-
-
-def _lowpass(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    """Gyroscope; two running sums of first order, as a damped pair of poles in time."""
-    t, x = s["gyro"].t, s["gyro"].values
-    step = float(np.median(np.diff(t)))
-    w = 2.0 * np.pi * size
-    out, rate, place = np.empty_like(x), np.zeros(3), x[0].copy()
-    steps = max(1, int(np.ceil(w * step / 0.2)))
-    h = step / steps
-    for k in range(len(x)):
-        for _ in range(steps):
-            rate = rate + h * (w * w * (x[k] - place) - np.sqrt(2.0) * w * rate)
-            place = place + h * rate
-        out[k] = place
-    _values(s, "gyro", out)
-
-
-def _saturation(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    """Of the gyroscope, so that this share of samples sits on the rail."""
-    values = s["gyro"].values
-    rail = float(np.quantile(np.abs(values).max(axis=1), 1.0 - size))
-    _values(s, "gyro", np.clip(values, -rail, rail))
-
-
-def _stretches(
-    rng: np.random.Generator, t: Array, share: float, longest: float
-) -> NDArray[np.bool_]:
-    """Rows (N,) within random stretches that make up a share of the time."""
-    inside = np.zeros(len(t), dtype=bool)
-    span = t[-1] - t[0]
-    for _ in range(100_000):
-        if inside.mean() >= share:
-            break
-        length = min(rng.uniform(0.2, 1.0) * longest, max((share - inside.mean()) * span, 0.1))
-        start = rng.uniform(t[0], t[-1] - length)
-        inside |= (t >= start) & (t < start + length)
-    return inside
-
-
-def _dropouts(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    lost = _stretches(rng, s["accel"].t, size, 2.0)
-    s["accel"] = Series(s["accel"].t[~lost], s["accel"].values[~lost])
-
-
-def _stuck(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    frozen = _stretches(rng, s["gyro"].t, size, 20.0)
-    index = np.arange(len(frozen))
-    first = np.maximum.accumulate(np.where(frozen, 0, index))
-    # Within a stretch: the last sample before it.
-    _values(s, "gyro", s["gyro"].values[first])
-
-
-def _stamps(s: dict[str, Series], size: float, rng: np.random.Generator, R: Array) -> None:
-    """The inertial unit's stamps run off against the vehicle's [ppm]."""
-    way = _sign(rng)
+def _creep(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Turns evenly about one axis, by `size` from the first to the last sample."""
+    axis = _direction(rng)
     for name in ("accel", "gyro"):
-        t = s[name].t
-        s[name] = Series(t[0] + (t - t[0]) * (1.0 + way * size * 1e-6), s[name].values)
+        if name not in s:
+            continue
+        t, values = s[name].t, s[name].values
+        angle = size * (t - t[0]) / (t[-1] - t[0])
+        along = (values @ axis)[:, None] * axis
+        c, n = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        _set(s, name, along + c * (values - along) + n * np.cross(axis, values))
+    return size
 
 
-EFFECTS: Mapping[str, tuple[str, Put, tuple[float, ...], str, float]] = {
-    "accel_bias": ("accel_bias", _accel_bias, (0.05, 0.1, 0.2, 0.4, 0.8), "m/s²", 1.0),
-    "gyro_bias": ("gyro_bias", _gyro_bias,
-                  tuple(x * DEG for x in (0.05, 0.1, 0.2, 0.4, 0.8)), "deg/s", DEG),
-    "gyro_scale": ("gyro_scale", _gyro_scale, (0.01, 0.02, 0.04, 0.08, 0.16), "%", 0.01),
-    "g_sensitivity": ("g_sensitivity", _g_sensitivity,
-                      tuple(x * DEG for x in (0.02, 0.05, 0.1, 0.2, 0.4)),
-                      "(deg/s)/(m/s²)", DEG),
-    "mount_rotation": ("mount_rotation", _mount_rotation,
-                       tuple(x * DEG for x in (0.5, 1.0, 2.0, 4.0, 8.0)), "deg", DEG),
-    "mount_shift": ("mount_shift", _mount_shift,
-                    tuple(x * DEG for x in (0.5, 1.0, 2.0, 4.0, 8.0)), "deg", DEG),
-    "accel_cross_axis": ("accel_cross_axis", _cross_axis,
-                         (0.01, 0.02, 0.04, 0.08, 0.16), "%", 0.01),
-    "lever_arm": ("lever_arm", _lever_arm, (0.5, 1.0, 2.0, 4.0, 8.0), "m", 1.0),
-    "wheel_speed_scale": ("wheel_speed_scale", _speed_scale,
-                          (0.01, 0.02, 0.04, 0.08, 0.16), "%", 0.01),
-    "speed_delay": ("signal_delay", _speed_delay, (0.05, 0.1, 0.2, 0.4, 0.8), "s", 1.0),
-    "gyro_lowpass": ("sensor_lowpass", _lowpass, (4.0, 2.0, 1.0, 0.5, 0.25), "Hz", 1.0),
-    "gyro_saturation": ("saturation", _saturation, (0.0005, 0.002, 0.005, 0.02, 0.05), "%", 0.01),
-    "accel_dropouts": ("dropouts", _dropouts, (0.001, 0.0025, 0.005, 0.02, 0.08), "%", 0.01),
-    "gyro_stuck": ("stuck_signal", _stuck, (0.002, 0.005, 0.01, 0.04, 0.12), "%", 0.01),
-    "stamps_drift": ("clock_drift", _stamps, (50.0, 100.0, 200.0, 400.0, 800.0), "ppm", 1.0),
+def _stamps(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed's stamps run off those of the sensor."""
+    t = s["speed"].t
+    x = _sign(rng) * size
+    s["speed"] = Series(t[0] + (t - t[0]) * (1.0 + x), s["speed"].values)
+    return x
+
+
+GAINS = ("wheel_speed_scale", "accel_scale", "gyro_scale")
+EFFECTS: Mapping[str, Effect] = {
+    "accel_bias": Effect(("accel_bias",), _bias("accel", None), (0.1, 0.2, 0.3, 0.5), "m/s²"),
+    "accel_bias_x": Effect(("accel_bias",), _bias("accel", 0), (0.1, 0.2, 0.3, 0.5), "m/s²",
+                           key="accel.bias.x"),
+    "accel_bias_drift": Effect(
+        ("accel_bias", "accel_bias_temperature", "mount_creep", "drift"), _bias_drift,
+        (0.1, 0.2, 0.3, 0.5), "m/s²"),
+    "accel_scale": Effect(("accel_scale",), _scale("accel"), (0.02, 0.04, 0.06, 0.1), "%", 0.01),
+    "accel_cross_axis": Effect(("accel_cross_axis",), _cross_axis, (0.02, 0.04, 0.06, 0.1), "%",
+                               0.01),
+    "gyro_bias": Effect(("gyro_bias",), _bias("gyro", 2),
+                        (0.1 * DEG, 0.2 * DEG, 0.3 * DEG, 0.6 * DEG), "deg/s", DEG, "gyro.bias.z",
+                        ("gyro",)),
+    "gyro_scale": Effect(("gyro_scale",), _scale("gyro"), (0.03, 0.06, 0.09, 0.12), "%", 0.01,
+                         needs=("gyro",)),
+    "speed_scale": Effect(("wheel_speed_scale",), _scale("speed"), (0.03, 0.06, 0.09, 0.12), "%",
+                          0.01, "speed.scale"),
+    "speed_late": Effect(("signal_delay",), _late("speed"), (0.1, 0.2, 0.3, 0.5), "s",
+                         key="speed.delay_s"),
+    "accel_late": Effect(("signal_delay",), _late("accel"), (0.05, 0.1, 0.2, 0.4), "s",
+                         key="accel.delay_s"),
+    "speed_lowpass": Effect(("signal_delay", "sensor_lowpass"), _lowpass, (0.2, 0.4, 0.8, 1.6),
+                            "s"),
+    "stamps": Effect(("delay_rate", "clock_drift"), _stamps, (1e-4, 2e-4, 4e-4, 8e-4), "ppm", 1e-6,
+                     "speed.delay_rate"),
+    "remount": Effect(("mount_shift",), _remount, (2 * DEG, 4 * DEG, 6 * DEG, 10 * DEG), "deg",
+                      DEG, needs=("gyro",)),
+    "creep": Effect(("mount_creep", "mount_shift"), _creep,
+                    (2 * DEG, 4 * DEG, 6 * DEG, 10 * DEG), "deg", DEG, needs=("gyro",)),
+    "turned": Effect(("mount_rotation",), _rotation, (1 * DEG, 2 * DEG, 4 * DEG, 8 * DEG), "deg",
+                     DEG, needs=("gyro",)),
+    "clipped": Effect(("saturation",), _clip, (0.005, 0.01, 0.02, 0.05), "%", 0.01),
+    "gyro_stuck": Effect(("stuck_signal",), _stuck("gyro"), (5.0, 15.0, 30.0, 60.0), "s",
+                         needs=("gyro",)),
+    "speed_stuck": Effect(("stuck_signal",), _stuck("speed"), (15.0, 30.0, 45.0, 60.0), "s"),
+    "lost": Effect(("dropouts",), _lost("accel"), (0.005, 0.01, 0.02, 0.05), "%", 0.01),
+    "doubled": Effect(("duplicated_frames",), _doubled("accel"), (0.005, 0.01, 0.02, 0.05), "%",
+                      0.01),
+    "steering_offset": Effect(("steering_offset",), _offset("steering"),
+                              (1 * DEG, 3 * DEG, 5 * DEG, 8 * DEG), "deg", DEG, "steering.offset",
+                              ("steering",)),
+    "steering_ratio": Effect(("steering_ratio",), _scale("steering"), (0.04, 0.08, 0.12, 0.2),
+                             "%", 0.01, needs=("steering",)),
+    "yaw_rate_scale": Effect(("yaw_rate_scale",), _scale("yaw_rate"), (0.03, 0.06, 0.1, 0.15),
+                             "%", 0.01, "yaw_rate.scale", ("yaw_rate",)),
+    "yaw_rate_offset": Effect(("yaw_rate_offset",), _offset("yaw_rate"),
+                              (0.2 * DEG, 0.4 * DEG, 0.8 * DEG, 1.6 * DEG), "deg/s", DEG,
+                              "yaw_rate.offset", ("yaw_rate",)),
 }  # fmt: skip
-"""Effect to its cause, what it does, five sizes from slight to strong, unit shown and its size."""
 
 
 def with_effect(
     samples: Samples, effect: str, size: float, rng: np.random.Generator, R: Array
-) -> Samples:
-    """Return samples with an effect put in; R_vehicle_from_sensor as far as it is known."""
+) -> tuple[Samples, float]:
+    """Samples with an effect put in, and the number; R_vehicle_from_sensor as far as known."""
     changed = dict(samples)
-    EFFECTS[effect][1](changed, size, rng, R)
-    return changed
+    x = EFFECTS[effect].put(changed, size, rng, R)
+    return changed, x

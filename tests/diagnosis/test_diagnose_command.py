@@ -48,8 +48,8 @@ def asked(monkeypatch):
         calls["recordings"] = recordings
         return made.BEFORE
 
-    def diagnose(drives, model, progress):
-        calls["drives"], calls["model"] = drives, model
+    def diagnose(drives, model, progress, limit_s):
+        calls["drives"], calls["model"], calls["limit_s"] = drives, model, limit_s
         progress(0.5, "halfway")
         return calls["answer"]
 
@@ -75,12 +75,18 @@ def test_the_summary_says_what_was_found_in_words(asked, said, log):
     assert (status, err) == (0, "")
     assert "Found: body roll and accelerometer bias" in out
     assert "suspension.roll_gradient" in out
-    assert "0.01712 ± 0.00031" in out
-    assert "(9.62 ± 0.17 deg/g)" in out
+    assert "9.62 ± 0.17 deg/g" in out
+    assert "4.50 deg/g" in out, "what the file said"
     assert "673 nats likelier" in out
-    assert "mount-angle error 0.62 deg before, 0.08 deg after" in out
-    assert "lost: accelerometer scale + body roll, by 3.20 nats" in out
+    assert "use it" in out
+    assert "against it: in 40 % of the stretches it predicts worse" in out
+    assert "not named: accelerometer scale, not decidable here" in out
     assert "note: no temperature signal" in out
+
+
+def test_a_time_limit_is_handed_on(asked, said, log):
+    assert said(log, "--time-limit", "7.5")[0] == 0
+    assert asked["limit_s"] == 7.5
 
 
 @pytest.mark.parametrize(("verdict", "words"), [
@@ -121,14 +127,16 @@ def test_json_has_the_documented_keys_and_is_alone_on_standard_output(asked, sai
     roll = result["causes"][0]
     assert roll["name"] == "body_roll"
     assert roll["parameters"]["suspension.roll_gradient"] == {
-        "value": 0.017123457, "std": 0.00031, "unit": "rad/(m/s^2)",
+        "value": 0.017123457, "std": 0.00031, "unit": "rad/(m/s^2)", "stated": 0.008,
+        "tolerance": 0.0025,
     }  # fmt: skip
     assert result["signals"]["accel_y"] == {
         "rms_before": 0.312, "rms_after": 0.101, "noise_floor": 0.094, "unit": "m/s^2",
+        "slow_before": 0.3, "slow_after": 0.08, "left": "offset +0.13 m/s^2",
     }  # fmt: skip
     assert result["gain"] == {
         "held_out_log_likelihood": 673.0, "interval": [590.0, 755.0],
-        "mount_error_deg_before": 0.62, "mount_error_deg_after": 0.08,
+        "worse": [], "recommended": True,
     }  # fmt: skip
     assert set(result) >= {"look_alikes", "to_separate", "duration_s", "structure", "candidates"}
     assert result["logs"] == [str(log)]
@@ -299,18 +307,20 @@ def test_names_are_no_markup_and_long_lists_are_cut(capsys):
     from imucald.diagnosis.result import Candidate
 
     strange = "[red]bold[/red] [/x]"
-    lost = tuple(Candidate((f"cause_{i}",), -1.0 - i, strange) for i in range(500))
+    lost = tuple(
+        Candidate(f"cause_{i}", "not decidable here", -1.0 - i, strange) for i in range(500)
+    )
     print_diagnosis(made.found(candidates=lost, notes=(strange,) * 500, to_separate=strange))
     out = capsys.readouterr().out
     assert strange in out
-    assert "495 more lost" in out
+    assert "495 more were not named" in out
     assert "488 more notes" in out
     assert len(out.splitlines()) < 80
 
 
 SLOW = """
 import signal, sys, time, types
-def diagnose(drives, model, progress):
+def diagnose(drives, model, progress, limit_s):
     print("begun", flush=True)
     time.sleep(60)
 module = types.ModuleType("imucald.diagnosis.diagnose")

@@ -492,7 +492,7 @@ def test_a_save_that_fails_for_any_reason_is_seen_and_made_up_for(bench, monkeyp
     bench.drive(service)
     store = service.calibration_store
     with monkeypatch.context() as broken:
-        broken.setattr(store.store, "save", lambda _: float("no number"))
+        broken.setattr(store.store, "save", lambda *_: float("no number"))
         service._every_second(time.monotonic())
         assert not store.writer.flush(2.0)
         service._every_second(time.monotonic())

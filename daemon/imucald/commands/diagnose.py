@@ -59,6 +59,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="write the extended model file, for 'simulate --model' and the key 'model:'",
     )
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        default=300.0,
+        metavar="S",
+        help="processor time after which what was found so far is told (default: %(default).0f s)",
+    )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     parser.add_argument("--quiet", action="store_true", help="no progress, no summary")
 
@@ -73,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
     model = load_model(options.model) if options.model else None
     loaded = open_config(options.config, options.database)
     recordings = [_read(loaded, log, options) for log in options.logs]
-    diagnosis = _diagnosed(loaded, recordings, model, options.quiet)
+    diagnosis = _diagnosed(loaded, recordings, model, options)
     if options.json:
         write_text(options.json, _json(diagnosis, options.logs))
     if options.write_model:
@@ -126,7 +133,10 @@ def _read(loaded: LoadedConfig, log: str, options: argparse.Namespace) -> Record
 
 
 def _diagnosed(
-    loaded: LoadedConfig, recordings: Sequence[Recording], model: VehicleModel | None, quiet: bool
+    loaded: LoadedConfig,
+    recordings: Sequence[Recording],
+    model: VehicleModel | None,
+    options: argparse.Namespace,
 ) -> Diagnosis:
     from imucald.commands.diagnose_view import share_bar
     from imucald.core.errors import EstimateError
@@ -134,14 +144,14 @@ def _diagnosed(
 
     drives = [recording.samples for recording in recordings]
     notes = [note for recording in recordings for note in _reading_notes(recording)]
-    with share_bar("diagnosis", quiet) as progress:
+    with share_bar("diagnosis", options.quiet) as progress:
         try:
             if model is None:
                 from imucald.diagnosis.baseline import baseline_model
 
                 progress(0.0, "baseline model")
                 model = baseline_model(loaded, recordings)
-            diagnosis = diagnose(drives, model, progress)
+            diagnosis = diagnose(drives, model, progress, options.time_limit)
         except EstimateError as error:
             if not notes:
                 raise

@@ -54,13 +54,13 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     verdict = words.verdict(diagnosis)
     console.print(Text(verdict.headline, style=COLOURS[diagnosis.verdict]))
     console.print(Text(verdict.explanation))
-    for cause in diagnosis.causes:
+    for cause in (*diagnosis.causes, *diagnosis.likely):
         _print_cause(console, cause)
     _print_open(console, diagnosis)
     console.print()
     _print_signals(console, diagnosis)
-    console.print()
-    _print_gain(console, diagnosis)
+    if diagnosis.causes:
+        console.print(f"gain on held-out data: {words.gain(diagnosis.gain)}")
     _print_candidates(console, diagnosis)
     for note in diagnosis.notes[:SHOWN_NOTES]:
         console.print(f"note: {note}")
@@ -73,22 +73,24 @@ def _print_cause(console: Console, cause: FoundCause) -> None:
     from rich.text import Text
 
     console.print()
-    title, text = words.cause_title(cause.name), words.plain_sentence(cause)
-    console.print(Text.assemble((title, "bold"), f": {text}" if text else ""))
+    title = f"{cause.certainty}: {words.cause_title(cause.name)}"
+    console.print(Text.assemble((title, "bold"), f". {words.typographic(cause.text)}"))
     table = _table()
     table.add_column("parameter", overflow="fold")
     table.add_column("value", justify="right")
-    table.add_column("unit")
-    table.add_column("")
-    for name, p in cause.parameters.items():
-        value = words.with_spread(p.value, p.std)
-        other = words.human(p.value, p.std, p.unit)
-        table.add_row(f"  {name}", value, words.unit_text(p.unit), f"({other})" if other else "")
+    table.add_column("the file said", justify="right")
+    table.add_column("in the model file", overflow="fold")
+    for key, p in cause.parameters.items():
+        shown, stated = words.for_people(key, p)
+        table.add_row(f"  {words.key_title(key)}", shown, stated, f"{key}: {words.in_file(p)}")
     console.print(table)
     if cause.signals:
         signals = words.in_series([words.signal_title(s) for s in cause.signals])
         console.print(Padding(f"seen in {signals}", INDENT))
-    console.print(Padding(words.evidence(cause), INDENT))
+    if words.evidence(cause):
+        console.print(Padding(words.evidence(cause), INDENT))
+    for text in cause.against:
+        console.print(Padding(f"against it: {words.typographic(text)}", INDENT))
 
 
 def _print_open(console: Console, diagnosis: Diagnosis) -> None:
@@ -110,39 +112,33 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
         table.add_column(title, overflow="fold", justify="right" if title == "size" else "left")
     for s in diagnosis.structure[:SHOWN_STRUCTURE]:
         signal = words.signal_title(s.signal)
-        table.add_row(f"  {signal}", s.kind, words.number(s.size, 2), s.text)
+        table.add_row(f"  {signal}", s.kind, words.number(s.size, 2), words.typographic(s.text))
     console.print(table)
 
 
 def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
     table = _table()
     table.add_column("residual of", overflow="fold")
-    for title in ("rms before", "after", "noise floor"):
+    for title in ("rms before", "after", "gain", "floor"):
         table.add_column(title, justify="right")
     table.add_column("unit")
+    table.add_column("what is left", overflow="fold")
     for name, s in diagnosis.signals.items():
-        numbers = (words.number(x) for x in (s.rms_before, s.rms_after, s.noise_floor))
-        table.add_row(words.signal_title(name), *numbers, words.unit_text(s.unit))
+        numbers = [words.number(x) for x in (s.rms_before, s.rms_after, s.noise_floor)]
+        numbers.insert(2, words.less(s))
+        left = words.typographic(s.left)
+        table.add_row(words.signal_title(name), *numbers, words.unit_text(s.unit), left)
     console.print(table)
 
 
-def _print_gain(console: Console, diagnosis: Diagnosis) -> None:
-    if diagnosis.causes:
-        console.print(f"gain on held-out data: {words.gain(diagnosis.gain)}")
-    errors = words.mount_errors(diagnosis.gain)
-    if errors is not None:
-        console.print(f"mount-angle error {errors[0]} before, {errors[1]} after")
-
-
 def _print_candidates(console: Console, diagnosis: Diagnosis) -> None:
-    ordered = sorted(diagnosis.candidates, key=lambda c: -c.log_evidence)
+    open_ones = [c for c in diagnosis.candidates if c.outcome != "within tolerance"]
+    ordered = sorted(open_ones, key=lambda c: -c.nats)
     for c in ordered[:SHOWN_CANDIDATES]:
-        name = " + ".join(words.cause_title(n) for n in c.names) or "nothing"
-        reason = words.with_titles(c.reason, [cause.name for cause in diagnosis.causes])
-        why = f" ({reason})" if reason else ""
-        console.print(f"lost: {name}, by {words.number(-c.log_evidence)} nats{why}")
-    if len(ordered) > SHOWN_CANDIDATES:
-        console.print(f"{len(ordered) - SHOWN_CANDIDATES} more lost; report and JSON have them")
+        console.print(f"not named: {words.cause_title(c.name)}, {words.outcome(c)}")
+    rest = len(diagnosis.candidates) - min(len(ordered), SHOWN_CANDIDATES)
+    if rest > 0:
+        console.print(f"{rest} more were not named; report and JSON have them")
 
 
 def _table() -> Table:

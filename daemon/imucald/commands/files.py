@@ -16,6 +16,17 @@ STANDARD = "-"
 Name = Path | str
 
 
+def fill_standard_files() -> None:
+    """Put /dev/null where standard input, output or error are closed.
+
+    The next file that is opened would take their number, and whatever a library has to say would go
+    there: into a bus, or into the saved state.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+
+
 def check_files(inputs: Iterable[Name], outputs: Sequence[Name | None]) -> None:
     """Raise ImucaldError where an input is missing, or an output cannot be or would destroy one.
 

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
     import os
     import signal
 
-    from imucald.commands.files import check_files, write_text
+    from imucald.commands.files import check_files, fill_standard_files, write_text
     from imucald.core.errors import ConfigError
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
@@ -48,6 +48,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.service.service import Service, ServiceOptions
     from imucald.service.status import default_socket
 
+    fill_standard_files()
     described = [path for path in (options.config, *options.database) if path.exists()]
     check_files(described, (options.json,))  # a missing one has its own exit status below
     journal = Journal()

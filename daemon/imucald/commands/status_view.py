@@ -22,6 +22,9 @@ FLAGS = {
     "accelerometer_missing": "no accelerometer",
     "gyroscope_missing": "no gyroscope",
     "speed_missing": "no speed",
+    "accelerometer_faulty": "accelerometer faulty",
+    "gyroscope_faulty": "gyroscope faulty",
+    "magnetometer_faulty": "magnetometer faulty",
     "input_rejected": "inputs rejected",
     "frames_lost": "frames lost",
     "id_conflict": "another node sends our ids",
@@ -98,6 +101,7 @@ def _facts(status: Mapping[str, Any]) -> Table:
     grid.add_row("frames", f"{frames['used']} used, {status['frames_given_out']} given out")
     alarms = [text for flag, text in FLAGS.items() if status["health"][flag]]
     grid.add_row("now", Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""))
+    grid.add_row("sensors", _sensors(status["signal_health"]))
     errors = sum(link["send_errors"].values())
     grid.add_row(
         "losses",
@@ -112,6 +116,18 @@ def _facts(status: Mapping[str, Any]) -> Table:
     share = 100.0 * process["cpu_s"] / max(status["uptime_s"], 1.0)
     grid.add_row("process", f"pid {process['pid']}, {rss}, {share:.1f} % of a core since the start")
     return grid
+
+
+def _sensors(health: Mapping[str, Any]) -> Text:
+    """Which sensors are fit to be used, and why the others are not."""
+    faulty = [
+        f"{channel} {fault} ({', '.join(axes)})"
+        for channel, faults in health["sensors"].items()
+        for fault, axes in faults.items()
+    ]
+    told = len(health["events"])
+    before = f"; {told} faults so far" if told else ""
+    return Text((", ".join(faulty) or "all sound") + before, style="bold red" if faulty else "")
 
 
 def _evidence(details: Mapping[str, Any]) -> str:

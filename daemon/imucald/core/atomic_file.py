@@ -11,6 +11,11 @@ from pathlib import Path
 
 from imucald.core.digest import sha256
 
+UNFINISHED = ".tmp"
+"""Ending of a file that is being written."""
+MAX_ASIDE = 8
+"""Files set aside under one name and word; the next takes the place of the oldest."""
+
 
 def write_file(path: Path, data: bytes) -> None:
     """Replace a file by one that is on the disk; OSError where that fails (nothing is lost then).
@@ -18,19 +23,35 @@ def write_file(path: Path, data: bytes) -> None:
     Written beside it, forced to the disk, renamed, the folder forced too: at every instant the
     file is the old one or the new one.
     """
-    temporary = path.with_name(path.name + ".tmp")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = write_beside(path, data)
     try:
-        with temporary.open("wb") as file:
+        unfinished.replace(path)
+    except OSError:
+        _remove(unfinished)
+        raise
+    sync_folder(path.parent)
+
+
+def write_beside(path: Path, data: bytes) -> Path:
+    """Write what is to take the place of a file, and force it to the disk; return where it is."""
+    unfinished = path.with_name(path.name + UNFINISHED)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _remove(unfinished)  # a left-over, or a link that somebody put there
+    try:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        with os.fdopen(os.open(unfinished, flags, 0o666), "wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        temporary.replace(path)
     except OSError:
-        with contextlib.suppress(OSError):
-            temporary.unlink()  # ours, and unfinished; on a full disk it would stay in the way
+        _remove(unfinished)  # ours; on a full disk it would stay in the way
         raise
-    sync_folder(path.parent)
+    return unfinished
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink()
 
 
 def with_checksum(title: str, body: bytes) -> bytes:
@@ -46,11 +67,15 @@ def split_checksum(data: bytes) -> tuple[bytes, bytes, bool]:
 
 
 def free_name(path: Path, word: str) -> Path:
-    """Return a name beside the file that none has yet: what is set aside replaces nothing."""
-    number = 1
-    while (target := path.with_name(f"{path.name}.{word}.{number}")).exists():
-        number += 1
-    return target
+    """Return a name beside the file for what is set aside: a free one, or that of the oldest."""
+    names = [path.with_name(f"{path.name}.{word}.{n}") for n in range(1, MAX_ASIDE + 1)]
+    ages = {}
+    for name in names:
+        try:
+            ages[name] = name.lstat().st_mtime_ns
+        except OSError:
+            return name
+    return min(names, key=lambda name: ages[name])
 
 
 def sync_folder(folder: Path) -> None:

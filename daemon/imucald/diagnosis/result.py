@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from imucald.model.model import VehicleModel
 
 Verdict = Literal["found", "ambiguous", "unknown", "nothing"]
+Certainty = Literal["certain", "likely"]
+Outcome = Literal["within tolerance", "not decidable here", "does not pay", "not plausible"]
 Array = NDArray[np.float64]
 
 
@@ -23,6 +25,10 @@ class Estimated:
     value: float
     std: float
     unit: str
+    stated: float = 0.0
+    """What the model file says."""
+    tolerance: float = 0.0
+    """By how much an honest model file may be wrong."""
 
 
 @dataclass(frozen=True)
@@ -34,32 +40,42 @@ class FoundCause:
     signals: tuple[str, ...]
     """The signals that it touches, as in `Diagnosis.signals`."""
     evidence: Mapping[str, float]
-    """`log_bayes_factor` against the model without it, `probability`, `sigma` (departure in units
-    of its standard deviation)."""
-    gain: Mapping[str, float]
-    """`held_out_log_likelihood` by this cause, in nats."""
+    """`held_out_nats`: by how much likelier it makes data that its fit did not see, without the
+    best stretches; `sigma`: departure in units of its standard deviation; `quantile`: how many of
+    these the interval has on each side."""
     text: str
     """One sentence for a person."""
+    certainty: Certainty = "certain"
+    against: tuple[str, ...] = ()
+    """What speaks against it, in sentences."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A hypothesis that lost: causes that were tried together, and by how much they lost."""
+    """A cause that was not named."""
 
-    names: tuple[str, ...]
-    log_evidence: float
-    """Against the winner [nats]; negative."""
-    reason: str
+    name: str
+    outcome: Outcome
+    nats: float
+    """By which it makes data that its fit did not see likelier, without the best stretches."""
+    text: str
+    """Its value, and the size that these drives could have shown."""
 
 
 @dataclass(frozen=True)
 class SignalGain:
-    """Residual of one measured signal, rms in `unit`."""
+    """Residual of one measured signal, rms in `unit`; *after* is the written file alone."""
 
     rms_before: float
     rms_after: float
     noise_floor: float
+    """What a fit of everything that the catalogue has would leave."""
     unit: str
+    slow_before: float = math.nan
+    """The same below 0.2 Hz."""
+    slow_after: float = math.nan
+    left: str = ""
+    """What is left, in words: an offset, a drift."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +83,17 @@ class Gain:
     """What the extended model is worth on data that its fit did not use."""
 
     held_out_log_likelihood: float
-    """Nats by which the held-out stretches are likelier."""
+    """Nats by which the held-out stretches are likelier with the written file alone."""
     interval: tuple[float, float]
     """95 % interval of that, over whole stretches."""
-    mount_error_deg_before: float | None = None
-    mount_error_deg_after: float | None = None
+    worse: tuple[str, ...] = ()
+    """Signals that the extended model predicts worse."""
 
 
 GOES_AGAINST = "goes against the model"
 """Kind of structure where a signal moves against what is predicted."""
+NOT_PLAUSIBLE = "not plausible"
+"""Kind where a cause explains the numbers, but cannot be: a cause is missing."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +102,7 @@ class Structure:
 
     signal: str
     kind: str
-    """Such as `spectral peak`, `bursts`, `depends on speed`."""
+    """Such as `peak`, `bursts`, `drift`, `not plausible`."""
     size: float
     """In standard deviations of what chance would give, or as a ratio to the expected power."""
     text: str
@@ -123,6 +141,8 @@ class Diagnosis:
     signals: Mapping[str, SignalGain]
     gain: Gain
     duration_s: float
+    likely: tuple[FoundCause, ...] = ()
+    """Causes that are likely, and not written into the model file."""
     candidates: tuple[Candidate, ...] = ()
     structure: tuple[Structure, ...] = ()
     notes: tuple[str, ...] = ()
@@ -130,41 +150,37 @@ class Diagnosis:
     pictures: tuple[SignalPicture, ...] = ()
     model_before: VehicleModel = field(default_factory=VehicleModel)
     model_after: VehicleModel = field(default_factory=VehicleModel)
+    recommended: bool = False
+    """The extended model predicts held-out data better, and no signal worse."""
+    complete: bool = True
+    """False where the time limit ended the search."""
 
     def as_json(self) -> dict[str, Any]:
         """Return what tools rely on: plain numbers, lists and texts; nothing infinite."""
         return {
             "verdict": self.verdict,
-            "causes": [
-                {
-                    "name": cause.name,
-                    "parameters": {
-                        name: {"value": _plain(p.value), "std": _plain(p.std), "unit": p.unit}
-                        for name, p in cause.parameters.items()
-                    },
-                    "signals": list(cause.signals),
-                    "evidence": {name: _plain(x) for name, x in cause.evidence.items()},
-                    "gain": {name: _plain(x) for name, x in cause.gain.items()},
-                    "text": cause.text,
-                }
-                for cause in self.causes
-            ],
+            "complete": self.complete,
+            "causes": [_cause_json(cause) for cause in self.causes],
+            "likely": [_cause_json(cause) for cause in self.likely],
             "look_alikes": [list(names) for names in self.look_alikes],
             "to_separate": self.to_separate,
             "signals": {
                 name: {
                     "rms_before": _plain(s.rms_before),
                     "rms_after": _plain(s.rms_after),
+                    "slow_before": _plain(s.slow_before),
+                    "slow_after": _plain(s.slow_after),
                     "noise_floor": _plain(s.noise_floor),
                     "unit": s.unit,
+                    "left": s.left,
                 }
                 for name, s in self.signals.items()
             },
             "gain": {
                 "held_out_log_likelihood": _plain(self.gain.held_out_log_likelihood),
                 "interval": [_plain(x) for x in self.gain.interval],
-                "mount_error_deg_before": _plain(self.gain.mount_error_deg_before),
-                "mount_error_deg_after": _plain(self.gain.mount_error_deg_after),
+                "worse": list(self.gain.worse),
+                "recommended": self.recommended,
             },
             "duration_s": _plain(self.duration_s),
             "structure": [
@@ -172,11 +188,32 @@ class Diagnosis:
                 for s in self.structure
             ],
             "candidates": [
-                {"names": list(c.names), "log_evidence": _plain(c.log_evidence), "reason": c.reason}
+                {"name": c.name, "outcome": c.outcome, "nats": _plain(c.nats), "text": c.text}
                 for c in self.candidates
             ],
             "notes": list(self.notes),
         }
+
+
+def _cause_json(cause: FoundCause) -> dict[str, Any]:
+    return {
+        "name": cause.name,
+        "certainty": cause.certainty,
+        "parameters": {
+            name: {
+                "value": _plain(p.value),
+                "std": _plain(p.std),
+                "unit": p.unit,
+                "stated": _plain(p.stated),
+                "tolerance": _plain(p.tolerance),
+            }
+            for name, p in cause.parameters.items()
+        },
+        "signals": list(cause.signals),
+        "evidence": {name: _plain(x) for name, x in cause.evidence.items()},
+        "text": cause.text,
+        "against": list(cause.against),
+    }
 
 
 def _plain(x: float | None) -> float | None:

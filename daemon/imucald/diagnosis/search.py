@@ -1,238 +1,438 @@
-"""Forward selection of causes: each step asks which cause the drives speak for most.
+"""From a table of blocks to names: candidates compete on data that their fit did not see.
 
-At each step all drives are linearised at the best point so far; every form of every cause is
-tried by its evidence. What is far from linear (`bent`: delays, low-passes; `shifts`: a shift at an
-unknown time) is tried away from the point as well, and `contest` decides between what only fits of
-their own can tell apart. A cause that no longer pays is dropped again.
+A cause is named when its held-out gain exceeds 4 nats without the best block in fifteen, one of its
+intervals lies wholly outside the tolerance, and its value is plausible. Rivals within two standard
+errors of the paired difference are named with it. Then it is freed, and the question is asked anew.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.stats import t as student
 
-from imucald.diagnosis.bent import far_trials
-from imucald.diagnosis.cause import Cause, Parameter, Variant
-from imucald.diagnosis.causes import mount_shift
-from imucald.diagnosis.contest import FAMILIES, rivals_of, winner
-from imucald.diagnosis.evidence import Fit
+from imucald.diagnosis.blocks import Table, table_of
+from imucald.diagnosis.causes import CAUSES, PARAMETERS, Cause
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.linear import Linearised, linearise
-from imucald.diagnosis.shifts import shift_trials, timed
-from imucald.diagnosis.trial import ACCEPT, Found, Trial, signal_of, within
+from imucald.diagnosis.model_file import (
+    Changes,
+    extended,
+    level_effect,
+    with_delay_rate,
+    with_shifts,
+)
+from imucald.diagnosis.score import (
+    Estimate,
+    Hypothesis,
+    Problem,
+    box_fit,
+    estimate,
+    fitted,
+    held_out,
+    paired,
+    quantile,
+    without_best,
+)
+from imucald.diagnosis.shift import Shift, find_shift
+from imucald.diagnosis.signals import Array, Drive
+from imucald.model.model import VehicleModel
 
-PRIOR = math.log(0.01)
-"""Log prior odds that a given cause is at work."""
-ALIKE = 3.0
-"""Explanations within this log evidence of the best are look-alikes: odds of 20 to 1."""
-MOST_CAUSES = 8
-STEPS, MOST_STEPS = 2, 5
-"""Gauss-Newton steps after each accepted cause; more, and with noise and derivatives of every point
-on the way, where the response is bent."""
-SETTLED = 0.5
-"""Steps end where no parameter moves by more than this many of its tolerances."""
+LEAST_NATS = 4.0
+"""A factor of 50 on data that the fit did not see."""
+ALIKE_SE = 2.0
+MOST_NAMED = 6
+LEVELLED = ("accel_scale", "accel_cross_axis")
+BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
+REFITS = 3
+CREEP_STEPS = 8
+SMALL_STEP = 0.05
+"""A refit has settled when nothing moves by more than this share of its tolerance."""
+LIKELY = 0.05
+"""Error rate of a single question from which something is likely."""
+
+Tick = Callable[[str], None]
 
 
-class Search:
-    """Finds the causes that the drives show.
+@dataclass(frozen=True)
+class Trial:
+    """What freeing a hypothesis' parameters came to."""
 
-    forwards: one per drive. candidates: causes that may be named. tick: told after each step.
-    """
+    hypothesis: Hypothesis
+    estimate: Estimate
+    gain: Array
+    """(B,) nats by which each block is likelier, by a fit that did not see it."""
+    shown: float
+    """Sum of it without the best blocks."""
+    tolerance: Array
+    plausible: Array
+    single: float
+    """Quantile of one question asked alone."""
 
-    def __init__(
-        self,
-        forwards: Sequence[Forward],
-        causes: Sequence[Cause],
-        candidates: Sequence[Cause],
-        tick: Callable[[str], None],
-    ) -> None:
-        self.forwards, self.tick = forwards, tick
-        self.parameters: tuple[Parameter, ...] = tuple(
-            p for cause in causes for p in cause.parameters
+    @property
+    def outside(self) -> bool:
+        """The box of honest files is left by more than chance."""
+        return self._beyond and self.estimate.pull > self.estimate.quantile
+
+    @property
+    def _beyond(self) -> bool:
+        """A value lies beyond its tolerance, by a deviation at least."""
+        beyond = np.abs(self.estimate.value) > self.tolerance + self.estimate.se
+        return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
+
+    @property
+    def likely(self) -> bool:
+        """The same at the error rate of a single question."""
+        return self._beyond and self.estimate.pull > self.single
+
+    @property
+    def is_plausible(self) -> bool:
+        """What leaves its tolerance stays within what a vehicle or a sensor can have."""
+        v, tau = self.estimate.value, self.tolerance
+        low, high = self.plausible.T
+        return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
+
+    @property
+    def is_testable(self) -> bool:
+        """The data tell its parameters more sharply than plausibility does."""
+        e = self.estimate
+        return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
+
+    @property
+    def could_be(self) -> bool:
+        """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
+        return self.shown > LEAST_NATS and self._beyond and self.is_testable
+
+    @property
+    def named(self) -> bool:
+        """Passes all that one hypothesis passes by itself."""
+        return self.shown > LEAST_NATS and self.outside and self.is_testable
+
+
+@dataclass
+class State:
+    """What is known so far."""
+
+    drives: Sequence[Drive]
+    stated: VehicleModel
+    """The model file that is put to the test."""
+    model: VehicleModel
+    """The same with what was found."""
+    bounds: dict[str, tuple[float, float]]
+    """Boxes from direct evidence, as departures from `model`."""
+    at_rest: dict[str, float] = field(default_factory=dict)
+    """Departures from `stated` that stops show; every fit keeps within `bounds` of them."""
+    changes: dict[str, float] = field(default_factory=dict)
+    """Found departures from `stated`, by key."""
+    held: set[str] = field(default_factory=set)
+    """Parameters that moved by a direction: kept within their interval by `bounds`."""
+    named: list[Trial] = field(default_factory=list)
+    rivals: dict[str, list[Trial]] = field(default_factory=dict)
+    implausible: list[Trial] = field(default_factory=list)
+    likely: list[Trial] = field(default_factory=list)
+    last: list[Trial] = field(default_factory=list)
+    """All trials beside what was found: what each could have been."""
+    shift: Shift | None = None
+    table: Table | None = None
+    forwards: list[Forward] = field(default_factory=list)
+    _evaluated: VehicleModel | None = None
+
+    @property
+    def free(self) -> list[str]:
+        """Parameters that were found to be off, and are fitted with all others."""
+        return [key for key in self.changes if key not in self.held]
+
+    def evaluated(self) -> Problem:
+        """Put the drives beside the model as it is now."""
+        if self.table is None or self._evaluated != self.model:
+            self.table, self.forwards = table_of(self.drives, self.model)
+            self._evaluated = self.model
+        return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
+
+    def apply(self, changes: Changes) -> None:
+        """Move the model by found departures."""
+        for key, x in changes.items():
+            self.changes[key] = self.changes.get(key, 0.0) + x
+        middle = self.forwards[0].middle_s if self.forwards else 0.0
+        every = dict(self.at_rest)
+        for key, x in self.changes.items():
+            every[key] = every.get(key, 0.0) + x
+        self.model = extended(self.stated, with_delay_rate(every, middle))
+        if self.shift is not None:
+            self.model = with_shifts(self.model, shift_steps(self.shift))
+
+
+def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[Hypothesis]:
+    """The catalogue's causes as far as their signals are there."""
+    made = []
+    for cause in CAUSES:
+        if cause.drift and f"{cause.name}!" in skip:
+            continue
+        for keys in (*cause.variants, *([cause.together] if cause.together else [])):
+            if not all(key in table.keys for key in keys):
+                continue
+            if (set(keys) & set(skip) and not cause.drift) or not any(
+                _shows(table, key) for key in keys
+            ):
+                continue
+            beside = dict(cause.with_it)
+            if beside and set(beside) <= set(table.keys) and not set(beside) & set(skip):
+                made.append(Hypothesis(cause.name, keys, ({keys[0]: 1.0, **beside},)))
+            level = cause.name in LEVELLED and not set(BIAS) & set(skip)
+            made.append(_hypothesis(cause, keys, model, table, level))
+    return made
+
+
+def _shows(table: Table, key: str) -> bool:
+    i = table.keys.index(key) + 1
+    return bool(table.gram[:, i, i].sum() * table.tolerance[i - 1] ** 2 > 0.0)
+
+
+def _hypothesis(
+    cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table, level: bool
+) -> Hypothesis:
+    """level: a gain of the accelerometer moves what it reads of one g with it. Once its zero was
+    found to be off, only motion tells the gain."""
+    if cause.drift:
+        return Hypothesis(cause.name, keys, pattern=_ramp(table))
+    if keys == cause.together:
+        whole: dict[str, float] = dict.fromkeys(keys, 1.0)
+        for key in keys if level else ():
+            for name, x in level_effect(model, key).items():
+                whole[name] = whole.get(name, 0.0) + x
+        return Hypothesis(cause.name, keys[:1], (whole,))
+    if not level:
+        return Hypothesis(cause.name, keys, lead=cause.lead)
+    moved = tuple({key: 1.0, **level_effect(model, key)} for key in keys)
+    return Hypothesis(cause.name, keys, moved)
+
+
+def _ramp(table: Table) -> Array:
+    """From 0 to 1 over each drive's time."""
+    made = np.zeros(table.blocks)
+    for i in set(table.drive.tolist()):
+        own = table.drive == i
+        t = table.start_s[own]
+        made[own] = (t - t.min()) / max(float(np.ptp(t)), 1.0)
+    return made
+
+
+def tried(problem: Problem, h: Hypothesis, base: Array, questions: int) -> Trial:
+    """Free a hypothesis and score it."""
+    gain = base - held_out(problem, h)
+    index = problem.table.index(h.keys)
+    t = problem.table
+    return Trial(h, estimate(problem, h, questions), gain, without_best(gain),
+                 t.tolerance[index], t.plausible[index],
+                 float(student.ppf(1.0 - 0.5 * LIKELY, t.blocks - 1)))  # fmt: skip
+
+
+def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str] = ()) -> None:
+    """Name what pays, one after another; then refit all, and let go what no longer pays."""
+    dropped: list[str] = []
+    while len(state.named) < MOST_NAMED and not late():
+        problem = state.evaluated()
+        state.last = _trials(problem, state, [*skip, *dropped])
+        best = _winner(state.last)
+        shift = find_shift(problem, problem.table.levels)
+        if shift is not None and shift.named and (best is None or shift.shown > best.shown):
+            # Either side of a shift is another drive: nothing else is asked of this one.
+            state.shift = shift
+            state.model = with_shifts(state.model, shift_steps(shift))
+            state.evaluated()
+            break
+        if best is None:
+            break
+        alike = _alike(best, state.last)
+        chosen = next(
+            (t for t in [best, *alike, *_behind(best, state.last)] if t.is_plausible), None
         )
-        self.base = forwards[0].base() | {mount_shift.TIME: 0.0}
-        self.variants = [v for cause in candidates for v in _seen(cause.variants(), forwards[0])]
-        self.forms = {c.name: sum(v.cause == c.name for v in self.variants) for c in candidates}
-        self.index = {p.key: i for i, p in enumerate(self.parameters)}
+        if chosen is None:
+            state.implausible.append(best)
+            break
+        name = chosen.hypothesis.name
+        tick(f"found {name.replace('_', ' ')}, looking further")
+        state.rivals[name] = [t for t in alike if t is not chosen and t.is_plausible]
+        if best is not chosen and best.is_plausible:
+            state.rivals[name].append(best)
+        state.named.append(chosen)
+        if chosen.hypothesis.pattern is not None:
+            # The model file has no place for a drift: like a shift, it ends the search.
+            break
+        _take(state, problem, chosen)
+        refit(state)
+        dropped += _let_go(state)
+    _demote(state)
+    state.likely += [
+        t for t in questions(state.last).values() if t.shown > LEAST_NATS and t.likely
+        and not t.outside and t.is_plausible
+        and t.hypothesis.name not in {x.hypothesis.name for x in (*state.named, *state.likely)}
+    ]  # fmt: skip
 
-    def run(self) -> Found:
-        """Search until nothing more pays."""
-        found = self._at([], dict(self.base))
-        while len(found.active) < MOST_CAUSES:
-            trials = self.trials(found)
-            rivals = [trial for trial in trials[:1] if trial.score >= ACCEPT]
-            rivals = rivals_of(rivals + far_trials(self, found, trials) + trials[1:])
-            if not rivals:
-                break
-            self.tick(rivals[0].variant.cause)
-            best = winner(self, found, [self._with(found, trial) for trial in rivals])
-            if best is None:
-                break
-            found = self._pruned(best, best.active[:-1])
-        return self._pruned(found, found.active)
 
-    def _with(self, found: Found, trial: Trial) -> Found:
-        """Refit with one more cause."""
-        values = dict(found.point.values)
-        values.update(trial.start)
-        refit = self._refit([*found.active, trial.variant], values, found.scores, found.point)
-        refit.scores[trial.variant.cause] = trial.score
-        return refit
+def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
+    asked = hypotheses(problem.table, state.model, [*state.changes, *skip])
+    base = held_out(problem)
+    return [tried(problem, h, base, len(asked)) for h in asked]
 
-    # one step --------------------------------------------------------------------------------
 
-    def trials(self, found: Found) -> list[Trial]:
-        """Try every form of every cause that is not active; best first."""
-        taken = {key for variant in found.active for key in variant.keys}
-        tried = [
-            self._linear(found, variant)
-            for variant in self.variants
-            if variant.cause != "mount_shift" and not taken & set(variant.keys)
-        ]
-        if "mount_shift" in self.forms and not taken & set(mount_shift.KEYS):
-            tried += shift_trials(self, found)
-        return sorted(tried, key=lambda trial: -trial.score)
+def _winner(trials: Sequence[Trial]) -> Trial | None:
+    """The one with most gain of those that pass; of one cause's forms the simplest that does."""
+    passing = [t for t in trials if t.named]
+    if not passing:
+        return None
+    best = max(passing, key=lambda t: t.gain.sum())
+    same = [t for t in passing if t.hypothesis.name == best.hypothesis.name]
+    simple = [t for t in same if _is_near(best, t)]
+    return min(simple, key=lambda t: (len(t.hypothesis.keys), -t.gain.sum()))
 
-    def parameter(self, key: str) -> Parameter:
-        """Return the parameter of a key."""
-        return self.parameters[self.index[key]]
 
-    def prior(self, variant: Variant) -> float:
-        """Log prior odds of one form of a cause."""
-        return PRIOR - math.log(max(self.forms[variant.cause], 1))
+def _is_near(best: Trial, other: Trial) -> bool:
+    behind, se = paired(best.gain, other.gain)
+    return behind <= ALIKE_SE * se or behind <= LEAST_NATS / 2.0
 
-    def temper(self, found: Found, keys: Sequence[str]) -> float:
-        """How much fewer the data count for some parameters, from their stretches' scatter."""
-        return float(np.mean([found.tempers[self.index[key]] for key in keys])) if keys else 1.0
 
-    def _linear(self, found: Found, variant: Variant) -> Trial:
-        evidence, temper = found.point.evidence, self.temper(found, variant.keys)
-        without = evidence.fit(found.keys, temper=temper)
-        with_it = evidence.fit([*found.keys, *variant.keys], temper=temper)
-        score = with_it.log_evidence - without.log_evidence + self.prior(variant)
-        if not self._is_within(found, variant, with_it):
-            score = -math.inf
-        return Trial(variant, score, {})
+def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
+    """Other causes that do as well within two standard errors; one form of each."""
+    found: dict[str, Trial] = {}
+    for t in sorted(trials, key=lambda t: -t.gain.sum()):
+        name = t.hypothesis.name
+        if name == best.hypothesis.name or name in found or not t.could_be:
+            continue
+        if _is_near(best, t):
+            found[name] = t
+    return list(found.values())
 
-    def is_possible(
-        self, found: Found, variant: Variant, others: Sequence[str], temper: float
-    ) -> bool:
-        """Whether a cause, fitted beside other keys, would be something that it can be."""
-        fit = found.point.evidence.fit([*others, *variant.keys], temper=temper)
-        return self._is_within(found, variant, fit)
 
-    def _is_within(self, found: Found, variant: Variant, fit: Fit) -> bool:
-        for key in variant.keys:
-            p = self.parameter(key)
-            value = found.point.values[key] + float(fit.x[self.index[key]])
-            if abs(value - within(p, value)) > p.tolerance:
-                return False
-        return True
+def _behind(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
+    """What passes with half the gain of an explanation that cannot be: it is tried first."""
+    if best.is_plausible:
+        return []
+    passing = [t for t in trials if t.named and t.gain.sum() > 0.5 * best.gain.sum()]
+    return sorted(passing, key=lambda t: -t.gain.sum())
 
-    def std(self, found: Found, keys: Sequence[str]) -> dict[str, float]:
-        """Standard deviation of fitted parameters, model error included."""
-        covariance = found.point.evidence.fit(found.keys).covariance
-        made = {}
+
+def _take(state: State, problem: Problem, chosen: Trial) -> None:
+    """Move the model by a named hypothesis; a direction is evaluated once more where it led."""
+    h = chosen.hypothesis
+    if not h.directions:
+        state.apply(_changes(problem, h))
+        return
+    freed = set(state.free)
+    for _ in range(2):
+        state.apply(_changes(problem, h))
+        state.held |= {k for d in h.directions for k in d} - freed
+        problem = state.evaluated()
+    half = chosen.estimate.quantile * chosen.estimate.se
+    for k, d in enumerate(h.directions):
+        for key in d:
+            if key.rpartition(".")[0] == h.keys[0].rpartition(".")[0]:
+                state.bounds[key] = (-float(half[k]), float(half[k]))
+
+
+def _changes(problem: Problem, h: Hypothesis) -> dict[str, float]:
+    """Departures of a hypothesis' own parameters, with what moves with them."""
+    x = fitted(problem, h)
+    own = problem.own(h)
+    changes: dict[str, float] = {}
+    for k, key in enumerate(h.keys):
+        moved = h.directions[k] if h.directions else {key: 1.0}
+        for name, factor in moved.items():
+            changes[name] = changes.get(name, 0.0) + factor * float(x[own[k]])
+    return changes
+
+
+def refit(state: State) -> None:
+    """All found parameters together, the model evaluated anew where it is now."""
+    for _ in range(REFITS):
+        problem = state.evaluated()
+        total = problem.table.gram.sum(axis=0)
+        x = box_fit(total[1:, 1:], total[1:, 0], problem.low, problem.high)
+        keys = [k for k in state.free if k in problem.table.keys]
+        moves = {k: float(x[problem.table.keys.index(k)]) for k in keys}
+        state.apply(moves)
+        if all(abs(v) < SMALL_STEP * _size(problem, k) for k, v in moves.items()):
+            break
+
+
+def shift_steps(shift: Shift) -> list[tuple[float, Array]]:
+    """A step, or a creep as a staircase."""
+    if shift.kind == "step":
+        return [(shift.start_s, shift.turn)]
+    times = np.linspace(0.0, 1.0, CREEP_STEPS + 2)[1:-1]
+    starts = shift.low_s + times * (shift.high_s - shift.low_s)
+    return [(float(t), shift.turn / CREEP_STEPS) for t in starts]
+
+
+def _size(problem: Problem, key: str) -> float:
+    return float(problem.table.tolerance[problem.table.keys.index(key)])
+
+
+def _let_go(state: State) -> list[str]:
+    """Causes that no longer pay beside the later ones are put back; returns their parameters."""
+    if len(state.named) < 2:
+        return []
+    problem = state.evaluated()
+    base = held_out(problem)
+    gone: list[str] = []
+    for trial in state.named[:-1]:
+        if not trial.hypothesis.is_plain:
+            continue
+        keys = [k for k in trial.hypothesis.keys if k in problem.table.keys]
+        low, high = problem.low.copy(), problem.high.copy()
         for key in keys:
-            i = self.index[key]
-            p = self.parameters[i]
-            departure = found.point.values[key] - self.base[key]
-            made[key] = math.sqrt(
-                float(covariance[i, i]) * float(found.tempers[i])
-                + (p.share * departure) ** 2
-                + (p.floor * p.tolerance) ** 2
-            )
-        return made
-
-    def refit(self, active: list[Variant], found: Found) -> Found:
-        """Keep some of the active causes only; the others go back to the model file's values."""
-        values = dict(self.base)
-        kept = {key for variant in active for key in variant.keys} | {mount_shift.TIME}
-        values.update({k: v for k, v in found.point.values.items() if k in kept})
-        names = {variant.cause for variant in active}
-        scores = {k: s for k, s in found.scores.items() if k in names}
-        return self._refit(active, values, scores, found.point, found.alike)
-
-    # fitting ---------------------------------------------------------------------------------
-
-    def _at(self, active: list[Variant], values: dict[str, float]) -> Found:
-        point = linearise(self.forwards, self.parameters, values, self.base)
-        evidence = point.evidence
-        all_free = evidence.fit(evidence.keys)
-        return Found(active, {}, point, evidence.dispersion(all_free.x))
-
-    def _refit(
-        self,
-        active: list[Variant],
-        values: dict[str, float],
-        scores: dict[str, float],
-        near: Linearised,
-        alike: Sequence[tuple[str, ...]] = (),
-    ) -> Found:
-        """Move to the best point of a set of causes. near: a point with derivatives and noise."""
-        keys = [key for variant in active for key in variant.keys]
-        bent = bool(active) and any(active[-1].cause in family for family in FAMILIES)
-        if bent:
-            near = self._at(active, values).point
-        for _ in range(MOST_STEPS if bent else STEPS):
-            before = values
-            values = self._stepped(active, keys, values, near)
-            moved = (abs(values[p.key] - before[p.key]) / p.tolerance
-                     for p in self.parameters if p.key in keys)  # fmt: skip
-            if bent and max(moved, default=0.0) < SETTLED:
-                break
-            if bent:
-                near = self._at(active, values).point
-        found = self._at(active, values)
-        found.scores = dict(scores)
-        found.alike = list(alike)
-        return found
-
-    def _stepped(
-        self,
-        active: Sequence[Variant],
-        keys: Sequence[str],
-        values: dict[str, float],
-        near: Linearised,
-    ) -> dict[str, float]:
-        """One Gauss-Newton step of some keys, with noise and other derivatives of a point near."""
-        point = linearise(self.forwards, self.parameters, values, self.base, near, moved=keys)
-        fit = point.evidence.fit(keys)
-        stepped = dict(values)
-        for p, x in zip(self.parameters, fit.x, strict=True):
-            if p.key in keys:
-                stepped[p.key] = within(p, stepped[p.key] + float(x))
-        if any(v.cause == "mount_shift" for v in active):
-            stepped = timed(self, point, stepped)
-        return stepped
-
-    def _pruned(self, found: Found, doubted: Sequence[Variant]) -> Found:
-        """Drop causes that no longer pay beside the others."""
-        for variant in list(doubted):
-            rest = [v for v in found.active if v is not variant]
-            if self.loss(found, variant) < ACCEPT:
-                values = dict(found.point.values)
-                for key in variant.keys:
-                    values[key] = self.base[key]
-                scores = {k: s for k, s in found.scores.items() if k != variant.cause}
-                found = self._refit(rest, values, scores, found.point, found.alike)
-        return found
-
-    def loss(self, found: Found, variant: Variant) -> float:
-        """Log posterior odds that would be lost without an active cause."""
-        evidence, temper = found.point.evidence, self.temper(found, variant.keys)
-        rest = [key for v in found.active if v is not variant for key in v.keys]
-        full = evidence.fit(found.keys, temper=temper).log_evidence
-        return full - evidence.fit(rest, temper=temper).log_evidence + self.prior(variant)
+            i = problem.table.keys.index(key)
+            low[i] = -state.changes[key] - problem.table.tolerance[i]
+            high[i] = -state.changes[key] + problem.table.tolerance[i]
+        without = held_out(replace(problem, low=np.minimum(low, high), high=np.maximum(low, high)))
+        if without_best(without - base) < LEAST_NATS:
+            gone += keys
+    if gone:
+        state.named = [t for t in state.named if not set(t.hypothesis.keys) & set(gone)]
+        for key in gone:
+            state.changes.pop(key, None)
+        state.apply({})
+        refit(state)
+    return gone
 
 
-def _seen(variants: Sequence[Variant], forward: Forward) -> list[Variant]:
-    """Forms whose parameters change something in this drive."""
-    scalars = forward.track.scalars
-    absent = {name for name in ("steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
-              if name not in scalars}  # fmt: skip
-    if forward.track.gyro is None:
-        absent.add("gyro")
-    return [v for v in variants if v.keys and not any(signal_of(key) in absent for key in v.keys)]
+def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
+    """By found parameter: departure from the stated model, deviation, quantile; others fitted."""
+    if state.table is None or not state.changes:
+        return {}
+    problem = state.evaluated()
+    keys = tuple(k for k in state.free if k in problem.table.keys)
+    if not keys:
+        return {}
+    e: Estimate = estimate(problem, Hypothesis("all", keys), len(PARAMETERS))
+    q = quantile(problem.table.blocks, 1)
+    return {key: (state.changes[key], float(se), q) for key, se in zip(keys, e.se, strict=True)}
+
+
+def _demote(state: State) -> None:
+    """What does not hold beside all others, with all others' errors, is no more than likely."""
+    estimates = final_estimates(state)
+    for trial in list(state.named):
+        h = trial.hypothesis
+        if not h.is_plain:
+            continue
+        known = [(estimates[k], tau) for k, tau in zip(h.keys, trial.tolerance, strict=True)
+                 if k in estimates]  # fmt: skip
+        known = known[: h.lead or len(known)]
+        if any(abs(x) > tau + se for (x, se, _), tau in known):
+            continue
+        state.named.remove(trial)
+        state.likely.append(trial)
+        for key in h.keys:
+            state.changes.pop(key, None)
+        state.apply({})
+        refit(state)
+
+
+def questions(trials: Sequence[Trial]) -> Mapping[str, Trial]:
+    """The best trial of each cause, most gain first."""
+    best: dict[str, Trial] = {}
+    for t in sorted(trials, key=lambda t: -t.shown):
+        best.setdefault(t.hypothesis.name, t)
+    return best

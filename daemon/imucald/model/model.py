@@ -17,7 +17,7 @@ from imucald.core.errors import ConfigError
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.model.plain import plain
-from imucald.model.section import Section
+from imucald.model.section import NonNegative, Section
 from imucald.model.sensors import (
     Accelerometer,
     BusLoad,
@@ -63,6 +63,9 @@ class VehicleModel(Section, frozen=True):
     mag: Magnetometer = Magnetometer()
     temperature: Temperature = Temperature()
     bus: BusLoad = BusLoad()
+    known_to: dict[str, NonNegative] = msgspec.field(default_factory=dict)
+    """Half widths within which numbers of this file are true, by the keys of `imucald diagnose`, in
+    their SI units; others are held to what its catalogue takes for an honest file."""
 
     def __post_init__(self) -> None:
         fastest = max(self.accel.rate_hz, self.gyro.rate_hz)

@@ -123,6 +123,8 @@ class Speed(Transmission, frozen=True):
     noise_mps: NonNegative = 0.01
     time_constant_s: NonNegative = 0.0
     """First-order filter in the sending unit."""
+    delay_rate: Annotated[float, Meta(ge=-0.01, le=0.01)] = 0.0
+    """Growth of the delay [s/s]: the speed's stamps and the sensor's come of two clocks."""
 
 
 class WheelSpeeds(Transmission, frozen=True):

@@ -20,11 +20,13 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 HOP_TICKS = 5
-"""Ticks of a hop: half a second, so that three of them are over before a fault is two seconds old."""
+"""Ticks of a hop: half a second, so that three are over before a fault is two seconds old."""
 HOP_S = HOP_TICKS * TICK_S
 
 SIDES = 2
 """Of each axis the upper and the lower extreme are watched."""
+WINDOW_HOPS = 120
+"""Extremes are those of so many hops of driving (a minute), then new ones are looked for."""
 
 
 @dataclass
@@ -33,13 +35,14 @@ class Carry:
 
     last: the last sample, NaN before the first. run: how many samples in a row have been equal to
     it. step: the smallest change so far. extreme: (2, axes), the largest value, and the largest of
-    the negated ones, while the vehicle moved.
+    the negated ones, while the vehicle moved in this window. moved: hops of driving so far.
     """
 
     last: Array
     run: Index
     step: Array
     extreme: Array
+    moved: int = 0
 
     @classmethod
     def none(cls, axes: int) -> Carry:
@@ -64,8 +67,9 @@ class HopRows:
     mean: of the samples. level: mean size of the change from sample to sample. step: smallest
     change so far. ended: runs of equal values that ended. longest: of those the longest, but for
     runs at an extreme. run: samples up to the hop's end that are equal. top: the hop's largest
-    value. extreme: the largest so far while moving; at_it: samples on it, ties: those that follow
-    another on it, below: samples one step, and two steps, below it (H, 2, 2, axes).
+    value. extreme: the largest so far in the window; at_it: samples on it, ties: those that follow
+    another on it while another axis changed, below: samples one step, and two steps, below it
+    (H, 2, 2, axes). window: the window of each hop.
     """
 
     count: Index
@@ -80,6 +84,7 @@ class HopRows:
     at_it: Index
     ties: Index
     below: Index
+    window: Index
 
 
 def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
@@ -107,18 +112,36 @@ def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
     starts = np.flatnonzero(new)
     of_start = cell[starts]
     step = _steps(size[starts], of_start, cells, axes, carry)
-    top, extreme = _extremes(v, edges, count, moving, carry)
+    moved = moving & (count > 0)
+    window = (carry.moved + np.cumsum(moved) - moved) // WINDOW_HOPS
+    top, extreme = _extremes(v, edges, count, moving, window, carry)
+    is_new = new.reshape(axes, n)
+    alone = (~is_new & (is_new.sum(axis=0) > 0)).ravel()
     run = _runs(starts, edges, n, axes, carry)
     ended = np.bincount(of_start, minlength=cells)
     longest = _longest(v, starts, of_start, extreme, hops, carry)
-    at_it, ties, below = _at_extremes(flat, new, cell, top, extreme, step, moving)
+    at_it, ties, below = _at_extremes(flat, alone, cell, top, extreme, step, moving)
     carry.last = v[:, -1].copy()
     carry.run, carry.step = run[:, -1].copy(), step[:, -1].copy()
     carry.extreme = extreme[:, :, -1].copy()
+    carry.moved += int(moved.sum())
+    if carry.moved // WINDOW_HOPS > window[-1]:
+        carry.extreme[:] = -math.inf
     return HopRows(
-        count, mean.T, level.T, step.T, ended.reshape(axes, hops).T, longest.T, run.T,
-        *(np.moveaxis(a, -1, 0) for a in (top, extreme, at_it, ties, below)),
-    )  # fmt: skip
+        count=count,
+        mean=mean.T,
+        level=level.T,
+        step=step.T,
+        ended=ended.reshape(axes, hops).T,
+        longest=longest.T,
+        run=run.T,
+        top=np.moveaxis(top, -1, 0),
+        extreme=np.moveaxis(extreme, -1, 0),
+        at_it=np.moveaxis(at_it, -1, 0),
+        ties=np.moveaxis(ties, -1, 0),
+        below=np.moveaxis(below, -1, 0),
+        window=window,
+    )
 
 
 def _steps(size: Array, cell: Index, cells: int, axes: int, carry: Carry) -> Array:
@@ -132,9 +155,9 @@ def _steps(size: Array, cell: Index, cells: int, axes: int, carry: Carry) -> Arr
 
 
 def _extremes(
-    v: Array, edges: Index, count: Index, moving: Flags, carry: Carry
+    v: Array, edges: Index, count: Index, moving: Flags, window: Index, carry: Carry
 ) -> tuple[Array, Array]:
-    """Largest values of each hop, and so far while moving (2, axes, H)."""
+    """Largest values of each hop, and so far while moving in its window (2, axes, H)."""
     some = count > 0
     top = np.full((SIDES, len(v), len(count)), -math.inf)
     at = edges[:-1][some]
@@ -142,7 +165,9 @@ def _extremes(
     top[1][:, some] = -np.minimum.reduceat(v, at, axis=1)
     seen = np.where(moving, top, -math.inf)
     seen[:, :, 0] = np.maximum(seen[:, :, 0], carry.extreme)
-    return top, np.maximum.accumulate(seen, axis=2)
+    for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(window)) + 1):
+        seen[:, :, part] = np.maximum.accumulate(seen[:, :, part], axis=2)
+    return top, seen
 
 
 def _runs(starts: Index, edges: Index, n: int, axes: int, carry: Carry) -> Index:
@@ -175,7 +200,7 @@ def _longest(
 
 
 def _at_extremes(
-    flat: Array, new: Flags, cell: Index, top: Array, extreme: Array, step: Array, moving: Flags
+    flat: Array, alone: Flags, cell: Index, top: Array, extreme: Array, step: Array, moving: Flags
 ) -> tuple[Index, Index, Index]:
     """Samples at the extremes, ties there (2, axes, H), and samples below (2, 2, axes, H)."""
     shape = extreme.shape
@@ -197,7 +222,7 @@ def _at_extremes(
         one, two = under < 1.5 * grain, under < 2.5 * grain
         for out, chosen in (
             (at_it[side], on),
-            (ties[side], on & ~new[rows]),
+            (ties[side], on & alone[rows]),
             (below[0, side], one & ~on),
             (below[1, side], two & ~one),
         ):

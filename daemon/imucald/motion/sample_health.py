@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
 from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
+from imucald.motion.rails import Rails
 from imucald.motion.rest_thresholds import ROLLING_SPEED
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
     RATE_HOPS,
     Lasting,
-    Rails,
     StuckAxis,
     UnitChange,
     turning_wildly,
@@ -258,6 +258,16 @@ class SampleHealth:
         moves = self._speed_age < SPEED_HOPS and abs(self._speed) > ROLLING_SPEED
         before, self._moved = self._moved, moves
         return moves and before
+
+    def summary(self) -> dict[str, Any]:
+        """Each watched sensor's faults now, and those that were told; for JSON."""
+        return {
+            "sensors": {
+                channel: {str(fault): axes for fault, axes in self.faults.get(channel, {}).items()}
+                for channel in self._sensors
+            },
+            "events": [event.as_dict() for event in self.events],
+        }
 
     def _keep(self, sensor: _Sensor, found: Mapping[SignalFault, str], now: float) -> None:
         """Go on with the faults found and those that have not been gone for long enough."""

@@ -70,7 +70,7 @@ WORDS = {
     StandingFault.TURN_STEERING: "the vehicle does not turn as it is steered: the sign of the "
     "steering angle, reverse without a signal, or signs of the sensor",
     StandingFault.FORCE_TURNS: "the force in turns is not where turning says: a sign or exchanged "
-    "axes of accelerometer or gyroscope",
+    "axes of accelerometer or gyroscope, or a mount that moves",
     StandingFault.FORCE_SPEED: "the force does not follow the change of speed",
     StandingFault.GYRO_GAIN: "the gyroscope's unit is wrong",
     StandingFault.SPEED_GAIN: "the speed's unit is wrong",
@@ -89,11 +89,10 @@ class PairWatch:
         self.accused = False
         self.odd_gain = False
 
-    def restart(self) -> None:
-        """What comes next is of another kind: nothing is known of it."""
+    def forget(self) -> None:
+        """Remember no piece; what stands stands until new ones acquit."""
         self._sums[:], self._blocks = 0.0, 0
         self._pieces.clear()
-        self.accused = self.odd_gain = False
 
     @property
     def pieces(self) -> int:
@@ -163,11 +162,10 @@ class Contradictions:
         self.hard_turns = PairWatch(MIN_FORCE)
         self.speed = PairWatch(MIN_FORCE, OPPOSITE)
 
-    def restart_forces(self) -> None:
-        """The rotation is found anew."""
-        self.turns.restart()
-        self.hard_turns.restart()
-        self.speed.restart()
+    def forget_forces(self) -> None:
+        """The rotation is found anew; what stands against the old one stands until it agrees."""
+        for pair in (self.turns, self.hard_turns, self.speed):
+            pair.forget()
 
     def add(
         self,
@@ -188,6 +186,8 @@ class Contradictions:
             vehicle = (v.steering_ratio, v.wheelbase, s.understeer)
             steered = yaw_rate_with_understeer(p.speed, angle, *vehicle)
             self.steering.add(steered, turn_rate, p.ok_steering & moving & (p.ok_rate | p.ok_yaw))
+        if self.yaw_rate.last_unlike and self.steering.last_unlike:  # two witnesses of one bend
+            self.yaw_rate.accused = self.steering.accused = True
         if R is not None:
             force = p.force @ np.asarray(R).T
             use = moving & p.ok_force & p.learn

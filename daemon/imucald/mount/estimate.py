@@ -59,6 +59,8 @@ class MountEstimate:
     R_true = exp(skew(e)) @ R_vehicle_from_sensor with e ~ (0, covariance).
     waiting_for: per angle, what is still missing, in words; no entry where nothing is.
     missing: the same as a code, for the bus.
+    faults: contradictions between signals that stand, by the names of
+    `contradictions.StandingFault`; while there is any, nothing is sent as good.
     """
 
     state: MountState
@@ -67,6 +69,7 @@ class MountEstimate:
     waiting_for: Mapping[str, str] = field(default_factory=dict)
     missing: Mapping[str, Missing] = field(default_factory=dict)
     details: Mapping[str, object] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
 
     @property
     def angles(self) -> tuple[float, float, float] | None:

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.motion.ticks import TickRow
-from imucald.mount.contradictions import Contradictions, StandingFault
-from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
-from imucald.mount.estimate import ANGLES, Correction, MountEstimate, MountState
+from imucald.mount.contradictions import WORDS, Contradictions, StandingFault
+from imucald.mount.creep import BELIEVED, P_CONSTANT, P_CONSTANT_AGAIN
+from imucald.mount.estimate import ANGLES, Correction, Missing, MountEstimate, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep
@@ -61,6 +61,10 @@ FAILED_BLOCKS = 14
 """Numbers out of range stand as a fault for so long after the last of them (90 s)."""
 AFRESH = math.radians(20.0)
 """After a turn by more [rad] not even the rotation so far is a hint of the new one."""
+STUCK_BLOCKS = 40
+"""While a contradiction stands the rotation is sought anew every 4 min: the mount may move."""
+FOUND_ANEW = frozenset({StandingFault.FORCE_TURNS, StandingFault.FORCE_SPEED})
+"""Faults that end by a rotation that was found while they stood: that one stays."""
 SHIFTS_ALLOWED = 1
 """After more of them in one drive the mount is loose: it is never *fine*."""
 FROZEN_TICKS = 40
@@ -188,7 +192,8 @@ class FullEstimator:
         before, self._faults = self._faults, self._contradictions.faults
         new = [fault for fault in self._faults if fault not in before]
         self._faults_seen += [(self._blocks, fault) for fault in new]
-        if before and not self._faults:
+        is_stuck = bool(self._faults) and self._solver.blocks >= STUCK_BLOCKS
+        if new or (before and not self._faults and FOUND_ANEW.isdisjoint(before)) or is_stuck:
             self._begin_without_rotation([p])
 
     def _look_for_large_change(self, p: SignalBlock) -> bool:
@@ -224,7 +229,7 @@ class FullEstimator:
         self._solver.response.without_speed = self._signals.without_speed
         self._refit = None
         self._large.restart()
-        self._contradictions.restart_forces()
+        self._contradictions.forget_forces()
         for p in blocks:
             self._driven.add(*self._solver.add(p))
 
@@ -320,10 +325,15 @@ class FullEstimator:
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
         )
         found = judged(self._known, self._state, self._settings)
+        was_good = self._state in GOOD
         self._state = self._state_by(self._allowed(found))
-        if self._state in GOOD:
+        if self._state not in GOOD:
+            return
+        self._served.aim(self._answer()[0])
+        if was_good or self._served.has_arrived:
             self._moved = False
-            self._served.aim(self._answer()[0])
+        else:  # good again, but what is applied is still on the way from what was wrong
+            self._state = MountState.RECALIBRATING
 
     def _allowed(self, found: MountState) -> MountState:
         """No *fine* before the tests can see, and nothing good in the face of a contradiction."""
@@ -403,10 +413,46 @@ class FullEstimator:
         reasons = waiting_for(self._known, self._settings)
         words = {name: text for name, (text, _) in reasons.items()}
         codes = {name: code for name, (_, code) in reasons.items()}
+        for angle, text in self._troubles().items():
+            words[angle], codes[angle] = text, Missing.OTHER
         if self._solver.fused is None:
-            return MountEstimate(self._state, waiting_for=words, missing=codes)
+            return MountEstimate(self._state, waiting_for=words, missing=codes, faults=self.faults)
         R, covariance = self._answer()
-        return MountEstimate(self._state, R, covariance, words, codes, self._details())
+        return MountEstimate(self._state, R, covariance, words, codes, self._details(), self.faults)
+
+    def _troubles(self) -> dict[str, str]:
+        """What more driving does not mend, per angle: contradictions, and a mount that moves."""
+        if self._faults:
+            text = "; ".join(WORDS[fault] for fault in self._faults)
+            return dict.fromkeys(ANGLES, text)
+        if self._state is MountState.FINE:
+            return {}
+        creeping = self._creep()
+        if self._state in GOOD:
+            return {
+                angle: f"the mount creeps: about {abs(found['deg_per_h']):.0f} deg/h"
+                for angle, found in creeping.items()
+            }
+        return {
+            angle: f"the mount moves by {abs(found['moved_deg']):.1f} deg within the drive"
+            for angle, found in creeping.items()
+        }
+
+    def _creep(self) -> dict[str, dict[str, float]]:
+        """Angles that creep: how fast by the time of driving, how far so far, how sure that is."""
+        creep = self._solver.creep
+        if creep is None:
+            return {}
+        an_hour = 3600.0 / (GROUP * BLOCK_S)
+        return {
+            angle: {
+                "deg_per_h": math.degrees(float(creep.rate[i])) * an_hour,
+                "moved_deg": math.degrees(float(creep.moved[i])),
+                "probability": float(creep.probability[i]),
+            }
+            for i, angle in enumerate(ANGLES)
+            if creep.probability[i] > BELIEVED
+        }
 
     def _details(self) -> dict[str, object]:
         solver, signals, known = self._solver, self._signals, self._known
@@ -442,6 +488,8 @@ class FullEstimator:
                 }
                 for block, shift in self._shifts
             ],
+            "creep": self._creep(),
+            "cross_axis_std": solver.cross_axis_std,
             "faults": [
                 {"t": block * BLOCK_S, "fault": fault.value} for block, fault in self._faults_seen
             ],

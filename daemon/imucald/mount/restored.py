@@ -30,6 +30,7 @@ from imucald.mount.estimate import (
     MountState,
 )
 from imucald.mount.hysteresis import GOOD
+from imucald.mount.plumb_line import PlumbLine
 from imucald.mount.saved_information import SavedInformation, SavesInformation
 from imucald.mount.slewing import SlewedRotation
 
@@ -90,6 +91,7 @@ class RestoredEstimator:
         self._prior = stored.covariance + np.diag(np.square(BETWEEN_DRIVES_STD))
         self._served = SlewedRotation(HAND_OVER_RATE)
         self._served.aim(stored.R_vehicle_from_sensor)
+        self._plumb_line = PlumbLine()
         self._contradictions = 0
         self._ticks = 0
 
@@ -118,6 +120,10 @@ class RestoredEstimator:
         if self.phase is Phase.HANDING_OVER:
             self._follow()
             return
+        if self.phase is not Phase.NEW:
+            self._plumb_line.step(tick, self._served.correction)
+            if self._plumb_line.is_off:
+                self.phase = Phase.DOUBTED
         self._ticks += 1
         if self._ticks % COMPARE_TICKS == 0 and (self.joined or self.phase is not Phase.NEW):
             self._compare()
@@ -191,7 +197,9 @@ class RestoredEstimator:
     def _judge(self) -> None:
         """Who serves from now on."""
         usable = self.inner.state in GOOD
-        if usable and self.distance < AGREEMENT:
+        if self._plumb_line.is_off and not usable:
+            return
+        if usable and self.distance < AGREEMENT and not self._plumb_line.is_off:
             self.phase = Phase.CONFIRMED
             self._join()
         if self.inner.state in _BAD or self._contradictions >= DOUBTS:

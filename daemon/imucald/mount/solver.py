@@ -227,7 +227,7 @@ class MountSolver:
         if not self.gravity.known:
             return
         s = self._settings
-        cross = math.hypot(s.calibration.cross_axis, math.sqrt(self._sharing.scale2))
+        cross = s.calibration.cross_axis
         spread = math.sqrt(
             s.calibration.accelerometer_bias**2 + BIAS_DRIFT_STD**2 + (GRAVITY * cross) ** 2
         )
@@ -280,6 +280,11 @@ class MountSolver:
             self.vertical.steps.history.go_on()
             return None
         return self.vertical.steps.found(self.R)
+
+    @property
+    def cross_axis_std(self) -> float:
+        """Cross-axis error that is reckoned with (part): configured, or probable."""
+        return math.hypot(self._settings.calibration.cross_axis, math.sqrt(self._sharing.scale2))
 
     def follow_creep(self) -> None:
         """See whether the mount creeps; once a road segment."""

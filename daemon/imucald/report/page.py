@@ -22,10 +22,6 @@ LIBRARIES = ("jinja2", "matplotlib")
 
 MAX_PICTURED = 14
 """Signals with pictures: a page must stay small enough for a mail."""
-MAX_CANDIDATES = 400
-"""Rows of the table of what lost; the JSON has all."""
-OPEN_CANDIDATES = 12
-"""Rows that are seen without unfolding."""
 SEPARATORS = (".", "_")
 """After which a long key may be broken."""
 MAX_ROWS = 200
@@ -67,17 +63,15 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         verdict=verdict,
         figures=_key_figures(diagnosis),
         causes=[_card(cause) for cause in diagnosis.causes],
+        likely=[_card(cause) for cause in diagnosis.likely],
         to_separate=words.with_titles(diagnosis.to_separate, alike),
         groups=[[words.cause_title(n) for n in g] for g in diagnosis.look_alikes[:MAX_ROWS]],
         signals=_signal_rows(diagnosis),
         pictures=_pictures(diagnosis),
         unpictured=max(0, len(diagnosis.pictures) - MAX_PICTURED),
         candidates=_candidates(diagnosis),
-        open_candidates=OPEN_CANDIDATES,
-        more_candidates=max(0, len(diagnosis.candidates) - MAX_CANDIDATES),
         structure=sorted(diagnosis.structure, key=lambda s: -_size(s.size))[:MAX_ROWS],
         gain_line=words.gain(diagnosis.gain),
-        mount=words.mount_errors(diagnosis.gain),
         diff=as_diff(changes[:MAX_ROWS]),
         more_changes=max(0, len(changes) - MAX_ROWS),
         model_text=diagnosis.model_after.to_yaml(),
@@ -124,45 +118,42 @@ def _size(x: float) -> float:
 
 def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     """Title, figure and what it means, of the few numbers that sum it up."""
-    found = diagnosis.gain
     figures = []
-    if diagnosis.causes:
-        low, high = (words.number(x) for x in found.interval)
-        nats = f"{words.number(found.held_out_log_likelihood)} nats"
-        figures.append(("Gain on held-out data", nats, f"95 % interval {low} to {high}"))
-    rows = [(name, s) for name, s in diagnosis.signals.items() if s.noise_floor > 0.0]
-    if rows:
-        name, worst = max(rows, key=lambda row: _size(words.ratio(row[1], after=False)))
-        before, after = words.ratio(worst, after=False), words.ratio(worst, after=True)
+    rows = [(name, s) for name, s in diagnosis.signals.items() if s.rms_before > 0.0]
+    if rows and diagnosis.causes:
+        name, best = min(rows, key=lambda row: _size(row[1].rms_after / row[1].rms_before))
+        unit = words.unit_text(best.unit)
         figures.append((
-            "Largest residual over its noise floor",
-            f"{before:.2f} → {after:.2f}",
-            words.signal_title(name),
+            "Largest gain, on data not fitted",
+            words.less(best),
+            f"{words.signal_title(name)}: {words.number(best.rms_before)} → "
+            f"{words.number(best.rms_after)} {unit}",
         ))  # fmt: skip
-    errors = words.mount_errors(found, unit="")
-    if errors is not None:
-        figures.append(("Mount-angle error [deg]", " → ".join(errors), "before and after"))
+        said = "use it" if diagnosis.recommended else "not recommended"
+        figures.append(("Extended model file", said, "by what it brings alone"))
     figures.append(("Data", words.duration(diagnosis.duration_s), "diagnosed"))
     return figures
 
 
 def _card(cause: FoundCause) -> dict[str, Any]:
-    rows = [
-        {
-            "name": name,
-            "value": words.with_spread(p.value, p.std),
-            "unit": words.unit_text(p.unit),
-            "human": words.unit_text(words.human(p.value, p.std, p.unit)),
-            "interval": words.interval(p.value, p.std),
-        }
-        for name, p in list(cause.parameters.items())[:MAX_ROWS]
-    ]
+    rows = []
+    for key, p in list(cause.parameters.items())[:MAX_ROWS]:
+        shown, stated = words.for_people(key, p)
+        rows.append({
+            "title": words.key_title(key),
+            "key": key,
+            "value": shown,
+            "stated": stated,
+            "in_file": words.in_file(p),
+        })  # fmt: skip
     return {
         "title": words.cause_title(cause.name),
         "name": cause.name,
-        "text": words.plain_sentence(cause),
+        "certainty": cause.certainty,
+        "text": words.typographic(cause.text),
         "rows": rows,
         "evidence": words.evidence(cause),
+        "against": [words.typographic(text) for text in cause.against],
         "signals": [words.signal_title(name) for name in cause.signals],
     }
 
@@ -178,8 +169,9 @@ def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
             "before": words.number(s.rms_before),
             "after": words.number(s.rms_after),
             "floor": words.number(s.noise_floor),
-            "ratio_before": _two(words.ratio(s, after=False)),
-            "ratio_after": _two(words.ratio(s, after=True)),
+            "less": words.less(s),
+            "slow": f"{words.number(s.slow_before)} → {words.number(s.slow_after)}",
+            "left": words.typographic(s.left),
             "bar_before": _width(share * s.rms_before),
             "bar_after": _width(share * s.rms_after),
             "bar_floor": _width(share * s.noise_floor),
@@ -187,28 +179,20 @@ def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     return rows
 
 
-def _two(x: float) -> str:
-    return f"{x:.2f}" if math.isfinite(x) else "-"
-
-
 def _width(share: float) -> str:
     return f"{share:.1f}" if math.isfinite(share) else "0"
 
 
 def _candidates(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Least beaten first; bars on a logarithmic scale, since they lose by 1 to 100,000 nats."""
-    ordered = sorted(diagnosis.candidates, key=lambda c: -_size(c.log_evidence))
-    worst = max((abs(c.log_evidence) for c in ordered if math.isfinite(c.log_evidence)), default=0)
-    scale = 100.0 / math.log1p(worst) if worst > 0.0 else 0.0
-    found = [cause.name for cause in diagnosis.causes]
+    """Causes that were not named, what pays most first."""
+    ordered = sorted(diagnosis.candidates, key=lambda c: -_size(c.nats))
     return [
         {
-            "title": " + ".join(words.cause_title(n) for n in c.names) or "nothing",
-            "lost_by": words.number(-c.log_evidence, 3),
-            "bar": _width(scale * math.log1p(abs(c.log_evidence))),
-            "reason": words.with_titles(c.reason, found),
+            "title": words.cause_title(c.name),
+            "outcome": c.outcome,
+            "text": words.typographic(c.text),
         }
-        for c in ordered[:MAX_CANDIDATES]
+        for c in ordered[:MAX_ROWS]
     ]
 
 
@@ -221,7 +205,8 @@ def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 
     def rank(p: SignalPicture) -> tuple[bool, float]:
         known = diagnosis.signals.get(p.signal)
-        return p.signal in touched, _size(words.ratio(known, after=False)) if known else -math.inf
+        worth = known.rms_before / known.noise_floor if known and known.noise_floor else -math.inf
+        return p.signal in touched, _size(worth)
 
     chosen = sorted(diagnosis.pictures, key=rank, reverse=True)[:MAX_PICTURED]
     return [

@@ -7,23 +7,36 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from imucald.diagnosis.result import GOES_AGAINST, Diagnosis, FoundCause, Gain, SignalGain
+from imucald.diagnosis.result import (
+    GOES_AGAINST,
+    NOT_PLAUSIBLE,
+    Candidate,
+    Diagnosis,
+    Estimated,
+    FoundCause,
+    Gain,
+    SignalGain,
+)
 
 CAUSES: Mapping[str, str] = {
     "accel_bias": "accelerometer bias",
     "accel_scale": "accelerometer scale",
     "accel_cross_axis": "accelerometer cross-axis",
+    "accel_bias_temperature": "accelerometer drift with temperature",
+    "accel_bias_drift": "accelerometer drift",
     "gyro_bias": "gyroscope bias",
     "gyro_scale": "gyroscope scale",
     "gyro_bias_temperature": "gyroscope drift with temperature",
     "g_sensitivity": "gyroscope g-sensitivity",
     "squat_dive": "squat and dive",
     "wheel_speed_scale": "speed scale (tyre radius)",
+    "wheels_against_speed": "wheel speeds against vehicle speed",
     "yaw_rate_scale": "yaw-rate scale",
     "yaw_rate_offset": "yaw-rate offset",
     "steering_offset": "steering-angle offset",
-    "sensor_lowpass": "sensor low-pass",
+    "delay_rate": "clocks that run apart",
     "dropouts": "drop-outs",
+    "duplicated_frames": "doubled frames",
 }
 """Titles that are more than the name with blanks; a new cause needs none."""
 
@@ -33,33 +46,52 @@ SIGNALS: Mapping[str, str] = {
     "yaw_rate": "vehicle yaw rate",
     "lateral_accel": "vehicle lateral acceleration",
     "longitudinal_accel": "vehicle longitudinal acceleration",
+    "speed": "speed beside the wheels",
 }
-
-CERTAIN = 0.999
-"""Probabilities beyond it are said as "more than": the model of chance is not better than that."""
+PARTS: Mapping[str, str] = {
+    **SIGNALS, "speed": "speed", "steering": "steering", "mount": "mount", "chassis": "chassis",
+    "suspension": "suspension", "wheel_speeds": "wheel speeds",
+}  # fmt: skip
+AXES: Mapping[str, Mapping[str, str]] = {
+    "vector": {"x": "forward", "y": "left", "z": "up"},
+    "sensor": {"0": "sensor x", "1": "sensor y", "2": "sensor z"},
+    "turn": {"x": "roll", "y": "pitch", "z": "yaw"},
+    "lever_arm_m": {"0": "forward", "1": "left", "2": "up"},
+    "cross_axis": {"0": "y in x", "1": "z in x", "2": "x in y", "3": "z in y", "4": "x in z",
+                   "5": "y in z"},
+}  # fmt: skip
+QUANTITIES: Mapping[str, str] = {
+    "lever_arm_m": "lever arm", "delay_s": "age", "delay_rate": "growth of age",
+    "scale": "gain error", "offset": "offset", "turn": "turn", "bias": "zero error",
+    "full_scale": "rail", "loss": "lost frames", "stuck_s": "stuck for", "doubled": "doubled",
+    "clock_drift_ppm": "clock error", "steering_ratio": "steering ratio", "t_s": "time",
+}  # fmt: skip
 
 WORD = re.compile(r"\w+")
-
-SENTENCE_END = re.compile(r"(?<=\.)\s+")
-
 Z95 = 1.959964
 """Half width of a 95 % interval in standard deviations."""
-
+G = 9.80665
+DEG = math.degrees(1.0)
 HUMAN_UNITS: Mapping[str, tuple[float, str]] = {
-    "rad": (math.degrees(1.0), "deg"),
-    "rad/s": (math.degrees(1.0), "deg/s"),
-    "rad/s/K": (math.degrees(1.0), "deg/s/K"),
-    "rad/(m/s^2)": (math.degrees(9.80665), "deg/g"),
-    "(rad/s)/(m/s^2)": (math.degrees(1.0), "(deg/s)/(m/s^2)"),
+    "rad": (DEG, "deg"),
+    "rad/s": (DEG, "deg/s"),
+    "rad/s/K": (DEG, "deg/s/K"),
+    "rad/(m/s^2)": (DEG * G, "deg/g"),
+    "(rad/s)/(m/s^2)": (DEG * G, "(deg/s)/g"),
+    "m/s^2": (1000.0 / G, "mg"),
+    "m/s^2/K": (1000.0 / G, "mg/K"),
     "s": (1000.0, "ms"),
     "1": (100.0, "%"),
     "": (100.0, "%"),
 }
 """Units in which people think, for those of the model file."""
+PLAIN_KEYS = ("chassis.steering_ratio",)
+"""Numbers without a unit that are no shares."""
+RATES = ("speed.delay_rate",)
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Words:
     """The verdict in words."""
 
     headline: str
@@ -76,7 +108,26 @@ def signal_title(name: str) -> str:
     if name in SIGNALS:
         return SIGNALS[name]
     sensor, _, axis = name.rpartition("_")
-    return f"{SIGNALS[sensor]} {axis}" if sensor in SIGNALS else name.replace("_", " ")
+    way = AXES["vector"].get(axis, axis)
+    return f"{SIGNALS[sensor]} {way}" if sensor in SIGNALS else name.replace("_", " ")
+
+
+def key_title(key: str) -> str:
+    """Return what people call a parameter: `lever arm, forward` for `mount.lever_arm_m.0`."""
+    part, _, rest = key.removeprefix("_").partition(".")
+    name, _, axis = rest.rpartition(".")
+    name = name or rest
+    quantity = QUANTITIES.get(name.rpartition(".")[2], name.rpartition(".")[2].replace("_", " "))
+    if not rest.endswith(f".{axis}") or axis == rest:
+        axis = ""
+    kind = name if name in AXES else "sensor" if axis.isdigit() else "vector"
+    way = AXES[kind].get(axis, axis.removesuffix("_deg").replace("_", " "))
+    title = (
+        quantity
+        if part in ("mount", "chassis", "suspension")
+        else (f"{PARTS.get(part, part.replace('_', ' '))} {quantity}")
+    )
+    return f"{title}, {way}" if way else title
 
 
 def in_series(names: Sequence[str], last: str = "and") -> str:
@@ -86,56 +137,69 @@ def in_series(names: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
-def verdict(diagnosis: Diagnosis) -> Verdict:
+def verdict(diagnosis: Diagnosis) -> Words:
     """Return what the diagnosis says, with how sure it is."""
     titles = [cause_title(cause.name) for cause in diagnosis.causes]
+    tail = _advice(diagnosis) + _likely(diagnosis) + _incomplete(diagnosis)
     if diagnosis.verdict == "found":
-        headline = f"Found: {in_series(titles)}" if titles else "Found"
-        text = f"{_counted(len(titles))}{certainty(diagnosis.causes)}."
-        return Verdict(headline, text + _confirmed(diagnosis) + _left(diagnosis))
+        count = f"{_counted(len(titles))} certain."
+        return Words(f"Found: {in_series(titles)}", count + _left(diagnosis) + tail)
     if diagnosis.verdict == "ambiguous":
-        return _ambiguous(diagnosis, titles)
+        groups = [in_series([cause_title(n) for n in g], "or") for g in diagnosis.look_alikes]
+        confused = {name for group in diagnosis.look_alikes for name in group}
+        sure = [cause_title(c.name) for c in diagnosis.causes if c.name not in confused]
+        text = "Something is wrong, and these drives cannot tell which of them it is."
+        if sure:
+            text += f" Beyond doubt about its kind is {in_series(sure)}."
+        return Words(f"Ambiguous: {'; '.join(groups)}", text + _left(diagnosis) + tail)
     if diagnosis.verdict == "unknown":
-        where = _where(diagnosis)
-        if any(s.kind == GOES_AGAINST for s in diagnosis.structure):
-            return Verdict(
-                f"Unknown: against the model's prediction: {where}",
-                "A sign in the configuration is wrong, or the mount in the model file: 'imucald "
-                "check' looks for wrong signs. No parameter was fitted to that.",
-            )
-        headline = f"Unknown: something is left in {where}" if where else "Unknown"
-        text = "The measured signals differ from the model in a way that no known cause explains."
-        if titles:
-            text += f" Besides, this was found: {in_series(titles)}."
-        return Verdict(headline, text)
+        return _unknown(diagnosis, titles, tail)
     text = (
         "What the model predicts and what was measured differ by no more than noise and the "
         "tolerances of an honest model file."
     )
-    return Verdict("Nothing found: the model fits", text)
+    return Words("Nothing found: the model fits", text + tail)
 
 
-def _ambiguous(diagnosis: Diagnosis, titles: Sequence[str]) -> Verdict:
-    groups = [in_series([cause_title(n) for n in g], "or") for g in diagnosis.look_alikes]
-    text = "Something is wrong, and these drives cannot tell which of them it is."
-    confused = {name for group in diagnosis.look_alikes for name in group}
-    sure = [cause for cause in diagnosis.causes if cause.name not in confused]
-    if groups and sure:
-        also = in_series([cause_title(cause.name) for cause in sure])
-        text += f" Beyond doubt about its kind is {also}{certainty(sure)}."
-    headline = "; ".join(groups) or in_series(titles, "or")
-    return Verdict(f"Ambiguous: {headline}", text + _confirmed(diagnosis) + _left(diagnosis))
+def _unknown(diagnosis: Diagnosis, titles: Sequence[str], tail: str) -> Words:
+    where = _where(diagnosis)
+    kinds = {s.kind for s in diagnosis.structure}
+    if GOES_AGAINST in kinds:
+        return Words(
+            f"Unknown: against the model's prediction: {where}",
+            "A sign in the configuration is wrong, or the mount in the model file: 'imucald "
+            "check' looks for wrong signs. No parameter was fitted to that.",
+        )
+    text = "The measured signals differ from the model in a way that no known cause explains."
+    if NOT_PLAUSIBLE in kinds:
+        first = next(s for s in diagnosis.structure if s.kind == NOT_PLAUSIBLE)
+        text = f"{first.text[:1].upper()}{first.text[1:]}."
+    if titles:
+        text += f" Besides, this was found: {in_series(titles)}."
+    return Words(f"Unknown: something is left in {where}" if where else "Unknown", text + tail)
 
 
-def _confirmed(diagnosis: Diagnosis) -> str:
-    """A warning where data that the fit did not see do not speak for the extension."""
-    low, high = diagnosis.gain.interval
-    if low > 0.0 or not math.isfinite(low + high):
+def _advice(diagnosis: Diagnosis) -> str:
+    """Whether the extended file is worth using, in so many words."""
+    if not diagnosis.causes:
         return ""
-    return (
-        f" Held-out data do not confirm it: the 95 % interval of the gain is {number(low)} to "
-        f"{number(high)} nats."
-    )
+    if diagnosis.recommended:
+        return " The extended model file predicts better, on data that its fit did not see: use it."
+    if diagnosis.gain.worse:
+        names = in_series([signal_title(n) for n in diagnosis.gain.worse])
+        return f" The extended model file is not recommended: it predicts {names} worse."
+    return " The extended model file is not recommended: it brings nothing on data not fitted."
+
+
+def _likely(diagnosis: Diagnosis) -> str:
+    if not diagnosis.likely:
+        return ""
+    names = in_series([cause_title(c.name) for c in diagnosis.likely])
+    return f" Likely, and not written into the file: {names}."
+
+
+def _incomplete(diagnosis: Diagnosis) -> str:
+    return "" if diagnosis.complete else " The time limit ended the search: there may be more."
 
 
 def _where(diagnosis: Diagnosis) -> str:
@@ -154,46 +218,20 @@ def with_titles(text: str, names: Iterable[str]) -> str:
     return WORD.sub(lambda found: cause_title(found[0]) if found[0] in known else found[0], text)
 
 
-def certainty(causes: Sequence[FoundCause]) -> str:
-    """Return how sure the causes are, by the least sure of them; empty where it is not known."""
-    known = [c.evidence["probability"] for c in causes if "probability" in c.evidence]
-    if not known:
-        return ""
-    least = "at least " if len(known) > 1 and min(known) <= CERTAIN else ""
-    each = "each " if len(known) > 1 else ""
-    return f", {each}with a probability of {least}{percent(min(known))}"
-
-
-def percent(p: float) -> str:
-    """Return a probability for people: never 100 %."""
-    if not math.isfinite(p):
-        return "not known"
-    if p > CERTAIN:
-        return f"more than {100 * CERTAIN:.1f} %"
-    if p < 1.0 - CERTAIN:
-        return f"less than {100 * (1 - CERTAIN):.1f} %"
-    return f"{100 * p:.1f} %"
-
-
 def evidence(cause: FoundCause) -> str:
     """Return the evidence for a cause in one line."""
     known = cause.evidence
     parts = []
-    if "probability" in known:
-        parts.append(f"probability {percent(known['probability'])}")
     if "sigma" in known:
         parts.append(f"{number(known['sigma'], 2)} standard deviations from the model file")
-    if "log_bayes_factor" in known:
-        parts.append(f"log Bayes factor {number(known['log_bayes_factor'], 3)} nats")
-    parts += [
-        f"{name.replace('_', ' ')} {number(x, 3)}"
-        for name, x in known.items()
-        if name not in ("probability", "sigma", "log_bayes_factor")
-    ]
-    nats = cause.gain.get("held_out_log_likelihood", 0.0)
-    if nats and math.isfinite(nats):
-        parts.append(f"worth {number(nats, 3)} nats on held-out data")
+        if "quantile" in known:
+            parts.append(f"named from tolerance + {number(known['quantile'], 2)} on")
     return "; ".join(parts)
+
+
+def outcome(candidate: Candidate) -> str:
+    """Return why a cause was not named."""
+    return f"{candidate.outcome}: {typographic(candidate.text)}"
 
 
 def gain(found: Gain) -> str:
@@ -207,22 +245,12 @@ def gain(found: Gain) -> str:
     )
 
 
-def mount_errors(found: Gain, unit: str = " deg") -> tuple[str, str] | None:
-    """Return the mount error before and after [deg] as texts; None where it is not known."""
-    before, after = found.mount_error_deg_before, found.mount_error_deg_after
-    if before is None and after is None:
-        return None
-    return _degrees(before, unit), _degrees(after, unit)
-
-
-def _degrees(x: float | None, unit: str) -> str:
-    return "not known" if x is None or not math.isfinite(x) else f"{x:.2f}{unit}"
-
-
-def ratio(signal: SignalGain, after: bool) -> float:
-    """Return a residual's rms over its noise floor; not a number where there is no floor."""
-    rms = signal.rms_after if after else signal.rms_before
-    return rms / signal.noise_floor if signal.noise_floor > 0.0 else math.nan
+def less(signal: SignalGain) -> str:
+    """Return by how much a residual falls, in per cent."""
+    if not signal.rms_before > 0.0 or not math.isfinite(signal.rms_after):
+        return "-"
+    share = 100.0 * (signal.rms_after / signal.rms_before - 1.0)
+    return f"{share:+.0f} %" if abs(share) >= 0.5 else "0 %"
 
 
 def number(x: float, digits: int = 3) -> str:
@@ -249,29 +277,26 @@ def with_spread(value: float, std: float) -> str:
     return f"{value:.{places}f} ± {std:.{places}f}"
 
 
-def interval(value: float, std: float) -> str:
-    """Return the 95 % interval, rounded as `with_spread` does."""
-    low, high = value - Z95 * std, value + Z95 * std
-    if not (math.isfinite(low) and math.isfinite(high)):
-        return "-"
-    places = _places(std)
-    if places is None:
-        return f"{number(low, 4)} to {number(high, 4)}"
-    return f"{low:.{places}f} to {high:.{places}f}"
-
-
 def _places(std: float) -> int | None:
     """Decimals that show two digits of a deviation; None where that takes powers of ten."""
     size = math.floor(math.log10(std)) if std > 0.0 else -99
     return max(0, 1 - size) if -7 < size < 6 else None
 
 
-def human(value: float, std: float, unit: str) -> str:
-    """Return the same in a unit in which people think; empty where there is no other."""
-    if unit not in HUMAN_UNITS:
-        return ""
-    factor, name = HUMAN_UNITS[unit]
-    return f"{with_spread(factor * value, factor * std)} {name}"
+def for_people(key: str, p: Estimated) -> tuple[str, str]:
+    """Return value with spread, and what the file says, in the unit in which people think."""
+    factor, unit = HUMAN_UNITS.get(p.unit, (1.0, unit_text(p.unit)))
+    if key in PLAIN_KEYS:
+        factor, unit = 1.0, ""
+    elif key in RATES:
+        factor, unit = 1e6, "ppm"
+    shown = f"{with_spread(factor * p.value, factor * p.std)} {unit}".strip()
+    return shown, f"{number(factor * p.stated)} {unit}".strip()
+
+
+def in_file(p: Estimated) -> str:
+    """Return value with spread in the model file's own unit."""
+    return f"{with_spread(p.value, p.std)} {unit_text(p.unit)}".strip()
 
 
 def unit_text(unit: str) -> str:
@@ -279,13 +304,6 @@ def unit_text(unit: str) -> str:
     if unit == "1":
         return ""
     return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
-
-
-def plain_sentence(cause: FoundCause) -> str:
-    """Return a cause's text without the sentences that repeat its parameters, if any is left."""
-    parts = SENTENCE_END.split(cause.text)
-    kept = [part for part in parts if not any(key in part for key in cause.parameters)]
-    return typographic(" ".join(kept) or cause.text)
 
 
 def typographic(text: str) -> str:
@@ -304,4 +322,4 @@ def duration(seconds: float) -> str:
 
 def _counted(n: int) -> str:
     names = ("No", "One", "Two", "Three", "Four", "Five", "Six")
-    return f"{names[n] if n < len(names) else n} {'cause' if n == 1 else 'causes'}"
+    return f"{names[n] if n < len(names) else n} {'cause is' if n == 1 else 'causes are'}"

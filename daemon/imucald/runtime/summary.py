@@ -50,6 +50,7 @@ def summary(
             channel: {"samples": n, "rate_hz": round(n / duration, 3) if duration > 0 else None}
             for channel, n in sorted(engine.router.sample_counts.items())
         },
+        "signal_health": pipeline.health.summary(),
         "details": plain(estimate.details),
         **more,
     }

@@ -67,7 +67,7 @@ class CalibrationStore:
     ) -> None:
         self.store = store
         title = f"the state in {store.folder}"
-        self.writer = StateWriter[SavedState](self._write, title, say)
+        self.writer = StateWriter[tuple[int, SavedState | None]](self._write, title, say)
         self.problems: tuple[str, ...] = ()
         """What of the state could not be believed at the start."""
         self.restored = False
@@ -82,8 +82,13 @@ class CalibrationStore:
         self._before = MountState.WAITING
         self._driven_before = 0.0
 
-    def _write(self, state: SavedState) -> None:
-        self.store.save(state)
+    def _write(self, content: tuple[int, SavedState | None]) -> None:
+        """Save a state of an era; None: confirm on the disk that all before was forgotten."""
+        era, state = content
+        if state is None:
+            self.store.sync()
+        else:
+            self.store.save(state, era)
 
     def restore(self, estimator: MountEstimator) -> MountEstimator:
         """Return the estimator with the saved mount in front, or as it is."""
@@ -95,11 +100,18 @@ class CalibrationStore:
         if saved is None:
             self._say(f"no saved state in {self.store.folder}; starting from nothing", INFO)
             return estimator
+        try:
+            restored = RestoredEstimator(estimator, stored_mount(saved, self._evidence(saved)))
+        except Exception as error:  # whatever a file holds: without it the start goes on
+            problem = f"it cannot be used ({type(error).__name__}: {error})"
+            self.problems = (*self.problems, problem)
+            self._say(f"saved state: {problem}", WARNING)
+            return estimator
         self._last, self._known, self.restored = saved, True, True
         self._driven_before = saved.driven_s
         text = f"mount restored from generation {loaded.generation}"
         self._say(text + (", doubted when it was saved" if saved.doubted else ""), NOTICE)
-        return RestoredEstimator(estimator, stored_mount(saved, self._evidence(saved)))
+        return restored
 
     def _evidence(self, saved: SavedState) -> SavedInformation | None:
         """The sums among the evidence; without them the mount serves all the same."""
@@ -148,7 +160,7 @@ class CalibrationStore:
             if self._is_saved(saved):
                 return
             self._last, self._known = saved, True
-        self.writer.put(self._last)
+        self.writer.put((self.store.era, self._last))
 
     def _is_saved(self, state: SavedState) -> bool:
         """Whether as good as the same was saved: a vehicle that stands wears out no memory."""
@@ -163,19 +175,32 @@ class CalibrationStore:
         return same and bool(moved < SAME_ANGLE and firmer < SAME_VARIANCE)
 
     def forget(self) -> None:
-        """Keep nothing of what was saved: it is set aside, and not loaded again."""
-        self.writer.flush(STOP_WAIT_S)
+        """Keep nothing of what was saved: it is set aside, and not loaded again.
+
+        Waits for no disk: what is being written now never gets its name, and the thread that
+        writes forces the new names to the disk.
+        """
         self.writer.discard()
         self._known = False
         try:
             self.store.forget()
+            self.writer.put((self.store.era, None))
         except OSError as error:
             self._say(f"the saved state could not be set aside: {error}", WARNING)
 
-    def close(self, estimator: MountEstimator, driven_s: float) -> None:
+    def save_now(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the last estimate; wait for the disk, but not for long."""
         if estimator.state in _GOOD:
             self._save(estimator, self._driven_before + driven_s)
+        self.writer.flush(STOP_WAIT_S)
+
+    def end(self) -> None:
+        """Save nothing more; what is on its way is written."""
+        self.writer.close(0.0)
+
+    def close(self, estimator: MountEstimator, driven_s: float) -> None:
+        """Save the last estimate and end; wait for the disk, but not for long."""
+        self.save_now(estimator, driven_s)
         if not self.writer.close(STOP_WAIT_S):
             self._say("the disk did not take the state in time; the one before stands", WARNING)
         self.writer.report()

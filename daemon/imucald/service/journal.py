@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import os
+import select
+import socket
+import stat
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -13,10 +16,16 @@ ERROR, WARNING, NOTICE, INFO = 3, 4, 5, 6
 """Priorities of syslog."""
 SELDOM_S = 30.0
 """Lines of one kind that may come without end are told so often at most [s]."""
+LINE_BYTES = 4000
+"""A line is cut there: a pipe that takes anything takes 4096 bytes at once."""
 
 
 class Journal:
-    """Says things in one line each. A log that cannot be written stops nothing."""
+    """Says things in one line each. A log that cannot be written stops nothing, nor holds it up.
+
+    stream: None for standard error, which may be closed. What cannot be written at once is dropped
+    and counted; the next line that can be says how many were.
+    """
 
     def __init__(
         self,
@@ -24,7 +33,11 @@ class Journal:
         environment: Mapping[str, str] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._stream = sys.stderr if stream is None else stream
+        self.dropped = 0
+        """Lines that could not be written."""
+        self._untold = 0
+        self._stream: TextIO | None = sys.stderr if stream is None else stream
+        self._file = _descriptor(self._stream)
         self._to_journal = _is_journal(
             self._stream, os.environ if environment is None else environment
         )
@@ -34,12 +47,26 @@ class Journal:
     def say(self, text: str, priority: int = INFO) -> None:
         """Write a line."""
         line = " ".join(text.split())
+        if self._untold and self._write(f"{self._untold} lines could not be written", WARNING):
+            self._untold = 0
+        if not self._write(line, priority):
+            self.dropped += 1
+            self._untold += 1
+
+    def _write(self, line: str, priority: int) -> bool:
+        """Write a line where that can be done at once; whether it was."""
         head = f"<{priority}>" if self._to_journal else "imucald: "
         try:
+            if self._file is not None:
+                data = f"{head}{line}".encode("utf-8", "backslashreplace")
+                return _written_at_once(self._file, data[:LINE_BYTES] + b"\n")
+            if self._stream is None:
+                return False
             self._stream.write(f"{head}{line}\n")
             self._stream.flush()
         except (OSError, ValueError):
-            return
+            return False
+        return True
 
     def seldom(self, kind: str, text: str, priority: int = WARNING) -> None:
         """Write a line unless one of its kind came lately; then say how many were left out."""
@@ -52,11 +79,32 @@ class Journal:
         self.say(text + (f" ({untold} such lines left out before)" if untold else ""), priority)
 
 
-def _is_journal(stream: TextIO, environment: Mapping[str, str]) -> bool:
+def _descriptor(stream: TextIO | None) -> int | None:
+    try:
+        return None if stream is None else stream.fileno()
+    except (OSError, ValueError, AttributeError):
+        return None
+
+
+def _written_at_once(file: int, data: bytes) -> bool:
+    """Write without ever waiting for the reader; whether it was. Other processes may share the
+    file, so that it cannot be set to non-blocking.
+    """
+    if stat.S_ISSOCK(os.fstat(file).st_mode):
+        with socket.socket(fileno=os.dup(file)) as connection:
+            return connection.send(data, socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL) == len(data)
+    poll = select.poll()
+    poll.register(file, select.POLLOUT)
+    if not any(events & select.POLLOUT for _, events in poll.poll(0)):
+        return False
+    return os.write(file, data) == len(data)
+
+
+def _is_journal(stream: TextIO | None, environment: Mapping[str, str]) -> bool:
     """Whether the stream goes to journald, as systemd.exec(5) says how to find out."""
     named = environment.get("JOURNAL_STREAM", "")
     try:
-        found = os.fstat(stream.fileno())
+        found = os.fstat(-1 if stream is None else stream.fileno())
     except (OSError, ValueError, AttributeError):
         return False
     return named == f"{found.st_dev}:{found.st_ino}"

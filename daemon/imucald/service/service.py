@@ -23,15 +23,18 @@ from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.summary import RunCounts, summary
+from imucald.service.attempt_store import AttemptStore
 from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
 from imucald.service.dtc_store import DtcStore
 from imucald.service.figures import NOT_SAVED, process_figures, status_line
+from imucald.service.folder_lock import FolderLock
 from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
 from imucald.service.live import Daemon, open_link
 from imucald.service.notify import Notifier
+from imucald.service.prepared import Prepared
 from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
-from imucald.service.state import StateStore
+from imucald.service.state import StateStore, clear_unfinished
 from imucald.service.status import StatusServer
 
 if TYPE_CHECKING:
@@ -78,8 +81,9 @@ class Service:
         self.notifier = notifier or Notifier()
         self._clock = clock
         self._began = self._next_second = clock()
-        self._next_chore = clock()
+        self._next_chore = self._next_look = clock()
         self._reload_wanted = False
+        self._preparing: Prepared[tuple[LoadedConfig, Engine]] | None = None
         self._check_wanted = False
         self._announced: object = None
         self._rejected = 0
@@ -88,21 +92,50 @@ class Service:
         self._counted_at = clock()
         self.loaded = open_config(options.config, options.databases)
         engine = self._new_engine(self.loaded)
+        self._lock = self._locked_folder()
+        try:
+            self._set_up(engine)
+        except BaseException:
+            self._release()
+            raise
+
+    def _set_up(self, engine: Engine) -> None:
+        """What needs the state folder, and the bus."""
         self.calibration_store = self._new_calibration_store(self.loaded, engine)
         if self.calibration_store is not None:
             engine.pipeline.replace(self.calibration_store.restore(engine.pipeline.estimator))
             self._share_check(self.calibration_store, engine)
         self.dtc_store: DtcStore | None = None
+        self.keys: AttemptStore | None = None
         self.uds = self._new_uds(self.loaded, engine)
         self.link = self._new_link(self.loaded, engine, self.uds)
         try:
-            self.daemon = Daemon(engine, self.link, clock, self.uds)
+            self.daemon = Daemon(engine, self.link, self._clock, self.uds)
+            self.daemon.between = self._between
             self.server = self._new_server()
         except ImucaldError:
             self.link.close()
             raise
 
     # starting ------------------------------------------------------------------------------
+
+    def _locked_folder(self) -> FolderLock | None:
+        """Have the state folder alone; a folder that takes no file is read all the same."""
+        folder = self.options.state_folder
+        if folder is None:
+            return None
+        try:
+            lock = FolderLock(folder)
+        except OSError as error:
+            self.journal.say(f"{folder} cannot be locked: {error.strerror or error}", WARNING)
+            return None
+        clear_unfinished(folder)
+        return lock
+
+    def _release(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+            self._lock = None
 
     def _new_engine(self, loaded: LoadedConfig) -> Engine:
         return make_engine(loaded, self._snapshot, self._link_health)
@@ -135,7 +168,8 @@ class Service:
             folder, key = self.options.state_folder, state_key(loaded, engine.router)
             path = None if folder is None else folder / f"{key.file_name}.troubles"
             self.dtc_store = DtcStore(path, self.journal.say, self._clock)
-        return bus_uds_for(self, loaded, engine, self._clock, self.dtc_store.memory)
+            self.keys = AttemptStore(folder and folder / "security.keys", self.journal.say)
+        return bus_uds_for(self, loaded, engine, self._clock, self.dtc_store.memory, self.keys)
 
     def _new_link(self, loaded: LoadedConfig, engine: Engine, uds: BusUds | None) -> Link:
         options = self.options
@@ -205,16 +239,26 @@ class Service:
             self.calibration_store.close(self.engine.pipeline.estimator, self.engine.timebase.now)
         if self.dtc_store is not None:
             self.dtc_store.close()
+        if self.keys is not None:
+            self.keys.close()
+        self._release()
+
+    def _between(self) -> None:
+        """Within a batch of frames: tell the watchdog, and whoever asks, that the loop goes on."""
+        now = self._clock()
+        if now >= self._next_look:
+            self._next_look = now + CHORE_S
+            self.notifier.feed()
+            if self.server is not None:
+                self.server.poll()
 
     def _chores(self, now: float) -> None:
         self.notifier.feed()
+        self._go_on_reloading()
         if self._check_wanted:
             self._check_wanted = False
             if not self.check_sensors():
                 self.journal.say("there is no sensor check without attitude", WARNING)
-        if self._reload_wanted:
-            self._reload_wanted = False
-            self.reload()
         if self.server is not None:
             self.server.poll()
         if now >= self._next_second:
@@ -243,27 +287,58 @@ class Service:
     def reload(self) -> None:
         """Read the configuration again; the estimate goes on. A wrong one changes nothing."""
         self.notifier.reloading()
+        self._take_over(Prepared.of(self._prepare))
+
+    def _prepare(self) -> tuple[LoadedConfig, Engine]:
+        """What a reload reads and parses, which may take long; nothing that runs is touched."""
+        loaded = open_config(self.options.config, self.options.databases)
+        return loaded, self._new_engine(loaded)
+
+    def _go_on_reloading(self) -> None:
+        """Begin a reload that was asked for, beside the loop; take over what is prepared."""
+        if self._preparing is None:
+            if self._reload_wanted:
+                self._reload_wanted = False
+                self.notifier.reloading()
+                self._preparing = Prepared.beside(self._prepare)
+        elif self._preparing.is_done:
+            prepared, self._preparing = self._preparing, None
+            self._take_over(prepared)
+
+    def _take_over(self, prepared: Prepared[tuple[LoadedConfig, Engine]]) -> None:
         try:
-            self._reload()
+            self._swap(*prepared.result())
             self.journal.say(f"{self.options.config} was read again", NOTICE)
             self._tell_model()
-        except ImucaldError as error:
-            for line in str(error).splitlines():
-                self.journal.say(f"not reloaded: {line}", ERROR)
+        except Exception as error:  # whatever it is: what runs goes on as it was
+            kind = "" if isinstance(error, ImucaldError) else f"{type(error).__name__}: "
+            for line in (str(error) or "no reason given").splitlines():
+                self.journal.say(f"not reloaded: {kind}{line}", ERROR)
         self.notifier.ready()
 
-    def _reload(self) -> None:
-        loaded = open_config(self.options.config, self.options.databases)
-        engine, old = self._new_engine(loaded), self.engine
-        link, uds = self.link, self.uds
-        if uds is None or loaded.config.diagnostics != self.loaded.config.diagnostics:
-            uds = self._new_uds(loaded, engine)
-        else:
-            uds.check_identifiers(loaded, engine)
-        if listens_otherwise(self.loaded, loaded, old, engine):
-            link = self._new_link(loaded, engine, uds)
-        engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
-        engine.pipeline.replace(self._estimator_after(loaded, engine))
+    def _swap(self, loaded: LoadedConfig, engine: Engine) -> None:
+        """Let another engine take the place of the running one; all of it, or nothing."""
+        old, link, uds = self.engine, self.link, self.uds
+        kept = self.dtc_store, self.keys
+        try:
+            if uds is None or loaded.config.diagnostics != self.loaded.config.diagnostics:
+                uds = self._new_uds(loaded, engine)
+            else:
+                uds.check_identifiers(loaded, engine)
+            if listens_otherwise(self.loaded, loaded, old, engine):
+                link = self._new_link(loaded, engine, uds)
+            engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
+            estimator, store = self._estimator_after(loaded, engine)
+            engine.pipeline.replace(estimator)
+            engine.output.prepare()
+        except BaseException:
+            self.dtc_store, self.keys = kept
+            if link is not self.link:
+                link.close()
+            raise
+        if store is not self.calibration_store and self.calibration_store is not None:
+            self.calibration_store.end()
+        self.calibration_store = store
         self.loaded = loaded
         self.daemon.engine = engine
         self.uds = uds
@@ -273,31 +348,34 @@ class Service:
             self.link.close()
             self.link = self.daemon.link = link
 
-    def _estimator_after(self, loaded: LoadedConfig, engine: Engine) -> MountEstimator:
-        """The running estimator where it can stay; else a new one behind what is known."""
+    def _estimator_after(
+        self, loaded: LoadedConfig, engine: Engine
+    ) -> tuple[MountEstimator, CalibrationStore | None]:
+        """The running estimator where it can stay; else a new one behind what is known.
+
+        Beside it the store that is to keep it.
+        """
         old, new = self.engine.pipeline.estimator, engine.pipeline.estimator
         key, before = state_key(loaded, engine.router), state_key(self.loaded, self.engine.router)
         other_model = engine.model_key != self.engine.model_key
+        store = self.calibration_store
         if key != before or other_model:
-            self._save_now()
-            store = self.calibration_store = self._new_calibration_store(loaded, engine)
+            if store is not None:
+                store.save_now(old, self.engine.timebase.now)
+            store = self._new_calibration_store(loaded, engine)
             restored = new if store is None else store.restore(new)
             if store is not None:
                 self._share_check(store, engine)
             if key != before or restored is not new:
-                return restored  # another sensor or vehicle: what was found is not of it
-            return behind_the_known(old, new)
+                return restored, store  # another sensor or vehicle: what was found is not of it
+            return behind_the_known(old, new), store
         if not other_model:
             for consumer in _checking(engine):
                 consumer.restore_check(self._saved_check())
         if estimates_alike(self.loaded, loaded):
             old.gap()
-            return old
-        return behind_the_known(old, new)
-
-    def _save_now(self) -> None:
-        if self.calibration_store is not None:
-            self.calibration_store.close(self.engine.pipeline.estimator, self.engine.timebase.now)
+            return old, store
+        return behind_the_known(old, new), store
 
     # what diagnostics ask for ----------------------------------------------------------------
 
@@ -404,7 +482,7 @@ class Service:
             "frames_given_out": self.engine.sent,
             "saved_state": NOT_SAVED if store is None else store.status(),
             "diagnostics": self._uds_status(),
-            "process": process_figures(),
+            "process": process_figures() | {"log_lines_dropped": self.journal.dropped},
         }
         return found
 

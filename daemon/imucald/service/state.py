@@ -9,20 +9,22 @@ not believed is set aside under another name with the reason in it, never delete
 
 from __future__ import annotations
 
+import contextlib
 import json
-import math
 import re
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from imucald.core.atomic_file import (
+    UNFINISHED,
     free_name,
     split_checksum,
     sync_folder,
     with_checksum,
-    write_file,
+    write_beside,
 )
 from imucald.core.digest import sha256
 from imucald.core.regular_file import read_regular
@@ -38,6 +40,8 @@ ROTATION_TOLERANCE = 1e-6
 """How far a stored matrix may be from a rotation."""
 LARGEST_VARIANCE = 4.0
 """Variance of an angle [rad^2]; more than of one that is wholly unknown is nonsense."""
+LARGEST_NUMBER = 2**53
+"""Of any number in a file; up to there a float holds every integer."""
 STATES = ("usable", "fine")
 
 
@@ -102,7 +106,10 @@ class StateStore:
         self.folder = folder
         self.key = key
         self.generation = 0
-        """Of the newest one saved or loaded."""
+        """Of the newest one saved, loaded or forgotten."""
+        self.era = 0
+        """Goes up when all that was saved is forgotten; a save of an earlier era comes too late."""
+        self._renaming = threading.Lock()
 
     def path(self, slot: int) -> Path:
         """The file of a slot."""
@@ -129,18 +136,38 @@ class StateStore:
         self.generation = highest
         return Loaded(best, generation, tuple(problems))
 
-    def save(self, state: SavedState) -> None:
-        """Write a new generation; OSError when the disk does not take it (nothing is lost then)."""
+    def save(self, state: SavedState, era: int | None = None) -> None:
+        """Write a new generation; OSError when the disk does not take it (nothing is lost then).
+
+        era: that of the state, where it was made earlier; if all was forgotten since, nothing is
+        written, and what is being written never gets its name.
+        """
+        era = self.era if era is None else era
         generation = self.generation + 1
-        write_file(self.path(generation % 2), encoded(self.key, generation, state))
-        self.generation = generation
+        path = self.path(generation % 2)
+        unfinished = write_beside(path, encoded(self.key, generation, state))
+        with self._renaming:
+            if era != self.era:
+                unfinished.unlink()
+                return
+            unfinished.replace(path)
+            self.generation = generation
+        self.sync()
 
     def forget(self) -> None:
-        """Set both generations aside: nothing is loaded any more. OSError where that fails."""
-        for slot in SLOTS:
-            path = self.path(slot)
-            if path.exists():
-                path.rename(free_name(path, "forgotten"))
+        """Set both generations aside: nothing is loaded any more. OSError where that fails.
+
+        Never waits for the disk; `sync` does, without which a power cut may undo it.
+        """
+        with self._renaming:
+            self.era += 1
+            for slot in SLOTS:
+                path = self.path(slot)
+                if path.exists():
+                    path.rename(free_name(path, "forgotten"))
+
+    def sync(self) -> None:
+        """Force what was renamed to the disk."""
         sync_folder(self.folder)
 
     def _read(self, path: Path) -> tuple[int, SavedState]:
@@ -158,6 +185,13 @@ class StateStore:
         except OSError as error:
             return f"{path}: {reason}; not used (it could not be renamed: {error.strerror})"
         return f"{path}: {reason}; set aside as {target.name}"
+
+
+def clear_unfinished(folder: Path) -> None:
+    """Remove what a power cut left half written; only for the folder's only user."""
+    for path in folder.glob(f"*{UNFINISHED}"):
+        with contextlib.suppress(OSError):
+            path.unlink()
 
 
 def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:
@@ -197,10 +231,10 @@ def decoded(data: bytes) -> tuple[int, StateKey, SavedState]:
         content = json.loads(body)
         generation = content["generation"]
         key = StateKey(str(content["vehicle"]), str(content["sensor"]))
-        if type(generation) is not int or generation < 1:
+        if type(generation) is not int or not 1 <= generation <= LARGEST_NUMBER:
             raise ValueError("generation")
         return generation, key, _state_from(content)
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except Exception as error:  # whatever a file holds: without it the start goes on
         text = f"its content makes no sense ({type(error).__name__}: {error})"
         raise _NotBelievedError("corrupt", text) from None
 
@@ -229,8 +263,10 @@ def _state_from(content: Mapping[str, Any]) -> SavedState:
 
 
 def _finite(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError("a number is missing")
+    if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # no NaN either
+        raise ValueError("a number is too large")
     return float(value)
 
 

@@ -25,6 +25,8 @@ CLIENT_S = 1.0
 """A client has so long to ask and to take its answer [s]."""
 REQUEST_MAX = 4096
 """Longest request [bytes]."""
+RETRY_S = 0.02
+"""A full queue of clients is tried again after so long [s]; the daemon looks every 0.1 s."""
 SEND_BUFFER = 1 << 18
 """Asked of the kernel for an answer [bytes]."""
 
@@ -166,7 +168,7 @@ def ask(path: Path, request: str, timeout: float = 3.0) -> str:
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
             connection.settimeout(timeout)
-            connection.connect(str(path))
+            _connect(connection, str(path), time.monotonic() + timeout)
             connection.sendall(request.encode() + b"\n")
             while part := connection.recv(65536):
                 parts.append(part)
@@ -174,3 +176,16 @@ def ask(path: Path, request: str, timeout: float = 3.0) -> str:
         reason = error.strerror or str(error)
         raise LinkError(f"{path}: {reason}; is the daemon running there?") from None
     return b"".join(parts).decode("utf-8", "replace")
+
+
+def _connect(connection: socket.socket, path: str, end: float) -> None:
+    """Connect; while as many wait as the daemon lets wait (EAGAIN), until `end` (monotonic)."""
+    while True:
+        try:
+            connection.connect(path)
+        except BlockingIOError:
+            if time.monotonic() > end:
+                raise
+            time.sleep(RETRY_S)
+        else:
+            return

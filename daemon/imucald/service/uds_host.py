@@ -10,8 +10,10 @@ from typing import Final, Protocol
 from msgspec import to_builtins
 
 from imucald import __version__
+from imucald.can.dbc.bounded_parser import MAX_FILE_BYTES
 from imucald.can.link.link import LinkCounters
 from imucald.config import LoadedConfig
+from imucald.core.regular_file import read_regular
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate, MountEstimator, MountState
 from imucald.runtime.engine import Engine
@@ -141,12 +143,19 @@ class LiveHost:
         watched = {"accel": "accelerometer", "gyro": "gyroscope", "speed": "speed"}
         if self.uptime < START_S:
             watched = {}
+        faults = engine.pipeline.health.faults
+        sensors = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
         return Symptoms(
             usable=engine.pipeline.quality > 0,
             moved=engine.pipeline.estimator.state in _MOVED,
             missing={name: missing[name] for c, name in watched.items() if c in channels},
             counts=self.counts(),
             state_corrupt=self._service.state_corrupt,
+            faulty={
+                name: [str(fault) for fault in faults.get(c, ())]
+                for c, name in sensors.items()
+                if c in channels
+            },
         )
 
     def begin_calibration(self) -> None:
@@ -202,7 +211,7 @@ def configuration_identity(loaded: LoadedConfig) -> bytes:
         described = {k: v for k, v in to_builtins(database).items() if k != "path"}
         digest.update(json.dumps(described).encode())
         try:
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
+            digest.update(hashlib.sha256(read_regular(path, MAX_FILE_BYTES)).digest())
         except OSError:  # it was there when it was loaded
             digest.update(b"unreadable")
     return digest.digest()

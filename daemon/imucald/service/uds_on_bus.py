@@ -18,6 +18,7 @@ from imucald.config.uds import Diagnostics
 from imucald.core.errors import ConfigError
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_message import OutFrame
+from imucald.service.attempt_store import AttemptStore
 from imucald.service.uds_host import LiveHost, RunningService
 from imucald.uds.dtc_memory import DtcMemory, DtcStatus
 from imucald.uds.identifiers import Identifier
@@ -47,7 +48,9 @@ class BusUds:
         key_function: KeyFunction | None = None,
         clock: Callable[[], float] = time.monotonic,
         dtcs: DtcMemory | None = None,
+        keys: AttemptStore | None = None,
     ) -> None:
+        keys = keys or AttemptStore(None, lambda *_: None)
         self.host = LiveHost(service, clock)
         self.server = Server(
             self.host,
@@ -61,6 +64,8 @@ class BusUds:
                 )
             },
             dtcs=dtcs,
+            wrong=keys.wrong,
+            on_count=keys.put,
         )
         self.channel = IsoTpChannel(
             config.request_id,
@@ -150,11 +155,12 @@ def bus_uds_for(
     engine: Engine,
     clock: Callable[[], float] = time.monotonic,
     dtcs: DtcMemory | None = None,
+    keys: AttemptStore | None = None,
 ) -> BusUds:
     """The diagnostics of a configuration.
 
-    service: asked only later, when it runs. dtcs: a memory that is there already. Raises
-    ConfigError with the place of a mistake.
+    service: asked only later, when it runs. dtcs, keys: a memory and a count that are there
+    already. Raises ConfigError with the place of a mistake.
     """
     config = loaded.config.diagnostics
     _check_identifiers(loaded, engine)
@@ -162,7 +168,7 @@ def bus_uds_for(
     if config.security.key_function is not None:
         key_function = _load_key_function(loaded, config.security.key_function)
     try:
-        return BusUds(service, config, key_function, clock, dtcs)
+        return BusUds(service, config, key_function, clock, dtcs, keys)
     except ImportError:
         text = "needs the package can-isotp: pip install 'imucald[diagnostics]'"
         raise loaded.error(("diagnostics", "enabled"), text) from None

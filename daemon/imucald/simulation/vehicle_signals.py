@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from imucald.core.samples import Series
 from imucald.model.model import VehicleModel
-from imucald.model.sensors import Scalar, Transmission
+from imucald.model.sensors import Scalar, Speed, Transmission
 from imucald.simulation.body import BodyAttitude, BodyMotion
 from imucald.simulation.driver import Driving
 from imucald.simulation.filters import Array, butterworth, first_order, generator
@@ -91,6 +91,8 @@ class VehicleSignals:
         """Return stamps and the sampled columns (before loss and sticking are applied)."""
         timing = frame_timing(message, name, self._seed, self._duration)
         when = timing.sampled - message.delay_s
+        if isinstance(message, Speed):
+            when -= message.delay_rate * timing.sampled
         index = timing.source[timing.kept]
         return (
             timing.stamp[timing.kept],

@@ -29,6 +29,21 @@ class Dtc:
         return f"{kind}{self.number >> 8 & 0x3FFF:04X}-{self.number & 0xFF:02X}"
 
 
+FAULTS: Final = {
+    "saturated": (0x22, "its values pile up at the end of its range"),
+    "stuck": (0x2A, "it, or one of its axes, says the same again and again"),
+    "implausible": (0x64, "it says what no road vehicle does, or in another unit than before"),
+}
+"""Faults of sensors: kind of failure (signal amplitude above its maximum, signal stuck in range,
+signal plausibility failure), and what is meant."""
+FAULTY: Final = {
+    sensor: {
+        fault: Dtc(code << 8 | kind, f"{sensor}_{fault}", meaning)
+        for fault, (kind, meaning) in FAULTS.items()
+    }
+    for sensor, code in (("accelerometer", 0x5A12), ("gyroscope", 0x5A13), ("magnetometer", 0x5A16))
+}
+"""By sensor and fault."""
 NOT_CALIBRATED = Dtc(0x5A1054, "not_calibrated", "no correction is in force", NOT_CALIBRATED_S)
 SENSOR_MOVED = Dtc(0x5A1176, "sensor_moved", "the sensor seems to have been moved")
 ACCELEROMETER_MISSING = Dtc(0x5A1287, "accelerometer_missing", "no good sample for a second")
@@ -41,6 +56,9 @@ COUNTER_FAILING = Dtc(
     0xDA1082,
     "counter_failing",
     "three frames with a repeated, reversed, jumping or invalid counter within ten seconds",
+)
+DUPLICATE_SENDER = Dtc(
+    0xDA1281, "duplicate_sender", "an input comes more often than one sender sends it"
 )
 ID_CONFLICT = Dtc(0xDA1181, "id_conflict", "another node sends our identifiers")
 STATE_CORRUPT = Dtc(0x5A1546, "state_corrupt", "the saved state could not be used")
@@ -55,5 +73,7 @@ DTCS: Final = (
     COUNTER_FAILING,
     CHECKSUM_FAILING,
     ID_CONFLICT,
+    DUPLICATE_SENDER,
+    *(dtc for faults in FAULTY.values() for dtc in faults.values()),
 )
 """All, in the order in which they are reported."""

@@ -16,6 +16,8 @@ from imucald.uds.dtc import (
     CHECKSUM_FAILING,
     COUNTER_FAILING,
     DTCS,
+    DUPLICATE_SENDER,
+    FAULTY,
     GYROSCOPE_MISSING,
     ID_CONFLICT,
     NOT_CALIBRATED,
@@ -32,6 +34,7 @@ FAULTS: Final = 3
 """So many in the window fail the test: single ones are what a bus's noise makes."""
 AGED_OUT: Final = 40
 """Cycles in a row without a failure after which a confirmed code is let go."""
+DUPLICATE_FAULTS: Final = ("duplicate_sender",)
 CHECKSUM_FAULTS: Final = ("checksum",)
 COUNTER_FAULTS: Final = (
     "counter_invalid",
@@ -151,6 +154,7 @@ class DtcMemory:
             CHECKSUM_FAILING.number: FaultRate(FAULTS),
             COUNTER_FAILING.number: FaultRate(FAULTS),
             ID_CONFLICT.number: FaultRate(1),
+            DUPLICATE_SENDER.number: FaultRate(FAULTS),
         }
     )
     _used: int = 0
@@ -185,12 +189,17 @@ class DtcMemory:
         yield STATE_CORRUPT, s.state_corrupt
         for name, is_missing in s.missing.items():
             yield _MISSING[name], is_missing
+        for name, found in s.faulty.items():
+            for fault, dtc in FAULTY[name].items():
+                yield dtc, fault in found
         faults, alive = s.counts.faults, self._is_alive(now, s.counts.used)
         yield (
             CHECKSUM_FAILING,
             self._rate(CHECKSUM_FAILING, now, _sum(faults, CHECKSUM_FAULTS), alive),
         )
         yield COUNTER_FAILING, self._rate(COUNTER_FAILING, now, _sum(faults, COUNTER_FAULTS), alive)
+        duplicates = _sum(faults, DUPLICATE_FAULTS)
+        yield DUPLICATE_SENDER, self._rate(DUPLICATE_SENDER, now, duplicates, alive)
         yield ID_CONFLICT, self._rate(ID_CONFLICT, now, s.counts.conflicts, True)
 
     def _rate(self, dtc: Dtc, now: float, total: int, alive: bool) -> bool | None:

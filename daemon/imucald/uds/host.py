@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -43,7 +43,8 @@ class Symptoms:
 
     usable: a correction is in force. moved: the sensor seems to have been moved. missing: inputs
     by name ("accelerometer", "gyroscope", "speed") that are configured: whether they are missing.
-    state_corrupt: a saved state was found and could not be used.
+    faulty: sensors by name that are configured: their faults ("stuck", "saturated",
+    "implausible"). state_corrupt: a saved state was found and could not be used.
     """
 
     usable: bool
@@ -51,6 +52,7 @@ class Symptoms:
     missing: Mapping[str, bool]
     counts: FrameCounts
     state_corrupt: bool | None = None
+    faulty: Mapping[str, Collection[str]] = field(default_factory=dict)
 
 
 class Host(Protocol):

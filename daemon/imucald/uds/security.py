@@ -22,6 +22,8 @@ class Security:
 
     key_function: None refuses everybody. random: so many unpredictable bytes.
     attempts: wrong keys that are borne before the delay [s]. clock: monotonic [s].
+    wrong: keys that were wrong in a row when it was last switched off; after any, the delay passes
+    before the first key is taken (ISO 14229-1). on_count: told each new number of them.
     Attempts are counted over all sessions: a new session is no new chance.
     """
 
@@ -32,6 +34,8 @@ class Security:
         clock: Callable[[], float],
         attempts: int = 3,
         delay: float = 10.0,
+        wrong: int = 0,
+        on_count: Callable[[int], None] = lambda _: None,
     ) -> None:
         self.unlocked = False
         self.refused = 0
@@ -41,8 +45,9 @@ class Security:
         self._clock = clock
         self._attempts = attempts
         self._delay = delay
-        self._wrong = 0
-        self._closed_until = float("-inf")
+        self._on_count = on_count
+        self._wrong = min(wrong, attempts - 1)
+        self._closed_until = clock() + delay if wrong else float("-inf")
         self._seed: bytes | None = None
 
     def lock(self) -> None:
@@ -79,7 +84,9 @@ class Security:
         expected = self._expected(seed)
         if expected and hmac.compare_digest(expected, key):
             self.unlocked = True
-            self._wrong = 0
+            if self._wrong:
+                self._wrong = 0
+                self._on_count(0)
             return bytes([SEND_KEY])
         return self._wrong_key()
 
@@ -95,6 +102,7 @@ class Security:
     def _wrong_key(self) -> Nrc:
         self.refused += 1
         self._wrong += 1
+        self._on_count(self._wrong)
         if self._wrong < self._attempts:
             return Nrc.INVALID_KEY
         self._wrong = self._attempts - 1  # after the delay: one more attempt, then closed again

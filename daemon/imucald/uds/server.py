@@ -97,11 +97,13 @@ class Server:
         random: Callable[[int], bytes] = secrets.token_bytes,
         more: Mapping[int, Identifier] | None = None,
         dtcs: DtcMemory | None = None,
+        wrong: int = 0,
+        on_count: Callable[[int], None] = lambda _: None,
     ) -> None:
         self.session = Session.DEFAULT
         self.dtcs = DtcMemory() if dtcs is None else dtcs
         self.counters = ServerCounters()
-        self.security = Security(key_function, random, clock, attempts, delay)
+        self.security = Security(key_function, random, clock, attempts, delay, wrong, on_count)
         self._clock = clock
         self._last_request = clock()
         self._routines = Routines(host, lambda: self.security.unlocked)

@@ -1,0 +1,92 @@
+"""Measured logs as the diagnosis gets them: pieces, and the model that other pieces gave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.measured import DATA, EXAMPLES
+from imucald.core.errors import EstimateError
+from imucald.core.rotations import angles_from_rotation
+from imucald.core.samples import Samples, Series
+from imucald.diagnosis.baseline import baseline_model
+from imucald.diagnosis.diagnose import diagnose
+from imucald.diagnosis.recording import Recording, read_samples
+from imucald.model.model import VehicleModel
+from imucald.runtime.session import open_config
+
+MOST_EXTENSIONS = 3
+BUILT_ON = ("kingston_2008", "css_canmod_164", "vehsense_2018_08_04")
+"""Looked at while the method was made."""
+HELD_BACK = ("vehsense_2017_10_25_1829", "vehsense_2017_10_23_2245", "quat_orient_21")
+"""Run once, at the end."""
+LOGS = (*BUILT_ON, *HELD_BACK)
+TOO_SHORT = ("wrx_sti", "mustang_s550", "neu_circles")
+"""60 to 90 s: half of it is fewer than four stretches, which is refused."""
+STATED = {
+    "vehsense_2017_10_23_2245": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    "quat_orient_21": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+}
+"""R_vehicle_from_sensor as the data's own page has it, where the daemon finds no mount."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A measured log and the plain car that it is first put beside."""
+
+    name: str
+    recording: Recording
+    baseline: VehicleModel
+
+    def pieces(self, count: int) -> list[Samples]:
+        """Equal pieces; times stay those of the whole."""
+        edges = np.linspace(0.0, self.recording.duration_s + 1.0, count + 1)
+        return [cut(self.recording.samples, a, b) for a, b in pairwise(edges)]
+
+
+def is_there(name: str) -> bool:
+    """Whether a log is on this machine."""
+    return (DATA / name).is_dir()
+
+
+@cache
+def read_log(name: str) -> Log:
+    own = DATA / name / "car.yaml"
+    loaded = open_config(own if own.exists() else EXAMPLES / f"{name}.yaml")
+    recording = read_samples(loaded, [DATA / name / "drive.log.gz"])
+    if name in STATED:
+        R: NDArray[np.float64] = np.array(STATED[name], dtype=float)
+        roll, pitch, yaw = np.degrees(angles_from_rotation(R))
+        model = VehicleModel().with_changes(
+            {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}
+        )
+    else:
+        model = baseline_model(loaded, [recording])
+    return Log(name, recording, model)
+
+
+def cut(samples: Samples, start: float, stop: float) -> dict[str, Series]:
+    """Samples with start <= t < stop."""
+    made = {}
+    for channel, series in samples.items():
+        inside = (series.t >= start) & (series.t < stop)
+        made[channel] = Series(series.t[inside], series.values[inside])
+    return made
+
+
+def extended(model: VehicleModel, pieces: Sequence[Samples]) -> VehicleModel:
+    """The model file that pieces without an effect give, extended until nothing is found."""
+    for _ in range(MOST_EXTENSIONS):
+        try:
+            found = diagnose(pieces, model)
+        except EstimateError:
+            return model
+        model = found.model_after
+        if not found.causes:
+            break
+    return model

@@ -1,0 +1,95 @@
+"""Effects that the catalogue does not have, put into measured samples.
+
+The first three were thought of with the tests of `imucald.diagnosis.adequacy` in mind, the last
+three after these had been written (see the history of this file).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.diagnosis.real_effects import Drive, Put
+from imucald.core.samples import Series
+
+Array = NDArray[np.float64]
+
+
+def _set(s: Drive, name: str, values: Array) -> None:
+    s[name] = Series(s[name].t, values)
+
+
+def _shaking(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The accelerometer's zero moves with the shaking: size is that of the roughest tenth."""
+    t, x = s["accel"].t, s["accel"].values
+    power = np.concatenate([[0.0], np.sum(np.diff(x, axis=0) ** 2, axis=1)])
+    n = max(1, round(10.0 / float(np.median(np.diff(t)))))
+    smooth = np.convolve(power, np.ones(n) / n, "same")
+    _set(s, "accel", x + size * (smooth / np.quantile(smooth, 0.9))[:, None] * R[0])
+    return size
+
+
+def _swing(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A sideways force that swings at 0.5 Hz, in and out over minutes."""
+    t = s["accel"].t
+    loud = np.sin(np.pi * t / 170.0) ** 2
+    push = size * loud * np.sin(np.pi * t + 2.0 * np.sin(t / 31.0))
+    _set(s, "accel", s["accel"].values + push[:, None] * R[1])
+    return size
+
+
+def _gusts(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Sideways forces that last seconds, rms `size`, while moving."""
+    t = s["accel"].t
+    grid = np.arange(t[0], t[-1] + 2.0, 1.0)
+    noise = rng.standard_normal(len(grid))
+    slow = np.convolve(noise, np.ones(3) / np.sqrt(3.0), "same")
+    speed = np.interp(t, s["speed"].t, s["speed"].values)
+    push = size * np.interp(t, grid, slow) * (speed > 3.0)
+    _set(s, "accel", s["accel"].values + push[:, None] * R[1])
+    return size
+
+
+def _hysteresis(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The zero forward stays at +-size after each strong acceleration or braking."""
+    t, x = s["accel"].t, s["accel"].values
+    n = max(1, round(1.0 / float(np.median(np.diff(t)))))
+    forward = np.convolve(x @ R[0], np.ones(n) / n, "same")
+    forward -= np.median(forward)
+    state, held = np.empty(len(t)), 0.0
+    for k, f in enumerate(forward):
+        if abs(f) > 1.0:
+            held = float(np.sign(f))
+        state[k] = held
+    _set(s, "accel", x + size * state[:, None] * R[0])
+    return size
+
+
+def _dead_zone(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The gyroscope shows no rate below size [rad/s] on any axis."""
+    x = s["gyro"].values
+    _set(s, "gyro", np.sign(x) * np.maximum(np.abs(x) - size, 0.0))
+    return size
+
+
+def _glitches(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The gyroscope jumps by size [rad/s] for a second, once a minute."""
+    t, x = s["gyro"].t, s["gyro"].values.copy()
+    for start in np.arange(t[0] + 20.0, t[-1], 60.0):
+        at = start + rng.uniform(0.0, 30.0)
+        x[(t >= at) & (t < at + 1.0), int(rng.integers(3))] += size * rng.choice([-1.0, 1.0])
+    _set(s, "gyro", x)
+    return size
+
+
+OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
+    "shaking": (_shaking, 0.3, "m/s²"),
+    "swing": (_swing, 0.4, "m/s²"),
+    "gusts": (_gusts, 0.4, "m/s²"),
+    "hysteresis": (_hysteresis, 0.2, "m/s²"),
+    "dead_zone": (_dead_zone, 0.035, "rad/s"),
+    "glitches": (_glitches, 0.2, "rad/s"),
+}
+"""Effect, medium size, unit."""

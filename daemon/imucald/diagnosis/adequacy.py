@@ -1,0 +1,175 @@
+"""What is left when the search has ended, tested without a cause in mind.
+
+Two equations without a sensor in common that leave the same motion; a narrow hump in a residual's
+spectrum; a zero error that goes with the shaking. And, first of all, a signal that moves against
+what is predicted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.diagnosis.blocks import TILTED
+from imucald.diagnosis.forward import Forward
+from imucald.diagnosis.result import GOES_AGAINST, Structure
+from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
+from imucald.diagnosis.search import BIAS, State, tried
+from imucald.diagnosis.signals import STEP_S
+
+Spectra = NDArray[np.complex128]
+OPPOSITE = -0.4
+"""Correlation of a signal with its prediction below which a sign is wrong."""
+LEAST_ROWS = 300
+LEAST_BLOCKS = 10
+SHARED = 0.4
+"""Coherence from which two equations share more of what is left than a road gives them: 0.35 is
+what superelevation and the tyres' lag leave in an independent simulator."""
+BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
+PAIRS = (("accel_y", "yaw_rate"),)
+"""Equations without a sensor in common, where gyroscope and yaw rate are both there."""
+HUMP, HUMP_BINS = 4.0, 3
+"""A hump is so many times the spectrum 0.2 Hz to both sides of it."""
+HUMPED = ("accel_y", "yaw_rate")
+DRIVING_MPS = 2.0
+QUICK_HZ = 40.0
+"""An accelerometer that is sampled faster sees the shaking."""
+
+
+def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
+    """Signals that move against what is predicted: a wrong sign in the configuration."""
+    found = []
+    f = max(forwards, key=lambda f: f.blocks)
+    measured, residual, masks = f.measured(), f.residuals({}).of, f.usable()
+    for name in ("accel_x", "accel_y", "gyro_z", "yaw_rate", "lateral_accel"):
+        if name not in residual or name not in masks:
+            continue
+        good = masks[name].ravel()
+        if good.sum() < LEAST_ROWS:
+            continue
+        y = measured[name][good]
+        p = y - residual[name].ravel()[good]
+        if np.std(y) == 0.0 or np.std(p) == 0.0:
+            continue
+        r = float(np.corrcoef(y, p)[0, 1])
+        if r < OPPOSITE:
+            text = f"measured and predicted go against each other (correlation {r:.2f})"
+            found.append(Structure(name, GOES_AGAINST, abs(r), text))
+    return found
+
+
+def what_is_left(problem: Problem, state: State) -> list[Structure]:
+    """Structure beyond what roads and noise leave. problem: of the model as it was extended."""
+    spectra = _spectra(problem, state.forwards)
+    return [*_shared(spectra, state.forwards), *_humps(spectra), *_shaken(problem, state)]
+
+
+def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
+    """Transforms (B, F) of each equation's residual while driving; NaN rows where it was not there.
+
+    Everything within its tolerance is fitted; each block is as loud as the others.
+    """
+    x = fitted(problem)
+    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
+    parts: dict[str, list[Spectra]] = {}
+    for f in forwards:
+        masks, found = f.usable(), f.residuals(changes)
+        tilt = f.tilts(found, masks)
+        v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values)).reshape(f.blocks, f.rows)
+        for name, y in found.of.items():
+            left = y.copy()
+            if name in TILTED:
+                first, second = found.tilt[name]
+                left -= tilt[:, :1] * first + tilt[:, 1:] * second
+            left = np.where(masks[name], left, 0.0)
+            z = np.fft.rfft((left - left.mean(axis=1, keepdims=True)) * np.hanning(f.rows), axis=1)
+            good = (masks[name].mean(axis=1) > 0.6) & ((v > DRIVING_MPS).mean(axis=1) > 0.5)
+            loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))
+            z = np.where(good[:, None] & (loud > 0.0), z / np.maximum(loud, 1e-30), np.nan)
+            parts.setdefault(name, []).append(z)
+    return {name: np.concatenate(p) for name, p in parts.items()}
+
+
+def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[Structure]:
+    """The same motion in two equations that have no sensor in common."""
+    drive = forwards[0].drive
+    if not (drive.has("gyro") and drive.has("yaw_rate")):
+        return []
+    found = []
+    for first, second in PAIRS:
+        if first not in spectra or second not in spectra:
+            continue
+        a, b = spectra[first], spectra[second]
+        good = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+        if good.sum() < LEAST_BLOCKS:
+            continue
+        hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
+        for low, high in BANDS_HZ:
+            band = (hz >= low) & (hz < high)
+            u, w = a[good][:, band], b[good][:, band]
+            cross = abs(np.sum(u * w.conj())) ** 2
+            share = float(cross / (np.sum(np.abs(u) ** 2) * np.sum(np.abs(w) ** 2)))
+            if share > SHARED:
+                text = (
+                    f"between {low} and {high} Hz it shares {100 * share:.0f} % with what is left "
+                    f"of {second.replace('_', ' ')}, which has no sensor in common with it: "
+                    "something moves the vehicle that neither speed nor steering tells of"
+                )
+                found.append(Structure(first, "shared motion", share, text))
+    return found[:1]
+
+
+def _humps(spectra: Mapping[str, Spectra]) -> list[Structure]:
+    """A narrow hump: something that swings."""
+    found = []
+    for name in HUMPED:
+        if name not in spectra:
+            continue
+        z = spectra[name][np.isfinite(spectra[name][:, 0])]
+        if len(z) < LEAST_BLOCKS:
+            continue
+        power = np.mean(np.abs(z) ** 2, axis=0)
+        hz = np.arange(len(power)) / (2.0 * (len(power) - 1) * STEP_S)
+        size = len(power) // HUMP_BINS * HUMP_BINS
+        bands = power[:size].reshape(-1, HUMP_BINS).mean(axis=1)
+        middle = hz[:size].reshape(-1, HUMP_BINS).mean(axis=1)
+        for i in range(3, len(bands) - 2):
+            if not 0.25 < middle[i] < 1.2:
+                continue
+            beside = max(bands[i - 2], bands[i + 2])
+            if bands[i] > HUMP * beside and bands[i] == bands[i - 2 : i + 3].max():
+                text = f"a hump at {middle[i]:.2f} Hz, {bands[i] / beside:.0f} times what is beside"
+                found.append(Structure(name, "peak", float(bands[i] / beside), text))
+                break
+    return found
+
+
+def _shaken(problem: Problem, state: State) -> list[Structure]:
+    """A zero error of the accelerometer that goes with how much it is shaken."""
+    table = problem.table
+    drives = state.drives
+    if not set(BIAS) <= set(table.keys) or not all(
+        d.has("gyro") and d.channels["accel"].period_s < 1.0 / QUICK_HZ for d in drives
+    ):
+        return []
+    power = np.empty(table.blocks)
+    for b in range(table.blocks):
+        accel = drives[table.drive[b]].channels["accel"]
+        first, last = np.searchsorted(accel.t, [table.start_s[b], table.start_s[b] + table.seconds])
+        power[b] = 0.5 * np.mean(np.sum(np.diff(accel.values[first:last], axis=0) ** 2, axis=1))
+    low, high = np.quantile(power, [0.05, 0.95])
+    if not high > 2.0 * low:
+        return []
+    h = Hypothesis("accel_bias", BIAS, pattern=(power - low) / (high - low))
+    trial = tried(problem, h, held_out(problem), len(BIAS))
+    if not trial.named:
+        return []
+    i = int(np.argmax(np.abs(trial.estimate.value) / trial.estimate.se))
+    text = (
+        f"the zero {('forward', 'left', 'up')[i]} moves by {trial.estimate.value[i]:+.2g} +- "
+        f"{trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken stretches"
+    )
+    size = float(abs(trial.estimate.value[i]) / trial.estimate.se[i])
+    return [Structure(f"accel_{'xyz'[i]}", "goes with shaking", size, text)]

@@ -1,0 +1,215 @@
+"""The catalogue: what a model file can be wrong by, as data.
+
+One row a parameter: unit, by how much an honest model file may be wrong (`tolerance`, a half
+width) with its source, what a vehicle or a sensor can have at all (`plausible`), and which signals
+it takes. One row a cause: its parameters and its words. The fitter reads rows and knows no name.
+
+Parameters are keys of the model file. Vectors are told along the vehicle's axes (`.x .y .z`), where
+a drive separates them; those that belong to a sensor's own axes have an index. A key that begins
+with `_` has no place in the model file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+DEG = float(np.pi / 180.0)
+MEMS = "consumer MEMS data sheets (BMI160, LSM6DS3, MPU-6500)"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of the model file."""
+
+    key: str
+    unit: str
+    tolerance: float
+    source: str
+    """Where the tolerance comes from."""
+    plausible: tuple[float, float]
+    """What the number may be, as a departure from the model file's."""
+    needs: tuple[str, ...] = ()
+    """Signals without which it does not show."""
+    relative: bool = False
+    """The numbers above are shares of the model file's value."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A name for parameters that go wrong together; each of `variants` is tried by itself."""
+
+    name: str
+    variants: tuple[tuple[str, ...], ...]
+    sentence: str
+    separate: str
+    """The manoeuvre that tells it from its look-alikes."""
+    generic: bool = False
+    """A gain, an offset or a delay of a signal, without a physical reason."""
+    together: tuple[str, ...] = ()
+    """Parameters that are tried as one number besides."""
+    with_it: tuple[tuple[str, float], ...] = ()
+    """What moves besides in one more form of it: key and factor."""
+    drift: bool = False
+    """Tried as an even growth over the drive."""
+    lead: int = 0
+    """How many of the first parameters must be off for the name to hold; 0: any of them."""
+
+
+def _axes(key: str, unit: str, tolerance: float, source: str, plausible: float,
+          needs: tuple[str, ...], names: str = "xyz") -> Iterator[Parameter]:  # fmt: skip
+    for name in names:
+        yield Parameter(f"{key}.{name}", unit, tolerance, source, (-plausible, plausible), needs)
+
+
+def _one(key: str, unit: str, tolerance: float, source: str, low: float, high: float,
+         *needs: str, relative: bool = False) -> Parameter:  # fmt: skip
+    return Parameter(key, unit, tolerance, source, (low, high), needs, relative)
+
+
+_IMU = ("accel", "gyro")
+_TURN = "the axis of turning of a measured van lies 3 to 4 deg beside what an INS says"
+_TAPE = "a tape measure against an unknown centre of gravity"
+_DELAY = "one cycle of 50 Hz and a task's: 30 ms"
+_TYRE = "wear of 8 mm on a radius of 310 mm is 2.5 %, load and pressure 0.5 %; calibrated: 1 %"
+
+_ROWS: tuple[Parameter, ...] = (
+    *_axes("accel.bias", "m/s^2", 0.06, f"0.4 mg/K over 10 K, and 0.2 % of one g by axes that are"
+           f" not square, {MEMS}", 1.0, ("accel",), "xy"),
+    *_axes("accel.bias", "m/s^2", 0.09, f"0.4 mg/K over 10 K, and 0.5 % of one g by the gain,"
+           f" {MEMS}", 1.0, ("accel",), "z"),
+    *_axes("accel.scale", "1", 0.01, f"sensitivity after calibration, {MEMS}", 0.12, _IMU, "012"),
+    *_axes("accel.cross_axis", "1", 0.02, "cross-axis sensitivity 2 % (MPU-6500)", 0.10, _IMU,
+           "012345"),
+    *_axes("accel.bias_temperature", "m/s^2/K", 0.004, f"0.4 mg/K, {MEMS}", 0.05,
+           ("accel", "temperature")),
+    *_axes("gyro.bias", "rad/s", 0.05 * DEG, f"0.05 (deg/s)/K over a kelvin, {MEMS}; stops of one"
+           " measured drive differ by 0.03 deg/s", 10.0 * DEG, _IMU),
+    *_axes("gyro.scale", "1", 0.01, f"sensitivity over temperature, {MEMS}", 0.18, _IMU, "012"),
+    *_axes("gyro.g_sensitivity", "(rad/s)/(m/s^2)", 0.01 * DEG, f"0.1 (deg/s)/g, {MEMS}",
+           0.5 * DEG, _IMU, "012"),
+    *_axes("gyro.bias_temperature", "rad/s/K", 0.01 * DEG, f"0.01 (deg/s)/K, {MEMS}", 0.3 * DEG,
+           (*_IMU, "temperature")),
+    *_axes("mount.turn", "rad", 4.5 * DEG, _TURN, 20.0 * DEG, _IMU, "xy"),
+    *_axes("mount.turn", "rad", 0.5 * DEG, "an INS beside one measured drive: 0.3 deg", 20.0 * DEG,
+           _IMU, "z"),
+    _one("mount.lever_arm_m.0", "m", 0.3, _TAPE, -4.0, 3.0, *_IMU),
+    _one("mount.lever_arm_m.1", "m", 0.3, _TAPE, -1.3, 1.3, *_IMU),
+    _one("mount.lever_arm_m.2", "m", 0.3, _TAPE, -0.8, 2.5, *_IMU),
+    _one("speed.scale", "1", 0.01, _TYRE, -0.12, 0.15, "gyro"),
+    _one("speed.delay_s", "s", 0.03, _DELAY, -1.0, 2.0, "accel"),
+    _one("speed.delay_rate", "1", 2e-5, "a crystal's +-20 ppm", -2e-3, 2e-3, "accel"),
+    _one("accel.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "gyro"),
+    _one("gyro.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "gyro"),
+    _one("yaw_rate.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "yaw_rate"),
+    _one("steering.delay_s", "s", 0.03, "the tyres' relaxation: 0.5 m at 15 m/s", -1.0, 1.0,
+         "steering"),
+    _one("lateral_accel.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "lateral_accel"),
+    _one("longitudinal_accel.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "longitudinal_accel"),
+    _one("wheel_speeds.scale", "1", 0.005, "tyres of one car beside each other", -0.12, 0.12,
+         "wheel_speeds"),
+    _one("steering.offset", "rad", 0.7 * DEG, "alignment; the crown's pull", -30 * DEG, 30 * DEG,
+         "steering"),
+    _one("chassis.steering_ratio", "1", 0.02, "variable ratio and compliance", -0.4, 0.4,
+         "steering", relative=True),
+    _one("chassis.understeer_gradient", "rad/(m/s^2)", 0.0006, "load and tyres: 0.3 deg/g",
+         -0.004, 0.012, "steering"),
+    _one("yaw_rate.offset", "rad/s", 0.1 * DEG, "ESC sensors' zero, after standstill", -5 * DEG,
+         5 * DEG, "yaw_rate"),
+    _one("yaw_rate.scale", "1", 0.01, "ESC sensors' sensitivity", -0.25, 0.25, "yaw_rate"),
+    _one("lateral_accel.offset", "m/s^2", 0.2, "ESC sensors: zero 0.05, mounting 1 deg", -1.0, 1.0,
+         "lateral_accel"),
+    _one("lateral_accel.scale", "1", 0.02, "ESC sensors' sensitivity", -0.15, 0.15,
+         "lateral_accel"),
+    _one("longitudinal_accel.offset", "m/s^2", 0.2, "ESC sensors: zero 0.05, mounting 1 deg", -1.0,
+         1.0, "longitudinal_accel"),
+    _one("longitudinal_accel.scale", "1", 0.02, "ESC sensors' sensitivity", -0.15, 0.15,
+         "longitudinal_accel"),
+    _one("suspension.squat_gradient", "rad/(m/s^2)", 0.0015, "cars differ by 1 deg/g", -0.005,
+         0.015, *_IMU),
+    _one("suspension.dive_gradient", "rad/(m/s^2)", 0.0015, "cars differ by 1 deg/g", -0.005,
+         0.015, *_IMU),
+    _one("suspension.roll_gradient", "rad/(m/s^2)", 0.0025,
+         "superelevation of 2 % at 8 m/s^2 and less imitates it", -0.008, 0.03, *_IMU),
+    _one("_tyre.rear_slip", "s^2/m", 0.003, "m l_f/(L C_r), 0.002 to 0.006 for cars", -0.01,
+         0.01, "gyro"),
+    _one("_speed.driven_slip", "s^2/m", 0.004, "driven wheels' slip stiffness 20 to 30", -0.02,
+         0.02, "accel"),
+)  # fmt: skip
+
+PARAMETERS = {row.key: row for row in _ROWS}
+
+
+def _keys(prefix: str, names: str = "xyz") -> tuple[str, ...]:
+    return tuple(f"{prefix}.{name}" for name in names)
+
+
+def _each(prefix: str, names: Iterable[str]) -> tuple[tuple[str, ...], ...]:
+    return tuple((f"{prefix}.{name}",) for name in names)
+
+
+CAUSES: tuple[Cause, ...] = (
+    Cause("accel_bias", (_keys("accel.bias"),), "The accelerometer's zero is off.",
+          "curves both ways and stops facing both ways on one slope"),
+    Cause("accel_scale", _each("accel.scale", "012"),
+          "The accelerometer's gain is off.", "hard braking and the sensor at rest on each side",
+          together=_keys("accel.scale", "012")),
+    Cause("accel_cross_axis", _each("accel.cross_axis", "012345"),
+          "One axis of the accelerometer sees part of another.",
+          "braking without curves and curves without braking"),
+    Cause("accel_bias_temperature", (_keys("accel.bias_temperature"),),
+          "The accelerometer's zero moves with its temperature.", "a cold and a warm start"),
+    Cause("accel_bias_drift", (_keys("accel.bias"),),
+          "The accelerometer's zero drifts along the drive.", "a longer drive, and a cold start",
+          drift=True),
+    Cause("gyro_bias", (_keys("gyro.bias"),), "The gyroscope's zero is off.", "stops"),
+    Cause("gyro_scale", _each("gyro.scale", "012"),
+          "The gyroscope's gain is off.", "steady circles, and a turn of known angle",
+          together=_keys("gyro.scale", "012")),
+    Cause("g_sensitivity", _each("gyro.g_sensitivity", "012"),
+          "The gyroscope's zero moves with the force on it.", "stops between hard braking",
+          together=_keys("gyro.g_sensitivity", "012")),
+    Cause("gyro_bias_temperature", (_keys("gyro.bias_temperature"),),
+          "The gyroscope's zero moves with its temperature.", "stops after a cold start"),
+    Cause("mount_rotation", (("mount.turn.z",),),
+          "The sensor sits turned against what the model file says.",
+          "straight braking and slow tight turns"),
+    Cause("lever_arm", (_keys("mount.lever_arm_m", "012"),),
+          "The sensor sits elsewhere in the vehicle.", "tight turns with changing yaw rate"),
+    Cause("wheel_speed_scale", (("speed.scale",),),
+          "The speed's gain is off (tyre radius).", "a measured kilometre, or GNSS speed",
+          with_it=(("wheel_speeds.scale", -1.0),)),
+    Cause("signal_delay", (*_each("speed", ("delay_s",)), *_each("yaw_rate", ("delay_s",)),
+          *_each("steering", ("delay_s",)), *_each("lateral_accel", ("delay_s",)),
+          *_each("longitudinal_accel", ("delay_s",)), *_each("accel", ("delay_s",)),
+          *_each("gyro", ("delay_s",)), ("accel.delay_s", "gyro.delay_s")),
+          "A signal is older or younger than the model file says.", "quick lane changes"),
+    Cause("delay_rate", (("speed.delay_rate", "speed.delay_s"),),
+          "The clocks of two streams run apart.", "a longer drive", lead=1),
+    Cause("steering_offset", (("steering.offset",),), "The steering angle's zero is off.",
+          "straight driving on a flat road both ways"),
+    Cause("steering_ratio", (("chassis.steering_ratio",),), "The steering ratio is another.",
+          "tight turns at walking pace"),
+    Cause("understeer", (("chassis.understeer_gradient",),),
+          "The vehicle understeers otherwise.", "steady circles of one radius, faster and faster"),
+    Cause("yaw_rate_offset", (("yaw_rate.offset",),), "The vehicle's yaw rate has a zero error.",
+          "stops"),
+    Cause("yaw_rate_scale", (("yaw_rate.scale",),), "The vehicle's yaw rate has a gain error.",
+          "steady circles"),
+    Cause("squat_dive", (("suspension.squat_gradient", "suspension.dive_gradient"),),
+          "The body pitches otherwise.", "braking and launching on a flat road"),
+    Cause("body_roll", (("suspension.roll_gradient",),), "The body rolls otherwise.",
+          "a slalom on a flat road"),
+    Cause("wheels_against_speed", (("wheel_speeds.scale",),),
+          "Wheel speeds and vehicle speed differ by a factor.", "a measured kilometre"),
+    Cause("free_offset", (*_each("lateral_accel", ("offset",)),
+          *_each("longitudinal_accel", ("offset",))),
+          "A signal has an offset.", "stops facing both ways", generic=True),
+    Cause("free_gain", (*_each("lateral_accel", ("scale",)),
+          *_each("longitudinal_accel", ("scale",))),
+          "A signal has a gain that nobody explains.", "hard curves and braking", generic=True),
+)  # fmt: skip
+
+BY_NAME = {cause.name: cause for cause in CAUSES}

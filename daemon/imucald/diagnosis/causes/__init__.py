@@ -1,1 +1,0 @@
-"""The catalogue: one module per cause (see `imucald.diagnosis.cause`)."""

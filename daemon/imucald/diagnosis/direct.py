@@ -1,0 +1,107 @@
+"""Direct evidence, before any fit: what stops say of the gyroscope's zero.
+
+A fit that contradicts it is wrong; so it bounds the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.causes import DEG
+from imucald.diagnosis.model_file import mounts, sensor_of
+from imucald.diagnosis.signals import Array, Drive
+from imucald.model.model import VehicleModel
+
+FEW_STOPS = 3
+LEAST_SE = 0.04 * DEG
+"""What one or two stops can tell: stops of one measured drive differ by 0.03 deg/s."""
+FINEST_SE = 0.004 * DEG
+CHANCE = 0.01
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Zero error of the gyroscope against the model file, along the vehicle's axes. (3,) each."""
+
+    rate: Array
+    """Mean over the stops [rad/s]."""
+    se: Array
+    quantile: float
+    stops: int
+    per_kelvin: Array | None = None
+    per_kelvin_se: Array | None = None
+    """Slope of the stops over the temperature; None where it hardly changes."""
+
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Boxes for the fit."""
+        half = self.quantile * self.se
+        return {
+            f"gyro.bias.{axis}": (float(x - h), float(x + h))
+            for axis, x, h in zip("xyz", self.rate, half, strict=True)
+        }
+
+
+def rest_of(drives: Sequence[Drive], model: VehicleModel, questions: int) -> Rest | None:
+    """Means over all stops; None without a gyroscope or a stop."""
+    rates, warmth = [], []
+    sensor = sensor_of(model, "gyro", {})
+    inverse = np.linalg.inv(sensor.gain)
+    for drive in drives:
+        for stop in drive.stops:
+            middle = 0.5 * (stop.start_s + stop.stop_s)
+            R = [R for start, R in mounts(model) if start <= middle][-1]
+            kelvin = 0.0
+            if drive.has("temperature"):
+                kelvin = float(drive.channels["temperature"].means(np.array([middle]))[0]) - 25.0
+            raw = stop.gyro - sensor.bias - sensor.per_kelvin * kelvin
+            raw = raw - sensor.per_force * stop.accel
+            rates.append(R @ inverse @ raw)
+            warmth.append(kelvin)
+    if not rates:
+        return None
+    table, n = np.array(rates), len(rates)
+    mean = table.mean(axis=0)
+    if n < FEW_STOPS:
+        return Rest(mean, np.full(3, LEAST_SE), 3.0, n)
+    se = np.maximum(np.std(table, axis=0, ddof=1) / np.sqrt(n), FINEST_SE)
+    q = float(student.ppf(1.0 - CHANCE / (2.0 * max(questions, 1)), n - 1))
+    slope, slope_se = _slope(np.array(warmth), table)
+    return Rest(mean, se, min(q, 10.0), n, slope, slope_se)
+
+
+LEAST_KELVIN = 4.0
+
+
+def _slope(kelvin: Array, table: Array) -> tuple[Array | None, Array | None]:
+    """Regression of the stops on the temperature."""
+    n = len(kelvin)
+    if n < FEW_STOPS + 2 or np.ptp(kelvin) < LEAST_KELVIN:
+        return None, None
+    x = kelvin - kelvin.mean()
+    slope = x @ table / (x @ x)
+    left = table - table.mean(axis=0) - np.outer(x, slope)
+    se = np.sqrt(np.maximum((left**2).sum(axis=0) / (n - 2), FINEST_SE**2) / (x @ x))
+    return slope, se
+
+
+def gravity_at_rest(
+    drives: Sequence[Drive], model: VehicleModel
+) -> tuple[float, float, int] | None:
+    """Size of gravity at rest less the standard one [m/s^2], its deviation, number of stops."""
+    sensor = sensor_of(model, "accel", {})
+    inverse = np.linalg.inv(sensor.gain)
+    sizes = [
+        float(np.linalg.norm(inverse @ (stop.accel - sensor.bias))) - GRAVITY
+        for drive in drives
+        if not drive.planar
+        for stop in drive.stops
+    ]
+    if not sizes:
+        return None
+    spread = float(np.std(sizes, ddof=1)) if len(sizes) > 1 else 0.02
+    return float(np.mean(sizes)), max(spread / np.sqrt(len(sizes)), 0.005), len(sizes)

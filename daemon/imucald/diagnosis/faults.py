@@ -1,0 +1,278 @@
+"""Faults that show in samples and time stamps alone: pile-up, stuck, lost, doubled, wrong cycle.
+
+Each is direct evidence. What it spoils is kept from the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imucald.core.samples import Samples, Series
+from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
+from imucald.model.model import VehicleModel
+
+RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
+WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
+QUICK = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
+"""Sensors whose noise moves them from sample to sample."""
+PILE_SAMPLES, PILE_RATIO, PILE_SD, PILE_SHARE = 30, 1.3, 5.0, 2e-4
+"""An extreme value held so often, against the level next to it, is a rail (Poisson, 5 sd)."""
+SPOILT_S = 0.3
+MOVING_MPS = 2.0
+STUCK_S, STUCK_SLOW_S, STUCK_RUNS = 0.5, 8.0, 4.0
+"""A quick sensor is stuck from so long on, a slow one; and only if so many times the usual."""
+PARTNER_SHARE = 0.5
+"""A slow signal is stuck where others go on moving by this share of their usual spread."""
+LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
+"""Frames that a bus and a logger may lose without a fault."""
+DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
+NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
+"""A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
+is asked for each value (OBD-II) has none."""
+CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
+"""Two crystals of +-100 ppm over temperature and age. Further off than 1 % the model file states
+another rate: that is no fault."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault of one signal."""
+
+    cause: str
+    signal: str
+    values: Mapping[str, tuple[float, float, str]]
+    """Key to value, deviation, unit."""
+    text: str
+    changes: Mapping[str, Any]
+    """What the model file says of it from now on."""
+    spans: Spans = ()
+    """Stretches [s] that must not be used."""
+    score: float = 50.0
+    """Evidence in nats, as far as it can be said."""
+
+
+def find_faults(
+    samples: Samples, model: VehicleModel, stated_cycle: Mapping[str, float] | None = None
+) -> list[Fault]:
+    """Everything that is wrong with samples and stamps beyond what the model file says."""
+    moving = _moving(samples)
+    found: list[Fault] = []
+    for name in WATCHED:
+        series = samples.get(name)
+        if series is None or len(series.t) < 100:
+            continue
+        if name in RAILED:
+            found += _piled(name, series, model)
+        found += _stuck(name, series, samples, moving)
+        found += _timed(name, series, model)
+    return found
+
+
+def spoilt(faults: Sequence[Fault]) -> dict[str, Spans]:
+    """Stretches by signal that must not be used."""
+    made: dict[str, Spans] = {}
+    for fault in faults:
+        made[fault.signal] = (*made.get(fault.signal, ()), *fault.spans)
+    return made
+
+
+def _moving(samples: Samples) -> tuple[Array, Array]:
+    speed = samples["speed"]
+    return speed.t, speed.values
+
+
+# pile-up -----------------------------------------------------------------------------------------
+
+
+def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
+    """A value at the end of a signal's range that is held far oftener than those beside it."""
+    table = series.values.reshape(len(series.t), -1)
+    still = np.zeros(len(table), dtype=bool)
+    still[1:] = (np.diff(table, axis=0) == 0.0).all(axis=1)
+    hit = np.zeros(len(table), dtype=bool)
+    rails = []
+    for axis in range(table.shape[1]):
+        x = table[:, axis]
+        if np.ptp(x) == 0.0:
+            continue
+        for sign in (1.0, -1.0):
+            rail = _rail(sign * x, still if table.shape[1] > 1 else np.zeros_like(still))
+            if rail is not None:
+                hit |= sign * x >= rail - 1e-9 * max(1.0, abs(rail))
+                rails.append(sign * rail)
+    if not rails:
+        return
+    share = float(hit.mean())
+    size = float(min(abs(r) for r in rails))
+    shown = ", ".join(f"{r:.4g}" for r in rails)
+    unit = "m/s^2" if "accel" in name else "rad/s"
+    yield Fault(
+        "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)},
+        f"Values pile up at {shown} {unit}: {100 * share:.2g} % of the samples.",
+        {f"{name}.full_scale": size} if name in ("accel", "gyro") else {},
+        _spans(series.t, hit), 0.5 * float(hit.sum()),
+    )  # fmt: skip
+
+
+def _rail(x: Array, still: Mask) -> float | None:
+    """The largest value, if samples pile up there."""
+    top = float(x.max())
+    at = (x >= top - 1e-9 * max(1.0, abs(top))) & ~still
+    count = int(at.sum())
+    if count < PILE_SAMPLES or count < PILE_SHARE * len(x):
+        return None
+    values = np.unique(x[x > np.quantile(x, 0.9)])
+    step = float(np.median(np.diff(values))) if len(values) > 2 else 0.0
+    below = x[(x < top - 1e-9 * max(1.0, abs(top))) & ~still]
+    if len(below) < PILE_SAMPLES or step == 0.0:
+        return None
+    # The level next to it: as wide as the usual step between values, the fullest of three.
+    width = max(step, float(top - below.max()))
+    beside = max(
+        int(((below > top - (k + 1.5) * width) & (below <= top - (k + 0.5) * width)).sum())
+        for k in range(3)
+    )
+    if count > PILE_RATIO * beside + PILE_SD * np.sqrt(max(beside, 1)):
+        return top
+    return None
+
+
+def _spans(t: Array, hit: Mask) -> Spans:
+    """Stretches about rows, those close to each other joined."""
+    at = t[hit]
+    if not len(at):
+        return ()
+    cuts = np.flatnonzero(np.diff(at) > 2.0 * SPOILT_S)
+    first = np.concatenate([[0], cuts + 1])
+    last = np.concatenate([cuts, [len(at) - 1]])
+    return tuple((float(at[a] - SPOILT_S / 3), float(at[b] + SPOILT_S / 3))
+                 for a, b in zip(first, last, strict=True))  # fmt: skip
+
+
+# stuck -------------------------------------------------------------------------------------------
+
+
+def _stuck(
+    name: str, series: Series, samples: Samples, moving: tuple[Array, Array]
+) -> Iterator[Fault]:
+    """Frames that come with one value while the vehicle moves; zeros at rest are natural."""
+    t, table = series.t, series.values.reshape(len(series.t), -1)
+    same = (np.diff(table, axis=0) == 0.0).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
+    first, last = edges[::2], edges[1::2]
+    if not len(first):
+        return
+    length = t[last] - t[first]
+    speed = np.interp(0.5 * (t[first] + t[last]), *moving)
+    least = STUCK_S if name in QUICK else STUCK_SLOW_S
+    usual = float(np.quantile(length, 0.99)) if len(length) > 20 else 0.0
+    long = (length > max(least, STUCK_RUNS * usual)) & (speed > MOVING_MPS)
+    spans = [(float(t[a]), float(t[b])) for a, b in zip(first[long], last[long], strict=True)]
+    if name not in QUICK:
+        spans = [s for s in spans if _others_move(name, samples, s)]
+    total = sum(b - a for a, b in spans)
+    if not spans or (name not in QUICK and total < STUCK_SLOW_S):
+        return
+    gaps = tuple({"start_s": max(a, 0.0), "duration_s": b - a} for a, b in spans)
+    yield Fault(
+        "stuck_signal", name, {f"_{name}.stuck_s": (total, 0.0, "s")},
+        f"Frames come, but the value does not change for {total:.1f} s in {len(spans)} stretches "
+        f"of driving, from {spans[0][0]:.0f} s on.",
+        {f"{name}.stuck": gaps}, tuple(spans), 5.0 * total / max(least, 1.0),
+    )  # fmt: skip
+
+
+def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool:
+    """Whether what should move with a signal goes on moving in a stretch."""
+    if name == "speed":
+        partner = samples["accel"]
+    else:
+        known = samples.get("yaw_rate") or samples.get("gyro")
+        if known is None:
+            return False
+        partner = known
+    table = partner.values.reshape(len(partner.t), -1)
+    bins = np.floor(partner.t).astype(int)
+    inside = (partner.t >= span[0]) & (partner.t <= span[1])
+    seconds = np.array([np.bincount(bins - bins[0], c) for c in table.T]).T
+    count = np.maximum(np.bincount(bins - bins[0]), 1)[:, None]
+    means = seconds / count
+    here = np.unique(bins[inside] - bins[0])
+    if len(here) < 4:
+        return False
+    return bool(np.any(np.std(means[here], axis=0) > PARTNER_SHARE * np.std(means, axis=0)))
+
+
+# stamps ------------------------------------------------------------------------------------------
+
+
+def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
+    """Lost frames, doubled frames, and a cycle that is not the stated one."""
+    message = getattr(model, name)
+    period = float(np.median(np.diff(series.t)))
+    again = duplicates(series, period)
+    doubled = int(again.sum())
+    if doubled >= DOUBLED_FEWEST and doubled > DOUBLED_TOLERANCE * len(again):
+        share = doubled / len(again)
+        yield Fault(
+            "duplicated_frames", name, {f"_{name}.doubled": (share, 0.0, "1")},
+            f"{doubled} frames come twice with the same value.", {}, (), 2.0 * doubled,
+        )  # fmt: skip
+    t = series.t[~again]
+    clock = _cycle(t)
+    if clock is None:
+        return
+    cycle, se, steps = clock
+    sent = int(steps.sum()) + 1
+    lost = sent - len(t)
+    stated = float(message.loss)
+    chance = 5.0 * np.sqrt(max(stated, 1e-4) * sent)
+    if lost >= LOST_FEWEST and lost - stated * sent > max(LOST_TOLERANCE * sent, chance):
+        share = lost / sent
+        yield Fault(
+            "dropouts", name, {f"{name}.loss": (share, float(np.sqrt(share / sent)), "1")},
+            f"{lost} of {sent} frames are missing ({100 * share:.2g} %).",
+            {f"{name}.loss": share}, (), float(lost),
+        )  # fmt: skip
+    ppm = 1e6 * (cycle * message.rate_hz - 1.0)
+    off = ppm - message.clock_drift_ppm
+    if name in ("accel", "gyro", "speed", "steering", "yaw_rate") and (
+        CLOCK_PPM + 5.0 * 1e6 * se < abs(off) < CLOCK_UNKNOWN_PPM
+    ):
+        yield Fault(
+            "clock_drift", name, {f"{name}.clock_drift_ppm": (ppm, 1e6 * se, "ppm")},
+            f"The cycle is {1000 * cycle:.5g} ms, {off:+.0f} ppm off what the model file states.",
+            {f"{name}.clock_drift_ppm": ppm}, (), abs(off) / CLOCK_PPM * 10.0,
+        )  # fmt: skip
+
+
+def _cycle(t: Array) -> tuple[float, float, Array] | None:
+    """Cycle time [s], its relative deviation, cycles between frames; None without a clear one."""
+    steps = np.diff(t)
+    if len(steps) < 50:
+        return None
+    cycle = float(np.median(steps))
+    near = np.abs(steps - cycle) < NEAR_SHARE * cycle
+    if near.mean() < NEAR or np.std(steps[near]) > JITTER_SHARE * cycle:
+        return None
+    at = t - t[0]
+    for _ in range(4):
+        # Whole cycles between frames; two that come at once make up for a late one.
+        count = np.concatenate([[0.0], np.cumsum(np.round(steps / cycle))])
+        centred = count - count.mean()
+        slope = float(centred @ (at - at.mean()) / (centred @ centred))
+        if abs(slope / cycle - 1.0) > 0.02:
+            return None
+        cycle = slope
+    left = at - at.mean() - cycle * centred
+    if np.std(left) > WANDER_S + 0.3 * cycle:
+        return None
+    # Stamps wander slowly: halves of the drive are compared, not samples.
+    half = len(count) // 2
+    ends = [np.polyfit(count[s], at[s], 1)[0] for s in (slice(0, half), slice(half, None))]
+    se = max(abs(ends[1] - ends[0]) / 2.0, float(np.std(left) / np.sqrt(centred @ centred)))
+    return cycle, se / cycle, np.round(steps / cycle)

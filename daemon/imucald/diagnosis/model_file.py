@@ -1,0 +1,268 @@
+"""The model file, read and written by the catalogue's keys: the only place that knows its schema.
+
+A change (`Changes`) is a mapping from key to departure from the model file. Vectors are along the
+vehicle's axes; here they are turned into those of the sensor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from imucald.core.rotations import (
+    Matrix3,
+    angles_from_rotation,
+    rotation_from_angles,
+    rotation_from_vector,
+)
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.signals import Array
+from imucald.model.model import VehicleModel
+
+Changes = Mapping[str, float]
+TRIADS = ("accel", "gyro")
+DELAYED = ("speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel",
+           "accel", "gyro")  # fmt: skip
+OFF_DIAGONAL = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+BUTTERWORTH_S_HZ = math.sqrt(2.0) / (2.0 * math.pi)
+"""Delay of a second-order Butterworth low-pass well below its cut-off, times the cut-off."""
+SMALLEST_STEP_DEG = 0.05
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Errors of a triad in its own axes: measured = gain @ true + bias."""
+
+    gain: Array
+    bias: Array
+    per_kelvin: Array
+    per_force: Array
+    """(3,) g-sensitivity, on the diagonal."""
+
+
+def sensor_of(model: VehicleModel, name: str, changes: Changes) -> Sensor:
+    """Return what the model file says of a triad; scale and cross-axis with changes."""
+    triad = getattr(model, name)
+    gain = np.eye(3)
+    scale = np.array(triad.scale) + _indexed(changes, f"{name}.scale", 3)
+    cross = np.array(triad.cross_axis) + _indexed(changes, f"{name}.cross_axis", 6)
+    gain[np.diag_indices(3)] += scale
+    for (i, j), x in zip(OFF_DIAGONAL, cross, strict=True):
+        gain[i, j] = x
+    per_force = np.zeros(3)
+    if name == "gyro":
+        per_force = np.array(triad.g_sensitivity) + _indexed(changes, "gyro.g_sensitivity", 3)
+    return Sensor(gain, np.array(triad.bias), np.array(triad.bias_temperature), per_force)
+
+
+def _indexed(changes: Changes, key: str, n: int) -> Array:
+    return np.array([changes.get(f"{key}.{i}", 0.0) for i in range(n)])
+
+
+def along_vehicle(changes: Changes, key: str) -> Array:
+    """(3,) change of a vector along the vehicle's axes."""
+    return np.array([changes.get(f"{key}.{axis}", 0.0) for axis in "xyz"])
+
+
+def mounts(model: VehicleModel) -> list[tuple[float, Matrix3]]:
+    """From time [s] on, R_vehicle_from_sensor."""
+    m = model.mount
+    R = rotation_from_angles(*(math.radians(x) for x in (m.roll_deg, m.pitch_deg, m.yaw_deg)))
+    found = [(-math.inf, R)]
+    for s in m.shifts:
+        turn = (math.radians(x) for x in (s.roll_deg, s.pitch_deg, s.yaw_deg))
+        R = rotation_from_angles(*turn) @ R
+        found.append((s.t_s, R))
+    return found
+
+
+def mount_of(model: VehicleModel) -> Matrix3:
+    """R_vehicle_from_sensor at the start of the drive; (3, 3)."""
+    return mounts(model)[0][1]
+
+
+def age(model: VehicleModel, name: str) -> float:
+    """How old a signal is when it comes [s]: its delay, and that of its low-pass."""
+    message = getattr(model, name)
+    seconds = float(message.delay_s)
+    cut_off = getattr(message, "lowpass_hz", None)
+    if cut_off is not None:
+        seconds += BUTTERWORTH_S_HZ / cut_off
+    return seconds + float(getattr(message, "time_constant_s", 0.0))
+
+
+def value(model: VehicleModel, key: str) -> float:
+    """A number of the model file; 0 where a key has no place, or is a vector's component."""
+    place: Any = model
+    for part in key.split("."):
+        if part.isdigit() and isinstance(place, tuple):
+            place = place[int(part)]
+        elif hasattr(place, part):
+            place = getattr(place, part)
+        else:
+            return _vector_value(model, key)
+    return float(place[0]) if isinstance(place, tuple) else float(place)
+
+
+def _vector_value(model: VehicleModel, key: str) -> float:
+    """Component along the vehicle of a vector that the file has in sensor axes."""
+    parent, _, axis = key.rpartition(".")
+    section, _, name = parent.partition(".")
+    stated = getattr(getattr(model, section, None), name, None)
+    if axis not in "xyz" or not isinstance(stated, tuple):
+        return 0.0
+    return float((mount_of(model) @ np.array(stated))["xyz".index(axis)])
+
+
+def tolerance(model: VehicleModel, key: str) -> float:
+    """By how much the model file may be wrong: what it says itself (`known_to`), or the table."""
+    row = PARAMETERS[key]
+    stated = model.known_to.get(key)
+    if stated is not None:
+        return stated
+    return row.tolerance * (abs(value(model, key)) if row.relative else 1.0)
+
+
+def plausible(model: VehicleModel, key: str) -> tuple[float, float]:
+    """Departures that a vehicle or a sensor can have."""
+    row = PARAMETERS[key]
+    size = abs(value(model, key)) if row.relative else 1.0
+    return row.plausible[0] * size, row.plausible[1] * size
+
+
+# writing -----------------------------------------------------------------------------------------
+
+
+def extended(
+    model: VehicleModel, changes: Changes, known_to: Mapping[str, float] | None = None
+) -> VehicleModel:
+    """The model file with changes. known_to: half widths within which keys are now known."""
+    made: dict[str, Any] = {}
+    R = mount_of(model)
+    for name in TRIADS:
+        _write_triad(made, model, name, changes, R)
+    turn = along_vehicle(changes, "mount.turn")
+    if turn.any():
+        angles = angles_from_rotation(rotation_from_vector(turn) @ R)
+        for angle, x in zip(("roll", "pitch", "yaw"), angles, strict=True):
+            made[f"mount.{angle}_deg"] = math.degrees(x)
+    lever = _indexed(changes, "mount.lever_arm_m", 3)
+    if lever.any():
+        made["mount.lever_arm_m"] = _sum(model.mount.lever_arm_m, lever)
+    made |= _delays(model, changes)
+    for key, x in changes.items():
+        if key.startswith("_") or key in made or not _is_plain(model, key) or x == 0.0:
+            continue
+        stated = value(model, key)
+        if key != "wheel_speeds.scale":
+            made[key] = stated + x
+    wheels = changes.get("wheel_speeds.scale", 0.0) + changes.get("speed.scale", 0.0)
+    if wheels:
+        made["wheel_speeds.scale"] = tuple(s + wheels for s in model.wheel_speeds.scale)
+    slip = changes.get("_tyre.rear_slip", 0.0)
+    if slip:
+        made["chassis.rear_cornering_stiffness_npr"] = _stiffness(model, slip)
+    if known_to:
+        made["known_to"] = {**model.known_to, **dict(known_to)}
+    return model.with_changes(made)
+
+
+def _is_plain(model: VehicleModel, key: str) -> bool:
+    """Whether a key is one number of the file, or the wheels' scale."""
+    if key.endswith("delay_s"):
+        return False
+    section, _, name = key.partition(".")
+    return hasattr(getattr(model, section, None), name)
+
+
+def _sum(stated: Sequence[float], change: Array) -> tuple[float, ...]:
+    return tuple(float(a + b) for a, b in zip(stated, change, strict=True))
+
+
+def _write_triad(
+    made: dict[str, Any], model: VehicleModel, name: str, changes: Changes, R: Matrix3
+) -> None:
+    """Changes of a triad; those along the vehicle's axes are turned into the sensor's."""
+    triad = getattr(model, name)
+    gain = sensor_of(model, name, changes).gain
+    for what in ("bias", "bias_temperature"):
+        change = gain @ R.T @ along_vehicle(changes, f"{name}.{what}")
+        if what == "bias":
+            change += _at_one_g(model, name, changes, R)
+        if change.any():
+            made[f"{name}.{what}"] = _sum(getattr(triad, what), change)
+    for what, n in (("scale", 3), ("cross_axis", 6), ("g_sensitivity", 3)):
+        change = _indexed(changes, f"{name}.{what}", n)
+        if change.any():
+            made[f"{name}.{what}"] = _sum(getattr(triad, what), change)
+
+
+def _at_one_g(model: VehicleModel, name: str, changes: Changes, R: Matrix3) -> Array:
+    """Zero error that makes a change of gain turn about one g upright, as changes mean it."""
+    level = R.T @ np.array([0.0, 0.0, GRAVITY])
+    if name == "gyro":
+        return np.asarray(-_indexed(changes, "gyro.g_sensitivity", 3) * level)
+    change = sensor_of(model, name, changes).gain - sensor_of(model, name, {}).gain
+    return np.asarray(-change @ level)
+
+
+def level_effect(model: VehicleModel, key: str) -> dict[str, float]:
+    """Zero error along the vehicle that a gain of the accelerometer makes of one g: per unit."""
+    R = mount_of(model)
+    change = sensor_of(model, "accel", {key: 1.0}).gain - sensor_of(model, "accel", {}).gain
+    offset = R @ change @ R.T @ np.array([0.0, 0.0, GRAVITY])
+    return {f"accel.bias.{axis}": float(x) for axis, x in zip("xyz", offset, strict=True)}
+
+
+def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
+    """Delays, none negative: what is younger than the file says makes all others older."""
+    moved = [key for key in changes if key.endswith("delay_s") and changes[key] != 0.0]
+    if not moved:
+        return {}
+    delays = {n: getattr(model, n).delay_s + changes.get(f"{n}.delay_s", 0.0) for n in DELAYED}
+    if "speed.delay_s" in changes:
+        delays["wheel_speeds"] += changes["speed.delay_s"]
+    lift = max(0.0, -min(delays.values()))
+    return {
+        f"{name}.delay_s": max(x + lift, 0.0)
+        for name, x in delays.items()
+        if abs(x + lift - getattr(model, name).delay_s) > 1e-9
+    }
+
+
+def rear_slip(model: VehicleModel) -> float:
+    """Sideslip at the rear axle per speed and lateral acceleration: m l_f / (L C_r) [s^2/m]."""
+    c = model.chassis
+    return c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * c.rear_cornering_stiffness_npr)
+
+
+def _stiffness(model: VehicleModel, change: float) -> float:
+    c = model.chassis
+    slip = max(rear_slip(model) + change, 2e-4)
+    return float(c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * slip))
+
+
+def with_shifts(model: VehicleModel, shifts: Sequence[tuple[float, Array]]) -> VehicleModel:
+    """The model file with turns (3,) [rad] about the vehicle's axes at times [s]."""
+    added = []
+    for t, turn in shifts:
+        angles = [math.degrees(x) for x in angles_from_rotation(rotation_from_vector(turn))]
+        roll, pitch, yaw = (round(x, 4) for x in angles)
+        added.append({"t_s": max(t, 0.0), "roll_deg": roll, "pitch_deg": pitch, "yaw_deg": yaw})
+    data = [msgspec.to_builtins(s) for s in model.mount.shifts] + added
+    return model.with_changes({"mount.shifts": tuple(sorted(data, key=lambda s: s["t_s"]))})
+
+
+def with_delay_rate(changes: Changes, middle_s: float) -> dict[str, float]:
+    """Changes with the delay as it was at the start: growth is counted from the drive's middle."""
+    rate = changes.get("speed.delay_rate", 0.0)
+    made = dict(changes)
+    if rate:
+        made["speed.delay_s"] = made.get("speed.delay_s", 0.0) - rate * middle_s
+    return made

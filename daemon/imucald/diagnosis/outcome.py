@@ -1,0 +1,227 @@
+"""From what the search found to what people and tools are told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.causes import BY_NAME, PARAMETERS
+from imucald.diagnosis.direct import Rest
+from imucald.diagnosis.faults import Fault
+from imucald.diagnosis.model_file import value
+from imucald.diagnosis.result import (
+    NOT_PLAUSIBLE,
+    Candidate,
+    Estimated,
+    FoundCause,
+    Outcome,
+    Structure,
+    Verdict,
+)
+from imucald.diagnosis.search import State, Trial, questions
+from imucald.diagnosis.shift import KEYS, Shift
+from imucald.model.model import VehicleModel
+
+SEEN_SHARE = 0.02
+"""A signal shows a cause where it carries this share of what the cause explains."""
+DEG = 180.0 / math.pi
+
+
+def told_trial(
+    state: State, trial: Trial, estimates: Mapping[str, tuple[float, float, float]]
+) -> FoundCause:
+    """A cause that the fit named, or that is likely."""
+    h, parameters = trial.hypothesis, {}
+    for i, key in enumerate(h.keys):
+        x = float(trial.estimate.value[i])
+        change = state.changes.get(key, x) if h.pattern is None else x
+        change, se, _ = estimates.get(key, (change, float(trial.estimate.se[i]), 0.0))
+        stated = value(state.stated, key)
+        row = PARAMETERS[key]
+        parameters[key] = Estimated(
+            stated + change, se, row.unit, stated, float(trial.tolerance[i])
+        )
+    sd = max(abs(p.value - p.stated) / max(p.std, 1e-30) for p in parameters.values())
+    return FoundCause(
+        h.name, parameters, _signals(state.table, h.keys),
+        {"held_out_nats": trial.shown, "sigma": sd, "quantile": trial.estimate.quantile},
+        BY_NAME[h.name].sentence,
+        "certain" if trial.named else "likely",
+        tuple(_against(state, trial)),
+    )  # fmt: skip
+
+
+def _signals(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
+    """Equations in which the parameters show, by their share of the information."""
+    if table is None:
+        return ()
+    index = [i + 1 for i in table.index([k for k in keys if k in table.keys])]
+    size = table.tolerance[[i - 1 for i in index]] ** 2
+    shares = {
+        name: float((gram[:, index, index].sum(axis=0) * size).sum())
+        for name, gram in table.by_equation.items()
+    }
+    total = sum(shares.values())
+    return tuple(name for name, x in shares.items() if total > 0.0 and x > SEEN_SHARE * total)
+
+
+def _against(state: State, trial: Trial) -> list[str]:
+    """What speaks against a cause: blocks, wander, rivals, a fit that stands at a bound."""
+    said = []
+    e, gain = trial.estimate, trial.gain
+    worse = float((gain < 0.0).mean())
+    if worse > 1.0 / 3.0:
+        said.append(f"in {100 * worse:.0f} % of the stretches it predicts worse")
+    for key, wander, spread in zip(trial.hypothesis.keys, e.wander, e.se, strict=True):
+        if wander > spread:
+            said.append(
+                f"{key} moves by {wander:.2g} {PARAMETERS[key].unit} between quarters of the data"
+            )
+    rivals = state.rivals.get(trial.hypothesis.name, [])
+    if rivals:
+        names = " and ".join(sorted({t.hypothesis.name.replace("_", " ") for t in rivals}))
+        said.append(f"{names} does as well within two standard errors")
+    if trial.hypothesis.pattern is None and state.table is not None:
+        few = state.table.blocks < 20
+        if few:
+            said.append(f"there are only {state.table.blocks} stretches of driving")
+    return said
+
+
+def told_fault(fault: Fault, model: VehicleModel) -> FoundCause:
+    """A fault that shows in samples and stamps."""
+    parameters = {}
+    for key, (x, std, unit) in fault.values.items():
+        stated = math.nan if key.startswith("_") else _stated(model, key)
+        parameters[key] = Estimated(x, std, unit, stated if math.isfinite(stated) else 0.0)
+    return FoundCause(
+        fault.cause, parameters, (fault.signal,), {"held_out_nats": fault.score}, fault.text
+    )
+
+
+def _stated(model: VehicleModel, key: str) -> float:
+    section, _, name = key.partition(".")
+    x = getattr(getattr(model, section), name, None)
+    return float(x) if isinstance(x, int | float) else math.nan
+
+
+def told_rest(rest: Rest, model: VehicleModel) -> FoundCause:
+    """A zero error of the gyroscope, read at stops."""
+    parameters = {
+        f"gyro.bias.{axis}": Estimated(
+            value(model, f"gyro.bias.{axis}") + float(x), float(se), "rad/s",
+            value(model, f"gyro.bias.{axis}"), PARAMETERS[f"gyro.bias.{axis}"].tolerance,
+        )
+        for axis, x, se in zip("xyz", rest.rate, rest.se, strict=True)
+    }  # fmt: skip
+    few = ("there are only one or two stops",) if rest.stops < 3 else ()
+    sigma = float(np.max(np.abs(rest.rate) / rest.se))
+    return FoundCause(
+        "gyro_bias", parameters, ("gyro_x", "gyro_y", "gyro_z"),
+        {"held_out_nats": min(0.5 * sigma**2, 1e6), "sigma": sigma, "quantile": rest.quantile},
+        f"The gyroscope's zero is off: read at {rest.stops} stops.", "certain", few,
+    )  # fmt: skip
+
+
+def told_shift(shift: Shift, table: Table) -> FoundCause:
+    """A turn of the sensor in mid-drive."""
+    parameters = {
+        f"mount.shifts.{angle}_deg": Estimated(float(x) * DEG, float(se) * DEG, "deg", 0.0, 0.3)
+        for angle, x, se in zip(("roll", "pitch", "yaw"), shift.turn, shift.se, strict=True)
+    }
+    parameters["mount.shifts.t_s"] = Estimated(
+        shift.start_s, 0.5 * (shift.high_s - shift.low_s), "s"
+    )
+    name = "mount_shift" if shift.kind == "step" else "mount_creep"
+    text = (
+        f"The sensor is turned between {shift.low_s:.0f} and {shift.high_s:.0f} s."
+        if shift.kind == "step"
+        else "The sensor turns slowly all along the drive."
+    )
+    sigma = float(np.max(np.abs(shift.turn) / shift.se))
+    return FoundCause(
+        name, parameters, _signals(table, KEYS),
+        {"held_out_nats": shift.shown, "sigma": sigma, "quantile": shift.quantile}, text,
+        "certain", ("either side of it is another drive: nothing else was asked of this one",),
+    )  # fmt: skip
+
+
+def told_rest_of(state: State) -> tuple[Candidate, ...]:
+    """Every cause that was not named, with the size that these drives could have shown."""
+    named = {t.hypothesis.name for t in (*state.named, *state.likely)}
+    made = []
+    for name, t in questions(state.last).items():
+        if name in named:
+            continue
+        i = int(np.argmax(np.abs(t.estimate.value) / np.maximum(t.estimate.se, 1e-30)))
+        x, se, tau = (float(a[i]) for a in (t.estimate.value, t.estimate.se, t.tolerance))
+        key, q = t.hypothesis.keys[i], t.estimate.quantile
+        unit = PARAMETERS[key].unit
+        outcome: Outcome
+        if not t.is_plausible and t.named:
+            outcome = "not plausible"
+        elif abs(x) + q * se <= tau:
+            outcome = "within tolerance"
+        elif t.outside:
+            outcome = "does not pay"
+        else:
+            outcome = "not decidable here"
+        text = f"{key} off by {_n(x)} +- {_n(se)} {unit}; named from {_n(tau + q * se)} on"
+        made.append(Candidate(name, outcome, t.shown, text))
+    return tuple(made)
+
+
+def _n(x: float) -> str:
+    return f"{x:.2g}"
+
+
+def implausible(state: State) -> tuple[Structure, ...]:
+    """What explains the numbers and cannot be."""
+    made = []
+    for t in state.implausible:
+        i = int(np.argmax(np.abs(t.estimate.value) / np.abs(t.plausible).max(axis=1)))
+        key = t.hypothesis.keys[i]
+        x = float(t.estimate.value[i])
+        low, high = t.plausible[i]
+        signal = (_signals(state.table, [key]) or ("accel_x",))[0]
+        text = (
+            f"{t.hypothesis.name.replace('_', ' ')} with {key} off by {x:.3g} "
+            f"{PARAMETERS[key].unit} explains the numbers, but is not physically plausible "
+            f"({low:.3g} to {high:.3g} is): a cause is missing"
+        )
+        made.append(Structure(signal, NOT_PLAUSIBLE, float(t.estimate.quantile), text))
+    return tuple(made)
+
+
+def look_alikes(state: State) -> tuple[tuple[str, ...], ...]:
+    """Sets of causes that these drives cannot tell apart."""
+    sets = []
+    for trial in state.named:
+        others = [t.hypothesis.name for t in state.rivals.get(trial.hypothesis.name, [])]
+        others = [n for n in dict.fromkeys(others) if n != trial.hypothesis.name]
+        if others:
+            sets.append((trial.hypothesis.name, *others))
+    return tuple(sets)
+
+
+def manoeuvres(sets: Sequence[Sequence[str]]) -> str:
+    """Say what would tell look-alikes apart."""
+    parts = []
+    for names in sets:
+        ways = list(dict.fromkeys(BY_NAME[n].separate for n in names if n in BY_NAME))
+        parts.append(f"{' or '.join(names)}: {'; '.join(ways)}")
+    return ". ".join(parts)
+
+
+def verdict_of(
+    causes: Sequence[FoundCause], sets: Sequence[Sequence[str]], structure: Sequence[Structure]
+) -> Verdict:
+    """The four verdicts."""
+    if any(s.kind == NOT_PLAUSIBLE for s in structure):
+        return "unknown"
+    if causes:
+        return "ambiguous" if sets else "found"
+    return "unknown" if structure else "nothing"

@@ -1,0 +1,199 @@
+"""One drive's signals: without duplicates and bad stretches, on a common grid at any delay.
+
+Every signal is read as the mean over the grid's step about a time, which is the same low-pass for
+all of them; a delay moves that time. The speed, which often comes once a second, stays a list of
+knots: nothing is known between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.errors import EstimateError
+from imucald.core.samples import Samples, Series
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Spans = tuple[tuple[float, float], ...]
+
+STEP_S = 0.1
+"""Of the grid. Motion of a vehicle lies below 2 Hz."""
+GAP_PERIODS = 3.5
+SHORTEST_GAP_S = 0.35
+DUPLICATE_SHARE = 0.3
+"""The same value within this share of the period is the same frame sent twice."""
+STANDING_MPS = 0.05
+FASTEST_REST_RADPS = np.radians(0.3)
+"""rms by which a gyroscope may move about its mean at rest: an idling engine stays below."""
+TRIM_S = 1.5
+"""The speed says 0 before the vehicle stands (dead band) and is late: ends of stops are cut."""
+SHORTEST_STOP_S = 2.0
+LEAST_S = 45.0
+NEEDED = ("accel", "speed")
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A standstill that speed and inertial sensor agree on, with the ends cut."""
+
+    start_s: float
+    stop_s: float
+    gyro: Array
+    """(3,) mean rate in sensor axes [rad/s]."""
+    accel: Array
+    """(3,) mean specific force in sensor axes [m/s^2]."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One signal, ready to be read at any delay. values: (N,) or (N, width)."""
+
+    t: Array
+    values: Array
+    period_s: float
+    doubled: int
+    bad: Spans
+    _integral: Array = field(repr=False)
+
+    @staticmethod
+    def of(series: Series, bad: Spans = ()) -> Channel:
+        """Drop duplicates and integrate."""
+        t, values = series.t, series.values
+        period = float(np.median(np.diff(t))) if len(t) > 2 else np.inf
+        again = duplicates(series, period)
+        t, values = t[~again], values[~again]
+        steps = np.diff(t).reshape(-1, *[1] * (values.ndim - 1))
+        area = np.cumsum(0.5 * (values[1:] + values[:-1]) * steps, axis=0)
+        return Channel(t, values, period, int(again.sum()), bad,
+                       np.concatenate([np.zeros_like(values[:1]), area]))  # fmt: skip
+
+    def means(self, t: Array, width: float = STEP_S) -> Array:
+        """Mean over `width` about each time [s]; held beyond the ends."""
+        low, high = t - 0.5 * width, t + 0.5 * width
+        columns = self._integral.reshape(len(self.t), -1).T
+        ends = self.values.reshape(len(self.t), -1).T
+        rows = [
+            (self._at(high, c, e) - self._at(low, c, e)) / width
+            for c, e in zip(columns, ends, strict=True)
+        ]
+        return np.asarray(rows[0] if self.values.ndim == 1 else np.column_stack(rows))
+
+    def _at(self, t: Array, integral: Array, ends: Array) -> Array:
+        """Integral up to t, the end values held outside. Linear between samples, not quadratic:
+        the difference is a shift of the mean by less than a sample."""
+        inside = np.interp(t, self.t, integral)
+        before, after = np.minimum(t - self.t[0], 0.0), np.maximum(t - self.t[-1], 0.0)
+        return np.asarray(inside + before * ends[0] + after * ends[-1])
+
+    def present(self, t: Array) -> Mask:
+        """Where the signal was there and not in a bad stretch."""
+        gap = max(GAP_PERIODS * self.period_s, SHORTEST_GAP_S)
+        after = np.searchsorted(self.t, t)
+        left = self.t[np.clip(after - 1, 0, len(self.t) - 1)]
+        right = self.t[np.clip(after, 0, len(self.t) - 1)]
+        there = (right - left <= gap) & (t >= self.t[0] - gap) & (t <= self.t[-1] + gap)
+        for start, stop in self.bad:
+            there &= (t < start - STEP_S) | (t > stop + STEP_S)
+        return np.asarray(there)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive's channels and its grid."""
+
+    t: Array
+    channels: Mapping[str, Channel]
+    knots: Channel
+    """Speed, signed; at most one knot a step of the grid."""
+    stops: tuple[Stop, ...]
+    planar: bool
+    """The accelerometer has no vertical axis."""
+
+    @property
+    def duration_s(self) -> float:
+        """Length [s]."""
+        return float(len(self.t) * STEP_S)
+
+    def has(self, name: str) -> bool:
+        """Whether the drive has a channel."""
+        return name in self.channels
+
+
+def duplicates(series: Series, period: float) -> Mask:
+    """Rows (N,) that repeat the sample before them: a frame that was sent or logged twice."""
+    t, values = series.t, series.values.reshape(len(series.t), -1)
+    again = np.zeros(len(t), dtype=bool)
+    if len(t) > 1:
+        soon = np.diff(t) < DUPLICATE_SHARE * period
+        again[1:] = soon & (np.diff(values, axis=0) == 0.0).all(axis=1)
+        again[1:] |= np.diff(t) <= 0.0
+    return again
+
+
+def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> Drive:
+    """Put a drive on its grid. bad: stretches [s] by channel that must not be used.
+
+    Raises EstimateError where what is needed is not there.
+    """
+    for name in NEEDED:
+        if name not in samples or len(samples[name].t) < 20:
+            raise EstimateError(f"diagnosis needs the signal {name!r}, and minutes of it")
+    known = bad or {}
+    channels = {
+        name: Channel.of(series, known.get(name, ()))
+        for name, series in samples.items()
+        if len(series.t) >= 10
+    }
+    start = max(channels[name].t[0] for name in NEEDED)
+    stop = min(channels[name].t[-1] for name in NEEDED)
+    if stop - start < LEAST_S:
+        raise EstimateError(
+            f"diagnosis needs at least {LEAST_S:.0f} s in which accelerometer and speed are there"
+        )
+    t = np.asarray(start + STEP_S * np.arange(int((stop - start) / STEP_S)))
+    knots = _knots(channels, t)
+    accel = channels["accel"].values
+    return Drive(t, channels, knots, _stops(channels, knots, t), _is_planar(accel))
+
+
+def _is_planar(accel: Array) -> bool:
+    return bool(np.ptp(accel[:, 2]) == 0.0)
+
+
+def _knots(channels: Mapping[str, Channel], t: Array) -> Channel:
+    """Speed with its sign, at the instants at which it is known."""
+    speed = channels["speed"]
+    if speed.period_s < 0.8 * STEP_S:
+        at, values = t, speed.means(t)
+    else:
+        at, values = speed.t, speed.values
+    if "reverse" in channels:
+        reverse = channels["reverse"]
+        index = np.clip(np.searchsorted(reverse.t, at, side="right") - 1, 0, None)
+        values = np.where(reverse.values[index] > 0.5, -values, values)
+    return Channel.of(Series(at, values), speed.bad)
+
+
+def _stops(channels: Mapping[str, Channel], knots: Channel, t: Array) -> tuple[Stop, ...]:
+    """Stretches in which the speed is 0 and the gyroscope moves no more than an engine moves it."""
+    if "gyro" not in channels:
+        return ()
+    still = np.interp(t, knots.t, np.abs(knots.values)) < STANDING_MPS
+    still &= channels["gyro"].present(t) & channels["accel"].present(t)
+    rate, force = channels["gyro"].means(t), channels["accel"].means(t)
+    found = []
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]])))
+    trim = max(TRIM_S, 1.2 * channels["speed"].period_s)
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        low, high = t[first] + trim, t[last - 1] - trim
+        inside = (t >= low) & (t <= high)
+        if high - low < SHORTEST_STOP_S:
+            continue
+        if np.std(rate[inside], axis=0).max() > FASTEST_REST_RADPS:
+            continue
+        found.append(Stop(low, high, rate[inside].mean(axis=0), force[inside].mean(axis=0)))
+    return tuple(found)

@@ -1,0 +1,69 @@
+"""Keeps the number of wrong keys in a row over restarts: a new start is no new chance.
+
+What is not there says none. What cannot be believed says one, which costs the delay.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+from typing import Final
+
+from imucald.core.atomic_file import free_name, split_checksum, with_checksum, write_file
+from imucald.core.regular_file import read_regular
+from imucald.service.journal import WARNING
+from imucald.service.state_writer import Say, StateWriter
+
+MAGIC: Final = "imucald-keys 1"
+MAX_BYTES: Final = 256
+MAX_WRONG: Final = 255
+CLOSE_WAIT_S: Final = 0.2
+"""How long a stop waits for the disk [s]."""
+
+
+class AttemptStore:
+    """The file of one daemon. path: None keeps nothing. say: takes a line and its priority."""
+
+    def __init__(self, path: Path | None, say: Say) -> None:
+        self.wrong = 0
+        """Wrong keys in a row, as they were saved."""
+        self._writer: StateWriter[bytes] | None = None
+        if path is not None:
+            self.wrong = _read(path, say)
+            title = f"the count of wrong keys in {path.parent}"
+            self._writer = StateWriter(lambda data: write_file(path, data), title, say)
+
+    def put(self, wrong: int) -> None:
+        """Have another number saved; never waits for the disk."""
+        self.wrong = wrong
+        if self._writer is not None:
+            body = json.dumps({"wrong": min(wrong, MAX_WRONG)}).encode()
+            self._writer.put(with_checksum(MAGIC, body))
+            self._writer.report()
+
+    def close(self) -> None:
+        """Write what waits; waits for the disk, but not for long."""
+        if self._writer is not None:
+            self._writer.close(CLOSE_WAIT_S)
+            self._writer.report()
+
+
+def _read(path: Path, say: Say) -> int:
+    try:
+        data = read_regular(path, MAX_BYTES)
+    except FileNotFoundError:
+        return 0
+    except OSError as error:
+        say(f"wrong keys: {path} cannot be read: {error.strerror}; one is assumed", WARNING)
+        return 1
+    title, body, is_right = split_checksum(data)
+    with contextlib.suppress(ValueError, RecursionError, TypeError, KeyError):
+        wrong = json.loads(body)["wrong"] if is_right and title == MAGIC.encode() else None
+        if type(wrong) is int and 0 <= wrong <= MAX_WRONG:
+            return wrong
+    aside = free_name(path, "corrupt")
+    with contextlib.suppress(OSError):
+        path.rename(aside)
+    say(f"wrong keys: {path} is damaged, set aside as {aside.name}; one is assumed", WARNING)
+    return 1

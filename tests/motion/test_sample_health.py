@@ -1,0 +1,262 @@
+"""Health of every sample: stuck, clipped, in another unit, and what only looks like it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucald.core.samples import GRAVITY, Series
+from imucald.motion.sample_health import SOUND_S, SampleHealth
+from imucald.motion.signal_health import SignalFault
+
+HZ = 100.0
+ACCEL_STEP, GYRO_STEP = 0.002, math.radians(0.01)
+AXES = {"accel": 3, "gyro": 3}
+
+
+def drive(
+    seconds: float = 180.0, hz: float = HZ, seed: int = 0, grain: float = 1.0
+) -> dict[str, Series]:
+    """Samples of a sound unit in a car that stands for 20 s in each minute, else drives.
+
+    Manoeuvres as slow noise, vibration while driving, white sensor noise, steps of a bus. grain:
+    how many times coarser the steps are.
+    """
+    rng = np.random.default_rng(seed)
+    n = round(seconds * hz)
+    t = (np.arange(n) + 0.5) / hz
+    moves = (t % 60.0 >= 20.0).astype(float)
+
+    def slow(rms: float, axes: int = 3) -> np.ndarray:
+        phase = rng.uniform(0, 2 * math.pi, (axes, 40))
+        f = rng.uniform(0.02, 0.6, (axes, 40))
+        waves = np.cos(2 * math.pi * f[:, :, None] * t + phase[:, :, None]).sum(axis=1)
+        return rms * (waves * math.sqrt(2.0 / 40)).T
+
+    def noise(rms: float) -> np.ndarray:
+        return rms * rng.standard_normal((n, 3))
+
+    force = np.array([0.3, -0.2, GRAVITY]) + moves[:, None] * (slow(1.0) + noise(0.3)) + noise(0.02)
+    rate = 0.003 + moves[:, None] * (slow(0.08) + noise(0.01)) + noise(0.0015)
+    return {
+        "accel": Series(t, np.round(force / (grain * ACCEL_STEP)) * (grain * ACCEL_STEP)),
+        "gyro": Series(t, np.round(rate / (grain * GYRO_STEP)) * (grain * GYRO_STEP)),
+        "speed": Series(t[::10], 10.0 * moves[::10]),
+    }
+
+
+def edited(samples: Mapping[str, Series], channel: str, edit: Any) -> dict[str, Series]:
+    """Samples with a channel's values (N, 3) changed in place by a function of times and values."""
+    values = samples[channel].values.copy()
+    edit(samples[channel].t, values)
+    return {**samples, channel: Series(samples[channel].t, values)}
+
+
+def watched(samples: Mapping[str, Series], axes: Mapping[str, int] = AXES) -> SampleHealth:
+    health = SampleHealth(axes)
+    health.columns(samples, 0, int(10 * samples["speed"].t[-1]))
+    return health
+
+
+def told(health: SampleHealth) -> list[tuple[str, str, str]]:
+    return [(e.channel, str(e.fault), e.axes) for e in health.events]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("hz", [10.0, 50.0, 100.0, 200.0])
+def test_a_sound_unit_is_sound(hz: float, seed: int) -> None:
+    assert not told(watched(drive(hz=hz, seed=seed)))
+
+
+@pytest.mark.parametrize("grain", [10.0, 25.0, 60.0])
+def test_coarse_steps_are_no_fault(grain: float) -> None:
+    """Steps up to 0.12 m/s^2 and 0.6 deg/s: at rest the same value comes for seconds."""
+    samples = drive(300.0, grain=grain)
+    still = np.diff(samples["gyro"].values[:2000], axis=0)
+    assert grain < 50.0 or (still == 0.0).mean() > 0.8, "nothing is tested otherwise"
+    assert not told(watched(samples))
+
+
+def test_a_value_that_is_sent_several_times_is_no_fault() -> None:
+    samples = drive(hz=200.0)
+    held = {
+        c: Series(s.t, np.repeat(s.values[::20], 20, axis=0)) if c != "speed" else s
+        for c, s in samples.items()
+    }
+    assert not told(watched(held)), "of a sensor of 10 Hz in frames of 200 Hz"
+
+
+def test_an_engine_that_stops_does_not_make_a_coarse_sensor_stuck() -> None:
+    samples = drive(120.0, grain=60.0)
+
+    def engine(t: np.ndarray, values: np.ndarray) -> None:
+        idles = (t % 60.0 < 10.0)[:, None]
+        shaken = values + idles * 0.3 * np.random.default_rng(1).standard_normal(values.shape)
+        values[:] = np.round(shaken / 0.12) * 0.12
+
+    assert not told(watched(edited(samples, "accel", engine)))
+
+
+@pytest.mark.parametrize("start", [50.0, 101.3, 130.0])
+@pytest.mark.parametrize("axis", range(6))
+def test_a_frozen_axis_is_told_within_two_seconds_also_at_rest(axis: int, start: float) -> None:
+    channel, i = ("accel", "gyro")[axis // 3], axis % 3
+
+    def freeze(t: np.ndarray, values: np.ndarray) -> None:
+        values[t >= start, i] = values[t < start, i][-1]
+
+    health = watched(edited(drive(), channel, freeze))
+    event = health.events[0]
+    assert (event.channel, event.fault) == (channel, SignalFault.STUCK)
+    assert event.axes == "xyz"[i]
+    assert start < event.since < start + 2.0
+    assert event.until is None
+    assert set(health.faults) == {channel}
+
+
+def test_a_dead_axis_from_the_start_is_told_after_some_driving() -> None:
+    health = watched(edited(drive(), "gyro", lambda _, v: v[:, 1].fill(0.0)))
+    assert told(health) == [("gyro", "stuck", "y")]
+
+
+def test_the_third_axis_of_a_planar_sensor_is_not_looked_at() -> None:
+    samples = edited(drive(), "accel", lambda _, v: v[:, 2].fill(GRAVITY))
+    assert told(watched(samples)) == [("accel", "stuck", "z")]
+    assert not told(watched(samples, {"accel": 2, "gyro": 3}))
+
+
+def test_a_sensor_is_used_again_when_it_has_been_sound_for_long_enough() -> None:
+    def pause(t: np.ndarray, values: np.ndarray) -> None:
+        values[(t >= 100.0) & (t < 106.0)] = values[t < 100.0][-1]
+
+    health = watched(edited(drive(), "accel", pause))
+    (event,) = health.events
+    assert event.axes == "xyz"
+    assert event.until is not None
+    assert 106.0 + SOUND_S <= event.until <= 107.0 + SOUND_S
+    assert not health.faults
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_an_axis_that_cannot_go_on_is_saturated_until_it_goes_beyond(
+    axis: int, side: float
+) -> None:
+    channel, i = ("accel", "gyro")[axis // 3], axis % 3
+    samples = drive(300.0)
+    rail = float(np.quantile(side * samples[channel].values[:, i], 0.99))
+    clipped = edited(
+        samples,
+        channel,
+        lambda _, v: v[:, i].__isub__(side * np.maximum(side * v[:, i] - rail, 0.0)),
+    )
+    health = watched(clipped)
+    assert {(e.channel, e.fault) for e in health.events} <= {
+        (channel, SignalFault.SATURATED), (channel, SignalFault.STUCK),
+    }  # fmt: skip
+    first = next(e for e in health.events if e.fault is SignalFault.SATURATED)
+    assert first.axes == "xyz"[i]
+    assert health.faults[channel][SignalFault.SATURATED] == "xyz"[i], "for as long as it lasts"
+    reached = samples[channel].t[side * samples[channel].values[:, i] > rail][0]
+    assert first.since < reached + 90.0, "60 s of driving"
+
+    def freed(t: np.ndarray, values: np.ndarray) -> None:
+        late = t >= 200.0
+        values[late] = samples[channel].values[late]
+
+    assert not watched(edited(clipped, channel, freed)).faults
+
+
+@pytest.mark.parametrize(
+    ("channel", "factor"), [("accel", 1.0 / GRAVITY), ("accel", GRAVITY), ("gyro", 57.3)]
+)
+@pytest.mark.parametrize("start", [65.2, 90.0, 130.0, 159.9])
+def test_a_change_of_unit_is_told_within_two_seconds(
+    channel: str, factor: float, start: float
+) -> None:
+    def change(t: np.ndarray, values: np.ndarray) -> None:
+        values[t >= start] *= factor
+
+    health = watched(edited(drive(), channel, change))
+    assert told(health)[0] == (channel, "implausible", "xyz")
+    assert start < health.events[0].since < start + 2.0
+    assert SignalFault.IMPLAUSIBLE in health.faults[channel]
+
+
+def test_a_unit_that_is_put_right_is_used_again() -> None:
+    def change(t: np.ndarray, values: np.ndarray) -> None:
+        values[(t >= 90.0) & (t < 110.0)] *= 57.3
+
+    health = watched(edited(drive(), "gyro", change))
+    assert not health.faults
+    assert all(e.until is not None and e.until < 111.0 + SOUND_S + 1.0 for e in health.events)
+
+
+def test_a_rough_road_is_no_change_of_unit() -> None:
+    def rough(t: np.ndarray, values: np.ndarray) -> None:
+        values[t >= 100.0] += np.random.default_rng(5).standard_normal(values[t >= 100.0].shape) * (
+            30.0 * (0.01 if abs(values[0, 2]) < 5.0 else 0.1)
+        )
+
+    samples = drive()
+    both = edited(edited(samples, "gyro", rough), "accel", rough)
+    assert not told(watched(both))
+
+
+def test_live_and_columns_say_the_same_at_the_same_time() -> None:
+    """Bit for bit: one by one, in whole columns, and in pieces of any length."""
+    samples = drive(239.1)
+
+    def trouble(t: np.ndarray, values: np.ndarray) -> None:
+        values[(t >= 70.0) & (t < 80.0), 1] = values[0, 1]
+        values[:, 0] = values[:, 0].clip(None, np.quantile(values[:, 0], 0.985))
+        values[t >= 200.0] *= 0.1
+
+    samples = edited(samples, "accel", trouble)
+    last = 2390
+    whole = SampleHealth(AXES)
+    whole.columns(samples, 0, last)
+    assert len(whole.events) >= 3
+    rng = np.random.default_rng(3)
+    pieces, k = SampleHealth(AXES), 0
+    rows = {c: np.floor(s.t * 10.0).astype(int) for c, s in samples.items()}
+    done = dict.fromkeys(samples, 0)
+    while k < last:
+        stop = min(k + int(rng.integers(0, 40)), last)
+        part = {}
+        for c, s in samples.items():
+            end = int(np.searchsorted(rows[c], stop, side="right"))
+            inside = int(np.searchsorted(rows[c], stop))
+            end = int(rng.integers(max(inside, done[c]), end + 1))  # in the middle of a tick
+            part[c] = Series(s.t[done[c] : end], s.values[done[c] : end])
+            done[c] = end
+        pieces.columns(part, k, stop)
+        k = stop
+    live = SampleHealth(AXES)
+    events = sorted((t, c, i) for c, s in samples.items() for i, t in enumerate(s.t.tolist()))
+    k = 0
+    for t, c, i in events:
+        while k < min(math.floor(t * 10.0), last):
+            live.close(k)
+            k += 1
+        value = samples[c].values[i]
+        live.add(c, value.tolist() if value.ndim else [float(value)])
+    expected = [e.as_dict() for e in whole.events]
+    assert [e.as_dict() for e in live.events] == expected
+    assert [e.as_dict() for e in pieces.events] == expected
+    assert live.faults == whole.faults == pieces.faults
+
+
+def test_time_that_jumped_ends_a_run() -> None:
+    samples = drive(60.0)
+    health = watched(samples)
+    health.gap()
+    frozen = {
+        "accel": Series(60.0 + np.arange(80) / HZ, np.tile(samples["accel"].values[-1], (80, 1)))
+    }
+    health.columns(frozen, 600, 608)
+    assert not told(health)

@@ -1,0 +1,102 @@
+"""The log: closed, blocked or full, it neither ends nor holds up who writes it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import shuttle
+from imucald.service.journal import LINE_BYTES, Journal
+from imucald.service.status import ask
+
+
+def pipe_journal() -> tuple[int, Journal]:
+    """A journal into a pipe that nobody reads yet, and the end to read."""
+    reader, writer = os.pipe()
+    return reader, Journal(os.fdopen(writer, "w"), {})
+
+
+def test_a_pipe_that_nobody_reads_drops_lines_and_tells_their_number_later():
+    reader, journal = pipe_journal()
+    began = time.monotonic()
+    for i in range(2000):
+        journal.say(f"{i} " + "x" * 200)
+    assert time.monotonic() - began < 1.0
+    assert 1000 < journal.dropped < 2000
+    written = 2000 - journal.dropped
+    assert os.read(reader, 1 << 20).count(b"\n") == written
+    journal.say("again")
+    said = os.read(reader, 1 << 20).decode()
+    assert said == f"imucald: {journal.dropped} lines could not be written\nimucald: again\n"
+
+
+def test_a_socket_that_nobody_reads_does_not_block_either():
+    ours, theirs = socket.socketpair()
+    journal = Journal(os.fdopen(os.dup(ours.fileno()), "w"), {})
+    began = time.monotonic()
+    for _ in range(20_000):
+        journal.say("x" * 200)
+    assert time.monotonic() - began < 5.0
+    assert journal.dropped > 0
+    assert theirs.recv(209) == b"imucald: " + b"x" * 200
+    assert ours.getblocking(), "others may write to the same file"
+
+
+def test_a_closed_and_a_broken_log_are_counted_and_raise_nothing(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", None)
+    closed = Journal()
+    closed.say("nobody hears this")
+    reader, broken = pipe_journal()
+    os.close(reader)
+    broken.say("nor this")
+    with Path("/dev/full").open("w") as nowhere:
+        full = Journal(nowhere, {})
+        full.say("nor this")
+    assert [journal.dropped for journal in (closed, broken, full)] == [1, 1, 1]
+
+
+def test_a_line_is_cut_where_a_pipe_could_block():
+    reader, journal = pipe_journal()
+    journal.say("x" * 100_000)
+    assert len(os.read(reader, 1 << 20)) == LINE_BYTES + 1
+    journal.say("\udcff is no UTF-8")
+    assert os.read(reader, 100) == b"imucald: \\udcff is no UTF-8\n"
+
+
+@pytest.mark.parametrize("how", ["closed", "blocked"])
+def test_the_daemon_runs_whatever_becomes_of_standard_error(how, tmp_path):
+    config = shuttle.write(tmp_path, cycles=1)
+    options = f"run --config {config} --interface virtual --channel x --seconds 1.5"
+    command = f"exec {sys.executable} -m imucald {options} --status-socket {tmp_path}/s"
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    try:
+        while True:
+            os.write(writer, b"x" * 4096)
+    except BlockingIOError:
+        os.set_blocking(writer, True)
+    end = "2>&-" if how == "closed" else ""
+    began = time.monotonic()
+    process = subprocess.Popen(
+        ["/bin/sh", "-c", f"{command} {end}"], stderr=writer, stdout=subprocess.DEVNULL
+    )
+    try:
+        while not (tmp_path / "s").exists():
+            assert time.monotonic() - began < 20.0
+            assert process.poll() is None, "it ended before its first frame"
+            time.sleep(0.02)
+        said = ask(tmp_path / "s", "status")
+        assert process.wait(20.0) == 0
+    finally:
+        process.kill()
+        process.wait()
+        os.close(reader)
+        os.close(writer)
+    assert '"log_lines_dropped": ' in said
+    assert '"log_lines_dropped": 0' not in said
