@@ -50,8 +50,8 @@ PRIOR_BLOCKS = 10.0
 """The spread is taken as the prior's with that weight."""
 LIMITS = (6.0, 6.0, 8.0)
 """Roll, pitch, yaw: standard deviations from which a change is one. Of a normal variable 6 are
-2e-9, two-sided: one in 3,000 h, with 560 blocks an hour and a dozen tries each of which two or three
-are independent. What a block says of yaw has heavier tails; Student's t of as many degrees of
+2e-9, two-sided: one in 3,000 h, with 560 blocks an hour and a dozen tries each of which two or
+three are independent. What a block says of yaw has heavier tails; Student's t of as many degrees of
 freedom as the prior counts blocks exceeds 8 as often as 1e-5, and a tenth of all blocks speak."""
 MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(4.0))
 """Smaller changes are left to `shift` [rad]: no mean slope of half a minute differs so much from
