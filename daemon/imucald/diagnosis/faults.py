@@ -34,7 +34,8 @@ NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
 """A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
 is asked for each value (OBD-II) has none."""
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
-"""Two crystals of +-100 ppm over temperature and age. Further off than 1 % the model states another rate: no fault."""
+"""Two crystals of +-100 ppm over temperature and age. Further off than 1 % the model file states
+another rate: that is no fault."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from imucald.can.link.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.mount.estimate import MountEstimate, MountEstimator
+from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
@@ -83,6 +84,7 @@ class Service:
         self._next_chore = self._next_look = clock()
         self._reload_wanted = False
         self._preparing: Prepared[tuple[LoadedConfig, Engine]] | None = None
+        self._check_wanted = False
         self._announced: object = None
         self._rejected = 0
         self._rates: dict[str, float] = {}
@@ -102,6 +104,7 @@ class Service:
         self.calibration_store = self._new_calibration_store(self.loaded, engine)
         if self.calibration_store is not None:
             engine.pipeline.replace(self.calibration_store.restore(engine.pipeline.estimator))
+            self._share_check(self.calibration_store, engine)
         self.dtc_store: DtcStore | None = None
         self.keys: AttemptStore | None = None
         self.uds = self._new_uds(self.loaded, engine)
@@ -145,6 +148,15 @@ class Service:
             return None
         store = StateStore(folder, state_key(loaded, engine.router, engine.model_key))
         return CalibrationStore(store, self.journal.say, self.options.save_period, self._clock)
+
+    def _share_check(self, store: CalibrationStore, engine: Engine) -> None:
+        """The sensor check of the last drive serves at once; a new one is saved with the mount."""
+        for consumer in _checking(engine):
+            consumer.restore_check(store.saved_check)
+        store.sensor_check = self._saved_check
+
+    def _saved_check(self) -> Mapping[str, Any] | None:
+        return next((consumer.saved_check() for consumer in _checking(self.engine)), None)
 
     def _new_uds(self, loaded: LoadedConfig, engine: Engine) -> BusUds | None:
         if not loaded.config.diagnostics.enabled:
@@ -243,6 +255,10 @@ class Service:
     def _chores(self, now: float) -> None:
         self.notifier.feed()
         self._go_on_reloading()
+        if self._check_wanted:
+            self._check_wanted = False
+            if not self.check_sensors():
+                self.journal.say("there is no sensor check without attitude", WARNING)
         if self.server is not None:
             self.server.poll()
         if now >= self._next_second:
@@ -348,9 +364,14 @@ class Service:
                 store.save_now(old, self.engine.timebase.now)
             store = self._new_calibration_store(loaded, engine)
             restored = new if store is None else store.restore(new)
+            if store is not None:
+                self._share_check(store, engine)
             if key != before or restored is not new:
                 return restored, store  # another sensor or vehicle: what was found is not of it
             return behind_the_known(old, new), store
+        if not other_model:
+            for consumer in _checking(engine):
+                consumer.restore_check(self._saved_check())
         if estimates_alike(self.loaded, loaded):
             old.gap()
             return old, store
@@ -368,6 +389,24 @@ class Service:
         """Whether a state was found that could not be believed, and none was saved since."""
         store = self.calibration_store
         return None if store is None else bool(store.problems) and not store.writer.saves
+
+    def check_sensors(self) -> bool:
+        """Repeat the sensor check at the next rest; whether there is one to repeat (attitude)."""
+        found = _checking(self.engine)
+        for consumer in found:
+            consumer.check_sensors()
+        if found:
+            self.journal.say("the sensors will be checked at the next rest", NOTICE)
+        return bool(found)
+
+    @property
+    def sensors_checked(self) -> bool:
+        """Whether the sensor check has been made."""
+        return all(consumer.checked for consumer in _checking(self.engine))
+
+    def ask_sensor_check(self) -> None:
+        """Repeat the sensor check soon; safe within a signal handler."""
+        self._check_wanted = True
 
     def forget_state(self) -> None:
         """Keep nothing of what was saved."""
@@ -446,3 +485,8 @@ class Service:
             "process": process_figures() | {"log_lines_dropped": self.journal.dropped},
         }
         return found
+
+
+def _checking(engine: Engine) -> list[ChecksSensors]:
+    """What checks sensors on an engine: attitude, where it is on."""
+    return [consumer for consumer in engine.consumers if isinstance(consumer, ChecksSensors)]
