@@ -164,13 +164,18 @@ class LargeChangeDetector:
     ) -> LargeChange | None:
         n = len(e)
         best: LargeChange | None = None
-        for after in range(2, min(MOST_AFTER, n - LEAST_BEFORE[axis]) + 1):
+        tries = np.arange(2, min(MOST_AFTER, n - LEAST_BEFORE[axis]) + 1)
+        if not len(tries):
+            return None
+        weights, sums = np.cumsum(w[::-1]), np.cumsum((w * e)[::-1])
+        new_w, new_e = weights[tries - 1], sums[tries - 1]
+        old_w, old_e = weights[-1] - new_w, sums[-1] - new_e
+        sizes = new_e / new_w - old_e / old_w
+        for j in np.flatnonzero(np.abs(sizes) >= MIN_SIZE[axis]).tolist():
+            after, size = int(tries[j]), float(sizes[j])
             k = n - after
-            wa, wb = float(w[k:].sum()), float(w[:k].sum())
-            new, old = float(w[k:] @ e[k:]) / wa, float(w[:k] @ e[:k]) / wb
-            size = new - old
-            if abs(size) < MIN_SIZE[axis]:
-                continue
+            wa, wb = float(new_w[j]), float(old_w[j])
+            old = float(old_e[j]) / wb
             clear = w[k:] >= (CLEAR_YAW if axis == 2 else 0.0)
             if not clear.any() or float(((e[k:] - old)[clear] / size).min()) < AGREEING:
                 continue
