@@ -109,7 +109,7 @@ def drive_of(seed: int, kind: str, minutes: float = MINUTES) -> tuple[list[Event
     """
     rng = np.random.default_rng(seed)
     c = SETTINGS.filter
-    bias = c.gyro_start * rng.standard_normal(3)
+    bias = np.array(c.gyro_start) * rng.standard_normal(3)
     walk = math.radians(DRIFT) / math.sqrt(300.0)
     model = VehicleModel().with_changes(
         {

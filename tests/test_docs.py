@@ -66,6 +66,7 @@ SECTIONS = {
     "StaticTest": "static",
     "StraightMotion": "straight",
     "TargetAngle": "target_angle",
+    "MethodA": "method_a",
     "Alternative": "alternative",
     "Step": "steps",
     "TravelDirection": "travel_direction",

@@ -73,6 +73,13 @@ class FakeHost:
     def accept_calibration(self) -> None:
         self.done.append("accept")
 
+    has_check: bool = True
+    sensors_checked: bool = False
+
+    def check_sensors(self) -> bool:
+        self.done.append("check")
+        return self.has_check
+
     def forget(self) -> None:
         self.done.append("forget")
         self.quality = 0

@@ -192,6 +192,28 @@ def test_a_drive_up_a_slope_comes_out_as_one(tmp_path, bus, out_dbc):
     assert json.dumps(content, allow_nan=False)
 
 
+@pytest.mark.parametrize("method", ["filter", "compensation"])
+def test_the_corrected_acceleration_is_gravity_also_while_speed_changes(
+    tmp_path, bus, out_dbc, method
+):
+    """Method B's result (its title), on the bus and in JSON, in vehicle axes."""
+    text = CAR.replace("rate: 5", f"rate: 5, method: {method}, compensation: {{send: true}}")
+    engine = engine_for(load(text, tmp_path, DBC))
+    found = by_name(out_dbc, live(engine, car_frames(bus)))
+    free, slope = found["IMUCALD_FreeAcceleration"], math.atan(0.06)
+    assert len(free) == len(found["IMUCALD_Attitude"])
+    assert (free[0]["FreeAccelX"], free[0]["State"]) == (None, 0)
+    gravity = [G * math.sin(slope), 0.0, G * math.cos(slope)]
+    # 20 s of rest are too short for B alone to know the gyroscope's error: 0.3 deg/s at 16 m/s
+    bound = 0.05 if method == "filter" else 0.09
+    for one in free[5 * 22 : 5 * 27]:  # 2 m/s2 all the while
+        assert [one[f"FreeAccel{a}"] for a in "XYZ"] == pytest.approx(gravity, abs=bound)
+    content = engine.consumers[0].summary()[1]["free_acceleration_mps2"]
+    assert content == pytest.approx(gravity, abs=bound)
+    plain = engine_for(load(CAR, tmp_path, DBC))
+    assert "IMUCALD_FreeAcceleration" not in by_name(out_dbc, live(plain, car_frames(bus, 30.0)))
+
+
 def test_deviations_are_no_smaller_than_the_mounts(tmp_path, bus, out_dbc):
     engine = engine_for(load(CAR, tmp_path, DBC))
     tilt = math.radians(0.8)

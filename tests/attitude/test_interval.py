@@ -60,7 +60,7 @@ def test_an_interval_is_the_mean_of_bs_instants():
     found = interval(
         endpoint(propagator, t[i], float(speed(t[i]))),
         endpoint(propagator, t[j], float(speed(t[j]))),
-        PLAIN, 0.02, 1.0,
+        PLAIN, (0.02,) * 3, 1.0,
     )  # fmt: skip
     forward = np.array([0.0, 1.0, 0.0])
     left = []
@@ -125,7 +125,11 @@ def test_a_hole_begins_a_new_segment():
 def sigmas(v0, v1, settings=PLAIN, **motion):
     propagator, t, *_ = travelled(**motion)
     found = interval(
-        endpoint(propagator, t[100], v0), endpoint(propagator, t[300], v1), settings, 0.02, 1.0
+        endpoint(propagator, t[100], v0),
+        endpoint(propagator, t[300], v1),
+        settings,
+        (0.02,) * 3,
+        1.0,
     )
     return found.sigma_forward, found.sigma_lateral
 
@@ -205,7 +209,11 @@ def test_without_speed_intervals_go_on_by_time():
 def test_grade_is_less_what_the_springs_add():
     propagator, t, *_ = travelled()
     accelerating = interval(
-        endpoint(propagator, t[100], 10.0), endpoint(propagator, t[300], 12.0), PLAIN, 0.02, 1.0
+        endpoint(propagator, t[100], 10.0),
+        endpoint(propagator, t[300], 12.0),
+        PLAIN,
+        (0.02,) * 3,
+        1.0,
     )
     grade = GradeFilter(0.005, 1.0)
     grade.take(accelerating, 0.05)

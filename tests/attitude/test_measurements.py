@@ -85,7 +85,7 @@ def test_falling_tells_nothing():
 
 
 def test_rates_at_rest_are_the_error():
-    found = rest_rates(interval(rate=(0.01, 0.02, 0.03)), (0.0, 0.02, 0.0), 1e-4)
+    found = rest_rates(interval(rate=(0.01, 0.02, 0.03)), (0.0, 0.02, 0.0), (1e-4,) * 3)
     assert [z for _, z, _, _ in found] == pytest.approx([0.01, 0.0, 0.03])
     assert [int(np.flatnonzero(h)[0]) for h, *_ in found] == [3, 4, 5]
 

@@ -46,7 +46,7 @@ def test_time_update_is_the_models_transition():
     noise = kalman.P - F @ P @ F.T
     assert noise == pytest.approx(np.diag(np.diag(noise)), abs=1e-12)
     assert np.all(np.diag(noise) > 0.0)
-    assert noise[3, 3] == pytest.approx(2.0 * s.gyro_random**2 * dt / s.gyro_random_time)
+    assert noise[3, 3] == pytest.approx(2.0 * s.gyro_random[0] ** 2 * dt / s.gyro_random_time)
     expected = BIAS**2 * (1.0 - math.exp(-2.0 * dt / s.accel_random_time))
     assert noise[6, 6] == pytest.approx(expected)
 
@@ -110,8 +110,8 @@ def test_errors_are_as_large_as_it_says():
             keep = math.exp(-dt / s.accel_random_time)
             # the truth's bias less the estimate turns the attitude; then everything walks
             x[0:3] += -R @ (x[3:6] - kalman.bias) * dt
-            x[0:3] += rng.normal(0, s.gyro_noise * math.sqrt(dt), 3)
-            x[3:6] += rng.normal(0, s.gyro_random * math.sqrt(2 * dt / s.gyro_random_time), 3)
+            x[0:3] += rng.normal(0, s.gyro_noise[0] * math.sqrt(dt), 3)
+            x[3:6] += rng.normal(0, s.gyro_random[0] * math.sqrt(2 * dt / s.gyro_random_time), 3)
             x[6:9] = keep * x[6:9] + rng.normal(0, BIAS * math.sqrt(1 - keep**2), 3)
             kalman.predict(C, dt, 0.0)
             # the filter has fed its estimate back: errors are what is left of the state

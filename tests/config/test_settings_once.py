@@ -45,7 +45,15 @@ def written(path: str, value: float) -> Config:
 
 @pytest.mark.parametrize(("path", "name"), DEGREES)
 def test_degrees_of_the_file_are_read_in_radians(path: str, name: str) -> None:
-    assert getattr(section(written(path, 9.0), path), name) == pytest.approx(math.pi / 20.0)
+    found = getattr(section(written(path, 9.0), path), name)
+    per_axis = isinstance(found, tuple)
+    assert found == pytest.approx((math.pi / 20.0,) * 3 if per_axis else math.pi / 20.0)
+
+
+def test_a_number_per_axis_keeps_its_axis() -> None:
+    text = MINIMAL + "attitude: {filter: {gyro_noise_deg_s: [9.0, 18.0, 36.0]}}\n"
+    noise = parse_config(text).config.attitude.filter.gyro_noise
+    assert noise == pytest.approx((math.pi / 20.0, math.pi / 10.0, math.pi / 5.0))
 
 
 def test_percent_of_the_file_is_read_as_a_part() -> None:

@@ -1,4 +1,4 @@
-"""Health of every sample: what is stuck, clipped or in another unit, and what only looks like it."""
+"""Health of every sample: stuck, clipped, in another unit, and what only looks like it."""
 
 from __future__ import annotations
 
@@ -119,12 +119,12 @@ def test_a_frozen_axis_is_told_within_two_seconds_also_at_rest(axis: int, start:
 
 
 def test_a_dead_axis_from_the_start_is_told_after_some_driving() -> None:
-    health = watched(edited(drive(), "gyro", lambda t, v: v[:, 1].fill(0.0)))
+    health = watched(edited(drive(), "gyro", lambda _, v: v[:, 1].fill(0.0)))
     assert told(health) == [("gyro", "stuck", "y")]
 
 
 def test_the_third_axis_of_a_planar_sensor_is_not_looked_at() -> None:
-    samples = edited(drive(), "accel", lambda t, v: v[:, 2].fill(GRAVITY))
+    samples = edited(drive(), "accel", lambda _, v: v[:, 2].fill(GRAVITY))
     assert told(watched(samples)) == [("accel", "stuck", "z")]
     assert not told(watched(samples, {"accel": 2, "gyro": 3}))
 
@@ -152,7 +152,7 @@ def test_an_axis_that_cannot_go_on_is_saturated_until_it_goes_beyond(
     clipped = edited(
         samples,
         channel,
-        lambda t, v: v[:, i].__isub__(side * np.maximum(side * v[:, i] - rail, 0.0)),
+        lambda _, v: v[:, i].__isub__(side * np.maximum(side * v[:, i] - rail, 0.0)),
     )
     health = watched(clipped)
     assert {(e.channel, e.fault) for e in health.events} <= {

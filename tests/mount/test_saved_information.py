@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from imucald.core.errors import EstimateError
 from imucald.motion.ticks import ticks_from_samples
-from imucald.mount.common_errors import common_errors
+from imucald.mount.common_errors import common_errors, cross_axis_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.fusion import CommonCovariance, CommonError, fuse
@@ -44,11 +44,18 @@ def estimator() -> FullEstimator:
 
 
 @cache
-def stored() -> StoredMount:
-    """What a drive of eight minutes leaves."""
+def driven() -> FullEstimator:
+    """After a drive of eight minutes."""
     first = estimator()
     for row in rows(3, 8.0):
         first.step(row)
+    return first
+
+
+@cache
+def stored() -> StoredMount:
+    """What that drive leaves."""
+    first = driven()
     found, kept = first.estimate(), first.saved_information()
     assert kept is not None
     assert found.R_vehicle_from_sensor is not None
@@ -78,13 +85,20 @@ def turned(mount: StoredMount, degrees: tuple[float, float, float]) -> StoredMou
 
 def test_it_says_what_the_estimate_said():
     """Fused by itself, without what changes between drives, it gives the mount it came from."""
-    shared = common_errors(estimator()._settings)
+    settings = driven()._settings
+    found = driven().estimate().details["cross_axis_std"]
+    assert isinstance(found, float)
+    sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
+    sharing.scale2 = found * found
     kept = evidence()
     pieces = {n: AngleEvidence(p.value, p.variance + p.bias, 1.0) for n, p in kept.sources.items()}
-    fused = fuse(pieces, CommonCovariance(shared))
+    fused = fuse(pieces, sharing, CommonCovariance(common_errors(settings)))
     assert np.abs(fused.error).max() < 1e-9
     crown = loaded().config.vehicle.crown_spread_percent / 100.0
     claimed = np.diag(stored().covariance) - [crown**2, 0.0, 0.0]
+    creep = driven()._solver.creep
+    assert creep is not None
+    claimed -= creep.variance
     assert fused.variance == pytest.approx(claimed, rel=1e-6)
     for name, p in kept.sources.items():
         if p.information.sum() > 0.0 and not name.endswith("gravity"):

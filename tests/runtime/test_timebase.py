@@ -1,6 +1,7 @@
 """Stream time: steady whatever the stamps do, and the same for one stamp and for columns."""
 
 import itertools
+import time
 
 import numpy as np
 from hypothesis import given
@@ -71,3 +72,27 @@ def test_a_short_silence_keeps_its_length():
     base.idle(3.0)
     t, gap = base.stream_time(4.0)
     assert (t, gap) == (4.0, False)
+
+
+def test_a_clock_that_goes_back_and_returns_leaves_no_hole():
+    base = TimeBase()
+    for stamp in (1000.0, 1005.0, 400.0, 401.0):
+        base.stream_time(stamp)
+    t, gap = base.stream_time(1006.0)
+    assert gap
+    assert 6.0 < t <= 6.3, "a tick for each step"
+    t, gap = base.stream_time(1030.0)
+    assert gap
+    assert 16.0 < t <= 16.4, "where no stamp has been: a hole"
+
+
+def test_thirty_thousand_shuffled_stamps_take_a_tick_each_and_no_square_of_time():
+    stamps = 1.6e9 + np.arange(30_000) * 0.005
+    np.random.default_rng(1).shuffle(stamps)
+    base = TimeBase()
+    began = time.process_time()
+    segments = list(base.segments(stamps))
+    assert time.process_time() - began < 3.0
+    assert sum(len(segment.t) for segment in segments) == len(stamps)
+    new_maxima = np.count_nonzero(np.diff(np.maximum.accumulate(stamps)) > 10.0)
+    assert base.now < 0.11 * base.steps + 10.0 * (new_maxima + 1) + 150.0

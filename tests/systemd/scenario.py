@@ -168,31 +168,20 @@ def is_active():
     return show("ActiveState") == "active"
 
 
-@contextlib.contextmanager
-def started_as(command):
-    """Another command in place of the daemon's, for a while."""
-    folder = pathlib.Path(f"/run/systemd/system/{UNIT}.d")
-    folder.mkdir(parents=True)
-    (folder / "other.conf").write_text(f"[Service]\nExecStart=\nExecStart={command}\n")
-    shell("systemctl", "daemon-reload")
-    yield
-    (folder / "other.conf").unlink()
-    folder.rmdir()
-    shell("systemctl", "daemon-reload")
-    shell("systemctl", "stop", UNIT)
-    shell("systemctl", "start", UNIT)
-
-
 def crash_loop():
     """A process that ends by SIGSEGV as soon as it is started."""
-    with started_as("/bin/sh -c 'kill -SEGV $$$$'"):
-        shell("systemctl", "stop", UNIT)
-        shell("systemctl", "reset-failed", UNIT, check=False)
-        began = time.monotonic()
-        shell("systemctl", "start", UNIT, check=False)
-        first = wait(lambda: int(show("NRestarts")) >= 1)
-        time.sleep(MINUTE_S - (time.monotonic() - began))
-        found = {"first": first, "restarts": int(show("NRestarts"))}
+    program = pathlib.Path("/usr/bin/imucald")
+    good = program.read_text()
+    shell("systemctl", "stop", UNIT)
+    program.write_text("#!/bin/sh\nkill -SEGV $$\n")
+    began = time.monotonic()
+    shell("systemctl", "start", UNIT, check=False)
+    first = wait(lambda: int(show("NRestarts")) >= 1)
+    time.sleep(MINUTE_S - (time.monotonic() - began))
+    found = {"first": first, "restarts": int(show("NRestarts"))}
+    program.write_text(good)
+    shell("systemctl", "stop", UNIT)
+    shell("systemctl", "start", UNIT)
     return found | {"active": show("ActiveState")}
 
 
@@ -219,23 +208,35 @@ def heavy_database():
 
 def hung():
     """The loop hangs (in a daemon whose loop can be made to); nothing else is wrong with it."""
+    folder = pathlib.Path(f"/run/systemd/system/{UNIT}.d")
+    folder.mkdir(parents=True)
+    (folder / "hang.conf").write_text(
+        "[Service]\nExecStart=\nExecStart=/usr/bin/imucald-hanging run"
+        " --config /etc/imucald/vcan0.yaml --interface socketcan --channel vcan0\n"
+    )
     pathlib.Path("/usr/bin/imucald-hanging").chmod(0o755)
-    hanging = "/usr/bin/imucald-hanging run --config /etc/imucald/vcan0.yaml"
-    with started_as(f"{hanging} --interface socketcan --channel vcan0"):
-        shell("systemctl", "restart", UNIT)
-        return hung_once()
-
-
-def hung_once():
+    shell("systemctl", "daemon-reload")
+    shell("systemctl", "restart", UNIT)
     restarts = int(show("NRestarts"))
     pid = show("MainPID")
     pathlib.Path("/run/imucald/vcan0/hang").touch()
     took = wait(lambda: show("MainPID") not in ("0", pid) and is_active(), 60.0)
-    return {
+    result = {
         "took": took,
         "restarts": int(show("NRestarts")) - restarts,
         "said": "watchdog" in shell("journalctl", "-u", UNIT, "-n", "60").lower(),
     }
+    (folder / "hang.conf").unlink()
+    folder.rmdir()
+    shell("systemctl", "daemon-reload")
+    shell("systemctl", "restart", UNIT)
+    return result
+
+
+def reload_and_wait(word):
+    """Reload, and wait until it is told how that went."""
+    shell("systemctl", "reload", UNIT)
+    wait(lambda: word in shell("journalctl", "-u", UNIT, "-n", "3"))
 
 
 def reloaded():
@@ -243,12 +244,10 @@ def reloaded():
     config = pathlib.Path("/etc/imucald/vcan0.yaml")
     good = config.read_text()
     config.write_text(good.replace("status_rate: 10", "status_rate: 5"))
-    shell("systemctl", "reload", UNIT)
-    time.sleep(0.5)
+    reload_and_wait("was read again")
     after = status()
     config.write_text(good + "nonsense: 1\n")
-    shell("systemctl", "reload", UNIT)
-    time.sleep(0.5)
+    reload_and_wait("not reloaded")
     still = status()
     config.write_text(good)
     return {
@@ -265,7 +264,7 @@ def stopped():
     os.kill(int(show("MainPID")), signal.SIGTERM)
     wait(lambda: show("ActiveState") == "inactive")
     took = time.monotonic() - began
-    files = sorted(path.name.rsplit(".", 1)[1] for path in STATE.iterdir())
+    files = sorted(path.name.rsplit(".", 1)[1] for path in STATE.glob("*.state.*"))
     shell("systemctl", "start", UNIT)
     after = status()
     return {

@@ -17,10 +17,10 @@ SLEEP = '#!/bin/sh\necho $(( $(cat "$CLOCK") + $1 )) > "$CLOCK"\n'
 
 
 class Starts:
-    """Runs the unit's ExecStartPre with a clock that only sleeping and `run_for` move [s]."""
+    """Runs the unit's command line with a clock that only sleeping and `run_for` move [s]."""
 
     def __init__(self, folder: Path) -> None:
-        line = re.search(r"^ExecStartPre=-/bin/sh -c '(.*?)'$", UNIT.read_text(), re.M | re.S)
+        line = re.search(r"^ExecStart=/bin/sh -c '(.*?)' imucald ", UNIT.read_text(), re.M | re.S)
         assert line is not None
         # as systemd.service(5) joins and unescapes a line
         self.script = line[1].replace("\\\n", " ").replace("$$", "$").replace("%%", "%")
@@ -43,7 +43,9 @@ class Starts:
 
     def start(self) -> int:
         """Start once; return when [s]."""
-        subprocess.run(["/bin/sh", "-c", self.script], env=self.environment, check=True)
+        subprocess.run(
+            ["/bin/sh", "-c", self.script, "imucald", "true"], env=self.environment, check=True
+        )
         return int(self.clock.read_text())
 
 
@@ -73,7 +75,9 @@ def test_the_first_restarts_are_at_once_and_again_after_a_minute_of_life(starts)
         starts.run_for(61)
 
 
-@pytest.mark.parametrize("content", ["", "x y\n", "3\n", "9 9 9\n", "-1 -1\n", "1e3 $(reboot)\n"])
+@pytest.mark.parametrize(
+    "content", ["", "x y\n", "3\n", "9 9 9\n", "-1 -1\n", "08 09\n", "7\n7\n", "1e3 $(reboot)\n"]
+)
 def test_a_damaged_count_stops_no_start(starts, content):
     starts.file.write_text(content)
     starts.start()

@@ -64,5 +64,5 @@ def test_all_that_is_named_is_installed(installed):
         "share/imucald/80-can0-fd.network.example",
         "share/imucald/imucald_out.dbc",
     }
-    start = "ExecStart=/bin/true run --config /etc/imucald/%i.yaml"
+    start = "\n  /bin/true run --config /etc/imucald/%i.yaml --interface socketcan"
     assert start in (installed / "imucald@.service").read_text()

@@ -1,4 +1,4 @@
-"""Method D as published: every formula, both axis conventions, each rule of the choice."""
+"""Method D as published: every formula, each rule of the choice."""
 
 from __future__ import annotations
 
@@ -57,39 +57,22 @@ def test_tilt_is_that_of_the_text():
     ("raised", "clockwise"),
     [((0.0, 1.0), 0.0), ((1.0, 0.0), 90.0), ((0.0, -1.0), 180.0), ((-1.0, 0.0), 270.0)],
 )
-def test_the_raised_edge_in_both_conventions(raised, clockwise):
-    """(x, y) of the edge that is up: the accelerometer reads +g there, or -g in the other one."""
+def test_the_raised_edge(raised, clockwise):
+    """(x, y) of the edge that is up: the text's accelerometer reads -g there."""
     mean = np.array([2.0 * raised[0], 2.0 * raised[1], 9.6])
-    compass = 30.0 * DEG
-    for convention, sign in (("force", 1.0), ("gravity", -1.0)):
-        heading = tilt_heading(*tilt(sign * mean), compass, convention)
-        assert math.degrees(difference(heading, (clockwise + 30.0) * DEG)) < 1e-9
+    heading = tilt_heading(*tilt(-mean), 30.0 * DEG)
+    assert math.degrees(difference(heading, (clockwise + 30.0) * DEG)) < 1e-9
 
 
-def test_the_angle_of_each_convention_is_the_texts():
+def test_the_angle_is_the_texts():
     pitch, roll = -0.3, 0.2
-    assert tilt_angle(pitch, roll, "gravity") == pytest.approx(
-        math.radians((math.degrees(math.atan2(roll, pitch)) + 180.0) % 360.0)
-    )
-    assert tilt_angle(pitch, roll, "force") == pytest.approx(
-        math.atan2(pitch, roll) % (2.0 * math.pi)
-    )
-    # angle + compass in the first, angle - compass (from the east, to the left) in the other
-    assert tilt_heading(pitch, roll, 1.0, "gravity") == pytest.approx(
-        (tilt_angle(pitch, roll, "gravity") + 1.0) % (2.0 * math.pi)
-    )
-    from_east = 0.5 * math.pi - tilt_heading(pitch, roll, 1.0, "force")
-    assert difference(from_east, tilt_angle(pitch, roll, "force") - 1.0) < 1e-12
-
-
-@given(st.tuples(LEAN, LEAN, st.floats(0.2, 2.0)), st.floats(0.0, 6.2))
-def test_the_two_conventions_mean_the_same(mean, compass):
-    v = np.array(mean)
-    if math.hypot(v[0], v[1]) < 0.05:
-        v[0] = 0.3
-    force = tilt_heading(*tilt(v), compass, "force")
-    gravity = tilt_heading(*tilt(-v), compass, "gravity")
-    assert difference(force, gravity) < 1e-9
+    first = (math.degrees(math.atan2(roll, pitch)) + 180.0) % 360.0  # [0070]
+    second = (math.degrees(math.atan2(pitch, roll)) + 180.0) % 360.0  # [0072]
+    assert tilt_angle(pitch, roll) == pytest.approx(math.radians(first))
+    heading = tilt_heading(pitch, roll, 1.0)
+    assert heading == pytest.approx((math.radians(first) + 1.0) % (2.0 * math.pi))  # [0079]
+    from_east = 0.5 * math.pi - heading
+    assert difference(from_east, math.radians(second) - 1.0) < 1e-12  # [0081]
 
 
 # projection and compass ------------------------------------------------------------------------
@@ -154,7 +137,7 @@ STEEP, FLAT = (-20.0 * DEG, 0.0), (-1.0 * DEG, 0.0)  # the upper edge is raised
 
 
 def taken(*cycles, choice=ChoiceSettings()):  # noqa: B008
-    direction = PublishedDirection(choice, "force")
+    direction = PublishedDirection(choice)
     return [direction.take(cycle, compass) for cycle, compass in cycles]
 
 

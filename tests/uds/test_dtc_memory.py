@@ -8,6 +8,8 @@ from imucald.uds.dtc import (
     CHECKSUM_FAILING,
     COUNTER_FAILING,
     DTCS,
+    DUPLICATE_SENDER,
+    FAULTY,
     GYROSCOPE_MISSING,
     ID_CONFLICT,
     NOT_CALIBRATED,
@@ -55,7 +57,8 @@ def test_nothing_is_known_before_the_first_test():
 
 def test_all_is_well():
     run = Run()
-    run.go(11.0, missing={"accelerometer": False, "gyroscope": False, "speed": False})
+    sound = dict.fromkeys(("accelerometer", "gyroscope", "magnetometer"), ())
+    run.go(11.0, missing={"accelerometer": False, "gyroscope": False, "speed": False}, faulty=sound)
     for dtc, record in run.memory:
         expected = UNTESTED if dtc is STATE_CORRUPT else PASSED
         assert record.status == expected, dtc.name
@@ -243,7 +246,7 @@ def test_codes_are_counted_and_listed_by_status():
     assert bench.ask("19 82 08") is None
     everything = bench.ask("19 0A")
     assert everything.startswith("59 0A 7F 5A 10 54 00 5A 11 76 2F 5A 12 87 50")
-    assert len(everything.split()) == 3 + 4 * 9
+    assert len(everything.split()) == 3 + 4 * len(DTCS)
 
 
 def test_one_code_in_detail():
@@ -259,3 +262,26 @@ def test_codes_are_cleared_one_by_one_and_all_together():
     assert bench.ask("19 02 08") == "59 02 7F 5A 14 87 2F"
     assert bench.ask("14 FF FF FF") == "54"
     assert bench.ask("19 02 08") == "59 02 7F"
+
+
+@pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope", "magnetometer"])
+@pytest.mark.parametrize("fault", ["stuck", "saturated", "implausible"])
+def test_a_faulty_sensor_has_a_code_for_each_fault(sensor, fault):
+    run = Run()
+    run.go(faulty={sensor: [fault]})
+    failing = {dtc.name for dtc, record in run.memory if record.status == FAILING}
+    assert failing == {f"{sensor}_{fault}"}
+    run.go(faulty={sensor: []})
+    assert run.status(FAULTY[sensor][fault]) == OVER
+
+
+def test_a_duplicate_sender_is_told_from_three_frames_on():
+    run = Run()
+    run.faults["duplicate_sender"] = 2
+    run.go()
+    assert run.status(DUPLICATE_SENDER) == UNTESTED
+    run.faults["duplicate_sender"] = 3
+    run.go()
+    assert run.status(DUPLICATE_SENDER) == FAILING
+    run.go(11.0)
+    assert run.status(DUPLICATE_SENDER) == OVER

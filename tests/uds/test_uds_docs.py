@@ -12,7 +12,7 @@ from imucald.uds.codes import Nrc
 from imucald.uds.dtc import DTCS
 from imucald.uds.identifiers import COUNTED_FAULTS, MAX_RESPONSE
 from imucald.uds.isotp_channel import FRAMES_PER_SECOND, MAX_REQUEST
-from imucald.uds.routines import CALIBRATE, RESET
+from imucald.uds.routines import CALIBRATE, CHECK_SENSORS, RESET
 from paths import ROOT
 from uds_host import Bench
 
@@ -64,6 +64,7 @@ def test_routines() -> None:
     assert {n: row[0] for n, row in rows("Routines").items()} == {
         CALIBRATE: "calibrate",
         RESET: "reset",
+        CHECK_SENSORS: "check sensors",
     }
 
 

@@ -100,7 +100,7 @@ def test_what_is_refused_in_the_default_session(bench, request_, answer):
         ("27 02 11", "7F 27 24"),  # a key for no seed
         ("31 01", "7F 31 13"),
         ("31 04 F0 10", "7F 31 12"),
-        ("31 01 F0 12", "7F 31 31"),
+        ("31 01 F0 13", "7F 31 31"),
         ("31 01 F0 10", "7F 31 33"),  # locked
         ("31 02 F0 10", "7F 31 33"),
         ("31 01 F0 11", "7F 31 33"),
@@ -352,3 +352,31 @@ def test_a_running_calibration_outlives_the_session(bench):
     assert bench.host.done == ["begin", "accept"]
     bench.ask("10 03")
     assert bench.ask("31 03 F0 10")[:14] == "71 03 F0 10 02", "results need no key"
+
+
+def test_the_sensor_check_is_repeated_by_a_routine() -> None:
+    bench = Bench()
+    assert bench.ask("31 01 F0 12") == "7F 31 7F"  # not in the default session
+    bench.ask("10 03")
+    assert bench.ask("31 01 F0 12") == "7F 31 33"
+    bench.unlock()
+    bench.host.standing = False
+    assert bench.ask("31 01 F0 12") == "7F 31 22"
+    bench.host.standing = True
+    assert bench.ask("31 01 F0 12") == "71 01 F0 12 01"
+    assert bench.host.done == ["check"]
+    assert bench.ask("31 01 F0 12") == "7F 31 24"  # it runs
+    assert bench.ask("31 02 F0 12") == "7F 31 22"  # and cannot be taken back
+    bench.host.sensors_checked = True
+    answer = bench.ask("31 03 F0 12")
+    assert answer is not None
+    assert answer.startswith("71 03 F0 12 02")
+    assert "begin" not in bench.host.done
+
+
+def test_without_attitude_there_are_no_sensors_to_check() -> None:
+    bench = Bench()
+    bench.unlock()
+    bench.host.has_check = False
+    assert bench.ask("31 01 F0 12") == "7F 31 22"
+    assert bench.ask("31 03 F0 12") == "7F 31 24"

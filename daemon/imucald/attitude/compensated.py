@@ -9,9 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from imucald.attitude.carried_angles import CarriedAngles
 from imucald.attitude.estimate import STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.motion_compensation import Compensated, MotionCompensation
+from imucald.attitude.rest import RestingGyro
 from imucald.attitude.right_forward_up import rfu_from_vehicle, vehicle_from_rfu
+from imucald.attitude.sensor_check import CheckResult
 from imucald.config.attitude import AttitudeSettings
 from imucald.core.rotations import Vector
 
@@ -27,6 +30,10 @@ class CompensatedAttitude:
         self.compensation = MotionCompensation(self.settings.compensation)
         self.checked = False
         """Whether the gyroscope's zero error has been measured at rest."""
+        self._rest = RestingGyro(self.settings.filter)
+        self._carried = CarriedAngles(
+            self.settings.compensation.rate_time, self.settings.filter.longest_step
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -37,35 +44,65 @@ class CompensatedAttitude:
         self._t_gyro = -math.inf
         self._t = -math.inf
         self._last: Compensated | None = None
-        self._rest_begin()
+        self._rest.begin()
+        self._carried.restart()
 
     gap = reset
+
+    def check_again(self) -> None:
+        """Measure the zero error anew at the next rest that is long enough."""
+        self.checked = False
+        self._rest.begin()
 
     @property
     def running(self) -> bool:
         """Whether there is an attitude."""
         return self._last is not None
 
+    @property
+    def check(self) -> CheckResult | None:
+        """The zero error of the last rest, vehicle axes; None before the first."""
+        if not self.checked:
+            return None
+        return CheckResult(vehicle_from_rfu(*self.compensation.zero_error), (0.0, 0.0, 0.0))
+
+    def restore_check(self, found: CheckResult) -> None:
+        """Take what an earlier check found, vehicle axes; the next rest renews it."""
+        self.compensation.zero_error = rfu_from_vehicle(*found.rate)
+        self.checked = True
+
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
         self._rate = rfu_from_vehicle(values[0], values[1], values[2])
         self._t_gyro = t
-        if not self.checked:
-            self._rest(t, self._rate)
+        stands = self.compensation.is_standing(t)
+        zero_error = self._rest.gyro(t, self._rate, stands, is_first=not self.checked)
+        if zero_error is not None:
+            self.compensation.zero_error = zero_error
+            self.checked = True
+        if self.settings.compensation.rate_time > 0.0:
+            b, w = self.compensation.zero_error, self._rate
+            self._carried.turn(t, (w[0] - b[0], w[1] - b[1], w[2] - b[2]))
 
     def accel(self, t: float, values: Sequence[float]) -> None:
         """Take a specific force [m/s^2]."""
         if self._rate is None or t - self._t_gyro > self.settings.filter.longest_step:
             return
         force = rfu_from_vehicle(values[0], values[1], values[2])
-        self._last = self.compensation.take(t, force, self._rate)
+        self._rest.accel(force)
+        last = self._last = self.compensation.take(t, force, self._rate)
         self._t = t
+        if self.settings.compensation.rate_time > 0.0:
+            self._carried.draw(t, last.pitch, last.roll)
+            angles = self._carried.angles
+            if angles is not None:
+                self.compensation.angles = angles
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""
         self.compensation.speed(t, self._sign * speed)
         if speed > 0.0:
-            self._rest_begin()
+            self._rest.begin()
 
     def reverse(self, is_reverse: bool) -> None:
         """Say whether the vehicle drives backwards."""
@@ -85,13 +122,16 @@ class CompensatedAttitude:
         last = self._last
         stale = now is not None and now - min(self._t, self._t_gyro) > STALE_S
         b = self.compensation.zero_error
+        pitch, roll = self.compensation.angles
+        if last is not None and (angles := self._carried.angles) is not None:
+            pitch, roll = angles  # of the newest rate, not only of the newest force
         return AttitudeEstimate(
             state=AttitudeState.NOT_AVAILABLE
             if last is None or stale
             else AttitudeState.UNFILTERED,
             t=self._t,
-            roll=NAN if last is None else last.roll,
-            pitch=NAN if last is None else -last.pitch,
+            roll=NAN if last is None else roll,
+            pitch=NAN if last is None else -pitch,
             heading=NAN,
             std=_NOTHING,
             rate=_NOTHING if last is None else vehicle_from_rfu(*last.rate),
@@ -99,29 +139,5 @@ class CompensatedAttitude:
             grade=NAN,
             grade_std=NAN,
             bias=vehicle_from_rfu(*b),
+            free_acceleration=_NOTHING if last is None else vehicle_from_rfu(*last.force),
         )
-
-    def _rest_begin(self) -> None:
-        self._rest_start = NAN
-        self._sum = [0.0] * 3
-        self._square = self._n = 0.0
-
-    def _rest(self, t: float, rate: Vector) -> None:
-        """Thirty seconds of standing tell the zero error (the sensor check of method C)."""
-        if not self.compensation.is_standing(t):
-            self._rest_begin()
-            return
-        if math.isnan(self._rest_start):
-            self._rest_start = t
-        for i, w in enumerate(rate):
-            self._sum[i] += w
-            self._square += w * w
-        self._n += 1.0
-        if t - self._rest_start < self.settings.filter.check:
-            return
-        x, y, z = (total / self._n for total in self._sum)
-        variance = self._square / self._n - (x * x + y * y + z * z)
-        if variance < self.settings.filter.rest_gyro_spread**2:
-            self.compensation.zero_error = (x, y, z)
-            self.checked = True
-        self._rest_begin()

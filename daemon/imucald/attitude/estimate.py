@@ -31,7 +31,9 @@ class AttitudeEstimate:
 
     roll (left side up), pitch (nose down), heading (clockwise from north, or from the start where
     `state` says so); std of the three; rate: (x, y, z) free of bias [rad/s], rate_std likewise;
-    grade: slope of the road, tangent, positive uphill; bias: found so far [rad/s].
+    grade: slope of the road, tangent, positive uphill; bias: found so far [rad/s];
+    free_acceleration: specific force less that of motion, gravity and error (method B) [m/s^2],
+    where it is asked for.
     """
 
     state: AttitudeState
@@ -45,3 +47,4 @@ class AttitudeEstimate:
     grade: float
     grade_std: float
     bias: Vector
+    free_acceleration: Vector = (math.nan, math.nan, math.nan)

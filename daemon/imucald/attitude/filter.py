@@ -16,12 +16,14 @@ from imucald.attitude.endpoints import EndpointMaker
 from imucald.attitude.estimate import SETTLED_STD, STALE_S, AttitudeEstimate, AttitudeState
 from imucald.attitude.grade import GradeFilter
 from imucald.attitude.interval import Endpoint, Interval, along_body, interval
-from imucald.attitude.kalman import NineStateFilter
+from imucald.attitude.kalman import NineStateFilter, of_axes
 from imucald.attitude.measurements import MIN_UP, heading_difference, rest_rates, tilt
+from imucald.attitude.motion_compensation import MotionCompensation
 from imucald.attitude.propagation import Propagator
 from imucald.attitude.right_forward_up import rfu_from_vehicle, vehicle_angles, vehicle_from_rfu
-from imucald.attitude.sensor_check import rest_errors
+from imucald.attitude.sensor_check import CheckResult, rest_errors
 from imucald.config.attitude import AttitudeSettings
+from imucald.config.base import per_axis
 from imucald.core.rotations import (
     IDENTITY,
     Quaternion,
@@ -70,6 +72,7 @@ class AttitudeFilter:
         )
         self._endpoints = EndpointMaker(compensation, self._propagator)
         self._grade = GradeFilter(self.settings.squat, self.settings.grade_time)
+        self._motion = MotionCompensation(compensation) if compensation.send else None
         self.reset()
 
     # verbs -----------------------------------------------------------------------------------
@@ -90,6 +93,10 @@ class AttitudeFilter:
         self._accel_seen = self._heading_seen = -math.inf
         self._predicted = -math.inf
         self._grade.restart()
+        self._sign = 1.0
+        self._free: Vector = (math.nan, math.nan, math.nan)
+        if self._motion is not None:
+            self._motion.restart()
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
@@ -104,15 +111,21 @@ class AttitudeFilter:
         x, y, z = rfu_from_vehicle(values[0], values[1], values[2])
         d = self.constant_accel_error
         self._accel_seen = t
-        self._propagator.accel(t, (x - d[0], y - d[1], z - d[2]))
+        force = (x - d[0], y - d[1], z - d[2])
+        self._propagator.accel(t, force)
+        if self._motion is not None:
+            self._free = vehicle_from_rfu(*self._motion.take(t, force, self._propagator.rate).force)
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""
         self._endpoints.speed(t, speed)
+        if self._motion is not None:
+            self._motion.speed(t, self._sign * speed)
 
     def reverse(self, is_reverse: bool) -> None:
         """Say whether the vehicle drives backwards."""
         self._endpoints.reverse(is_reverse)
+        self._sign = -1.0 if is_reverse else 1.0
 
     def heading(self, t: float, heading: float) -> None:
         """Take a heading, clockwise from north [rad]."""
@@ -148,6 +161,21 @@ class AttitudeFilter:
         """Repeat the sensor check at the next rest that is long enough."""
         self.checked = False
         self._rest = None
+
+    @property
+    def check(self) -> CheckResult | None:
+        """What the sensor check found, vehicle axes; None before it."""
+        if not self.checked:
+            return None
+        return CheckResult(
+            vehicle_from_rfu(*self.constant_bias), vehicle_from_rfu(*self.constant_accel_error)
+        )
+
+    def restore_check(self, found: CheckResult) -> None:
+        """Take what an earlier check found, vehicle axes, in the place of a check of one's own."""
+        self.constant_bias = rfu_from_vehicle(*found.rate)
+        self.constant_accel_error = rfu_from_vehicle(*found.force)
+        self.checked = True
 
     # result ----------------------------------------------------------------------------------
 
@@ -188,6 +216,7 @@ class AttitudeFilter:
             grade=self._grade.grade,
             grade_std=math.hypot(std[1], self._grade.spread),
             bias=vehicle_from_rfu(a[0] + b[0], a[1] + b[1], a[2] + b[2]),
+            free_acceleration=self._free,
         )
 
     def _heading_std(self) -> float:
@@ -223,7 +252,7 @@ class AttitudeFilter:
         if c.speed_is == "horizontal":
             up = transposed_times(rows_from_quaternion(self._correction), (0.0, 0.0, 1.0))
             first, last = along_body(first, up), along_body(last, up)
-        return interval(first, last, c, s.filter.accel_noise, s.filter.unknown_motion)
+        return interval(first, last, c, per_axis(s.filter.accel_noise), s.filter.unknown_motion)
 
     def _is_rest(self, first: Endpoint, last: Endpoint, found: Interval) -> bool:
         s = self.settings.filter
@@ -231,7 +260,7 @@ class AttitudeFilter:
         quiet = (
             found.force_variance < s.rest_accel_spread**2
             and found.rate_variance < s.rest_gyro_spread**2
-            and turn < MAX_ZERO_ERROR * s.gyro_start
+            and turn < MAX_ZERO_ERROR * max(s.gyro_start)
         )
         if math.isnan(found.speed):
             # without a speed only what is as still as a parked vehicle is taken for rest
@@ -280,7 +309,7 @@ class AttitudeFilter:
         if resting and self.settings.filter.rest_update:
             p, b = self.constant_bias, self.kalman.bias
             bias = (p[0] + b[0], p[1] + b[1], p[2] + b[2])
-            measurements += rest_rates(found, bias, self.settings.filter.gyro_noise)
+            measurements += rest_rates(found, bias, of_axes(self.settings.filter.gyro_noise))
         self._apply(self.kalman.update(measurements))
         self._grade.take(found, -vehicle_angles(self._C())[1])
 
@@ -306,5 +335,5 @@ class AttitudeFilter:
         self.constant_bias, extra = rest_errors(found.rate, mean, s.check_level)
         old = self.constant_accel_error
         self.constant_accel_error = (old[0] + extra[0], old[1] + extra[1], old[2] + extra[2])
-        self.kalman.forget_bias(s.gyro_random)
+        self.kalman.forget_bias()
         self.checked = True

@@ -66,11 +66,12 @@ def along_body(endpoint: Endpoint, up: Vector) -> Endpoint:
 
 
 def interval(
-    first: Endpoint, last: Endpoint, settings: CompensationSettings, noise: float, unknown: float
+    first: Endpoint, last: Endpoint, settings: CompensationSettings, noise: Vector, unknown: float
 ) -> Interval:
     """Make the interval between two endpoints of one segment.
 
-    noise: of a mean specific force, unknown: of an acceleration without speed [m/s^2].
+    noise: of a mean specific force along forward, left, up; unknown: of an acceleration without
+    speed [m/s^2].
     """
     a, b = first.snapshot, last.snapshot
     T = b.t - a.t
@@ -89,7 +90,7 @@ def interval(
     rx, ry, rz = ((y - x) * k for x, y in zip(a.rate, b.rate, strict=True))
     lateral = sum(c * 0.5 * (p + q) for c, p, q in zip(change, a.right, b.right, strict=True))
     forward = (v1 - v0) / T if known else 0.0
-    floor = noise * noise + force_variance / n
+    of_mean = force_variance / n
     sigmas = _known_sigma(first, last, settings, forward, lateral) if known else (unknown, unknown)
     return Interval(
         up,
@@ -103,8 +104,8 @@ def interval(
         (rx, ry, rz),
         rate_variance,
         b.angle - a.angle,
-        math.sqrt(sigmas[0] ** 2 + floor),
-        math.sqrt(sigmas[1] ** 2 + floor),
+        math.sqrt(sigmas[0] ** 2 + (noise[0] * noise[0] + of_mean)),
+        math.sqrt(sigmas[1] ** 2 + (noise[1] * noise[1] + of_mean)),
     )
 
 

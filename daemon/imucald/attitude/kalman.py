@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.attitude import FilterSettings
+from imucald.config.base import PerAxis, per_axis
 from imucald.config.calibration import CalibrationSettings
 from imucald.core.rotations import Rows, Vector, matrix_times
 
@@ -37,6 +38,12 @@ START_HEADING_STD = math.pi
 _EYE = np.eye(STATES)
 
 
+def of_axes(per_vehicle_axis: Vector) -> Vector:
+    """Sizes along forward, left, up -> along right, forward, up."""
+    x, y, z = per_vehicle_axis
+    return y, x, z
+
+
 class NineStateFilter:
     """Covariance (9, 9) and the fed-back random errors.
 
@@ -45,7 +52,11 @@ class NineStateFilter:
 
     def __init__(self, settings: FilterSettings) -> None:
         self.settings = settings
-        self.accel_random = settings.accel_random or CalibrationSettings().accelerometer_bias
+        self._gyro_noise = of_axes(settings.gyro_noise)
+        self._gyro_random = of_axes(settings.gyro_random)
+        random = settings.accel_random or CalibrationSettings().accelerometer_bias
+        self.accel_random = of_axes(per_axis(random))
+        """Right, forward, up [m/s^2], as all inside."""
         self.bias: Vector = (0.0, 0.0, 0.0)
         self.accel_error: Vector = (0.0, 0.0, 0.0)
         self.P: Array = np.zeros((STATES, STATES))
@@ -53,11 +64,11 @@ class NineStateFilter:
         """Measurements whose noise had to be widened by the gate."""
         self.updates = 0
 
-    def start(self, tilt_std: float, heading_std: float, gyro_std: float) -> None:
+    def start(self, tilt_std: float, heading_std: float, gyro_std: PerAxis) -> None:
         """Begin anew; standard deviations in rad and rad/s."""
-        self.P = np.diag(
-            [tilt_std**2] * 2 + [heading_std**2] + [gyro_std**2] * 3 + [self.accel_random**2] * 3
-        )
+        gyro = of_axes(per_axis(gyro_std))
+        tilt = [tilt_std**2] * 2 + [heading_std**2]
+        self.P = np.diag(tilt + [c**2 for c in gyro] + [c**2 for c in self.accel_random])
 
     def predict(self, C_nav_from_body: Rows, dt: float, turned: float) -> None:
         """Time update over dt [s], in which the body turned by so much [rad]."""
@@ -66,13 +77,17 @@ class NineStateFilter:
         F = np.diag([1.0] * 6 + [keep_d] * 3)
         F[0:3, 3:6] = np.array(C_nav_from_body).reshape(3, 3) * -dt
         P = F @ self.P @ F.T
-        angle = s.gyro_noise * s.gyro_noise * dt + (s.gyro_scale * turned) ** 2
+        g = self._gyro_noise
+        least = min(g)
         grown = np.array(
-            [angle] * 3
-            + [2.0 * s.gyro_random**2 * dt / s.gyro_random_time] * 3
-            + [self.accel_random**2 * (1.0 - keep_d * keep_d)] * 3
+            [least * least * dt + (s.gyro_scale * turned) ** 2] * 3
+            + [2.0 * c**2 * dt / s.gyro_random_time for c in self._gyro_random]
+            + [c**2 * (1.0 - keep_d * keep_d) for c in self.accel_random]
         )
         P[np.diag_indices(STATES)] += grown
+        if least < max(g):  # what the axes have beyond the quietest one turns with the body
+            C = np.array(C_nav_from_body).reshape(3, 3)
+            P[0:3, 0:3] += C @ np.diag([(c * c - least * least) * dt for c in g]) @ C.T
         self.P = 0.5 * (P + P.T)
         self._hold_yaw()
         dx, dy, dz = self.accel_error
@@ -124,12 +139,12 @@ class NineStateFilter:
         self.bias = matrix_times(D, self.bias)
         self.accel_error = matrix_times(D, self.accel_error)
 
-    def forget_bias(self, std: float) -> None:
+    def forget_bias(self) -> None:
         """The constant part has been measured anew: the random part is small again."""
         self.bias = (0.0, 0.0, 0.0)
         self.P[3:6, :] = 0.0
         self.P[:, 3:6] = 0.0
-        self.P[3:6, 3:6] = np.eye(3) * std * std
+        self.P[3:6, 3:6] = np.diag([c * c for c in self._gyro_random])
 
     def std_along(self, x: float, y: float, z: float) -> float:
         """Standard deviation of the attitude error about a unit direction in east, north, up."""

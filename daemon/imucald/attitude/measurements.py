@@ -53,13 +53,14 @@ def tilt(
     ]
 
 
-def rest_rates(interval: Interval, bias: Vector, noise: float) -> list[Measurement]:
+def rest_rates(interval: Interval, bias: Vector, noise: Vector) -> list[Measurement]:
     """At rest the gyroscope reads its own error; bias: known part [rad/s]; noise: its density."""
-    variance = noise * noise / interval.duration + interval.rate_variance / (3.0 * interval.n)
+    of_mean = interval.rate_variance / (3.0 * interval.n)
     measurements: list[Measurement] = []
     for i in range(3):
         h = np.zeros(STATES)
         h[3 + i] = 1.0
+        variance = noise[i] * noise[i] / interval.duration + of_mean
         measurements.append((h, interval.rate[i] - bias[i], variance + REST_RATE_STD**2, True))
     return measurements
 

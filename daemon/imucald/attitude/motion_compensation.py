@@ -1,8 +1,9 @@
 """Method B: what motion adds to the accelerometer, taken out (CN109506674B).
 
-Each instant: a_fwd = d(v_avg)/dt along the direction of motion, a_c = omega x v, and what is left
-of the measured specific force is gravity plus error; the gyroscope less its zero error; pitch and
-roll from the rest; each corrected by the deflection found from the previous angle.
+Each instant: a_fwd = d(v_avg)/dt along the direction of motion, a_c = omega x v with the newest
+speed (an average would be late in a braking turn), and what is left of the measured specific force
+is gravity plus error; the gyroscope less its zero error; pitch and roll from the rest; each
+corrected by the deflection found from the previous angle.
 
 Deflection (*reconstructed*; the publication prints no formula). An acceleration a is known along
 the direction of motion, but a number s is subtracted along the accelerometer's own axis, and that
@@ -115,14 +116,16 @@ class MotionCompensation:
         self._average.restart()
         self._endpoints: deque[AverageSpeed] = deque(maxlen=MAX_SPEEDS)
         self._heard = -math.inf
+        self._speed = 0.0
         self._a_fwd = 0.0
         self._last: tuple[float, Vector] | None = None
-        self._angles = (0.0, 0.0)
+        self.angles = (0.0, 0.0)
+        """Pitch and roll of the instant before [rad]: who knows them better says so."""
         self._road = (0.0, 0.0)
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], signed, that came at t [s]."""
-        self._heard = t
+        self._heard, self._speed = t, speed
         endpoint = self._average.add(t, speed)
         endpoints = self._endpoints
         if endpoints and endpoint.t <= endpoints[-1].t:
@@ -136,10 +139,11 @@ class MotionCompensation:
             first, last = endpoints[0], endpoints[-1]
             self._a_fwd = (last.speed - first.speed) / (last.t - first.t)
 
-    def is_standing(self, t: float) -> bool:
-        """Whether speed is known at t [s], and zero since the last endpoints."""
-        known = t - self._heard <= self.settings.timeout and len(self._endpoints) > 1
-        return known and all(endpoint.speed == 0.0 for endpoint in self._endpoints)
+    def is_standing(self, t: float) -> bool | None:
+        """Whether speed is zero at t [s] and has been since the last averages; None: not known."""
+        if t - self._heard > self.settings.timeout or len(self._endpoints) < 2:
+            return None
+        return all(endpoint.speed == 0.0 for endpoint in self._endpoints)
 
     def take(self, t: float, force: Vector, rate: Vector) -> Compensated:
         """Correct one sample of accelerometer [m/s^2] and gyroscope [rad/s] at t [s]."""
@@ -147,7 +151,7 @@ class MotionCompensation:
         rate = (rate[0] - bx, rate[1] - by, rate[2] - bz)
         known = t - self._heard <= self.settings.timeout and len(self._endpoints) > 1
         a_fwd = self._a_fwd if known else 0.0
-        speed = self._endpoints[-1].speed if known else 0.0
+        speed = self._speed if known else 0.0
         cx, cy, cz = cross(rate, (0.0, speed, 0.0))
         if self.settings.centripetal == "plane":
             cz = 0.0
@@ -157,14 +161,14 @@ class MotionCompensation:
         raw_roll = math.atan2(-fx, fz)
         pitch, roll = self._deflected(t, raw_pitch, raw_roll, a_fwd, cx)
         self._last = (t, rate)
-        self._angles = (pitch, roll)
+        self.angles = (pitch, roll)
         return Compensated((fx, fy, fz), rate, pitch, roll, raw_pitch, raw_roll, known)
 
     def _deflected(
         self, t: float, raw_pitch: float, raw_roll: float, a_fwd: float, a_right: float
     ) -> tuple[float, float]:
         """J and K of the publication: the angles less S of the previous ones."""
-        pitch, roll = self._angles
+        pitch, roll = self.angles
         if self._last is None:
             self._road = (raw_pitch, raw_roll)
             return raw_pitch, raw_roll

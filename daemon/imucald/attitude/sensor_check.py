@@ -9,17 +9,23 @@ Pretto and Menegatti, "A robust and easy to implement method for IMU calibration
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imucald.core.errors import EstimateError
-from imucald.core.rotations import Vector
+from imucald.core.rotations import Matrix3, Vector, matrix_times
 from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]
 
+LARGEST_RATE = math.radians(6.0)
+"""A constant error of a gyroscope beyond this is a broken one [rad/s]."""
+LARGEST_FORCE = 3.0
+"""The same of an accelerometer [m/s^2]."""
 ITERATIONS = 50
 CONVERGED = 1e-12
 """Relative change of the parameters at which the fit stands."""
@@ -43,6 +49,38 @@ def rest_errors(mean_rate: Vector, mean_force: Vector, is_level: bool) -> tuple[
         raise EstimateError("the accelerometer at rest feels less than half of gravity")
     k = (size - GRAVITY) / size
     return mean_rate, (x * k, y * k, z * k)
+
+
+class CheckResult(NamedTuple):
+    """What a sensor check found, in any one axes: constant errors [rad/s], [m/s^2]."""
+
+    rate: Vector
+    force: Vector
+
+    def turned(self, R_new_from_old: Matrix3) -> CheckResult:
+        """The same in other axes."""
+        return CheckResult(
+            matrix_times(R_new_from_old, self.rate), matrix_times(R_new_from_old, self.force)
+        )
+
+    def as_saved(self) -> dict[str, list[float]]:
+        """As it stands in a saved state."""
+        return {"rate": list(self.rate), "force": list(self.force)}
+
+    @classmethod
+    def from_saved(cls, data: object) -> CheckResult | None:
+        """What a saved state holds; None where it is not a check of a sensor that works."""
+        if not isinstance(data, Mapping):
+            return None
+        rate, force = data.get("rate"), data.get("force")
+        for values, limit in ((rate, LARGEST_RATE), (force, LARGEST_FORCE)):
+            if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != 3:
+                return None
+            if not all(isinstance(c, float | int) and abs(c) <= limit for c in values):
+                return None
+        assert isinstance(rate, Sequence)
+        assert isinstance(force, Sequence)
+        return cls((rate[0], rate[1], rate[2]), (force[0], force[1], force[2]))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.inputs.quantities import REASONS, Conversion
+from imucald.inputs.rate_guard import RateGuard
 from imucald.inputs.routes import Columns, Physical, Raw, SignalRoute, Tap
 
 Array = NDArray[np.float64]
@@ -112,6 +113,16 @@ class Probe:
     def taps(self) -> tuple[Tap, ...]:
         """The route's taps."""
         return self.route.taps
+
+    @property
+    def guard(self) -> RateGuard:
+        """The route's guard."""
+        return self.route.guard
+
+    @property
+    def stated_cycle(self) -> float | None:
+        """The route's cycle [s], as stated."""
+        return self.route.stated_cycle
 
     @property
     def cycle(self) -> float | None:

@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     for name, place in FILES.items():
         text = (data / name).read_text("utf-8")
         if name == UNIT:
-            text = text.replace(f"ExecStart={_PACKAGED} ", f"ExecStart={command} ")
+            text = text.replace(f"  {_PACKAGED} run ", f"  {command} run ")
         _write(base / place, text)
     if command.startswith(("/home/", "/root/")):
         print(f"note: the unit hides /home and /root, but runs {command}; install it elsewhere")

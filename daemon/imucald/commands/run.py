@@ -35,7 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until SIGINT or SIGTERM; SIGHUP reads the configuration again."""
+    """Run until SIGINT or SIGTERM; SIGHUP reads the configuration again, SIGUSR1
+    repeats the sensor check."""
     import os
     import signal
 
@@ -72,6 +73,7 @@ def run(options: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
     signal.signal(signal.SIGHUP, lambda *_: service.ask_reload())
+    signal.signal(signal.SIGUSR1, lambda *_: service.ask_sensor_check())
     try:
         service.run(float("inf") if options.seconds is None else options.seconds)
     finally:

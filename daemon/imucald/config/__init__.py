@@ -25,6 +25,7 @@ from imucald.config.signals import (
     Signals,
     SourceSettings,
     TriadSettings,
+    ValidWhen,
     Wheels,
 )
 from imucald.config.vehicle import VehicleSettings
@@ -47,6 +48,7 @@ __all__ = [
     "Signals",
     "SourceSettings",
     "TriadSettings",
+    "ValidWhen",
     "VehicleSettings",
     "Wheels",
     "json_schema",

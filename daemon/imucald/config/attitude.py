@@ -6,7 +6,16 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from imucald.config.base import Angle, NotNegative, Positive, Radians, Settings, Share
+from imucald.config.base import (
+    Angle,
+    NotNegative,
+    PerAxis,
+    Positive,
+    Radians,
+    RadiansPerAxis,
+    Settings,
+    Share,
+)
 
 AxisConvention = Literal["force", "gravity"]
 """What an accelerometer at rest reads on the axis that points up: +g, or -g."""
@@ -29,6 +38,10 @@ class CompensationSettings(Settings, frozen=True):
     """What speed counts: wheels along the road, or satellites over the map."""
     centripetal: Literal["full", "plane"] = "full"
     """omega x v in full, or rate times speed as one number (method B alone)."""
+    rate_time: NotNegative = 0.0
+    """Method B alone: force draws the angles that the rate carries over it [s]; 0: force alone."""
+    send: bool = False
+    """Whether the specific force less motion is sent and told (`IMUCALD_FreeAcceleration`)."""
     speed_noise: Positive = 0.03
     """Standard deviation of an averaged speed [m/s]."""
     speed_scale: Share = 0.02
@@ -60,19 +73,20 @@ class FilterSettings(Settings, frozen=True):
     """Largest standard deviation of the accelerometer at rest [m/s^2]: an engine may run."""
     rest_gyro_spread_deg_s: Positive = 0.5
     """The same of the gyroscope."""
-    gyro_noise_deg_s: Positive = 0.01
-    """Gyroscope noise density [deg/s/sqrt(Hz)]."""
-    gyro_start_deg_s: Positive = 0.5
+    gyro_noise_deg_s: PerAxis = 0.01
+    """Gyroscope noise density [deg/s/sqrt(Hz)]; of this and the next four `[x, y, z]` as well,
+    vehicle axes."""
+    gyro_start_deg_s: PerAxis = 0.5
     """Standard deviation of its zero error before any check."""
-    gyro_random_deg_s: Positive = 0.01
+    gyro_random_deg_s: PerAxis = 0.01
     """Its random error: it walks by sqrt(2) of this in gyro_random_time."""
     gyro_random_time: Positive = 600.0
     """[s]"""
     gyro_scale: Share = 0.003
     """Part of a turned angle that leaks into the other axes."""
-    accel_noise: Positive = 0.02
+    accel_noise: PerAxis = 0.02
     """Standard deviation of an interval's mean specific force [m/s^2]."""
-    accel_random: Positive | None = None
+    accel_random: PerAxis | None = None
     """Accelerometer error (Gauss-Markov), standard deviation [m/s^2]; default: calibration's."""
     accel_random_time: Positive = 1800.0
     """Its correlation time [s]."""
@@ -87,9 +101,9 @@ class FilterSettings(Settings, frozen=True):
 
     declination = Radians("declination_deg")
     rest_gyro_spread = Radians("rest_gyro_spread_deg_s")
-    gyro_noise = Radians("gyro_noise_deg_s")
-    gyro_start = Radians("gyro_start_deg_s")
-    gyro_random = Radians("gyro_random_deg_s")
+    gyro_noise = RadiansPerAxis("gyro_noise_deg_s")
+    gyro_start = RadiansPerAxis("gyro_start_deg_s")
+    gyro_random = RadiansPerAxis("gyro_random_deg_s")
     heading_noise = Radians("heading_noise_deg")
     magnetometer_noise = Radians("magnetometer_noise_deg")
 
@@ -171,7 +185,9 @@ class TravelDirectionSettings(Settings, frozen=True):
     method: Literal["alternative", "published"] = "alternative"
     """Whose heading is sent; without a gyroscope it is the published one's."""
     convention: AxisConvention = "force"
-    """Axis convention of the tilt heading: what the formulas read on an axis up, +g or -g."""
+    """What the terminal's accelerometer at rest reads on the axis that points up: +g or -g."""
+    compass: Literal["clockwise", "counter_clockwise"] = "clockwise"
+    """Which way the heading signal counts; a magnetometer has a sign per axis."""
     declination_deg: Angle = 0.0
     """Magnetic declination, east positive."""
     steps: StepSettings = StepSettings()

@@ -24,6 +24,17 @@ Angle = Annotated[float, Meta(ge=-180, le=180)]
 """[deg]"""
 
 
+PerAxis = Positive | Annotated[tuple[Positive, ...], Meta(min_length=3, max_length=3)]
+"""One number for all axes, or one for each of x, y, z. (A union with a tuple of fixed length
+crashes msgspec 0.22 when garbage is collected.)"""
+
+
+def per_axis(value: float | tuple[float, ...]) -> tuple[float, float, float]:
+    """The numbers of x, y, z."""
+    x, y, z = value if isinstance(value, tuple) else (value, value, value)
+    return x, y, z
+
+
 class Radians:
     """An angle (or rate) that the file gives in degrees, in radians for those who read it."""
 
@@ -32,6 +43,16 @@ class Radians:
 
     def __get__(self, settings: Struct, owner: type[Struct]) -> float:
         return math.radians(getattr(settings, self._key))
+
+
+class RadiansPerAxis(Radians):
+    """The same of a key that may have a number per axis; always three."""
+
+    def __get__(  # type: ignore[override]
+        self, settings: Struct, owner: type[Struct]
+    ) -> tuple[float, float, float]:
+        x, y, z = per_axis(getattr(settings, self._key))
+        return math.radians(x), math.radians(y), math.radians(z)
 
 
 class RadiansOrNone(Radians):

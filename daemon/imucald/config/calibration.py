@@ -27,13 +27,21 @@ class StaticTestSettings(Settings, frozen=True):
     """All stops count (beyond the publication); else the last one decides."""
 
 
+Recogniser = Literal["yaw_rate", "steering", "consistency"]
+
+
 class StraightMotionSettings(Settings, frozen=True):
     """Method A, step 4: which motion counts as straight and of variable speed."""
 
-    recognise_by: Annotated[
-        tuple[Literal["yaw_rate", "steering", "consistency"], ...], Meta(min_length=1)
-    ] = ("yaw_rate", "steering", "consistency")
-    """In order of preference; the first whose signal is there decides."""
+    recognise_by: (
+        Literal["all"]
+        | Annotated[
+            tuple[Recogniser | Annotated[tuple[Recogniser, ...], Meta(min_length=1)], ...],
+            Meta(min_length=1),
+        ]
+    ) = ("yaw_rate", "steering", "consistency")
+    """In order of preference; the first whose signal is there decides. A list within the list is a
+    group whose members must all agree; `all` is the group of steering and yaw rate."""
     yaw_rate_limit_deg_s: Positive = 2.0
     """Yaw rate of straight motion where v r is known and gated as well."""
     yaw_rate_limit_without_speed_deg_s: Positive = 1.0
@@ -53,6 +61,18 @@ class StraightMotionSettings(Settings, frozen=True):
     consistency_range_deg: Positive = 25.0
     """Range within which they agree."""
 
+    @property
+    def groups(self) -> tuple[tuple[Recogniser, ...], ...]:
+        """Groups by preference; the members of one must all agree."""
+        if self.recognise_by == "all":
+            return (("steering", "yaw_rate"),)
+        return tuple(one if isinstance(one, tuple) else (one,) for one in self.recognise_by)
+
+    @property
+    def recognisers(self) -> frozenset[Recogniser]:
+        """All that are named."""
+        return frozenset(one for group in self.groups for one in group)
+
     yaw_rate_limit = Radians("yaw_rate_limit_deg_s")
     yaw_rate_limit_without_speed = Radians("yaw_rate_limit_without_speed_deg_s")
     steering_limit = Radians("steering_limit_deg")
@@ -65,11 +85,21 @@ class TargetAngleSettings(Settings, frozen=True):
     sign_from: Annotated[
         tuple[Literal["speed", "brake", "turn", "first_motion"], ...], Meta(min_length=1)
     ] = ("speed", "brake", "turn", "first_motion")
-    """What may tell accelerating from braking, in order of preference."""
+    """What may tell accelerating from braking. With speed it alone does; else the others vote."""
     subtract_lateral: bool = True
     """Subtract v r where speed and yaw rate are known (beyond the publication)."""
     remove_offset_after: NotNegative = 1.0
     """Time constant of the mean that is removed, since slope and bias wander [s]; 0: never."""
+
+
+class MethodASettings(Settings, frozen=True):
+    """Method A as a whole."""
+
+    to_the_letter: bool = False
+    """As published: the last stop decides, and nothing that was added takes part (average of stops,
+    v r and its gate, removed offset, weight by speed, settling)."""
+    level: bool = True
+    """Level by gravity; else the accelerometer is taken as level (claims 1 to 5 without 6)."""
 
 
 class StateLimits(Settings, frozen=True):
@@ -108,6 +138,7 @@ class CalibrationSettings(Settings, frozen=True):
     static: StaticTestSettings = StaticTestSettings()
     straight: StraightMotionSettings = StraightMotionSettings()
     target_angle: TargetAngleSettings = TargetAngleSettings()
+    method_a: MethodASettings = MethodASettings()
 
     @property
     def full_scale(self) -> float:

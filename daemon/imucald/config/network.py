@@ -85,6 +85,7 @@ class OutputIds(Settings, frozen=True):
     rates: CanId = 0x648
     grade: CanId = 0x649
     travel_direction: CanId = 0x64A
+    free_acceleration: CanId = 0x64B
 
     def __post_init__(self) -> None:
         ids = structs.astuple(self)

@@ -23,6 +23,7 @@ from imucald.config.shorthand import spelled_out
 from imucald.config.signals import Signals
 from imucald.config.uds import Diagnostics
 from imucald.config.vehicle import ModelFile, VehicleSettings
+from imucald.config.without_effect import idle_keys, impossible
 from imucald.core.errors import ConfigError
 from imucald.core.locations import Marks, Place, located
 from imucald.core.typed import typed
@@ -93,6 +94,13 @@ class LoadedConfig:
         config = msgspec.structs.replace(self.config, database=entries)
         return LoadedConfig(config, self.path, self._marks)
 
+    def idle_keys(self) -> list[str]:
+        """A line for each key of the file that has no effect, with its place and the reason."""
+        return [
+            f"{located(_name(self.path), self._marks, place, _WHOLE)}: {why}"
+            for place, why in idle_keys(self.config, lambda place: place in self._marks)
+        ]
+
     def error(self, place: Place, text: str) -> ConfigError:
         """An error at a key of the file, such as ("signals", "speed", 0)."""
         written: Place = ()
@@ -124,7 +132,11 @@ def _checked(data: Any, marks: Marks, path: Path | None) -> LoadedConfig:
     if not isinstance(data, dict):
         raise ConfigError(f"{name}:1: a configuration is a mapping with 'database' and 'signals'")
     config = typed(data, Config, marks, name, _WHOLE, full=spelled_out(data))
-    return LoadedConfig(config, path, marks)
+    loaded = LoadedConfig(config, path, marks)
+    mistakes = [str(loaded.error(place, text)) for place, text in impossible(config)]
+    if mistakes:
+        raise ConfigError("\n".join(mistakes))
+    return loaded
 
 
 def _name(path: Path | None) -> str:

@@ -28,6 +28,20 @@ class RawSource(Settings, frozen=True, kw_only=True):
         return self.extended or self.id > STANDARD_ID_MAX
 
 
+class ValidWhen(Settings, frozen=True):
+    """A signal of the same message that says whether the sensor can be believed."""
+
+    signal: str
+    """Its name, without that of the message."""
+    equals: tuple[float, ...] | float
+    """The physical value, or values, at which it can."""
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """All values at which it can."""
+        return (self.equals,) if isinstance(self.equals, int | float) else self.equals
+
+
 class SourceSettings(Settings, frozen=True):
     """Where one number comes from: ``MESSAGE.SIGNAL`` alone, or a mapping with more."""
 
@@ -46,6 +60,11 @@ class SourceSettings(Settings, frozen=True):
     """Plausible physical values, in the source's unit, before offset and sign."""
     not_available: tuple[int, ...] = ()
     """Raw values that mean 'not available'."""
+    value_table: bool = True
+    """Raw values that the database's value table calls SNA, not available, invalid, error or init
+    mean 'not available' too."""
+    valid_when: ValidWhen | None = None
+    """The sensor's own status; what it does not vouch for is rejected."""
     equals: tuple[float, ...] | float | None = None
     """For on/off quantities: on when the physical value is (one of) this."""
     above: float | None = None
@@ -54,6 +73,8 @@ class SourceSettings(Settings, frozen=True):
     def __post_init__(self) -> None:
         if (self.signal is None) == (self.raw is None):
             raise ValueError("give either 'signal: MESSAGE.SIGNAL' or 'raw: {id, value}'")
+        if self.raw is not None and self.valid_when is not None:
+            raise ValueError("'valid_when' needs 'signal'; a raw source has 'when'")
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError("range must be [low, high] with low < high")
 

@@ -11,8 +11,8 @@ import difflib
 import re
 from collections.abc import Iterator
 from functools import cache
-from types import NoneType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import Struct
@@ -115,8 +115,8 @@ def _unknown(key: str, allowed: list[str]) -> str:
 
 
 def _reason(value: Any, kind: Any, text: str) -> str:
-    choices = get_args(kind) if get_origin(kind) is Literal else ()
-    if choices:
+    choices = _choices(kind)
+    if choices and not isinstance(value, list | dict):
         reason = "must be one of " + ", ".join(map(repr, choices))
     else:
         reason = _plain(text.partition(" - at `")[0])
@@ -140,7 +140,15 @@ def _bare(kind: Any) -> Any:
 
 
 def _is_union(kind: Any) -> bool:
-    return NoneType in get_args(kind)
+    return get_origin(kind) in {Union, UnionType}
+
+
+def _choices(kind: Any) -> tuple[Any, ...]:
+    """What a literal, or a union with one, allows."""
+    if get_origin(kind) is Literal:
+        return get_args(kind)
+    parts = get_args(kind) if _is_union(kind) else ()
+    return tuple(one for part in parts for one in _choices(_bare(part)))
 
 
 @cache

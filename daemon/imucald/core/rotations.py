@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Matrix3 = NDArray[np.float64]
 """(3, 3) float64."""
+UPSIDE_DOWN = -0.5
+"""Cosine of the lean beyond which levelling counts from the other side."""
 Vector = tuple[float, float, float]
 Rows = tuple[float, float, float, float, float, float, float, float, float]
 """A 3 x 3 matrix as plain numbers, row by row: per sample an array costs more than its sums."""
@@ -135,20 +137,21 @@ def levelling_rotation(gravity_sensor: ArrayLike) -> Matrix3:
     """Shortest rotation that takes the specific force at rest (3,) to (0, 0, |J|).
 
     The tilt of method A, step 3: after it the sensor's x and y lie in the horizontal plane.
-    For a sensor exactly upside down the axis is open; the turn is then made about x.
+    About the horizontal axis by atan2(hypot(Jx, Jy), Jz). For a sensor exactly upside down that
+    axis is open; the turn is then made about x.
     """
     up = np.asarray(gravity_sensor, dtype=float)
     ux, uy, uz = up / np.sqrt(up @ up)
-    if uz < -1.0 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    k = 1.0 / (1.0 + uz)
-    return np.array(
-        [
-            [1.0 - ux * ux * k, -ux * uy * k, -ux],
-            [-ux * uy * k, 1.0 - uy * uy * k, -uy],
-            [ux, uy, uz],
-        ]
-    )
+    if uz > UPSIDE_DOWN:
+        k = 1.0 / (1.0 + uz)
+        xx, xy, yy = ux * ux * k, ux * uy * k, uy * uy * k
+    else:  # 1 + uz keeps no digits there; the direction of the horizontal part does
+        side = math.hypot(ux, uy)
+        if side == 0.0:
+            return np.diag([1.0, -1.0, -1.0])
+        cx, cy, versine = ux / side, uy / side, 1.0 - uz
+        xx, xy, yy = cx * cx * versine, cx * cy * versine, cy * cy * versine
+    return np.array([[1.0 - xx, -xy, -ux], [-xy, 1.0 - yy, -uy], [ux, uy, uz]])
 
 
 def orthonormalised(R: ArrayLike) -> Matrix3:

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from imucald.inputs.units import Unit
 
 OK: Final = 0
-REASONS: Final = ("", "not_available", "not_finite", "saturated", "out_of_range")
-"""Why a number was rejected, by code; 0 is accepted."""
+REASONS: Final = ("", "not_available", "not_finite", "saturated", "out_of_range", "status")
+"""Why a number was rejected, by code; 0 is accepted. The last: the sensor's own status says so."""
+STATUS: Final = 5
 
 LIMITS: Final = {
     "acceleration": 200.0,

@@ -104,6 +104,14 @@ class Router:
         """How many axes of each channel come from signals: a planar accelerometer has two."""
         return {tap.channel: 2 if tap.planar else _width(tap.channel) for tap in self._taps()}
 
+    def cycles(self, channel: str) -> list[float | None]:
+        """Stated cycles [s] of the routes that carry a channel."""
+        return [
+            route.stated_cycle
+            for route in self.routes
+            if any(tap.channel == channel for tap in route.taps)
+        ]
+
     # one frame -----------------------------------------------------------------------------
 
     def frame(self, t: float, can_id: int, data: bytes) -> tuple[list[Sample], list[str]]:
@@ -120,6 +128,7 @@ class Router:
             reason = route.check(t, data)
             if reason is None:
                 continue
+            reason = route.guard.judge(t, reason)
             if reason:
                 self.rejected[reason] += 1
                 refused += route.taps
@@ -206,6 +215,7 @@ class Router:
                 continue
             chosen = frames if len(rows) == len(frames) else frames.take(rows)
             ok, reasons = route.check_columns(t[rows], chosen)
+            ok, reasons = _guarded(route, t[rows], ok, reasons)
             for reason, bad in reasons.items():
                 self.rejected[reason] += len(bad)
                 events.append(rows[bad])
@@ -343,6 +353,34 @@ class Router:
             middle = 0.5 * (ordered[:, 1] + ordered[:, 2])
             samples["speed"] = ColumnSamples(wheels.t, middle, wheels.row)
             self.sample_counts["speed"] += len(middle)
+
+
+def _guarded(
+    route: SignalRoute,
+    t: NDArray[np.float64],
+    ok: NDArray[np.bool_],
+    reasons: Mapping[str, Rows],
+) -> tuple[NDArray[np.bool_], Mapping[str, Rows]]:
+    """What a route's check says of frames, and of what comes too often."""
+    ours = ok.copy()
+    for rows in reasons.values():
+        ours[rows] = True
+    if ours.all():
+        refused = route.guard.judge_columns(t, ok, reasons)
+    else:
+        at = np.flatnonzero(ours)
+        place = np.cumsum(ours) - 1
+        inside = {reason: place[rows] for reason, rows in reasons.items()}
+        refused = {
+            reason: at[rows]
+            for reason, rows in route.guard.judge_columns(t[ours], ok[ours], inside).items()
+        }
+    if not refused:
+        return ok, reasons
+    ok = ok.copy()
+    for rows in refused.values():
+        ok[rows] = False
+    return ok, {**reasons, **refused}
 
 
 def _rows_of(match: IdMatch, frames: FrameColumns) -> NDArray[np.int64]:

@@ -15,7 +15,8 @@ from imucald.can.dbc.decode import DecodePlan
 from imucald.can.e2e.protection import REASONS, MessageChecker
 from imucald.core.samples import GRAVITY
 from imucald.inputs.expression import Expression
-from imucald.inputs.quantities import Conversion
+from imucald.inputs.quantities import STATUS, Conversion
+from imucald.inputs.rate_guard import RateGuard
 
 ABSENT = -1
 """Code of a value that the frame does not carry (another multiplexer value)."""
@@ -36,11 +37,22 @@ class Component(Struct, frozen=True):
     conversion: Conversion
 
 
+class Status(Struct, frozen=True):
+    """A signal of the same message that says whether the values can be used.
+
+    index: position among the route's signals. values: physical ones at which they can.
+    """
+
+    index: int
+    values: tuple[float, ...]
+
+
 class Tap(Struct, frozen=True):
     """What a route gives to one channel.
 
     slots: positions in the channel's values, in the order of components. complete: they are all
     of them. planar: the third is filled with `PLANAR_Z`. rank: 0 is the preferred source.
+    statuses: all must say that the values can be used.
     """
 
     channel: str
@@ -49,6 +61,7 @@ class Tap(Struct, frozen=True):
     slots: tuple[int, ...]
     complete: bool
     planar: bool = False
+    statuses: tuple[Status, ...] = ()
 
     def scalar(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
         """Values in SI and code (see `quantities.REASONS`) from the numbers of one frame."""
@@ -61,6 +74,9 @@ class Tap(Struct, frozen=True):
             if code:
                 return (), code
             values.append(value)
+        for status in self.statuses:
+            if physical[status.index] not in status.values:
+                return (), STATUS
         if self.planar:
             values.append(PLANAR_Z)
         return values, 0
@@ -77,6 +93,12 @@ class Tap(Struct, frozen=True):
                 found = np.where(present, found, ABSENT)
             if found.any():
                 codes = np.where(codes == 0, found, codes).astype(np.int8)
+        for status in self.statuses:
+            _, physical, present = columns[status.index]
+            good = np.isin(physical, status.values)
+            if present is not None:
+                good &= present
+            codes[(codes == 0) & ~good] = STATUS
         if self.planar:
             values[:, -1] = PLANAR_Z
         return (values[:, 0] if values.shape[1] == 1 else values), codes
@@ -96,6 +118,14 @@ class SignalRoute(Protocol):
     @property
     def taps(self) -> tuple[Tap, ...]:
         """What they carry."""
+
+    @property
+    def guard(self) -> RateGuard:
+        """How often they may come."""
+
+    @property
+    def stated_cycle(self) -> float | None:
+        """Their cycle [s] as the configuration or the database states it."""
 
     def check(self, t: float, data: bytes) -> str | None:
         """Judge a frame at stream time t [s]: "" good, None not of this kind, else the reason."""
@@ -121,6 +151,8 @@ class MessageRoute:
         self.plan = plan
         self.checker = checker
         self.taps = tuple(sorted(taps, key=lambda tap: tap.rank))
+        self.stated_cycle = checker.spec.cycle_time or plan.message.cycle_time
+        self.guard = RateGuard(self.stated_cycle, checker.spec.counter is not None)
 
     def check(self, t: float, data: bytes) -> str | None:
         """Length, checksum, counter, time-out."""
@@ -158,6 +190,8 @@ class RawRoute:
         self.name = name
         self.match = match
         self.taps = (tap,)
+        self.stated_cycle: float | None = None
+        self.guard = RateGuard()
         self._when = when
         self._value = value
 

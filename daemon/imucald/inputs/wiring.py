@@ -21,8 +21,9 @@ from imucald.inputs.expression import Expression
 from imucald.inputs.protection_settings import NO_CHECKSUM, checker_for
 from imucald.inputs.quantities import Conversion
 from imucald.inputs.router import Router
-from imucald.inputs.routes import Component, MessageRoute, RawRoute, SignalRoute, Tap
+from imucald.inputs.routes import Component, MessageRoute, RawRoute, SignalRoute, Status, Tap
 from imucald.inputs.units import Unit, find_unit, unit_names
+from imucald.inputs.value_table import no_values
 
 Place = tuple[str | int, ...]
 
@@ -88,6 +89,7 @@ class _MessageSignals:
     j1939: bool | None
     names: list[str] = field(default_factory=list)
     wanted: list[tuple[Wanted, int, Conversion]] = field(default_factory=list)
+    statuses: dict[tuple[str, int], list[Status]] = field(default_factory=dict)
 
 
 def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
@@ -187,6 +189,21 @@ def _add_signal(
         group.names.append(signal.name)
     conversion = _conversion(loaded, wanted, signal)
     group.wanted.append((wanted, group.names.index(signal.name), conversion))
+    if wanted.source.valid_when is not None:
+        _add_status(loaded, group, wanted, wanted.source.valid_when)
+
+
+def _add_status(
+    loaded: LoadedConfig, group: _MessageSignals, wanted: Wanted, valid: cfg.ValidWhen
+) -> None:
+    try:
+        name = group.message.signal(valid.signal).name
+    except DatabaseError as error:
+        raise loaded.error((*wanted.place, "valid_when", "signal"), str(error)) from None
+    if name not in group.names:
+        group.names.append(name)
+    status = Status(group.names.index(name), valid.values)
+    group.statuses.setdefault((wanted.channel, wanted.rank), []).append(status)
 
 
 def _find(
@@ -215,6 +232,8 @@ def _conversion(loaded: LoadedConfig, wanted: Wanted, signal: Signal | None) -> 
     not_available = source.not_available
     if signal is not None and isinstance(signal.invalid_raw, int):
         not_available = (*not_available, signal.invalid_raw)
+    if signal is not None and source.value_table:
+        not_available = (*not_available, *no_values(signal.choices))
     equals = source.equals
     return Conversion(
         unit=unit,
@@ -295,6 +314,7 @@ def _taps(group: _MessageSignals) -> Iterator[Tap]:
             tuple(w.slot for w, _, _ in members),
             complete,
             first.planar and complete,
+            tuple(dict.fromkeys(group.statuses.get((channel, rank), ()))),
         )
 
 

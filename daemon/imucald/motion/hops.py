@@ -20,7 +20,7 @@ Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 HOP_TICKS = 5
-"""Ticks of a hop: half a second, so that three of them are over before a fault is two seconds old."""
+"""Ticks of a hop: half a second, so that three are over before a fault is two seconds old."""
 HOP_S = HOP_TICKS * TICK_S
 
 SIDES = 2
@@ -112,7 +112,8 @@ def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
     starts = np.flatnonzero(new)
     of_start = cell[starts]
     step = _steps(size[starts], of_start, cells, axes, carry)
-    window = (carry.moved + np.cumsum(moving) - moving) // WINDOW_HOPS
+    moved = moving & (count > 0)
+    window = (carry.moved + np.cumsum(moved) - moved) // WINDOW_HOPS
     top, extreme = _extremes(v, edges, count, moving, window, carry)
     is_new = new.reshape(axes, n)
     alone = (~is_new & (is_new.sum(axis=0) > 0)).ravel()
@@ -123,13 +124,24 @@ def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
     carry.last = v[:, -1].copy()
     carry.run, carry.step = run[:, -1].copy(), step[:, -1].copy()
     carry.extreme = extreme[:, :, -1].copy()
-    carry.moved += int(moving.sum())
+    carry.moved += int(moved.sum())
     if carry.moved // WINDOW_HOPS > window[-1]:
         carry.extreme[:] = -math.inf
     return HopRows(
-        count, mean.T, level.T, step.T, ended.reshape(axes, hops).T, longest.T, run.T,
-        *(np.moveaxis(a, -1, 0) for a in (top, extreme, at_it, ties, below)), window,
-    )  # fmt: skip
+        count=count,
+        mean=mean.T,
+        level=level.T,
+        step=step.T,
+        ended=ended.reshape(axes, hops).T,
+        longest=longest.T,
+        run=run.T,
+        top=np.moveaxis(top, -1, 0),
+        extreme=np.moveaxis(extreme, -1, 0),
+        at_it=np.moveaxis(at_it, -1, 0),
+        ties=np.moveaxis(ties, -1, 0),
+        below=np.moveaxis(below, -1, 0),
+        window=window,
+    )
 
 
 def _steps(size: Array, cell: Index, cells: int, axes: int, carry: Carry) -> Array:

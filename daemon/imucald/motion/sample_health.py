@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
 from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
+from imucald.motion.rails import Rails
 from imucald.motion.rest_thresholds import ROLLING_SPEED
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
     RATE_HOPS,
     Lasting,
-    Rails,
     StuckAxis,
     UnitChange,
     turning_wildly,

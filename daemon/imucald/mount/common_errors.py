@@ -41,11 +41,11 @@ def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
 def cross_axis_errors() -> tuple[CommonError, ...]:
     """What cross-axis errors of an rms of one (part) make of each source.
 
-    A half of what gravity's direction gets is counted as bias (see `MountSolver.fit`).
+    Gravity itself, across the sensor's axes, is a bias there, with what motion adds.
     """
     whole = ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn")
-    half = ("pitch_gravity", "roll_gravity")
+    gravity = ("pitch_gravity", "roll_gravity")
     return (
         *(CommonError(1.0, {name: 1.0}) for name in whole),
-        *(CommonError(0.5, {name: 1.0}) for name in half),
+        *(CommonError(math.hypot(1.0, 0.5), {name: 1.0}) for name in gravity),
     )

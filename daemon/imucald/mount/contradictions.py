@@ -186,6 +186,8 @@ class Contradictions:
             vehicle = (v.steering_ratio, v.wheelbase, s.understeer)
             steered = yaw_rate_with_understeer(p.speed, angle, *vehicle)
             self.steering.add(steered, turn_rate, p.ok_steering & moving & (p.ok_rate | p.ok_yaw))
+        if self.yaw_rate.last_unlike and self.steering.last_unlike:  # two witnesses of one bend
+            self.yaw_rate.accused = self.steering.accused = True
         if R is not None:
             force = p.force @ np.asarray(R).T
             use = moving & p.ok_force & p.learn

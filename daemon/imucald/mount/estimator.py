@@ -325,10 +325,15 @@ class FullEstimator:
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
         )
         found = judged(self._known, self._state, self._settings)
+        was_good = self._state in GOOD
         self._state = self._state_by(self._allowed(found))
-        if self._state in GOOD:
+        if self._state not in GOOD:
+            return
+        self._served.aim(self._answer()[0])
+        if was_good or self._served.has_arrived:
             self._moved = False
-            self._served.aim(self._answer()[0])
+        else:  # good again, but what is applied is still on the way from what was wrong
+            self._state = MountState.RECALIBRATING
 
     def _allowed(self, found: MountState) -> MountState:
         """No *fine* before the tests can see, and nothing good in the face of a contradiction."""
@@ -411,13 +416,9 @@ class FullEstimator:
         for angle, text in self._troubles().items():
             words[angle], codes[angle] = text, Missing.OTHER
         if self._solver.fused is None:
-            return MountEstimate(
-                self._state, waiting_for=words, missing=codes, faults=self.faults
-            )
+            return MountEstimate(self._state, waiting_for=words, missing=codes, faults=self.faults)
         R, covariance = self._answer()
-        return MountEstimate(
-            self._state, R, covariance, words, codes, self._details(), self.faults
-        )
+        return MountEstimate(self._state, R, covariance, words, codes, self._details(), self.faults)
 
     def _troubles(self) -> dict[str, str]:
         """What more driving does not mend, per angle: contradictions, and a mount that moves."""

@@ -38,21 +38,28 @@ TILT_NOISE = math.radians(0.5)
 """A block's tilt beside the road's slope: squat, gains, what is missed of the motion [rad]."""
 FORCE_NOISE2 = 0.25**2 * 5.0
 """Squared noise of the force times the ticks over which it hangs together [(m/s^2)^2]."""
-YAW_NOISE = math.radians(1.5)
-"""A block's yaw beside that noise: sideslip, delay [rad]."""
-LEAST_MOTION = 12.0
-"""A block with less squared motion says nothing of yaw [(m/s^2)^2 ticks]."""
+YAW_NOISE = math.radians(3.5)
+"""A block's yaw beside that noise [rad]: sideslip, and a speed that comes 0.1 to 0.3 s late where
+braking goes over into a bend of 2 s turns the force by 0.05 to 0.1."""
+MAX_RATE = 0.25
+"""Turning faster than this [rad/s] a lever arm of 1.5 m adds more than 0.1 m/s^2 along."""
+LEAST_MOTION = 3.0
+"""A block with less squared motion says nothing of yaw [(m/s^2)^2 ticks]; its deviation is 16 deg
+there, 8 deg at four times as much."""
 PRIOR_BLOCKS = 10.0
 """The spread is taken as the prior's with that weight."""
-LIMITS = (6.0, 6.0, 6.0)
-"""Roll, pitch, yaw: standard deviations from which a change is one. Of a normal variable 2e-9 two-sided:
-with 560 blocks an hour and a dozen tries each, of which two or three are independent, one in
-3,000 h; what is left for tails that are heavier."""
+LIMITS = (6.0, 6.0, 8.0)
+"""Roll, pitch, yaw: standard deviations from which a change is one. Of a normal variable 6 are
+2e-9, two-sided: one in 3,000 h, with 560 blocks an hour and a dozen tries each of which two or three
+are independent. What a block says of yaw has heavier tails; Student's t of as many degrees of
+freedom as the prior counts blocks exceeds 8 as often as 1e-5, and a tenth of all blocks speak."""
 MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(4.0))
 """Smaller changes are left to `shift` [rad]: no mean slope of half a minute differs so much from
 that of the minutes before but on mountain roads (10 %)."""
 AGREEING = 0.4
 """Every block since a change shows at least that share of it: one gust, one bad road is none."""
+CLEAR_YAW = 1.0 / (math.radians(8.0) ** 2 + YAW_NOISE**2)
+"""Of blocks that know yaw that well [1/rad^2]; at least one must be there."""
 STANDING_TURN = math.radians(3.0)
 """A vehicle that stands does not turn or tilt by so much [rad]; people getting in make a half."""
 STANDING_TICKS = 12
@@ -113,10 +120,7 @@ class LargeChangeDetector:
             float((force[:, 1] - gains[1] * v).mean()),
             float(force[:, 2].mean()),
         )
-        a, v = a - a.mean(), v - v.mean()
-        fx, fy = force[:, 0] - force[:, 0].mean(), force[:, 1] - force[:, 1].mean()
-        power = float(a @ a + v @ v)
-        yaw = math.atan2(float(v @ fx - a @ fy), float(a @ fx + v @ fy))
+        yaw, power = _direction(force, a, v, np.abs(v) < MAX_RATE * np.abs(p.speed[use]))
         metres = float(np.abs(p.speed[use]).sum()) * TICK_S
         known = 1.0 / (FORCE_NOISE2 / power + YAW_NOISE**2) if power > LEAST_MOTION else 0.0
         row = np.array([math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw])
@@ -165,8 +169,10 @@ class LargeChangeDetector:
             wa, wb = float(w[k:].sum()), float(w[:k].sum())
             new, old = float(w[k:] @ e[k:]) / wa, float(w[:k] @ e[:k]) / wb
             size = new - old
-            each_share = (e[k:] - old) / size if size else np.zeros(after)
-            if abs(size) < MIN_SIZE[axis] or float(each_share.min()) < AGREEING:
+            if abs(size) < MIN_SIZE[axis]:
+                continue
+            clear = w[k:] >= (CLEAR_YAW if axis == 2 else 0.0)
+            if not clear.any() or float(((e[k:] - old)[clear] / size).min()) < AGREEING:
                 continue
             left = e[:k] - old
             if axis == 2:
@@ -215,6 +221,15 @@ class LargeChangeDetector:
             return None
         self._stopped_at, self._turned = None, np.zeros(3)
         return LargeChange(axis, float(e[axis]), float(e[axis]) / (STANDING_TURN / 6.0), 1)
+
+
+def _direction(force: Array, a: Array, v: Array, use: NDArray[np.bool_]) -> tuple[float, float]:
+    """By how much the force's answer is turned from a and v (n,) [rad], and their power."""
+    if np.count_nonzero(use) < LEAST_TICKS:
+        return 0.0, 0.0
+    a, v, f = a[use] - a[use].mean(), v[use] - v[use].mean(), force[use] - force[use].mean(axis=0)
+    turned = math.atan2(float(v @ f[:, 0] - a @ f[:, 1]), float(a @ f[:, 0] + v @ f[:, 1]))
+    return turned, float(a @ a + v @ v)
 
 
 OFF_VERTICAL = math.radians(25.0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimate import Correction
@@ -11,6 +13,10 @@ from imucald.mount.estimate import Correction
 ANOTHER_ANSWER = math.radians(30.0)
 """A target further away [rad] is another answer (the sign was wrong), and everything between the
 two is wrong as well: it is taken at once."""
+
+
+NEAR = math.radians(0.2)
+"""Nearer than this [rad] a target is reached: it moves a little from fit to fit."""
 
 
 class SlewedRotation:
@@ -27,6 +33,14 @@ class SlewedRotation:
         self._target = R_vehicle_from_sensor
         if self._now is None:
             self._take(R_vehicle_from_sensor)
+
+    @property
+    def has_arrived(self) -> bool:
+        """Whether the target is applied, but for `NEAR`."""
+        target, now = self._target, self._now
+        if target is None or now is None:
+            return False
+        return float(np.abs(target - now).max()) < NEAR
 
     def clear(self) -> None:
         """Apply nothing."""

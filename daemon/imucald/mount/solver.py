@@ -227,7 +227,7 @@ class MountSolver:
         if not self.gravity.known:
             return
         s = self._settings
-        cross = self.cross_axis_std
+        cross = s.calibration.cross_axis
         spread = math.sqrt(
             s.calibration.accelerometer_bias**2 + BIAS_DRIFT_STD**2 + (GRAVITY * cross) ** 2
         )

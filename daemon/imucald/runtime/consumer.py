@@ -7,7 +7,7 @@ of ticks. The engine knows consumers only by the protocol here; `consumers` has 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from imucald.inputs.router import ColumnSamples, Sample
 from imucald.mount.estimate import Correction, MountEstimate
@@ -46,6 +46,28 @@ class Consumer(Protocol):
 
     def summary(self) -> tuple[str, Mapping[str, Any]]:
         """Key and content of the result."""
+        ...
+
+
+@runtime_checkable
+class ChecksSensors(Protocol):
+    """A consumer with a sensor check that can be repeated and kept."""
+
+    @property
+    def checked(self) -> bool:
+        """Whether it has been made, or is known from an earlier drive."""
+        ...
+
+    def check_sensors(self) -> None:
+        """Repeat it at the next rest that is long enough."""
+        ...
+
+    def saved_check(self) -> Mapping[str, Any] | None:
+        """What it found, as it is saved: sensor axes, SI; None before it."""
+        ...
+
+    def restore_check(self, saved: object) -> None:
+        """Take what was saved, where it can be believed; it serves from the mount on."""
         ...
 
 

@@ -7,11 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import SETTLED_STD, AttitudeEstimate, AttitudeState
 from imucald.attitude.filter import AttitudeFilter
+from imucald.attitude.sensor_check import CheckResult
 from imucald.config import Config, LoadedConfig
-from imucald.core.rotations import times
+from imucald.core.rotations import Matrix3, times
 from imucald.motion.physical_limits import is_plausible
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import Correction, MountEstimate
@@ -65,6 +68,7 @@ class AttitudeConsumer:
         self._frames = frames
         self._every = round(TICK_RATE / config.attitude.rate)
         self._correction: Correction | None = None
+        self._saved_check: CheckResult | None = None
         self._mount_std: tuple[float, float, float] | None = None
         self.rejected = 0
         """Samples that were left out because they cannot be."""
@@ -98,7 +102,33 @@ class AttitudeConsumer:
             self.filter.reset()
         elif self._correction is not None:
             self.filter.turned(self._correction, correction)
+        elif self._saved_check is not None:
+            self.filter.restore_check(self._saved_check.turned(_matrix(correction)))
+            self._saved_check = None
         self._correction = correction
+
+    def check_sensors(self) -> None:
+        """Repeat the sensor check at the next rest that is long enough."""
+        self._saved_check = None
+        self.filter.check_again()
+
+    @property
+    def checked(self) -> bool:
+        """Whether the sensor check has been made, or is known from an earlier drive."""
+        return self.filter.checked
+
+    def saved_check(self) -> Mapping[str, Any] | None:
+        """What the sensor check found, as it is saved: sensor axes, SI; None before it."""
+        found = self.filter.check
+        if found is None or self._correction is None:
+            kept = self._saved_check
+        else:
+            kept = found.turned(_matrix(self._correction).T)
+        return None if kept is None else kept.as_saved()
+
+    def restore_check(self, saved: object) -> None:
+        """Take what the check of an earlier drive found; it serves from the mount on."""
+        self._saved_check = CheckResult.from_saved(saved)
 
     def mounted(self, estimate: MountEstimate) -> None:
         """Take what the mount's angles are worth: the vehicle's axes are known no better."""
@@ -148,9 +178,20 @@ class AttitudeConsumer:
             "std_deg": [number(std) for std in e.std],
             "gyro_bias_deg_s": [number(b) for b in e.bias],
             "grade_percent": number(e.grade, 100.0),
+            **self._free_acceleration(e),
             "sensor_check": self.filter.checked,
             "rejected_samples": self.rejected,
         }
+
+    def _free_acceleration(self, e: AttitudeEstimate) -> dict[str, list[float | None]]:
+        if not self.filter.settings.compensation.send:
+            return {}
+        values = [None if math.isnan(c) else round(c, 4) for c in e.free_acceleration]
+        return {"free_acceleration_mps2": values}
+
+
+def _matrix(correction: Correction) -> Matrix3:
+    return np.array(correction).reshape(3, 3)
 
 
 class TravelConsumer:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from imucald.can.columns import FrameColumns
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import times, times_columns
+from imucald.inputs.rate_guard import Spaced, guarded_cycle
 from imucald.inputs.router import Routed, Router, Sample
 from imucald.motion.sample_health import Faults, SampleHealth
 from imucald.motion.ticks import TICK_RATE, tick_index
@@ -89,6 +90,9 @@ class Engine:
         self._on_snapshot = on_snapshot
         self._link_health = link_health
         self._new_estimator = new_estimator
+        self._spaced = {
+            c: Spaced(guarded_cycle(router.cycles(c))) for c in output.triads
+        }  # frames not available: one a cycle
         self._watched = {c: 0 for c in _SENSORS if c in router.channels}  # tick of last sample
         self._rejected_total = 0
         self._rejections: deque[int] = deque()  # ticks of the last second's rejections
@@ -134,10 +138,11 @@ class Engine:
         faults = pipeline.health.faults
         for channel in self.output.triads:
             if channel in turned:
-                values = None if self.output.sensor_of[channel] in faults else turned[channel]
-                out.append(self.output.corrected(channel, values, pipeline.quality))
+                fit = self.output.sensor_of[channel] not in faults
+                sent = turned[channel] if fit else None
+                out.append(self.output.corrected(channel, sent, pipeline.quality))
         for channel in self.output.triads:
-            if channel in rejected and channel not in turned:
+            if channel in rejected and channel not in turned and self._spaced[channel].passes(t):
                 out.append(self.output.corrected(channel, None, 0))
         self.sent += len(out)
         return out
@@ -275,30 +280,47 @@ class Engine:
                 self._watched[channel] = tick_index(last)
         if self.consumers:
             yield from self._consumer_parts(routed, corrections, snapshots, ticks, base)
+        lost = self._lost_rows(routed, segment.t)
         if keep:
-            yield from self._corrected_parts(routed, corrections, ticks, base)
+            yield from self._corrected_parts(routed, corrections, ticks, base, lost)
         else:
-            self.sent += sum(corrected_count(routed, c) for c in self.output.triads)
+            self.sent += sum(corrected_count(routed, c) + len(lost[c]) for c in lost)
+
+    def _lost_rows(self, routed: Routed, t: NDArray[np.float64]) -> dict[str, NDArray[np.int64]]:
+        """By channel the rows that are answered by a frame that says *not available*."""
+        lost: dict[str, NDArray[np.int64]] = {}
+        for channel in self.output.triads:
+            series, bad = routed.samples.get(channel), routed.rejected.get(channel)
+            rows = np.zeros(0, np.int64) if bad is None else bad
+            if series is not None and len(rows):
+                rows = np.setdiff1d(rows, series.row)
+            rows = np.unique(rows)
+            lost[channel] = rows[self._spaced[channel].among(t[rows])]
+        return lost
 
     def _corrected_parts(
-        self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64], base: int
+        self,
+        routed: Routed,
+        corrections: TickCorrections,
+        ticks: NDArray[np.int64],
+        base: int,
+        lost: Mapping[str, NDArray[np.int64]],
     ) -> Iterator[OutPart]:
         corrected = self._corrected(routed, corrections, ticks)
         for order, channel in enumerate(self.output.triads):
             series = routed.samples.get(channel)
-            bad = routed.rejected.get(channel)
-            if series is None and bad is None:
+            bad = lost[channel]
+            if series is None and not len(bad):
                 continue
             row = np.zeros(0, np.int64) if series is None else series.row
             turned = corrected.get(channel, np.zeros((0, 3)))
             quality = corrections.quality[ticks[row] - corrections.first]
             unfit = corrections.unfit.get(self.output.sensor_of[channel])
             if unfit is not None:
-                lost = unfit[ticks[row] - corrections.first]
-                turned = np.where(lost[:, None], np.nan, turned)
-                quality = np.where(lost, 0, quality).astype(np.uint8)
-            if bad is not None:
-                bad = np.setdiff1d(bad, row)
+                faulty = unfit[ticks[row] - corrections.first]
+                turned = np.where(faulty[:, None], np.nan, turned)
+                quality = np.where(faulty, 0, quality).astype(np.uint8)
+            if len(bad):
                 row = np.concatenate([row, bad])
                 by_row = np.argsort(row, kind="stable")
                 row = row[by_row]
@@ -306,7 +328,7 @@ class Engine:
                 quality = np.concatenate([quality, np.zeros(len(bad), np.uint8)])[by_row]
             can_id, data = self.output.corrected_columns(channel, turned, quality)
             # not-available frames of a row come after its corrected ones, as in `frame`
-            missing = np.isin(row, bad) if bad is not None else np.zeros(len(row), bool)
+            missing = np.isin(row, bad)
             rank = np.where(missing, len(self.output.triads), 0) + order + 1
             yield OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
             self.sent += len(row)

@@ -41,8 +41,13 @@ def _stated(vehicle: VehicleSettings) -> frozenset[str]:
 
 def published_settings(config: Config) -> PublishedSettings:
     """Settings of method A."""
-    planar = config.signals.accelerometer[0].z is None
-    return PublishedSettings(config.calibration, config.vehicle, planar=planar)
+    signals = config.signals
+    return PublishedSettings(
+        config.calibration,
+        config.vehicle,
+        planar=signals.accelerometer[0].z is None,
+        use_speed=signals.speed is not None or signals.wheel_speeds is not None,
+    )
 
 
 def full_settings(config: Config) -> EstimatorSettings:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,8 +24,13 @@ if TYPE_CHECKING:
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
-    """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError."""
+    """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError.
+
+    Keys without effect are told on standard error.
+    """
     loaded = load_config(path)
+    for line in loaded.idle_keys():
+        print(f"imucald: warning: {line}", file=sys.stderr)
     if not databases:
         return loaded
     if len(databases) != len(loaded.config.database):

@@ -3,6 +3,8 @@
 Stamps are wall clock. They come a little out of order, stand still, and step when somebody sets the
 clock. Small disorder is flattened; a step (or a long hole) begins a new segment at the next tick,
 and whoever differences over time is informed. A hole lasts `FORWARD_STEP` of stream time at most.
+Where stamps have been before, a jump forward is no hole: a shuffled log takes a tick for each of
+its jumps, not the hundred of a hole.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from imucald.motion.ticks import TICK_RATE
 BACKWARD_STEP = 1.0
 """A stamp older than this against the newest is a clock step, not disorder [s]."""
 FORWARD_STEP = 10.0
-"""A stamp newer than this is a clock step or a hole: nothing is carried across it [s]."""
+"""A stamp newer than this is a clock step or a hole: nothing is carried across it [s]. Where stamps
+have been before, one newer than `BACKWARD_STEP` is a step."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,7 @@ class TimeBase:
         self.started = False
         self._offset = 0.0
         self._newest = -math.inf  # stamp
+        self._highest = -math.inf  # stamp, of all segments
         self._now = 0.0  # stream time
         self._frame = 0.0  # stream time of the newest stamp
 
@@ -55,7 +59,8 @@ class TimeBase:
             self.started = True
             self._offset, self._newest = stamp, stamp
             return 0.0, False
-        gap = not -BACKWARD_STEP <= stamp - self._newest <= FORWARD_STEP
+        limit = FORWARD_STEP if stamp > self._highest else BACKWARD_STEP
+        gap = not -BACKWARD_STEP <= stamp - self._newest <= limit
         if gap:
             self._begin_segment(stamp)
         elif stamp > self._newest:
@@ -79,22 +84,41 @@ class TimeBase:
             if not self.started:
                 self.started = True
                 self._offset = self._newest = float(stamps[0])
-            elif not -BACKWARD_STEP <= float(stamps[start]) - self._newest <= FORWARD_STEP:
+            elif self._end_of_segment(stamps[start : start + 1], 0) == 0:
                 gap = True
                 self._begin_segment(float(stamps[start]))
-            newest = np.maximum.accumulate(np.maximum(stamps[start:], self._newest))
-            change = stamps[start + 1 :] - newest[:-1]
-            bad = np.flatnonzero((change < -BACKWARD_STEP) | (change > FORWARD_STEP))
-            stop = start + 1 + int(bad[0]) if len(bad) else n
+            self._newest = max(self._newest, float(stamps[start]))
+            stop = self._end_of_segment(stamps, start + 1)
             t = np.maximum.accumulate(np.maximum(stamps[start:stop] - self._offset, self._now))
-            self._newest = float(newest[stop - start - 1])
+            self._newest = max(self._newest, float(stamps[start:stop].max()))
             self._now = self._frame = float(t[-1])
             yield TimeSegment(start, stop, t, gap)
             start = stop
 
+    def _end_of_segment(self, stamps: NDArray[np.float64], start: int) -> int:
+        """The first row from `start` on that steps; looked for in windows that double.
+
+        To look through all that is left at each step takes the square of their number.
+        """
+        stop, width, newest = start, 64, self._newest
+        while stop < len(stamps):
+            rows = stamps[stop : stop + width]
+            before = np.maximum.accumulate(np.concatenate([[newest], rows]))[:-1]
+            change = rows - before
+            limit = np.where(rows > self._highest, FORWARD_STEP, BACKWARD_STEP)
+            bad = np.flatnonzero((change < -BACKWARD_STEP) | (change > limit))
+            if len(bad):
+                return stop + int(bad[0])
+            newest = max(float(before[-1]), float(rows[-1]))
+            stop += len(rows)
+            width *= 2
+        return stop
+
     def _begin_segment(self, stamp: float) -> None:
         self.steps += 1
-        resume = self._now if stamp < self._newest else self._frame + FORWARD_STEP
+        self._highest = max(self._highest, self._newest)
+        is_hole = stamp > self._highest + FORWARD_STEP
+        resume = self._frame + FORWARD_STEP if is_hole else self._now
         self._newest = stamp
         self._now = (math.floor(max(resume, self._now) * TICK_RATE) + 1) / TICK_RATE
         self._offset = stamp - self._now

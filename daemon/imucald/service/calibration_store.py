@@ -47,6 +47,10 @@ _EVIDENCE: tuple[str, ...] = (
 _EVIDENCE += ("right_turns", "stops", "distance", "manoeuvres")
 
 
+SENSOR_CHECK = "sensor_check"
+"""Where a sensor check stands among the saved offsets."""
+
+
 class CalibrationStore:
     """Restores an estimator from the store, and saves what it finds.
 
@@ -67,6 +71,8 @@ class CalibrationStore:
         self.problems: tuple[str, ...] = ()
         """What of the state could not be believed at the start."""
         self.restored = False
+        self.sensor_check: Callable[[], Mapping[str, Any] | None] = lambda: None
+        """What the sensor check found, to be saved with the mount; None: nothing."""
         self._say = say
         self._period = period
         self._clock, self._wall = clock, wall
@@ -118,6 +124,11 @@ class CalibrationStore:
             self._say(f"saved state: {error}; the mount is used without it", WARNING)
             return None
 
+    @property
+    def saved_check(self) -> object:
+        """The sensor check of the state that was restored, as it was saved; None: there is none."""
+        return self._last.offsets.get(SENSOR_CHECK) if self._known else None
+
     def update(self, estimator: MountEstimator, driven_s: float) -> None:
         """Take the present estimate; save it if it is due. driven_s: since the start [s]."""
         state, changed = estimator.state, estimator.state is not self._before
@@ -141,7 +152,12 @@ class CalibrationStore:
             self._last = replace(self._last, doubted=True, shifts=shifts)
         else:
             saved = saved_state(estimator, driven_s, self._wall(), self._last.shifts)
-            if saved is None or self._is_saved(saved):
+            if saved is None:
+                return
+            check = self.sensor_check()
+            if check is not None:
+                saved = replace(saved, offsets={**saved.offsets, SENSOR_CHECK: check})
+            if self._is_saved(saved):
                 return
             self._last, self._known = saved, True
         self.writer.put((self.store.era, self._last))
@@ -152,6 +168,7 @@ class CalibrationStore:
             return False
         then = self._last
         same = (state.state, state.doubted, state.shifts) == (then.state, then.doubted, then.shifts)
+        same = same and state.offsets.get(SENSOR_CHECK) == then.offsets.get(SENSOR_CHECK)
         moved = np.abs(np.subtract(state.rotation, then.rotation)).max()
         variance, before = (np.array(s.covariance)[::4] for s in (state, then))
         firmer = np.abs(variance / before - 1.0).max()
@@ -171,10 +188,19 @@ class CalibrationStore:
         except OSError as error:
             self._say(f"the saved state could not be set aside: {error}", WARNING)
 
-    def close(self, estimator: MountEstimator, driven_s: float) -> None:
+    def save_now(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the last estimate; wait for the disk, but not for long."""
         if estimator.state in _GOOD:
             self._save(estimator, self._driven_before + driven_s)
+        self.writer.flush(STOP_WAIT_S)
+
+    def end(self) -> None:
+        """Save nothing more; what is on its way is written."""
+        self.writer.close(0.0)
+
+    def close(self, estimator: MountEstimator, driven_s: float) -> None:
+        """Save the last estimate and end; wait for the disk, but not for long."""
+        self.save_now(estimator, driven_s)
         if not self.writer.close(STOP_WAIT_S):
             self._say("the disk did not take the state in time; the one before stands", WARNING)
         self.writer.report()

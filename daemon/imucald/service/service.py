@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from imucald.can.link.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.mount.estimate import MountEstimate, MountEstimator
+from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
@@ -31,6 +32,7 @@ from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
 from imucald.service.live import Daemon, open_link
 from imucald.service.notify import Notifier
+from imucald.service.prepared import Prepared
 from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
 from imucald.service.state import StateStore, clear_unfinished
 from imucald.service.status import StatusServer
@@ -81,6 +83,8 @@ class Service:
         self._began = self._next_second = clock()
         self._next_chore = self._next_look = clock()
         self._reload_wanted = False
+        self._preparing: Prepared[tuple[LoadedConfig, Engine]] | None = None
+        self._check_wanted = False
         self._announced: object = None
         self._rejected = 0
         self._rates: dict[str, float] = {}
@@ -100,6 +104,7 @@ class Service:
         self.calibration_store = self._new_calibration_store(self.loaded, engine)
         if self.calibration_store is not None:
             engine.pipeline.replace(self.calibration_store.restore(engine.pipeline.estimator))
+            self._share_check(self.calibration_store, engine)
         self.dtc_store: DtcStore | None = None
         self.keys: AttemptStore | None = None
         self.uds = self._new_uds(self.loaded, engine)
@@ -143,6 +148,15 @@ class Service:
             return None
         store = StateStore(folder, state_key(loaded, engine.router, engine.model_key))
         return CalibrationStore(store, self.journal.say, self.options.save_period, self._clock)
+
+    def _share_check(self, store: CalibrationStore, engine: Engine) -> None:
+        """The sensor check of the last drive serves at once; a new one is saved with the mount."""
+        for consumer in _checking(engine):
+            consumer.restore_check(store.saved_check)
+        store.sensor_check = self._saved_check
+
+    def _saved_check(self) -> Mapping[str, Any] | None:
+        return next((consumer.saved_check() for consumer in _checking(self.engine)), None)
 
     def _new_uds(self, loaded: LoadedConfig, engine: Engine) -> BusUds | None:
         if not loaded.config.diagnostics.enabled:
@@ -240,9 +254,11 @@ class Service:
 
     def _chores(self, now: float) -> None:
         self.notifier.feed()
-        if self._reload_wanted:
-            self._reload_wanted = False
-            self.reload()
+        self._go_on_reloading()
+        if self._check_wanted:
+            self._check_wanted = False
+            if not self.check_sensors():
+                self.journal.say("there is no sensor check without attitude", WARNING)
         if self.server is not None:
             self.server.poll()
         if now >= self._next_second:
@@ -271,27 +287,58 @@ class Service:
     def reload(self) -> None:
         """Read the configuration again; the estimate goes on. A wrong one changes nothing."""
         self.notifier.reloading()
+        self._take_over(Prepared.of(self._prepare))
+
+    def _prepare(self) -> tuple[LoadedConfig, Engine]:
+        """What a reload reads and parses, which may take long; nothing that runs is touched."""
+        loaded = open_config(self.options.config, self.options.databases)
+        return loaded, self._new_engine(loaded)
+
+    def _go_on_reloading(self) -> None:
+        """Begin a reload that was asked for, beside the loop; take over what is prepared."""
+        if self._preparing is None:
+            if self._reload_wanted:
+                self._reload_wanted = False
+                self.notifier.reloading()
+                self._preparing = Prepared.beside(self._prepare)
+        elif self._preparing.is_done:
+            prepared, self._preparing = self._preparing, None
+            self._take_over(prepared)
+
+    def _take_over(self, prepared: Prepared[tuple[LoadedConfig, Engine]]) -> None:
         try:
-            self._reload()
+            self._swap(*prepared.result())
             self.journal.say(f"{self.options.config} was read again", NOTICE)
             self._tell_model()
-        except ImucaldError as error:
-            for line in str(error).splitlines():
-                self.journal.say(f"not reloaded: {line}", ERROR)
+        except Exception as error:  # whatever it is: what runs goes on as it was
+            kind = "" if isinstance(error, ImucaldError) else f"{type(error).__name__}: "
+            for line in (str(error) or "no reason given").splitlines():
+                self.journal.say(f"not reloaded: {kind}{line}", ERROR)
         self.notifier.ready()
 
-    def _reload(self) -> None:
-        loaded = open_config(self.options.config, self.options.databases)
-        engine, old = self._new_engine(loaded), self.engine
-        link, uds = self.link, self.uds
-        if uds is None or loaded.config.diagnostics != self.loaded.config.diagnostics:
-            uds = self._new_uds(loaded, engine)
-        else:
-            uds.check_identifiers(loaded, engine)
-        if listens_otherwise(self.loaded, loaded, old, engine):
-            link = self._new_link(loaded, engine, uds)
-        engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
-        engine.pipeline.replace(self._estimator_after(loaded, engine))
+    def _swap(self, loaded: LoadedConfig, engine: Engine) -> None:
+        """Let another engine take the place of the running one; all of it, or nothing."""
+        old, link, uds = self.engine, self.link, self.uds
+        kept = self.dtc_store, self.keys
+        try:
+            if uds is None or loaded.config.diagnostics != self.loaded.config.diagnostics:
+                uds = self._new_uds(loaded, engine)
+            else:
+                uds.check_identifiers(loaded, engine)
+            if listens_otherwise(self.loaded, loaded, old, engine):
+                link = self._new_link(loaded, engine, uds)
+            engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
+            estimator, store = self._estimator_after(loaded, engine)
+            engine.pipeline.replace(estimator)
+            engine.output.prepare()
+        except BaseException:
+            self.dtc_store, self.keys = kept
+            if link is not self.link:
+                link.close()
+            raise
+        if store is not self.calibration_store and self.calibration_store is not None:
+            self.calibration_store.end()
+        self.calibration_store = store
         self.loaded = loaded
         self.daemon.engine = engine
         self.uds = uds
@@ -301,28 +348,34 @@ class Service:
             self.link.close()
             self.link = self.daemon.link = link
 
-    def _estimator_after(self, loaded: LoadedConfig, engine: Engine) -> MountEstimator:
-        """The running estimator where it can stay; else a new one behind what is known."""
+    def _estimator_after(
+        self, loaded: LoadedConfig, engine: Engine
+    ) -> tuple[MountEstimator, CalibrationStore | None]:
+        """The running estimator where it can stay; else a new one behind what is known.
+
+        Beside it the store that is to keep it.
+        """
         old, new = self.engine.pipeline.estimator, engine.pipeline.estimator
         key, before = state_key(loaded, engine.router), state_key(self.loaded, self.engine.router)
         other_model = engine.model_key != self.engine.model_key
+        store = self.calibration_store
         if key != before or other_model:
-            self._save_now()
-            self.calibration_store = self._new_calibration_store(loaded, engine)
-            restored = (
-                new if self.calibration_store is None else self.calibration_store.restore(new)
-            )
+            if store is not None:
+                store.save_now(old, self.engine.timebase.now)
+            store = self._new_calibration_store(loaded, engine)
+            restored = new if store is None else store.restore(new)
+            if store is not None:
+                self._share_check(store, engine)
             if key != before or restored is not new:
-                return restored  # another sensor or vehicle: what was found is not of it
-            return behind_the_known(old, new)
+                return restored, store  # another sensor or vehicle: what was found is not of it
+            return behind_the_known(old, new), store
+        if not other_model:
+            for consumer in _checking(engine):
+                consumer.restore_check(self._saved_check())
         if estimates_alike(self.loaded, loaded):
             old.gap()
-            return old
-        return behind_the_known(old, new)
-
-    def _save_now(self) -> None:
-        if self.calibration_store is not None:
-            self.calibration_store.close(self.engine.pipeline.estimator, self.engine.timebase.now)
+            return old, store
+        return behind_the_known(old, new), store
 
     # what diagnostics ask for ----------------------------------------------------------------
 
@@ -336,6 +389,24 @@ class Service:
         """Whether a state was found that could not be believed, and none was saved since."""
         store = self.calibration_store
         return None if store is None else bool(store.problems) and not store.writer.saves
+
+    def check_sensors(self) -> bool:
+        """Repeat the sensor check at the next rest; whether there is one to repeat (attitude)."""
+        found = _checking(self.engine)
+        for consumer in found:
+            consumer.check_sensors()
+        if found:
+            self.journal.say("the sensors will be checked at the next rest", NOTICE)
+        return bool(found)
+
+    @property
+    def sensors_checked(self) -> bool:
+        """Whether the sensor check has been made."""
+        return all(consumer.checked for consumer in _checking(self.engine))
+
+    def ask_sensor_check(self) -> None:
+        """Repeat the sensor check soon; safe within a signal handler."""
+        self._check_wanted = True
 
     def forget_state(self) -> None:
         """Keep nothing of what was saved."""
@@ -414,3 +485,8 @@ class Service:
             "process": process_figures() | {"log_lines_dropped": self.journal.dropped},
         }
         return found
+
+
+def _checking(engine: Engine) -> list[ChecksSensors]:
+    """What checks sensors on an engine: attitude, where it is on."""
+    return [consumer for consumer in engine.consumers if isinstance(consumer, ChecksSensors)]

@@ -55,6 +55,15 @@ class RunningService(Protocol):
         """Keep nothing of what was saved."""
         ...
 
+    def check_sensors(self) -> bool:
+        """Repeat the sensor check at the next rest; whether there is one to repeat."""
+        ...
+
+    @property
+    def sensors_checked(self) -> bool:
+        """Whether the sensor check has been made."""
+        ...
+
     def log_tester(self, text: str) -> None:
         """Write what a tester did into the log; those lines may come without end."""
         ...
@@ -166,6 +175,15 @@ class LiveHost:
     def accept_calibration(self) -> None:
         """Let go of the former estimator."""
         self._former = None
+
+    def check_sensors(self) -> bool:
+        """Repeat the sensor check at the next rest; whether there is one to repeat."""
+        return self._service.check_sensors()
+
+    @property
+    def sensors_checked(self) -> bool:
+        """Whether the sensor check has been made."""
+        return self._service.sensors_checked
 
     def _settings(self) -> object:
         """All that an estimator depends on; the file may be read again meanwhile."""

@@ -2,17 +2,20 @@
 
 The published method needs accelerometer and a compass (magnetometer, or any heading signal of the
 terminal's y axis); the alternative needs a gyroscope besides. Samples come one by one, in
-terminal axes, SI units, stream time; the accelerometer reads +g upwards whatever the convention.
+terminal axes, SI units, stream time. What the accelerometer reads on an axis that points up and
+which way a heading signal counts is of the terminal (`convention`, `compass`): it is turned here.
 """
 
 from __future__ import annotations
 
 import enum
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucald.config.attitude import TravelDirectionSettings
 from imucald.core.rotations import Vector, times, transposed_times
@@ -33,6 +36,8 @@ STALE_S = 2.0
 """Without a step for so long nobody walks [s]."""
 COMPASS_STALE_S = 1.0
 """A compass older than this is none [s]."""
+MAX_FIELDS = 4096
+"""Magnetic fields that are kept at most: those of one cycle, whatever the sensor's rate."""
 
 
 class TravelState(enum.IntEnum):
@@ -69,9 +74,11 @@ class TravelDirection:
         self.settings = settings or TravelDirectionSettings()
         s = self.settings
         self.cycles = StepCycles(s.steps)
-        self.published = PublishedDirection(s.choice, s.convention)
+        self.published = PublishedDirection(s.choice)
         self.alternative = GyroStepAxis(s.alternative)
         self.attitude = TerminalAttitude(s.alternative)
+        self._upwards = -1.0 if s.convention == "gravity" else 1.0
+        self._clockwise = -1.0 if s.compass == "counter_clockwise" else 1.0
         self.last: Step | None = None
         """The newest step."""
         self.rejected = 0
@@ -89,8 +96,7 @@ class TravelDirection:
         self.published.restart()
         self.alternative.restart()
         self.attitude.restart()
-        self._field_sum: Vector = (0.0, 0.0, 0.0)
-        self._fields = 0
+        self._fields: deque[tuple[float, Vector]] = deque(maxlen=MAX_FIELDS)
         self._heading: tuple[float, float] | None = None
         self._has_gyro = False
         self._heard = -math.inf
@@ -122,19 +128,21 @@ class TravelDirection:
     def mag(self, t: float, values: Sequence[float]) -> None:
         """Take a magnetic field [T]."""
         field = (values[0], values[1], values[2])
-        x, y, z = self._field_sum
-        self._field_sum = (x + field[0], y + field[1], z + field[2])
-        self._fields += 1
+        self._fields.append((t, field))
+        while self._fields[0][0] < t - self.settings.steps.longest - COMPASS_STALE_S:
+            self._fields.popleft()
         self.attitude.mag(t, field)
 
     def heading(self, t: float, heading: float) -> None:
-        """Take a compass reading of the terminal's y axis, clockwise from north [rad]."""
+        """Take a compass reading of the terminal's y axis, from north [rad]."""
+        heading = self._clockwise * heading
         self._heading = (t, heading)
         self.attitude.compass(t, heading)
 
     def accel(self, t: float, values: Sequence[float]) -> Step | None:
         """Take a specific force [m/s^2]; return the step that it completes, if any."""
-        force = (values[0], values[1], values[2])
+        s = self._upwards
+        force = (s * values[0], s * values[1], s * values[2])
         self._heard = t
         self.attitude.accel(t, force)
         level = times(self.attitude.level, force)
@@ -144,7 +152,6 @@ class TravelDirection:
         if cycle is None:
             return None
         self.last = self._step(cycle)
-        self._field_sum, self._fields = (0.0, 0.0, 0.0), 0
         return self.last
 
     def state(self, now: float) -> TravelState:
@@ -192,10 +199,8 @@ class TravelDirection:
 
     def _compass(self, cycle: StepCycle) -> float | None:
         """Compass of the cycle: from the mean field in it, else from the newest heading."""
-        if self._fields:
-            n = self._fields
-            x, y, z = self._field_sum
-            field = np.array([x / n, y / n, z / n])
+        field = self._mean_field(cycle)
+        if field is not None:
             mean = cycle.accel.mean(axis=0)
             if not np.any(projected(field, *levelling_angles(mean))[:2]):
                 return None
@@ -203,3 +208,11 @@ class TravelDirection:
         if self._heading is not None and cycle.t1 - self._heading[0] <= COMPASS_STALE_S:
             return self._heading[1] % TWO_PI
         return None
+
+    def _mean_field(self, cycle: StepCycle) -> NDArray[np.float64] | None:
+        """Mean of the fields of the cycle (3,) [T]; of a slower sensor, the newest one."""
+        inside = [field for t, field in self._fields if cycle.t0 <= t < cycle.t1]
+        if not inside:
+            newest = [field for t, field in self._fields if 0.0 <= cycle.t1 - t <= COMPASS_STALE_S]
+            inside = newest[-1:]
+        return np.mean(inside, axis=0) if inside else None

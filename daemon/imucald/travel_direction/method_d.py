@@ -4,12 +4,13 @@ Terminal axes: x to the right, y to the upper edge, z out of the screen. The com
 clockwise angle from north of the y axis' horizontal projection. What the publication lacks is
 *reconstructed* and marked so.
 
-Two axis conventions. In the first, "gravity", the accelerometer reads -g on the axis that points
-up; there (atan2(roll, pitch) + 180 deg) is the clockwise angle from the y axis to the raised edge,
-and heading = angle + compass is clockwise from north. In the other, "force", it reads +g; there
-atan2(pitch, roll) is the counter-clockwise angle from the x axis, and angle - compass is the
-counter-clockwise angle from east. Both mean the same direction; `tilt_heading` returns it
-clockwise from north.
+The text prints two pairs of formulas for terminals whose axes differ. [0070], [0079]:
+(atan2(roll, pitch) + 180) % 360 is the clockwise angle from the y axis to the raised edge, and
+angle + compass is clockwise from north. [0072], [0081]: (atan2(pitch, roll) + 180) % 360 is the
+counter-clockwise angle from the x axis, and angle - compass is counter-clockwise from east. Both
+fit an accelerometer that reads -g on the axis that points up, and both mean the same direction
+(tests say so), so one pair is enough here. What a terminal's accelerometer reads upwards and which
+way its compass counts is turned where samples come in: `travel_direction.convention`, `.compass`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.config.attitude import AxisConvention, ChoiceSettings
+from imucald.config.attitude import ChoiceSettings
 from imucald.travel_direction.cycles import POINTS, StepCycle
 
 Array = NDArray[np.float64]
@@ -34,24 +35,25 @@ def tilt(mean: Array) -> tuple[float, float]:
     return math.atan2(y, math.hypot(x, z)), math.atan2(x, math.hypot(y, z))
 
 
-def tilt_angle(pitch: float, roll: float, convention: AxisConvention) -> float:
-    """Direction of the raised edge as the publication has it, in its convention [0, 2 pi)."""
-    if convention == "gravity":
-        return (math.atan2(roll, pitch) + math.pi) % TWO_PI
-    return math.atan2(pitch, roll) % TWO_PI
+def tilt_angle(pitch: float, roll: float) -> float:
+    """Clockwise angle from the y axis to the raised edge, by [0070] [0, 2 pi).
+
+    pitch, roll: of an accelerometer that reads -g on the axis that points up.
+    """
+    return (math.atan2(roll, pitch) + math.pi) % TWO_PI
 
 
-def tilt_heading(pitch: float, roll: float, compass: float, convention: AxisConvention) -> float:
-    """Tilt heading (method D, step 3), clockwise from north [0, 2 pi)."""
-    angle = tilt_angle(pitch, roll, convention)
-    if convention == "gravity":
-        return (angle + compass + TWO_PI) % TWO_PI
-    from_east = angle - compass
-    return (0.5 * math.pi - from_east) % TWO_PI
+def tilt_heading(pitch: float, roll: float, compass: float) -> float:
+    """Tilt heading (method D, step 3) by [0079], clockwise from north [0, 2 pi)."""
+    return (tilt_angle(pitch, roll) + compass + TWO_PI) % TWO_PI
 
 
 def levelling_angles(mean: Array) -> tuple[float, float]:
-    """a and b of the publication's projection, such that the mean (3,) lands on +z."""
+    """a and b of the projection, such that the mean (3,) lands on +z (*reconstructed*).
+
+    [0093] calls them the angles of the y and the x axis; put in so, the projection does not level
+    (28 deg off at a lean of 20). These do: (4) is zero for b, then (3) for a.
+    """
     x, y, z = (float(c) for c in mean)
     return math.atan2(-x, math.hypot(y, z)), math.atan2(y, z)
 
@@ -112,9 +114,8 @@ class PublishedResult(NamedTuple):
 class PublishedDirection:
     """Steps 2 to 5: cycle by cycle."""
 
-    def __init__(self, choice: ChoiceSettings, convention: AxisConvention) -> None:
+    def __init__(self, choice: ChoiceSettings) -> None:
         self.choice = choice
-        self.convention = convention
         self.restart()
 
     def restart(self) -> None:
@@ -126,8 +127,8 @@ class PublishedDirection:
         """Take a cycle (its acceleration reading +g upwards) and its compass [rad]."""
         c = self.choice
         mean = cycle.accel.mean(axis=0)
-        pitch, roll = tilt(-mean if self.convention == "gravity" else mean)
-        by_tilt = tilt_heading(pitch, roll, compass, self.convention)
+        pitch, roll = tilt(-mean)
+        by_tilt = tilt_heading(pitch, roll, compass)
         angle = correlation_angle(cycle.accel)
         by_waves = None if angle is None else (angle + compass) % TWO_PI
         is_turn = self._compass is not None and difference(compass, self._compass) > c.turn

@@ -98,6 +98,15 @@ class Host(Protocol):
         """Let go of what was kept aside."""
         ...
 
+    def check_sensors(self) -> bool:
+        """Repeat the sensor check at the next rest; whether there is one to repeat."""
+        ...
+
+    @property
+    def sensors_checked(self) -> bool:
+        """Whether the sensor check has been made."""
+        ...
+
     def forget(self) -> None:
         """Begin anew and keep nothing, a saved state neither."""
         ...

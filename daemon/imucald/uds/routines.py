@@ -1,6 +1,6 @@
-"""Routine control (service 0x31): calibrate anew, and reset.
+"""Routine control (service 0x31): calibrate anew, reset, check the sensors again.
 
-Both change what the daemon sends, so both ask for an unlocked server and a vehicle that stands.
+All change what the daemon sends, so all ask for an unlocked server and a vehicle that stands.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ CALIBRATE: Final = 0xF010
 RESET: Final = 0xF011
 """Forget the calibration, the saved one too; done at once, cannot be taken back."""
 
+CHECK_SENSORS: Final = 0xF012
+"""Repeat the sensor check of the attitude: the vehicle has to stand until it is completed."""
+
 USABLE_QUALITY: Final = 2
 RESULT_IDENTIFIERS: Final = (0xFD03, 0xFD04, 0xFD05, 0xFD00, 0xFD01)
 """Results end with state, quality, waiting reasons, angles, deviations, as these are read."""
@@ -43,13 +46,19 @@ class Routines:
         self._host = host
         self._unlocked = unlocked
         self._status: dict[int, RoutineStatus] = {}
-        self._begin = {CALIBRATE: self._calibrate, RESET: self._reset}
+        self._begin: dict[int, Callable[[], RoutineStatus | None]] = {
+            CALIBRATE: self._calibrate,
+            RESET: self._reset,
+            CHECK_SENSORS: self._check_sensors,
+        }
 
     def poll(self) -> None:
         """See whether the calibration is there; called before each request too."""
         if self._runs(CALIBRATE) and self._host.quality >= USABLE_QUALITY:
             self._status[CALIBRATE] = RoutineStatus.COMPLETED
             self._host.accept_calibration()
+        if self._runs(CHECK_SENSORS) and self._host.sensors_checked:
+            self._status[CHECK_SENSORS] = RoutineStatus.COMPLETED
 
     def answer(self, data: bytes) -> Answer:
         """Answer a request; data: sub-function, routine, options."""
@@ -69,13 +78,16 @@ class Routines:
             return Nrc.REQUEST_SEQUENCE_ERROR
         if not self._host.standing:
             return Nrc.CONDITIONS_NOT_CORRECT
-        self._status[routine] = self._begin[routine]()
+        status = self._begin[routine]()
+        if status is None:
+            return Nrc.CONDITIONS_NOT_CORRECT
+        self._status[routine] = status
         return self._echo(START, routine)
 
     def _stop(self, routine: int) -> Answer:
         if not self._runs(routine):
             return Nrc.REQUEST_SEQUENCE_ERROR
-        if not self._host.standing or not self._host.return_to_former():
+        if routine == CHECK_SENSORS or not self._host.standing or not self._host.return_to_former():
             return Nrc.CONDITIONS_NOT_CORRECT
         self._status[routine] = RoutineStatus.STOPPED
         return self._echo(STOP, routine)
@@ -89,6 +101,9 @@ class Routines:
     def _calibrate(self) -> RoutineStatus:
         self._host.begin_calibration()
         return RoutineStatus.RUNNING
+
+    def _check_sensors(self) -> RoutineStatus | None:
+        return RoutineStatus.RUNNING if self._host.check_sensors() else None
 
     def _reset(self) -> RoutineStatus:
         if self._runs(CALIBRATE):

@@ -22,7 +22,12 @@ from imucald.motion.stuck import HeldForce
 from imucald.motion.ticks import ACCEL, BRAKE, LATERAL_ACCEL, REVERSE, SPEED, T, TickRow
 from imucald.mount.estimate import Correction, MountEstimate, MountState
 from imucald.mount.hysteresis import GOOD
-from imucald.mount.method_a.gate import StraightGate, WanderingOffset
+from imucald.mount.method_a.gate import (
+    OFFSET_LOST_SPEED_S,
+    OFFSET_WITHOUT_SPEED_S,
+    StraightGate,
+    WanderingOffset,
+)
 from imucald.mount.method_a.manoeuvres import (
     CombinedAngle,
     Manoeuvre,
@@ -58,7 +63,10 @@ class PublishedEstimator:
     """The published solver as an estimator of the mount; see `mount.estimate.MountEstimator`."""
 
     def __init__(self, settings: PublishedSettings | None = None) -> None:
-        s = self._settings = settings or PublishedSettings()
+        s = settings or PublishedSettings()
+        if s.calibration.method_a.to_the_letter:
+            s = s.to_the_letter()
+        self._settings = s
         self._tilt = TiltEstimator(s)
         self._intervals = SpeedIntervalMaker(
             s.block_s, s.calibration.speed_delay or 0.0, s.speed_timeout
@@ -66,9 +74,10 @@ class PublishedEstimator:
         self._yaw_source = YawRateSource(
             s.vehicle.steering_ratio,
             s.vehicle.wheelbase,
-            "steering" in s.calibration.straight.recognise_by,
+            "steering" in s.calibration.straight.recognisers,
         )
-        self._offset = WanderingOffset(s.calibration.target_angle.remove_offset_after)
+        lost = OFFSET_LOST_SPEED_S if s.use_speed else OFFSET_WITHOUT_SPEED_S
+        self._offset = WanderingOffset(s.calibration.target_angle.remove_offset_after, lost)
         self._gate = StraightGate(s, self._offset)
         self._sign = SignEvidence(s.calibration.target_angle.sign_from)
         self._signed = ManoeuvreBook(MANOEUVRES_KEPT)

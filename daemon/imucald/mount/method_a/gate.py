@@ -19,8 +19,12 @@ OFFSET_SETTLED_S = 2.0
 """Straight motion that the offset needs before it is good [s]; less where it forgets sooner."""
 OFFSET_INTERVALS = 4.0
 """The offset's time constant in intervals, at least: a 1 Hz speed makes intervals of 1 s."""
-OFFSET_WITHOUT_SPEED_S = 2.0
-"""And at least this without speed [s]: the mean then takes part of the manoeuvre with it."""
+OFFSET_LOST_SPEED_S = 2.0
+"""And at least this where speed is lost for a while [s]: the mean then takes part of the manoeuvre
+with it."""
+OFFSET_WITHOUT_SPEED_S = 30.0
+"""And at least this where there is no speed at all [s]: the mean would take all manoeuvres with it,
+whose own mean nothing tells; slopes last as long (`LongRunLevel.CORRELATION_S`)."""
 OFFSET_FADE_S = 15.0
 """Time constant at which the offset's weight fades while motion is not straight [s]."""
 UNEXPLAINED_NOISE = 0.4
@@ -34,10 +38,12 @@ class WanderingOffset:
 
     Slope, bank and bias wander slowly; taking the same mean off force and motion removes them and
     leaves the relation between the two as it is. tau: time constant [s]; 0: nothing is taken off.
+    without_speed: its least while dv/dt is not known [s].
     """
 
-    def __init__(self, tau: float) -> None:
+    def __init__(self, tau: float, without_speed: float = OFFSET_LOST_SPEED_S) -> None:
         self._tau = tau
+        self._without_speed = without_speed
         self.restart()
 
     def restart(self) -> None:
@@ -60,7 +66,7 @@ class WanderingOffset:
         """Take a straight interval with its dv/dt and v r [m/s^2]."""
         if self._tau > 0.0:
             dt = interval.t1 - interval.t0
-            least = OFFSET_INTERVALS * dt if with_speed else OFFSET_WITHOUT_SPEED_S
+            least = OFFSET_INTERVALS * dt if with_speed else self._without_speed
             keep = math.exp(-dt / max(self._tau, least))
             values = (interval.fx, interval.fy, interval.fz, dvdt, lateral)
             self._sums = [s * keep + v * dt for s, v in zip(self._sums, values, strict=True)]
@@ -76,9 +82,9 @@ class WanderingOffset:
 class StraightGate:
     """Says whether an interval is straight motion.
 
-    The preferred recogniser whose signal is there decides, and the gate on lateral acceleration
-    must agree: v r where both are known, else the vehicle's own lateral acceleration, else the
-    horizontal force that dv/dt does not explain.
+    The preferred recogniser (or group of them) whose signals are there decides, and the gate on
+    lateral acceleration must agree: v r where both are known, else the vehicle's own lateral
+    acceleration, else the horizontal force that dv/dt does not explain.
     """
 
     def __init__(self, settings: PublishedSettings, offset: WanderingOffset) -> None:
@@ -108,15 +114,18 @@ class StraightGate:
         if not self._lateral_is_small(interval, lateral, own_lateral, level):
             return False
         s = self._limits
-        for recogniser in s.recognise_by:
-            if recogniser == "yaw_rate" and not isnan(interval.yaw_rate):
-                gated = s.lateral_limit > 0.0 and not isnan(lateral)
-                limit = s.yaw_rate_limit if gated else s.yaw_rate_limit_without_speed
-                return abs(interval.yaw_rate) <= limit
-            if recogniser == "steering" and not isnan(steering):
-                return abs(steering) <= s.steering_limit
-            if recogniser == "consistency":
-                return self._window_agrees(level)
+        gated = s.lateral_limit > 0.0 and not isnan(lateral)
+        limit = s.yaw_rate_limit if gated else s.yaw_rate_limit_without_speed
+        measured = {
+            "yaw_rate": (interval.yaw_rate, limit),
+            "steering": (steering, s.steering_limit),
+        }
+        for group in s.groups:
+            signals = [measured[name] for name in group if name in measured]
+            if any(isnan(value) for value, _ in signals):
+                continue
+            agree = "consistency" not in group or self._window_agrees(level)
+            return agree and all(abs(value) <= most for value, most in signals)
         return False
 
     def is_turning(self, interval: SpeedInterval) -> bool:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import msgspec
 
 from imucald.mount.estimator_settings import Limits, MountSettings
 
@@ -12,7 +14,7 @@ from imucald.mount.estimator_settings import Limits, MountSettings
 class PublishedSettings(MountSettings):
     """Settings of the published solver and of what stands on top of it. SI units.
 
-    The defaults include what goes beyond the publication.
+    The defaults include what goes beyond the publication; `to_the_letter` leaves that out.
     """
 
     OWN_LIMITS = Limits(
@@ -21,6 +23,30 @@ class PublishedSettings(MountSettings):
         fine_yaw=math.radians(1.0),
         fine_tilt=math.radians(1.0),
     )
+
+    @property
+    def is_level(self) -> bool:
+        """The accelerometer counts as level: nothing is levelled."""
+        return self.planar or not self.calibration.method_a.level
+
+    def to_the_letter(self) -> PublishedSettings:
+        """The same without what goes beyond the publication."""
+        c = self.calibration
+        calibration = msgspec.structs.replace(
+            c,
+            static=msgspec.structs.replace(c.static, average_stops=False),
+            straight=msgspec.structs.replace(c.straight, lateral_limit=0.0),
+            target_angle=msgspec.structs.replace(
+                c.target_angle, subtract_lateral=False, remove_offset_after=0.0
+            ),
+        )
+        return replace(
+            self,
+            calibration=calibration,
+            wander_speed=0.0,
+            settle=0.0,
+            min_speed_unknown_gear=c.straight.min_speed,
+        )
 
     # Steps 1-3: standstill and levelling.
     place_distance: float = 25.0
@@ -31,8 +57,8 @@ class PublishedSettings(MountSettings):
     """Spread of road slope from stop to stop, per axis [rad]; measured: 0.7-3 deg."""
     planar: bool = False
     """The accelerometer has two axes only and counts as level; z is taken as gravity."""
-    planar_tilt_std: float = math.radians(1.5)
-    """How level a planar accelerometer is taken to be [rad]."""
+    level_std: float = math.radians(1.5)
+    """How level an accelerometer is taken to be that counts as level [rad]."""
     level_without_stop_after: float = 120.0
     """Seconds of driving after which the mean specific force levels, for want of a stop [s]."""
 
@@ -50,7 +76,8 @@ class PublishedSettings(MountSettings):
     """Speed [m/s] at which a block counts half: the faster, the more slope and bank wander while
     speed changes (beyond the publication). 0: all count alike."""
     use_speed: bool = True
-    """Use dv/dt for gate, sign and weight (beyond the publication for gate and weight)."""
+    """There is a speed: use dv/dt for gate, sign and weight (beyond the publication for gate and
+    weight)."""
     speed_timeout: float = 2.5
     """Time without a speed sample after which speed is unknown [s]."""
     block_s: float = 0.2

@@ -89,16 +89,19 @@ def straight_samples(
     steering: ArrayLike | None = None,
     yaw_rate: ArrayLike | None = None,
 ) -> NDArray[np.bool_]:
-    """Step 4 on arrays (N,): the first preferred recogniser whose signal is there; (N,) bool."""
-    limits = settings.calibration.straight
-    for recogniser in limits.recognise_by:
-        if recogniser == "steering" and steering is not None:
-            return steering_is_small(steering, limits.steering_limit)
-        if recogniser == "yaw_rate" and yaw_rate is not None:
-            return yaw_rate_is_small(yaw_rate, limits.yaw_rate_limit_without_speed)
-        if recogniser == "consistency":
-            spread = limits.consistency_range
-            return windows_agree(angles, limits.consistency_window, spread)
+    """Step 4 on arrays (N,): the first preferred group whose signals are there; (N,) bool."""
+    s = settings.calibration.straight
+    found: dict[str, NDArray[np.bool_]] = {}
+    if steering is not None:
+        found["steering"] = steering_is_small(steering, s.steering_limit)
+    if yaw_rate is not None:
+        found["yaw_rate"] = yaw_rate_is_small(yaw_rate, s.yaw_rate_limit_without_speed)
+    if "consistency" in s.recognisers:
+        found["consistency"] = windows_agree(angles, s.consistency_window, s.consistency_range)
+    for group in s.groups:
+        if all(name in found for name in group):
+            agree: NDArray[np.bool_] = np.logical_and.reduce([found[name] for name in group])
+            return agree
     raise EstimateError("no recogniser of straight motion has its signal")
 
 

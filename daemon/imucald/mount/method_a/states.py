@@ -59,7 +59,7 @@ def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[st
             Missing.STANDSTILL,
         )
         reasons["roll"] = reasons["pitch"] = reason
-    elif known.tilt.std > s.limits.fine_tilt and not s.planar:
+    elif known.tilt.std > s.limits.fine_tilt and not s.is_level:
         text = f"waiting for stops in other places, slope averages out ({known.stops} seen)"
         reasons["roll"] = reasons["pitch"] = text, Missing.STANDSTILL
     yaw = _waiting_for_yaw(known, s)

@@ -42,8 +42,8 @@ class TiltEstimator:
         self.tilt: Tilt | None = None
         self.level: Matrix3 = np.eye(3)
         self.up: Vector | None = None
-        if s.planar:
-            self._take(Tilt((0.0, 0.0, 1.0), s.planar_tilt_std, 0))
+        if s.is_level:
+            self._take(Tilt((0.0, 0.0, 1.0), s.level_std, 0))
 
     @property
     def stops(self) -> int:
@@ -66,7 +66,7 @@ class TiltEstimator:
             self._standstill.restart()
         window = self._standstill.step(tick, stopped) if clean else None
         changed = False
-        if window is not None and not s.planar:
+        if window is not None and not s.is_level:
             far = self._moved > s.place_distance
             far = far or (stopped is None and self._moved_s > s.place_seconds)
             self._stops.add((window.x, window.y, window.z), window.samples, far)
@@ -78,7 +78,7 @@ class TiltEstimator:
         if not still:
             self._moved_s += TICK_S
             self._moved += 0.0 if stopped is None else abs(speed) * TICK_S
-        if clean and not s.planar and not self._stops.seen:
+        if clean and not s.is_level and not self._stops.seen:
             changed = self._without_stop(force, still)
         return changed
 

@@ -50,19 +50,26 @@ class AttitudeFrames:
             {"Grade": low, "DeviationGrade": high, "DeviationRate": high},
         )
 
+        self._free = None
+        if config.attitude.compensation.send:
+            signals = dict.fromkeys((f"FreeAccel{a}" for a in "XYZ"), low)
+            self._free = message("IMUCALD_FreeAcceleration", ids.free_acceleration, signals)
+
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""
-        messages = (self._angles, self._deviation, self._rates, self._grade)
-        return frozenset(s.can_id for s in messages)
+        return frozenset(m.can_id for m in self._messages())
+
+    def _messages(self) -> list[OutputMessage]:
+        free = [] if self._free is None else [self._free]
+        return [self._angles, self._deviation, self._rates, self._grade, *free]
 
     def frames(self, estimate: AttitudeEstimate | None) -> list[OutFrame]:
-        """The four frames; None: nothing is known. Angles are there from *settling* on."""
+        """The frames; None: nothing is known. Angles are there from *settling* on."""
         if estimate is None or estimate.state < AttitudeState.SETTLING:
             state = 0 if estimate is None else int(estimate.state)
             nothing = (None, None, None, state)
-            messages = (self._angles, self._deviation, self._rates, self._grade)
-            return [s.frame(nothing) for s in messages]
+            return [m.frame(nothing) for m in self._messages()]
         e, state = estimate, int(estimate.state)
         angles = (e.roll * DEG_PER_RAD, e.pitch * DEG_PER_RAD, bearing(e.heading), state)
         std = (*(min(s * DEG_PER_RAD, DEVIATION_MAX) for s in e.std), state)
@@ -73,13 +80,11 @@ class AttitudeFrames:
             min(max(e.rate_std) * DEG_PER_RAD, RATE_DEVIATION_MAX),
             state,
         )
+        free = (*e.free_acceleration, state)
         return [
             message.frame([None if math.isnan(v) else v for v in values])
-            for message, values in (
-                (self._angles, angles),
-                (self._deviation, std),
-                (self._rates, rates),
-                (self._grade, grade),
+            for message, values in zip(
+                self._messages(), (angles, std, rates, grade, free), strict=False
             )
         ]
 

@@ -26,10 +26,9 @@ class OutPart:
 
 
 def corrected_count(routed: Routed, channel: str) -> int:
-    """Corrected and not-available frames that a channel comes to."""
-    series, bad = routed.samples.get(channel), routed.rejected.get(channel)
-    rows = np.zeros(0, np.int64) if series is None else series.row
-    return len(rows) + (0 if bad is None else len(np.setdiff1d(bad, rows)))
+    """Corrected frames that a channel comes to, without those that say *not available*."""
+    series = routed.samples.get(channel)
+    return 0 if series is None else len(series.row)
 
 
 def merged(parts: list[OutPart], frames: FrameColumns) -> FrameColumns:

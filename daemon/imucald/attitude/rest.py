@@ -1,0 +1,115 @@
+"""The gyroscope's zero error at the current moment: its mean over each rest (method B, claim 1)."""
+
+from __future__ import annotations
+
+import math
+
+from imucald.config.attitude import FilterSettings
+from imucald.core.rotations import Vector
+from imucald.core.samples import GRAVITY
+
+BLOCK_S = 1.0
+"""A rest is looked at in pieces of this length [s]: one that is not quiet ends it."""
+QUIET_FORCE = 0.05
+"""Standard deviation of an accelerometer that is parked, engine off [m/s^2]."""
+QUIET_SIZE = 0.1
+"""By how much its mean may differ from gravity: the sensor's zero error [m/s^2]."""
+LARGEST_ZERO_ERROR = 6.0
+"""In standard deviations: what turns faster than any zero error is not at rest."""
+
+
+class _TriadSums:
+    """Count, sum and sum of squares of three axes."""
+
+    def __init__(self) -> None:
+        self.n = self.x = self.y = self.z = self.square = 0.0
+
+    def add(self, v: Vector) -> None:
+        x, y, z = v
+        self.n += 1.0
+        self.x += x
+        self.y += y
+        self.z += z
+        self.square += x * x + y * y + z * z
+
+    def include(self, other: _TriadSums) -> None:
+        self.n += other.n
+        self.x += other.x
+        self.y += other.y
+        self.z += other.z
+        self.square += other.square
+
+    @property
+    def mean(self) -> Vector:
+        return self.x / self.n, self.y / self.n, self.z / self.n
+
+    @property
+    def variance(self) -> float:
+        """Of one sample, all axes together."""
+        x, y, z = self.mean
+        return max(self.square / self.n - (x * x + y * y + z * z), 0.0)
+
+
+class RestingGyro:
+    """Takes samples of both sensors in any one axes; says the zero error when a rest has told it.
+
+    The first rest must last `check` (the sensor check of method C); from then on `start` is enough
+    where a speed says that the vehicle stands. Without a speed only what is as still as a parked
+    vehicle is a rest, and it lasts `check`.
+    """
+
+    def __init__(self, settings: FilterSettings) -> None:
+        self._settings = settings
+        self.begin()
+
+    def begin(self) -> None:
+        """The rest, if it was one, is over."""
+        self._total = _TriadSums()
+        self._since = math.nan
+        self._begin_block()
+
+    def _begin_block(self) -> None:
+        self._rates, self._forces = _TriadSums(), _TriadSums()
+        self._block = math.nan
+
+    def accel(self, force: Vector) -> None:
+        """Take a specific force [m/s^2]."""
+        self._forces.add(force)
+
+    def gyro(self, t: float, rate: Vector, stands: bool | None, is_first: bool) -> Vector | None:
+        """Take a rate [rad/s] at t [s]; return the zero error where this ends a long enough rest.
+
+        stands: what the speed says; None: it says nothing. is_first: none has been told before.
+        """
+        if stands is False:
+            self.begin()
+            return None
+        if math.isnan(self._block):
+            self._block = t
+            if math.isnan(self._since):
+                self._since = t
+        self._rates.add(rate)
+        if t - self._block < BLOCK_S:
+            return None
+        if not self._is_quiet(speed_known=stands is True):
+            self.begin()
+            return None
+        self._total.include(self._rates)
+        self._begin_block()
+        s = self._settings
+        if t - self._since < (s.check if is_first or stands is None else s.start):
+            return None
+        found = self._total.mean
+        self.begin()
+        return found
+
+    def _is_quiet(self, speed_known: bool) -> bool:
+        s, rates, forces = self._settings, self._rates, self._forces
+        if rates.variance > s.rest_gyro_spread**2 or not forces.n:
+            return False
+        if math.hypot(*rates.mean) > LARGEST_ZERO_ERROR * max(s.gyro_start):
+            return False
+        if speed_known:
+            return forces.variance < s.rest_accel_spread**2
+        off = abs(math.hypot(*forces.mean) - GRAVITY)
+        return forces.variance < QUIET_FORCE**2 and off < QUIET_SIZE

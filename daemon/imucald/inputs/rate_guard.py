@@ -1,0 +1,167 @@
+"""How often an input may come, and whether one sender sends it.
+
+Counted in whole seconds of stream time, so that a burst after a stall harms nobody and single
+frames and columns give the same. What is usual is learnt from the first seconds; a cycle that is
+stated counts where it is faster. Nothing is refused before that is known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Collection, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+TOO_FAST, DUPLICATE = "too_fast", "duplicate_sender"
+LEARNT_S = 10
+"""Seconds with frames from which the usual rate is taken."""
+TIMES_USUAL = 2.5
+"""At most one frame in 0.4 cycles, on average over a second."""
+LEAST_STATED, LEAST_LEARNT = 20, 250
+"""So many a second are always let through: senders of a stated cycle send changes in between, and
+one of no stated cycle may wake up; 250 a second are no load."""
+TWO_SENDERS = 1.6
+"""Three seconds with so many times the usual rate are two senders: no clock is that wrong."""
+SECONDS = 3
+NO_LIMIT = 1e9
+FAULTY_COUNTERS = 0.05
+"""And two counters interleave: a fault in seventeen frames where the other sends sixteen."""
+HELD_S = 2
+"""A sender is trusted again so many seconds after the other fell silent."""
+_DAMAGED = frozenset(("checksum", "short_frame"))
+"""Frames that nobody knows to be of a sender."""
+
+Rows = NDArray[np.int64]
+
+
+class RateGuard:
+    """Watches the frames of one route.
+
+    stated: its cycle [s], or None. counted: it has a counter.
+    """
+
+    def __init__(self, stated: float | None = None, counted: bool = False) -> None:
+        self._stated = 0.0 if stated is None else 1.0 / stated
+        self._counted = counted
+        self._learnt: list[int] = []
+        self._usual = math.inf
+        self._second = -1
+        self._seen = self._faults = self._taken = 0
+        self._before: deque[tuple[int, int]] = deque([(0, 0)] * SECONDS, SECONDS)
+        self._distrusted_until = -1
+
+    def judge(self, t: float, reason: str) -> str:
+        """Why a frame at stream time t [s] is rejected; reason: what its route says, "" if good."""
+        self._enter(math.floor(t))
+        if reason not in _DAMAGED:
+            self._seen += 1
+            self._faults += reason.startswith("counter")
+        if reason:
+            return reason
+        if self._second <= self._distrusted_until:
+            return DUPLICATE
+        self._taken += 1
+        return TOO_FAST if self._taken > math.floor(self._limit()) else ""
+
+    def judge_columns(
+        self, t: NDArray[np.float64], good: NDArray[np.bool_], reasons: Mapping[str, Rows]
+    ) -> dict[str, Rows]:
+        """The same of many frames: rows among the good ones (N,) that are rejected, by reason."""
+        if not len(t):
+            return {}
+        second = np.floor(t).astype(np.int64)
+        first = int(second[0])
+        seen, faulty = good.copy(), np.zeros(len(t), dtype=bool)
+        for reason, rows in reasons.items():
+            seen[rows] = reason not in _DAMAGED
+            faulty[rows] = reason.startswith("counter")
+        of = second - first
+        n = int(of[-1]) + 1
+        counts = [np.bincount(of[flags], minlength=n).tolist() for flags in (seen, faulty, good)]
+        refused: dict[str, list[Rows]] = {}
+        for i, (frames, faults, sound) in enumerate(zip(*counts, strict=True)):
+            if frames == sound == 0 and not self._any(of, i):
+                continue
+            self._enter(first + i)
+            self._seen += frames
+            self._faults += faults
+            if self._second <= self._distrusted_until:
+                refused.setdefault(DUPLICATE, []).append(np.flatnonzero((of == i) & good))
+                continue
+            room = max(0.0, math.floor(self._limit()) - self._taken)
+            self._taken += sound
+            if sound > room:
+                rows = np.flatnonzero((of == i) & good)[int(room) :]
+                refused.setdefault(TOO_FAST, []).append(rows)
+        return {reason: np.concatenate(rows) for reason, rows in refused.items()}
+
+    @staticmethod
+    def _any(of: Rows, i: int) -> bool:
+        """Whether any frame, damaged ones too, came in that second."""
+        at = int(np.searchsorted(of, i))
+        return at < len(of) and int(of[at]) == i
+
+    def _limit(self) -> float:
+        if math.isinf(self._usual):
+            return NO_LIMIT
+        least = LEAST_STATED if self._stated else LEAST_LEARNT
+        held_back = SECONDS * self._usual - sum(seen for seen, _ in self._before)
+        return max(TIMES_USUAL * self._usual, least) + max(0.0, math.floor(held_back))
+
+    def _enter(self, second: int) -> None:
+        """Close the seconds before this one."""
+        if second <= self._second:
+            return
+        if self._second >= 0:
+            self._close()
+        for _ in range(min(second - self._second - 1, SECONDS)):
+            self._before.append((0, 0))
+        self._second = second
+        self._seen = self._faults = self._taken = 0
+        if self._is_duplicate():
+            self._distrusted_until = second + HELD_S - 1
+
+    def _close(self) -> None:
+        self._before.append((self._seen, self._faults))
+        if self._seen and len(self._learnt) < LEARNT_S:
+            self._learnt.append(self._seen)
+            if len(self._learnt) == LEARNT_S:
+                self._usual = max(self._stated, *self._learnt)
+
+    def _is_duplicate(self) -> bool:
+        frames = sum(seen for seen, _ in self._before)
+        if not frames > TWO_SENDERS * SECONDS * self._usual:
+            return False
+        if not self._counted:
+            return self._stated > 0.0
+        return sum(faults for _, faults in self._before) >= FAULTY_COUNTERS * frames
+
+
+class Spaced:
+    """Lets one event in a cycle through, on average; cycle [s]. For frames *not available*."""
+
+    EARLY = 0.6
+    """So many cycles early is jitter."""
+
+    def __init__(self, cycle: float) -> None:
+        self._cycle = cycle
+        self._next = -math.inf
+
+    def passes(self, t: float) -> bool:
+        """Whether an event at t [s] is let through; times never decrease."""
+        if t < self._next - self.EARLY * self._cycle:
+            return False
+        self._next = max(self._next, t) + 0.95 * self._cycle
+        return True
+
+    def among(self, t: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """The same of many (N,)."""
+        return np.array([self.passes(x) for x in t.tolist()], dtype=bool)
+
+
+def guarded_cycle(cycles: Collection[float | None]) -> float:
+    """Cycle [s] of frames that say *not available*: the fastest that is stated, else 10 ms."""
+    stated = [cycle for cycle in cycles if cycle]
+    return min(stated) if stated else 0.01

@@ -1,0 +1,182 @@
+"""What is wrong with sensor or mount must not come out as good; on simulated drives."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from test_estimator import GOOD, drive, usual
+
+from imucald.core.rotations import rotation_from_vector
+from imucald.core.samples import Samples, Series
+from imucald.motion.ticks import ticks_from_samples
+from imucald.mount.contradictions import StandingFault
+from imucald.mount.estimate import MountState
+from imucald.mount.estimator import FullEstimator
+from imucald.mount.restored import RestoredEstimator, StoredMount
+from mount_settings import full
+
+MINUTES = 8.0
+
+
+def edited(**changes: NDArray[np.float64]) -> Samples:
+    """Samples of the usual drive with channels multiplied by a matrix, or by a number."""
+    samples = dict(drive().samples)
+    for channel, factor in changes.items():
+        series = samples[channel]
+        samples[channel] = Series(series.t, series.values @ np.asarray(factor).T
+                                  if np.ndim(factor) else series.values * factor)  # fmt: skip
+    return samples
+
+
+def turned(samples: Samples, at: float, vector: tuple[float, float, float]) -> Samples:
+    """The sensor turned about vehicle axes at a time; no gyroscope sees it."""
+    R = drive().truth.R_vehicle_from_sensor()
+    matrix = R.T @ rotation_from_vector(np.array(vector)).T @ R
+    out = dict(samples)
+    for channel in ("accel", "gyro"):
+        series = samples[channel]
+        late = (series.t >= at)[:, None]
+        values = np.where(late, series.values @ matrix.T, series.values)
+        out[channel] = Series(series.t, values)
+    return out
+
+
+def states(samples: Samples, minutes: float = MINUTES) -> tuple[FullEstimator, list[MountState]]:
+    estimator, found = FullEstimator(full()), []
+    for row in ticks_from_samples(samples, 0, int(minutes * 600), {}).tolist():
+        estimator.step(row)
+        found.append(estimator.state)
+    return estimator, found
+
+
+FLIP, SWAP = np.diag([1.0, 1.0, -1.0]), np.eye(3)[[1, 0, 2]]
+CONTRADICTIONS = {
+    "all accelerometer signs": ({"accel": -np.eye(3)}, StandingFault.TURN_YAW_RATE),
+    "one accelerometer sign": ({"accel": FLIP}, StandingFault.TURN_YAW_RATE),
+    "accelerometer axes exchanged": ({"accel": SWAP}, StandingFault.FORCE_TURNS),
+    "handedness": ({"accel": SWAP, "gyro": SWAP}, None),
+    "gyroscope in deg/s": ({"gyro": 57.3 * np.eye(3)}, None),
+    "gyroscope 25 times": ({"gyro": 25.0 * np.eye(3)}, StandingFault.GYRO_GAIN),
+    "speed x 3.6": ({"speed": 3.6}, StandingFault.SPEED_GAIN),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(CONTRADICTIONS))
+def test_a_contradiction_is_never_good_and_has_a_name(name):
+    changes, fault = CONTRADICTIONS[name]
+    estimator, found = states(edited(**changes))
+    assert MountState.FINE not in found
+    assert sum(state in GOOD for state in found) < 100  # 10 s, where the first bend came late
+    assert estimator.estimate().faults
+    if fault is not None:
+        assert fault.value in estimator.estimate().faults
+
+
+@pytest.mark.slow
+def test_a_sound_drive_has_no_fault_and_becomes_fine_only_when_changes_can_be_seen():
+    estimator, found = states(dict(drive(minutes=10.0).samples), minutes=10.0)
+    assert estimator.faults == ()
+    assert estimator.estimate().details["faults"] == []
+    first = found.index(MountState.FINE) / 10.0
+    assert first > 400.0  # 18 road segments of 25.6 s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("at", [150.0, 320.0])
+def test_a_turn_by_45_degrees_is_suspect_within_two_minutes_at_any_time(axis, at):
+    vector = [0.0, 0.0, 0.0]
+    vector[axis] = math.radians(45.0)
+    _, found = states(turned(drive().samples, at, (vector[0], vector[1], vector[2])))
+    good = np.array([state in GOOD for state in found])
+    begun = int(10 * at)
+    assert good[begun - 50 : begun].all()
+    assert not good[begun : begun + 1200].all()
+
+
+@pytest.mark.slow
+def test_rotations_after_a_turn_are_good_only_when_they_are_right():
+    samples = turned(drive().samples, 200.0, (math.radians(20.0), 0.0, 0.0))
+    estimator = FullEstimator(full())
+    true = rotation_from_vector([math.radians(20.0), 0.0, 0.0]) @ (
+        drive().truth.R_vehicle_from_sensor()
+    )
+    told, worst = False, 0.0
+    for row in ticks_from_samples(samples, 0, int(MINUTES * 600), {}).tolist():
+        estimator.step(row)
+        told |= row[0] > 200.0 and estimator.state not in GOOD
+        if told and estimator.state in GOOD and estimator.correction is not None:
+            R = np.array(estimator.correction).reshape(3, 3)
+            left = float(np.clip((np.trace(true @ R.T) - 1.0) / 2.0, -1.0, 1.0))
+            worst = max(worst, math.degrees(math.acos(left)))
+    assert told
+    assert worst < 3.0
+
+
+@pytest.mark.slow
+def test_a_creeping_mount_is_named_and_its_interval_holds():
+    made = drive(minutes=20.0)
+    R = made.truth.R_vehicle_from_sensor()
+    rate = math.radians(18.0) / 3600.0
+    samples = dict(made.samples)
+    for channel in ("accel", "gyro"):
+        series = samples[channel]
+        turn = np.array([rotation_from_vector([0.0, rate * t, 0.0]).T @ R for t in series.t])
+        vehicle = series.values @ R.T
+        values = np.einsum("nji,nj->ni", np.broadcast_to(R, turn.shape), 0.0 * vehicle)
+        values += np.einsum("nij,nj->ni", R.T @ turn, series.values)
+        samples[channel] = Series(series.t, values)
+    estimator, _ = states(samples, minutes=20.0)
+    estimate = estimator.estimate()
+    details = estimate.details
+    moved = bool(details["creep"]) or bool(details["shifts"])
+    assert moved
+    assert estimate.R_vehicle_from_sensor is not None and estimate.std is not None
+    end = rotation_from_vector([0.0, rate * 1200.0, 0.0]) @ R
+    error = math.asin(float(np.clip((end @ estimate.R_vehicle_from_sensor.T)[0, 2], -1.0, 1.0)))
+    assert abs(error) < 4.0 * estimate.std[1]
+
+
+def test_numbers_that_no_arithmetic_bears_freeze_and_are_told():
+    rng = np.random.default_rng(5)
+    estimator = FullEstimator(full())
+    rows = ticks_from_samples(drive().samples, 0, 1200, {}).copy()
+    rows[300:, 1 + 1 : 1 + 4] *= 1.0
+    rows[:, -1] = rows[:, -1]
+    for row in rows.tolist():
+        row = [x * 10.0 ** rng.uniform(0, 1) if i > 3 else x for i, x in enumerate(row)]
+        estimator.step(row)  # raises nothing
+    assert estimator.state not in GOOD
+
+
+def test_a_restored_mount_off_the_vertical_is_suspect_while_parked():
+    true = drive().truth.R_vehicle_from_sensor()
+    stored = rotation_from_vector([math.radians(40.0), 0.0, 0.0]) @ true
+    estimator = RestoredEstimator(
+        FullEstimator(full()), StoredMount(stored, np.eye(3) * math.radians(0.3) ** 2)
+    )
+    standing = [row for row in ticks_from_samples(drive().samples, 0, 600, {}).tolist()][:100]
+    for row in standing:
+        estimator.step(row)
+    assert estimator.state is MountState.SUSPECT
+
+
+def test_a_restored_mount_that_holds_gravity_upright_stays_restored():
+    true = drive().truth.R_vehicle_from_sensor()
+    estimator = RestoredEstimator(
+        FullEstimator(full()), StoredMount(true, np.eye(3) * math.radians(0.3) ** 2)
+    )
+    for row in ticks_from_samples(drive().samples, 0, 300, {}).tolist():
+        estimator.step(row)
+    assert estimator.state is MountState.RESTORED
+
+
+@pytest.mark.slow
+def test_a_sound_drive_says_neither_creep_nor_cross_axis():
+    details = usual().estimate().details
+    assert details["creep"] == {}
+    assert float(details["cross_axis_std"]) < 0.01  # type: ignore[arg-type]

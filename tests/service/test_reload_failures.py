@@ -1,0 +1,163 @@
+"""A reload that fails, in whatever way and wherever, changes nothing; the loop goes on in it."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import os
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import shuttle
+from imucald.can.dbc import bounded_parser
+from imucald.service import service as service_module
+from imucald.service.journal import Journal
+from imucald.service.service import Service, ServiceOptions
+
+OTHER_VEHICLE = "vehicle: {id: another}\ndatabase:"
+
+
+class Bench:
+    def __init__(self, folder: Path) -> None:
+        self.config = shuttle.write(folder, cycles=1)
+        self.good = self.config.read_text()
+        self.log = io.StringIO()
+        options = ServiceOptions(
+            self.config,
+            interface="virtual",
+            channel=f"reload-{time.monotonic_ns()}",
+            state_folder=folder / "state",
+        )
+        self.service = Service(options, Journal(self.log))
+
+    def everything(self) -> tuple[object, ...]:
+        """All that a reload may put another in the place of."""
+        service = self.service
+        return (
+            service.engine,
+            service.engine.pipeline.estimator,
+            service.link,
+            service.daemon.link,
+            service.loaded,
+            service.uds,
+            service.dtc_store,
+            service.calibration_store,
+            service.daemon.stopping,
+        )
+
+    def write(self, old: str, new: str) -> None:
+        assert old in self.good
+        self.config.write_text(self.good.replace(old, new))
+
+
+@pytest.fixture
+def bench(tmp_path):
+    made = Bench(tmp_path)
+    yield made
+    made.service.close()
+
+
+def refuse(*_: object, **__: object) -> None:
+    raise RuntimeError("something nobody thought of")
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 30_000, "database: [" * 5000, "a: 1" + ":1" * 400_000, "\0", "", "&a [*a]"]
+)
+def test_a_hostile_configuration_changes_nothing(text, bench):
+    before = bench.everything()
+    bench.config.write_text(text)
+    bench.service.reload_changes()
+    assert bench.everything() == before
+    assert bench.log.getvalue().count("not reloaded") >= 1
+
+
+@pytest.mark.parametrize("what", ["pipe", "device", "folder", "nothing"])
+def test_a_configuration_that_is_no_file_any_more_changes_nothing(what, bench):
+    before = bench.everything()
+    bench.config.unlink()
+    if what == "pipe":
+        os.mkfifo(bench.config)
+    elif what == "device":
+        bench.config.symlink_to("/dev/zero")
+    elif what == "folder":
+        bench.config.mkdir()
+    bench.service.reload_changes()
+    assert bench.everything() == before
+    assert "not reloaded" in bench.log.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("owner", "name"),
+    [
+        (service_module, "open_config"),
+        (service_module, "make_engine"),
+        (service_module, "open_link"),
+        (service_module, "behind_the_known"),
+        (service_module.CalibrationStore, "restore"),
+        (Service, "_new_uds"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_wherever_it_breaks_nothing_has_changed_and_the_next_one_works(
+    owner, name, bench, monkeypatch
+):
+    before = bench.everything()
+    change = "accelerometer_bias: 0.03" if name == "behind_the_known" else None
+    if change:
+        bench.write("accelerometer_bias: 0.02", change)
+    else:
+        bench.write("database:", OTHER_VEHICLE)
+        bench.config.write_text(
+            bench.config.read_text().replace("status_rate: 10", "ids: {acceleration: 0x650}")
+        )
+    with monkeypatch.context() as broken:
+        broken.setattr(owner, name, refuse)
+        bench.service.reload_changes()
+    if "not reloaded" not in bench.log.getvalue():
+        pytest.skip(f"{name} was not needed")
+    assert bench.everything() == before
+    assert "RuntimeError: something nobody thought of" in bench.log.getvalue()
+    bench.service.reload_changes()
+    assert "was read again" in bench.log.getvalue()
+    assert bench.service.engine is not before[0]
+
+
+def test_the_loop_goes_on_while_a_large_database_is_read(bench, monkeypatch):
+    """A parser that takes long (here: until it is let go) holds up no turn of the loop."""
+    go_on, asked = threading.Event(), threading.Event()
+    parse = bounded_parser.parse
+
+    def slow(*arguments: str):
+        asked.set()
+        assert go_on.wait(20.0)
+        return parse(*arguments)
+
+    monkeypatch.setattr(bounded_parser, "parse", slow)
+    service = bench.service
+    before = service.engine
+    turns: list[float] = []
+    feed = service.notifier.feed
+    monkeypatch.setattr(service.notifier, "feed", lambda: (turns.append(time.monotonic()), feed()))
+    loop = threading.Thread(target=service.run)
+    loop.start()
+    try:
+        service.ask_reload()
+        assert asked.wait(5.0)
+        time.sleep(1.0)
+        assert service.engine is before
+        during = [b - a for a, b in itertools.pairwise(turns)]
+        assert len(during) > 3
+        assert max(during) < 0.5
+        go_on.set()
+        end = time.monotonic() + 10.0
+        while service.engine is before:
+            assert time.monotonic() < end
+            time.sleep(0.02)
+    finally:
+        go_on.set()
+        service.stop()
+        loop.join(5.0)
