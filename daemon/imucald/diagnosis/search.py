@@ -1,8 +1,9 @@
 """From a table of blocks to names: candidates compete on data that their fit did not see.
 
-A cause is named when its held-out gain exceeds 4 nats without the best block in fifteen, one of its
-intervals lies wholly outside the tolerance, and its value is plausible. Rivals within two standard
-errors of the paired difference are named with it. Then it is freed, and the question is asked anew.
+A cause is named when its held-out gain, without the best block in fifteen, exceeds what chance gives
+in all questions together, when it leaves the box of honest files, and when its value is plausible.
+Rivals within two standard errors of the paired difference are named with it. Then it is freed, and
+the question is asked anew.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from imucald.diagnosis.score import (
 )
 from imucald.diagnosis.shift import Shift, find_shift
 from imucald.diagnosis.signals import Array, Drive
-from imucald.diagnosis.trials import LEAST_NATS, Trial, hypotheses, questions, tried
+from imucald.diagnosis.trials import LIKELY_NATS, Trial, hypotheses, questions, tried
 from imucald.model.model import VehicleModel
 
 ALIKE_SE = 2.0
@@ -138,7 +139,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         dropped += _let_go(state)
     _demote(state)
     state.likely += [
-        t for t in questions(state.last).values() if t.shown > LEAST_NATS and t.likely
+        t for t in questions(state.last).values() if t.shown > LIKELY_NATS and t.likely
         and not t.outside and t.is_plausible
         and t.hypothesis.name not in {x.hypothesis.name for x in (*state.named, *state.likely)}
     ]  # fmt: skip
@@ -163,7 +164,7 @@ def _winner(trials: Sequence[Trial]) -> Trial | None:
 
 def _is_near(best: Trial, other: Trial) -> bool:
     behind, se = paired(best.gain, other.gain)
-    return behind <= ALIKE_SE * se or behind <= LEAST_NATS / 2.0
+    return behind <= ALIKE_SE * se or behind <= LIKELY_NATS / 2.0
 
 
 def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
@@ -259,7 +260,7 @@ def _let_go(state: State) -> list[str]:
             low[i] = -state.changes[key] - problem.table.tolerance[i]
             high[i] = -state.changes[key] + problem.table.tolerance[i]
         without = held_out(replace(problem, low=np.minimum(low, high), high=np.maximum(low, high)))
-        if without_best(without - base) < LEAST_NATS:
+        if without_best(without - base) < LIKELY_NATS:
             gone += keys
     if gone:
         state.named = [t for t in state.named if not set(t.hypothesis.keys) & set(gone)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.causes import CAUSES, Cause
 from imucald.diagnosis.model_file import level_effect
 from imucald.diagnosis.score import (
+    ERROR_RATE,
     Estimate,
     Hypothesis,
     Problem,
@@ -22,10 +24,11 @@ from imucald.diagnosis.score import (
 from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
 
-LEAST_NATS = 4.0
-"""A factor of 50 on data that the fit did not see."""
 LIKELY = 0.05
 """Error rate of a single question from which something is likely."""
+LIKELY_NATS = -math.log(LIKELY)
+"""A likelihood ratio on data that the fit did not see exceeds 1/p with a chance of p at most, where
+nothing is wrong (Markov)."""
 LEVELLED = ("accel_scale", "accel_cross_axis")
 BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
 
@@ -42,6 +45,8 @@ class Trial:
     """Sum of it without the best blocks."""
     tolerance: Array
     plausible: Array
+    needed: float
+    """Nats that it takes, shared out over the questions asked."""
     single: float
     """Quantile of one question asked alone."""
 
@@ -77,12 +82,12 @@ class Trial:
     @property
     def could_be(self) -> bool:
         """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
-        return self.shown > LEAST_NATS and self._beyond and self.is_testable
+        return self.shown > LIKELY_NATS and self._beyond and self.is_testable
 
     @property
     def named(self) -> bool:
         """Passes all that one hypothesis passes by itself."""
-        return self.shown > LEAST_NATS and self.outside and self.is_testable
+        return self.shown > self.needed and self.outside and self.is_testable
 
 
 def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[Hypothesis]:
@@ -146,7 +151,7 @@ def tried(problem: Problem, h: Hypothesis, base: Array, questions: int) -> Trial
     index = problem.table.index(h.keys)
     t = problem.table
     return Trial(h, estimate(problem, h, questions), gain, without_best(gain),
-                 t.tolerance[index], t.plausible[index],
+                 t.tolerance[index], t.plausible[index], math.log(questions / ERROR_RATE),
                  float(student.ppf(1.0 - 0.5 * LIKELY, t.blocks - 1)))  # fmt: skip
 
 
