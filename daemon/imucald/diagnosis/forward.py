@@ -15,7 +15,7 @@ import numpy as np
 
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.model_file import Changes, age
-from imucald.diagnosis.motion import SLOW_MPS, Motion
+from imucald.diagnosis.motion import SLOW_MPS, VehicleMotion
 from imucald.diagnosis.reading import Reader
 from imucald.diagnosis.signals import STEP_S, Array, Mask
 
@@ -45,7 +45,7 @@ class Forward(Reader):
 
         by_inertia: for columns, with the signals of `settle`.
         """
-        motion = Motion(self, changes, by_inertia)
+        motion = VehicleMotion(self, changes, by_inertia)
         found: dict[str, Array] = {}
         tilt: dict[str, tuple[Array, Array]] = {}
         motion.longitudinal(found, tilt)
@@ -62,7 +62,7 @@ class Forward(Reader):
 
     def settle(self, tilt: Array) -> None:
         """Choose the signals that columns are made of. tilt: (B, 2) z0 of each block."""
-        self.reference = Motion(self, {}, False).reference(tilt)
+        self.reference = VehicleMotion(self, {}, False).reference(tilt)
 
     def tilts(self, base: Residuals, masks: Mapping[str, Mask]) -> Array:
         """(B, 2) tilt of each block by plain least squares."""
@@ -80,11 +80,11 @@ class Forward(Reader):
 
     def yaw_rate(self) -> Array:
         """(N,) yaw rate of the vehicle that the equations use [rad/s]."""
-        return np.asarray(Motion(self, {}, False).r)
+        return np.asarray(VehicleMotion(self, {}, False).r)
 
     def measured(self) -> dict[str, Array]:
         """What each equation's sensor says, with the model file's errors taken off."""
-        m = Motion(self, {}, False)
+        m = VehicleMotion(self, {}, False)
         found = {f"accel_{axis}": m.force[:, i] for i, axis in enumerate("xyz")}
         found["accel_x"] = m.as_speed_sees(m.force[:, 0])
         if m.rate is not None:
@@ -99,7 +99,7 @@ class Forward(Reader):
 
     def levels(self) -> Array:
         """(B, 2) mean of u over each block as the forces tell it, without the gyroscope's carry."""
-        motion = Motion(self, {}, False)
+        motion = VehicleMotion(self, {}, False)
         x = motion.force[:, 0] + motion.r * motion.v_y - motion.held(motion.slopes)
         y = motion.force[:, 1] - motion.v * motion.r - np.gradient(motion.v_y, STEP_S)
         means = [self._blocks(part).mean(axis=1) / GRAVITY for part in (x, y)]

@@ -28,7 +28,7 @@ SMOOTH_STEPS = 5
 SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
 
 
-class Motion:
+class VehicleMotion:
     """The signals of one evaluation, along the vehicle's axes."""
 
     def __init__(self, reader: Reader, changes: Changes, by_inertia: bool) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.model_file import Changes, age, along_vehicle, mounts, sensor_of
-from imucald.diagnosis.signals import Array, Drive
+from imucald.diagnosis.signals import Array, DriveSignals
 from imucald.model.model import VehicleModel
 
 REFERENCE_DEGC = 25.0
@@ -28,7 +28,7 @@ class Reference:
 class Reader:
     """Signals of a drive on its grid, block by block; arrays (N,) or (N, 3)."""
 
-    def __init__(self, drive: Drive, model: VehicleModel, rows: int) -> None:
+    def __init__(self, drive: DriveSignals, model: VehicleModel, rows: int) -> None:
         self.drive, self.model = drive, model
         self.rows = rows
         self.blocks = len(drive.t) // rows

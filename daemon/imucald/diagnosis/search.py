@@ -34,8 +34,8 @@ from imucald.diagnosis.score import (
     quantile,
     without_best,
 )
-from imucald.diagnosis.shift import Shift, find_shift
-from imucald.diagnosis.signals import Array, Drive
+from imucald.diagnosis.shift import FittedShift, find_shift
+from imucald.diagnosis.signals import Array, DriveSignals
 from imucald.diagnosis.trials import LIKELY_NATS, Trial, hypotheses, questions, tried
 from imucald.model.model import VehicleModel
 
@@ -53,7 +53,7 @@ Tick = Callable[[str], None]
 class State:
     """What is known so far."""
 
-    drives: Sequence[Drive]
+    drives: Sequence[DriveSignals]
     stated: VehicleModel
     """The model file that is put to the test."""
     model: VehicleModel
@@ -72,7 +72,7 @@ class State:
     likely: list[Trial] = field(default_factory=list)
     last: list[Trial] = field(default_factory=list)
     """All trials beside what was found: what each could have been."""
-    shift: Shift | None = None
+    shift: FittedShift | None = None
     table: Table | None = None
     forwards: list[Forward] = field(default_factory=list)
     _evaluated: VehicleModel | None = None
@@ -230,7 +230,7 @@ def refit(state: State) -> None:
             break
 
 
-def shift_steps(shift: Shift) -> list[tuple[float, Array]]:
+def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:
     """A step, or a creep as a staircase."""
     if shift.kind == "step":
         return [(shift.start_s, shift.turn)]

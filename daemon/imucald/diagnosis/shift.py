@@ -36,7 +36,7 @@ LEAST_NATS = 8.0
 
 
 @dataclass(frozen=True)
-class Shift:
+class FittedShift:
     """A turn (3,) [rad] about the vehicle's axes, at once or evenly over the drive."""
 
     kind: str
@@ -60,7 +60,7 @@ class Shift:
         return bool(np.any(beyond) and self.shown > LEAST_NATS)
 
 
-def find_shift(problem: Problem, levels: Array) -> Shift | None:
+def find_shift(problem: Problem, levels: Array) -> FittedShift | None:
     """The best step or creep of one drive. levels: (B, 2) mean tilt forward and left of each block.
 
     None where the data cannot show one.
@@ -117,7 +117,7 @@ def _level_gain(levels: Array, pattern: Array) -> float:
 
 def _shift(
     problem: Problem, levels: Array, pattern: Array, kind: str, table: Table, place: int
-) -> Shift:
+) -> FittedShift:
     """Both witnesses, weighed by their variances."""
     h = _hypothesis(pattern)
     e = estimate(problem, h, 3)
@@ -144,7 +144,7 @@ def _shift(
     else:
         start = float(table.start_s[place])
         low, high = float(table.start_s[place - 1]), start
-    return Shift(
+    return FittedShift(
         kind, start, turn, se, quantile(table.blocks, 3), gain,
         without_best(gain) + nats, pattern, low, high,
     )  # fmt: skip
