@@ -85,7 +85,7 @@ def assert_well_formed(out: FrameColumns) -> None:
     database = output_database()
     for name in ("IMUCALD_Acceleration", "IMUCALD_AngularRate", "IMUCALD_Health"):
         rows = out.data[out.can_id == database.message(name).can_id]
-        assert len(rows) > 10
+        assert len(rows) > 1
         counter = (rows[:, 6] >> 4).astype(int)
         assert np.all(np.diff(counter) % 16 == 1)
 

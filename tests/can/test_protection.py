@@ -83,6 +83,31 @@ def test_a_short_frame_is_one_fault() -> None:
     assert judge(checker, received) == ["", "", "short_frame"] + ["untrusted"] * 3 + ["", ""]
 
 
+@pytest.mark.parametrize(
+    ("size", "good", "bad"),
+    [(8, {8}, {9, 12, 64}), (6, {6}, {7, 8, 64}), (16, {16}, {20, 64}), (13, {13, 16}, {20, 64})],
+)
+def test_with_a_checksum_a_frame_is_as_long_as_its_message(size, good, bad) -> None:
+    """CAN FD carries 13 bytes in a frame of 16; AUTOSAR's E2E profiles check the length."""
+    spec = ProtectionSpec(size, COUNTER, crc8_j1850(size, 0, b"\x02\x00"), recovery=0)
+    for length in sorted(good | bad):
+        received = [frame + bytes(length - size) for frame in frames(spec, 2)]
+        one, columns = MessageChecker(spec), MessageChecker(spec)
+        reason = "" if length in good else "long_frame"
+        assert judge(one, received) == [reason] * 2
+        data = np.zeros((2, 64), np.uint8)
+        data[:, :length] = [list(frame) for frame in received]
+        codes = columns.check_columns(np.zeros(2), data, np.full(2, length, np.uint8))
+        assert [REASONS[code] for code in codes] == [reason] * 2
+        assert one.rejected == columns.rejected
+
+
+def test_without_a_checksum_a_longer_frame_is_taken() -> None:
+    spec = ProtectionSpec(SIZE, COUNTER, recovery=0)
+    received = [frame + bytes(4) for frame in frames(spec, 3)]
+    assert judge(MessageChecker(spec), received) == [""] * 3
+
+
 def test_a_second_fault_starts_the_wait_anew() -> None:
     checker = MessageChecker(PROTECTED)
     received = frames(PROTECTED, 12)

@@ -27,6 +27,9 @@ NAMES = [
     "isotp_frames",
     "status_request",
     "bus_frames",
+    "reload",
+    "frame_check",
+    "wrong_keys",
 ]
 INPUT_S, MEMORY_MB, LONGEST = 10, 2048, 65536
 """Limits of one input: time [s], memory [MB], length [bytes]."""

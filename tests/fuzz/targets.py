@@ -6,9 +6,11 @@ that escapes (or a crash, a hang, memory without bound) is a defect.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import functools
 import hashlib
+import io
 import json
 import socket
 import struct
@@ -17,7 +19,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+import shuttle
+from imucald.can.dbc.bits import Field
 from imucald.can.dbc.database import load_database
+from imucald.can.e2e.checksums import crc8_j1850
+from imucald.can.e2e.protection import REASONS, CounterSpec, MessageChecker, ProtectionSpec
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import parse_config
 from imucald.core.errors import ImucaldError
@@ -26,6 +34,9 @@ from imucald.inputs.wiring import compile_router
 from imucald.model.model import load_model
 from imucald.runtime.session import make_engine, open_config
 from imucald.service import dtc_store, state
+from imucald.service.attempt_store import AttemptStore
+from imucald.service.journal import Journal
+from imucald.service.service import Service, ServiceOptions
 from imucald.service.status import StatusServer
 from imucald.uds.isotp_channel import IsoTpChannel
 
@@ -34,6 +45,14 @@ FOLDER = Path(tempfile.mkdtemp(prefix="imucald-fuzz-"))
 DATABASE_FORMATS = ("dbc", "kcd", "sym", "arxml")
 LOG_ENDINGS = (".log", ".asc", ".trc", ".csv", ".blf", ".log.gz")
 MAX_FRAMES = 200
+COUNTER = CounterSpec(Field(8, 4, "little_endian"), 15, max_jump=2)
+FRAME_SPECS = (
+    ProtectionSpec(8, COUNTER, crc8_j1850(8, 0, b"\x02\x00"), 0.01),
+    ProtectionSpec(13, COUNTER, crc8_j1850(13, 0, b""), 0.01),
+    ProtectionSpec(64, None, crc8_j1850(64, 0, b""), None),
+    ProtectionSpec(20, COUNTER, None, 0.02, recovery=1),
+    ProtectionSpec(0),
+)
 LINK_COUNTERS = "received lost sent conflicts error_frames bus_off went_down reopened"
 STATUS: dict[str, Any] = {
     "state": "fine",
@@ -194,6 +213,73 @@ def bus_frames(data: bytes) -> None:
     engine.idle(0.5)
 
 
+@functools.cache
+def _service() -> tuple[Service, Path]:
+    """A daemon on a virtual bus, and its configuration file."""
+    path = shuttle.write(FOLDER, cycles=1)
+    options = ServiceOptions(path, interface="virtual", channel="fuzz")
+    service = Service(options, Journal(io.StringIO()))
+    atexit.register(service.close)
+    return service, path
+
+
+def reload(data: bytes) -> None:
+    """Another configuration for a running daemon: taken, or nothing has changed."""
+    service, path = _service()
+    good = path.read_bytes()
+    before = service.engine, service.loaded, service.link
+    path.write_bytes(data)
+    try:
+        service.reload()
+    finally:
+        path.write_bytes(good)
+    if service.loaded is before[1]:
+        assert (service.engine, service.link) == (before[0], before[2])
+
+
+def frame_check(data: bytes) -> None:
+    """Frames of any length of CAN FD through a message's checks, one by one and in columns.
+
+    The first byte chooses what the message has; then length, time step and payload of each frame.
+    """
+    if not data:
+        return
+    spec = FRAME_SPECS[data[0] % len(FRAME_SPECS)]
+    t, rest, frames = 0.0, data[1:], []
+    while len(rest) >= 2 and len(frames) < MAX_FRAMES:
+        length = rest[0] % 65
+        t += rest[1] * 1e-3
+        frames.append((t, rest[2 : 2 + length]))
+        rest = rest[2 + length :]
+    if not frames:
+        return
+    one, columns = MessageChecker(spec), MessageChecker(spec)
+    said = [one.check(at, payload) or "" for at, payload in frames]
+    block = np.zeros((len(frames), 64), np.uint8)
+    for row, (_, payload) in zip(block, frames, strict=True):
+        row[: len(payload)] = list(payload)
+    lengths = np.array([len(payload) for _, payload in frames], np.uint8)
+    codes = columns.check_columns(np.array([at for at, _ in frames]), block, lengths)
+    assert said == [REASONS[code] for code in codes.tolist()]
+    assert (one.accepted, one.rejected, one.lost) == (
+        columns.accepted,
+        columns.rejected,
+        columns.lost,
+    )
+    for reason, (_, payload) in zip(said, frames, strict=True):
+        assert reason or spec.size <= len(payload) <= spec.longest
+
+
+def wrong_keys(data: bytes) -> None:
+    """A file with the count of wrong keys."""
+    path = FOLDER / "security.keys"
+    path.write_bytes(data)
+    store = AttemptStore(path, lambda *_: None)
+    assert 0 <= store.wrong <= 255
+    for file in FOLDER.glob("security.keys*"):
+        file.unlink()
+
+
 TARGETS: dict[str, Callable[[bytes], None]] = {
     target.__name__: target
     for target in (
@@ -207,6 +293,9 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
         isotp_frames,
         status_request,
         bus_frames,
+        reload,
+        frame_check,
+        wrong_keys,
     )
 }
 """Entries by name; a new one is added here and gets seeds in corpus/NAME."""

@@ -276,6 +276,53 @@ def stopped():
     }
 
 
+BUS_UNIT = pathlib.Path("/usr/share/imucald/imucald-bus@.service.example")
+DROP_IN = """[Unit]
+Requires=imucald-bus@%i.service
+After=imucald-bus@%i.service
+[Service]
+NetworkNamespacePath=/run/netns/imucald-%i
+"""
+
+
+def one_interface():
+    """The daemon in a network namespace of its own, behind the kernel's gateway."""
+    pathlib.Path("/etc/systemd/system/imucald-bus@.service").write_text(BUS_UNIT.read_text())
+    folder = pathlib.Path("/etc/systemd/system/imucald@.service.d")
+    folder.mkdir()
+    (folder / "one-interface.conf").write_text(DROP_IN)
+    shell("ip", "link", "add", "dev", "vcan1", "type", "vcan")
+    shell("ip", "link", "set", "up", "dev", "vcan1")
+    shell("systemctl", "daemon-reload")
+    shell("systemctl", "stop", UNIT)
+    shell("systemctl", "start", UNIT)
+    sensor, inside = Sensor(), ("ip", "netns", "exec", "imucald-vcan0")
+    took = wait(lambda: sensor.good_since(0.0))
+    dump = subprocess.Popen(
+        ["candump", "-n", "500", "-T", "3000", "-L", "vcan0"], stdout=subprocess.PIPE, text=True
+    )
+    time.sleep(0.5)
+    for frame in ("123#DEAD", "64F#BEEF"):
+        shell(*inside, "cansend", "vcan0", frame)
+    other = subprocess.run([*inside, "cansend", "vcan1", "64F#00"], check=False).returncode
+    sensor.stop()
+    heard = dump.communicate()[0]
+    names = [line.split()[1].strip(":") for line in shell(*inside, "ip", "-o", "link").splitlines()]
+    found = {
+        "took": took,
+        "interfaces": sorted(name.partition("@")[0] for name in names),
+        "allowed": "64F#BEEF" in heard,
+        "foreign": "123#DEAD" in heard,
+        "other": other,
+        "active": show("ActiveState"),
+    }
+    (folder / "one-interface.conf").unlink()
+    shell("systemctl", "stop", UNIT, "imucald-bus@vcan0.service")
+    shell("systemctl", "daemon-reload")
+    shell("systemctl", "start", UNIT)
+    return found
+
+
 def interface_lost():
     sensor = Sensor()
     wait(lambda: sensor.good_since(0.0))
@@ -357,6 +404,7 @@ SCENES = (
     stopped,
     crash_loop,
     heavy_database,
+    one_interface,
     interface_lost,
     clock_stepped,
     corrupted,

@@ -142,6 +142,15 @@ def test_a_database_too_large_for_the_unit_changes_nothing_on_reload_and_makes_n
     assert found["restarts"] == 0
 
 
+def test_in_a_namespace_of_its_own_it_reaches_one_bus_and_sends_what_is_let_through(outcome):
+    found = scene(outcome, "one_interface")
+    assert found["active"] == "active"
+    assert found["interfaces"] == ["lo", "vcan0"]
+    assert found["allowed"]
+    assert not found["foreign"]
+    assert found["other"] != 0
+
+
 def test_reloading_keeps_process_and_estimate_and_refuses_nonsense(outcome):
     found = scene(outcome, "reloaded")
     assert found["same_process"]

@@ -63,6 +63,7 @@ def test_all_that_is_named_is_installed(installed):
         "share/imucald/80-can0-classic.network.example",
         "share/imucald/80-can0-fd.network.example",
         "share/imucald/imucald_out.dbc",
+        "share/imucald/imucald-bus@.service.example",
     }
     start = "\n  /bin/true run --config /etc/imucald/%i.yaml --interface socketcan"
     assert start in (installed / "imucald@.service").read_text()

@@ -11,6 +11,7 @@ from imucald.core.errors import ConfigError
 UNIT = "imucald@.service"
 FILES = {
     UNIT: "lib/systemd/system/imucald@.service",
+    "imucald-bus@.service.example": "share/imucald/imucald-bus@.service.example",
     "60-imucald.sysctl.conf": "lib/sysctl.d/60-imucald.conf",
     "70-imucald.udev.rules": "lib/udev/rules.d/70-imucald.rules",
     "80-can0-classic.network.example": "share/imucald/80-can0-classic.network.example",

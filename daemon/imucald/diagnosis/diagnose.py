@@ -25,7 +25,7 @@ from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import Diagnosis, FoundCause
 from imucald.diagnosis.score import Hypothesis, Problem, estimate, quantile
 from imucald.diagnosis.search import State, final_estimates, search, shift_steps
-from imucald.diagnosis.signals import Drive, drive_of
+from imucald.diagnosis.signals import Drive, drive_of, require
 from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]
@@ -53,6 +53,8 @@ def diagnose(
     """
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
+    for samples in drives:
+        require(samples)
     tell = progress or _silent
     until = time.process_time() + limit_s
     late = _Late(until)

@@ -21,8 +21,9 @@ from imucald.diagnosis.result import (
     Structure,
     Verdict,
 )
-from imucald.diagnosis.search import State, Trial, questions
+from imucald.diagnosis.search import State
 from imucald.diagnosis.shift import KEYS, Shift
+from imucald.diagnosis.trials import Trial, questions
 from imucald.model.model import VehicleModel
 
 SEEN_SHARE = 0.02

@@ -31,7 +31,8 @@ SEARCH = 1.3
 """Factor on the quantile for having looked at many times (Andrews 1993, for the middle 60 %)."""
 AGREE_SD, SEEN_SD = 3.0, 2.0
 NEIGHBOURS = 3
-LEAST_NATS = 4.0
+LEAST_NATS = 8.0
+"""As for any cause, with some thirty times at which it may have happened: ln(30 / 0.01)."""
 
 
 @dataclass(frozen=True)

@@ -134,14 +134,19 @@ def duplicates(series: Series, period: float) -> Mask:
     return again
 
 
+def require(samples: Samples) -> None:
+    """Raise EstimateError where a signal is missing that everything needs."""
+    for name in NEEDED:
+        if name not in samples or len(samples[name].t) < 20:
+            raise EstimateError(f"diagnosis needs the signal {name!r}, and minutes of it")
+
+
 def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> Drive:
     """Put a drive on its grid. bad: stretches [s] by channel that must not be used.
 
     Raises EstimateError where what is needed is not there.
     """
-    for name in NEEDED:
-        if name not in samples or len(samples[name].t) < 20:
-            raise EstimateError(f"diagnosis needs the signal {name!r}, and minutes of it")
+    require(samples)
     known = bad or {}
     channels = {
         name: Channel.of(series, known.get(name, ()))

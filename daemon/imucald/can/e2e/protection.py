@@ -5,13 +5,14 @@ good frames are dropped too ("untrusted"). One frame at a time (`check`) and col
 (`check_columns`) give the same reasons and leave the same state, in any mixture. What only
 concerns one signal (not available, implausible) is judged in `quantities`.
 
-The order of judgement: "short_frame", "checksum" (with the data id), "counter_invalid": such a
-frame says nothing, and its counter is not read. Then "timeout": the first good frame after a
-silence, which starts the counter anew. Then the counter against that of the last good frame:
-"counter_repeated" (stuck, or a frame sent again), "counter_reversed" (back by no more than the
-window: an old frame), "counter_jump" (more lost than allowed). Frames dropped for a wrong
-checksum or length are known to be missing and widen the allowed step, so that one damaged frame
-is one fault.
+The order of judgement: "short_frame", "long_frame" (only where there is a checksum: such frames
+have the length that their profile states, or the next that CAN FD can carry), "checksum" (with the
+data id), "counter_invalid": such a frame says nothing, and its counter is not read. Then "timeout":
+the first good frame after a silence, which starts the counter anew. Then the counter against that
+of the last good frame: "counter_repeated" (stuck, or a frame sent again), "counter_reversed" (back
+by no more than the window: an old frame), "counter_jump" (more lost than allowed). Frames dropped
+for a wrong checksum or length are known to be missing and widen the allowed step, so that one
+damaged frame is one fault.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ DEFAULT_TIMEOUT_CYCLES = 10.0
 REASONS = (
     "",
     "short_frame",
+    "long_frame",
     "checksum",
     "counter_invalid",
     "timeout",
@@ -52,7 +54,11 @@ REASONS = (
 )
 """Text of each reason code; code 0 is an accepted frame."""
 
-OK, SHORT, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED = range(len(REASONS))
+OK, SHORT, LONG, CHECKSUM, INVALID, TIMEOUT, REPEATED, REVERSED, JUMP, UNTRUSTED = range(10)
+
+
+_FD_LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
+"""Payloads that CAN FD has beside those of classic CAN [bytes] (ISO 11898-1)."""
 
 
 class CounterSpec(Struct, frozen=True):
@@ -92,6 +98,15 @@ class ProtectionSpec(Struct, frozen=True):
             raise ConfigError("cycle time and time-out must be positive")
 
     @property
+    def longest(self) -> int:
+        """Bytes of the longest frame that is taken: what lies beyond a checksum, nobody checks."""
+        if self.checksum is None:
+            return MAX_FRAME_BYTES
+        if self.size <= _FD_LENGTHS[0]:
+            return self.size
+        return next(length for length in _FD_LENGTHS if length >= self.size)
+
+    @property
     def timeout(self) -> float | None:
         """Silence that is a fault [s]; None where the cycle time is not known."""
         return None if self.cycle_time is None else self.cycle_time * self.timeout_cycles
@@ -110,7 +125,7 @@ class MessageChecker:
 
     def __init__(self, spec: ProtectionSpec) -> None:
         self.spec = spec
-        self._size = spec.size
+        self._size, self._longest = spec.size, spec.longest
         self._checksum = None if spec.checksum is None else Checksum(spec.checksum)
         self._counter = spec.counter
         self._timeout = spec.timeout
@@ -137,6 +152,8 @@ class MessageChecker:
         code = OK
         if len(data) < self._size:
             code = SHORT
+        elif len(data) > self._longest:
+            code = LONG
         elif self._checksum is not None and not self._checksum.is_right(data):
             code = CHECKSUM
         else:
@@ -220,6 +237,7 @@ class MessageChecker:
             codes[counters >= self._counter.modulus] = INVALID
         if self._checksum is not None:
             codes[~self._checksum.are_right(data)] = CHECKSUM
+        codes[length > self._longest] = LONG
         codes[length < self._size] = SHORT
         return counters
 
