@@ -110,9 +110,10 @@ class Check:
         found = [
             *(Finding("note", "model", text) for text in notes),
             *decoding.findings(),
-            *health_findings(self._health.events),
             *judge(motion, vehicle.track, vehicle.wheelbase, vehicle.steering_ratio),
         ]
+        wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
+        found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]
         return sorted(found, key=lambda f: ("error", "warning", "note", "ok").index(f.level))
 
     def report(self) -> dict[str, Any]:
