@@ -70,6 +70,7 @@ SECTIONS = {
     "Alternative": "alternative",
     "Step": "steps",
     "TravelDirection": "travel_direction",
+    "ValidWhen": "valid_when",
     "Wheels": "wheel_speeds",
 }
 """Where a heading is not the name of its settings."""

@@ -65,9 +65,7 @@ MIN_BODY_LINES = 6
 
 KNOWN: Mapping[str, set[str]] = {
     "room": set(),
-    "circle": {
-        "diagnosis.bent <-> diagnosis.contest <-> diagnosis.search <-> diagnosis.shifts",
-    },
+    "circle": set(),
     "class": set(),
     "function": set(),
     "import in a function": set(),

@@ -231,7 +231,7 @@ EFFECTS: Mapping[str, Effect] = {
     "accel_bias_x": Effect(("accel_bias",), _bias("accel", 0), (0.1, 0.2, 0.3, 0.5), "m/s²",
                            key="accel.bias.x"),
     "accel_bias_drift": Effect(
-        ("accel_bias", "accel_bias_temperature", "mount_creep", "drift"), _bias_drift,
+        ("accel_bias_drift", "accel_bias", "accel_bias_temperature", "mount_creep"), _bias_drift,
         (0.1, 0.2, 0.3, 0.5), "m/s²"),
     "accel_scale": Effect(("accel_scale",), _scale("accel"), (0.02, 0.04, 0.06, 0.1), "%", 0.01),
     "accel_cross_axis": Effect(("accel_cross_axis",), _cross_axis, (0.02, 0.04, 0.06, 0.1), "%",

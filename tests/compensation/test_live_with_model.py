@@ -175,7 +175,7 @@ def test_a_changed_model_is_taken_on_reload_and_the_mount_goes_on_as_restored(be
     yaw = service.status()["mount"]["yaw_deg"]
     before = service.engine.pipeline.estimator
     bench.model("accel: {bias: [0.3, 0, 0]}\nspeed: {scale: 0.01}\n")
-    service.reload_changes()
+    service.reload()
     engine = service.engine
     taken, _ = engine.stages.frame(0.0, [("accel", (1.0, 0.0, 9.8))], Counter())
     assert taken == [("accel", (0.7, 0.0, 9.8))]
@@ -185,7 +185,7 @@ def test_a_changed_model_is_taken_on_reload_and_the_mount_goes_on_as_restored(be
     assert service.status()["mount"]["yaw_deg"] == pytest.approx(yaw, abs=1e-3)
     assert "takes out accel.bias, speed.scale" in bench.log.getvalue()
     bench.model(MODEL)
-    service.reload_changes()  # back to the model whose state was saved when it went
+    service.reload()  # back to the model whose state was saved when it went
     assert service.engine.pipeline.quality == 1
     service.close()
 
@@ -195,10 +195,10 @@ def test_what_no_estimate_rests_on_leaves_the_estimator_alone(bench):
     bench.drive(service)
     before = service.engine.pipeline.estimator
     bench.model(f"{MODEL}route: {{kind: city}}\n")
-    service.reload_changes()
+    service.reload()
     assert service.engine.pipeline.estimator is before
     bench.model(f"{MODEL}mount: {{lever_arm_m: [1, 0, 0]}}\n")
-    service.reload_changes()
+    service.reload()
     assert service.engine.pipeline.estimator is not before
     service.close()
 
@@ -207,11 +207,11 @@ def test_a_wrong_model_changes_nothing_on_reload_and_is_told(bench):
     service = bench.service()
     engine = service.engine
     bench.model("accel: {bias: 3}\n")
-    service.reload_changes()
+    service.reload()
     assert service.engine is engine
     assert "car.yaml:1: accel.bias" in bench.log.getvalue()
     (bench.folder / "car.yaml").unlink()
-    service.reload_changes()
+    service.reload()
     assert service.engine is engine
     assert "there is no such file" in bench.log.getvalue()
     service.close()

@@ -64,19 +64,19 @@ def test_the_value_that_is_told_is_the_one_that_was_hidden():
 
 def test_the_written_file_alone_brings_what_is_told():
     """The extended file, put to the test by itself, starts where the page said that it ends."""
-    d = diagnosed("yaw_rate_scale")
+    d = diagnosed("steering_offset")
     assert d.recommended
-    again = diagnose([drive("yaw_rate_scale").samples], d.model_after)
-    assert "yaw_rate_scale" not in names(again)
-    for name, s in d.signals.items():
-        assert again.signals[name].rms_before == pytest.approx(s.rms_after, rel=0.05)
-    gained = d.signals["gyro_z"]
+    again = diagnose([drive("steering_offset").samples], d.model_after)
+    assert "steering_offset" not in names(again)
+    for name, s in again.signals.items():
+        assert s.rms_before == pytest.approx(d.signals[name].rms_after, rel=0.05)
+    gained = d.signals["yaw_rate"]
     assert gained.rms_after < 0.6 * gained.rms_before
 
 
 def test_a_second_log_is_held_to_what_the_file_says_of_itself():
-    after = diagnosed("yaw_rate_scale").model_after
-    assert 0.0 < after.known_to["yaw_rate.scale"] <= 0.02
+    after = diagnosed("steering_offset").model_after
+    assert 0.0 < after.known_to["steering.offset"] <= 0.0123
 
 
 def test_a_value_that_cannot_be_is_unknown_and_not_named():

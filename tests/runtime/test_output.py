@@ -258,7 +258,7 @@ def test_columns_and_single_samples_are_the_same_bytes(loaded):
 
 def test_the_shipped_database_says_all_that_a_receiver_needs(out_dbc):
     ids = {m.name: m.frame_id for m in out_dbc.messages}
-    assert sorted(ids.values()) == list(range(0x640, 0x64C))
+    assert sorted(ids.values()) == list(range(0x640, 0x64D))
     for message in out_dbc.messages:
         assert message.length == 8
         assert message.comment

@@ -70,7 +70,7 @@ def refuse(*_: object, **__: object) -> None:
 def test_a_hostile_configuration_changes_nothing(text, bench):
     before = bench.everything()
     bench.config.write_text(text)
-    bench.service.reload_changes()
+    bench.service.reload()
     assert bench.everything() == before
     assert bench.log.getvalue().count("not reloaded") >= 1
 
@@ -85,7 +85,7 @@ def test_a_configuration_that_is_no_file_any_more_changes_nothing(what, bench):
         bench.config.symlink_to("/dev/zero")
     elif what == "folder":
         bench.config.mkdir()
-    bench.service.reload_changes()
+    bench.service.reload()
     assert bench.everything() == before
     assert "not reloaded" in bench.log.getvalue()
 
@@ -116,12 +116,12 @@ def test_wherever_it_breaks_nothing_has_changed_and_the_next_one_works(
         )
     with monkeypatch.context() as broken:
         broken.setattr(owner, name, refuse)
-        bench.service.reload_changes()
+        bench.service.reload()
     if "not reloaded" not in bench.log.getvalue():
         pytest.skip(f"{name} was not needed")
     assert bench.everything() == before
     assert "RuntimeError: something nobody thought of" in bench.log.getvalue()
-    bench.service.reload_changes()
+    bench.service.reload()
     assert "was read again" in bench.log.getvalue()
     assert bench.service.engine is not before[0]
 

@@ -170,7 +170,7 @@ def test_reloading_keeps_the_estimator_where_its_settings_are_the_same(bench):
     bench.drive(service)
     before, correction = service.engine.pipeline.estimator, service.engine.pipeline.correction
     bench.edit("status_rate: 10", "status_rate: 1\n  ids: {acceleration: 0x650}")
-    service.reload_changes()
+    service.reload()
     assert service.engine.pipeline.estimator is before
     assert service.engine.pipeline.correction == correction
     out = service.engine.frame(1.6e9 + 60.0, 0x200, ACCEL)
@@ -182,7 +182,7 @@ def test_reloading_other_settings_keeps_the_mount_as_restored(bench):
     service = bench.service()
     bench.drive(service)
     bench.edit("accelerometer_bias: 0.02", "accelerometer_bias: 0.03")
-    service.reload_changes()
+    service.reload()
     assert isinstance(service.engine.pipeline.estimator, RestoredEstimator)
     assert service.engine.pipeline.quality == 1
     assert abs(service.status()["mount"]["yaw_deg"] - 25.0) < 3.0
@@ -193,10 +193,10 @@ def test_reloading_another_vehicle_takes_that_ones_state(bench):
     service = bench.service()
     bench.drive(service)
     bench.edit("database:", "vehicle: {id: another}\ndatabase:")
-    service.reload_changes()
+    service.reload()
     assert service.engine.pipeline.correction is None
     bench.edit("vehicle: {id: another}\n", "")
-    service.reload_changes()
+    service.reload()
     assert service.engine.pipeline.quality == 1
     service.close()
 
@@ -206,7 +206,7 @@ def test_a_wrong_configuration_changes_nothing_on_reload(bench):
     bench.drive(service)
     engine, link = service.engine, service.link
     bench.edit("speed: SPEED.V", "speed: SPEED.NONE")
-    service.reload_changes()
+    service.reload()
     assert (service.engine, service.link) == (engine, link)
     assert "not reloaded" in bench.log.getvalue()
     assert "shuttle.yaml:" in bench.log.getvalue()

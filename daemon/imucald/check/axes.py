@@ -28,6 +28,8 @@ AXIS_DEG = 20.0
 cross-axis errors make a few."""
 HANDED = 0.7
 """Triple product of the unit vectors forward, left and up from which their sense is clear."""
+OTHER_UNIT = 1.9
+"""A gain of the speed beyond is an error: half way, as a ratio, to km/h taken for m/s."""
 ODD_SPEED = 1.4
 """A gain of the accelerometer over the change of speed beyond this (or below its inverse) is odd:
 measured and simulated vehicles show 0.8 to 1.2, miles taken for kilometres 0.6 or 1.6 of that."""
@@ -84,7 +86,9 @@ def speed_findings(gain: float, delay: int) -> Iterator[Finding]:
     """Whether changes of speed show in the accelerometer as they should, and how late."""
     if not 1.0 / ODD_SPEED < gain < ODD_SPEED:
         text = f"its changes are {gain_guess(1.0 / gain)} (against the accelerometer)"
-        yield Finding("warning", "speed", text)
+        yield Finding(
+            "error" if not 1.0 / OTHER_UNIT < gain < OTHER_UNIT else "warning", "speed", text
+        )
     else:
         text = f"its changes show in the accelerometer (gain {gain:.2f})"
         yield Finding("ok", "speed", text)
@@ -110,7 +114,7 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
             "forward, left and up are a left-handed set: one axis has the wrong sign, two are "
             "exchanged, or the turn rate has the wrong sign"
         )
-        yield Finding("warning", "accelerometer", text)
+        yield Finding("error", "accelerometer", text)
     elif handed > HANDED:
         yield Finding("ok", "accelerometer", "forward, left and up are a right-handed set")
 
@@ -132,4 +136,4 @@ def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Ite
             f"turns about an axis {angle:.0f} deg from gravity's: one of its axes (or of the "
             "accelerometer's) has the wrong sign, or two are exchanged"
         )
-        yield Finding("warning", "gyroscope", text)
+        yield Finding("error", "gyroscope", text)

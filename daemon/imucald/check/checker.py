@@ -19,12 +19,15 @@ from imucald.can.columns import (
 from imucald.can.link.link import Frame
 from imucald.check.decoding import Decoding
 from imucald.check.finding import Finding
+from imucald.check.health import health_findings
 from imucald.check.judgement import judge
 from imucald.check.motion import Motion, TickMeans
 from imucald.check.source import id_text, message_row, quantity_row, sources
 from imucald.check.statistics import Probe
 from imucald.config import LoadedConfig
 from imucald.inputs.wiring import compile_router
+from imucald.motion.sample_health import SampleHealth
+from imucald.motion.ticks import tick_index
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.session import open_compensation
 from imucald.runtime.timebase import TimeBase
@@ -56,6 +59,8 @@ class Check:
         self._uncounted = 0
         self._timebase = TimeBase()
         self._means = TickMeans()
+        self._health = SampleHealth(self.router.measured_axes)
+        self._tick = 0
 
     def feed(self, frames: FrameColumns) -> None:
         """Take a chunk of all the frames of a log or a bus."""
@@ -69,7 +74,14 @@ class Check:
                     self._uncounted += count
         for segment in self._timebase.segments(frames.t):
             chunk = frames.take(slice(segment.start, segment.stop))
-            self._means.add(self.router.columns(segment.t, chunk).samples)
+            samples = self.router.columns(segment.t, chunk).samples
+            self._means.add(samples)
+            if segment.gap:
+                self._health.gap()
+                self._tick = tick_index(float(segment.t[0]))
+            last = tick_index(float(segment.t[-1]))
+            self._health.columns(samples, self._tick, last)
+            self._tick = last
 
     # the report ------------------------------------------------------------------------------
 
@@ -100,6 +112,8 @@ class Check:
             *decoding.findings(),
             *judge(motion, vehicle.track, vehicle.wheelbase, vehicle.steering_ratio),
         ]
+        wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
+        found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]
         return sorted(found, key=lambda f: ("error", "warning", "note", "ok").index(f.level))
 
     def report(self) -> dict[str, Any]:

@@ -8,22 +8,29 @@ Miles for kilometres are less: speed is held against a narrower one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from imucald.check.axes import MIN_BRAKING, axes_findings, best_response, speed_findings
+from imucald.check.axes import (
+    MIN_BRAKING,
+    OTHER_UNIT,
+    axes_findings,
+    best_response,
+    speed_findings,
+)
 from imucald.check.finding import (
     CLEAR,
     MIN_TICKS,
+    Array,
     Finding,
     gain_between,
     gain_guess,
     is_wrong,
     spread,
 )
-from imucald.check.motion import Motion
-from imucald.check.yaw_rate_check import yaw_rate_findings
+from imucald.check.motion import Motion, smooth
+from imucald.check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
 from imucald.core.samples import GRAVITY
 
 REST_WRONG, REST_ODD = 0.25, 0.03
@@ -36,6 +43,9 @@ REVERSE_SPEED = 5.0
 """Nobody reverses faster for long [m/s]."""
 REVERSE_SHARE = 0.1
 """Part of the time above that speed that reverse may be on: a lever passing by."""
+WHEELS_DIFFER = 0.1
+"""Part by which the speed may differ from the wheels': worn and wrong tyres make 5 %, displays show
+up to 10 % more (UN R39)."""
 MIN_BRAKING_TICKS = 50
 """Ticks with and without brake that a judgement of it needs: 5 s."""
 
@@ -66,7 +76,46 @@ def judge(
     yield from _along(motion)
     if not motion.planar:
         yield from axes_findings(motion, rates)
+    yield from _speed_against_wheels(motion)
     yield from _brake(motion)
+    yield from _not_checked(motion, rates)
+
+
+def _speed_against_wheels(motion: Motion) -> Iterator[Finding]:
+    """Both are measured at the wheels; they agree within a few per cent but for a wrong unit."""
+    if motion.speed is None or "wheel_speeds" not in motion.grid:
+        return
+    wheels = np.abs(smooth(motion.grid["wheel_speeds"])).mean(axis=1)
+    n = min(len(wheels), len(motion.speed))
+    speed, wheels = np.abs(motion.speed[:n]), wheels[:n]
+    fast = np.nan_to_num(np.minimum(speed, wheels)) > 1.0
+    if np.count_nonzero(fast) < MIN_TICKS:
+        return
+    ratio = float(np.median(speed[fast] / wheels[fast]))
+    if not 1.0 / OTHER_UNIT < ratio < OTHER_UNIT:
+        yield Finding("error", "speed", f"against the wheels' speeds {gain_guess(ratio)}")
+    elif abs(ratio - 1.0) > WHEELS_DIFFER:
+        yield Finding("warning", "speed", f"is {ratio:.2f} times the wheels' speeds")
+    else:
+        yield Finding("ok", "speed", f"is that of the wheels ({ratio:.2f} times)")
+
+
+def _not_checked(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding]:
+    """What the drive, or its signals, could not show."""
+    left: list[str] = []
+    turning = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
+    if not turning:
+        left.append("signs and units of what tells of turns (no bends, or no such signal)")
+    elif len(turning) == 1:
+        left.append(f"the sign of {turning[0]} in turns (nothing beside it)")
+    if motion.speed is None:
+        left.append("all that needs the speed")
+    elif motion.change is not None and spread(motion.change) < MIN_BRAKING:
+        left.append("the accelerometer against changes of speed (none to speak of)")
+    if "gyro" not in motion.grid and not motion.planar:
+        left.append("the accelerometer's axes against a gyroscope's (there is none)")
+    for text in left:
+        yield Finding("note", "check", f"not checked: {text}")
 
 
 def _at_rest(motion: Motion) -> Iterator[Finding]:

@@ -27,7 +27,7 @@ def yaw_rate_findings(rates: Mapping[str, Array]) -> Iterator[Finding]:
             gains[name] = gain
         elif abs(correlation) < CLEAR / 2.0 and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
             text = f"hardly follows {reference} in turns (correlation {correlation:+.2f})"
-            yield Finding("warning", name, text)
+            yield Finding("error", name, text)
     yield from _signs(gains)
     yield from _gains(gains)
 
@@ -40,7 +40,7 @@ def _gains(gains: Mapping[str, float]) -> Iterator[Finding]:
         if is_wrong(size / middle):
             against = ", ".join(other for other in sizes if other != name)
             text = f"against {against} in turns {gain_guess(size / middle)}"
-            yield Finding("warning", name, text)
+            yield Finding("error", name, text)
 
 
 def _signs(gains: Mapping[str, float]) -> Iterator[Finding]:
@@ -52,13 +52,13 @@ def _signs(gains: Mapping[str, float]) -> Iterator[Finding]:
         yield Finding("ok", left[0], f"turns the same way as {', '.join(left[1:])}")
     elif len(left) == len(right):
         text = f"has the opposite sign of {', '.join(right)} in turns; positive must be to the left"
-        yield Finding("warning", left[0], text)
+        yield Finding("error", left[0], text)
     else:
         few, many = (left, right) if len(left) < len(right) else (right, left)
         for name in few:
             hint = _sign_hint(name)
             text = f"has the opposite sign of {', '.join(many)} in turns{hint}"
-            yield Finding("warning", name, text)
+            yield Finding("error", name, text)
 
 
 def _sign_hint(name: str) -> str:

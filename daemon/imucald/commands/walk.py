@@ -128,6 +128,9 @@ def _step(step: Step) -> dict[str, Any]:
         "compass_deg": _degrees(step.compass),
         "alternative_deg": _degrees(step.alternative),
         "published_deg": None,
+        "deviation_deg": _degrees(step.deviation),
+        "ahead_probability": None if step.ahead is None else round(step.ahead, 4),
+        "ambiguous": step.ambiguous,
     }
     if published is not None:
         found.update(
@@ -147,12 +150,15 @@ def _table(steps: Sequence[Step], result: dict[str, Any]) -> None:
 
     plain_where_needed()
     table = Table(box=None, pad_edge=False)
-    for name in ("time s", "heading", "compass", "alternative", "published", "chosen"):
+    for name in ("time s", "heading", "+-", "compass", "alternative", "published", "chosen"):
         table.add_column(name, justify="right")
     every = max(1, math.ceil(len(steps) / SHOWN))
     for step in result["track"][::every]:
         keys = ("heading_deg", "compass_deg", "alternative_deg", "published_deg")
         cells = ["-" if step[k] is None else f"{step[k]:.0f}" for k in keys]
+        if step["ambiguous"]:
+            cells[0] = f"{cells[0]} or opposite"
+        cells.insert(1, "-" if step["deviation_deg"] is None else f"{step['deviation_deg']:.0f}")
         table.add_row(f"{step['t_s']:.1f}", *cells, str(step.get("chosen", "-")))
     print(f"{result['steps']} steps; heading [deg from north] by the {result['method']} method")
     plain_console().print(table)

@@ -86,6 +86,7 @@ class OutputIds(Settings, frozen=True):
     grade: CanId = 0x649
     travel_direction: CanId = 0x64A
     free_acceleration: CanId = 0x64B
+    travel_deviation: CanId = 0x64C
 
     def __post_init__(self) -> None:
         ids = structs.astuple(self)

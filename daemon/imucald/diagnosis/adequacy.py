@@ -16,8 +16,9 @@ from imucald.diagnosis.blocks import TILTED
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.result import GOES_AGAINST, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
-from imucald.diagnosis.search import BIAS, State, tried
+from imucald.diagnosis.search import State
 from imucald.diagnosis.signals import STEP_S
+from imucald.diagnosis.trials import BIAS, tried
 
 Spectra = NDArray[np.complex128]
 OPPOSITE = -0.4

@@ -16,7 +16,7 @@ from scipy.fft import dct
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.model_file import plausible, tolerance
-from imucald.diagnosis.signals import STEP_S, Array, Drive, Mask
+from imucald.diagnosis.signals import STEP_S, Array, DriveSignals, Mask
 from imucald.model.model import VehicleModel
 
 BLOCK_S, SHORT_BLOCK_S = 30.0, 20.0
@@ -116,7 +116,7 @@ class _Rows:
     """Length of a block."""
 
 
-def table_of(drives: Sequence[Drive], model: VehicleModel) -> tuple[Table, list[Forward]]:
+def table_of(drives: Sequence[DriveSignals], model: VehicleModel) -> tuple[Table, list[Forward]]:
     """Evaluate all drives against a model file."""
     total = sum(drive.duration_s for drive in drives)
     seconds = BLOCK_S if total > FEW_S else SHORT_BLOCK_S
@@ -135,12 +135,12 @@ def table_of(drives: Sequence[Drive], model: VehicleModel) -> tuple[Table, list[
     return _weighed(merged, keys, model, blocks, start, moving, top, levels), forwards
 
 
-def _keys(drives: Sequence[Drive]) -> tuple[str, ...]:
+def _keys(drives: Sequence[DriveSignals]) -> tuple[str, ...]:
     drive = drives[0]
     return tuple(key for key, row in PARAMETERS.items() if all(drive.has(n) for n in row.needs))
 
 
-def _top_hz(drive: Drive, equation: str) -> float:
+def _top_hz(drive: DriveSignals, equation: str) -> float:
     periods = [drive.channels[n].period_s for n in TAKES[equation] if drive.has(n)]
     if equation not in OF_SPEED and "speed" in TAKES[equation]:
         periods.append(drive.channels["speed"].period_s)

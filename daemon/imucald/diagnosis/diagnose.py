@@ -25,7 +25,7 @@ from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import Diagnosis, FoundCause
 from imucald.diagnosis.score import Hypothesis, Problem, estimate, quantile
 from imucald.diagnosis.search import State, final_estimates, search, shift_steps
-from imucald.diagnosis.signals import Drive, drive_of
+from imucald.diagnosis.signals import DriveSignals, drive_of, require
 from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]
@@ -53,6 +53,8 @@ def diagnose(
     """
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
+    for samples in drives:
+        require(samples)
     tell = progress or _silent
     until = time.process_time() + limit_s
     late = _Late(until)
@@ -139,7 +141,7 @@ def _faults(
     return found, model.with_changes(changes) if changes else model
 
 
-def _started(parts: Sequence[Drive], model: VehicleModel, rest: Rest | None) -> State:
+def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | None) -> State:
     """Stops first: what they say of the gyroscope's zero bounds every fit."""
     state = State(parts, model, model, {})
     if rest is None:
@@ -218,7 +220,7 @@ def _written(state: State, problem: Problem) -> VehicleModel:
     return written if state.shift is None else with_shifts(written, shift_steps(state.shift))
 
 
-def _notes(parts: Sequence[Drive], table: Table, late: _Late) -> list[str]:
+def _notes(parts: Sequence[DriveSignals], table: Table, late: _Late) -> list[str]:
     notes = []
     if not parts[0].has("gyro"):
         notes.append(

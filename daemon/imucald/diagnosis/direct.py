@@ -14,7 +14,7 @@ from scipy.stats import t as student
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import DEG
 from imucald.diagnosis.model_file import mounts, sensor_of
-from imucald.diagnosis.signals import Array, Drive
+from imucald.diagnosis.signals import Array, DriveSignals
 from imucald.model.model import VehicleModel
 
 FEW_STOPS = 3
@@ -46,7 +46,7 @@ class Rest:
         }
 
 
-def rest_of(drives: Sequence[Drive], model: VehicleModel, questions: int) -> Rest | None:
+def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int) -> Rest | None:
     """Means over all stops; None without a gyroscope or a stop."""
     rates, warmth = [], []
     sensor = sensor_of(model, "gyro", {})
@@ -90,7 +90,7 @@ def _slope(kelvin: Array, table: Array) -> tuple[Array | None, Array | None]:
 
 
 def gravity_at_rest(
-    drives: Sequence[Drive], model: VehicleModel
+    drives: Sequence[DriveSignals], model: VehicleModel
 ) -> tuple[float, float, int] | None:
     """Size of gravity at rest less the standard one [m/s^2], its deviation, number of stops."""
     sensor = sensor_of(model, "accel", {})

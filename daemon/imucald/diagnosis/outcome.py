@@ -21,8 +21,9 @@ from imucald.diagnosis.result import (
     Structure,
     Verdict,
 )
-from imucald.diagnosis.search import State, Trial, questions
-from imucald.diagnosis.shift import KEYS, Shift
+from imucald.diagnosis.search import State
+from imucald.diagnosis.shift import KEYS, FittedShift
+from imucald.diagnosis.trials import Trial, questions
 from imucald.model.model import VehicleModel
 
 SEEN_SHARE = 0.02
@@ -126,7 +127,7 @@ def told_rest(rest: Rest, model: VehicleModel) -> FoundCause:
     )  # fmt: skip
 
 
-def told_shift(shift: Shift, table: Table) -> FoundCause:
+def told_shift(shift: FittedShift, table: Table) -> FoundCause:
     """A turn of the sensor in mid-drive."""
     parameters = {
         f"mount.shifts.{angle}_deg": Estimated(float(x) * DEG, float(se) * DEG, "deg", 0.0, 0.3)

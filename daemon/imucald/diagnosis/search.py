@@ -1,25 +1,24 @@
 """From a table of blocks to names: candidates compete on data that their fit did not see.
 
-A cause is named when its held-out gain exceeds 4 nats without the best block in fifteen, one of its
-intervals lies wholly outside the tolerance, and its value is plausible. Rivals within two standard
-errors of the paired difference are named with it. Then it is freed, and the question is asked anew.
+A cause is named when its held-out gain, without the best block in fifteen, exceeds what chance
+gives in all questions together, when it leaves the box of honest files, and when its value is
+plausible. Rivals within two standard errors of the paired difference are named with it. Then it is
+freed, and the question is asked anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.stats import t as student
 
 from imucald.diagnosis.blocks import Table, table_of
-from imucald.diagnosis.causes import CAUSES, PARAMETERS, Cause
+from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.model_file import (
     Changes,
     extended,
-    level_effect,
     with_delay_rate,
     with_shifts,
 )
@@ -35,86 +34,26 @@ from imucald.diagnosis.score import (
     quantile,
     without_best,
 )
-from imucald.diagnosis.shift import Shift, find_shift
-from imucald.diagnosis.signals import Array, Drive
+from imucald.diagnosis.shift import FittedShift, find_shift
+from imucald.diagnosis.signals import Array, DriveSignals
+from imucald.diagnosis.trials import LIKELY_NATS, Trial, hypotheses, questions, tried
 from imucald.model.model import VehicleModel
 
-LEAST_NATS = 4.0
-"""A factor of 50 on data that the fit did not see."""
 ALIKE_SE = 2.0
 MOST_NAMED = 6
-LEVELLED = ("accel_scale", "accel_cross_axis")
-BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
 REFITS = 3
 CREEP_STEPS = 8
 SMALL_STEP = 0.05
 """A refit has settled when nothing moves by more than this share of its tolerance."""
-LIKELY = 0.05
-"""Error rate of a single question from which something is likely."""
 
 Tick = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Trial:
-    """What freeing a hypothesis' parameters came to."""
-
-    hypothesis: Hypothesis
-    estimate: Estimate
-    gain: Array
-    """(B,) nats by which each block is likelier, by a fit that did not see it."""
-    shown: float
-    """Sum of it without the best blocks."""
-    tolerance: Array
-    plausible: Array
-    single: float
-    """Quantile of one question asked alone."""
-
-    @property
-    def outside(self) -> bool:
-        """The box of honest files is left by more than chance."""
-        return self._beyond and self.estimate.pull > self.estimate.quantile
-
-    @property
-    def _beyond(self) -> bool:
-        """A value lies beyond its tolerance, by a deviation at least."""
-        beyond = np.abs(self.estimate.value) > self.tolerance + self.estimate.se
-        return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
-
-    @property
-    def likely(self) -> bool:
-        """The same at the error rate of a single question."""
-        return self._beyond and self.estimate.pull > self.single
-
-    @property
-    def is_plausible(self) -> bool:
-        """What leaves its tolerance stays within what a vehicle or a sensor can have."""
-        v, tau = self.estimate.value, self.tolerance
-        low, high = self.plausible.T
-        return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
-
-    @property
-    def is_testable(self) -> bool:
-        """The data tell its parameters more sharply than plausibility does."""
-        e = self.estimate
-        return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
-
-    @property
-    def could_be(self) -> bool:
-        """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
-        return self.shown > LEAST_NATS and self._beyond and self.is_testable
-
-    @property
-    def named(self) -> bool:
-        """Passes all that one hypothesis passes by itself."""
-        return self.shown > LEAST_NATS and self.outside and self.is_testable
 
 
 @dataclass
 class State:
     """What is known so far."""
 
-    drives: Sequence[Drive]
+    drives: Sequence[DriveSignals]
     stated: VehicleModel
     """The model file that is put to the test."""
     model: VehicleModel
@@ -133,7 +72,7 @@ class State:
     likely: list[Trial] = field(default_factory=list)
     last: list[Trial] = field(default_factory=list)
     """All trials beside what was found: what each could have been."""
-    shift: Shift | None = None
+    shift: FittedShift | None = None
     table: Table | None = None
     forwards: list[Forward] = field(default_factory=list)
     _evaluated: VehicleModel | None = None
@@ -161,71 +100,6 @@ class State:
         self.model = extended(self.stated, with_delay_rate(every, middle))
         if self.shift is not None:
             self.model = with_shifts(self.model, shift_steps(self.shift))
-
-
-def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[Hypothesis]:
-    """The catalogue's causes as far as their signals are there."""
-    made = []
-    for cause in CAUSES:
-        if cause.drift and f"{cause.name}!" in skip:
-            continue
-        for keys in (*cause.variants, *([cause.together] if cause.together else [])):
-            if not all(key in table.keys for key in keys):
-                continue
-            if (set(keys) & set(skip) and not cause.drift) or not any(
-                _shows(table, key) for key in keys
-            ):
-                continue
-            beside = dict(cause.with_it)
-            if beside and set(beside) <= set(table.keys) and not set(beside) & set(skip):
-                made.append(Hypothesis(cause.name, keys, ({keys[0]: 1.0, **beside},)))
-            level = cause.name in LEVELLED and not set(BIAS) & set(skip)
-            made.append(_hypothesis(cause, keys, model, table, level))
-    return made
-
-
-def _shows(table: Table, key: str) -> bool:
-    i = table.keys.index(key) + 1
-    return bool(table.gram[:, i, i].sum() * table.tolerance[i - 1] ** 2 > 0.0)
-
-
-def _hypothesis(
-    cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table, level: bool
-) -> Hypothesis:
-    """level: a gain of the accelerometer moves what it reads of one g with it. Once its zero was
-    found to be off, only motion tells the gain."""
-    if cause.drift:
-        return Hypothesis(cause.name, keys, pattern=_ramp(table))
-    if keys == cause.together:
-        whole: dict[str, float] = dict.fromkeys(keys, 1.0)
-        for key in keys if level else ():
-            for name, x in level_effect(model, key).items():
-                whole[name] = whole.get(name, 0.0) + x
-        return Hypothesis(cause.name, keys[:1], (whole,))
-    if not level:
-        return Hypothesis(cause.name, keys, lead=cause.lead)
-    moved = tuple({key: 1.0, **level_effect(model, key)} for key in keys)
-    return Hypothesis(cause.name, keys, moved)
-
-
-def _ramp(table: Table) -> Array:
-    """From 0 to 1 over each drive's time."""
-    made = np.zeros(table.blocks)
-    for i in set(table.drive.tolist()):
-        own = table.drive == i
-        t = table.start_s[own]
-        made[own] = (t - t.min()) / max(float(np.ptp(t)), 1.0)
-    return made
-
-
-def tried(problem: Problem, h: Hypothesis, base: Array, questions: int) -> Trial:
-    """Free a hypothesis and score it."""
-    gain = base - held_out(problem, h)
-    index = problem.table.index(h.keys)
-    t = problem.table
-    return Trial(h, estimate(problem, h, questions), gain, without_best(gain),
-                 t.tolerance[index], t.plausible[index],
-                 float(student.ppf(1.0 - 0.5 * LIKELY, t.blocks - 1)))  # fmt: skip
 
 
 def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[str] = ()) -> None:
@@ -265,7 +139,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         dropped += _let_go(state)
     _demote(state)
     state.likely += [
-        t for t in questions(state.last).values() if t.shown > LEAST_NATS and t.likely
+        t for t in questions(state.last).values() if t.shown > LIKELY_NATS and t.likely
         and not t.outside and t.is_plausible
         and t.hypothesis.name not in {x.hypothesis.name for x in (*state.named, *state.likely)}
     ]  # fmt: skip
@@ -290,7 +164,7 @@ def _winner(trials: Sequence[Trial]) -> Trial | None:
 
 def _is_near(best: Trial, other: Trial) -> bool:
     behind, se = paired(best.gain, other.gain)
-    return behind <= ALIKE_SE * se or behind <= LEAST_NATS / 2.0
+    return behind <= ALIKE_SE * se or behind <= LIKELY_NATS / 2.0
 
 
 def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
@@ -356,7 +230,7 @@ def refit(state: State) -> None:
             break
 
 
-def shift_steps(shift: Shift) -> list[tuple[float, Array]]:
+def shift_steps(shift: FittedShift) -> list[tuple[float, Array]]:
     """A step, or a creep as a staircase."""
     if shift.kind == "step":
         return [(shift.start_s, shift.turn)]
@@ -386,7 +260,7 @@ def _let_go(state: State) -> list[str]:
             low[i] = -state.changes[key] - problem.table.tolerance[i]
             high[i] = -state.changes[key] + problem.table.tolerance[i]
         without = held_out(replace(problem, low=np.minimum(low, high), high=np.maximum(low, high)))
-        if without_best(without - base) < LEAST_NATS:
+        if without_best(without - base) < LIKELY_NATS:
             gone += keys
     if gone:
         state.named = [t for t in state.named if not set(t.hypothesis.keys) & set(gone)]
@@ -428,11 +302,3 @@ def _demote(state: State) -> None:
             state.changes.pop(key, None)
         state.apply({})
         refit(state)
-
-
-def questions(trials: Sequence[Trial]) -> Mapping[str, Trial]:
-    """The best trial of each cause, most gain first."""
-    best: dict[str, Trial] = {}
-    for t in sorted(trials, key=lambda t: -t.shown):
-        best.setdefault(t.hypothesis.name, t)
-    return best

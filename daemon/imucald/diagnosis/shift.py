@@ -31,11 +31,12 @@ SEARCH = 1.3
 """Factor on the quantile for having looked at many times (Andrews 1993, for the middle 60 %)."""
 AGREE_SD, SEEN_SD = 3.0, 2.0
 NEIGHBOURS = 3
-LEAST_NATS = 4.0
+LEAST_NATS = 8.0
+"""As for any cause, with some thirty times at which it may have happened: ln(30 / 0.01)."""
 
 
 @dataclass(frozen=True)
-class Shift:
+class FittedShift:
     """A turn (3,) [rad] about the vehicle's axes, at once or evenly over the drive."""
 
     kind: str
@@ -59,7 +60,7 @@ class Shift:
         return bool(np.any(beyond) and self.shown > LEAST_NATS)
 
 
-def find_shift(problem: Problem, levels: Array) -> Shift | None:
+def find_shift(problem: Problem, levels: Array) -> FittedShift | None:
     """The best step or creep of one drive. levels: (B, 2) mean tilt forward and left of each block.
 
     None where the data cannot show one.
@@ -116,7 +117,7 @@ def _level_gain(levels: Array, pattern: Array) -> float:
 
 def _shift(
     problem: Problem, levels: Array, pattern: Array, kind: str, table: Table, place: int
-) -> Shift:
+) -> FittedShift:
     """Both witnesses, weighed by their variances."""
     h = _hypothesis(pattern)
     e = estimate(problem, h, 3)
@@ -143,7 +144,7 @@ def _shift(
     else:
         start = float(table.start_s[place])
         low, high = float(table.start_s[place - 1]), start
-    return Shift(
+    return FittedShift(
         kind, start, turn, se, quantile(table.blocks, 3), gain,
         without_best(gain) + nats, pattern, low, high,
     )  # fmt: skip

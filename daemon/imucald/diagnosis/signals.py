@@ -102,7 +102,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Drive:
+class DriveSignals:
     """A drive's channels and its grid."""
 
     t: Array
@@ -134,14 +134,19 @@ def duplicates(series: Series, period: float) -> Mask:
     return again
 
 
-def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> Drive:
+def require(samples: Samples) -> None:
+    """Raise EstimateError where a signal is missing that everything needs."""
+    for name in NEEDED:
+        if name not in samples or len(samples[name].t) < 20:
+            raise EstimateError(f"diagnosis needs the signal {name!r}, and minutes of it")
+
+
+def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveSignals:
     """Put a drive on its grid. bad: stretches [s] by channel that must not be used.
 
     Raises EstimateError where what is needed is not there.
     """
-    for name in NEEDED:
-        if name not in samples or len(samples[name].t) < 20:
-            raise EstimateError(f"diagnosis needs the signal {name!r}, and minutes of it")
+    require(samples)
     known = bad or {}
     channels = {
         name: Channel.of(series, known.get(name, ()))
@@ -157,7 +162,7 @@ def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> Drive:
     t = np.asarray(start + STEP_S * np.arange(int((stop - start) / STEP_S)))
     knots = _knots(channels, t)
     accel = channels["accel"].values
-    return Drive(t, channels, knots, _stops(channels, knots, t), _is_planar(accel))
+    return DriveSignals(t, channels, knots, _stops(channels, knots, t), _is_planar(accel))
 
 
 def _is_planar(accel: Array) -> bool:

@@ -47,23 +47,26 @@ class RateGuard:
         self._counted = counted
         self._learnt: list[int] = []
         self._usual = math.inf
-        self._second = -1
+        self._second, self._ends = -1, 0.0
+        self._allowed = 0
         self._seen = self._faults = self._taken = 0
         self._before: deque[tuple[int, int]] = deque([(0, 0)] * SECONDS, SECONDS)
         self._distrusted_until = -1
 
     def judge(self, t: float, reason: str) -> str:
         """Why a frame at stream time t [s] is rejected; reason: what its route says, "" if good."""
-        self._enter(math.floor(t))
-        if reason not in _DAMAGED:
-            self._seen += 1
-            self._faults += reason.startswith("counter")
+        if t >= self._ends:
+            self._enter(math.floor(t))
         if reason:
+            if reason not in _DAMAGED:
+                self._seen += 1
+                self._faults += reason.startswith("counter")
             return reason
+        self._seen += 1
         if self._second <= self._distrusted_until:
             return DUPLICATE
         self._taken += 1
-        return TOO_FAST if self._taken > math.floor(self._limit()) else ""
+        return TOO_FAST if self._taken > self._allowed else ""
 
     def judge_columns(
         self, t: NDArray[np.float64], good: NDArray[np.bool_], reasons: Mapping[str, Rows]
@@ -90,10 +93,10 @@ class RateGuard:
             if self._second <= self._distrusted_until:
                 refused.setdefault(DUPLICATE, []).append(np.flatnonzero((of == i) & good))
                 continue
-            room = max(0.0, math.floor(self._limit()) - self._taken)
+            room = max(0, self._allowed - self._taken)
             self._taken += sound
             if sound > room:
-                rows = np.flatnonzero((of == i) & good)[int(room) :]
+                rows = np.flatnonzero((of == i) & good)[room:]
                 refused.setdefault(TOO_FAST, []).append(rows)
         return {reason: np.concatenate(rows) for reason, rows in refused.items()}
 
@@ -116,12 +119,14 @@ class RateGuard:
             return
         if self._second >= 0:
             self._close()
+        self._ends = second + 1.0
         for _ in range(min(second - self._second - 1, SECONDS)):
             self._before.append((0, 0))
         self._second = second
         self._seen = self._faults = self._taken = 0
         if self._is_duplicate():
             self._distrusted_until = second + HELD_S - 1
+        self._allowed = math.floor(self._limit())
 
     def _close(self) -> None:
         self._before.append((self._seen, self._faults))

@@ -46,8 +46,8 @@ MIN_FORCE = 30.0
 MAX_BLOCKS = 40
 """A piece that does not fill within so many blocks (4 min) begins anew: noise adds up as well."""
 TURNS, HARD_TURNS = 1.2, 2.0
-"""Sizes of v r [m/s^2] from which the force in turns is asked for its sign, and for its gain: a bend
-banked by 8 % takes 0.8 m/s^2 of it away (AASHTO, superelevation)."""
+"""Sizes of v r [m/s^2] from which the force in turns is asked for its sign, and for its gain: a
+bend banked by 8 % takes 0.8 m/s^2 of it away (AASHTO, superelevation)."""
 MOVING = 2.0
 """Below this speed [m/s] steering and turning say little of one another."""
 

@@ -33,7 +33,7 @@ P_CONSTANT_AGAIN = 0.5
 """The same once a shift was found in the drive."""
 BELIEVED = 0.9
 """Probability from which the recent level is served instead of the mean, and creep is told."""
-MOST = 32
+MOST = 20
 """Road segments are joined to so many at most."""
 FEWEST = 5
 SILENT = frozenset({"pitch_gravity", "pitch_axis"})

@@ -86,6 +86,7 @@ def probable_scale2(
     uneven: what sources differ by for other reasons [rad].
     """
     log = np.array([math.log(p) for _, p in candidates])
+    squares = np.array([scale * scale for scale, _ in candidates])
     before, sharing.scale2 = sharing.scale2, 0.0
     for axis in AXES:
         names = [name for name in sources if name.startswith(axis)]
@@ -94,16 +95,15 @@ def probable_scale2(
         known, extra = sharing.covariance(sources, names), sharing.scaled(names)
         known += np.diag([uneven.get(name, 0.0) ** 2 for name in names])
         values = np.array([sources[name].value for name in names])
-        for k, (scale, _) in enumerate(candidates):
-            V = known + scale * scale * extra
-            inverse = np.linalg.inv(V)
-            total = float(inverse.sum())
-            left = values - float(inverse.sum(axis=0) @ values) / total
-            log[k] -= 0.5 * float(left @ inverse @ left)
-            log[k] -= 0.5 * (float(np.linalg.slogdet(V)[1]) + math.log(total))
+        V = known + squares[:, None, None] * extra
+        inverse = np.linalg.inv(V)
+        column = inverse.sum(axis=2)
+        total = column.sum(axis=1)
+        left = values - ((column @ values) / total)[:, None]
+        log -= 0.5 * ((inverse @ left[:, :, None])[:, :, 0] * left).sum(axis=1)
+        log -= 0.5 * (np.linalg.slogdet(V)[1] + np.log(total))
     sharing.scale2 = before
     weight = np.exp(log - log.max())
-    squares = np.array([scale * scale for scale, _ in candidates])
     return float(weight @ squares / weight.sum())
 
 

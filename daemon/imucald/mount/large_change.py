@@ -50,8 +50,8 @@ PRIOR_BLOCKS = 10.0
 """The spread is taken as the prior's with that weight."""
 LIMITS = (6.0, 6.0, 8.0)
 """Roll, pitch, yaw: standard deviations from which a change is one. Of a normal variable 6 are
-2e-9, two-sided: one in 3,000 h, with 560 blocks an hour and a dozen tries each of which two or three
-are independent. What a block says of yaw has heavier tails; Student's t of as many degrees of
+2e-9, two-sided: one in 3,000 h, with 560 blocks an hour and a dozen tries each of which two or
+three are independent. What a block says of yaw has heavier tails; Student's t of as many degrees of
 freedom as the prior counts blocks exceeds 8 as often as 1e-5, and a tenth of all blocks speak."""
 MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(4.0))
 """Smaller changes are left to `shift` [rad]: no mean slope of half a minute differs so much from
@@ -164,13 +164,18 @@ class LargeChangeDetector:
     ) -> LargeChange | None:
         n = len(e)
         best: LargeChange | None = None
-        for after in range(2, min(MOST_AFTER, n - LEAST_BEFORE[axis]) + 1):
+        tries = np.arange(2, min(MOST_AFTER, n - LEAST_BEFORE[axis]) + 1)
+        if not len(tries):
+            return None
+        weights, sums = np.cumsum(w[::-1]), np.cumsum((w * e)[::-1])
+        new_w, new_e = weights[tries - 1], sums[tries - 1]
+        old_w, old_e = weights[-1] - new_w, sums[-1] - new_e
+        sizes = new_e / new_w - old_e / old_w
+        for j in np.flatnonzero(np.abs(sizes) >= MIN_SIZE[axis]).tolist():
+            after, size = int(tries[j]), float(sizes[j])
             k = n - after
-            wa, wb = float(w[k:].sum()), float(w[:k].sum())
-            new, old = float(w[k:] @ e[k:]) / wa, float(w[:k] @ e[:k]) / wb
-            size = new - old
-            if abs(size) < MIN_SIZE[axis]:
-                continue
+            wa, wb = float(new_w[j]), float(old_w[j])
+            old = float(old_e[j]) / wb
             clear = w[k:] >= (CLEAR_YAW if axis == 2 else 0.0)
             if not clear.any() or float(((e[k:] - old)[clear] / size).min()) < AGREEING:
                 continue

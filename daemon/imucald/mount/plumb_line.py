@@ -1,8 +1,8 @@
 """Does a mount that is served still hold gravity upright? Tick by tick, and for any mount.
 
 The steepest street has 35 % (19.3 deg, Baldwin Street), so a vertical that stands `OFF_VERTICAL`
-off is no slope. While the vehicle stands a few seconds tell; while it drives, or where nobody knows,
-it takes half a minute, over which no vehicle keeps up the 0.5 g that would look the same.
+off is no slope. While the vehicle stands a few seconds tell; while it drives, or where nobody
+knows, it takes half a minute, over which no vehicle keeps up the 0.5 g that would look the same.
 """
 
 from __future__ import annotations

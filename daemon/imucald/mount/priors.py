@@ -15,11 +15,11 @@ ACCEL_SCALE_STD = 0.003
 parts; a unit that was set at the end of its line is taken to be a little better. Half of it turns
 into a tilt (`common_errors`): 0.08 deg."""
 CROSS_AXIS = ((0.001, 0.4), (0.005, 0.2), (0.01, 0.2), (0.02, 0.12), (0.04, 0.08))
-"""Cross-axis error (part, rms) where none is configured, with probabilities: data sheets of bare
-parts state 0.5 to 1 % typical and 1 to 2 % at most (BMI160, BMI270: 1 to 2 %; ADXL345, MMA8452:
-1 to 2 %); two of five units are taken to be set at the end of their lines, to a tenth of that, and as many
-to be soldered, glued and bent until they have twice or four times as much as stated. How far sources contradict one another then tells more
-(`fusion.probable_scale2`)."""
+"""Cross-axis error (part, rms) where none is configured, with probabilities. Data sheets of bare
+parts state 1 % (ADXL345, BMI160) to 2 % (MPU-6050). Two of five units are taken to have been set at
+the end of their lines, to a tenth of that; as many to be as stated or half; and one of five to be
+soldered, glued and bent to twice or four times as much. How far sources contradict one another
+then tells more (`fusion.probable_scale2`)."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
 Calibrated units state 0.05 deg from axis to axis (ADIS16470), bare parts 1 % of cross-axis."""

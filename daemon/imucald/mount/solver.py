@@ -300,7 +300,7 @@ class MountSolver:
         """Whether a change of each angle would be seen: enough road before, and after."""
         segments = self.response.segment
         before = 0 if self.prior_drives is None else self.prior_drives.segments
-        return segments >= SPANS[0] and segments + before >= max(MIN_BEFORE) + SPANS[0]
+        return bool(segments >= SPANS[0] and segments + before >= max(MIN_BEFORE) + SPANS[0])
 
     def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
         """The change of the mount that the last minutes' evidence speaks for most."""

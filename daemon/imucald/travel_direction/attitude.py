@@ -24,6 +24,7 @@ from imucald.core.rotations import (
     times,
 )
 from imucald.motion.rest_thresholds import MAX_TERMINAL_BIAS, TERMINAL_RATE_RANGE
+from imucald.travel_direction.certainty import COMPASS_STD
 from imucald.travel_direction.north import NorthFilter
 
 TWO_PI = 2.0 * math.pi
@@ -120,6 +121,11 @@ class TerminalAttitude:
     def yaw(self) -> float | None:
         """Turn about the vertical from P to the earth [rad]; None: north is not known."""
         return self._signal_yaw if self._signal_yaw is not None else self.north.yaw
+
+    @property
+    def yaw_std(self) -> float:
+        """Deviation of `yaw` [rad]."""
+        return COMPASS_STD if self._signal_yaw is not None else self.north.std
 
     def _set(self, q: Quaternion) -> None:
         self.q = q

@@ -21,6 +21,13 @@ from imucald.config.attitude import TravelDirectionSettings
 from imucald.core.rotations import Vector, times, transposed_times
 from imucald.motion.physical_limits import is_plausible
 from imucald.travel_direction.attitude import TerminalAttitude
+from imucald.travel_direction.certainty import (
+    AHEAD_KNOWN,
+    edge_log_odds,
+    probability,
+    sign_log_odds,
+    whole_std,
+)
 from imucald.travel_direction.cycles import StepCycle, StepCycles
 from imucald.travel_direction.gyro_step_axis import GyroStepAxis
 from imucald.travel_direction.method_d import (
@@ -48,13 +55,15 @@ class TravelState(enum.IntEnum):
     WALKING = 2
     TURNING = 3
     NO_COMPASS = 4
+    AMBIGUOUS = 5
 
 
 @dataclass(frozen=True)
 class Step:
     """One step cycle and the headings it gave [rad, clockwise from north]; None: not known.
 
-    heading: by the method of the settings. compass: of the terminal's y axis.
+    heading: by the method of the settings. compass: of the terminal's y axis. deviation: standard
+    deviation of the alternative [rad]; ahead: probability that it is not 180 deg wrong.
     """
 
     t: float
@@ -65,6 +74,10 @@ class Step:
     published: PublishedResult | None
     alternative: float | None
     trust: float
+    deviation: float | None = None
+    ahead: float | None = None
+    ambiguous: bool = False
+    """The heading is by the alternative, and may be 180 deg wrong."""
 
 
 class TravelDirection:
@@ -100,6 +113,7 @@ class TravelDirection:
         self._heading: tuple[float, float] | None = None
         self._has_gyro = False
         self._heard = -math.inf
+        self._ahead = 0.5
         self.last = None
 
     def sample(self, t: float, channel: str, values: Sequence[float]) -> Step | None:
@@ -163,6 +177,8 @@ class TravelDirection:
             return TravelState.STANDING
         if last.heading is None:
             return TravelState.NO_COMPASS
+        if last.ambiguous:
+            return TravelState.AMBIGUOUS
         turning = last.published is not None and last.published.is_turn
         return TravelState.TURNING if turning else TravelState.WALKING
 
@@ -172,8 +188,11 @@ class TravelDirection:
         alternative = self._alternative(cycle)
         by_published = None if published is None else published.heading
         heading = by_published
-        if self.settings.method == "alternative" and alternative is not None:
+        taken = self.settings.method == "alternative" and alternative is not None
+        if taken:
             heading = alternative
+        known = alternative is not None
+        ahead = self._ahead if known else None
         return Step(
             t=cycle.t1,
             duration=cycle.duration,
@@ -182,7 +201,10 @@ class TravelDirection:
             compass=compass,
             published=published,
             alternative=alternative,
-            trust=self.alternative.trust if alternative is not None else 0.0,
+            trust=self.alternative.trust if known else 0.0,
+            deviation=whole_std(self.alternative.std, self.attitude.yaw_std) if known else None,
+            ahead=ahead,
+            ambiguous=taken and ahead is not None and ahead < AHEAD_KNOWN,
         )
 
     def _alternative(self, cycle: StepCycle) -> float | None:
@@ -193,6 +215,14 @@ class TravelDirection:
         angle = self.alternative.take(cycle, self.attitude.turned, up)
         if angle is None or yaw is None:
             return None
+        swing = self.alternative.swing
+        x, y, _ = times(self.attitude.level, (0.0, 1.0, 0.0))
+        edge = math.atan2(x, y) if math.hypot(x, y) > 0.0 else angle
+        odds = sign_log_odds(self.alternative.phase_agreement, swing)
+        odds += edge_log_odds(math.hypot(x, y) * math.cos(angle - edge), up[2], swing)
+        self._ahead = probability(abs(odds))
+        if odds < 0.0:
+            angle += math.pi
         # turning P by yaw, counter-clockwise, takes it from clockwise angles; true north follows
         declination = self.settings.declination if self._heading is None else 0.0
         return (angle - yaw + declination) % TWO_PI

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from imucald.config.attitude import AlternativeSettings
 from imucald.core.rotations import Vector
+from imucald.travel_direction.certainty import MAX_STD, axis_std
 from imucald.travel_direction.cycles import POINTS, StepCycle
 
 Array = NDArray[np.complex128]
@@ -40,6 +41,9 @@ class GyroStepAxis:
         self._axis = 0j  # doubled angle, weighed by power
         self._sign = 0j  # angle, by phase
         self._power = 0.0
+        self._forward = 0.0  # amplitude along the axis, without its phase
+        self._swing_power = 0.0
+        self._weight = self._square_weight = 0.0
         self._turned = math.nan
         self._up: Vector | None = None
         self._before: tuple[float, Array] | None = None
@@ -60,6 +64,7 @@ class GyroStepAxis:
             return None
         power = abs(east) ** 2 + abs(north) ** 2
         axis = complex(abs(north) ** 2 - abs(east) ** 2, 2.0 * (north * east.conjugate()).real)
+        rate_power = float(np.mean(np.sum(cycle.turning**2, axis=1)))
         swung, swing_axis = self._pendulum(cycle)
         power += swung
         axis -= swing_axis  # legs and arms swing about an axis across the direction of travel
@@ -74,6 +79,11 @@ class GyroStepAxis:
         angle = 0.5 * cmath.phase(self._axis)
         if math.cos(angle - cmath.phase(self._sign)) < 0.0:
             angle += math.pi
+        along = abs(north * math.cos(angle) + east * math.sin(angle))
+        self._forward = keep * self._forward + along
+        self._swing_power = keep * self._swing_power + rate_power
+        self._weight = keep * self._weight + 1.0
+        self._square_weight = keep * keep * self._square_weight + 1.0
         return angle % TWO_PI
 
     def _swing(self, cycle: StepCycle) -> tuple[complex, complex, complex]:
@@ -105,6 +115,26 @@ class GyroStepAxis:
     def trust(self) -> float:
         """How much the steps agree, 0 to 1."""
         return min(abs(self._axis) / self._power, 1.0) if self._power > 0.0 else 0.0
+
+    @property
+    def std(self) -> float:
+        """Deviation of the axis within the terminal's level frame [rad]."""
+        if self._weight <= 0.0:
+            return MAX_STD
+        return axis_std(self.trust, self._weight * self._weight / self._square_weight)
+
+    @property
+    def phase_agreement(self) -> float:
+        """How far the steps' phases speak for the sense that was taken, 0 to 1."""
+        if self._forward <= 0.0:
+            return 0.0
+        off = cmath.phase(self._sign) - 0.5 * cmath.phase(self._axis)
+        return min(abs(self._sign) * abs(math.cos(off)) / self._forward, 1.0)
+
+    @property
+    def swing(self) -> float:
+        """Mean square of the angular rate about level axes over the last steps [(rad/s)^2]."""
+        return self._swing_power / self._weight if self._weight > 0.0 else 0.0
 
     def _carried(self, up: Vector) -> None:
         if self._up is not None:

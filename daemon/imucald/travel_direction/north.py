@@ -38,6 +38,12 @@ FIELD_WALK = 0.2
 ZERO_WALK = math.radians(0.002)
 """[rad/s/sqrt(s)]"""
 GATE = 3.0
+DISTURBANCE = 5.0
+"""What `NOISE` stands for [uT]."""
+DISTURBANCE_S = 120.0
+"""Time over which the disturbance is seen in the field's own size [s]."""
+DISTURBANCE_PARTS = (0.3, 3.0)
+"""The seen disturbance against `DISTURBANCE` is believed within these: a short walk sees little."""
 
 
 class NorthFilter:
@@ -55,6 +61,9 @@ class NorthFilter:
         self._count = 0
         self._since = -math.inf
         self._t = math.nan
+        self._size: Array = np.zeros(2)  # slow mean of level and vertical field [uT]
+        self._variance = 0.0
+        self._seen = 0
 
     def rested(self) -> None:
         """The gyroscope's zero error has just been measured: what is left of it is small."""
@@ -95,6 +104,16 @@ class NorthFilter:
         P = A @ self.P @ A.T + noise * (K @ K.T)
         self.P = 0.5 * (P + P.T)
         self.ready = True
+        self._watch(C @ (field - self.x[0:3]))
+
+    def _watch(self, level_field: Array) -> None:
+        """The earth's field keeps its size level and vertical: what those wander is disturbance."""
+        sizes = np.array([math.hypot(level_field[0], level_field[1]), level_field[2]])
+        self._seen += 1
+        part = max(1.0 / self._seen, STEP_S / DISTURBANCE_S)
+        off = sizes - self._size
+        self._size = self._size + part * off
+        self._variance += part * ((1.0 - part) * float(off @ off) / 2.0 - self._variance)
 
     def _predict(self, dt: float) -> None:
         """The frame P turns with the zero error, and the field in it the other way."""
@@ -116,6 +135,18 @@ class NorthFilter:
         if not self.ready or math.hypot(east, north) < 1.0:
             return None
         return math.atan2(east, north)
+
+    @property
+    def std(self) -> float:
+        """Deviation of `yaw` [rad]: the filter's own, by the disturbance that is seen."""
+        east, north = float(self.x[3]), float(self.x[4])
+        size = east * east + north * north
+        if size < 1.0:
+            return math.pi
+        g = np.array([north, -east]) / size
+        low, high = DISTURBANCE_PARTS
+        part = min(max(math.sqrt(self._variance) / DISTURBANCE, low), high)
+        return part * math.sqrt(max(float(g @ self.P[3:5, 3:5] @ g), 0.0))
 
     @property
     def hard_iron(self) -> Vector:

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from imucald.config import Config
+from imucald.core.angles import DEG_PER_RAD
 from imucald.runtime.output.attitude_frames import bearing
 from imucald.runtime.output.output_message import NOT_AVAILABLE_UNSIGNED, OutFrame, OutputMessage
 from imucald.travel_direction.direction import Step, TravelState
 
 STEPS_MAX = 65534
+
+
+WALKS = frozenset({TravelState.WALKING, TravelState.TURNING, TravelState.AMBIGUOUS})
+DEVIATION_MAX = 327.67
+"""[deg]"""
 
 
 class TravelFrames:
@@ -22,17 +28,47 @@ class TravelFrames:
             dict.fromkeys(("TravelHeading", "CompassHeading"), NOT_AVAILABLE_UNSIGNED),
         )
 
+        self._deviation = OutputMessage(
+            "IMUCALD_TravelDeviation",
+            ("DeviationTravel", "AheadProbability", "AxisHeading", "State"),
+            config.output.ids.travel_deviation,
+            config.output.checksum,
+            dict.fromkeys(
+                ("DeviationTravel", "AheadProbability", "AxisHeading"), NOT_AVAILABLE_UNSIGNED
+            ),
+        )
+
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""
-        return frozenset((self._message.can_id,))
+        return frozenset((self._message.can_id, self._deviation.can_id))
 
     def frames(self, step: Step | None, state: TravelState, steps: int) -> list[OutFrame]:
-        """The frame after a step; headings are there while somebody walks."""
+        """The frames after a step; headings are there while somebody walks.
+
+        A heading that may be 180 deg wrong is not sent as one, only as an axis.
+        """
         count = min(steps, STEPS_MAX)
-        if step is None or state not in (TravelState.WALKING, TravelState.TURNING):
-            return [self._message.frame((None, None, count, int(state)))]
+        if step is None or state not in WALKS:
+            nothing = (None, None, None, int(state))
+            return [
+                self._message.frame((None, None, count, int(state))),
+                self._deviation.frame(nothing),
+            ]
         heading, compass = (
             None if angle is None else bearing(angle) for angle in (step.heading, step.compass)
         )
-        return [self._message.frame((heading, compass, count, int(state)))]
+        axis = heading
+        if state is TravelState.AMBIGUOUS:
+            heading = None
+        deviation, ahead = step.deviation, step.ahead
+        sure = (
+            None if deviation is None else min(deviation * DEG_PER_RAD, DEVIATION_MAX),
+            None if ahead is None else 100.0 * ahead,
+            axis,
+            int(state),
+        )
+        return [
+            self._message.frame((heading, compass, count, int(state))),
+            self._deviation.frame(sure),
+        ]

@@ -1,0 +1,145 @@
+"""One case diagnosed: what was said beside what is true, as a plain mapping."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import pickle
+import resource
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from benchmarks.diagnosis.cases import MINUTES, Case
+from benchmarks.diagnosis.measured_logs import extended, read_log
+from benchmarks.diagnosis.outside_effects import OUTSIDE
+from benchmarks.diagnosis.real_effects import EFFECTS, with_effect
+from benchmarks.measured import DATA, FOLDER
+from hidden import Effect, hidden_drive
+from imucald.core.errors import EstimateError
+from imucald.core.samples import Samples
+from imucald.diagnosis.diagnose import diagnose
+from imucald.diagnosis.model_file import mount_of
+from imucald.diagnosis.recording import read_samples
+from imucald.diagnosis.result import Diagnosis
+from imucald.model.model import VehicleModel, load_model, model_from_mapping
+from imucald.runtime.session import open_config
+
+SIZES = ("small", "medium", "large")
+SECOND_WORLD: Mapping[str, tuple[str, ...]] = {
+    "none": (), "steering_ratio_error": ("steering_ratio",), "understeer": ("understeer",),
+    "accel_bias": ("accel_bias",), "accel_cross_axis": ("accel_cross_axis",),
+    "steering_delay": ("signal_delay",), "imu_lowpass": ("sensor_lowpass", "signal_delay"),
+    "frame_dropout": ("dropouts",), "body_roll": ("body_roll",),
+    "accel_saturation": ("saturation",), "crosswind_gusts": ("unknown",),
+    "steering_offset_and_speed_scale": ("steering_offset", "wheel_speed_scale"),
+    "mount_shift_at_200_s": ("mount_shift",),
+}  # fmt: skip
+"""Folder's name without its number, to what is right; low-pass and delay are alike below 1 Hz."""
+
+
+def outcome(case: Case) -> dict[str, Any]:
+    """Diagnose one case."""
+    samples, model, right, truth = _prepared(case)
+    began = time.process_time()
+    try:
+        d = diagnose([samples], model)
+    except EstimateError as error:
+        return {"key": case.key, "part": case.part, "log": case.log, "effect": case.effect,
+                "level": case.level, "right": list(right), "refused": str(error)}  # fmt: skip
+    seconds = time.process_time() - began
+    hours = d.duration_s / 3600.0
+    result = {
+        "key": case.key, "part": case.part, "log": case.log, "effect": case.effect,
+        "level": case.level, "right": list(right), "minutes": round(60.0 * hours, 1),
+        "verdict": d.verdict, "said": [c.name for c in d.causes],
+        "likely": [c.name for c in d.likely], "sets": [list(s) for s in d.look_alikes],
+        "left": sorted({s.kind for s in d.structure}), "recommended": d.recommended,
+        "cpu_s": round(seconds, 2), "cpu_s_per_h": round(seconds / hours, 1),
+        "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
+        "values": _values(d), "truth": truth,
+    }  # fmt: skip
+    if case.part in {"measured", "nulls"} and d.causes:
+        result["file"] = _file_alone(d, samples)
+    return result
+
+
+def _prepared(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
+    if case.part in {"nulls", "measured", "outside"}:
+        return _measured(case)
+    if case.part == "second_world":
+        folder = DATA / "second_world" / case.log
+        recording = read_samples(open_config(folder / "car.yaml"), [folder / "can.log.gz"])
+        return recording.samples, load_model(folder / "model.yaml"), SECOND_WORLD[case.effect], None
+    effects = (Effect(case.effect, SIZES[case.level]),) if case.effect else ()
+    drive = hidden_drive(int(case.log), effects, MINUTES)
+    model = model_from_mapping(dict(drive.model), "baseline")
+    right = ("unknown",) if case.part == "generated_outside" else (case.effect,) * bool(effects)
+    return drive.samples, model, right, None
+
+
+def _measured(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
+    """A piece with an effect, and the model that the other pieces gave."""
+    log = read_log(case.log)
+    pieces = log.pieces(case.pieces)
+    model = _model(case)
+    samples = pieces[case.piece]
+    seed = int(hashlib.sha256(case.key.encode()).hexdigest()[:8], 16)
+    rng = np.random.default_rng(seed)
+    R = mount_of(model)
+    if case.part == "outside":
+        put, size, _ = OUTSIDE[case.effect]
+        changed = dict(samples)
+        put(changed, size, rng, R)
+        return changed, model, ("unknown",), None
+    if not case.effect:
+        return samples, model, (), None
+    effect = EFFECTS[case.effect]
+    if not all(name in samples for name in effect.needs):
+        return {}, model, effect.right, None
+    changed, x = with_effect(samples, case.effect, effect.sizes[case.level], rng, R)
+    return changed, model, effect.right, {"key": effect.key, "value": x}
+
+
+def _model(case: Case) -> VehicleModel:
+    """Kept on the disk, by the code that made it."""
+    FOLDER.mkdir(exist_ok=True)
+    path = FOLDER / f"diagnosis-model-{case.log}-{case.piece}of{case.pieces}.pkl"
+    if path.exists():
+        model: VehicleModel = pickle.loads(path.read_bytes())
+        return model
+    log = read_log(case.log)
+    others = [p for i, p in enumerate(log.pieces(case.pieces)) if i != case.piece]
+    model = extended(log.baseline, others)
+    path.write_bytes(pickle.dumps(model))
+    return model
+
+
+def _values(d: Diagnosis) -> dict[str, list[float]]:
+    """Found parameter: departure, deviation, quantile."""
+    return {
+        key: [p.value - p.stated, p.std, c.evidence.get("quantile", 3.0)]
+        for c in d.causes
+        for key, p in c.parameters.items()
+        if math.isfinite(p.value - p.stated)
+    }
+
+
+def _file_alone(d: Diagnosis, samples: Samples) -> dict[str, list[float]]:
+    """By signal: rms that the page says *after*, and that of the written file put to the test."""
+    try:
+        again = diagnose([samples], d.model_after, limit_s=0.0)
+    except EstimateError:
+        return {}
+    return {
+        name: [s.rms_before, s.rms_after, again.signals[name].rms_before]
+        for name, s in d.signals.items()
+        if name in again.signals
+    }
+
+
+def as_line(result: Mapping[str, Any]) -> str:
+    return json.dumps(result, ensure_ascii=False, default=float)

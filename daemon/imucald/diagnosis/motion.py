@@ -1,0 +1,241 @@
+"""The equations of one drive: what its signals should show of each other.
+
+Gravity is carried by the gyroscope. In a block, with vehicle axes x forward, y left, z up, rates w
+and heading psi, the horizontal part u = u_x + i u_y of the vertical in the body obeys
+u' = -w_y + i w_x - i w_z u (Wu et al. 2011, to first order in the tilt):
+
+    u(t) = e^(-i psi) (z0 + integral of e^(i psi) (-w_y + i w_x) dt)
+    f_x = dv/dt - r v_y + g u_x,   f_y = v r + dv_y/dt + g u_y,   v_y = l_r r - kappa v |v| r
+
+z0, the tilt at the middle of the block, is free; so slope, cross fall and lean need not be known.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.model_file import Changes, age, rear_slip
+from imucald.diagnosis.reading import Reader, Reference
+from imucald.diagnosis.signals import STEP_S, Array
+
+SLOW_MPS = 2.5
+"""Below this play and tyres decide on the yaw rate, not the steering angle."""
+RELAXATION_S = 0.03
+"""A tyre of 0.5 m relaxation length at 15 m/s."""
+SMOOTH_STEPS = 5
+"""Angular acceleration is the slope over so many steps: it is mostly noise above 1 Hz."""
+SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
+
+
+class VehicleMotion:
+    """The signals of one evaluation, along the vehicle's axes."""
+
+    def __init__(self, reader: Reader, changes: Changes, by_inertia: bool) -> None:
+        self.f, self.changes = reader, changes
+        drive, model = reader.drive, reader.model
+        late = reader.age("speed", changes) + model.speed.delay_rate * reader.knots
+        late += changes.get("speed.delay_rate", 0.0) * (reader.knots - reader.middle_s)
+        self.knots = reader.knots - late
+        scale = model.speed.scale + changes.get("speed.scale", 0.0)
+        slip = changes.get("_speed.driven_slip", 0.0)
+        v = drive.knots.values / (1.0 + scale)
+        self.v = np.interp(reader.t, self.knots, v)
+        reference = reader.reference if by_inertia else None
+        self.force = reader.triad("accel", changes, reference.force if reference else None)
+        self.rate = reader.triad("gyro", changes) if drive.has("gyro") else None
+        self.measured: Array | None = None
+        if reference is not None and self.rate is not None:
+            # The gain of a rate is not told by that rate itself.
+            ungained = {k: x for k, x in changes.items() if not k.startswith("gyro.scale")}
+            self.measured = reader.triad("gyro", ungained)
+        if self.rate is not None:
+            self.r = self.rate[:, 2]
+            lever = np.array(model.mount.lever_arm_m) * float(model.mount.lever_arm)
+            lever += np.array([changes.get(f"mount.lever_arm_m.{i}", 0.0) for i in range(3)])
+            if reference is not None:
+                lever -= np.array(model.mount.lever_arm_m) * float(model.mount.lever_arm)
+            if lever.any():
+                self.force = self.force - self._lever(lever)
+        elif drive.has("yaw_rate"):
+            self.r = reader.scalar("yaw_rate", changes)
+        else:
+            self.r = np.zeros(len(reader.t))
+        kappa = rear_slip(model) + changes.get("_tyre.rear_slip", 0.0)
+        self.v_y = model.chassis.cg_to_rear_m * self.r - kappa * self.v * np.abs(self.v) * self.r
+        slopes = np.diff(drive.knots.values) / np.diff(reader.knots)
+        if reference is not None:
+            slopes = reference.slopes
+        self.slopes = slopes / (1.0 + scale)
+        if slip:
+            # Driven wheels turn faster than the vehicle moves: v_wheel = v (1 + c a).
+            lead = self.v * self.held(self.slopes)
+            self.slopes = self.slopes - slip * self._mean_slopes(np.gradient(lead, STEP_S))
+
+    def _lever(self, lever: Array) -> Array:
+        """Acceleration of a point at `lever` against the body's reference: w' x l + w x (w x l)."""
+        assert self.rate is not None
+        w = self.rate
+        turning = np.empty_like(w)
+        for i in range(3):
+            turning[:, i] = np.convolve(np.gradient(w[:, i], STEP_S), SMOOTHER, "same")
+        made: Array = np.cross(turning, lever) + np.cross(w, np.cross(w, lever))
+        return made
+
+    # operators -----------------------------------------------------------------------------------
+
+    def _mean_slopes(self, x: Array) -> Array:
+        """Mean of x between each two knots of the speed: what these say of an acceleration."""
+        t, area = self.f.t, np.cumsum(x) * STEP_S
+        at = np.interp(self.knots, t + 0.5 * STEP_S, area)
+        return np.diff(at) / np.diff(self.knots)
+
+    def held(self, slopes: Array) -> Array:
+        """A value between each two knots, on the grid."""
+        index = np.clip(np.searchsorted(self.knots, self.f.t) - 1, 0, len(slopes) - 1)
+        return np.asarray(slopes[index])
+
+    def as_speed_sees(self, x: Array) -> Array:
+        """Means of x between two knots of the speed, on the grid."""
+        return self.held(self._mean_slopes(x))
+
+    def _gravity(self) -> tuple[Array, Array]:
+        """u with z0 = 0, and e^(-i psi) by which z0 counts; complex (N,), by blocks."""
+        f = self.f
+        assert self.rate is not None
+        p, q, r = (self.rate[:, i].reshape(f.blocks, f.rows) for i in range(3))
+        psi = _from_middle(r)
+        turned = np.exp(1j * psi)
+        return (_from_middle(turned * (-q + 1j * p)) / turned).ravel(), (1.0 / turned).ravel()
+
+    def reference(self, tilt: Array) -> Reference:
+        """Signals for columns, with the tilt (B, 2) of each block."""
+        f, force = self.f, self.force.copy()
+        x = force[:, 0]
+        if self.f.has_turning:
+            force[:, 1] = self.v * self.r + np.gradient(self.v_y, STEP_S)
+        if self.rate is not None:
+            u, turned = self._gravity()
+            u = u + np.repeat(tilt[:, 0] + 1j * tilt[:, 1], f.rows) * turned
+            x = x - GRAVITY * u.real
+            force[:, 1] += GRAVITY * u.imag
+        force[:, 2] = GRAVITY
+        slopes = self._mean_slopes(x + self.r * self.v_y) * (1.0 + f.model.speed.scale)
+        return Reference(slopes, force)
+
+    # equations -----------------------------------------------------------------------------------
+
+    def longitudinal(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
+        """Forward force against the speed's slope."""
+        f, x = self.f, self.force[:, 0] + self.r * self.v_y
+        if self.rate is None:
+            one = np.ones(len(x))
+            tilt["accel_x"] = self._two(-GRAVITY * self.as_speed_sees(one), 0.0 * one)
+        else:
+            u, turned = self._gravity()
+            x = x - GRAVITY * u.real
+            parts = (turned.real, -turned.imag)
+            tilt["accel_x"] = self._two(*(self.as_speed_sees(-GRAVITY * z) for z in parts))
+        found["accel_x"] = self.as_speed_sees(x) - self.held(self.slopes)
+        if f.drive.has("longitudinal_accel"):
+            found["longitudinal_accel"] = (
+                f.scalar("longitudinal_accel", self.changes) - self.force[:, 0]
+            )
+
+    def _in_blocks(self, x: Array) -> Array:
+        return x.reshape(self.f.blocks, self.f.rows)
+
+    def _two(self, first: Array, second: Array) -> tuple[Array, Array]:
+        return self._in_blocks(first), self._in_blocks(second)
+
+    def lateral(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
+        """Sideways force against speed times yaw rate."""
+        y = self.force[:, 1] - self.v * self.r - np.gradient(self.v_y, STEP_S)
+        if self.rate is None:
+            one = np.ones(len(y))
+            tilt["accel_y"] = self._two(0.0 * one, -GRAVITY * one)
+        else:
+            u, turned = self._gravity()
+            y = y - GRAVITY * u.imag
+            tilt["accel_y"] = self._two(-GRAVITY * turned.imag, -GRAVITY * turned.real)
+        found["accel_y"] = y
+
+    def vertical(self, found: dict[str, Array]) -> None:
+        """Upward force; on a vertical curve the vehicle pitches as it goes."""
+        assert self.rate is not None
+        if not self.f.drive.planar:
+            found["accel_z"] = self.force[:, 2] - GRAVITY + self.v * self.rate[:, 1]
+
+    def turning(self, found: dict[str, Array]) -> None:
+        """Rates of roll and pitch: the springs' part is known, the road's is noise."""
+        assert self.rate is not None
+        s, c = self.f.model.suspension, self.changes
+        # Of motion alone: gravity's part of the force turns with the rates themselves.
+        along, across = self._slow(self.held(self.slopes)), self._slow(self.v * self.r)
+        roll = s.roll_gradient * float(s.body_roll) + c.get("suspension.roll_gradient", 0.0)
+        squat = s.squat_gradient * float(s.squat_dive) + c.get("suspension.squat_gradient", 0.0)
+        dive = s.dive_gradient * float(s.squat_dive) + c.get("suspension.dive_gradient", 0.0)
+        nose_up = squat * np.maximum(along, 0.0) + dive * np.minimum(along, 0.0)
+        rate = self.rate if self.measured is None else self.measured
+        found["gyro_x"] = rate[:, 0] - np.gradient(roll * across, STEP_S)
+        found["gyro_y"] = rate[:, 1] + np.gradient(nose_up, STEP_S)
+        if self.f.drive.has("yaw_rate"):
+            found["gyro_z"] = self.r - self.f.scalar("yaw_rate", self.changes)
+
+    def _slow(self, x: Array) -> Array:
+        return np.asarray(np.convolve(x, SMOOTHER, "same"))
+
+    def vehicle(self, found: dict[str, Array]) -> None:
+        """What the vehicle's own sensors say beside each other."""
+        f, drive = self.f, self.f.drive
+        if drive.has("lateral_accel") and self.f.has_turning:
+            found["lateral_accel"] = f.scalar("lateral_accel", self.changes) - self.force[:, 1]
+        if drive.has("wheel_speeds"):
+            own = np.array(f.model.wheel_speeds.scale)
+            # Wheels and speed come of one unit, and are late together.
+            late = age(f.model, "wheel_speeds") + self.changes.get("speed.delay_s", 0.0)
+            wheels = f.raw("wheel_speeds", late) / (1.0 + own)
+            # Tyres that are smaller than stated make wheels and speed too fast alike.
+            scale = 1.0 + self.changes.get("wheel_speeds.scale", 0.0)
+            scale *= 1.0 + self.changes.get("speed.scale", 0.0)
+            found["speed"] = np.abs(self.v) - wheels[:, 2:].mean(axis=1) / scale
+        if drive.has("steering") and f.has_turning:
+            found["yaw_rate"] = self.yaw_rate() - self._by_steering()
+
+    def yaw_rate(self) -> Array:
+        """The vehicle's own yaw rate, else the gyroscope's [rad/s]."""
+        if self.f.drive.has("yaw_rate"):
+            return self.f.scalar("yaw_rate", self.changes)
+        return np.asarray(self.r)
+
+    def _by_steering(self) -> Array:
+        """Single track, quasi-static and late by its lag: r = v (delta - K (f_y - v r))/(L + K v^2)
+        (Rajamani, Vehicle Dynamics and Control, ch. 2, 3)."""
+        f, c = self.f, self.f.model.chassis
+        ratio = c.steering_ratio + self.changes.get("chassis.steering_ratio", 0.0)
+        gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
+        v = np.abs(self.v)
+        steer = f.scalar("steering", self.changes)
+        steer = np.interp(f.t - self._lag(v, gradient), f.t, steer)
+        leaning = self.force[:, 1] - self.v * self.r
+        turn = np.tan(np.clip(steer / ratio, -1.2, 1.2)) - gradient * self._slow(leaning)
+        return np.asarray(self.v * turn / np.maximum(c.wheelbase_m + gradient * v * v, 0.3))
+
+    def _lag(self, v: Array, gradient: float) -> Array:
+        """From steering to yaw rate: 2 zeta/omega - T_z of the single track, and the tyres' [s]."""
+        c = self.f.model.chassis
+        rear, length, m = c.rear_cornering_stiffness_npr, c.wheelbase_m, c.mass_kg
+        a, b, inertia = c.cg_to_front_m, c.cg_to_rear_m, c.yaw_inertia_kgm2
+        front = b / max(gradient * length / m + a / rear, 1e-9)
+        v = np.maximum(v, SLOW_MPS)
+        damping = (front + rear) / (m * v) + (a * a * front + b * b * rear) / (inertia * v)
+        square = front * rear * length * (length + gradient * v * v) / (m * inertia * v * v)
+        return np.asarray(damping / square - m * a * v / (rear * length) + RELAXATION_S)
+
+
+def _from_middle(x: Array) -> Array:
+    """Integral from the middle of each block; (B, n), trapezoids."""
+    area = np.cumsum(0.5 * (x[:, 1:] + x[:, :-1]), axis=1) * STEP_S
+    area = np.concatenate([np.zeros_like(x[:, :1]), area], axis=1)
+    made: Array = area - area[:, x.shape[1] // 2, None]
+    return made

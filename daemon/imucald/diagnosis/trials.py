@@ -1,0 +1,163 @@
+"""Hypotheses of the catalogue, and what freeing each comes to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.causes import CAUSES, Cause
+from imucald.diagnosis.model_file import level_effect
+from imucald.diagnosis.score import (
+    ERROR_RATE,
+    Estimate,
+    Hypothesis,
+    Problem,
+    estimate,
+    held_out,
+    without_best,
+)
+from imucald.diagnosis.signals import Array
+from imucald.model.model import VehicleModel
+
+LIKELY = 0.05
+"""Error rate of a single question from which something is likely."""
+LIKELY_NATS = -math.log(LIKELY)
+"""A likelihood ratio on data that the fit did not see exceeds 1/p with a chance of p at most, where
+nothing is wrong (Markov)."""
+LEVELLED = ("accel_scale", "accel_cross_axis")
+BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What freeing a hypothesis' parameters came to."""
+
+    hypothesis: Hypothesis
+    estimate: Estimate
+    gain: Array
+    """(B,) nats by which each block is likelier, by a fit that did not see it."""
+    shown: float
+    """Sum of it without the best blocks."""
+    tolerance: Array
+    plausible: Array
+    needed: float
+    """Nats that it takes, shared out over the questions asked."""
+    single: float
+    """Quantile of one question asked alone."""
+
+    @property
+    def outside(self) -> bool:
+        """The box of honest files is left by more than chance."""
+        return self._beyond and self.estimate.pull > self.estimate.quantile
+
+    @property
+    def _beyond(self) -> bool:
+        """A value lies beyond its tolerance, by a deviation at least."""
+        beyond = np.abs(self.estimate.value) > self.tolerance + self.estimate.se
+        return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
+
+    @property
+    def likely(self) -> bool:
+        """The same at the error rate of a single question."""
+        return self._beyond and self.estimate.pull > self.single
+
+    @property
+    def is_plausible(self) -> bool:
+        """What leaves its tolerance stays within what a vehicle or a sensor can have."""
+        v, tau = self.estimate.value, self.tolerance
+        low, high = self.plausible.T
+        return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
+
+    @property
+    def is_testable(self) -> bool:
+        """The data tell its parameters more sharply than plausibility does."""
+        e = self.estimate
+        return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
+
+    @property
+    def could_be(self) -> bool:
+        """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
+        return self.shown > LIKELY_NATS and self._beyond and self.is_testable
+
+    @property
+    def named(self) -> bool:
+        """Passes all that one hypothesis passes by itself."""
+        return self.shown > self.needed and self.outside and self.is_testable
+
+
+def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[Hypothesis]:
+    """The catalogue's causes as far as their signals are there."""
+    made = []
+    for cause in CAUSES:
+        if cause.drift and f"{cause.name}!" in skip:
+            continue
+        for keys in (*cause.variants, *([cause.together] if cause.together else [])):
+            if not all(key in table.keys for key in keys):
+                continue
+            if (set(keys) & set(skip) and not cause.drift) or not any(
+                _shows(table, key) for key in keys
+            ):
+                continue
+            beside = dict(cause.with_it)
+            if beside and set(beside) <= set(table.keys) and not set(beside) & set(skip):
+                made.append(Hypothesis(cause.name, keys, ({keys[0]: 1.0, **beside},)))
+            level = cause.name in LEVELLED and not set(BIAS) & set(skip)
+            made.append(_hypothesis(cause, keys, model, table, level))
+    return made
+
+
+def _shows(table: Table, key: str) -> bool:
+    i = table.keys.index(key) + 1
+    return bool(table.gram[:, i, i].sum() * table.tolerance[i - 1] ** 2 > 0.0)
+
+
+def _hypothesis(
+    cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table, level: bool
+) -> Hypothesis:
+    """level: a gain of the accelerometer moves what it reads of one g with it. Once its zero was
+    found to be off, only motion tells the gain."""
+    if cause.drift:
+        return Hypothesis(cause.name, keys, pattern=_ramp(table))
+    if keys == cause.together:
+        whole: dict[str, float] = dict.fromkeys(keys, 1.0)
+        for key in keys if level else ():
+            for name, x in level_effect(model, key).items():
+                whole[name] = whole.get(name, 0.0) + x
+        return Hypothesis(cause.name, keys[:1], (whole,))
+    if not level:
+        return Hypothesis(cause.name, keys, lead=cause.lead)
+    moved = tuple({key: 1.0, **level_effect(model, key)} for key in keys)
+    return Hypothesis(cause.name, keys, moved)
+
+
+def _ramp(table: Table) -> Array:
+    """From 0 to 1 over each drive's time."""
+    made = np.zeros(table.blocks)
+    for i in set(table.drive.tolist()):
+        own = table.drive == i
+        t = table.start_s[own]
+        made[own] = (t - t.min()) / max(float(np.ptp(t)), 1.0)
+    return made
+
+
+def tried(problem: Problem, h: Hypothesis, base: Array, questions: int) -> Trial:
+    """Free a hypothesis and score it."""
+    gain = base - held_out(problem, h)
+    index = problem.table.index(h.keys)
+    t = problem.table
+    return Trial(h, estimate(problem, h, questions), gain, without_best(gain),
+                 t.tolerance[index], t.plausible[index], math.log(questions / ERROR_RATE),
+                 float(student.ppf(1.0 - 0.5 * LIKELY, t.blocks - 1)))  # fmt: skip
+
+
+def questions(trials: Sequence[Trial]) -> Mapping[str, Trial]:
+    """The best trial of each cause, most gain first."""
+    best: dict[str, Trial] = {}
+    for t in sorted(trials, key=lambda t: -t.shown):
+        best.setdefault(t.hypothesis.name, t)
+    return best
