@@ -1,7 +1,7 @@
 """Effects that the catalogue does not have, put into measured samples.
 
-The first three were thought of with the tests of `imucald.diagnosis.adequacy` in mind, the last
-three after these had been written (see the history of this file).
+All six were written when the tests of `imucald.diagnosis.adequacy` and the generator's own outside
+effects were known: they show what is seen, not what an effect that nobody thought of would do.
 """
 
 from __future__ import annotations
