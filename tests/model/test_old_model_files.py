@@ -6,6 +6,7 @@ Keys and notes below are what the program made of the same files then (commit 73
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -23,20 +24,30 @@ KEYS = {
     "by_hand": "6e2546b59bb02a5b6aadf4afb7bb651aa48c42f263d11796cd43424740209985",
 }
 """A saved calibration is found by these."""
+NEW_LINES = ("known_to: {}\n", "  delay_rate: 0.0\n")
+"""What files did not have then, with its default, as it is written today."""
+
+
+def without_new(content: dict[str, Any]) -> dict[str, Any]:
+    """A model's content without the keys that came since; they must hold their defaults."""
+    assert content.pop("known_to") == {}
+    assert content["speed"].pop("delay_rate") == 0.0
+    return content
 
 
 @pytest.mark.parametrize("name", WRITTEN)
 def test_a_whole_file_is_read_and_written_again_to_the_last_byte(name):
     path = FOLDER / f"{name}.yaml"
     model = load_model(path)
-    assert model.dump() == yaml.safe_load(path.read_text())
-    assert model.to_yaml() == path.read_text()
+    assert without_new(model.dump()) == yaml.safe_load(path.read_text())
+    lines = model.to_yaml().splitlines(keepends=True)
+    assert "".join(line for line in lines if line not in NEW_LINES) == path.read_text()
 
 
 def test_a_whole_file_has_every_key_of_the_schema():
     """Otherwise the test above says nothing of a key that was renamed."""
     old = yaml.safe_load((FOLDER / "written_changed.yaml").read_text())
-    new = VehicleModel().dump()
+    new = without_new(VehicleModel().dump())
     assert list(new) == list(old)
     for section, content in new.items():
         if isinstance(content, dict):
