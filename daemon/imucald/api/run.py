@@ -6,7 +6,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from imucald.api.columns import EVENTS, HISTORY, Columns, corrected_columns, no_rows
+from imucald.api.columns import (
+    EVENT_COLUMNS,
+    EVENTS,
+    HISTORY,
+    HISTORY_COLUMNS,
+    RAW,
+    Columns,
+    TableColumn,
+    corrected_columns,
+    no_rows,
+    raw_columns,
+)
 from imucald.api.configuration import Configuration
 from imucald.api.drive import DriveResult, drive_result
 from imucald.api.logs import LogSource, opened
@@ -23,6 +34,11 @@ Progress = Callable[[int, int | None], None]
 _KINDS = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag"}
 
 UNUSED = "the log has no usable frame of this configuration; 'imucald check' tells more"
+
+
+def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
+    """The pieces of a recording that may be in one."""
+    return log if isinstance(log, list | tuple) else [log]
 
 
 class Run:
@@ -58,6 +74,20 @@ class Run:
     def chunks(self) -> Iterator[None]:
         """Go on by a chunk of frames each; the first bad line raises LogError where strict."""
         yield from self._replay.chunks()
+
+    @property
+    def rows(self) -> int:
+        """Rows of samples, of all tables, that have not been taken."""
+        return self._recorder.rows
+
+    def table_columns(self) -> dict[str, tuple[TableColumn, ...]]:
+        """The columns of every table that there may be."""
+        kinds, found = self._kinds, {}
+        for name in self.engine.output.triads:
+            found[name] = corrected_columns(kinds.get(name, name))
+        for channel in sorted(self.engine.router.channels):
+            found[f"{RAW}{channel}"] = raw_columns(channel, kinds.get(channel))
+        return {**found, HISTORY: HISTORY_COLUMNS, EVENTS: EVENT_COLUMNS}
 
     def take_signals(self) -> dict[str, Columns]:
         """The samples since the last call, by table; what was taken is not kept."""
