@@ -41,6 +41,13 @@ def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
     return log if isinstance(log, list | tuple) else [log]
 
 
+def require_frames(drive: DriveResult) -> DriveResult:
+    """The drive as it is; raises LogError where its logs held no frame at all."""
+    if drive.frames["read"] == 0:
+        raise LogError(f"{', '.join(drive.logs)}: holds no CAN frame")
+    return drive
+
+
 class Run:
     """Logs that are the pieces of one recording, on their way through an engine of their own.
 
@@ -94,13 +101,8 @@ class Run:
         return self._recorder.take_signals(self._replay.lead, self._kinds)
 
     def result(self) -> DriveResult:
-        """What the frames so far came to, with the signals since they were last taken.
-
-        Raises LogError where there was no frame at all.
-        """
+        """What the frames so far came to, with the signals since they were last taken."""
         engine, reader = self.engine, self._reader
-        if reader.frames_read == 0:
-            raise LogError(f"{', '.join(self.logs)}: holds no CAN frame")
         lead = self._replay.lead
         left_out = self._recorder.events_left_out
         notes = [] if engine.stages is None else list(engine.stages.notes)

@@ -11,7 +11,7 @@ from imucald.api.configuration import Configuration, PathLike
 from imucald.api.drive import DriveResult, drive_plain
 from imucald.api.files.written import chosen, format_of, write_parts
 from imucald.api.logs import LogSource
-from imucald.api.run import Progress, Run, pieces
+from imucald.api.run import Progress, Run, pieces, require_frames
 from imucald.api.table_access import TableAccess
 from imucald.core.errors import ImucaldError
 
@@ -54,6 +54,12 @@ class DriveStream:
         if self._run.rows:
             yield _part(self._run.take_signals())
         self._result = self._run.result()
+        require_frames(self._result)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the last part was given out, and there is a result."""
+        return self._result is not None
 
     @property
     def result(self) -> DriveResult:

@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from imucald.api.columns import EVENTS, HISTORY, RAW, Columns, TableColumn, columns_from
 from imucald.api.files.mcap_schemas import SCHEMAS, TIMESTAMP
 from imucald.api.files.table_file import Tables, named, removed, unfinished
@@ -37,7 +39,7 @@ class McapTables:
         self._writer.start(profile="", library="imucald")
         self._topics = {name: _topic(name) for name in tables}
         self._channels: dict[str, int] = {}
-        self._messages: dict[str, Callable[[Mapping[str, Any]], str]] = {}
+        self._messages: dict[str, Callable[[Mapping[str, Any]], bytes]] = {}
         schemas: dict[str, int] = {}
         for name, columns in tables.items():
             schema, self._messages[name] = _message(name, columns)
@@ -56,8 +58,7 @@ class McapTables:
         for row in zip(*cells, strict=True):
             values = dict(zip(keys, row, strict=True))
             stamp = max(values["time"], 0) * 1000
-            data = message(values).encode()
-            self._writer.add_message(channel, stamp, data, stamp)
+            self._writer.add_message(channel, stamp, message(values), stamp)
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
         """Write the metadata and close."""
@@ -86,7 +87,7 @@ def _topic(name: str) -> str:
 
 def _message(
     name: str, columns: tuple[TableColumn, ...]
-) -> tuple[str, Callable[[Mapping[str, Any]], str]]:
+) -> tuple[str, Callable[[Mapping[str, Any]], bytes]]:
     """Schema of a table's messages, and what makes one of a row."""
     if name == HISTORY:
         return "foxglove.FrameTransform", _transform
@@ -129,7 +130,7 @@ def _vector(row: Mapping[str, Any], axes: tuple[str, ...]) -> dict[str, float | 
 _ZERO = dict.fromkeys(_XYZ, 0.0)
 
 
-def _imu(row: Mapping[str, Any], axes: tuple[str, ...], frame: str, is_rate: bool) -> str:
+def _imu(row: Mapping[str, Any], axes: tuple[str, ...], frame: str, is_rate: bool) -> bytes:
     measured = _vector(row, axes)
     content = {
         **_head(row, frame),
@@ -140,16 +141,16 @@ def _imu(row: Mapping[str, Any], axes: tuple[str, ...], frame: str, is_rate: boo
         "linear_acceleration": _ZERO if is_rate else measured,
         "linear_acceleration_covariance": NOT_MEASURED if is_rate else UNKNOWN,
     }
-    return json.dumps(content)
+    return msgspec.json.encode(content)
 
 
-def _field(row: Mapping[str, Any], axes: tuple[str, ...], frame: str) -> str:
+def _field(row: Mapping[str, Any], axes: tuple[str, ...], frame: str) -> bytes:
     content = {
         **_head(row, frame),
         "magnetic_field": _vector(row, axes),
         "magnetic_field_covariance": UNKNOWN,
     }
-    return json.dumps(content)
+    return msgspec.json.encode(content)
 
 
 def _rest(row: Mapping[str, Any], taken: tuple[str, ...]) -> dict[str, Any]:
@@ -168,7 +169,7 @@ def _timestamp(row: Mapping[str, Any]) -> dict[str, int]:
 _QUATERNION = ("q_w", "q_x", "q_y", "q_z")
 
 
-def _transform(row: Mapping[str, Any]) -> str:
+def _transform(row: Mapping[str, Any]) -> bytes:
     known = math.isfinite(row["q_w"])
     rotation = {axis: row[f"q_{axis}"] if known else float(axis == "w") for axis in "xyzw"}
     content = {
@@ -179,10 +180,10 @@ def _transform(row: Mapping[str, Any]) -> str:
         "rotation": rotation,
         **_rest(row, _QUATERNION),
     }
-    return json.dumps(content)
+    return msgspec.json.encode(content)
 
 
-def _log(row: Mapping[str, Any]) -> str:
+def _log(row: Mapping[str, Any]) -> bytes:
     content = {
         "timestamp": _timestamp(row),
         "level": 2,  # INFO
@@ -192,11 +193,11 @@ def _log(row: Mapping[str, Any]) -> str:
         "line": 0,
         **_rest(row, ()),
     }
-    return json.dumps(content)
+    return msgspec.json.encode(content)
 
 
-def _plain_message(row: Mapping[str, Any]) -> str:
-    return json.dumps({"timestamp": _timestamp(row), **_rest(row, ())})
+def _plain_message(row: Mapping[str, Any]) -> bytes:
+    return msgspec.json.encode({"timestamp": _timestamp(row), **_rest(row, ())})
 
 
 def _plain_schema(columns: tuple[TableColumn, ...]) -> dict[str, Any]:
@@ -225,7 +226,9 @@ def read_tables(path: Path, about: Mapping[str, Any], tables: Tables) -> dict[st
         messages = library("mcap.reader", "mcap").make_reader(file).iter_messages()
         for _, channel, message in messages:
             name = names[channel.topic]
-            cells = _cells(json.loads(message.data), message.log_time // 1000, tables[name])
+            cells = _cells(
+                msgspec.json.decode(message.data), message.log_time // 1000, tables[name]
+            )
             for column, cell in zip(rows[name], cells, strict=True):
                 column.append(cell)
     return {name: columns_from(tables[name], cells) for name, cells in rows.items()}
