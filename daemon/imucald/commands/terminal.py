@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -105,6 +105,26 @@ def print_summary(result: Mapping[str, Any]) -> None:
         console.print(f"rejected: {rejected}")
     for text in _beside(result):
         console.print(text)
+
+
+def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
+    """Print several drives, a row each, and what is odd between them."""
+    from rich.table import Table
+
+    plain_where_needed()
+    console = plain_console()
+    table = Table(box=None, pad_edge=False)
+    table.add_column("drive", overflow="fold")
+    for name in ("s", "state", *ANGLES):
+        table.add_column(name, justify="left" if name == "state" else "right")
+    for row in rows:
+        values = [_number(row[f"{angle}_deg"], "+.2f", "") for angle in ANGLES]
+        stds = [_number(row[f"std_{axis}_deg"], ".2f", "") for axis in "xyz"]
+        angles = [f"{v} +-{s}" for v, s in zip(values, stds, strict=True)]
+        table.add_row(row["log"], f"{row['duration_s']:.0f}", row["state"], *angles)
+    console.print(table)
+    for note in notes:
+        console.print(note)
 
 
 def _beside(result: Mapping[str, Any]) -> Iterator[str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.check.finding import (
+from imucald.config_check.finding import (
     CLEAR,
     MIN_TICKS,
     WRONG_GAIN,
@@ -18,8 +18,8 @@ from imucald.check.finding import (
     gain_guess,
     spread,
 )
-from imucald.check.motion import Motion, shifted, smooth
-from imucald.check.yaw_rate_check import MIN_TURNING
+from imucald.config_check.motion import Motion, shifted, smooth
+from imucald.config_check.yaw_rate_check import MIN_TURNING
 
 MIN_BRAKING = 0.25
 """Least standard deviation of the change of speed for a judgement [m/s^2]."""
