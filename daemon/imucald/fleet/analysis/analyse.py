@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from imucald.fleet.analysis.causes import UNKNOWN, cause_rows, never_usable_rows
 from imucald.fleet.analysis.components import Component
-from imucald.fleet.analysis.drive_set import DriveSet, drive_set
+from imucald.fleet.analysis.known_drives import KnownDrives, known_drives
 from imucald.fleet.analysis.mounts import (
     Segments,
     Shrunk,
@@ -43,7 +43,7 @@ def analysed(columns: Columns, groups: Sequence[str] = GROUPS) -> dict[str, Rows
         "analysis/causes": cause_rows(columns),
         "analysis/never_usable": never_usable_rows(columns),
     }
-    drives = drive_set(columns)
+    drives = known_drives(columns)
     names = ("types", "vehicles", "segments", "remounts", "groups", "outliers")
     if not len(drives):
         return found | {f"analysis/{name}": [] for name in names}
@@ -100,7 +100,7 @@ def _spread(form: str, parts: Sequence[Component]) -> dict[str, float | None]:
     }
 
 
-def _type_rows(drives: DriveSet, segments: Segments, remounts: Remounts, people: Population) -> Rows:
+def _type_rows(drives: KnownDrives, segments: Segments, remounts: Remounts, people: Population) -> Rows:
     crown = np.array([segments.crown[segments.starts][drives.kind == k].mean() for k in range(len(drives.kinds))])
     mounts = _mounts(people.centre, type_half_width(people, crown))
     of_drive = drives.kind[drives.vehicle]
@@ -119,7 +119,7 @@ def _type_rows(drives: DriveSet, segments: Segments, remounts: Remounts, people:
 
 
 def _vehicle_rows(
-    columns: Columns, drives: DriveSet, segments: Segments, people: Population, shrunk: Shrunk
+    columns: Columns, drives: KnownDrives, segments: Segments, people: Population, shrunk: Shrunk
 ) -> Rows:
     s = segments.ends
     raw = _mounts(segments.rotation[s], segments.half_width()[s])
@@ -148,7 +148,7 @@ def _vehicle_rows(
     ]
 
 
-def _segment_rows(columns: Columns, drives: DriveSet, segments: Segments) -> Rows:
+def _segment_rows(columns: Columns, drives: KnownDrives, segments: Segments) -> Rows:
     mounts = _mounts(segments.rotation, segments.half_width())
     number = np.arange(len(segments.vehicle)) - np.repeat(
         segments.starts, np.diff(segments.starts, append=len(segments.vehicle))
@@ -169,7 +169,7 @@ def _segment_rows(columns: Columns, drives: DriveSet, segments: Segments) -> Row
     return rows
 
 
-def _remount_rows(columns: Columns, drives: DriveSet, remounts: Remounts) -> Rows:
+def _remount_rows(columns: Columns, drives: KnownDrives, remounts: Remounts) -> Rows:
     rows = []
     for i, drive in enumerate(remounts.drive):
         after, before = (int(drives.row[k]) for k in (drive, drive - 1))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from imucald.fleet.analysis.drive_set import DriveSet, between, turned
+from imucald.fleet.analysis.known_drives import KnownDrives, between, turned
 from imucald.fleet.analysis.population import Population, Units, t_quantile
 from imucald.fleet.analysis.remounts import Remounts, weights
 from imucald.fleet.analysis.segments import means
@@ -55,7 +55,7 @@ def interval(variance: Array, crown: Array, quantile: float = NORMAL_95) -> Arra
     return np.sqrt(wide)
 
 
-def segment_mounts(drives: DriveSet, remounts: Remounts) -> Segments:
+def segment_mounts(drives: KnownDrives, remounts: Remounts) -> Segments:
     """The mount of each segment: mean of its drives about the first of them."""
     segment = remounts.segment
     first = np.flatnonzero(np.diff(segment, prepend=-1))
@@ -67,7 +67,7 @@ def segment_mounts(drives: DriveSet, remounts: Remounts) -> Segments:
     return Segments(rotation, V, crown, drives.vehicle[first], first, last)
 
 
-def first_units(drives: DriveSet, segments: Segments) -> Units:
+def first_units(drives: KnownDrives, segments: Segments) -> Units:
     """Vehicles as they were delivered."""
     s = segments.starts
     return Units(segments.rotation[s], segments.V[s], drives.kind, len(drives.kinds))
@@ -83,7 +83,7 @@ class Shrunk:
     half_width: Array
 
 
-def shrink(drives: DriveSet, segments: Segments, found: Population) -> Shrunk:
+def shrink(drives: KnownDrives, segments: Segments, found: Population) -> Shrunk:
     """The best estimate of each vehicle: its own mean and its type, weighed by their variances.
 
     A sensor that was moved, or that stands out, is no sample of its type any more: it is left as

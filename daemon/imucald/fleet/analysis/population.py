@@ -18,7 +18,7 @@ from scipy.stats import false_discovery_control
 from scipy.stats import t as t_distribution
 
 from imucald.fleet.analysis.components import Component, between_vehicles, robust_variance
-from imucald.fleet.analysis.drive_set import between, turned
+from imucald.fleet.analysis.known_drives import between, turned
 from imucald.fleet.analysis.moderation import moderated
 
 Array = NDArray[np.float64]

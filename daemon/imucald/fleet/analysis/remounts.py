@@ -10,7 +10,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 
 from imucald.fleet.analysis.components import Component, between_drives, robust_variance
-from imucald.fleet.analysis.drive_set import DriveSet, between
+from imucald.fleet.analysis.known_drives import KnownDrives, between
 from imucald.fleet.analysis.segments import candidates, means
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class Remounts:
         return self.q <= MAX_Q
 
 
-def find_remounts(drives: DriveSet) -> Remounts:
+def find_remounts(drives: KnownDrives) -> Remounts:
     """Look for remounts in all vehicles; D is learnt on the way from what is none."""
     e = between(drives.rotation, drives.rotation[drives.first[drives.vehicle]])
     D = np.tile(_first_D(e, drives), (len(drives.kinds), 1))
@@ -68,12 +68,12 @@ def find_remounts(drives: DriveSet) -> Remounts:
     return replace(found, D=D, components=components)
 
 
-def _pairs(drives: DriveSet) -> Index:
+def _pairs(drives: KnownDrives) -> Index:
     """Index of each drive that follows another of its vehicle."""
     return np.flatnonzero(np.diff(drives.vehicle, prepend=-1) == 0).astype(np.int64)
 
 
-def _first_D(e: Array, drives: DriveSet) -> Array:
+def _first_D(e: Array, drives: KnownDrives) -> Array:
     """D by the median of what drives in turn differ by, which remounts do not move much."""
     after = _pairs(drives)
     squares = (e[after] - e[after - 1]) ** 2
@@ -82,7 +82,7 @@ def _first_D(e: Array, drives: DriveSet) -> Array:
     return np.array([robust_variance(squares[:, a] / 2, known[:, a] / 2) for a in range(3)])
 
 
-def weights(drives: DriveSet, D: Array, scale: float = 1.0) -> Array:
+def weights(drives: KnownDrives, D: Array, scale: float = 1.0) -> Array:
     """Inverse covariances (n, 3, 3) of single drives about their vehicle's mount [1/deg^2]."""
     V = drives.P + D[drives.kind[drives.vehicle]][:, :, None] * np.eye(3)
     return np.linalg.inv(scale * V)
@@ -115,7 +115,7 @@ class Null:
         return np.asarray(f_distribution.sf(squares * freedom / (freedom - 2.0) / 3.0, 3, freedom))
 
 
-def _null(e: Array, drives: DriveSet, D: Array, cuts: Index) -> Null:
+def _null(e: Array, drives: KnownDrives, D: Array, cuts: Index) -> Null:
     """The null that makes differences of drives in turn most likely, found remounts left out."""
     after = np.setdiff1d(_pairs(drives), cuts)
     if len(after) < OWN_FREEDOM:
@@ -134,7 +134,7 @@ def _null(e: Array, drives: DriveSet, D: Array, cuts: Index) -> Null:
     return found
 
 
-def _cuts(e: Array, drives: DriveSet, D: Array, null: Null) -> Remounts:
+def _cuts(e: Array, drives: KnownDrives, D: Array, null: Null) -> Remounts:
     W = weights(drives, D, null.widening)
     bounds = [*drives.first.tolist(), len(drives)]
     cuts = [
@@ -159,7 +159,7 @@ def _cuts(e: Array, drives: DriveSet, D: Array, null: Null) -> Remounts:
     return Remounts(drive, turn, spread, p, q, D, [], null.widening, segment)
 
 
-def _segments(drives: DriveSet, cuts: Index) -> Index:
+def _segments(drives: KnownDrives, cuts: Index) -> Index:
     """Segment of each drive, ascending: a new one at each vehicle and each cut."""
     begins = np.zeros(len(drives), dtype=np.int64)
     begins[drives.first] = 1
@@ -167,7 +167,7 @@ def _segments(drives: DriveSet, cuts: Index) -> Index:
     return np.asarray(np.cumsum(begins) - 1, dtype=np.int64)
 
 
-def _components(e: Array, drives: DriveSet, segment: Index) -> list[list[Component]]:
+def _components(e: Array, drives: KnownDrives, segment: Index) -> list[list[Component]]:
     """D by type and axis; of all types together where a type shows too little."""
     kind = drives.kind[drives.vehicle]
     P = np.diagonal(drives.P, axis1=1, axis2=2)

@@ -19,7 +19,7 @@ FLOOR_DEG2 = 1e-4
 
 
 @dataclass(frozen=True)
-class DriveSet:
+class KnownDrives:
     """n drives with a known mount, sorted by vehicle and time.
 
     rotation: R_vehicle_from_sensor. P: (n, 3, 3) covariance of the rotation-vector error about the
@@ -48,7 +48,7 @@ class DriveSet:
         return np.flatnonzero(np.diff(self.vehicle, prepend=-1)).astype(np.int64)
 
 
-def drive_set(columns: Mapping[str, Sequence[object]]) -> DriveSet:
+def known_drives(columns: Mapping[str, Sequence[object]]) -> KnownDrives:
     """Take the drives out of the table's columns (in its order: by vehicle and time)."""
     state = np.array(columns["state"], dtype=object)
     numbers = np.array(
@@ -65,7 +65,7 @@ def drive_set(columns: Mapping[str, Sequence[object]]) -> DriveSet:
     kind = np.zeros(len(vehicles), dtype=np.int64)
     kind[vehicle] = kind_of_drive  # the last drive's, should it change
     crown = numbers[:, 10]
-    return DriveSet(
+    return KnownDrives(
         Rotation.from_quat(numbers[:, :4]) if len(row) else Rotation.identity(0),
         _without_crown(numbers[:, 4:10], crown),
         crown,
