@@ -17,7 +17,7 @@ from imucald.fleet.drive_row import day_of
 from imucald.fleet.fleet_file import Fleet
 from imucald.fleet.lease import Lease
 from imucald.fleet.listing import Log
-from imucald.fleet.plan import Plan
+from imucald.fleet.plan import SAMPLE, Plan
 from imucald.fleet.store import Store
 from imucald.fleet.tables import parts, write_part
 from imucald.fleet.task import OK, ONCE_MORE, Outcome, Task
@@ -28,7 +28,7 @@ AHEAD = 2
 FLUSH_ROWS = 500
 FLUSH_S = 60.0
 LOOK_S = 0.5
-ALL_ALIKE = 20
+ALL_ALIKE = SAMPLE
 """When so many logs come first and all fail for one reason, the run is wrong, not the logs."""
 TRIES = 2
 

@@ -14,6 +14,8 @@ from imucald.fleet.listing import Log, is_since
 from imucald.fleet.store import Store
 from imucald.fleet.task import OK, Limits, Task
 
+SAMPLE = 20
+"""Logs from whose ends alone a run that is wrong as a whole is known (`driver.ALL_ALIKE`)."""
 Redo = Literal["nothing", "failed", "config", "all"]
 
 
@@ -61,7 +63,7 @@ def known_sources(store: Store) -> dict[str, Known]:
 
 
 def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -> Plan:
-    """Compare what there is with what is known; the largest logs come first."""
+    """Compare what there is with what is known; after a sample the largest logs come first."""
     known = known_sources(store)
     plan = Plan([], 0)
     for log in logs:
@@ -87,9 +89,18 @@ def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -
         )
         plan.tasks.append((task, log))
     plan.tasks.sort(key=lambda pair: (-pair[1].bytes, pair[1].source))
+    _sample_first(plan.tasks)
     if options.limit is not None:
         del plan.tasks[options.limit :]
     return plan
+
+
+def _sample_first(tasks: list[tuple[Task, Log]]) -> None:
+    """Put some of all sizes before the others: when these all fail alike, so will the rest."""
+    step = len(tasks) // SAMPLE
+    if step > 1:
+        chosen = range(0, step * SAMPLE, step)
+        tasks[:] = [tasks[i] for i in chosen] + [t for i, t in enumerate(tasks) if i not in chosen]
 
 
 def _is_done(before: Known | None, log: Log, bundle: str, redo: Redo, plan: Plan) -> bool:
