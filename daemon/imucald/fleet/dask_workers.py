@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from imucald.fleet.workers import DEATHS, _Futures, run_one_log, unique_keys
 CONNECTING_S = 30.0
 WORKERS_S = 60.0
 """How long is waited for the first worker."""
+TRIES, AGAIN_S = 5, 1.0
+"""To prepare the workers of a cluster that changes."""
 PLUGIN = "imucald-fleet"
 
 
@@ -85,10 +88,23 @@ class DaskWorkers:
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             raise ImucaldError(f"{address}: no Dask scheduler answers: {error}") from None
         try:
-            self._prepare(address, bundles)
+            self._prepared(address, bundles)
         except BaseException:
             self._client.close()
             raise
+
+    def _prepared(self, address: str, bundles: Mapping[str, Bundle]) -> None:
+        """Prepare; a worker that goes away in the middle of it is no reason to give up."""
+        for left in reversed(range(TRIES)):
+            try:
+                self._prepare(address, bundles)
+            except OSError as error:  # Dask's CommClosedError is one
+                if left == 0:
+                    text = f"{address}: workers come and go, none can be prepared: {error}"
+                    raise ImucaldError(text) from None
+                time.sleep(AGAIN_S)
+            else:
+                return
 
     def _prepare(self, address: str, bundles: Mapping[str, Bundle]) -> None:
         try:
@@ -98,6 +114,8 @@ class DaskWorkers:
         mine = about_worker()
         try:
             answers: dict[str, Any] = self._client.run(about_worker)
+        except OSError:
+            raise
         except Exception as error:
             raise ImucaldError(
                 f"{address}: its workers lack this imucald ({type(error).__name__}: {error}); "

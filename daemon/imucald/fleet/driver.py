@@ -20,7 +20,7 @@ from imucald.fleet.listing import Log
 from imucald.fleet.plan import SAMPLE, Plan
 from imucald.fleet.store import Store
 from imucald.fleet.tables import parts, write_part
-from imucald.fleet.task import OK, ONCE_MORE, Outcome, Task
+from imucald.fleet.task import OK, ONCE_MORE, OTHER_CODE, Outcome, Task
 from imucald.fleet.workers import Workers
 
 AHEAD = 2
@@ -121,6 +121,11 @@ class FleetRun:
             self._tell(self.counts)
 
     def _take(self, task: Task, outcome: Outcome) -> None:
+        if outcome.kind == OTHER_CODE:
+            raise ImucaldError(
+                f"{outcome.cost.worker}: joined with another imucald than the driver's; install the "
+                "same there, the run goes on with the same command"
+            )
         self._attempts[task.source] += 1
         attempt = self._attempts[task.source]
         cost = msgspec.structs.asdict(outcome.cost)

@@ -22,6 +22,8 @@ ONCE_MORE: Final = frozenset({"timeout", "memory", "crashed"})
 """Tried a second time, alone: a busy machine may have been the reason, not the log."""
 
 OK: Final = "ok"
+OTHER_CODE: Final = "other_code"
+"""A worker that joined later has another imucald: the run ends, no log is to blame."""
 
 
 class Limits(msgspec.Struct, frozen=True):

@@ -99,12 +99,17 @@ def spectrum_picture(p: SignalPicture) -> str:
 def _drawn(
     draw: Callable[[Axes, SignalPicture], None], p: SignalPicture, size: tuple[float, float]
 ) -> str:
+    return as_svg(lambda figure: draw(figure.add_subplot(), p), size)
+
+
+def as_svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:
+    """A picture of width and height [inches] as SVG; the same drawing gives the same text."""
     with mpl.rc_context(STYLE), warnings.catch_warnings():
         # Letters of other scripts are missing in the font of the layout, not in the reader's.
         warnings.filterwarnings("ignore", message="Glyph .* missing")
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasSVG(figure)
-        draw(figure.add_subplot(), p)
+        draw(figure)
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
     return _shortened(out.getvalue())
