@@ -62,7 +62,9 @@ class Truth:
     effects: dict[str, Array] = field(default_factory=dict)
 
 
-def simulated_fleet(seed: int, design: Design | None = None) -> tuple[dict[str, list[object]], Truth]:
+def simulated_fleet(
+    seed: int, design: Design | None = None
+) -> tuple[dict[str, list[object]], Truth]:
     """Columns of `drives`, sorted by vehicle and time, and the truth."""
     design = design or Design()
     rng = np.random.default_rng(seed)
@@ -87,10 +89,16 @@ def simulated_fleet(seed: int, design: Design | None = None) -> tuple[dict[str, 
         mount = Rotation.from_rotvec(e, degrees=True) * truth.centre[kinds[i]]
         for d in range(design.drives):
             if d and rng.random() < design.remount_share:
-                mount = Rotation.from_rotvec(_direction(rng) * design.remount_deg, degrees=True) * mount
+                mount = (
+                    Rotation.from_rotvec(_direction(rng) * design.remount_deg, degrees=True) * mount
+                )
                 truth.remounts.add((name, f"{name}-{d}"))
             rows.append(_drive(rng, name, d, mount, crown))
-            rows[-1] |= {"vehicle_type": kinds[i], "sensor_batch": batches[i], "firmware": f"f{i % 3}"}
+            rows[-1] |= {
+                "vehicle_type": kinds[i],
+                "sensor_batch": batches[i],
+                "firmware": f"f{i % 3}",
+            }
         truth.mounts[name] = mount
     columns: dict[str, list[object]] = {key: [row[key] for row in rows] for key in rows[0]}
     return columns, truth
@@ -108,7 +116,9 @@ def _direction(rng: np.random.Generator) -> Array:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _drive(rng: np.random.Generator, name: str, d: int, mount: Rotation, crown: float) -> dict[str, object]:
+def _drive(
+    rng: np.random.Generator, name: str, d: int, mount: Rotation, crown: float
+) -> dict[str, object]:
     minutes = 5.0 * 8.0 ** rng.random()
     # deviations at 5 min and 40 min (docs/mount-accuracy.md: median error / 0.67), crown apart
     share = math.log(minutes / 5.0) / math.log(8.0)

@@ -30,7 +30,9 @@ def main(fleet_path: str, out: str, *cluster: str) -> None:
         else:
             workers = ExecutorWorkers.here(2, fleet.bundles)
         try:
-            FleetRun(fleet, store, workers, planned(fleet, store, list_logs(fleet), options)).go(lease)
+            FleetRun(fleet, store, workers, planned(fleet, store, list_logs(fleet), options)).go(
+                lease
+            )
         finally:
             workers.close()
 

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from paths import ROOT
 
 from imucald.config import load_config
 from imucald.simulation.drive import simulate
 from imucald.simulation.random_model import random_model
 from imucald.traffic.can_log import write_log
 from imucald.traffic.drive_encoder import BusEncoder
+from paths import ROOT
 
 HERE = Path(__file__).parent
 CONFIG = ROOT / "config" / "examples" / "simulated.yaml"
@@ -29,7 +29,9 @@ def whole_log(path: Path, minutes: float = 3.0) -> Path:
     return path
 
 
-def make_fleet(folder: Path, log: Path, logs: int, vehicles: int = 3, seconds: float = 40.0) -> Path:
+def make_fleet(
+    folder: Path, log: Path, logs: int, vehicles: int = 3, seconds: float = 40.0
+) -> Path:
     """Logs of `seconds` each, all different; returns the fleet file."""
     lines = log.read_bytes().splitlines(keepends=True)
     length = round(len(lines) * seconds / 180.0)

@@ -77,7 +77,9 @@ def test_the_reason_of_a_crash_is_told_and_the_same_each_time(tmp_path: Path, bu
     assert (first.message, first.traceback) == (second.message, second.traceback)
 
 
-def test_an_error_that_nobody_foresaw_is_a_bug_with_its_traceback(tmp_path: Path, bundle: str) -> None:
+def test_an_error_that_nobody_foresaw_is_a_bug_with_its_traceback(
+    tmp_path: Path, bundle: str
+) -> None:
     outcome = run(poisoned(tmp_path, "raise"), bundle)
     assert "ValueError: not foreseen" in outcome.message
     assert "poison.py" in outcome.traceback
@@ -107,7 +109,9 @@ def test_a_cut_mf4_is_unreadable(tmp_path: Path, bundle: str) -> None:
     path = tmp_path / "whole.mf4"
     with can.MF4Writer(path) as writer:
         for i in range(200):
-            message = can.Message(timestamp=1e9 + i, arbitration_id=0x100, data=bytes(8), is_rx=True)
+            message = can.Message(
+                timestamp=1e9 + i, arbitration_id=0x100, data=bytes(8), is_rx=True
+            )
             writer.on_message_received(message)
     assert run(path, bundle, Limits(time_s=60.0)).kind == "no_frames", "it is a log, of another bus"
     cut = tmp_path / "cut.mf4"

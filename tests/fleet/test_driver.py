@@ -62,7 +62,9 @@ def good(task: Task, tried: int = 0) -> Outcome:
         return Outcome(text.split()[1], f"{task.source}: bad", cost=Cost(1.0))
     drive = {"start": 1.7e9 + len(text), "duration_s": 1.5, "state": "fine", "causes": "[]"}
     events = [{"t_s": 1.0, "kind": "state", "text": "fine"}]
-    return Outcome("ok", log_key=f"key-{text}", drive=drive, events=events, cost=Cost(0.5, 0.4, 7, "w"))
+    return Outcome(
+        "ok", log_key=f"key-{text}", drive=drive, events=events, cost=Cost(0.5, 0.4, 7, "w")
+    )
 
 
 def make_logs(folder: Path, texts: Sequence[str]) -> Path:
@@ -97,9 +99,9 @@ def test_any_order_gives_the_same_bytes(tmp_path: Path, fleet: Fleet) -> None:
         found.append(tables_of(tmp_path / f"out{seed}"))
     assert all(one == found[0] for one in found)
     drives = pq.read_table(tmp_path / "out0" / "drives").to_pylist()
-    assert [d["log_key"] for d in drives if len(d["sources"]) > 100 or "009.log" in d["sources"]] == [
-        "key-xxx"
-    ], "the drive that is there twice is one row with both addresses"
+    assert [
+        d["log_key"] for d in drives if len(d["sources"]) > 100 or "009.log" in d["sources"]
+    ] == ["key-xxx"], "the drive that is there twice is one row with both addresses"
     assert len(drives) == 8
 
 
@@ -200,9 +202,8 @@ def test_what_crashes_twice_is_poison_until_it_is_asked_for(tmp_path: Path, flee
 
     workers, _, _ = go(fleet, tmp_path / "out", always)
     assert sum("003" in source for source in workers.tried) == 2
-    (row,) = [
-        r for r in pq.read_table(tmp_path / "out" / "failures").to_pylist() if r["kind"] == "crashed"
-    ]
+    failures = pq.read_table(tmp_path / "out" / "failures").to_pylist()
+    (row,) = [r for r in failures if r["kind"] == "crashed"]
     assert (row["attempts"], row["exit_code"]) == (2, -11)
     workers, _, _ = go(fleet, tmp_path / "out", always)
     assert workers.tried == []
@@ -238,7 +239,7 @@ def test_stopping_begins_nothing_more_and_can_go_on(tmp_path: Path, fleet: Fleet
     with Lease(store) as lease:
         plan = planned(fleet, store, list_logs(fleet), Options())
         workers = FakeWorkers(good, slots=1)
-        run = FleetRun(fleet, store, workers, plan, lambda counts: run.stop())
+        run = FleetRun(fleet, store, workers, plan, lambda _: run.stop())
         assert not run.go(lease), "some are left"
     assert 0 < len(workers.tried) < 5
     go(fleet, tmp_path / "out")
@@ -256,7 +257,8 @@ def test_every_file_has_every_column_with_its_type_and_unit(tmp_path: Path, flee
             assert field.metadata.get(b"unit", b"").decode() == column.unit
             suffixes = {"s": "_s", "deg": "_deg", "m": "_m", "Hz": "_hz", "deg^2": "_deg2"}
             assert column.name.endswith(suffixes.get(column.unit, "")), column
-    assert set(pq.read_table(tmp_path / "out" / "drives").column("schema_version").to_pylist()) == {VERSION}
+    drives = pq.read_table(tmp_path / "out" / "drives")
+    assert set(drives.column("schema_version").to_pylist()) == {VERSION}
 
 
 def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path, fleet: Fleet) -> None:

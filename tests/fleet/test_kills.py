@@ -78,7 +78,9 @@ def test_a_driver_killed_at_random_times_goes_on_where_it_was(
 
 
 @pytest.mark.slow
-def test_two_runs_into_one_folder_at_once(fleet: Path, calm: dict[str, bytes], tmp_path: Path) -> None:
+def test_two_runs_into_one_folder_at_once(
+    fleet: Path, calm: dict[str, bytes], tmp_path: Path
+) -> None:
     first = start(fleet, tmp_path / "out")
     assert first.stdout is not None
     assert first.stdout.readline().strip() == "leased"

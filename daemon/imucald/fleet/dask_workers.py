@@ -17,7 +17,7 @@ from imucald.core.errors import ImucaldError
 from imucald.fleet.bundle import Bundle, code_hash, unpack
 from imucald.fleet.children import close_templates
 from imucald.fleet.task import Outcome, Task
-from imucald.fleet.workers import DEATHS, _Futures, run_one_log, unique_keys
+from imucald.fleet.workers import DEATHS, Futures, run_one_log, unique_keys
 
 CONNECTING_S = 30.0
 WORKERS_S = 60.0
@@ -37,12 +37,16 @@ class TlsFiles:
 
     def security(self) -> Security:
         """As Dask wants them; nothing goes unencrypted."""
-        return Security(
+        return Security(  # type: ignore[no-untyped-call]
             tls_ca_file=self.ca,
             tls_client_cert=self.certificate,
             tls_client_key=self.key,
             require_encryption=True,
         )
+
+
+_client: Any = Client
+"""Dask's client has no types."""
 
 
 class BundlePlugin(WorkerPlugin):
@@ -81,10 +85,10 @@ class DaskWorkers:
     ) -> None:
         if address.startswith("tls://") and tls is None:
             raise ImucaldError(f"{address}: needs --tls-ca, --tls-cert and --tls-key")
-        self._futures = _Futures()
+        self._futures = Futures()
         security = None if tls is None else tls.security()
         try:
-            self._client = Client(address, security=security, timeout=CONNECTING_S)
+            self._client: Any = _client(address, security=security, timeout=CONNECTING_S)
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             raise ImucaldError(f"{address}: no Dask scheduler answers: {error}") from None
         try:

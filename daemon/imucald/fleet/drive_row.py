@@ -95,7 +95,8 @@ def event_rows(events: Columns, has_clock: bool) -> list[dict[str, Any]]:
     names = [column.name for column in events.columns]
     rows = []
     for values in zip(*(array.tolist() for array in events.arrays), strict=True):
-        row = {n: None if v != v else v for n, v in zip(names, values, strict=True)}
+        row: dict[str, Any] = dict(zip(names, values, strict=True))
+        row = {name: None if value != value else value for name, value in row.items()}  # noqa: PLR0124
         row["time"] = row["time"] / 1e6 if has_clock else None
         rows.append(row)
     return rows

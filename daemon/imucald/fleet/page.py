@@ -27,7 +27,9 @@ Rows = list[dict[str, Any]]
 def fleet_page(store: Store) -> str:
     """The page as text. Raises ImucaldError where there is no analysis, or a library is missing."""
     require_libraries()
-    analysis = {name.rpartition("/")[2]: table.to_pylist() for name, table in read_analysis(store).items()}
+    analysis = {
+        name.rpartition("/")[2]: table.to_pylist() for name, table in read_analysis(store).items()
+    }
     tables = read_tables(store, ("drives", "failures", "sources"))
     drives, failures = tables["drives"], tables["failures"]
     found = [r for r in analysis["remounts"] if r["found"]]

@@ -55,7 +55,9 @@ def groups_picture(groups: Sequence[Row]) -> str:
     """Batches beside the other vehicles of their types, with 95 % intervals."""
     judged = [g for g in groups if g["p"] is not None]
     judged = sorted(judged, key=lambda g: g["p"])[:MAX_LINES]
-    labels = [f"{g['name']} ({g['vehicles']})" + (" *" if g["verdict"] == "bad" else "") for g in judged]
+    labels = [
+        f"{g['name']} ({g['vehicles']})" + (" *" if g["verdict"] == "bad" else "") for g in judged
+    ]
     return _intervals(judged, labels, "d_{}_deg", "ci95_{}_deg", "beside its types [deg]")
 
 
@@ -81,7 +83,9 @@ def types_picture(types: Sequence[Row]) -> str:
     return as_svg(draw, (9.6, 1.3 + 0.34 * len(shown)))
 
 
-def _intervals(rows: Sequence[Row], labels: Sequence[str], value: str, half: str, title: str) -> str:
+def _intervals(
+    rows: Sequence[Row], labels: Sequence[str], value: str, half: str, title: str
+) -> str:
     def draw(figure: Figure) -> None:
         axes = figure.subplots(1, 3, sharey=True)
         for ax, axis in zip(axes, AXES, strict=True):

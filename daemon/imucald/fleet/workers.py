@@ -32,8 +32,10 @@ def run_one_log(task: Task) -> Outcome:
 class Workers(Protocol):
     """Takes tasks and gives their outcomes, in any order."""
 
-    slots: int
-    """Tasks that run at the same time, about: a cluster may grow and shrink."""
+    @property
+    def slots(self) -> int:
+        """Tasks that run at the same time, about: a cluster may grow and shrink."""
+        ...
 
     def submit(self, tasks: Sequence[Task]) -> None:
         """Take tasks; returns at once."""
@@ -67,7 +69,7 @@ class AnyFuture(Protocol):
         ...
 
 
-class _Futures:
+class Futures:
     """Futures on their way, and those that ended."""
 
     def __init__(self) -> None:
@@ -100,7 +102,7 @@ class ExecutorWorkers:
     def __init__(self, executor: Executor, slots: int) -> None:
         self.slots = slots
         self._executor = executor
-        self._futures = _Futures()
+        self._futures = Futures()
 
     @classmethod
     def here(cls, slots: int, bundles: Mapping[str, Bundle]) -> ExecutorWorkers:

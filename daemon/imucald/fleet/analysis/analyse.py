@@ -100,8 +100,12 @@ def _spread(form: str, parts: Sequence[Component]) -> dict[str, float | None]:
     }
 
 
-def _type_rows(drives: KnownDrives, segments: Segments, remounts: Remounts, people: Population) -> Rows:
-    crown = np.array([segments.crown[segments.starts][drives.kind == k].mean() for k in range(len(drives.kinds))])
+def _type_rows(
+    drives: KnownDrives, segments: Segments, remounts: Remounts, people: Population
+) -> Rows:
+    crown = np.array(
+        [segments.crown[segments.starts][drives.kind == k].mean() for k in range(len(drives.kinds))]
+    )
     mounts = _mounts(people.centre, type_half_width(people, crown))
     of_drive = drives.kind[drives.vehicle]
     return [

@@ -75,7 +75,9 @@ def _found(deviance: Callable[[float], float], freedom: int) -> Component:
     k = int(np.argmin(values))
     low, high = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)])
     best = minimize_scalar(of_root, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
-    x, least = (float(best.x), float(best.fun)) if best.fun < values[k] else (float(grid[k]), values[k])
+    x, least = (
+        (float(best.x), float(best.fun)) if best.fun < values[k] else (float(grid[k]), values[k])
+    )
 
     def above(other: float) -> float:
         return of_root(other) - least - WITHIN_95

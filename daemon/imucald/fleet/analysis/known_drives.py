@@ -52,7 +52,8 @@ def known_drives(columns: Mapping[str, Sequence[object]]) -> KnownDrives:
     """Take the drives out of the table's columns (in its order: by vehicle and time)."""
     state = np.array(columns["state"], dtype=object)
     numbers = np.array(
-        [columns[n] for n in ("q_x", "q_y", "q_z", "q_w", *_COVARIANCE, "crown_std_deg")], dtype=float
+        [columns[n] for n in ("q_x", "q_y", "q_z", "q_w", *_COVARIANCE, "crown_std_deg")],
+        dtype=float,
     ).T
     good = np.isin(state, KNOWN) & np.isfinite(numbers).all(axis=1)
     names = np.array([str(v) for v in columns["vehicle"]], dtype=object)

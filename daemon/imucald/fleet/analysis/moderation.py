@@ -42,7 +42,11 @@ def moderated(T: Sequence[Sequence[Component]], V: Array) -> tuple[Array, Array]
     beyond = float(spread - polygamma(1, d / 2.0).mean())
     worth = min(_freedom(beyond), float(freedom.sum()))
     # of an endless prior the mean of logarithms is the logarithm of the variance itself
-    s0 = np.exp(common + digamma(worth / 2.0) - np.log(worth / 2.0)) if beyond > 0 else np.exp(common)
+    s0 = (
+        np.exp(common + digamma(worth / 2.0) - np.log(worth / 2.0))
+        if beyond > 0
+        else np.exp(common)
+    )
     total = freedom[:, None] + worth
     mixed = (worth * s0 + freedom[:, None] * np.maximum(own + V, LEAST)) / total
     return np.maximum(mixed - V, 0.0), total[:, 0]

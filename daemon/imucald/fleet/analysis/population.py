@@ -155,7 +155,7 @@ def _sum(values: Array, kind: Index, kinds: int) -> Array:
 def _t_weights(e: Array, variance: Array) -> Array:
     """Weights (n,), at most 1, of the t distribution in three dimensions."""
     squares = (e * e / variance).sum(axis=1)
-    return np.minimum((T_FREEDOM + 3.0) / (T_FREEDOM + squares), 1.0)
+    return np.asarray(np.minimum((T_FREEDOM + 3.0) / (T_FREEDOM + squares), 1.0))
 
 
 def _first_centres(rotation: Rotation, units: Units) -> Rotation:
@@ -180,7 +180,8 @@ def _groups(
     found: dict[tuple[str, str], GroupEffect] = {}
     while True:
         effects = [
-            found.get((column, name)) or _effect(units, e, wide, w, left_out, column, name, index == i)
+            found.get((column, name))
+            or _effect(units, e, wide, w, left_out, column, name, index == i)
             for column, (names, index) in codes.items()
             for i, name in enumerate(names)
         ]
@@ -196,7 +197,14 @@ def _groups(
 
 
 def _effect(
-    units: Units, e: Array, wide: Array, w: Array, left_out: Flags, column: str, name: str, mine: Flags
+    units: Units,
+    e: Array,
+    wide: Array,
+    w: Array,
+    left_out: Flags,
+    column: str,
+    name: str,
+    mine: Flags,
 ) -> GroupEffect:
     """One group beside the other vehicles of its types: contrasts by type, put together."""
     vehicles = int(mine.sum())
@@ -214,7 +222,9 @@ def _effect(
         freedom += int(a.sum() + b.sum()) - 2
     nan = float("nan")
     if vehicles < LEAST_GROUP or kinds == 0:
-        return GroupEffect(column, name, vehicles, kinds, np.full(3, nan), np.full((3, 3), nan), nan, 0)
+        return GroupEffect(
+            column, name, vehicles, kinds, np.full(3, nan), np.full((3, 3), nan), nan, 0
+        )
     effect, covariance = weighted / total, np.diag(1.0 / total)
     square = float((effect**2 * total).sum())
     p = _p_of(square, freedom)

@@ -85,7 +85,7 @@ def _first_D(e: Array, drives: KnownDrives) -> Array:
 def weights(drives: KnownDrives, D: Array, scale: float = 1.0) -> Array:
     """Inverse covariances (n, 3, 3) of single drives about their vehicle's mount [1/deg^2]."""
     V = drives.P + D[drives.kind[drives.vehicle]][:, :, None] * np.eye(3)
-    return np.linalg.inv(scale * V)
+    return np.asarray(np.linalg.inv(scale * V))
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,9 @@ def _null(e: Array, drives: KnownDrives, D: Array, cuts: Index) -> Null:
         return Null()
     V = np.linalg.inv(weights(drives, D))
     d = e[after] - e[after - 1]
-    squares = np.einsum("ni,ni->n", d, np.linalg.solve(V[after] + V[after - 1], d[:, :, None])[..., 0])
+    squares = np.einsum(
+        "ni,ni->n", d, np.linalg.solve(V[after] + V[after - 1], d[:, :, None])[..., 0]
+    )
     best, found = -np.inf, Null()
     for freedom in FREEDOMS:
         for scale in np.geomspace(0.4, 4.0, 24):
