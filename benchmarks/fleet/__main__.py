@@ -59,8 +59,10 @@ def _statistics(fleets: int) -> None:
     for name in ("remounts", "outliers", "batches"):
         false, power = np.mean(scores.false_share[name]), np.mean(scores.power[name])
         good = _met(bool(false <= 0.10)), _met(bool(power >= 0.90))
-        print(f"{name}: false discoveries {100 * false:.1f} % (bar 10: {good[0]}), power {100 * power:.1f} % "
-              f"of {len(scores.power[name])} (bar 90: {good[1]})")  # fmt: skip
+        print(
+            f"{name}: false discoveries {100 * false:.1f} % (bar 10: {good[0]}), "
+            f"power {100 * power:.1f} % of {len(scores.power[name])} (bar 90: {good[1]})"
+        )
     _errors("5 drives", scores)
     for drives in (1, 2):
         plain = Design(drives=drives, remount_share=0.0)
@@ -70,10 +72,9 @@ def _statistics(fleets: int) -> None:
         )
     for size in (1.0, 1.5, 2.0, 3.0, 5.0):
         scores = run(max(fleets // 6, 5), Design(remount_deg=size, outlier_deg=size), SEED + 1000)
-        power = {n: 100 * np.mean(scores.power[n]) for n in ("remounts", "outliers")}
-        false = {n: 100 * np.mean(scores.false_share[n]) for n in ("remounts", "outliers")}
-        print(f"{size} deg: remounts found {power['remounts']:.0f} % (false {false['remounts']:.0f}), "
-              f"outliers found {power['outliers']:.0f} % (false {false['outliers']:.0f})")  # fmt: skip
+        for name in ("remounts", "outliers"):
+            power, false = 100 * np.mean(scores.power[name]), np.mean(scores.false_share[name])
+            print(f"{name} of {size} deg: found {power:.0f} %, false {100 * false:.0f} %")
 
 
 def _errors(title: str, scores: Scores) -> None:
@@ -98,8 +99,11 @@ def _throughput(copies: int, rounds: int) -> None:
     ):
         print(f"  {name:<26} {one.wall:.1f} s, {one.cpu:.1f} s of processor, {one.memory:.0f} MiB")
     print(f"two workers against one: {t.speedup:.2f} times (bar 1.8: {_met(t.speedup >= 1.8)})")
-    print(f"a log beside its replay: {t.overhead_cpu_s:.3f} s of processor, {t.overhead_wall_s:.3f} s by "
-          f"the clock with one worker (bar 0.5: {_met(max(t.overhead_cpu_s, t.overhead_wall_s) <= 0.5)})")  # fmt: skip
+    most = max(t.overhead_cpu_s, t.overhead_wall_s)
+    print(
+        f"a log beside its replay: {t.overhead_cpu_s:.3f} s of processor, "
+        f"{t.overhead_wall_s:.3f} s by the clock with one worker (bar 0.5: {_met(most <= 0.5)})"
+    )
 
 
 def _scale() -> None:
@@ -107,13 +111,9 @@ def _scale() -> None:
         print(f"{vehicles} vehicles x {drives} drives:")
         with tempfile.TemporaryDirectory() as folder:
             module = [sys.executable, "-m", "benchmarks.fleet.scale", folder]
-            print(
-                "  "
-                + run_process([*module, str(vehicles), str(drives)])
-                .output.strip()
-                .replace("\n", "\n  ")
-            )
-            print("  " + run_process(module).output.strip())
+            for arguments in ([str(vehicles), str(drives)], []):
+                for line in run_process([*module, *arguments]).output.splitlines():
+                    print(f"  {line}")
     print("bars: memory of the driver 500 MiB, analyse 60 s")
 
 

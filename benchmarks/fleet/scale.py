@@ -40,9 +40,11 @@ class Simulated:
         self._block, self._rows = -1, {}  # type: int, dict[str, Any]
 
     def submit(self, tasks: Sequence[Task]) -> None:
+        """Take tasks."""
         self._waiting += tasks
 
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
+        """Give all outcomes."""
         done, self._waiting = self._waiting, []
         return [(task, self._outcome(task)) for task in done]
 
@@ -64,10 +66,10 @@ class Simulated:
                        cost=Cost(1.0, 1.0, 60 * 2**20, "worker"))  # fmt: skip
 
     def call_back(self) -> None:
-        pass
+        """Nothing waits."""
 
     def close(self) -> None:
-        pass
+        """Nothing is open."""
 
 
 def main(folder: str, vehicles: int, drives: int) -> None:

@@ -24,7 +24,7 @@ CROWN_STD = math.degrees(0.0065)
 BRACKET_STD = np.array([0.3, 0.3, 0.35])
 """From vehicle to vehicle [deg]: a tolerance of one degree is three deviations. Assumed."""
 TAIL_FREEDOM = 6
-"""Of the t distribution of errors of single drives: their claimed deviation holds, outliers come."""
+"""Of the t distribution of errors of single drives: claimed deviations hold, tails are heavy."""
 UNKNOWN_SHARE = 0.05
 """Drives that never become usable. Assumed."""
 FIRST_DAY = 1_750_000_000.0
@@ -133,7 +133,8 @@ def _drive(
     known = rng.random() >= UNKNOWN_SHARE
     start = FIRST_DAY + 86400.0 * d
     return {
-        "log_key": f"{name}-{d}", "run_key": "simulated", "vehicle": name, "sensor_serial": f"s{name}",
+        "log_key": f"{name}-{d}", "run_key": "simulated", "vehicle": name,
+        "sensor_serial": f"s{name}",
         "sources": f'["{name}/{d}.log"]', "date": None, "start": start, "end": start + 60 * minutes,
         "duration_s": 60 * minutes, "distance_m": 600 * minutes,
         "state": "fine" if known else "levelled", "first_usable_s": 60.0 if known else None,
@@ -143,5 +144,6 @@ def _drive(
         "cov_yy_deg2": std[1] ** 2, "cov_yz_deg2": 0.0, "cov_zz_deg2": std[2] ** 2,
         "crown_std_deg": CROWN_STD, "driving_side": "right", "waiting_roll": None,
         "waiting_pitch": None, "waiting_yaw": None if known else "waiting for a change of speed",
-        "causes": "[]", "frames_read": 1, "frames_used": 1, "rejected": "{}", "rate_accel_hz": 100.0,
+        "causes": "[]", "frames_read": 1, "frames_used": 1, "rejected": "{}",
+        "rate_accel_hz": 100.0,
     }  # fmt: skip

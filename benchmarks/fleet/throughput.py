@@ -12,7 +12,10 @@ from benchmarks.measured import EXAMPLES, FOLDER, Run, best, imucald, made_once,
 DRIVES = 8
 MINUTES = 10
 CONFIG = EXAMPLES / "simulated.yaml"
-REPLAY = "import sys, imucald\nfor log in sys.argv[2:]: imucald.replay(imucald.Config.load(sys.argv[1]), log, signals=False)"
+REPLAY = """import sys, imucald
+for log in sys.argv[2:]:
+    imucald.replay(imucald.Config.load(sys.argv[1]), log, signals=False)
+"""
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,7 @@ class Throughput:
 
     @property
     def speedup(self) -> float:
+        """Wall time of one worker over that of two."""
         return self.one.wall / self.two.wall
 
     @property

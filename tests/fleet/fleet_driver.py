@@ -14,14 +14,14 @@ from imucald.fleet.lease import Lease
 from imucald.fleet.listing import list_logs
 from imucald.fleet.plan import Options, planned
 from imucald.fleet.store import Store
-from imucald.fleet.task import Limits
+from imucald.fleet.task import LogLimits
 from imucald.fleet.workers import ExecutorWorkers, Workers
 
 
 def main(fleet_path: str, out: str, *cluster: str) -> None:
     fleet = load_fleet(Path(fleet_path))
     store = Store(out)
-    options = Options(limits=Limits(time_s=3.0), function=FUNCTION)
+    options = Options(limits=LogLimits(time_s=3.0), function=FUNCTION)
     with Lease(store) as lease:
         print("leased", flush=True)
         workers: Workers

@@ -25,7 +25,7 @@ TABLES = ("drives", "events", "failures", "sources")
 def whole_log(path: Path, minutes: float = 3.0) -> Path:
     """A simulated drive as a candump log."""
     drive = simulate(random_model(5, "city"), 5, minutes)
-    write_log(drive, path, BusEncoder(load_config(CONFIG)), False, lambda passed: None)
+    write_log(drive, path, BusEncoder(load_config(CONFIG)), False, lambda _: None)
     return path
 
 

@@ -1,4 +1,4 @@
-"""Evaluates logs as usual, and does what a log that begins with POISON asks for. Runs in children."""
+"""Evaluates logs as usual, and does what one that begins with POISON asks for. Runs in children."""
 
 from __future__ import annotations
 

@@ -17,13 +17,13 @@ from poison import FUNCTION
 
 from imucald.fleet.bundle import bundle_of, unpack
 from imucald.fleet.children import Template
-from imucald.fleet.task import Limits, Outcome, Task
+from imucald.fleet.task import LogLimits, Outcome, Task
 from imucald.fleet.workers import run_one_log
 
 __all__ = ["children_find_poison"]
 pytestmark = pytest.mark.usefixtures("children_find_poison")
 
-LIMITS = Limits(memory_bytes=512 * 2**20, time_s=1.5)
+LIMITS = LogLimits(memory_bytes=512 * 2**20, time_s=1.5)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return whole_log(tmp_path_factory.mktemp("log") / "whole.log", 1.0)
 
 
-def run(path: Path, bundle: str, limits: Limits = LIMITS) -> Outcome:
+def run(path: Path, bundle: str, limits: LogLimits = LIMITS) -> Outcome:
     return run_one_log(Task(str(path), bundle, limits=limits, function=FUNCTION))
 
 
@@ -89,7 +89,7 @@ def test_good_logs_beside_poison_are_not_harmed(tmp_path: Path, bundle: str, log
     acts = ("segfault", "allocate", "loop", "killed")
     paths = [log, *(poisoned(tmp_path, act) for act in acts), log, log]
     with ThreadPoolExecutor(4) as pool:
-        outcomes = list(pool.map(lambda p: run(p, bundle, Limits(2**29, 3.0)), paths))
+        outcomes = list(pool.map(lambda p: run(p, bundle, LogLimits(2**29, 3.0)), paths))
     kinds = [outcome.kind for outcome in outcomes]
     assert kinds == ["ok", "crashed", "memory", "timeout", "memory", "ok", "ok"]
     assert outcomes[0].drive == outcomes[5].drive == outcomes[6].drive
@@ -99,7 +99,7 @@ def test_good_logs_beside_poison_are_not_harmed(tmp_path: Path, bundle: str, log
 def test_a_pipe_is_not_waited_for(tmp_path: Path, bundle: str) -> None:
     path = tmp_path / "pipe.log"
     os.mkfifo(path)
-    outcome = run(path, bundle, Limits(time_s=30.0))
+    outcome = run(path, bundle, LogLimits(time_s=30.0))
     assert outcome.kind == "unreadable"
     assert "no regular file" in outcome.message
 
@@ -113,10 +113,12 @@ def test_a_cut_mf4_is_unreadable(tmp_path: Path, bundle: str) -> None:
                 timestamp=1e9 + i, arbitration_id=0x100, data=bytes(8), is_rx=True
             )
             writer.on_message_received(message)
-    assert run(path, bundle, Limits(time_s=60.0)).kind == "no_frames", "it is a log, of another bus"
+    assert run(path, bundle, LogLimits(time_s=60.0)).kind == "no_frames", (
+        "it is a log, of another bus"
+    )
     cut = tmp_path / "cut.mf4"
     cut.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
-    outcome = run(cut, bundle, Limits(time_s=60.0))
+    outcome = run(cut, bundle, LogLimits(time_s=60.0))
     assert outcome.kind == "unreadable", outcome
     assert str(cut) in outcome.message
 
@@ -133,8 +135,9 @@ def test_children_end_with_their_worker(tmp_path: Path, bundle: str) -> None:
     """A worker that is killed leaves nothing behind that eats a core."""
     log = poisoned(tmp_path, "loop")
     code = (
-        "import sys; from imucald.fleet.task import *; from imucald.fleet.workers import run_one_log\n"
-        f"run_one_log(Task({str(log)!r}, '-', limits=Limits(time_s=300.0), function={FUNCTION!r}))"
+        "from imucald.fleet.task import LogLimits, Task\n"
+        "from imucald.fleet.workers import run_one_log\n"
+        f"run_one_log(Task({str(log)!r}, '-', limits=LogLimits(time_s=300.0), function={FUNCTION!r}))"
     )
     worker = subprocess.Popen([sys.executable, "-c", code], env=environment())
     told = log.with_suffix(".pid")
@@ -167,7 +170,7 @@ def _lives(pid: int) -> bool:
 
 def test_a_template_that_was_killed_is_started_anew(tmp_path: Path, bundle: str, log: Path) -> None:
     template = Template(FUNCTION)
-    task = Task(str(log), bundle, limits=Limits(time_s=20.0), function=FUNCTION)
+    task = Task(str(log), bundle, limits=LogLimits(time_s=20.0), function=FUNCTION)
     try:
         assert template.run(task).kind == "ok"
         assert template._process is not None

@@ -154,7 +154,7 @@ def test_what_broke_off_in_the_middle_of_a_flush_does_no_harm(tmp_path: Path, fl
 def _broken_off(fleet: Fleet, out: Path, last: int) -> bool:
     """Run until write or delete number `last` is due; whether it came to that."""
 
-    class Killed(Exception):
+    class KilledError(Exception):
         pass
 
     class Mortal(Store):
@@ -163,7 +163,7 @@ def _broken_off(fleet: Fleet, out: Path, last: int) -> bool:
         def _due(self) -> None:
             self.left -= 1
             if self.left < 0:
-                raise Killed
+                raise KilledError
 
         def write(self, name: str, data: bytes) -> None:
             self._due()
@@ -179,7 +179,7 @@ def _broken_off(fleet: Fleet, out: Path, last: int) -> bool:
         plan = planned(fleet, store, list_logs(fleet), Options())
         try:
             FleetRun(fleet, store, FakeWorkers(good, last), plan).go(lease)
-        except Killed:
+        except KilledError:
             return True
     return False
 

@@ -41,9 +41,9 @@ def run(options: argparse.Namespace) -> int:
     from imucald.fleet.listing import list_logs
     from imucald.fleet.plan import Options, planned
     from imucald.fleet.store import Store
-    from imucald.fleet.task import Limits
+    from imucald.fleet.task import LogLimits
 
-    limits = Limits(
+    limits = LogLimits(
         _bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit)
     )
     if options.since is not None and not re.fullmatch(r"\d{4}-\d\d-\d\d", options.since):

@@ -9,6 +9,8 @@ from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import scipy
 from distributed import Client, Worker, WorkerPlugin
 from distributed.security import Security
 
@@ -65,9 +67,6 @@ class BundlePlugin(WorkerPlugin):
 
 def about_worker() -> dict[str, str]:
     """What must be alike on driver and workers for the same rows."""
-    import numpy as np  # noqa: PLC0415 - on the worker
-    import scipy  # noqa: PLC0415
-
     return {
         "imucald": __version__,
         "code of imucald": code_hash(),
@@ -137,7 +136,8 @@ class DaskWorkers:
     @property
     def slots(self) -> int:
         """Threads of all workers there are now."""
-        return max(1, sum(self._client.nthreads().values()))
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
 
     def submit(self, tasks: Sequence[Task]) -> None:
         """Take tasks."""

@@ -24,7 +24,7 @@ from imucald.fleet.task import OK, ONCE_MORE, OTHER_CODE, Outcome, Task
 from imucald.fleet.workers import Workers
 
 AHEAD = 2
-"""Tasks handed out for each that can run: enough that no worker waits, few to wait for at an end."""
+"""Tasks handed out for each that can run: no worker waits, few are waited for at an end."""
 FLUSH_ROWS = 500
 FLUSH_S = 60.0
 LOOK_S = 0.5
@@ -68,7 +68,7 @@ class FleetRun:
         store: Store,
         workers: Workers,
         plan: Plan,
-        tell: Callable[[Counts], None] = lambda counts: None,
+        tell: Callable[[Counts], None] = lambda _: None,
     ) -> None:
         self._fleet, self._store, self._workers, self._tell = fleet, store, workers, tell
         self._logs: dict[str, Log] = {task.source: log for task, log in plan.tasks}
@@ -86,7 +86,7 @@ class FleetRun:
         self.counts.stopping = True
 
     def go(self, lease: Lease) -> bool:
-        """Evaluate all; whether none is left. Raises AllFailedError, and ImucaldError of storage."""
+        """Evaluate all; whether none is left. Raises AllFailedError, ImucaldError of storage."""
         self._store.tidy()
         self._number = max(
             (n for name in self._rows for n, _ in parts(self._store, name)), default=0
@@ -125,8 +125,8 @@ class FleetRun:
     def _take(self, task: Task, outcome: Outcome) -> None:
         if outcome.kind == OTHER_CODE:
             raise ImucaldError(
-                f"{outcome.cost.worker}: joined with another imucald than the driver's; install the "
-                "same there, the run goes on with the same command"
+                f"{outcome.cost.worker}: joined with another imucald than the driver's; install "
+                "the same there, the run goes on with the same command"
             )
         self._attempts[task.source] += 1
         attempt = self._attempts[task.source]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from types import ModuleType
 from typing import Any
 
 import pyarrow.compute as pc
@@ -51,7 +52,7 @@ def fleet_page(store: Store) -> str:
         types=analysis["types"][:MAX_ROWS],
         remounts=sorted(found, key=lambda r: r["q"])[:MAX_ROWS],
         outliers=sorted(analysis["outliers"], key=lambda r: r["q"])[:MAX_ROWS],
-        groups=sorted(analysis["groups"], key=lambda g: 2.0 if g["p"] is None else g["p"])[:MAX_ROWS],
+        groups=sorted(analysis["groups"], key=_by_p)[:MAX_ROWS],
         causes=sorted(analysis["causes"], key=lambda c: c["q"])[:MAX_ROWS],
         never=analysis["never_usable"][:MAX_ROWS],
         failures=_failures(failures.to_pylist()),
@@ -59,6 +60,10 @@ def fleet_page(store: Store) -> str:
         histories=_histories(found, drives),
         more=max(0, len(found) - MAX_ROWS),
     )  # fmt: skip
+
+
+def _by_p(group: dict[str, Any]) -> float:
+    return 2.0 if group["p"] is None else float(group["p"])
 
 
 def _headline(found: Rows, outliers: Rows, bad: Rows, design: Rows) -> str:
@@ -78,10 +83,14 @@ def _failures(failures: Rows) -> Rows:
     return [{"kind": k, "logs": n, "example": example[k]} for k, n in count.most_common()]
 
 
-def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
-    from imucald.fleet import pictures as draw  # noqa: PLC0415 - loads matplotlib
+def _drawing() -> ModuleType:
+    from imucald.fleet import pictures  # noqa: PLC0415 - loads matplotlib
 
-    found = {}
+    return pictures
+
+
+def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
+    draw, found = _drawing(), {}
     vehicles = analysis["vehicles"]
     if vehicles:
         step = -(-len(vehicles) // MAX_PICTURED)
@@ -97,8 +106,6 @@ def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
 
 def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
     """The drives of the vehicles whose sensors were moved furthest."""
-    from imucald.fleet.pictures import history_picture  # noqa: PLC0415 - loads matplotlib
-
     cuts: dict[str, list[str]] = {}
     for row in sorted(found, key=lambda r: -r["size_deg"]):
         cuts.setdefault(row["vehicle"], []).append(row["after_log_key"])
@@ -106,5 +113,7 @@ def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
     for vehicle, keys in list(cuts.items())[:MAX_HISTORIES]:
         mine = drives.filter(pc.equal(drives.column("vehicle"), vehicle)).to_pylist()
         mine = [d for d in mine if d["state"] in ("usable", "fine") and d["q_w"] is not None]
-        rows.append({"vehicle": vehicle, "picture": address_of(history_picture(mine, keys))})
+        rows.append(
+            {"vehicle": vehicle, "picture": address_of(_drawing().history_picture(mine, keys))}
+        )
     return rows

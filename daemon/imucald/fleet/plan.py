@@ -12,7 +12,7 @@ from imucald.fleet.compaction import read_tables
 from imucald.fleet.fleet_file import Fleet
 from imucald.fleet.listing import Log, is_since
 from imucald.fleet.store import Store
-from imucald.fleet.task import OK, Limits, Task
+from imucald.fleet.task import OK, LogLimits, Task
 
 SAMPLE = 20
 """Logs from whose ends alone a run that is wrong as a whole is known (`driver.ALL_ALIKE`)."""
@@ -22,7 +22,7 @@ Redo = Literal["nothing", "failed", "config", "all"]
 class Options(msgspec.Struct, frozen=True, kw_only=True):
     """How a run is done; the defaults are those of the command line."""
 
-    limits: Limits = Limits()
+    limits: LogLimits = LogLimits()
     redo: Redo = "nothing"
     since: str | None = None
     limit: int | None = None

@@ -77,10 +77,12 @@ class Futures:
         self._tasks: dict[int, tuple[Any, Task]] = {}
 
     def add(self, future: AnyFuture, task: Task) -> None:
+        """Wait for a task's future."""
         self._tasks[id(future)] = future, task
         future.add_done_callback(self._ended.put)
 
     def ended(self, timeout: float) -> list[tuple[Any, Task]]:
+        """Those that ended since the last call, waiting for the first at most so long [s]."""
         found: list[tuple[Any, Task]] = []
         try:
             while True:
@@ -92,6 +94,7 @@ class Futures:
             return found
 
     def cancel(self) -> None:
+        """Take back what has not begun."""
         for future, _ in list(self._tasks.values()):
             future.cancel()
 

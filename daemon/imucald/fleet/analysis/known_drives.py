@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 KNOWN = ("usable", "fine")
-"""States of drives whose mount counts: the others say themselves that it is not known, or moving."""
+"""States of drives whose mount counts: the others say that it is not known, or moving."""
 FLOOR_DEG2 = 1e-4
 """Least variance of a drive [deg^2], 0.01 deg: no estimate is better, whatever it says."""
 

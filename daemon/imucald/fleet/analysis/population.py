@@ -8,7 +8,7 @@ differences and enters the intervals of mounts once, not divided by the number o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 from scipy.stats import t as t_distribution
 
-from imucald.fleet.analysis.components import Component, between_vehicles, robust_variance
+from imucald.fleet.analysis.components import VarianceComponent, between_vehicles, robust_variance
 from imucald.fleet.analysis.known_drives import between, turned
 from imucald.fleet.analysis.moderation import moderated
 
@@ -90,7 +90,7 @@ class Population:
     centre: Rotation
     e: Array
     offset: Array
-    T: list[list[Component]]
+    T: list[list[VarianceComponent]]
     tau2: Array
     freedom: Array
     mean_covariance: Array
@@ -252,8 +252,7 @@ def _with_q(effects: Sequence[GroupEffect]) -> list[GroupEffect]:
 
 
 def _judged(g: GroupEffect, q: float) -> GroupEffect:
-    return GroupEffect(g.column, g.name, g.vehicles, g.kinds, g.effect, g.covariance, g.p, g.freedom,
-                       q, g.found or q <= MAX_Q)  # fmt: skip
+    return replace(g, q=q, found=g.found or q <= MAX_Q)
 
 
 def _offsets(
@@ -303,7 +302,9 @@ def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
     return np.asarray(count[units.kind] >= LEAST_PLAIN)
 
 
-def _components(units: Units, e: Array, odd: Flags) -> tuple[list[list[Component]], Array, Array]:
+def _components(
+    units: Units, e: Array, odd: Flags
+) -> tuple[list[list[VarianceComponent]], Array, Array]:
     """T by type and axis as each type shows it, then moderated (kinds, 3), with its freedoms."""
     found, usual = [], np.zeros((units.kinds, 3))
     for k in range(units.kinds):
