@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -13,7 +12,7 @@ import msgspec
 from imucald.core.errors import ImucaldError
 from imucald.fleet.columns import row_of
 from imucald.fleet.compaction import compact
-from imucald.fleet.drive_row import day_of
+from imucald.fleet.drive_row import drive_values
 from imucald.fleet.fleet_file import Fleet
 from imucald.fleet.lease import Lease
 from imucald.fleet.listing import Log
@@ -152,20 +151,8 @@ class FleetRun:
             self._take_failure(task, outcome, attempt)
 
     def _take_drive(self, task: Task, outcome: Outcome, drive: dict[str, Any]) -> None:
-        day = day_of(drive["start"]) or task.date
-        facts = self._fleet.facts(task.vehicle, day)
-        named_type = self._fleet.named(task.source)[2]
         twice = any(row["log_key"] == outcome.log_key for row in self._rows["drives"])
-        self._add(
-            "drives",
-            task,
-            **drive,
-            log_key=outcome.log_key,
-            vehicle_type=named_type or facts.get("type"),
-            **{name: facts.get(name) for name in ("sensor_serial", "sensor_batch", "firmware")},
-            sources=json.dumps([task.source], ensure_ascii=False),
-            date=day,
-        )
+        self._add("drives", task, **drive_values(self._fleet, task, outcome.log_key, drive))
         if not twice:
             for event in outcome.events:
                 self._add("events", task, **event, log_key=outcome.log_key)

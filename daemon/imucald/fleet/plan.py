@@ -65,32 +65,35 @@ def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -
     known = known_sources(store)
     plan = Plan([], 0)
     for log in logs:
-        vehicle, day, vehicle_type = fleet.named(log.source)
-        if options.since is not None and not is_since(log, day, options.since):
+        task = task_of(fleet, log.source, log.bytes, options, store.url)
+        if options.since is not None and not is_since(log, task.date, options.since):
             continue
         plan.listed += 1
-        vehicle_type = vehicle_type or fleet.facts(vehicle, day).get("type")
-        bundle = fleet.bundle(vehicle_type).name
-        if _is_done(known.get(log.source), log, bundle, options.redo, plan):
-            continue
-        task = Task(
-            log.source,
-            bundle,
-            code_hash(),
-            vehicle,
-            day,
-            log.bytes,
-            options.limits,
-            options.function,
-            store.url if options.signals else None,
-            fleet.settings.storage,
-        )
-        plan.tasks.append((task, log))
+        if not _is_done(known.get(log.source), log, task.bundle, options.redo, plan):
+            plan.tasks.append((task, log))
     plan.tasks.sort(key=lambda pair: (-pair[1].bytes, pair[1].source))
     _sample_first(plan.tasks)
     if options.limit is not None:
         del plan.tasks[options.limit :]
     return plan
+
+
+def task_of(fleet: Fleet, source: str, size: int, options: Options, out: str = "") -> Task:
+    """The task of a log: its vehicle and configuration by the rules of the fleet."""
+    vehicle, day, vehicle_type = fleet.named(source)
+    vehicle_type = vehicle_type or fleet.facts(vehicle, day).get("type")
+    return Task(
+        source,
+        fleet.bundle(vehicle_type).name,
+        code_hash(),
+        vehicle,
+        day,
+        size,
+        options.limits,
+        options.function,
+        out if options.signals else None,
+        fleet.settings.storage,
+    )
 
 
 def _sample_first(tasks: list[tuple[Task, Log]]) -> None:
