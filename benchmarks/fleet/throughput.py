@@ -11,6 +11,7 @@ from benchmarks.measured import EXAMPLES, FOLDER, Run, best, imucald, made_once,
 
 DRIVES = 8
 MINUTES = 10
+POISON = {"cut.mf4": b"MDF     4.10    ", "empty.log": b""}
 CONFIG = EXAMPLES / "simulated.yaml"
 REPLAY = """import sys, imucald
 for log in sys.argv[2:]:
@@ -51,7 +52,7 @@ def throughput(copies: int, rounds: int) -> Throughput:
     fleet.write_text(f"logs: 'logs/**/*'\nconfig: {CONFIG}\n")
     runs: dict[str, list[Run]] = {"plain": [], "1": [], "2": []}
     for _ in range(rounds):
-        good = [str(log) for log in logs if log.suffix == ".log"]
+        good = [str(log) for log in logs if log.name not in POISON]
         runs["plain"].append(run([sys.executable, "-c", REPLAY, str(CONFIG), *good]))
         for workers in ("1", "2"):
             out = folder / f"out-{workers}"
@@ -82,7 +83,7 @@ def _logs(folder: Path, copies: int) -> list[Path]:
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_bytes(b"".join(lines[: len(lines) - c]))
             found.append(place)
-    for name, content in (("cut.mf4", b"MDF     4.10    "), ("empty.log", b"")):
+    for name, content in POISON.items():
         place = folder / "logs" / "car-0" / name
         place.write_bytes(content)
         found.append(place)
