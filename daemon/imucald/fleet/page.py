@@ -22,6 +22,7 @@ MAX_HISTORIES = 6
 """Vehicles whose drives are pictured."""
 MAX_PICTURED = 4000
 """Vehicles in one picture: beyond, every so many-th that does not stand out."""
+PICTURES = ("vehicles", "types", "groups", "never")
 Rows = list[dict[str, Any]]
 
 
@@ -90,7 +91,7 @@ def _drawing() -> ModuleType:
 
 
 def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
-    draw, found = _drawing(), {}
+    draw, found = _drawing(), dict[str, str]()
     vehicles = analysis["vehicles"]
     if vehicles:
         step = -(-len(vehicles) // MAX_PICTURED)
@@ -101,7 +102,7 @@ def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
         found["groups"] = draw.groups_picture(analysis["groups"])
     if analysis["never_usable"]:
         found["never"] = draw.reasons_picture(analysis["never_usable"])
-    return {name: address_of(svg) for name, svg in found.items()}
+    return {name: address_of(found[name]) if name in found else "" for name in PICTURES}
 
 
 def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
