@@ -172,5 +172,14 @@ class StuckSpeed:
             return math.inf
         lasted, change = np.array(self._runs).T
         usual = float(lasted @ lasted / lasted.sum())  # as seen at any time: long ones weigh more
-        step = float(np.quantile(change, FINE))
+        step = _quantile(change, FINE)
         return max(MIN_STUCK_S, step / STEADIEST, TIMES_USUAL * usual)
+
+
+def _quantile(values: Array, share: float) -> float:
+    """As numpy.quantile, which loads its masked arrays for it (7 ms, 1.2 MiB)."""
+    ordered = np.sort(values).tolist()
+    place = share * (len(ordered) - 1)
+    low = int(place)
+    high = min(low + 1, len(ordered) - 1)
+    return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))

@@ -9,7 +9,6 @@ from imucald.config import Config, VehicleSettings
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
 
 if TYPE_CHECKING:
@@ -22,6 +21,8 @@ CONFIGURED_DELAY_STD = 0.03
 def estimator_for(config: Config, compensation: ModelCompensation | None = None) -> MountEstimator:
     """Return the estimator that a configuration asks for, with what its model knows."""
     if config.calibration.estimator == "published":
+        from imucald.mount.method_a.estimator import PublishedEstimator  # noqa: PLC0415 - few use it
+
         published = published_settings(config)
         if compensation is not None:
             published = compensation.published_settings(published, _stated(config.vehicle))

@@ -13,7 +13,6 @@ from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
-from imucald.runtime.consumers import consumers_for
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.output.output_frames import OutputFrames
@@ -21,6 +20,7 @@ from imucald.runtime.pipeline import Snapshot
 
 if TYPE_CHECKING:
     from imucald.compensation import ModelCompensation
+    from imucald.runtime.consumer import Consumer
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
@@ -64,12 +64,21 @@ def make_engine(
         config.output.status_rate,
         on_snapshot,
         link_health,
-        consumers_for(loaded, output),
+        _consumers(loaded, output),
         lambda: estimator_for(config, compensation),
         None
         if compensation is None
         else compensation.preprocessing_chain(router.channels, derived, rates),
     )
+
+
+def _consumers(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
+    """What runs beside the calibration. Raises ConfigError where an input is missing."""
+    if output.attitude is None and output.travel is None:
+        return []
+    from imucald.runtime.consumers import consumers_for  # noqa: PLC0415 - few switch one on
+
+    return consumers_for(loaded, output)
 
 
 def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:
