@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -43,22 +42,33 @@ class CommonCovariance:
         """scaled: errors as large as `scale` says (1 at first), which may change."""
         self._pairs = _pairs(shared)
         self._scaled = _pairs(scaled)
+        self._of_names: dict[tuple[str, ...], tuple[Array, Array]] = {}
         self.scale2 = 1.0
 
     def scaled(self, names: Sequence[str]) -> Array:
         """Covariance of the sources of those names from the scaled errors, at scale 1."""
-        get = self._scaled.get
-        return np.array([[get((a, b), 0.0) for b in names] for a in names])
+        return self._of(tuple(names))[1]
+
+    def _of(self, names: tuple[str, ...]) -> tuple[Array, Array]:
+        """Covariances of sources from shared and from scaled errors; few sets of names come."""
+        found = self._of_names.get(names)
+        if found is None:
+            shared, scaled = (
+                np.array([[pairs.get((a, b), 0.0) for b in names] for a in names])
+                for pairs in (self._pairs, self._scaled)
+            )
+            found = self._of_names[names] = shared, scaled
+        return found
+
+    def certain(self, sources: Mapping[str, AngleEvidence], names: Sequence[str]) -> Array:
+        """Covariance of the sources of those names without the scaled errors."""
+        known = self._of(tuple(names))[0].copy()
+        known.flat[:: len(names) + 1] += [sources[name].variance for name in names]
+        return known
 
     def covariance(self, sources: Mapping[str, AngleEvidence], names: Sequence[str]) -> Array:
         """Covariance of the sources of those names, their own variances included."""
-        get = self._pairs.get
-        known = np.array(
-            [
-                [get((a, b), 0.0) + (sources[a].variance if a == b else 0.0) for b in names]
-                for a in names
-            ]
-        )
+        known = self.certain(sources, names)
         return known + self.scale2 * self.scaled(names) if self._scaled else known
 
 
@@ -85,24 +95,29 @@ def probable_scale2(
     maximum likelihood, Patterson and Thompson, Biometrika 58, 1971), over all angles.
     uneven: what sources differ by for other reasons [rad].
     """
-    log = np.array([math.log(p) for _, p in candidates])
-    squares = np.array([scale * scale for scale, _ in candidates])
-    before, sharing.scale2 = sharing.scale2, 0.0
-    for axis in AXES:
-        names = [name for name in sources if name.startswith(axis)]
-        if len(names) < 2:
-            continue
-        known, extra = sharing.covariance(sources, names), sharing.scaled(names)
-        known += np.diag([uneven.get(name, 0.0) ** 2 for name in names])
-        values = np.array([sources[name].value for name in names])
-        V = known + squares[:, None, None] * extra
-        inverse = np.linalg.inv(V)
-        column = inverse.sum(axis=2)
-        total = column.sum(axis=1)
-        left = values - ((column @ values) / total)[:, None]
-        log -= 0.5 * ((inverse @ left[:, :, None])[:, :, 0] * left).sum(axis=1)
-        log -= 0.5 * (np.linalg.slogdet(V)[1] + np.log(total))
-    sharing.scale2 = before
+    scales, priors = np.array(candidates).T
+    squares, log = scales * scales, np.log(priors)
+    groups = [[name for name in sources if name.startswith(axis)] for axis in AXES]
+    groups = [names for names in groups if len(names) > 1]
+    size = max(map(len, groups), default=0)
+    # all angles at once: one with fewer sources gets some that tell nothing (is_there: 0)
+    known, extra = np.zeros((2, len(groups), size, size))
+    known[:, range(size), range(size)] = 1.0
+    values, is_there = np.zeros((2, len(groups), 1, size))
+    for i, names in enumerate(groups):
+        n = len(names)
+        known[i, :n, :n] = sharing.certain(sources, names)
+        known[i, range(n), range(n)] += [uneven.get(name, 0.0) ** 2 for name in names]
+        extra[i, :n, :n] = sharing.scaled(names)
+        values[i, 0, :n] = [sources[name].value for name in names]
+        is_there[i, 0, :n] = 1.0
+    V = known[:, None] + squares[:, None, None] * extra[:, None]
+    inverse = np.linalg.inv(V)
+    column = (inverse * is_there[:, :, None]).sum(axis=3) * is_there
+    total = column.sum(axis=2)
+    left = (values - ((column * values).sum(axis=2) / total)[:, :, None]) * is_there
+    misfit = ((inverse @ left[..., None])[..., 0] * left).sum(axis=2)
+    log -= 0.5 * (misfit + np.linalg.slogdet(V)[1] + np.log(total)).sum(axis=0)
     weight = np.exp(log - log.max())
     return float(weight @ squares / weight.sum())
 
@@ -125,8 +140,8 @@ def fuse(
         if not names:
             continue
         V = sharing.covariance(sources, names)
-        inverse = np.linalg.inv(V)
-        even = inverse if base is None else np.linalg.inv(base.covariance(sources, names))
+        certain = V if base is None else base.covariance(sources, names)
+        inverse, even = np.linalg.inv(np.array([V, certain]))
         weight = np.maximum(even.sum(axis=1), 0.0)
         weight /= weight.sum()
         values = np.array([sources[name].value for name in names])

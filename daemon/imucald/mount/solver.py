@@ -185,8 +185,8 @@ class MountSolver:
 
     def gains(self) -> tuple[float, float]:
         """Mean gains of dv/dt and v r in the low bands."""
-        g = self.response.gains
-        return float(g[0, 2:6].mean()), float(g[1, 2:6].mean())
+        dvdt, lateral = self.response.gains[:2, 2:6].mean(axis=1).tolist()
+        return dvdt, lateral
 
     def _slide(self, p: SignalBlock, lone: Array, turn: Array, r: Array) -> None:
         w, m = self._window, self._mask
