@@ -115,36 +115,45 @@ class Engine:
         if k > self.pipeline.k or gap:
             out += self._advance(k, gap)
         samples, rejected = self.router.frame(t, can_id, data)
+        pipeline = self.pipeline
+        health = pipeline.health
         for channel, values in samples:
-            self.pipeline.health.add(channel, values)
+            health.add(channel, values)
         if self.stages is not None:
             samples, refused = self.stages.frame(t, samples, self.router.rejected)
             rejected += refused
         for channel in rejected:
-            self.pipeline.reject(channel)
+            pipeline.reject(channel)
         self._count_rejections(k)
-        self._feed_consumers(t, samples)
-        pipeline = self.pipeline
-        correction = pipeline.correction
+        if self.consumers:
+            self._feed_consumers(t, samples)
+        correction, triads = pipeline.correction, self.output.triads
         turned: dict[str, Turned] = {}
         for channel, values in samples:
             pipeline.add(t, channel, values)
             if channel in self._watched:
                 self._watched[channel] = k
-            if channel in self.output.triads:
+            if channel in triads:
                 turned[channel] = None if correction is None else times(correction, values)
         if self.stages is not None and turned:
             turned = self.stages.corrected(t, turned)
-        faults = pipeline.health.faults
-        for channel in self.output.triads:
-            if channel in turned:
-                fit = self.output.sensor_of[channel] not in faults
-                sent = turned[channel] if fit else None
-                out.append(self.output.corrected(channel, sent, pipeline.quality))
-        for channel in self.output.triads:
+        if turned:
+            out += self._corrected_frames(turned)
+        for channel in triads if rejected else ():
             if channel in rejected and channel not in turned and self._spaced[channel].passes(t):
                 out.append(self.output.corrected(channel, None, 0))
         self.sent += len(out)
+        return out
+
+    def _corrected_frames(self, turned: Mapping[str, Turned]) -> list[OutFrame]:
+        """Frames of corrected samples; *not available* where a sensor is not fit to be used."""
+        output, faults, quality = self.output, self.pipeline.health.faults, self.pipeline.quality
+        out: list[OutFrame] = []
+        for channel in output.triads:
+            if channel in turned:
+                is_faulty = faults and output.sensor_of[channel] in faults
+                sent = None if is_faulty else turned[channel]
+                out.append(output.corrected(channel, sent, quality))
         return out
 
     def idle(self, elapsed: float) -> list[OutFrame]:
@@ -182,8 +191,6 @@ class Engine:
         return out
 
     def _feed_consumers(self, t: float, samples: Sequence[Sample]) -> None:
-        if not self.consumers:
-            return
         correction = self.pipeline.correction
         for channel, values in in_order(samples):
             for consumer in self.consumers:
