@@ -34,6 +34,7 @@ from imucald.service.live import Daemon, open_link
 from imucald.service.notify import Notifier
 from imucald.service.prepared import Prepared
 from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
+from imucald.service.start_count import StartCount
 from imucald.service.state import StateStore, clear_unfinished
 from imucald.service.status import StatusServer
 
@@ -53,7 +54,7 @@ class ServiceOptions:
     """What the command line says.
 
     state_folder, status_socket: None for none. socket_needed: without it nothing starts.
-    save_period: [s].
+    save_period: [s]. start_count: the unit's file (see `start_count`).
     """
 
     config: Path
@@ -64,6 +65,7 @@ class ServiceOptions:
     status_socket: Path | None = None
     socket_needed: bool = True
     save_period: float = SAVE_PERIOD_S
+    start_count: Path | None = None
 
 
 class Service:
@@ -90,6 +92,7 @@ class Service:
         self._rates: dict[str, float] = {}
         self._counted: dict[str, int] = {}
         self._counted_at = clock()
+        self._start_count = StartCount(options.start_count)
         self.loaded = open_config(options.config, options.databases)
         engine = self._new_engine(self.loaded)
         self._lock = self._locked_folder()
@@ -266,6 +269,7 @@ class Service:
             self._every_second(now)
 
     def _every_second(self, now: float) -> None:
+        self._start_count.update(now - self._began)
         estimate = self._estimate()
         if self.calibration_store is not None:
             self.calibration_store.update(self.engine.pipeline.estimator, self.engine.timebase.now)
