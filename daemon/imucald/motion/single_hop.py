@@ -16,7 +16,7 @@ Sample = Sequence[float]
 _END = -math.inf
 
 
-class _Axis:
+class _AxisHop:
     """One axis of a hop; fields as those of `HopRows`."""
 
     __slots__ = ("ended", "last", "level", "longest", "mean", "run", "step")
@@ -58,7 +58,7 @@ def single_hop(values: Sequence[Sample], moving: bool, carry: Carry) -> HopRows:
         extreme = [list(map(max, *sides)) for sides in zip(extreme, top, strict=True)]
     runs, steps = carry.run.tolist(), carry.step.tolist()
     axes = [
-        _Axis(columns[i], before[i], runs[i], steps[i], extreme[0][i], extreme[1][i])
+        _AxisHop(columns[i], before[i], runs[i], steps[i], extreme[0][i], extreme[1][i])
         for i in range(n)
     ]
     at_it = np.zeros((1, 2, n), np.int64)
