@@ -21,7 +21,7 @@ from imucald.config.network import (
 )
 from imucald.config.shorthand import spelled_out
 from imucald.config.signals import Signals
-from imucald.config.uds import Diagnostics
+from imucald.config.uds import Uds
 from imucald.config.vehicle import ModelFile, VehicleSettings
 from imucald.config.without_effect import idle_keys, impossible
 from imucald.core.errors import ConfigError
@@ -45,7 +45,7 @@ class Config(Settings, frozen=True, kw_only=True):
     output: Output = Output()
     attitude: AttitudeSettings = AttitudeSettings()
     travel_direction: TravelDirectionSettings = TravelDirectionSettings()
-    diagnostics: Diagnostics = Diagnostics()
+    diagnostics: Uds = Uds()
 
     def __post_init__(self) -> None:
         """Fill in the defaults that are another key's value."""
