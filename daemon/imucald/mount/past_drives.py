@@ -1,7 +1,7 @@
-"""Prior drives' evidence beside this one's: fused with it, never mixed into it.
+"""Past drives' evidence beside this one's: fused with it, never mixed into it.
 
 Both stay apart for as long as the daemon runs, so that every fit can say whether they contradict
-one another, and the prior ones can be left again. What they have in common is counted once: the
+one another, and the past ones can be left again. What they have in common is counted once: the
 sensor's own errors, and the accelerometer's bias as far as neither drive could tell it. What
 changes between drives (load, springs) is an error that all earlier evidence of an angle shares.
 """
@@ -31,10 +31,10 @@ from imucald.mount.shift import ScoreSeries
 Array = NDArray[np.float64]
 
 BEFORE = "_before"
-"""Ends the names of prior drives' sources."""
+"""Ends the names of past drives' sources."""
 
 
-class PriorDrives:
+class PastDrives:
     """What was kept, as evidence for a `MountSolver`.
 
     shared: errors that kinds share in it. crown_std: the mean lean of roads differs that much
@@ -48,7 +48,7 @@ class PriorDrives:
         roll, pitch, yaw = BETWEEN_DRIVES_STD
         self._between = (math.hypot(roll, crown_std), pitch, yaw)
         self.contradiction = 0.0
-        """Of prior drives and this one at the last fit: chi-square with 3 degrees of freedom."""
+        """Of past drives and this one at the last fit: chi-square with 3 degrees of freedom."""
         both = _on_both_sides(shared)
         between = [
             CommonError(std, {name + BEFORE: 1.0 for name in KINDS if axis_of(name) == axis})
