@@ -36,10 +36,10 @@ def engine_with(loaded, model):
     signals = loaded.config.signals
     channels = {"accel", "gyro", "temperature", "speed"}
     rates = [f"parallel/{p.name}" for p in signals.parallel]
-    stages = compensation_from_model(model).preprocessing_chain(
+    preprocessing = compensation_from_model(model).preprocessing_chain(
         channels, signals.speed is None, rates
     )
-    return engine_of(loaded, stages=stages)
+    return engine_of(loaded, preprocessing=preprocessing)
 
 
 def one_by_one(engine, frames):

@@ -177,7 +177,7 @@ def test_a_changed_model_is_taken_on_reload_and_the_mount_goes_on_as_restored(be
     bench.model("accel: {bias: [0.3, 0, 0]}\nspeed: {scale: 0.01}\n")
     service.reload()
     engine = service.engine
-    taken, _ = engine.stages.frame(0.0, [("accel", (1.0, 0.0, 9.8))], Counter())
+    taken, _ = engine.preprocessing.frame(0.0, [("accel", (1.0, 0.0, 9.8))], Counter())
     assert taken == [("accel", (0.7, 0.0, 9.8))]
     assert engine.pipeline.estimator is not before
     assert isinstance(engine.pipeline.estimator, RestoredEstimator)
@@ -246,12 +246,12 @@ def test_commands_tell_of_the_model(bench, capsys):
 
 def test_the_long_form_and_the_switch(bench):
     bench.model("suspension: {roll_gradient: 0.01}\n")
-    assert make_engine(open_config(bench.config)).stages.vehicle is not None
+    assert make_engine(open_config(bench.config)).preprocessing.vehicle is not None
     text = bench.config.read_text()
     bench.config.write_text(
         text.replace("car.yaml", "{path: car.yaml, compensate_suspension: false}")
     )
-    stages = make_engine(open_config(bench.config)).stages
-    assert stages.vehicle is None
-    assert stages.evidence is not None, "the mount is found without the suspension all the same"
-    assert any("compensate_suspension" in note for note in stages.notes)
+    preprocessing = make_engine(open_config(bench.config)).preprocessing
+    assert preprocessing.vehicle is None
+    assert preprocessing.ticks is not None, "the mount is found without the suspension all the same"
+    assert any("compensate_suspension" in note for note in preprocessing.notes)

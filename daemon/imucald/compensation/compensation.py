@@ -33,7 +33,7 @@ STATED_DELAY_STD = 0.03
 
 @dataclass(frozen=True)
 class ModelCompensation:
-    """The terms of one model file. Immutable; the stages made of it carry what changes.
+    """The terms of one model file. Immutable; what is made of it carries what changes.
 
     name: of the file. notes: what of it is not used, a line each. suspension: whether the body's
     roll and pitch on its springs are taken out of the corrected signals. speed_delay_std: how well
@@ -94,7 +94,7 @@ class ModelCompensation:
         if self.shifts():
             yield "delays (for the mount)", "accel"
 
-    # stages ----------------------------------------------------------------------------------
+    # what is made of it ----------------------------------------------------------------------
 
     def samples(self, samples: Samples) -> Samples:
         """Columns of samples less the terms that need no mount; refused ones are left out."""
@@ -109,7 +109,7 @@ class ModelCompensation:
     def preprocessing_chain(
         self, channels: Collection[str], derived_speed: bool, parallel_rates: Collection[str] = ()
     ) -> PreprocessingChain:
-        """All stages of one engine.
+        """The preprocessing of one engine.
 
         channels: those that its router can give. parallel_rates: the parallel gyroscopes.
         """

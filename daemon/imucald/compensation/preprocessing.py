@@ -1,4 +1,4 @@
-"""The stages of a compensation, as one engine uses them: its samples, its columns, its counts."""
+"""All that a model file changes in one engine: samples, columns, ticks; and what it counts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class PreprocessingChain:
     """What a model knows, taken out on the way from router to output.
 
     name: of the model file. estimate_key: names what an estimate of the mount rests on: equal keys,
-    equal estimates. vehicle, evidence: None where there is nothing to do. used: names of the terms
+    equal estimates. vehicle, ticks: None where there is nothing to do. used: names of the terms
     that are taken out. notes: what of the model is not used.
     """
 
@@ -35,7 +35,7 @@ class PreprocessingChain:
     estimate_key: str
     sensors: SensorCorrection
     vehicle: VehicleCorrection | None
-    evidence: TickPreprocessing | None
+    ticks: TickPreprocessing | None
     used: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -52,7 +52,7 @@ class PreprocessingChain:
         }
 
     def gap(self) -> None:
-        """Time jumped (the pipeline tells the evidence by itself)."""
+        """Time jumped (the pipeline tells the ticks by itself)."""
         self.sensors.gap()
         if self.vehicle is not None:
             self.vehicle.gap()

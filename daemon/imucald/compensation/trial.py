@@ -50,12 +50,12 @@ def corrected_drive(
     """
     settings = settings or EstimatorSettings()
     channels = frozenset(samples)
-    evidence = None
+    ticks = None
     if compensation is not None:
         samples = compensation.samples(samples)
         settings = compensation.full_settings(settings)
-        evidence = compensation.tick_preprocessing()
-    pipeline = Pipeline(FullEstimator(settings), preprocessor=evidence)
+        ticks = compensation.tick_preprocessing()
+    pipeline = Pipeline(FullEstimator(settings), preprocessor=ticks)
     t_last = max((float(s.t[-1]) for s in samples.values() if len(s.t)), default=0.0)
     corrections, snapshots = pipeline.run(samples, {}, t_last)
 

@@ -61,7 +61,7 @@ class Engine:
     link_health: asked whenever a health frame is made.
     consumers: run beside, on the same samples.
     new_estimator: makes the estimator of `restart_calibration`.
-    stages: take out of the signals what a model file knows of them.
+    preprocessing: takes out of the signals what a model file knows of them.
     """
 
     def __init__(
@@ -74,14 +74,14 @@ class Engine:
         link_health: Callable[[], LinkHealth] = LinkHealth,
         consumers: Sequence[Consumer] = (),
         new_estimator: Callable[[], MountEstimator] | None = None,
-        stages: PreprocessingChain | None = None,
+        preprocessing: PreprocessingChain | None = None,
     ) -> None:
         self.router = router
         self.output = output
-        self.stages = stages
-        evidence = None if stages is None else stages.evidence
+        self.preprocessing = preprocessing
+        ticks = None if preprocessing is None else preprocessing.ticks
         health = SampleHealth(router.measured_axes)
-        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), evidence, health)
+        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), ticks, health)
         self.timebase = TimeBase()
         self.consumers = tuple(consumers)
         self._consumed = frozenset(c for one in self.consumers for c in one.channels)
@@ -100,7 +100,7 @@ class Engine:
     @property
     def model_key(self) -> str:
         """Names what a model changes of the estimate; "" without one."""
-        return "" if self.stages is None else self.stages.estimate_key
+        return "" if self.preprocessing is None else self.preprocessing.estimate_key
 
     # one frame -----------------------------------------------------------------------------
 
@@ -117,8 +117,8 @@ class Engine:
         samples, rejected = self.router.frame(t, can_id, data)
         for channel, values in samples:
             self.pipeline.health.add(channel, values)
-        if self.stages is not None:
-            samples, refused = self.stages.frame(t, samples, self.router.rejected)
+        if self.preprocessing is not None:
+            samples, refused = self.preprocessing.frame(t, samples, self.router.rejected)
             rejected += refused
         for channel in rejected:
             self.pipeline.reject(channel)
@@ -133,8 +133,8 @@ class Engine:
                 self._watched[channel] = k
             if channel in self.output.triads:
                 turned[channel] = None if correction is None else times(correction, values)
-        if self.stages is not None and turned:
-            turned = self.stages.corrected(t, turned)
+        if self.preprocessing is not None and turned:
+            turned = self.preprocessing.corrected(t, turned)
         faults = pipeline.health.faults
         for channel in self.output.triads:
             if channel in turned:
@@ -159,8 +159,8 @@ class Engine:
         pipeline = self.pipeline
         first = pipeline.k
         snapshots = pipeline.gap(k) if gap else pipeline.advance(k)
-        if gap and self.stages is not None:
-            self.stages.gap()
+        if gap and self.preprocessing is not None:
+            self.preprocessing.gap()
         out = self._statuses(snapshots)
         if self.consumers:
             out += self._consumer_ticks(first, k, snapshots)
@@ -242,8 +242,8 @@ class Engine:
         if segment.gap:
             first = self.pipeline.k
             snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
-            if self.stages is not None:
-                self.stages.gap()
+            if self.preprocessing is not None:
+                self.preprocessing.gap()
             yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
             out = self._consumer_ticks(first, self.pipeline.k, snapshots)
             yield from self._frame_parts(out, base)
@@ -253,8 +253,8 @@ class Engine:
         chunk = frames if whole else frames.take(slice(base, segment.stop))
         routed = self.router.columns(segment.t, chunk)
         watched = routed.samples
-        if self.stages is not None:
-            routed = self.stages.columns(routed, segment.t, self.router.rejected)
+        if self.preprocessing is not None:
+            routed = self.preprocessing.columns(routed, segment.t, self.router.rejected)
         ticks = np.floor(segment.t * TICK_RATE).astype(np.int64)
         times = {c: segment.t[rows] for c, rows in routed.rejected.items()}
         first = self.pipeline.k
@@ -344,7 +344,7 @@ class Engine:
             )
             for channel, series in found.items()
         }
-        return turned if self.stages is None else self.stages.corrected_columns(found, turned)
+        return turned if self.preprocessing is None else self.preprocessing.corrected_columns(found, turned)
 
     def _consumer_parts(
         self,

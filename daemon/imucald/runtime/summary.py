@@ -32,8 +32,8 @@ def summary(
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline
     more = dict(consumer.summary() for consumer in engine.consumers)
-    if engine.stages is not None:
-        more["model"] = engine.stages.summary()
+    if engine.preprocessing is not None:
+        more["model"] = engine.preprocessing.summary()
     return {
         "mount": mount_dict(estimate),
         "state": estimate.state.name.lower(),
