@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.sample_chain import Step, through
+from imucald.compensation.sample_chain import Stage, through
 from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
@@ -70,16 +70,16 @@ class HeldRepeats:
         return values, refused
 
 
-class HeldSteps:
-    """A step: steps of a three-axis sensor, whose result a repeated sample gets again."""
+class HeldStages:
+    """A stage: stages of a three-axis sensor, whose result a repeated sample gets again."""
 
-    def __init__(self, repeats: HeldRepeats, steps: Sequence[Step]) -> None:
-        self._repeats, self._steps = repeats, tuple(steps)
+    def __init__(self, repeats: HeldRepeats, stages: Sequence[Stage]) -> None:
+        self._repeats, self._stages = repeats, tuple(stages)
 
     def __call__(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
         """One raw sample at t [s]; None where it, or the one that it repeats, is refused."""
         repeats = self._repeats
         if repeats.known(v):
             return repeats.result
-        found = through(self._steps, t, v)
+        found = through(self._stages, t, v)
         return repeats.keep(v, None if found is None else (found[0], found[1], found[2]))

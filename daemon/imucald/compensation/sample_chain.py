@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-Step = Callable[[float, Sequence[float]], Sequence[float] | None]
+Stage = Callable[[float, Sequence[float]], Sequence[float] | None]
 """Time [s] and raw values of one sample -> its values; None where it is refused."""
 
 
-def through(steps: Iterable[Step], t: float, values: Sequence[float]) -> Sequence[float] | None:
-    """Return a sample after all steps; None as soon as one refuses it."""
-    for step in steps:
-        found = step(t, values)
+def through(stages: Iterable[Stage], t: float, values: Sequence[float]) -> Sequence[float] | None:
+    """Return a sample after all stages; None as soon as one refuses it."""
+    for stage in stages:
+        found = stage(t, values)
         if found is None:
             return None
         values = found

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.held_repeats import HeldRepeats, HeldSteps
-from imucald.compensation.sample_chain import Step, through
+from imucald.compensation.held_repeats import HeldRepeats, HeldStages
+from imucald.compensation.sample_chain import Stage, through
 from imucald.compensation.scalars import ScalarCompensator, WheelsCompensator
 from imucald.compensation.smoothing import Smoothed
 from imucald.compensation.terms import ScalarTerms, Terms, TriadTerms
@@ -81,27 +81,27 @@ class SensorCorrection:
         self._repeats = {c: HeldRepeats() for c, t in self._triads.items() if t.follows_temperature}
         if self._sensitive:
             self._repeats["gyro"] = HeldRepeats()
-        steps = {channel: self._steps(channel) for channel in CHANNELS}
-        self._chains = {channel: chain for channel, chain in steps.items() if chain}
+        stages = {channel: self._stages(channel) for channel in CHANNELS}
+        self._chains = {channel: chain for channel, chain in stages.items() if chain}
 
-    def _steps(self, channel: str) -> list[Step]:
+    def _stages(self, channel: str) -> list[Stage]:
         """What is done to each sample of a channel, in order; empty: nothing."""
-        steps: list[Step] = []
+        stages: list[Stage] = []
         if channel in self._triads:
-            steps.append(self._triads[channel].sample)
+            stages.append(self._triads[channel].sample)
         if channel in self._scalars:
-            steps.append(self._scalars[channel].sample)
+            stages.append(self._scalars[channel].sample)
         if channel == "gyro" and self._sensitive:
-            steps.append(self._less_felt)
+            stages.append(self._less_felt)
         if channel in self._repeats:
-            steps = [HeldSteps(self._repeats[channel], steps)]
+            stages = [HeldStages(self._repeats[channel], stages)]
         if channel == "accel" and self._sensitive:
-            steps.append(self._feel)
+            stages.append(self._feel)
         if channel == "temperature" and self._temperature_dependent:
-            steps.append(self._temperature)
+            stages.append(self._temperature)
         if channel == "wheel_speeds" and self._wheels is not None:
-            steps.append(self._wheels.sample)
-        return steps
+            stages.append(self._wheels.sample)
+        return stages
 
     def gap(self) -> None:
         """Time jumped: what is carried from sample to sample is forgotten (not the temperature)."""
@@ -115,10 +115,10 @@ class SensorCorrection:
         """Samples of one frame at stream time t [s]: those compensated, and channels refused."""
         if len(samples) == 1:
             channel, values = samples[0]
-            steps = self._chains.get(channel)
-            if steps is None:
+            stages = self._chains.get(channel)
+            if stages is None:
                 return samples, []
-            found = through(steps, t, values)
+            found = through(stages, t, values)
             return ([], [channel]) if found is None else ([(channel, found)], [])
         out: list[Sample] = []
         refused: list[str] = []

@@ -11,7 +11,7 @@ GAP_S = 0.5
 
 
 class Smoothed:
-    """First-order low-pass; backward Euler, so it is stable for any step.
+    """First-order low-pass; backward Euler, so it is stable for any time step.
 
     corner: [Hz].
     """
@@ -28,12 +28,12 @@ class Smoothed:
 
     def push(self, t: float, v: Vector3) -> Vector3:
         """Take a sample at t [s]; return the smoothed one."""
-        step = t - self._t
+        dt = t - self._t
         self._t = t
-        if not step <= GAP_S:
+        if not dt <= GAP_S:
             self.value = v
             return v
-        part = step / (self._time + step)
+        part = dt / (self._time + dt)
         x, y, z = self.value
         self.value = x + part * (v[0] - x), y + part * (v[1] - y), z + part * (v[2] - z)
         return self.value

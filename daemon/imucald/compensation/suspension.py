@@ -44,16 +44,16 @@ class _Axis:
         self.angle = gradient * force / (1.0 + GRAVITY * gradient)
         self.rate = 0.0
 
-    def push(self, step: float, force: float) -> None:
-        """Move on by step [s] under the body's force [m/s^2]; trapezoidal, stable for any step."""
+    def push(self, dt: float, force: float) -> None:
+        """Move on by dt [s] under the body's force [m/s^2]; trapezoidal, stable for any time step."""
         angle, rate = self.angle, self.rate
         gradient = self._gradients[0] if force - GRAVITY * angle > 0.0 else self._gradients[1]
         square = self._square
         stiffness = square * (1.0 + GRAVITY * gradient)
-        m = 0.5 * step * (self._drag + 0.5 * step * stiffness)
-        push = step * (square * gradient * force - stiffness * angle)
+        m = 0.5 * dt * (self._drag + 0.5 * dt * stiffness)
+        push = dt * (square * gradient * force - stiffness * angle)
         self.rate = (rate * (1.0 - m) + push) / (1.0 + m)
-        angle += 0.5 * step * (rate + self.rate)
+        angle += 0.5 * dt * (rate + self.rate)
         self.angle = min(max(angle, -MAX_ANGLE), MAX_ANGLE)
 
 
@@ -84,11 +84,11 @@ class SuspensionFilter:
             self.restart()
             return self.attitude
         roll, pitch = self._roll, self._pitch
-        step = t - self.t
+        dt = t - self.t
         self.t = t
-        if step <= GAP_S:
-            roll.push(step, y)
-            pitch.push(step, -x)
+        if dt <= GAP_S:
+            roll.push(dt, y)
+            pitch.push(dt, -x)
         else:
             roll.settle(y)
             pitch.settle(-x)

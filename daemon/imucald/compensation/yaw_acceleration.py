@@ -18,7 +18,7 @@ GAP_S = 0.5
 
 
 class YawAcceleration:
-    """Takes yaw rates [rad/s], gives their derivative; backward Euler, stable for any step."""
+    """Takes yaw rates [rad/s], gives their derivative; backward Euler, stable for any time step."""
 
     def __init__(self) -> None:
         omega = 2.0 * math.pi * CORNER_HZ
@@ -38,13 +38,13 @@ class YawAcceleration:
         if math.isnan(rate):
             self.restart()
             return 0.0
-        step = t - self._t
+        dt = t - self._t
         self._t = t
-        if not step <= GAP_S:
+        if not dt <= GAP_S:
             self._rate, self.value = rate, 0.0
             return 0.0
-        pull = step * self._square
-        gain = step * (pull + self._drag)
-        self._rate = (self._rate + step * self.value + gain * rate) / (1.0 + gain)
+        pull = dt * self._square
+        gain = dt * (pull + self._drag)
+        self._rate = (self._rate + dt * self.value + gain * rate) / (1.0 + gain)
         self.value += pull * (rate - self._rate)
         return self.value
