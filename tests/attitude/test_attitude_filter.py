@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import AttitudeState
 from imucald.attitude.filter import AttitudeFilter
-from imucald.config.attitude import AttitudeSettings, CompensationSettings, FilterSettings
+from imucald.config.attitude import AttitudeSettings, MotionCompensationSettings, FilterSettings
 from imucald.core.rotations import rotation_from_angles
 
 G = 9.80665
@@ -21,7 +21,7 @@ DEG = math.pi / 180.0
 
 def settings(compensation=None, **of_filter) -> AttitudeSettings:
     return AttitudeSettings(
-        compensation=CompensationSettings(**(compensation or {})),
+        compensation=MotionCompensationSettings(**(compensation or {})),
         filter=FilterSettings(**of_filter),
     )
 

@@ -21,7 +21,7 @@ AxisConvention = Literal["force", "gravity"]
 """What an accelerometer at rest reads on the axis that points up: +g, or -g."""
 
 
-class CompensationSettings(Settings, frozen=True):
+class MotionCompensationSettings(Settings, frozen=True):
     """Method B: how motion is taken out of the accelerometer."""
 
     average: Positive = 0.2
@@ -121,7 +121,7 @@ class AttitudeSettings(Settings, frozen=True):
     """Nose-up pitch of the body per forward specific force [rad/(m/s^2)], for the grade."""
     grade_time: Positive = 1.0
     """Time constant of the road grade [s]: longer than the body swings."""
-    compensation: CompensationSettings = CompensationSettings()
+    compensation: MotionCompensationSettings = MotionCompensationSettings()
     filter: FilterSettings = FilterSettings()
 
 

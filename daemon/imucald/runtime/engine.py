@@ -34,7 +34,7 @@ from imucald.runtime.pipeline import Pipeline, Snapshot, TickCorrections
 from imucald.runtime.timebase import TimeBase, TimeSegment
 
 if TYPE_CHECKING:
-    from imucald.compensation.preprocessing import PreprocessingChain
+    from imucald.model_compensation.preprocessing import PreprocessingChain
 
 MISSING_TICKS = 10
 """An input that gave no sample for so many ticks is missing: one second."""
@@ -344,7 +344,11 @@ class Engine:
             )
             for channel, series in found.items()
         }
-        return turned if self.preprocessing is None else self.preprocessing.corrected_columns(found, turned)
+        return (
+            turned
+            if self.preprocessing is None
+            else self.preprocessing.corrected_columns(found, turned)
+        )
 
     def _consumer_parts(
         self,

@@ -13,7 +13,7 @@ from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
 
 if TYPE_CHECKING:
-    from imucald.compensation import ModelCompensation
+    from imucald.model_compensation import ModelCompensation
 
 CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""

@@ -20,7 +20,7 @@ from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import Snapshot
 
 if TYPE_CHECKING:
-    from imucald.compensation import ModelCompensation
+    from imucald.model_compensation import ModelCompensation
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
@@ -77,7 +77,7 @@ def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:
     path, model = loaded.model_path, loaded.config.model
     if path is None or model is None:
         return None
-    from imucald.compensation import compensation_from_model  # noqa: PLC0415 - 20 ms, not without a model
+    from imucald.model_compensation import compensation_from_model  # noqa: PLC0415 - 20 ms, not without a model
 
     if not path.is_file():
         raise loaded.error(("model",), f"{path}: there is no such file")

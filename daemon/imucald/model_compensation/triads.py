@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms
+from imucald.model_compensation.terms import IDENTITY, NO_RAIL, REFERENCE_DEGC, TriadTerms
 from imucald.core.rotations import times, times_columns
 from imucald.model.section import Vector3
 

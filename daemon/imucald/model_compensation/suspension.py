@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from imucald.compensation.terms import SuspensionTerms
+from imucald.model_compensation.terms import SuspensionTerms
 from imucald.core.samples import GRAVITY
 
 GAP_S = 0.5

@@ -1,6 +1,6 @@
 """What a model file is worth while driving, effect by effect: the figures of docs/model-file.md.
 
-    python -m benchmarks.compensation [--seeds 8] [--minutes 12] [--only EFFECT ...] [--write]
+    python -m benchmarks.model_compensation [--seeds 8] [--minutes 12] [--only EFFECT ...] [--write]
 
 Simulated drives with everything that `imucald.simulation.random_model` has, and one effect more.
 *Before*: the daemon with a model file that knows all but the effect. *After*: with the effect in
@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measured import ROOT
-from imucald.compensation import ModelCompensation, compensation_from_model
-from imucald.compensation.trial import corrected_drive, corrected_with
-from imucald.compensation.truth_error import drive_errors
+from imucald.model_compensation import ModelCompensation, compensation_from_model
+from imucald.model_compensation.trial import corrected_drive, corrected_with
+from imucald.model_compensation.truth_error import drive_errors
 from imucald.config.vehicle import VehicleSettings
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
@@ -235,16 +235,16 @@ def cost() -> float:
     force, rate = [("accel", (0.1, 0.2, 9.8))], [("gyro", (0.01, 0.02, 0.2))]
     took = []
     for _ in range(7):
-        stages = compensation.preprocessing_chain(
+        preprocessing = compensation.preprocessing_chain(
             {"accel", "gyro", "temperature"}, derived_speed=False
         )
         rejected: Counter[str] = Counter()
-        stages.frame(0.0, [("temperature", (40.0,))], rejected)
+        preprocessing.frame(0.0, [("temperature", (40.0,))], rejected)
         began = time.process_time()
         for i in range(COST_SAMPLES):
             t = 0.005 * i
-            out, _ = stages.frame(t, rate if i % 2 else force, rejected)
-            stages.corrected(t, {out[0][0]: out[0][1]})
+            out, _ = preprocessing.frame(t, rate if i % 2 else force, rejected)
+            preprocessing.corrected(t, {out[0][0]: out[0][1]})
         took.append((time.process_time() - began) / COST_SAMPLES)
     return min(took)
 

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compensation.models import random_terms
-from imucald.compensation import ModelCompensation, compensation_from_model
-from imucald.compensation.sensors import SensorCorrection
-from imucald.compensation.terms import ScalarTerms
-from imucald.compensation.vehicle import Corrected, VehicleCorrection
+from model_compensation.models import random_terms
+from imucald.model_compensation import ModelCompensation, compensation_from_model
+from imucald.model_compensation.sensors import SensorCorrection
+from imucald.model_compensation.terms import ScalarTerms
+from imucald.model_compensation.vehicle import Corrected, VehicleCorrection
 from imucald.core.samples import CHANNEL_WIDTH, Series
 
 SENSED = ("accel", "gyro", "mag", "speed", "wheel_speeds", "yaw_rate", "temperature")

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.compensation import ModelCompensation
-from imucald.compensation.vehicle import Corrected
+from imucald.model_compensation.compensation import ModelCompensation
+from imucald.model_compensation.vehicle import Corrected
 from imucald.core.rotations import times_columns
 from imucald.core.samples import Samples, Series
 from imucald.motion.ticks import TICK_RATE

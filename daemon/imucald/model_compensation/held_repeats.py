@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.sample_chain import Stage, through
+from imucald.model_compensation.sample_chain import Stage, through
 from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]

@@ -3,6 +3,6 @@
 Loaded only where a configuration names a model. `trial` runs a drive with and without one.
 """
 
-from imucald.compensation.compensation import ModelCompensation, compensation_from_model
+from imucald.model_compensation.compensation import ModelCompensation, compensation_from_model
 
 __all__ = ["ModelCompensation", "compensation_from_model"]

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from imucald.compensation import compensation_from_model
-from imucald.compensation.suspension import SuspensionFilter
-from imucald.compensation.terms import SuspensionTerms
+from imucald.model_compensation import compensation_from_model
+from imucald.model_compensation.suspension import SuspensionFilter
+from imucald.model_compensation.terms import SuspensionTerms
 from imucald.core.samples import GRAVITY
 
 DT = 0.01

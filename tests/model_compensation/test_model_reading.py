@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from imucald.compensation import compensation_from_model
+from imucald.model_compensation import compensation_from_model
 from imucald.core.errors import ConfigError
 from imucald.simulation import VehicleModel, random_model
 from simulated_bus import CONFIG
@@ -128,10 +128,10 @@ import sys
 from pathlib import Path
 from imucald.runtime.session import make_engine, open_config
 make_engine(open_config(Path(sys.argv[1])))
-print(*(name for name in ("scipy", "imucald.simulation", "imucald.compensation")
+print(*(name for name in ("scipy", "imucald.simulation", "imucald.model_compensation")
         if name in sys.modules))
 """
-    for name, loaded in (("plain", ""), ("with", "imucald.compensation")):
+    for name, loaded in (("plain", ""), ("with", "imucald.model_compensation")):
         command = [sys.executable, "-c", code, str(tmp_path / f"{name}.yaml")]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         assert done.stdout.strip() == loaded
@@ -153,7 +153,7 @@ def test_equal_content_has_equal_keys_and_other_content_others():
 
 def test_every_term_comes_from_a_file():
     """A term that is never read would be silently ignored."""
-    from imucald.compensation.terms import Terms
+    from imucald.model_compensation.terms import Terms
 
     full = compensation_from_model(
         {

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imucald.compensation import compensation_from_model
+from imucald.model_compensation import compensation_from_model
 from imucald.core.samples import Series
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
 

@@ -10,14 +10,14 @@ from typing import Any
 
 from msgspec import structs
 
-from imucald.compensation.preprocessing import PreprocessingChain
-from imucald.compensation.reading import read_terms
-from imucald.compensation.sensors import SensorCorrection
-from imucald.compensation.suspension import SuspensionFilter
-from imucald.compensation.terms import Terms, TriadTerms, saved_text
-from imucald.compensation.tick_preprocessing import TickPreprocessing
-from imucald.compensation.time_alignment import TimeAlignment, alignment_shifts
-from imucald.compensation.vehicle import VehicleCorrection
+from imucald.model_compensation.preprocessing import PreprocessingChain
+from imucald.model_compensation.reading import read_terms
+from imucald.model_compensation.sensors import SensorCorrection
+from imucald.model_compensation.suspension import SuspensionFilter
+from imucald.model_compensation.terms import Terms, TriadTerms, saved_text
+from imucald.model_compensation.tick_preprocessing import TickPreprocessing
+from imucald.model_compensation.time_alignment import TimeAlignment, alignment_shifts
+from imucald.model_compensation.vehicle import VehicleCorrection
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.samples import Samples, Series
 from imucald.model.section import ZERO

@@ -16,9 +16,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.suspension import GAP_S, UPRIGHT, SuspensionAttitude, SuspensionFilter
-from imucald.compensation.terms import Terms
-from imucald.compensation.yaw_acceleration import YawAcceleration
+from imucald.model_compensation.suspension import (
+    GAP_S,
+    UPRIGHT,
+    SuspensionAttitude,
+    SuspensionFilter,
+)
+from imucald.model_compensation.terms import Terms
+from imucald.model_compensation.yaw_acceleration import YawAcceleration
 from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]

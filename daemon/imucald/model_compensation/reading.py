@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from imucald.compensation.terms import (
+from imucald.model_compensation.terms import (
     BUTTERWORTH_DELAY,
     NO_RAIL,
     ChassisTerms,

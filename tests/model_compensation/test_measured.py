@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imucald.compensation import compensation_from_model
-from imucald.compensation.trial import CorrectedDrive, corrected_drive
+from imucald.model_compensation import compensation_from_model
+from imucald.model_compensation.trial import CorrectedDrive, corrected_drive
 from imucald.config import load_config
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.recording import read_samples

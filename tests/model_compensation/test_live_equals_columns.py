@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from compensation.models import random_terms
+from model_compensation.models import random_terms
 from engine_bus import (
     CLASH,
     PLANAR,
@@ -21,7 +21,7 @@ from engine_bus import (
     frames_of,
     load,
 )
-from imucald.compensation import compensation_from_model
+from imucald.model_compensation import compensation_from_model
 
 WARM = RICH.replace("  brake:", "  temperature: {signal: SPD2.V2, unit: degC}\n  brake:")
 CONFIGS = {"warm": WARM, "clash": CLASH, "planar": PLANAR, "split": SPLIT}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from imucald.compensation import compensation_from_model
+from imucald.model_compensation import compensation_from_model
 from imucald.config import parse_config
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimator import FullEstimator

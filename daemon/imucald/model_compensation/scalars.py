@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.compensation.terms import ScalarTerms
+from imucald.model_compensation.terms import ScalarTerms
 from imucald.inputs.quantities import LIMITS
 
 Array = NDArray[np.float64]
