@@ -26,10 +26,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measured import ROOT
+from imucald.config.vehicle import VehicleSettings
 from imucald.model_compensation import ModelCompensation, compensation_from_model
 from imucald.model_compensation.trial import corrected_drive, corrected_with
 from imucald.model_compensation.truth_error import drive_errors
-from imucald.config.vehicle import VehicleSettings
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
 

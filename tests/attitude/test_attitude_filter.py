@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.estimate import AttitudeState
 from imucald.attitude.filter import AttitudeFilter
-from imucald.config.attitude import AttitudeSettings, MotionCompensationSettings, FilterSettings
+from imucald.config.attitude import AttitudeSettings, FilterSettings, MotionCompensationSettings
 from imucald.core.rotations import rotation_from_angles
 
 G = 9.80665

@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model_compensation.models import random_terms
+from imucald.core.samples import CHANNEL_WIDTH, Series
 from imucald.model_compensation import ModelCompensation, compensation_from_model
 from imucald.model_compensation.sensors import SensorCorrection
 from imucald.model_compensation.terms import ScalarTerms
 from imucald.model_compensation.vehicle import Corrected, VehicleCorrection
-from imucald.core.samples import CHANNEL_WIDTH, Series
+from model_compensation.models import random_terms
 
 SENSED = ("accel", "gyro", "mag", "speed", "wheel_speeds", "yaw_rate", "temperature")
 SIZES = {"accel": 20.0, "gyro": 1.0, "mag": 5e-5, "speed": 40.0, "wheel_speeds": 40.0}

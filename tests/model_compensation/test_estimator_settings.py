@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from imucald.model_compensation import compensation_from_model
 from imucald.config import parse_config
 from imucald.inputs.wiring import compile_router
+from imucald.model_compensation import compensation_from_model
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.runtime.estimators import estimator_for

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model_compensation.models import random_terms
 from engine_bus import (
     CLASH,
     PLANAR,
@@ -22,6 +21,7 @@ from engine_bus import (
     load,
 )
 from imucald.model_compensation import compensation_from_model
+from model_compensation.models import random_terms
 
 WARM = RICH.replace("  brake:", "  temperature: {signal: SPD2.V2, unit: degC}\n  brake:")
 CONFIGS = {"warm": WARM, "clash": CLASH, "planar": PLANAR, "split": SPLIT}

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from imucald.model_compensation import compensation_from_model
 from imucald.core.errors import ConfigError
+from imucald.model_compensation import compensation_from_model
 from imucald.simulation import VehicleModel, random_model
 from simulated_bus import CONFIG
 

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imucald.model_compensation import compensation_from_model
 from imucald.core.samples import Series
+from imucald.model_compensation import compensation_from_model
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 QUIET = {

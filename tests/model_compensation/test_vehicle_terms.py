@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from imucald.core.samples import GRAVITY
 from imucald.model_compensation import compensation_from_model
 from imucald.model_compensation.suspension import SuspensionFilter
 from imucald.model_compensation.terms import SuspensionTerms
-from imucald.core.samples import GRAVITY
 
 DT = 0.01
 CHANNELS = {"accel", "gyro"}

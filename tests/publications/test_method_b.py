@@ -219,7 +219,7 @@ def test_kingston_b_alone_is_the_claims_b() -> None:
             ours.gyro(t, (value[1], -value[0], value[2]))  # the sensor's axes are right, forward
         elif rate is not None:
             ours.accel(t, (value[1], -value[0], value[2]))
-            theirs.zero_error = np.array(ours.compensation.zero_error)
+            theirs.zero_error = np.array(ours.motion_compensation.zero_error)
             *_, (pitch, roll) = theirs.take(t, value, rate)
             e = ours.estimate()
             found.append((t, e.roll - roll, -e.pitch - pitch, roll, pitch))

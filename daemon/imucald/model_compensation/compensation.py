@@ -10,6 +10,9 @@ from typing import Any
 
 from msgspec import structs
 
+from imucald.config.vehicle import VehicleSettings
+from imucald.core.samples import Samples, Series
+from imucald.model.section import ZERO
 from imucald.model_compensation.preprocessing import PreprocessingChain
 from imucald.model_compensation.reading import read_terms
 from imucald.model_compensation.sensors import SensorCorrection
@@ -18,9 +21,6 @@ from imucald.model_compensation.terms import Terms, TriadTerms, saved_text
 from imucald.model_compensation.tick_preprocessing import TickPreprocessing
 from imucald.model_compensation.time_alignment import TimeAlignment, alignment_shifts
 from imucald.model_compensation.vehicle import VehicleCorrection
-from imucald.config.vehicle import VehicleSettings
-from imucald.core.samples import Samples, Series
-from imucald.model.section import ZERO
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.method_a.settings import PublishedSettings
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.inputs.router import ColumnSamples, Routed, Sample
+from imucald.model.section import Vector3
 from imucald.model_compensation.sensors import SensorCorrection
 from imucald.model_compensation.tick_preprocessing import TickPreprocessing
 from imucald.model_compensation.vehicle import Corrected, VehicleCorrection
-from imucald.inputs.router import ColumnSamples, Routed, Sample
-from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 

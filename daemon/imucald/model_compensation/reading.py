@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from imucald.model.section import ZERO, Vector3
+from imucald.model.written import WrittenModel, read_written
 from imucald.model_compensation.terms import (
     BUTTERWORTH_DELAY,
     NO_RAIL,
@@ -21,8 +23,6 @@ from imucald.model_compensation.terms import (
     TriadTerms,
     inverse_gain,
 )
-from imucald.model.section import ZERO, Vector3
-from imucald.model.written import WrittenModel, read_written
 
 RANGES: Mapping[str, tuple[float, float]] = {
     "bias": (-20.0, 20.0),

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.model_compensation.terms import ScalarTerms
 from imucald.inputs.quantities import LIMITS
+from imucald.model_compensation.terms import ScalarTerms
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.samples import Series
+from imucald.inputs.quantities import LIMITS
+from imucald.model.section import Vector3
 from imucald.model_compensation.held_repeats import HeldRepeats, HeldStages
 from imucald.model_compensation.sample_chain import Stage, through
 from imucald.model_compensation.scalars import ScalarCompensator, WheelsCompensator
 from imucald.model_compensation.smoothing import Smoothed
 from imucald.model_compensation.terms import ScalarTerms, Terms, TriadTerms
 from imucald.model_compensation.triads import TriadCompensator
-from imucald.core.samples import Series
-from imucald.inputs.quantities import LIMITS
-from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 Order = NDArray[np.int64] | NDArray[np.float64]

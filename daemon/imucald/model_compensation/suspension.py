@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 
-from imucald.model_compensation.terms import SuspensionTerms
 from imucald.core.samples import GRAVITY
+from imucald.model_compensation.terms import SuspensionTerms
 
 GAP_S = 0.5
 """A force older than that tells no lean; after such a hole the body is taken to be at rest on its

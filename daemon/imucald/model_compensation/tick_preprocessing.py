@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from imucald.core.rotations import times, transposed_times
 from imucald.model_compensation.held_repeats import HeldRepeats
 from imucald.model_compensation.suspension import SuspensionFilter
 from imucald.model_compensation.time_alignment import TimeAlignment
 from imucald.model_compensation.vehicle import less_suspension_rate, on_road
-from imucald.core.rotations import times, transposed_times
 from imucald.motion import ticks as tk
 from imucald.motion.stuck import SAME
 from imucald.motion.ticks import TICK_S

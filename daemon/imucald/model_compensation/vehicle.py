@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.model.section import Vector3
 from imucald.model_compensation.suspension import (
     GAP_S,
     UPRIGHT,
@@ -24,7 +25,6 @@ from imucald.model_compensation.suspension import (
 )
 from imucald.model_compensation.terms import Terms
 from imucald.model_compensation.yaw_acceleration import YawAcceleration
-from imucald.model.section import Vector3
 
 Array = NDArray[np.float64]
 Number = TypeVar("Number", float, Array)
