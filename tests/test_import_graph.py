@@ -53,7 +53,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "core.yaml_lines.read_yaml: core.yaml_parser": "10 ms, 0.9 MiB: a kept file needs no parser",
     "report.page._breakable: markupsafe": "comes with jinja2, an extra",
     "report.page._pictures: report.plots": "loads matplotlib",
-    "runtime.session.open_compensation: model_compensation": "11 ms, 3.9 MiB: few have a model file",
+    "runtime.session.open_compensation: model_compensation": "11 ms, 3.9 MiB: few have one",
     "service.service._new_uds: service.uds_on_bus": "14 ms, 4.7 MiB: few have UDS",
 }
 """Modules of ours that a function may import, with what a start without them saves: the daemon is

@@ -45,7 +45,7 @@ class _Axis:
         self.rate = 0.0
 
     def push(self, dt: float, force: float) -> None:
-        """Move on by dt [s] under the body's force [m/s^2]; trapezoidal, stable for any time step."""
+        """Move on by dt [s] under the body's force [m/s^2]; trapezoidal, always stable."""
         angle, rate = self.angle, self.rate
         gradient = self._gradients[0] if force - GRAVITY * angle > 0.0 else self._gradients[1]
         square = self._square

@@ -32,14 +32,15 @@ from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange, LargeChangeDetector, is_off_vertical
+from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.refit import KEPT_BLOCKS, Refit
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock, SignalBlockMaker
 from imucald.mount.slewing import SlewedRotation
 from imucald.mount.solver import MountSolver
+from imucald.mount.states import MountKnowledge, judged, waiting_for
 from imucald.mount.steering import SteeringOffsetEstimator
-from imucald.mount.supervision import Manoeuvres, MountKnowledge, judged, waiting_for
 
 Array = NDArray[np.float64]
 

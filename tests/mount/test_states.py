@@ -11,8 +11,9 @@ from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.shift import NO_STEPS, UNEVEN_STD, ScoreSeries, largest_change
-from imucald.mount.supervision import SLACK, Manoeuvres, MountKnowledge, judged, waiting_for
+from imucald.mount.states import SLACK, MountKnowledge, judged, waiting_for
 from imucald.simulation import random_model, simulate
 from mount_settings import full
 
