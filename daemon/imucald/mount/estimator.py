@@ -31,8 +31,9 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.hysteresis import GOOD
-from imucald.mount.large_change import LargeChange, LargeChangeDetector, is_off_vertical
+from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.manoeuvres import Manoeuvres
+from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.refit import KEPT_BLOCKS, Refit
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.shift import Shift
