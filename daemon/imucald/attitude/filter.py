@@ -38,8 +38,7 @@ from imucald.core.rotations import (
     times,
     transposed_times,
 )
-from imucald.core.samples import GRAVITY
-from imucald.motion.rest_thresholds import PARKED_GRAVITY, PARKED_SAMPLE_STD
+from imucald.motion.standstill import feels_parked
 
 START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)
@@ -265,11 +264,7 @@ class AttitudeFilter:
         if math.isnan(found.speed):
             # without a speed only what is as still as a parked vehicle is taken for rest
             size = math.sqrt(sum(c * c for c in found.up))
-            return (
-                quiet
-                and found.force_variance < PARKED_SAMPLE_STD**2
-                and abs(size - GRAVITY) < PARKED_GRAVITY
-            )
+            return quiet and feels_parked(found.force_variance, size)
         return quiet and first.speed == 0.0 and last.speed == 0.0
 
     def _try_start(self, first: Endpoint, last: Endpoint, resting: bool) -> None:

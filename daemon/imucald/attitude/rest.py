@@ -6,14 +6,10 @@ import math
 
 from imucald.config.attitude import FilterSettings
 from imucald.core.rotations import Vector
-from imucald.core.samples import GRAVITY
+from imucald.motion.standstill import feels_parked
 
 BLOCK_S = 1.0
 """A rest is looked at in pieces of this length [s]: one that is not quiet ends it."""
-QUIET_FORCE = 0.05
-"""Standard deviation of an accelerometer that is parked, engine off [m/s^2]."""
-QUIET_SIZE = 0.1
-"""By how much its mean may differ from gravity: the sensor's zero error [m/s^2]."""
 LARGEST_ZERO_ERROR = 6.0
 """In standard deviations: what turns faster than any zero error is not at rest."""
 
@@ -111,5 +107,4 @@ class RestingGyro:
             return False
         if speed_known:
             return forces.variance < s.rest_accel_spread**2
-        off = abs(math.hypot(*forces.mean) - GRAVITY)
-        return forces.variance < QUIET_FORCE**2 and off < QUIET_SIZE
+        return feels_parked(forces.variance, math.hypot(*forces.mean))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import CHANNEL_WIDTH, Samples
-from imucald.motion.rest_thresholds import ZERO_SPEED_SMOOTHED
+from imucald.motion.standstill import ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
 
 Array = NDArray[np.float64]

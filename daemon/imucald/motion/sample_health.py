@@ -18,7 +18,6 @@ from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
 from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
 from imucald.motion.rails import Rails
-from imucald.motion.rest_thresholds import ROLLING_SPEED
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
     RATE_HOPS,
@@ -29,6 +28,7 @@ from imucald.motion.sensor_judges import (
     unlike_gravity,
 )
 from imucald.motion.signal_health import SignalFault
+from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
 
 SOUND_S = 10.0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
 from imucald.core.samples import GRAVITY
-from imucald.motion.rest_thresholds import ZERO_SPEED
+from imucald.motion.standstill import ZERO_SPEED
 from imucald.motion.ticks import ACCEL, SPEED, TickRow
 from imucald.mount.estimate import Correction
 from imucald.mount.large_change import LEAST_TICKS

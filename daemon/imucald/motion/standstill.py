@@ -1,8 +1,9 @@
-"""Standing still: the thresholds of mount, attitude and motion, side by side, each with its reason.
+"""Who decides "at rest": all thresholds side by side with their reasons, and what applies them.
 
 They differ because what is asked differs: whether the *signal* says zero, whether the *sensor*
 feels nothing but an engine at idle, whether a mean rate at rest is the gyroscope's error or a turn.
-The static test of method A is the published one; its limits are settings (`config.calibration`).
+How long it must last is with those who ask. The static test of method A is the published one
+(`mount.method_a.static_test`); its limits are settings (`config.calibration`).
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+
+from imucald.core.rotations import Vector
+from imucald.core.samples import GRAVITY
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -37,9 +41,11 @@ PARKED_RATE_STD = 0.01
 """Without speed only what is as still as a parked vehicle is rest: change of the mean force from
 tick to tick [m/s^2], standard deviation over some seconds of force [m/s^2] and rate [rad/s]. A
 smooth road at steady speed shakes a tick's mean by more, an engine at idle by less."""
+STEADY_TICKS = 32
+"""... over such parts of a block."""
 PARKED_SAMPLE_STD = 0.05
 PARKED_GRAVITY = 0.1
-"""The same for the attitude filter, which sees samples over a second: standard deviation of the
+"""The same for the attitude, which sees samples over a second: standard deviation of the
 force, all axes together, and how far the size of its mean may be from gravity [m/s^2]."""
 IDLE_FORCE = 0.25
 IDLE_RATE = 0.05
@@ -62,6 +68,32 @@ TERMINAL_RATE_RANGE = math.radians(2.0)
 """At rest no axis of a terminal's gyroscope moves by more within a second [rad/s]."""
 
 
+def is_parked(force: Array, rate: Array | None) -> Flags:
+    """Without speed: where ticks (N, 3) of force [m/s^2] and rate [rad/s] are a parked vehicle's.
+
+    N: a multiple of `STEADY_TICKS`.
+    """
+    move = np.abs(np.diff(force, axis=0, prepend=force[:1])).max(axis=1)
+    still: Flags = move < PARKED_FORCE_CHANGE
+    still &= keeps_steady(force, PARKED_FORCE_STD, STEADY_TICKS)
+    if rate is not None:
+        still &= keeps_steady(rate, PARKED_RATE_STD, STEADY_TICKS)
+    return still
+
+
+def feels_parked(variance: float, size: float) -> bool:
+    """Whether a second's force is a parked vehicle's, by its variance and the size of its mean.
+
+    variance: of all axes together [(m/s^2)^2]; size [m/s^2].
+    """
+    return variance < PARKED_SAMPLE_STD**2 and abs(size - GRAVITY) < PARKED_GRAVITY
+
+
+def is_terminal_at_rest(spread: float, mean: Vector) -> bool:
+    """Whether a second's rates are a terminal's at rest, by the largest range and their mean."""
+    return spread < TERMINAL_RATE_RANGE and max(map(abs, mean)) < MAX_TERMINAL_BIAS
+
+
 def keeps_steady(x: Array, limit: float, ticks: int) -> Flags:
     """Where signals (N, axes) keep within a standard deviation, part by part of so many ticks."""
     spread = x.reshape(-1, ticks, x.shape[1]).std(axis=1).max(axis=1)
@@ -70,8 +102,8 @@ def keeps_steady(x: Array, limit: float, ticks: int) -> Flags:
 
 def is_idle(rate: Array, force: Array) -> bool:
     """Whether rates and forces (N, 3) at a speed of zero are those of a vehicle at rest."""
-    step = np.diff(force, axis=0)
-    noise = np.sqrt(0.5 * (step * step).mean(axis=0))
+    change = np.diff(force, axis=0)
+    noise = np.sqrt(0.5 * (change * change).mean(axis=0))
     allowed = np.maximum(IDLE_FORCE, TIMES_NOISE * noise)
     quiet = np.abs(rate - rate.mean(axis=0)).max() < IDLE_RATE
     return bool(quiet and (np.abs(force - force.mean(axis=0)) < allowed).all())
