@@ -13,7 +13,7 @@ from math import isnan
 
 import numpy as np
 
-from imucald.core.rotations import Matrix3, rotation_from_angles
+from imucald.core.rotations import Matrix3, Vector, rotation_from_angles
 from imucald.core.samples import GRAVITY
 from imucald.motion.physical_limits import ROAD_FORCE_WIDE, is_saturated
 from imucald.motion.speed import SpeedInterval, SpeedIntervalMaker
@@ -43,7 +43,6 @@ from imucald.mount.method_a.tilt import TiltEstimator
 from imucald.mount.slewing import SlewedRotation
 
 NAN = math.nan
-Vector = tuple[float, float, float]
 
 MANOEUVRES_KEPT = 150
 """Manoeuvres that are kept (about an hour of city); the oldest goes first."""
