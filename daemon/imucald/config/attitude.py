@@ -15,6 +15,7 @@ from imucald.config.base import (
     RadiansPerAxis,
     Settings,
     Share,
+    SpeedDelay,
 )
 
 AxisConvention = Literal["force", "gravity"]
@@ -30,7 +31,7 @@ class MotionCompensationSettings(Settings, frozen=True):
     """Shortest time between two averages that are differenced [s]: coarse speed, quietly."""
     timeout: Annotated[float, Meta(gt=0, le=4.0)] = 3.0
     """Speed older than this is not known [s]; OBD-II answers come once a second."""
-    delay: Annotated[float, Meta(ge=-0.5, le=1.2)] | None = None
+    delay: SpeedDelay | None = None
     """How late speed is against the accelerometer [s]; default: calibration.speed_delay, or 0."""
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Sensor from the middle of the axle that does not steer: forward, left, up [m]."""
