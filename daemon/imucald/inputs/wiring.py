@@ -14,11 +14,11 @@ from imucald.can.dbc.database import Database, load_database
 from imucald.can.dbc.decode import compile_decode
 from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import raw_limits
-from imucald.can.e2e.checksums import KINDS
+from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ONE_BYTE_KINDS
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
 from imucald.inputs.expression import Expression
-from imucald.inputs.protection_settings import NO_CHECKSUM, checker_for
+from imucald.inputs.protection_settings import checker_for
 from imucald.inputs.quantities import Conversion
 from imucald.inputs.router import Router
 from imucald.inputs.routes import Component, MessageRoute, RawRoute, SignalRoute, Status, Tap
@@ -255,12 +255,18 @@ def _refuse_unknown_messages(
 
 
 def _refuse_unknown_checksums(loaded: LoadedConfig) -> None:
-    known = (NO_CHECKSUM, *KINDS)
-    for name, protection in loaded.config.messages.items():
-        checksum = protection.checksum
-        if checksum is not None and checksum.kind not in known:
-            text = f"{checksum.kind!r} is no kind of checksum (known: {', '.join(known)})"
-            raise loaded.error(("messages", name, "checksum", "kind"), text)
+    config = loaded.config
+    asked: list[tuple[Place, str, Iterable[str]]] = [
+        (("messages", name, "checksum", "kind"), protection.checksum.kind, KINDS)
+        for name, protection in config.messages.items()
+        if protection.checksum is not None
+    ]
+    asked.append((("output", "checksum"), config.output.checksum, ONE_BYTE_KINDS))
+    for place, kind, kinds in asked:
+        known = (NO_CHECKSUM, *kinds)
+        if kind not in known:
+            text = f"{kind!r} is no kind of checksum (known: {', '.join(known)})"
+            raise loaded.error(place, text)
 
 
 def _refuse_split_planar(loaded: LoadedConfig, groups: Iterable[_MessageSignals]) -> None:
