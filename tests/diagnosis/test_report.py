@@ -12,7 +12,6 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
-from math import radians
 
 import made_diagnosis as made
 import numpy as np
@@ -27,7 +26,7 @@ from imucald.diagnosis.result import (
     SignalGain,
     Structure,
 )
-from imucald.report import About, numbers, report_page, require_libraries, titles
+from imucald.report import About, report_page, require_libraries
 from imucald.report import wording as words
 from imucald.report.decimation import envelope, log_bins, telling_stretch, trend
 from imucald.report.model_changes import as_diff, model_changes, value_text
@@ -303,7 +302,7 @@ def test_words_need_neither_library():
         "import sys; sys.modules['jinja2'] = sys.modules['matplotlib'] = None;"
         "import imucald.commands.diagnose_view, imucald.report.model_changes as changes;"
         "from imucald.commands.diagnose_view import words;"
-        "print(titles.cause_title('dropouts'), changes.value_text([1.5, None]))"
+        "print(words.cause_title('dropouts'), changes.value_text([1.5, None]))"
     )
     process = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False
@@ -323,7 +322,7 @@ def test_words_need_neither_library():
     (math.nan, 1.0, "-"),
 ])  # fmt: skip
 def test_values_are_rounded_by_their_deviation(value, std, text):
-    assert numbers.with_spread(value, std) == text
+    assert words.with_spread(value, std) == text
 
 
 @pytest.mark.parametrize(("key", "text"), [
@@ -337,24 +336,24 @@ def test_values_are_rounded_by_their_deviation(value, std, text):
     ("_speed.doubled", "speed doubled"),
 ])  # fmt: skip
 def test_parameters_have_names_that_people_use(key, text):
-    assert titles.key_title(key) == text
+    assert words.key_title(key) == text
 
 
 @pytest.mark.parametrize(("key", "p", "text"), [
-    ("gyro.bias.z", Estimated(radians(0.5), radians(0.02), "rad/s"), "0.500 ± 0.020 deg/s"),
+    ("gyro.bias.z", Estimated(0.5 / words.DEG, 0.02 / words.DEG, "rad/s"), "0.500 ± 0.020 deg/s"),
     ("chassis.steering_ratio", Estimated(16.42, 0.31, "1"), "16.42 ± 0.31"),
     ("speed.scale", Estimated(0.031, 0.004, "1"), "3.10 ± 0.40 %"),
     ("speed.delay_rate", Estimated(1.74e-4, 9e-6, "1"), "174.0 ± 9.0 ppm"),
     ("mount.lever_arm_m.0", Estimated(1.5, 0.1, "m"), "1.50 ± 0.10 m"),
 ])  # fmt: skip
 def test_values_are_in_units_that_people_use(key, p, text):
-    assert numbers.for_people(key, p)[0] == text
+    assert words.for_people(key, p)[0] == text
 
 
 def test_a_cause_that_nobody_has_named_yet_has_a_title():
-    assert titles.cause_title("trailer_sway") == "trailer sway"
-    assert titles.signal_title("accel_z") == "accelerometer up"
-    assert titles.signal_title("brake_torque") == "brake torque"
+    assert words.cause_title("trailer_sway") == "trailer sway"
+    assert words.signal_title("accel_z") == "accelerometer up"
+    assert words.signal_title("brake_torque") == "brake torque"
 
 
 def test_a_sure_cause_beside_an_ambiguous_one_is_told():
@@ -383,7 +382,7 @@ def test_a_gain_that_is_not_known_is_told_so():
 
 def test_names_in_texts_are_those_that_people_use():
     text = "accel_bias or body_roll: drive; not my_accel_bias"
-    said = titles.with_titles(text, ["accel_bias", "body_roll"])
+    said = words.with_titles(text, ["accel_bias", "body_roll"])
     assert said == "accelerometer bias or body roll: drive; not my_accel_bias"
 
 

@@ -190,8 +190,7 @@ def _model_text(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> str:
     """The extended model with a head that says where it comes from."""
     from imucald import __version__
     from imucald.report.model_changes import model_changes, value_text
-    from imucald.report.numbers import duration
-    from imucald.report.wording import verdict
+    from imucald.report.wording import duration, verdict
 
     head = [f"VehicleModel file written by imucald diagnose {__version__} from:"]
     head += [f"  {r.name} ({duration(r.duration_s)})" for r in recordings]

@@ -18,7 +18,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from imucald.diagnosis.result import SignalPicture
 from imucald.report.decimation import envelope, log_bins, telling_stretch, trend
-from imucald.report.numbers import unit_text
+from imucald.report.wording import unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
