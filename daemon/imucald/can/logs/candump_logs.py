@@ -257,3 +257,6 @@ def _of_lines(lines: list[Line], channels: tuple[str, ...]) -> FrameColumns:
         channels,
         fd if fd.any() else None,
     )
+
+
+FORMAT = CandumpReader
