@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from imucald.config import parse_config
+from imucald.config import VehicleSettings, parse_config
 from imucald.inputs.wiring import compile_router
 from imucald.model_compensation import compensation_from_model
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.runtime.estimators import estimator_for
-from imucald.runtime.session import open_compensation
+from imucald.runtime.session import make_engine, open_compensation, open_config
+from paths import ROOT
 from simulated_bus import CONFIG, drive
 
 MODEL = {
@@ -31,8 +32,9 @@ signals: {accelerometer: {x: A.X, y: A.Y, z: A.Z}, steering_wheel_angle: A.S}
 
 
 def full(text: str):
-    config = parse_config(TEXT + text).config
-    estimator = estimator_for(config, compensation_from_model(MODEL))
+    loaded = parse_config(TEXT + text)
+    model = compensation_from_model(MODEL)
+    estimator = estimator_for(loaded.config, model, loaded.keys_in("vehicle"))
     assert isinstance(estimator, FullEstimator)
     return estimator._settings
 
@@ -72,6 +74,21 @@ def test_what_the_configuration_says_counts():
     assert found.vehicle.steering_ratio == 17.0
 
 
+def test_a_default_that_the_configuration_says_counts_as_well(tmp_path):
+    default = VehicleSettings().wheelbase
+    (tmp_path / "model.yaml").write_text("chassis: {wheelbase_m: 3.1, track_m: 1.7}\n")
+    text = CONFIG.read_text().replace("vehicle:\n", "model: model.yaml\nvehicle:\n")
+    assert f"  wheelbase: {default}\n" in text
+    assert "  track:" not in text
+    path = tmp_path / "car.yaml"
+    path.write_text(text)
+    engine = make_engine(open_config(path, [ROOT / "dbc" / "imucald_example.dbc"]))
+    vehicle = engine.pipeline.estimator._settings.vehicle
+    assert (vehicle.wheelbase, vehicle.track) == (default, 1.7)
+    engine.restart_calibration()
+    assert engine.pipeline.estimator._settings.vehicle.wheelbase == default
+
+
 def test_an_unknown_side_of_the_road_stays_unknown():
     assert full("").crown == 0.0
 
@@ -100,8 +117,6 @@ def test_a_configured_speed_delay_counts_more_than_the_models(tmp_path):
 
 def test_a_model_of_the_simulated_car_fits_its_bus():
     """Every channel of the example bus that the model speaks of is one that the router gives."""
-    from imucald.runtime.session import open_config
-
     channels = compile_router(open_config(CONFIG)).channels
     found = compensation_from_model(drive().model.dump())
     assert not [note for note in found.notes_for(channels) if "needs" in note]

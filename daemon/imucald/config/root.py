@@ -94,6 +94,11 @@ class LoadedConfig:
         config = msgspec.structs.replace(self.config, database=entries)
         return LoadedConfig(config, self.path, self._marks)
 
+    def keys_in(self, section: str) -> frozenset[str]:
+        """The keys of a section that stand in the file, whatever their values."""
+        places = (place for place in self._marks if len(place) == 2 and place[0] == section)
+        return frozenset(str(place[1]) for place in places)
+
     def idle_keys(self) -> list[str]:
         """A line for each key of the file that has no effect, with its place and the reason."""
         return [

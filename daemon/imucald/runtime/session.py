@@ -13,6 +13,7 @@ from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
+from imucald.mount.estimate import MountEstimator
 from imucald.runtime.consumers import consumers_for
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.estimators import estimator_for
@@ -55,17 +56,22 @@ def make_engine(
     output = OutputFrames(config)
     _refuse_shared_ids(loaded, output, router.matches)
     compensation = open_compensation(loaded)
+    stated = loaded.keys_in("vehicle")
+
+    def new_estimator() -> MountEstimator:
+        return estimator_for(config, compensation, stated)
+
     rates = [f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate"]
     derived = config.signals.speed is None
     return Engine(
         router,
-        estimator_for(config, compensation),
+        new_estimator(),
         output,
         config.output.status_rate,
         on_snapshot,
         link_health,
         consumers_for(loaded, output),
-        lambda: estimator_for(config, compensation),
+        new_estimator,
         None
         if compensation is None
         else compensation.preprocessing_chain(router.channels, derived, rates),
