@@ -29,11 +29,14 @@ ONLY = {
 
 IO_ROOMS = {"can", "commands", "inputs", "runtime", "service", "uds"}
 NEVER = {
+    "api": {"commands", "report", "service", "uds"},
     "attitude": IO_ROOMS,
-    "diagnosis": {"commands"},
+    "config_check": {"api", "commands"},
+    "diagnosis": {"api", "commands"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
-    "runtime": {"commands", "service"},
+    "runtime": {"api", "commands", "service"},
+    "service": {"api", "commands"},
     "simulation": IO_ROOMS,
     "travel_direction": IO_ROOMS,
     "uds": {"runtime", "service"},

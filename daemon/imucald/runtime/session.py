@@ -19,19 +19,23 @@ from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import Snapshot
+from imucald.runtime.segment_samples import SegmentSamples
 
 if TYPE_CHECKING:
     from imucald.model_compensation import ModelCompensation
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
-    """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError.
-
-    Keys without effect are told on standard error.
-    """
-    loaded = load_config(path)
+    """Load a configuration, see `config_with`; keys without effect are told on standard error."""
+    loaded = config_with(path, databases)
     for line in loaded.idle_keys():
         print(f"imucald: warning: {line}", file=sys.stderr)
+    return loaded
+
+
+def config_with(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
+    """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError."""
+    loaded = load_config(path)
     if not databases:
         return loaded
     if len(databases) != len(loaded.config.database):
@@ -49,6 +53,7 @@ def make_engine(
     loaded: LoadedConfig,
     on_snapshot: Callable[[Snapshot], None] | None = None,
     link_health: Callable[[], LinkHealth] = LinkHealth,
+    on_samples: Callable[[SegmentSamples], None] | None = None,
 ) -> Engine:
     """Build the engine of a configuration. Raises ConfigError with the place of a mistake."""
     config = loaded.config
@@ -75,6 +80,7 @@ def make_engine(
         None
         if compensation is None
         else compensation.preprocessing_chain(router.channels, derived, rates),
+        on_samples,
     )
 
 
