@@ -300,10 +300,10 @@ class Engine:
         lost: dict[str, NDArray[np.int64]] = {}
         for channel in self.output.triads:
             series, bad = routed.samples.get(channel), routed.rejected.get(channel)
-            rows = np.zeros(0, np.int64) if bad is None else bad
-            if series is not None and len(rows):
-                rows = np.setdiff1d(rows, series.row)
-            rows = np.unique(rows)
+            if bad is None:
+                lost[channel] = np.zeros(0, np.int64)
+                continue
+            rows = np.unique(bad) if series is None else np.setdiff1d(bad, series.row)
             lost[channel] = rows[self._spaced[channel].among(t[rows])]
         return lost
 

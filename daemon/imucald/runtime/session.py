@@ -14,7 +14,6 @@ from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimator
-from imucald.runtime.consumers import consumers_for
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.output.output_frames import OutputFrames
@@ -23,6 +22,7 @@ from imucald.runtime.segment_samples import SegmentSamples
 
 if TYPE_CHECKING:
     from imucald.model_compensation import ModelCompensation
+    from imucald.runtime.consumer import Consumer
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
@@ -75,13 +75,22 @@ def make_engine(
         config.output.status_rate,
         on_snapshot,
         link_health,
-        consumers_for(loaded, output),
+        _consumers(loaded, output),
         new_estimator,
         None
         if compensation is None
         else compensation.preprocessing_chain(router.channels, derived, rates),
         on_samples,
     )
+
+
+def _consumers(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
+    """What runs beside the calibration. Raises ConfigError where an input is missing."""
+    if output.attitude is None and output.travel is None:
+        return []
+    from imucald.runtime.consumers import consumers_for  # noqa: PLC0415 - few switch one on
+
+    return consumers_for(loaded, output)
 
 
 def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:
