@@ -17,6 +17,7 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis.recording import Recording
 from imucald.model.model import VehicleModel
+from imucald.mount.mount_words import reasons_line
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
 
@@ -79,10 +80,10 @@ def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
     estimate = pipeline.estimator.estimate()
     angles, std = estimate.angles, estimate.std
     if angles is None or std is None or math.degrees(max(std)) > LARGEST_STD_DEG:
-        why = "; ".join(f"{angle}: {text}" for angle, text in estimate.waiting_for.items())
+        why = reasons_line(estimate.waiting_for)
         raise EstimateError(
             "the drives do not say how the sensor sits, so there is no model to compare with; "
-            f"give one with --model ({why or 'see imucald replay'})"
+            f"give one with --model ({f'waiting for {why}' if why else 'see imucald replay'})"
         )
     roll, pitch, yaw = (math.degrees(angle) for angle in angles)
     return {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}
