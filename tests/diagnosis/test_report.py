@@ -26,10 +26,10 @@ from imucald.diagnosis.result import (
     SignalGain,
     Structure,
 )
-from imucald.report import About, report_page, require_libraries
 from imucald.report import wording as words
 from imucald.report.decimation import envelope, log_bins, telling_stretch, trend
 from imucald.report.model_changes import as_diff, model_changes, value_text
+from imucald.report.page import About, report_page, require_libraries
 
 ABOUT = About(["a.log", "b.log"], "car.yaml", "car_model.yaml", "2026-01-02 03:04, imucald 9")
 VOID = {"meta", "img", "br", "hr", "link", "input", "wbr", "base"}
