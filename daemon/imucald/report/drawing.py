@@ -84,7 +84,8 @@ _SIDE = (
 _ABOVE = (
     '<path class="car" d="M26 76q4-14 20-15h196q28 3 34 45q-6 42-34 45H46q-16-1-20-15'
     'q-4-30 0-60z"/>'
-    '<path class="glass" d="M196 68q14 38 0 76l18 4q14-42 0-84zM78 70q-8 36 0 72l-14 4q-8-40 0-80z"/>'
+    '<path class="glass" d="M196 68q14 38 0 76l18 4q14-42 0-84z"/>'
+    '<path class="glass" d="M78 70q-8 36 0 72l-14 4q-8-40 0-80z"/>'
     '<path class="glass" d="M90 66h92l8 6H86zM90 146h92l8-6H86z"/>'
 )
 _BEHIND = (
@@ -193,7 +194,7 @@ def _faces(view: View, R: Matrix3) -> Iterator[str]:
             towards = float(normal @ view.towards)
             if towards > 1e-3:
                 seen.append((towards, axis, sign))
-    for towards, axis, sign in sorted(seen):
+    for _, axis, sign in sorted(seen):
         a, b = (i for i in range(3) if i != axis)
         corners = []
         for s, t in ((1, 1), (1, -1), (-1, -1), (-1, 1)):
@@ -241,7 +242,7 @@ def _end_on(at_reader: bool, colour: str, name: str) -> str:
         else f'<path class="axis" stroke="{colour}" style="stroke-width:2" '
         f'd="M{x - 4:g} {y - 4:g}l8 8m0-8l-8 8"/>'
     )
-    label = f'<text class="name" style="fill:{colour}" x="{x - 16:g}" y="{y + 20:g}">{name}</text>'
+    label = f'<text class="name" style="fill:{colour}" x="{x - 32:g}" y="{y + 28:g}">{name}</text>'
     return ring + inside + label
 
 
