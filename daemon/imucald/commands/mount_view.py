@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.mount.estimate import ANGLES
-from imucald.mount.mount_words import ABOUT, SD_95, half_width, plus_minus, reasons
+from imucald.mount.mount_words import ABOUT, SD_95, half_width, is_trouble, plus_minus, reasons
 
 WIDEST_DEG, NARROWEST_DEG = 16.0, 0.1
 """Intervals that fill a bar, and that leave it empty (log scale)."""
@@ -30,7 +30,10 @@ def mount_parts(
         if mount.get(key):
             yield Text(mount[key], style=style)
     for names, text in reasons(waiting_for):
-        yield Text(f"waiting for  {names}: {text}", style="yellow")
+        if is_trouble(text):
+            yield Text(f"trouble      {text}", style="bold red")
+        else:
+            yield Text(f"waiting for  {names}: {text}", style="yellow")
     yield Text(ABOUT + (f"; {MARK} in a bar: the target" if bar else ""), style="dim")
 
 

@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
+from imucald.mount.mount_words import EVIDENCE_KINDS
 
 STYLES = {
     "usable": "green",
@@ -40,14 +41,6 @@ EVIDENCE = {
     "stops": "stops",
 }
 
-SOURCES = {
-    "turn": "turns",
-    "dvdt": "acceleration",
-    "axis": "axis of turning",
-    "gravity": "gravity",
-    "before": "earlier drives",
-}
-"""What the last part of an evidence's name means."""
 SHARE_SHOWN = 0.05
 
 
@@ -131,7 +124,7 @@ def _weights(details: Mapping[str, Any]) -> str:
         sums: dict[str, float] = {}
         for name, share in shares.items():
             source = name.rpartition("_")[2]
-            source = SOURCES.get(source, name)
+            source = EVIDENCE_KINDS.get(source, name)
             sums[source] = sums.get(source, 0.0) + share
         named = [
             f"{source} {100 * share:.0f} %"

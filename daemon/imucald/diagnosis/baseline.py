@@ -83,7 +83,7 @@ def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
         why = reasons_line(estimate.waiting_for)
         raise EstimateError(
             "the drives do not say how the sensor sits, so there is no model to compare with; "
-            f"give one with --model ({f'waiting for {why}' if why else 'see imucald replay'})"
+            f"give one with --model ({why or 'see imucald replay'})"
         )
     roll, pitch, yaw = (math.degrees(angle) for angle in angles)
     return {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}

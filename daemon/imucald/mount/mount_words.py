@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.orientation_words import leaning_words, sits_words, steep_words
+from imucald.mount.contradictions import WORDS
 from imucald.mount.estimate import MountEstimate
 
 SD_95 = 2.0
@@ -15,6 +16,14 @@ CONVENTION = "± is 95 % (two standard deviations)"
 AXES = "turns about the vehicle's x, y and z axis"
 ABOUT = f"{CONVENTION}, {AXES}"
 """Stands once on each screen that shows a mount."""
+EVIDENCE_KINDS = {
+    "turn": "turns",
+    "dvdt": "acceleration",
+    "axis": "axis of turning",
+    "gravity": "gravity",
+    "before": "earlier drives",
+}
+"""What the last part of an evidence's name means."""
 UNKNOWN_STD_DEG = math.degrees(1.0)
 """An angle with a larger standard deviation is as good as unknown [deg]."""
 
@@ -55,6 +64,15 @@ def reasons(waiting_for: Mapping[str, str]) -> Iterator[tuple[str, str]]:
         yield ", ".join(name for name, one in waiting_for.items() if one == text), text
 
 
+def is_trouble(text: str) -> bool:
+    """Whether a reason is one that more driving does not mend."""
+    return text.startswith("the mount ") or any(words in text for words in WORDS.values())
+
+
 def reasons_line(waiting_for: Mapping[str, str]) -> str:
-    """The same in one line: "roll, pitch: a standstill; yaw: more driving"."""
-    return "; ".join(f"{names}: {text}" for names, text in reasons(waiting_for))
+    """The same in one line: "waiting for roll, pitch: a standstill; yaw: more driving"."""
+    found = list(reasons(waiting_for))
+    waits = [f"{names}: {text}" for names, text in found if not is_trouble(text)]
+    troubles = [text for _, text in found if is_trouble(text)]
+    parts = ([f"waiting for {'; '.join(waits)}"] if waits else []) + troubles
+    return "; ".join(parts)

@@ -146,7 +146,7 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
     if not known.speed:
         if known.std[2] > math.radians(100.0):
             return "speed, or acceleration from rest or braking", Missing.SPEED
-        return "more straight acceleration and braking (no speed)", Missing.SPEED
+        return "more straight acceleration and braking (speed is absent or too rare)", Missing.SPEED
     if known.straight < NEEDED:
         text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION

@@ -110,11 +110,11 @@ def drawing(R_vehicle_from_sensor: Matrix3, words: str) -> str:
 def view_drawings(R_vehicle_from_sensor: Matrix3 | None) -> list[str]:
     """Return each view as an SVG of its own, for pages that set them side by side or in a column.
 
-    The page brings `STYLE`.
+    The page brings `STYLE`; within HTML no name space is told.
     """
     return [
-        f'<svg class="sits" xmlns="http://www.w3.org/2000/svg" role="img" '
-        f'viewBox="0 0 {VIEW_WIDTH:g} {VIEW_HEIGHT:g}"><title>The sensor {view.title}</title>'
+        f'<svg class="sits" role="img" viewBox="0 0 {VIEW_WIDTH:g} {VIEW_HEIGHT:g}">'
+        f"<title>The sensor {view.title}</title>"
         f"{_view(view, _sensor(view, R_vehicle_from_sensor))}</svg>"
         for view in VIEWS
     ]

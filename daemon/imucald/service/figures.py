@@ -43,7 +43,7 @@ def status_line(estimate: MountEstimate, link: str) -> str:
         if sits := how_it_sits(estimate):
             parts.append(sits)
     if waiting := reasons_line(estimate.waiting_for):
-        parts.append(f"waiting for {waiting}")
+        parts.append(waiting)
     if link != "up":
         parts.insert(0, f"bus {link}")
     return "; ".join(parts)

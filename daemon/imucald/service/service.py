@@ -445,7 +445,7 @@ class Service:
         self._announced = estimate.state
         waiting = reasons_line(estimate.waiting_for)
         text = f"{estimate.state.name.lower()} at {snapshot.t:.1f} s"
-        self.journal.say(text + (waiting and f" (waiting for {waiting})"), NOTICE)
+        self.journal.say(text + (waiting and f" ({waiting})"), NOTICE)
 
     def result(self) -> dict[str, Any]:
         """Summary of the run (see docs/json.md), with the link's counters."""
