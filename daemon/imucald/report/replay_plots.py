@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
@@ -58,8 +58,13 @@ SPEED_BINS, TURN_BINS = 14, 12
 CELL_ROWS = 5
 """A cell of a map needs so many rows: two and a half seconds."""
 LARGEST_DEG = 30.0
+TICKS = 9
 DOTS = 700
 """In a picture of points: more only make the page heavy."""
+LABEL_SHARE = 0.02
+"""Numbers closer together than this share of the picture would cover one another."""
+NICE_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200)
+"""Steps of a time axis [s]."""
 MAX_MARKS = 12
 """Numbered events in a picture."""
 
@@ -95,10 +100,24 @@ def _draw_states(axes: Axes, history: DriveHistory, events: Sequence[Numbered]) 
         if stop - start > 0.07 * history.duration_s:
             axes.text(0.5 * (start + stop), 0.5, state.name.lower(), ha="center", va="center",
                       fontsize=8, color=INK)  # fmt: skip
-    for mark in events[:MAX_MARKS]:
-        axes.text(mark.event.t, 1.12, str(mark.number), ha="center", va="bottom", fontsize=8)
+    for t, numbers in _labels(events[:MAX_MARKS], history.duration_s):
+        axes.text(t, 1.12, numbers, ha="center", va="bottom", fontsize=8)
     axes.set_ylim(0.0, 1.0)
     axes.set_axis_off()
+
+
+def _labels(events: Sequence[Numbered], duration: float) -> list[tuple[float, str]]:
+    """Where the numbers of events stand; those of events close together as one, "4-6"."""
+    found: list[list[Numbered]] = []
+    for mark in events:
+        if found and mark.event.t - found[-1][0].event.t < LABEL_SHARE * duration:
+            found[-1].append(mark)
+        else:
+            found.append([mark])
+    return [
+        (g[0].event.t, str(g[0].number) if len(g) == 1 else f"{g[0].number}-{g[-1].number}")
+        for g in found
+    ]
 
 
 def _stretches(history: DriveHistory) -> list[tuple[MountState, float, float]]:
@@ -318,7 +337,8 @@ def grouped(shares: Mapping[str, float]) -> dict[str, float]:
 def _time_axis(axes: Axes, duration: float) -> None:
     axes.set_xlim(0.0, duration)
     axes.xaxis.set_major_formatter(FuncFormatter(_clock))
-    axes.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 1.5, 2, 3, 6, 10]))
+    step = next((s for s in NICE_S if duration <= TICKS * s), NICE_S[-1])
+    axes.xaxis.set_major_locator(MultipleLocator(step))
     axes.set_xlabel("time [min:s]")
 
 
