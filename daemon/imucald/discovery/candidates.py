@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.can.columns import CAN_EFF_MASK
 from imucald.can.dbc.database import Database
 from imucald.can.dbc.decode import compile_decode, id_match
 from imucald.can.dbc.message import Message, Signal
@@ -52,6 +54,10 @@ class Candidate:
     unavailable: tuple[int, ...]
     least: float
     largest: float
+    raw: Mapping[str, Any] | None = None
+    """Bytes and an expression, where no database describes it."""
+    own_channel: str | None = None
+    """The channel that its source must name: raw ones of a recording with several."""
 
     @property
     def path(self) -> str:
@@ -217,6 +223,34 @@ def _unavailable(signal: Signal, raw: NDArray[np.generic]) -> tuple[int, ...]:
         if float(np.abs(others - code).min()) > max(2.0 * usual, 0.1 * (high - low)):
             found.append(int(code))
     return tuple(found)
+
+
+def obd_speeds(traffic: Sequence[Traffic], ticks: int) -> Iterator[Candidate]:
+    """Answers to OBD-II requests for the vehicle's speed (SAE J1979: mode 01, PID 0x0D, km/h)."""
+    several = len({one.channel for one in traffic}) > 1
+    for one in traffic:
+        if not _is_obd_answer(one.can_id) or one.data.shape[1] < 4:
+            continue
+        rows = (one.data[:, 1] == 0x41) & (one.data[:, 2] == 0x0D) & (one.length >= 4)
+        if np.count_nonzero(rows) < MIN_FRAMES:
+            continue
+        signal = Signal("vehicle_speed_PID_0x0D", 24, 8, unit="km/h")
+        message = Message("OBD-II", one.can_id, 4, {signal.name: signal})
+        answers = MessageTraffic(
+            message, one.channel, one.t[rows], one.data[rows], one.length[rows]
+        )
+        raw = {
+            "id": one.can_id & CAN_EFF_MASK,
+            "when": "data[1] == 0x41 and data[2] == 0x0D",
+            "value": "data[3]",
+        }
+        for candidate in candidates_of(answers, ticks):
+            yield replace(candidate, raw=raw, own_channel=one.channel if several else None)
+
+
+def _is_obd_answer(can_id: int) -> bool:
+    """Whether an identifier is one that ISO 15765-4 gives to answers."""
+    return 0x7E8 <= can_id <= 0x7EF or can_id & ~0xFF == 0x98DAF100
 
 
 def words(name: str) -> list[str]:

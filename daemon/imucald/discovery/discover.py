@@ -10,6 +10,7 @@ from imucald.discovery.candidates import (
     MessageTraffic,
     candidates_of,
     messages_in,
+    obd_speeds,
 )
 from imucald.discovery.flags import find_brake, find_reverse, find_temperature
 from imucald.discovery.proposal import Choice, Proposal
@@ -36,6 +37,7 @@ def discover(databases: Mapping[str, Database], recording: Recording) -> Proposa
             messages.setdefault(one.message.name, one)
     proposal.channels = channels
     candidates = [c for one in messages.values() for c in candidates_of(one, ticks)]
+    candidates += obd_speeds(traffic, ticks)
     proposal.choices = choices_from(candidates, proposal)
     for name in used_messages(proposal.choices):
         if name in messages:

@@ -2,8 +2,8 @@
 
 Neighbouring values of a smoothed signal say the same thing twice. Each comparison therefore counts
 with the number of independent values (Bartlett's formula, summed up to the first negative product
-of the autocorrelations, after Geyer 1992), and is believed from a chance of one in a million: a
-thousand comparisons of noise then give a false one in a thousand recordings.
+of the autocorrelations, after Geyer 1992). It is believed where noise would do the same in one of a
+thousand recordings, all comparisons of a search taken together (Bonferroni).
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from imucald.inputs.units import find_unit
 
 Array = NDArray[np.float64]
 
-BELIEVED_Z = NormalDist().inv_cdf(1.0 - 0.5e-6)
-"""Fisher's z in standard deviations from which two signals are related."""
+FALSE_ALARM = 1e-3
+"""Part of the recordings in which a search may find a relation that is chance."""
+MANY = 1000
+"""Comparisons of a search through all signals of a bus, where they are not counted."""
 BELIEVED_NATS = math.log(1e3)
 """Log likelihood ratio from which one hypothesis is believed rather than another."""
 MIN_VALUES = 50
@@ -54,8 +56,12 @@ class Relation:
 
     @property
     def is_believed(self) -> bool:
-        """Whether the two are related beyond doubt."""
-        return self.z >= BELIEVED_Z
+        """Whether the two are related beyond doubt, found among any signals of a bus."""
+        return self.is_believed_of(MANY)
+
+    def is_believed_of(self, comparisons: int) -> bool:
+        """Whether the two are related beyond doubt, the best of so many comparisons or not."""
+        return self.z >= believed_z(comparisons)
 
     @property
     def gain(self) -> float:
@@ -71,6 +77,11 @@ class Relation:
     def explained(self) -> float:
         """Part of the variance that both share."""
         return self.correlation * self.correlation
+
+
+def believed_z(comparisons: int) -> float:
+    """Fisher's z [standard deviations] from which one of so many comparisons is believed."""
+    return NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM / max(comparisons, 1))
 
 
 def relation(reference: Array, signal: Array) -> Relation:
@@ -103,15 +114,6 @@ def _independent(a: Array, b: Array, n: int) -> float:
     below = np.flatnonzero(product[1:] <= 0.0)
     last = int(below[0]) if len(below) else len(product) - 1
     return n / max(1.0 + 2.0 * float(product[1 : last + 1].sum()), 1.0)
-
-
-def independent_of(x: Array) -> float:
-    """Independent values of one (n,) signal."""
-    rows = np.isfinite(x)
-    if np.count_nonzero(rows) < MIN_VALUES:
-        return 0.0
-    a = np.where(rows, x - x[rows].mean(), 0.0)
-    return _independent(a, a, int(np.count_nonzero(rows))) if a.any() else 0.0
 
 
 COMMON_UNITS = {

@@ -10,7 +10,7 @@ import numpy as np
 
 from imucald.can.dbc.message import Signal
 from imucald.discovery.candidates import Array, Candidate
-from imucald.discovery.evidence import BELIEVED_Z, relation
+from imucald.discovery.evidence import MANY, believed_z, relation
 from imucald.discovery.names import hint, same_family
 from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import Reference
@@ -32,7 +32,7 @@ _REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts
 def find_reverse(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:
     """A switch or a lever's place at which the change of speed shows the wrong way round."""
     found = sorted(_reversing(reference, candidates), key=lambda f: -f.z)
-    sure = [f for f in found if f.z >= BELIEVED_Z]
+    sure = [f for f in found if f.z >= believed_z(MANY)]
     if sure:
         best = sure[0]
         named = hint("reverse", best.candidate) or _names_reverse(best.candidate.signal)
@@ -169,11 +169,14 @@ def _matthews(a: Array, b: Array) -> float:
 
 
 def _brake_by_name(candidates: Sequence[Candidate]) -> Choice | None:
-    named = [c for c in candidates if hint("brake", c) and c.signal.length <= 2]
+    named = [c for c in candidates if hint("brake", c) and not c.is_constant]
     if not named:
         return None
+    named.sort(key=lambda c: not c.levels)
+    best = named[0]
+    settings = _switches(best)[0][1] if len(best.levels) <= 2 else {}
     why = "the recording does not show braking well enough: the name alone speaks for it"
-    return Choice("brake", {"": source_of(named[0])}, f"named {named[0].signal.name}", why)
+    return Choice("brake", {"": source_of(best, **settings)}, f"named {best.signal.name}", why)
 
 
 def find_temperature(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:

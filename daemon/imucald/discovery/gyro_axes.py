@@ -94,7 +94,7 @@ def _turning(
     """Log likelihood of each order from turns."""
     if reference.lateral is None or reference.speed is None or reference.up is None:
         return {}
-    v = reference.speed.speed
+    v = reference.speed.moving
     found = {}
     for order in orders:
         rate = signed(gyro, order) @ reference.up

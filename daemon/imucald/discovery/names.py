@@ -74,4 +74,4 @@ def hint(quantity: str, candidate: Candidate) -> str | None:
 def same_family(a: str, b: str) -> bool:
     """Whether two messages begin with the same word, as INS_Acc_02 and INS_Temp do."""
     first, second = words(a), words(b)
-    return bool(first and second) and first[0] == second[0] and not first[0].isdigit()
+    return bool(first and second) and first[0] == second[0] and len(first[0]) > 1

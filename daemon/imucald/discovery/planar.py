@@ -6,12 +6,10 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from imucald.discovery.candidates import Candidate
-from imucald.discovery.evidence import Relation, relation
-from imucald.discovery.names import WHEELS, hint, wheel_by_name
-from imucald.discovery.proposal import Choice, source_of
+from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.evidence import Relation, UnitChoice, relation
+from imucald.discovery.names import WHEELS, wheel_by_name
+from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import (
     Reference,
     SpeedFit,
@@ -20,9 +18,11 @@ from imucald.discovery.reference import (
     stated_unit,
     unit_for,
 )
+from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
 
 _LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
-SAME_MOTION = 0.5
+WRONG_SCALE = 2.0
+"""Half way, as a ratio, to another unit: databases that people find out by trial are off so far."""
 
 
 @dataclass
@@ -35,95 +35,120 @@ class Planar:
     taken: set[str]
 
 
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """A signal that follows another one."""
+
+    first: Candidate
+    second: Candidate
+    relation: Relation
+    unit: UnitChoice
+
+
 def find_planar(
     candidates: Sequence[Candidate], wheels: Sequence[Candidate] | None, taken: set[str]
 ) -> Planar | None:
     """Two accelerations that follow the change of speed, and speed times a yaw rate."""
     accelerations = [c for c in candidates if c.states("acceleration") and not c.is_constant]
     speeds = [c for c in speed_candidates(candidates) if c.states("speed")]
-    pairs = []
-    for v in speeds:
-        change = change_of(v.smooth)
-        for a in accelerations:
-            found = relation(change, a.smooth)
-            if found.is_believed and found.explained >= SAME_MOTION:
-                pairs.append((found.explained, v, a, found))
-    if not pairs:
+    along = _along(speeds, accelerations)
+    own = [p for p in along if p.first.path not in taken] or along
+    if not own:
         return None
-    own = [p for p in pairs if p[1].path not in taken] or pairs
-    _, v, along, found = max(own, key=lambda p: p[0])
-    unit = stated_unit(v, "speed")
-    assert unit is not None, "only stated speeds were tried"
-    fit = SpeedFit(v, unit, found)
+    best = own[0]
+    unit = stated_unit(best.first, "speed")
+    assert unit is not None, "only speeds that state their unit were tried"
+    fit = SpeedFit(best.first, unit, best.relation)
     reference = Reference(speed=fit)
-    si = relation(fit.change, along.smooth)
-    x_unit = unit_for(along, "acceleration", si)
-    speed = None
-    used = {along.path}
-    if v.path not in taken:
-        used.add(v.path)
-        text = f"a speed in {v.unit}; {along.path} follows its changes"
-        speed = Choice("speed", {"": source_of(v)}, text, "" if x_unit else "its unit is not sure")
-    across = _across(reference, candidates, accelerations, along)
-    sides = _sides(reference, candidates, wheels, across)
-    if across is None or x_unit is None:
+    across = _across(fit.moving, candidates, [c for c in accelerations if c is not best.second])
+    if across is None:
         return None
-    y, yaw, both, y_unit = across
-    used.add(y.path)
-    sign, why = sides
+    yaw_unit = stated_unit(across.first, "angular_rate")
+    assert yaw_unit is not None, "only rates that state their unit were tried"
+    sign, why = _sides(fit.moving, candidates, wheels, across.first)
     reference.sides_from = why
-    reference.turn = sign * yaw.smooth * (stated_unit(yaw, "angular_rate") or y_unit).factor
-    reference.turn_from = yaw.path
+    reference.turn = sign * across.first.smooth * yaw_unit.factor
+    reference.turn_from = across.first.path
     sources = {
-        "x": source_of(along, x_unit.name, si.sign),
-        "y": source_of(y, y_unit.name, sign * both.sign),
+        "x": source_of(best.second, best.unit.name, best.relation.sign),
+        "y": source_of(across.second, across.unit.name, sign * across.relation.sign),
     }
     evidence = (
-        f"no three signals are 1 g; x follows the change of speed ({si.correlation:+.2f}), "
-        f"y speed times {yaw.path} ({both.correlation:+.2f}); already level"
+        "no three signals are 1 g: two axes of the vehicle, already level; x follows the change of "
+        f"speed (correlation {best.relation.correlation:+.2f}), y speed times {across.first.path} "
+        f"({across.relation.correlation:+.2f})"
     )
     doubt = "" if why else "nothing tells left from right: the sign of y may be the other one"
+    used = {best.second.path, across.second.path}
+    speed = None
+    if best.first.path not in taken:
+        used.add(best.first.path)
+        speed = _speed_choice(best, [p for p in own[1:] if p.first is not best.first])
     return Planar(reference, Choice("accelerometer", sources, evidence, doubt), speed, used)
 
 
-def _across(reference, candidates, accelerations, along):  # type: ignore[no-untyped-def]
-    """Lateral acceleration, yaw rate, their relation and the unit; None where there are none."""
-    assert reference.speed is not None
-    v = reference.speed.speed
-    best = None
-    for yaw in candidates:
-        unit = stated_unit(yaw, "angular_rate")
-        if unit is None or yaw.is_constant:
-            continue
-        product = v * yaw.smooth * unit.factor
-        for y in accelerations:
-            found = relation(product, y.smooth)
-            fitting = unit_for(y, "acceleration", found)
-            good = y is not along and found.is_believed and found.explained >= SAME_MOTION
-            if good and fitting and (best is None or found.explained > best[2].explained):
-                best = y, yaw, found, fitting
-    return best
+def _speed_choice(best: _Pair, others: list[_Pair]) -> Choice:
+    text = f"its changes are those of {best.second.path} (correlation "
+    rest = [
+        Alternative({"": source_of(p.first)}, f"{text}{p.relation.correlation:+.2f})")
+        for p in others
+    ]
+    return Choice(
+        "speed", {"": source_of(best.first)}, f"{text}{best.relation.correlation:+.2f})", "",
+        rest[:MAX_ALTERNATIVES],
+    )  # fmt: skip
 
 
-def _sides(reference, candidates, wheels, across) -> tuple[int, str]:  # type: ignore[no-untyped-def]
-    """Sign that makes the yaw rate positive to the left, and what tells it."""
-    if across is None:
-        return 1, ""
-    yaw = across[1]
+def _along(speeds: list[Candidate], accelerations: list[Candidate]) -> list[_Pair]:
+    """Speeds with the acceleration that follows their changes, the clearest first."""
+    pairs = []
+    for v in speeds:
+        own = stated_unit(v, "speed")
+        for a in accelerations:
+            if own is None:
+                continue
+            found = relation(change_of(v.smooth * own.factor), a.smooth)
+            unit = unit_for(a, "acceleration", found, WRONG_SCALE)
+            if unit is not None and _is_clear(found, len(speeds) * len(accelerations)):
+                pairs.append(_Pair(v, a, found, unit))
+    return sorted(pairs, key=lambda p: -p.relation.explained)
+
+
+def _across(v: Array, candidates: Sequence[Candidate], accelerations: list[Candidate]) -> _Pair | None:
+    """The yaw rate and the acceleration that is speed times it; None where there are none."""
+    rates = [(c, stated_unit(c, "angular_rate")) for c in candidates if not c.is_constant]
+    pairs = []
+    for rate, own in rates:
+        for a in accelerations:
+            if own is None:
+                continue
+            found = relation(v * rate.smooth * own.factor, a.smooth)
+            unit = unit_for(a, "acceleration", found)
+            if unit is not None and _is_clear(found, len(rates) * len(accelerations)):
+                pairs.append(_Pair(rate, a, found, unit))
+    return max(pairs, key=lambda p: p.relation.explained, default=None)
+
+
+def _is_clear(found: Relation, comparisons: int) -> bool:
+    return found.is_believed_of(comparisons) and found.explained >= RELATED
+
+
+def _sides(
+    v: Array, candidates: Sequence[Candidate], wheels: Sequence[Candidate] | None, yaw: Candidate
+) -> tuple[int, str]:
+    """Sign that makes a yaw rate positive to the left, and what tells it."""
     if wheels:
         named = [wheel_by_name(c.signal.name) for c in wheels]
         if sorted(n or "" for n in named) == sorted(WHEELS):
             fl, fr, rl, rr = (wheels[named.index(w)].smooth for w in WHEELS)
-            found: Relation = relation(yaw.smooth, fr - fl + rr - rl)
-            if found.is_believed:
-                return found.sign, "the right wheels by name, which are faster in left turns"
+            found = relation(yaw.smooth / v, (fr - fl + rr - rl) / v)
+            if found.is_believed_of(1):
+                return found.sign, "the wheels' names: the right ones are faster in left turns"
     if _LEFT.search(yaw.signal.comment):
         return 1, f"the database's comment on {yaw.path}"
     for c in candidates:
-        if _LEFT.search(c.signal.comment) and (c.states("angle") or c.states("angular_rate")):
-            reference_turn = np.asarray(yaw.smooth)
-            v = reference.speed.speed
-            found = relation(reference_turn, c.smooth * (v if c.states("angle") else 1.0))
-            if found.is_believed and found.explained >= SAME_MOTION and hint("steering_wheel_angle", c):
+        if _LEFT.search(c.signal.comment) and c.states("angle"):
+            found = relation(yaw.smooth, c.smooth * v)
+            if _is_clear(found, 1):
                 return found.sign, f"the database's comment on {c.path}"
     return 1, ""

@@ -101,7 +101,10 @@ class Proposal:
 def source_of(
     candidate: Candidate, unit: str | None = None, sign: int = 1, **others: Any
 ) -> Proposed:
-    """A source that is a database's signal; `unit` only where it is not the stated one."""
+    """A source of a candidate; `unit` only where the database does not state it."""
+    if candidate.raw is not None:
+        others |= {"raw": candidate.raw, "channel": candidate.own_channel}
+        return Proposed(unit=unit or candidate.unit, sign=sign, **others)
     return Proposed(
         signal=candidate.path,
         unit=None if unit is None or unit == candidate.unit else unit,

@@ -30,7 +30,8 @@ DELAYS = range(-6, 16)
 GAIN_TOLERANCE = 1.25
 """Squat, slope and tyres change a gain by so much (measured and simulated vehicles: 0.8 to 1.2)."""
 MOVING = 3.0
-"""Speed from which a curvature is divided by it [m/s]."""
+"""Speed from which turns are compared [m/s]: slower ones may be reversing, where left is right in
+whatever goes with an unsigned speed, and curvature is a division by nearly nothing."""
 LEAST_SPEED_BITS = 7
 
 
@@ -59,6 +60,11 @@ class SpeedFit:
     def change(self) -> Array:
         """(n,) [m/s^2]."""
         return change_of(self.speed)
+
+    @property
+    def moving(self) -> Array:
+        """(n,) the speed where it is above MOVING, else NaN."""
+        return moving(self.speed)
 
 
 @dataclass(eq=False)
@@ -94,8 +100,12 @@ class Reference:
         """(n,) yaw rate over speed [1/m], NaN below MOVING."""
         if self.turn is None or self.speed is None:
             return None
-        v = self.speed.speed
-        return self.turn / np.where(np.abs(v) > MOVING, v, np.nan)
+        return self.turn / self.speed.moving
+
+
+def moving(speed: Array) -> Array:
+    """A speed (n,) [m/s] where it is above MOVING, else NaN."""
+    return np.where(np.abs(speed) > MOVING, speed, np.nan)
 
 
 def change_of(speed: Array) -> Array:

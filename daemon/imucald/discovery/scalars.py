@@ -28,6 +28,8 @@ and not one the cause of the other: more than half."""
 STEERING_METRES = (15.0, 130.0)
 """Wheelbase times steering ratio: from a small car's quick rack (2.4 m x 12, understeer allowed for)
 to a lorry's (6 m x 20) [m]."""
+RELATED = 0.25
+"""The same where the stated unit fits too: half the amplitude is the reference's."""
 MAX_ALTERNATIVES = 3
 
 
@@ -87,8 +89,12 @@ def find_scalar(
     matches = []
     for c in usable:
         found = relation(reference, c.smooth)
-        if found.is_believed and found.explained >= SAME_MOTION:
-            matches.append(Match(c, found, quantity.unit(c, found)))
+        unit = quantity.unit(c, found)
+        stated = unit is not None and unit.is_stated
+        if found.is_believed_of(len(usable)) and found.explained >= (
+            RELATED if stated else SAME_MOTION
+        ):
+            matches.append(Match(c, found, unit))
     matches = _ranked(matches, quantity)
     if not matches:
         return by_unit_and_name(quantity.name, quantity.dimension, usable)

@@ -9,7 +9,7 @@ import numpy as np
 from imucald.discovery.candidates import Array, Candidate
 from imucald.discovery.evidence import choose_unit, factor_of, relation
 from imucald.discovery.proposal import Choice
-from imucald.discovery.reference import MOVING, stated_unit
+from imucald.discovery.reference import stated_unit
 from imucald.discovery.scalars import (
     LATERAL,
     LONGITUDINAL,
@@ -43,7 +43,7 @@ class Turning:
             self._note_steering(steering, free)
         yield yaw_rate
         speed, turn = reference.speed, reference.turn
-        lateral = None if speed is None or turn is None else speed.speed * turn
+        lateral = None if speed is None or turn is None else speed.moving * turn
         change = None if speed is None or not speed.relation.independent else speed.change
         yield find_scalar(LATERAL, lateral, free, reference.sides_from)
         yield find_scalar(LONGITUDINAL, change, free, "speed")
@@ -52,8 +52,7 @@ class Turning:
         """Against the gyroscope; without one, speed times it must be the lateral acceleration."""
         reference = self.reference
         if reference.turn is None and reference.lateral is not None and reference.speed is not None:
-            v = reference.speed.speed
-            turn = reference.lateral / np.where(np.abs(v) > MOVING, v, np.nan)
+            turn = reference.lateral / reference.speed.moving
             choice = find_scalar(YAW_RATE, turn, free, reference.sides_from)
             reference.turn, reference.turn_from = _turn_of(choice, free, turn)
             return choice

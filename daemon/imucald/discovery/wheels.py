@@ -11,7 +11,7 @@ from imucald.discovery.candidates import Array, Candidate
 from imucald.discovery.evidence import Relation, UnitChoice, relation
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Choice, Proposed, source_of
-from imucald.discovery.reference import MOVING, Reference
+from imucald.discovery.reference import Reference, moving
 
 SAME_SPEED = 0.1
 """Part by which the wheels of one vehicle may differ on average: tyres of other sizes make 3 %."""
@@ -96,9 +96,9 @@ def _turning(
         return [Relation()] * 4, [Relation()] * 4
     table = np.column_stack([c.smooth for c in four]) * unit.factor
     mean = table.mean(axis=1)
-    v = np.where(mean > MOVING / 2, mean, np.nan)
+    v = moving(mean)
     bend = (reference.turn / v) ** 2
-    sides = [relation(reference.turn, table[:, i] - mean) for i in range(4)]
+    sides = [relation(reference.turn / v, table[:, i] / v) for i in range(4)]
     ends = [relation(bend, _less_turn(table[:, i] / v - 1.0, reference.turn / v)) for i in range(4)]
     return sides, ends
 
@@ -145,11 +145,12 @@ def _front_first(pair: list[int], ends: list[Relation]) -> tuple[int, int, bool]
 def _track(
     four: Sequence[Candidate], order: Sequence[int], unit: UnitChoice, reference: Reference
 ) -> Relation | None:
-    """Right less left against the yaw rate: its gain is the track."""
+    """Right less left against the yaw rate, over speed: its gain is the track."""
     if reference.turn is None:
         return None
     fl, fr, rl, rr = (four[i].smooth * unit.factor for i in order)
-    return relation(reference.turn, 0.5 * (fr - fl + rr - rl))
+    v = moving(0.25 * (fl + fr + rl + rr))
+    return relation(reference.turn / v, 0.5 * (fr - fl + rr - rl) / v)
 
 
 def _metres(track: Relation | None) -> float | None:

@@ -94,7 +94,7 @@ def _sources(quantity: str, sources: Mapping[str, Proposed], indent: str) -> Ite
 def _flow(value: Any) -> str:
     """A value in YAML's short form."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{k}: {_flow(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{k}: {_of_key(k, v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_flow(v) for v in value) + "]"
     if isinstance(value, str):
@@ -102,6 +102,11 @@ def _flow(value: Any) -> str:
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return str(value)
+
+
+def _of_key(key: str, value: Any) -> str:
+    """A value; identifiers as people write them."""
+    return f"0x{value:03X}" if key == "id" and isinstance(value, int) else _flow(value)
 
 
 def _is_plain(text: str) -> bool:
