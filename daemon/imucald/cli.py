@@ -36,6 +36,7 @@ COMMANDS = {
     "status": "ask a running daemon how it is",
     "monitor": "watch a running daemon",
     "replay": "the same from recorded logs, as fast as it goes",
+    "init": "propose a configuration from a database and a recording or a bus",
     "check": "say what a configuration would decode, from a log or a live bus",
     "simulate": "write a simulated drive as a log, with its truth",
     "diagnose": "say what the simulation gets wrong beside measured drives, and why",
