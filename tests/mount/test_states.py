@@ -53,7 +53,7 @@ def test_a_state_is_left_only_well_beyond_its_limit(state, limit):
 def test_one_reason_per_angle():
     reasons = waiting_for(known(3.0, tilt_deg=1.0, straight=1), SETTINGS)
     assert reasons["yaw"] == (
-        "waiting for acceleration or braking above 1 m/s2 (1 of 3 seen)",
+        "acceleration or braking above 1 m/s2 (1 of 3 seen)",
         Missing.ACCELERATION,
     )
     assert reasons["pitch"][1] == Missing.ACCELERATION
@@ -65,8 +65,11 @@ def test_the_missing_side_of_turns_is_named():
     base = known(3.0, tilt_deg=1.0)
     only_right = MountKnowledge(True, base.std, 5, lefts=0, rights=3)
     only_left = MountKnowledge(True, base.std, 5, lefts=3, rights=0)
-    assert waiting_for(only_right, SETTINGS)["roll"] == ("no left turns yet", Missing.LEFT_TURN)
-    assert waiting_for(only_left, SETTINGS)["roll"] == ("no right turns yet", Missing.RIGHT_TURN)
+    assert waiting_for(only_right, SETTINGS)["roll"] == ("left turns (none yet)", Missing.LEFT_TURN)
+    assert waiting_for(only_left, SETTINGS)["roll"] == (
+        "right turns (none yet)",
+        Missing.RIGHT_TURN,
+    )
 
 
 def test_what_is_absent_comes_first():

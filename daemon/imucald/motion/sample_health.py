@@ -136,8 +136,7 @@ class _Sensor:
                 judge.step(moves, count, *one)
                 for judge, *one in zip(self.stuck, *axes, strict=True)
             ]
-            if due[h]:
-                self.rails.step(rows, h, due[h], moved_hops if moves else -1, self.stuck)
+            self.rails.step(rows, h, due.get(h, ()), moved_hops if moves else -1, self.stuck)
             if True in stuck:
                 faults[SignalFault.STUCK] = "".join(AXES[i] for i, s in enumerate(stuck) if s)
             if self.rails.found:

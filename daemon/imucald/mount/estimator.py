@@ -102,7 +102,7 @@ class FullEstimator:
         self._segment = 0
         self._failures = 0
         self._failed_for = 0
-        self._known = MountKnowledge(accelerometer=False)
+        self._known = MountKnowledge(begun=False, accelerometer=False)
 
     @property
     def correction(self) -> Correction | None:
@@ -352,6 +352,14 @@ class FullEstimator:
             return False
         return self._signals.without_speed or self._contradictions.agreed
 
+    def _why_not_fine(self) -> str:
+        """Why an estimate whose deviations are small enough is not *fine*."""
+        if len(self._shifts) > SHIFTS_ALLOWED:
+            return f"a mount that stays: it moved {len(self._shifts)} times in this drive"
+        if not self._solver.armed:
+            return "more driving, until a moved sensor would be noticed"
+        return "more turns and changes of speed, until the signals are seen to agree"
+
     def _state_by(self, found: MountState) -> MountState:
         """The state to report for the one that the evidence gives."""
         is_good = found in GOOD
@@ -417,10 +425,22 @@ class FullEstimator:
         codes = {name: code for name, (_, code) in reasons.items()}
         for angle, text in self._troubles().items():
             words[angle], codes[angle] = text, Missing.OTHER
+        if self._state is MountState.USABLE and not words:
+            words = dict.fromkeys(ANGLES, self._why_not_fine())
+            codes = dict.fromkeys(ANGLES, Missing.NOTHING)
+        targets = self._settings.targets
         if self._solver.fused is None:
-            return MountEstimate(self._state, waiting_for=words, missing=codes, faults=self.faults)
+            return MountEstimate(
+                self._state,
+                waiting_for=words,
+                missing=codes,
+                faults=self.faults,
+                targets=targets,
+            )
         R, covariance = self._answer()
-        return MountEstimate(self._state, R, covariance, words, codes, self._details(), self.faults)
+        return MountEstimate(
+            self._state, R, covariance, words, codes, self._details(), self.faults, targets
+        )
 
     def _troubles(self) -> dict[str, str]:
         """What more driving does not mend, per angle: contradictions, and a mount that moves."""

@@ -14,6 +14,7 @@ from typing import ClassVar, NamedTuple
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.compact_car import UNDERSTEER
+from imucald.mount.estimate import Targets
 from imucald.mount.priors import (
     ACCEL_SCALE_STD,
     GYRO_MISALIGNMENT_STD,
@@ -71,6 +72,15 @@ class MountSettings:
             given.usable_tilt or own.usable_tilt,
             given.fine_yaw or own.fine_yaw,
             given.fine_tilt or own.fine_tilt,
+        )
+
+    @property
+    def targets(self) -> Targets:
+        """The same about each axis of the vehicle, with the crown that roll cannot be rid of."""
+        limits, crown = self.limits, self.vehicle.crown_std
+        return Targets(
+            (math.hypot(limits.usable_tilt, crown), limits.usable_tilt, limits.usable_yaw),
+            (math.hypot(limits.fine_tilt, crown), limits.fine_tilt, limits.fine_yaw),
         )
 
 

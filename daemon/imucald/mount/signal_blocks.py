@@ -79,14 +79,18 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
     m = len(times)
     low, high = np.maximum(after - 1, 0), np.minimum(after, m - 1)
     right, left = times[high], times[low]
-    hole = np.where(after == 0, right - at, np.where(after == m, at - left, right - left))
-    ends = (after == 0) | (after == m)
-    ok = hole <= np.where(ends, 0.3 * longest, longest)
+    width = right - left
+    ok = width <= longest
+    if after[0] == 0 or after[-1] == m:  # before the first sample, or after the last
+        ends = (after == 0) | (after == m)
+        ok[ends] = np.abs(at - left)[ends] <= 0.3 * longest
     if values.ndim == 1:
         return np.interp(at, times, values), ok
-    width = right - left
-    part = np.where(width > 0.0, (at - left) / np.where(width > 0.0, width, 1.0), 0.0)
-    out: Array = values[low] + part[:, None] * (values[high] - values[low])
+    if width.min() <= 0.0:
+        width[width <= 0.0] = math.inf
+    part = (at - left) / width
+    before = values[low]
+    out: Array = before + part[:, None] * (values[high] - before)
     return out, ok
 
 

@@ -25,7 +25,7 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_spectra import MEASURED, RATE, SPEED_RATE, WINDOW, Measured, spectra
-from imucald.mount.fusion import CommonCovariance, Fused, fuse, probable_scale2
+from imucald.mount.fusion import CommonCovariance, Fused, ProbableScale, fuse
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.past_drives import PastDrives
@@ -101,6 +101,7 @@ class MountSolver:
         self.blocks = 0
         self._certain = CommonCovariance(common_errors(settings))
         self._sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
+        self._cross_axis = ProbableScale(self._sharing, CROSS_AXIS, UNEVEN_TILT)
         if settings.calibration.cross_axis > 0.0:
             self._sharing.scale2 = 0.0  # configured: in the common errors
         else:
@@ -185,8 +186,8 @@ class MountSolver:
 
     def gains(self) -> tuple[float, float]:
         """Mean gains of dv/dt and v r in the low bands."""
-        g = self.response.gains
-        return float(g[0, 2:6].mean()), float(g[1, 2:6].mean())
+        dvdt, lateral = self.response.gains[:2, 2:6].mean(axis=1).tolist()
+        return dvdt, lateral
 
     def _slide(self, p: SignalBlock, lone: Array, turn: Array, r: Array) -> None:
         w, m = self._window, self._mask
@@ -261,9 +262,7 @@ class MountSolver:
                 sources["yaw_dvdt"] = replace(source, variance=source.variance + PRINCIPAL_STD**2)
             self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
             if s.calibration.cross_axis == 0.0:
-                self._sharing.scale2 = probable_scale2(
-                    sources, self._sharing, CROSS_AXIS, UNEVEN_TILT
-                )
+                self._sharing.scale2 = self._cross_axis.squared(sources)
             if self.past_drives is None:
                 fused = fuse(sources, self._sharing, self._certain)
             else:

@@ -26,6 +26,7 @@ class MountKnowledge:
     lefts: int = 0
     rights: int = 0
     stops: int = 0
+    begun: bool = True
     accelerometer: bool = True
     speed: bool = True
     frozen: bool = False
@@ -48,14 +49,17 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
 def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[str, Missing]]:
     """One reason per angle, in words and as a code; no entry where nothing is missing."""
     if not known.accelerometer:
-        text = "waiting for the accelerometer", Missing.ACCELEROMETER
+        text = (
+            ("the accelerometer" if known.begun else "the first 6 s of samples"),
+            Missing.ACCELEROMETER,
+        )
         return {"roll": text, "pitch": text, "yaw": text}
     if known.frozen:
-        text = "learning is frozen: the signals are not to be trusted now", Missing.LEARNING_FROZEN
+        text = "signals that can be trusted: learning is frozen", Missing.LEARNING_FROZEN
         return {"roll": text, "pitch": text, "yaw": text}
     out: dict[str, tuple[str, Missing]] = {}
     if not known.gravity:
-        text = "waiting for a standstill or for driving", Missing.STANDSTILL
+        text = "a standstill, or driving", Missing.STANDSTILL
         out = {"roll": text, "pitch": text}
     if known.std[2] > s.limits.fine_yaw or known.straight < NEEDED:
         out["yaw"] = _yaw_reason(known, s)
@@ -75,34 +79,29 @@ def _hard() -> str:
 def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missing]:
     if not known.speed:
         if known.std[2] > math.radians(100.0):
-            return "waiting for speed, or for acceleration from rest or braking", Missing.SPEED
-        return "no speed: waiting for more straight acceleration and braking", Missing.SPEED
+            return "speed, or acceleration from rest or braking", Missing.SPEED
+        return "more straight acceleration and braking (speed is absent or too rare)", Missing.SPEED
     if known.straight < NEEDED:
-        text = f"waiting for {_hard()} ({known.straight} of {NEEDED} seen)"
+        text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION
     if known.std[2] > s.limits.usable_yaw:
-        return f"waiting for more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
-    return f"waiting for more driving to be fine (+-{_deg(known.std[2])} deg)", Missing.MORE_DRIVING
+        return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
+    return "more driving", Missing.MORE_DRIVING
 
 
 def _roll_reason(known: MountKnowledge) -> tuple[str, Missing]:
     if known.lefts == 0 and known.rights == 0:
-        return "no turns yet", Missing.TURNS
+        return "turns (none yet)", Missing.TURNS
     if known.lefts == 0:
-        return "no left turns yet", Missing.LEFT_TURN
+        return "left turns (none yet)", Missing.LEFT_TURN
     if known.rights == 0:
-        return "no right turns yet", Missing.RIGHT_TURN
+        return "right turns (none yet)", Missing.RIGHT_TURN
     seen = f"{known.lefts} left, {known.rights} right seen"
-    return f"waiting for more turns ({seen}, +-{_deg(known.std[0])} deg)", Missing.TURNS
+    return f"more turns ({seen})", Missing.TURNS
 
 
 def _pitch_reason(known: MountKnowledge) -> tuple[str, Missing]:
     if known.straight < NEEDED:
-        text = f"waiting for {_hard()} ({known.straight} of {NEEDED} seen)"
+        text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION
-    text = f"waiting for more driving, slope averages out (+-{_deg(known.std[1])} deg)"
-    return text, Missing.MORE_DRIVING
-
-
-def _deg(angle: float) -> str:
-    return f"{math.degrees(angle):.1f}"
+    return "more driving: slope averages out", Missing.MORE_DRIVING

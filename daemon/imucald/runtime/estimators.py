@@ -10,7 +10,6 @@ from imucald.config import Config
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
 
 if TYPE_CHECKING:
@@ -30,6 +29,8 @@ def estimator_for(
     stated: keys of `vehicle` that stand in the file, which no model overrules.
     """
     if config.calibration.estimator == "published":
+        from imucald.mount.method_a.estimator import PublishedEstimator  # noqa: PLC0415 - few use it
+
         published = published_settings(config)
         if compensation is not None:
             published = compensation.published_settings(published, stated)

@@ -23,7 +23,7 @@ from imucald.can.logs.candump_block import CandumpBlock, Hits
 from imucald.can.logs.candump_line import MAX_LINE_BYTES, REASONS, Line, parse_line, shown
 from imucald.can.logs.candump_shape import Layout, Shape
 from imucald.can.logs.log_format import ReadStatistics
-from imucald.can.logs.text_blocks import TextBlocks, open_source
+from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
 from imucald.core.errors import LogError
 
 PADDING: Final = 512
@@ -172,12 +172,16 @@ class CandumpReader:
         self._statistics = statistics
         self._parser = CandumpParser(filters, channels, statistics)
 
-    def read(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+    def read(
+        self, path: Path | str | OpenLog, report: Callable[[int], None]
+    ) -> Iterator[FrameColumns]:
         """Yield the wanted frames of one file in chunks, as `LogFormat.read` says."""
         _keep_freed_memory()
         return _gathered(self._blocks(path, report))
 
-    def _blocks(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+    def _blocks(
+        self, path: Path | str | OpenLog, report: Callable[[int], None]
+    ) -> Iterator[FrameColumns]:
         parser = self._parser
         name, lines = str(path), 0
         with open_source(path) as source:

@@ -14,6 +14,7 @@ from typing import ClassVar, Final, Protocol
 
 from imucald.can.columns import Channels, FrameColumns
 from imucald.can.id_filter import IdFilters
+from imucald.can.logs.text_blocks import OpenLog
 from imucald.core.errors import LogError
 
 MAX_PROBLEMS: Final = 20
@@ -62,7 +63,9 @@ class LogFormat(Protocol):
         self, filters: IdFilters, channels: Channels, statistics: ReadStatistics
     ) -> None: ...
 
-    def read(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+    def read(
+        self, path: Path | str | OpenLog, report: Callable[[int], None]
+    ) -> Iterator[FrameColumns]:
         """Yield a file's wanted frames, empty chunks among them; `report` gets the bytes read.
 
         Raises LogError for a file that is no log at all; what is bad in one goes to statistics.

@@ -20,7 +20,7 @@ from imucald.can.columns import CAN_EFF_FLAG, Channels, FrameColumns, IdMatch
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.can.logs.log_format import LogFormat, ReadStatistics
-from imucald.can.logs.text_blocks import STDIN
+from imucald.can.logs.text_blocks import STDIN, OpenLog
 
 __all__ = ["CAN_EFF_FLAG", "CandumpWriter", "FrameColumns", "IdMatch", "LogReader"]
 
@@ -54,7 +54,7 @@ class LogReader:
 
     def __init__(
         self,
-        paths: Sequence[Path | str],
+        paths: Sequence[Path | str | OpenLog],
         keep: Sequence[IdMatch] | None = None,
         strict: bool = False,
         progress: Progress | None = None,
@@ -112,20 +112,22 @@ class LogReader:
             self._progress(self._bytes_before + bytes_of_file, self._bytes_total)
 
 
-def _ending(path: Path | str) -> str:
+def _ending(path: Path | str | OpenLog) -> str:
     """The ending of a file's name, before ``.gz``, in small letters."""
-    name = Path(path)
+    name = Path(str(path))
     return Path(name.stem if name.suffix.lower() == ".gz" else name.name).suffix.lower()
 
 
-def _file_bytes(path: Path | str) -> int:
+def _file_bytes(path: Path | str | OpenLog) -> int:
+    if isinstance(path, OpenLog) or str(path) == STDIN:
+        return 0
     try:
-        return 0 if str(path) == STDIN else os.stat(path).st_size  # noqa: PTH116
+        return os.stat(path).st_size  # noqa: PTH116
     except OSError:
         return 0
 
 
-def _total_bytes(paths: Sequence[Path | str]) -> int | None:
-    if any(str(path) == STDIN for path in paths):
+def _total_bytes(paths: Sequence[Path | str | OpenLog]) -> int | None:
+    if any(isinstance(path, OpenLog) or str(path) == STDIN for path in paths):
         return None
     return sum(_file_bytes(path) for path in paths)

@@ -150,6 +150,7 @@ class PublishedEstimator:
                 "sign_votes": dict(self._sign.votes.counts),
                 "yaw_rate_source": self._yaw_source.source,
             },
+            targets=s.targets,
         )
 
     # What a tick brings.

@@ -8,8 +8,8 @@ from typing import Any
 
 from imucald.can.columns import CAN_EFF_MASK
 from imucald.can.dbc.message import Signal
-from imucald.check.statistics import Probe, SignalStatistics
 from imucald.config import LoadedConfig
+from imucald.config_check.statistics import Probe, SignalStatistics
 from imucald.inputs.routes import MessageRoute
 from imucald.inputs.wanted_numbers import Wanted, wanted_numbers
 

@@ -17,14 +17,14 @@ from imucald.can.columns import (
     IdMatch,
 )
 from imucald.can.link.link import Frame
-from imucald.check.decoding import Decoding
-from imucald.check.finding import Finding
-from imucald.check.health import health_findings
-from imucald.check.judgement import judge
-from imucald.check.motion import Motion, TickMeans
-from imucald.check.source import id_text, message_row, quantity_row, sources
-from imucald.check.statistics import Probe
 from imucald.config import LoadedConfig
+from imucald.config_check.decoding import Decoding
+from imucald.config_check.finding import Finding
+from imucald.config_check.health import health_findings
+from imucald.config_check.judgement import judge
+from imucald.config_check.motion import Motion, TickMeans
+from imucald.config_check.source import id_text, message_row, quantity_row, sources
+from imucald.config_check.statistics import Probe
 from imucald.inputs.wiring import compile_router
 from imucald.motion.sample_health import SampleHealth
 from imucald.motion.ticks import tick_index

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from imucald.check.finding import Finding
-from imucald.check.source import configured_name
+from imucald.config_check.finding import Finding
+from imucald.config_check.source import configured_name
 from imucald.motion.sample_health import FaultEvent
 from imucald.motion.signal_health import SignalFault
 

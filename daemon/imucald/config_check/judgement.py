@@ -12,14 +12,14 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from imucald.check.axes import (
+from imucald.config_check.axes import (
     MIN_BRAKING,
     OTHER_UNIT,
     axes_findings,
     best_response,
     speed_findings,
 )
-from imucald.check.finding import (
+from imucald.config_check.finding import (
     CLEAR,
     MIN_TICKS,
     Array,
@@ -29,8 +29,8 @@ from imucald.check.finding import (
     is_wrong,
     spread,
 )
-from imucald.check.motion import Motion, smooth
-from imucald.check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
+from imucald.config_check.motion import Motion, smooth
+from imucald.config_check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
 from imucald.core.samples import GRAVITY
 
 REST_WRONG, REST_ODD = 0.25, 0.03

@@ -6,7 +6,15 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from imucald.check.finding import CLEAR, Array, Finding, gain_between, gain_guess, is_wrong, spread
+from imucald.config_check.finding import (
+    CLEAR,
+    Array,
+    Finding,
+    gain_between,
+    gain_guess,
+    is_wrong,
+    spread,
+)
 
 MIN_TURNING = 0.008
 """Least standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""

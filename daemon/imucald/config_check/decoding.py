@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from imucald.can.columns import CAN_EFF_FLAG, IdMatch
-from imucald.check.finding import Finding
-from imucald.check.source import QuantitySource, configured_name, id_text, stated_cycle
-from imucald.check.statistics import Probe
 from imucald.config import LoadedConfig
+from imucald.config_check.finding import Finding
+from imucald.config_check.source import QuantitySource, configured_name, id_text, stated_cycle
+from imucald.config_check.statistics import Probe
 
 CYCLE_TOLERANCE = 1.5
 """A cycle is reported when it is so many times longer or shorter than the database states."""

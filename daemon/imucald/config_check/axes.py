@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.check.finding import (
+from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
+from imucald.config_check.finding import (
     CLEAR,
     MIN_TICKS,
     WRONG_GAIN,
@@ -18,9 +19,8 @@ from imucald.check.finding import (
     gain_guess,
     spread,
 )
-from imucald.check.motion import Motion, shifted, smooth
-from imucald.check.yaw_rate_check import MIN_TURNING
-from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
+from imucald.config_check.motion import Motion, shifted, smooth
+from imucald.config_check.yaw_rate_check import MIN_TURNING
 from imucald.motion.ticks import TICK_S
 
 MIN_BRAKING = 0.25

@@ -6,7 +6,7 @@ do.
 
 from __future__ import annotations
 
-from imucald.check.checker import EVERY_FRAME, Check, columns_of
-from imucald.check.finding import Finding
+from imucald.config_check.checker import EVERY_FRAME, Check, columns_of
+from imucald.config_check.finding import Finding
 
 __all__ = ["EVERY_FRAME", "Check", "Finding", "columns_of"]
