@@ -18,13 +18,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from imucald.check import Check
-
 from benchmarks.init.judge import Quantities, Verdict, judge, quantities_of
 from benchmarks.init.obfuscated import write_bus
 from benchmarks.measured import DATA, EXAMPLES, FOLDER, verdict
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
+from imucald.check import Check
 from imucald.discovery import Recording, as_yaml, discover
 from imucald.discovery.candidates import candidates_of, messages_in
 from imucald.runtime.replay import Replay
@@ -148,7 +147,7 @@ def _run(case: Case) -> tuple[Verdict, str, str]:
 
 def _quantities(case: Case, signals: Mapping[str, Any]) -> Quantities:
     path = FOLDER / "init" / f"also-{case.name}.yaml"
-    axes = dict.fromkeys("xyz", "X.Y")
+    axes = {a: "X.Y" for a in "xyz"}
     whole = {"database": str(case.database), "signals": {**signals}}
     if "accelerometer" not in signals:
         hand = quantities_of(case.right)[0]["accelerometer"]
