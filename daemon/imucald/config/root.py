@@ -99,6 +99,14 @@ class LoadedConfig:
         places = (place for place in self._marks if len(place) == 2 and place[0] == section)
         return frozenset(str(place[1]) for place in places)
 
+    def with_model(self, path: Path) -> LoadedConfig:
+        """The same configuration with its model file at another place."""
+        if self.config.model is None:
+            raise self.error(("model",), "there is none to be put at another place")
+        model = msgspec.structs.replace(self.config.model, path=str(path.resolve()))
+        config = msgspec.structs.replace(self.config, model=model)
+        return LoadedConfig(config, self.path, self._marks)
+
     def idle_keys(self) -> list[str]:
         """A line for each key of the file that has no effect, with its place and the reason."""
         return [
