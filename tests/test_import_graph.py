@@ -29,11 +29,14 @@ ONLY = {
 
 IO_ROOMS = {"can", "commands", "inputs", "runtime", "service", "uds"}
 NEVER = {
+    "api": {"commands", "report", "service", "uds"},
     "attitude": IO_ROOMS,
-    "diagnosis": {"commands"},
+    "config_check": {"api", "commands"},
+    "diagnosis": {"api", "commands"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
-    "runtime": {"commands", "service"},
+    "runtime": {"api", "commands", "service"},
+    "service": {"api", "commands"},
     "simulation": IO_ROOMS,
     "travel_direction": IO_ROOMS,
     "uds": {"runtime", "service"},
@@ -59,7 +62,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "4 ms, 0.3 MiB",
     "runtime.session._consumers: runtime.consumers": "7 ms, 0.6 MiB: few switch one on",
-    "runtime.session.open_compensation: compensation": "11 ms, 3.9 MiB: few have a model file",
+    "runtime.session.open_compensation: model_compensation": "11 ms, 3.9 MiB: few have one",
     "service.service._new_uds: service.uds_on_bus": "14 ms, 4.7 MiB: few have UDS",
 }
 """Modules of ours that a function may import, with what a start without them saves: the daemon is

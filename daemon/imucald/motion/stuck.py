@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
-from imucald.motion.rest_thresholds import DRIVING_SPEED, ROLLING_SPEED
+from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
 Array = NDArray[np.float64]

@@ -43,9 +43,6 @@ long (AASHTO, sag and crest curves for 2 to 4 % of change)."""
 
 # The vehicle.
 
-UNDERSTEER = 0.0025
-"""K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]: 1.4 deg/g, a passenger car
-(Gillespie, Fundamentals of Vehicle Dynamics, ch. 6: some 1 to 4 deg/g)."""
 PITCHING_STD = 0.0014
 """Pitch that squat and dive leave in dv/dt [rad]. Their gradients differ, as anti-dive and
 anti-squat geometry do, by some tenths of their size of 1 to 2 deg/g (0.002 to 0.004 rad/(m/s^2));
