@@ -13,7 +13,6 @@ from imucald.commands.options import LOG_HELP
 
 if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
-    from imucald.can.link.link import Frame
     from imucald.discovery import Recording
 
 LISTEN_S = 120.0
