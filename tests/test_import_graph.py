@@ -40,7 +40,17 @@ NEVER = {
 }
 """Rooms that never reach these rooms, directly or through others."""
 
-LAZY_LIBRARIES = {"asammdf", "can", "isotp", "jinja2", "matplotlib", "rich", "scipy", "yaml"}
+LAZY_LIBRARIES = {
+    "aiohttp",
+    "asammdf",
+    "can",
+    "isotp",
+    "jinja2",
+    "matplotlib",
+    "rich",
+    "scipy",
+    "yaml",
+}
 """Large libraries, which a function may import when it needs them."""
 
 LAZY_ROOMS = {"commands"}

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
 from imucald.can.python_can import can
@@ -41,7 +42,9 @@ class SimulatedBus:
     """
 
     def __init__(self, drive: Drive, interface: str, channel: str, speed: float) -> None:
-        options = {"preserve_timestamps": True} if interface == "virtual" else {}
+        options: dict[str, Any] = {}
+        if interface == "virtual":
+            options["preserve_timestamps"] = True
         try:
             self._bus = can.Bus(interface=interface, channel=channel, **options)
         except (can.CanError, OSError, ValueError, ImportError) as error:

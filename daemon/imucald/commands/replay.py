@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
         from imucald.commands.replay_report import ReplayReport
 
         page = ReplayReport(loaded, options)
-    engine = make_engine(loaded, page and page.history.snapshot)
+    engine = make_engine(loaded, None if page is None else page.history.snapshot)
     with progress_bar("replay", options.quiet) as progress, _sink(options, loaded) as sink:
         new_reader = LogReader if page is None else page.reader
         reader = new_reader(options.logs, engine.router.matches, options.strict, progress)
