@@ -12,8 +12,8 @@ from imucald.commands.options import LOG_HELP, add_bus, add_config
 
 if TYPE_CHECKING:
     from imucald.can.link.link import Frame
-    from imucald.check import Check
     from imucald.config import LoadedConfig
+    from imucald.config_check import Check
 
 LISTEN_S = 10.0
 
@@ -44,8 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Look, then tell."""
-    from imucald.check import Check
     from imucald.commands.files import check_files
+    from imucald.config_check import Check
     from imucald.core.errors import ConfigError
     from imucald.runtime.session import open_config
 
@@ -87,8 +87,8 @@ def _read(check: Check, logs: list[str]) -> None:
 
 
 def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> None:
-    from imucald.check import EVERY_FRAME
     from imucald.commands.terminal import countdown
+    from imucald.config_check import EVERY_FRAME
     from imucald.service.live import open_link
 
     link = open_link(loaded, EVERY_FRAME, frozenset(), options.interface, options.channel)
@@ -106,6 +106,6 @@ def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> 
 
 def _feed(check: Check, frames: list[Frame], channel: str) -> None:
     if frames:
-        from imucald.check import columns_of
+        from imucald.config_check import columns_of
 
         check.feed(columns_of(frames, channel))

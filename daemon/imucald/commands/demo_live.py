@@ -98,7 +98,7 @@ def run_live(
         bus.close()
     R = drive.truth.R_vehicle_from_sensor(drive.duration_s)
     roll, pitch, yaw = (a * DEG_PER_RAD for a in angles_from_rotation(R))
-    print(f"The truth: roll {roll:+.2f}°, pitch {pitch:+.2f}°, yaw {yaw:+.2f}°; {sits_words(R)}.")
+    print(f"\nThe truth: roll {roll:+.2f}°, pitch {pitch:+.2f}°, yaw {yaw:+.2f}°; {sits_words(R)}.")
 
 
 @contextmanager

@@ -79,7 +79,9 @@ def run(options: argparse.Namespace) -> int:
         result = Replay(engine, reader, taker, options.speed).run()
     for text in reader.problems:
         print(f"imucald: {text}", file=sys.stderr)
-    for text in engine.stages.notes if engine.stages is not None and not options.quiet else ():
+    for text in (
+        engine.preprocessing.notes if engine.preprocessing is not None and not options.quiet else ()
+    ):
         print(f"imucald: not used of the model: {text}", file=sys.stderr)
     if options.json:
         write_text(options.json, as_json(result))

@@ -27,7 +27,7 @@ from imucald.mount.priors import (
 class DelayPrior:
     """Lateness of a vehicle signal against the accelerometer, before data speak [s].
 
-    Positive: the signal arrives late. Sought within mean +- 4 std (at most -0.5 .. 1.2 s).
+    Positive: the signal arrives late. Sought within mean +- 4 std, and what can be configured.
     """
 
     mean: float = 0.1

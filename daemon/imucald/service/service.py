@@ -425,10 +425,10 @@ class Service:
 
     def _tell_model(self) -> None:
         """Say what of the model file is used, and what is not."""
-        stages = self.engine.stages
-        if stages is not None:
-            self.journal.say(stages.words())
-            for note in stages.notes:
+        preprocessing = self.engine.preprocessing
+        if preprocessing is not None:
+            self.journal.say(preprocessing.words())
+            for note in preprocessing.notes:
                 self.journal.say(f"not used of the model: {note}", NOTICE)
 
     def _link_health(self) -> LinkHealth:

@@ -1,4 +1,4 @@
-"""States of the published solver with their hysteresis, and what each angle still waits for."""
+"""States of method A with their hysteresis, and what each angle still waits for."""
 
 from __future__ import annotations
 
