@@ -189,8 +189,7 @@ def _kind(c: Candidate, dimension: str) -> tuple[object, ...]:
     """What the axes of one sensor have in common."""
     if c.states(dimension):
         return (c.unit,)
-    s = c.signal
-    return "", s.length, s.scale, s.offset, s.is_signed, s.byte_order
+    return "", c.signal.length, c.signal.scale
 
 
 def _without_overlap(found: list[Triad]) -> list[Triad]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -18,8 +18,12 @@ SAME_SPEED = 0.1
 SIDE_BY_SIDE = 0.98
 """Correlation of wheel speeds in a drive: they differ in bends and by slip only."""
 MIN_BITS = 7
+HALF_SQUARE = (1.5, 12.0)
+"""Half the square of a wheelbase [m^2]: 2 m to 5 m, some of it hidden by side-slip."""
 MANY = 24
 """Signals of one kind beyond which only messages with four of them are looked at."""
+
+_Ends = Callable[[int, int], Relation]
 
 
 def wheel_sets(candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, ...]]:
@@ -64,7 +68,7 @@ def find_wheels(
     """
     named = [wheel_by_name(c.signal.name) for c in four]
     by_name = sorted(n or "" for n in named) == sorted(WHEELS)
-    sides, ends = _turning(four, unit, reference)
+    sides, further = _turning(four, unit, reference)
     if by_name:
         order = [named.index(w) for w in WHEELS]
         track = _track(four, order, unit, reference)
@@ -74,7 +78,7 @@ def find_wheels(
             if track.sign < 0:
                 doubt = "by the data left and right are exchanged"
         return _choice(four, order, unit, text, doubt), _metres(track)
-    order, text, unsure = _by_turns(four, sides, ends)
+    order, text, unsure = _by_turns(four, sides, further)
     track = _track(four, order, unit, reference)
     return _choice(four, order, unit, text, doubt or unsure), _metres(track)
 
@@ -90,38 +94,44 @@ def _choice(
 
 def _turning(
     four: Sequence[Candidate], unit: UnitChoice, reference: Reference
-) -> tuple[list[Relation], list[Relation]]:
-    """Of each wheel against their mean: with the yaw rate, and with the curvature's square."""
+) -> tuple[list[Relation], _Ends]:
+    """Of each wheel, how it goes with the curvature; of two, which is further out in bends."""
     if reference.turn is None:
-        return [Relation()] * 4, [Relation()] * 4
+        return [Relation()] * 4, lambda a, b: Relation()
     table = np.column_stack([c.smooth for c in four]) * unit.factor
-    mean = table.mean(axis=1)
-    v = moving(mean)
-    bend = (reference.turn / v) ** 2
-    sides = [relation(reference.turn / v, table[:, i] / v) for i in range(4)]
-    ends = [relation(bend, _less_turn(table[:, i] / v - 1.0, reference.turn / v)) for i in range(4)]
-    return sides, ends
+    v = moving(table.mean(axis=1))
+    curvature = reference.turn / v
+    sides = [relation(curvature, table[:, i] / v) for i in range(4)]
+    drive = np.zeros(len(v)) if reference.speed is None else reference.speed.change
+    known = np.column_stack([np.ones(len(v)), curvature, drive, v])
+
+    def further(a: int, b: int) -> Relation:
+        """The first wheel's speed less the second's, against the curvature's square."""
+        return relation(_rest(curvature**2, known), _rest((table[:, a] - table[:, b]) / v, known))
+
+    return sides, further
 
 
-def _less_turn(part: Array, curvature: Array) -> Array:
-    """What is left of a wheel's relative speed when its side is taken out."""
-    rows = np.isfinite(part) & np.isfinite(curvature)
-    if not rows.any() or not (curvature[rows] ** 2).sum() > 0.0:
-        return part
-    slope = float(curvature[rows] @ part[rows] / (curvature[rows] @ curvature[rows]))
-    return np.asarray(part - slope * curvature)
+def _rest(x: Array, known: Array) -> Array:
+    """What (n, k) known signals leave of x: side, slip with acceleration, size of the tyre."""
+    rows = np.isfinite(x) & np.isfinite(known).all(axis=1)
+    left = np.full(len(x), np.nan)
+    if rows.any():
+        solution, *_ = np.linalg.lstsq(known[rows], x[rows], rcond=None)
+        left[rows] = x[rows] - known[rows] @ solution
+    return left
 
 
 def _by_turns(
-    four: Sequence[Candidate], sides: list[Relation], ends: list[Relation]
+    four: Sequence[Candidate], sides: list[Relation], further: _Ends
 ) -> tuple[list[int], str, str]:
     """Order front left, front right, rear left, rear right; evidence; doubt."""
     right = [i for i in range(4) if sides[i].sign > 0]
     left = [i for i in range(4) if i not in right]
     if len(right) != 2 or not all(s.is_believed for s in sides):
         return [0, 1, 2, 3], "in the order of their places", "which is which wheel is not known"
-    front_left, rear_left, sure_left = _front_first(left, ends)
-    front_right, rear_right, sure_right = _front_first(right, ends)
+    front_left, rear_left, sure_left = _front_first(left, further)
+    front_right, rear_right, sure_right = _front_first(right, further)
     same_rows = (front_left < rear_left) == (front_right < rear_right)
     text = "left and right by the yaw rate"
     order = [front_left, front_right, rear_left, rear_right]
@@ -133,13 +143,16 @@ def _by_turns(
     return order, text, "which are the front ones is taken from their places"
 
 
-def _front_first(pair: list[int], ends: list[Relation]) -> tuple[int, int, bool]:
-    """The wheel that goes further in bends first, and whether that is sure."""
+def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:
+    """The wheel that goes further in bends first, and whether that is sure.
+
+    A front wheel's way is longer by half the square of wheelbase times curvature.
+    """
     a, b = pair
-    first, second = ends[a], ends[b]
-    za, zb = first.sign * first.z, second.sign * second.z
-    front, rear = (a, b) if za > zb else (b, a)
-    return front, rear, abs(za - zb) > 4.0
+    found = further(a, b)
+    low, high = HALF_SQUARE
+    sure = found.is_believed_of(2) and low < found.low < high
+    return (b, a, sure) if found.sign < 0 else (a, b, sure)
 
 
 def _track(
