@@ -15,7 +15,10 @@ from imucald.discovery.candidates import (
 from imucald.discovery.flags import find_brake, find_reverse, find_temperature
 from imucald.discovery.proposal import Choice, Proposal
 from imucald.discovery.protection_search import find_protection
+from imucald.discovery.raw_fields import raw_fields
+from imucald.discovery.raw_search import raw_choices
 from imucald.discovery.recording import Recording, Traffic
+from imucald.discovery.reference import Reference
 from imucald.discovery.scalars import find_heading
 from imucald.discovery.sensors import Sensors
 from imucald.discovery.turning import Turning
@@ -38,7 +41,11 @@ def discover(databases: Mapping[str, Database], recording: Recording) -> Proposa
     proposal.channels = channels
     candidates = [c for one in messages.values() for c in candidates_of(one, ticks)]
     candidates += obd_speeds(traffic, ticks)
-    proposal.choices = choices_from(candidates, proposal)
+    proposal.choices, reference = choices_from(candidates, proposal)
+    wanted = {"speed", "steering_wheel_angle"} - {c.quantity for c in proposal.choices}
+    if wanted:
+        known = {one.can_id for one in traffic if _is_described(databases, one)}
+        proposal.choices += raw_choices(list(raw_fields(traffic, known, ticks)), reference, wanted)
     for name in used_messages(proposal.choices):
         if name in messages:
             found = find_protection(messages[name])
@@ -47,8 +54,10 @@ def discover(databases: Mapping[str, Database], recording: Recording) -> Proposa
     return proposal
 
 
-def choices_from(candidates: Sequence[Candidate], proposal: Proposal) -> list[Choice]:
-    """Every quantity that the candidates hold."""
+def choices_from(
+    candidates: Sequence[Candidate], proposal: Proposal
+) -> tuple[list[Choice], Reference]:
+    """Every quantity that the candidates hold, and the motion that they were held against."""
     sensors = Sensors(candidates)
     turning = Turning(sensors)
     reference = sensors.reference
@@ -62,7 +71,7 @@ def choices_from(candidates: Sequence[Candidate], proposal: Proposal) -> list[Ch
         find_heading(reference, free),
     ]
     proposal.vehicle += turning.vehicle
-    return [c for c in found if c is not None]
+    return [c for c in found if c is not None], reference
 
 
 def used_messages(choices: Sequence[Choice]) -> list[str]:
@@ -74,6 +83,15 @@ def used_messages(choices: Sequence[Choice]) -> list[str]:
         if source.signal
     )
     return list(dict.fromkeys(names))
+
+
+def _is_described(databases: Mapping[str, Database], one: Traffic) -> bool:
+    """Whether a database has a message with signals of this identifier."""
+    return any(
+        message.signals and not message.unsupported and message.can_id == one.can_id
+        for database in databases.values()
+        for message in database.messages.values()
+    )
 
 
 def _channel_of(database: Database, traffic: Sequence[Traffic]) -> str | None:

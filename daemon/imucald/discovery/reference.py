@@ -133,7 +133,26 @@ def speed_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def speed_against_accelerometer(c: Candidate, triad: Triad, up: Array) -> SpeedFit | None:
-    """How the changes of a speed show in a level plane of the accelerometer; None: not at all."""
+    """How the changes of a speed show in the accelerometer, and in which unit; None: not at all."""
+    found = response(c, triad, up)
+    if found is None:
+        return None
+    shown, delay, forward = found
+    low, high = shown.low / GAIN_TOLERANCE, shown.high * GAIN_TOLERANCE
+    unit = choose_unit(c.unit, "speed", low, high)
+    if unit is None:
+        unit = stated_unit(c, "speed")
+        if unit is None:
+            return None
+        shown = Relation()  # a stated unit that contradicts the data: not believed
+    return SpeedFit(c, unit, shown, delay, forward)
+
+
+def response(c: Candidate, triad: Triad, up: Array) -> tuple[Relation, int, Array] | None:
+    """Acceleration in a level plane [m/s^2] for one of a speed's unit per second.
+
+    Returns the relation, the delay of the speed [ticks], and forward (3,); None: hardly any.
+    """
     level = level_axes(up)
     accel = triad.smooth @ level.T
     change = change_of(c.smooth)
@@ -153,16 +172,7 @@ def speed_against_accelerometer(c: Candidate, triad: Triad, up: Array) -> SpeedF
     size = float(np.linalg.norm(along))
     if not size > 0.0:
         return None
-    forward = (along / size) @ level
-    found = relation(moved, accel @ (along / size))
-    low, high = found.low / GAIN_TOLERANCE, found.high * GAIN_TOLERANCE
-    unit = choose_unit(c.unit, "speed", low, high)
-    if unit is None:
-        unit = stated_unit(c, "speed")
-        if unit is None:
-            return None
-        found = Relation()  # a stated unit that contradicts the data: not believed
-    return SpeedFit(c, unit, found, at, forward)
+    return relation(moved, accel @ (along / size)), at, (along / size) @ level
 
 
 def stated_unit(c: Candidate, dimension: str) -> UnitChoice | None:

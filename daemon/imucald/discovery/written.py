@@ -63,14 +63,18 @@ def _databases(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     for path in databases:
         channel = proposal.channels.get(path)
         entries.append(path if channel is None else {"path": path, "channel": channel})
-    yield f"database: {_flow(entries[0] if len(entries) == 1 else entries)}"
+    if entries:
+        yield f"database: {_flow(entries[0] if len(entries) == 1 else entries)}"
+    else:
+        yield "# database: car.dbc # required; an empty .dbc does where every source is raw"
 
 
 def _choice(choice: Choice) -> Iterator[str]:
     yield from _comment(choice.evidence, "  ")
     if choice.doubt:
         yield from _comment(f"unsure: {choice.doubt}", "  ")
-    yield from _sources(choice.quantity, choice.sources, "  ")
+    if choice.sources:
+        yield from _sources(choice.quantity, choice.sources, "  ")
     for other in choice.alternatives:
         yield from _alternative(choice.quantity, other)
 
