@@ -31,6 +31,7 @@ IO_ROOMS = {"can", "commands", "inputs", "runtime", "service", "uds"}
 NEVER = {
     "attitude": IO_ROOMS,
     "diagnosis": {"commands"},
+    "discovery": {"commands", "service", "uds"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
     "runtime": {"commands", "service"},

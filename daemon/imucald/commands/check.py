@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import LOG_HELP, add_bus, add_config
 
 if TYPE_CHECKING:
-    from imucald.can.link.link import Frame
     from imucald.check import Check
     from imucald.config import LoadedConfig
 
@@ -88,24 +86,8 @@ def _read(check: Check, logs: list[str]) -> None:
 
 def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> None:
     from imucald.check import EVERY_FRAME
-    from imucald.commands.terminal import countdown
+    from imucald.commands.listening import listen
     from imucald.service.live import open_link
 
     link = open_link(loaded, EVERY_FRAME, frozenset(), options.interface, options.channel)
-    with link, countdown(f"listening on {link.channel}", options.seconds) as tick:
-        began = time.monotonic()
-        waiting: list[Frame] = []
-        while (passed := time.monotonic() - began) < options.seconds:
-            waiting += link.receive(min(0.1, options.seconds - passed))
-            if len(waiting) >= 10_000:
-                _feed(check, waiting, link.channel)
-                waiting = []
-            tick(passed)
-        _feed(check, waiting, link.channel)
-
-
-def _feed(check: Check, frames: list[Frame], channel: str) -> None:
-    if frames:
-        from imucald.check import columns_of
-
-        check.feed(columns_of(frames, channel))
+    listen(link, options.seconds, check.feed)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
 from imucald.can.dbc.message import Message, Signal
 from imucald.check.motion import bridged, smooth
-from imucald.discovery.candidates import Candidate
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.recording import Traffic
 from imucald.motion.ticks import TICK_RATE
 
@@ -30,7 +30,7 @@ MAX_MASKED = 5
 MAX_STEP_S = 1.0
 
 
-def raw_fields(traffic: Sequence[Traffic], known: set[int], ticks: int) -> Iterator[Candidate]:
+def raw_fields(traffic: Sequence[Traffic], known: set[int], ticks: int) -> Iterator[SeenSignal]:
     """Every field of identifiers that are not `known`, wide ones before narrow ones."""
     several = len({one.channel for one in traffic}) > 1
     for one in traffic:
@@ -55,9 +55,7 @@ def raw_fields(traffic: Sequence[Traffic], known: set[int], ticks: int) -> Itera
                     yield found
 
 
-def _field(
-    one: Traffic, places: tuple[int, ...], ticks: int, several: bool
-) -> Candidate | None:
+def _field(one: Traffic, places: tuple[int, ...], ticks: int, several: bool) -> SeenSignal | None:
     data = one.data.astype(np.int64)
     if len(places) == 2 and len(np.unique(data[:, places[1]])) < MIN_LEVELS:
         return None  # nothing in the low byte: one byte is all there is
@@ -91,7 +89,7 @@ def _is_smooth(t: NDArray[np.float64], values: NDArray[np.int64]) -> bool:
 def _candidate(
     one: Traffic, places: tuple[int, ...], mask: int, values: NDArray[np.float64], ticks: int,
     several: bool,
-) -> Candidate:  # fmt: skip
+) -> SeenSignal:  # fmt: skip
     index = np.minimum((one.t * TICK_RATE).astype(np.int64), ticks - 1)
     count = np.bincount(index, minlength=ticks)
     rows = np.flatnonzero(count)
@@ -104,7 +102,7 @@ def _candidate(
     raw = {"id": number, "value": value}
     if one.can_id & CAN_EFF_FLAG and number < 0x800:
         raw["extended"] = True
-    return Candidate(
+    return SeenSignal(
         message=Message(f"0x{number:X}", one.can_id, 8, {signal.name: signal}),
         signal=signal,
         channel=one.channel,

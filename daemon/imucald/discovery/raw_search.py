@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import Relation, relation
 from imucald.discovery.proposal import Alternative, Choice, Proposed
-from imucald.discovery.reference import Reference, response
+from imucald.discovery.reference import KnownMotion, response
 from imucald.discovery.scalars import SAME_MOTION
 
 ROLL_TOGETHER = 0.995
@@ -32,7 +32,7 @@ MAX_OFFERS = 3
 
 
 def raw_choices(
-    fields: Sequence[Candidate], reference: Reference, wanted: set[str]
+    fields: Sequence[SeenSignal], reference: KnownMotion, wanted: set[str]
 ) -> list[Choice]:
     """Offers of `speed` and `steering_wheel_angle`, as far as they are wanted; none is active."""
     found = []
@@ -54,7 +54,7 @@ def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choic
     return Choice(quantity, {}, "no database describes it; bytes that behave like it", why, others)
 
 
-def _speed(fields: Sequence[Candidate], reference: Reference) -> Choice | None:
+def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | None:
     triad, up = reference.accelerometer, reference.up
     if triad is not None and up is not None:
         fits = []
@@ -79,14 +79,17 @@ def _speed(fields: Sequence[Candidate], reference: Reference) -> Choice | None:
     return _offer(
         "speed",
         [
-            (_scaled(c, "km/h", _plausible_scale(c)), f"{len(best)} fields are this but for a factor")
+            (
+                _scaled(c, "km/h", _plausible_scale(c)),
+                f"{len(best)} fields are this but for a factor",
+            )
             for c in best
         ],
         "the scale is a guess: hold the highest speed against what you drove",
     )
 
 
-def speed_groups(fields: Sequence[Candidate]) -> list[list[Candidate]]:
+def speed_groups(fields: Sequence[SeenSignal]) -> list[list[SeenSignal]]:
     """Fields that are one another but for a factor, and zero together; the largest group first."""
     rolling = [c for c in fields if _rests_at_its_least(c)]
     left, groups = list(rolling), []
@@ -100,13 +103,13 @@ def speed_groups(fields: Sequence[Candidate]) -> list[list[Candidate]]:
     return sorted(groups, key=lambda g: (-len({c.message.name for c in g}) - len(g), g[0].cycle))
 
 
-def _rests_at_its_least(c: Candidate) -> bool:
+def _rests_at_its_least(c: SeenSignal) -> bool:
     """Whether a field never goes far below its first percent: an angle goes both ways."""
     known = c.x[np.isfinite(c.x)]
     return bool(len(known)) and c.least <= 0.1 * c.largest
 
 
-def _is_same_but_for_a_factor(a: Candidate, b: Candidate) -> bool:
+def _is_same_but_for_a_factor(a: SeenSignal, b: SeenSignal) -> bool:
     rows = np.isfinite(a.smooth) & np.isfinite(b.smooth)
     if np.count_nonzero(rows) < 100:
         return False
@@ -117,7 +120,7 @@ def _is_same_but_for_a_factor(a: Candidate, b: Candidate) -> bool:
     return bool(slope > 0.0 and abs(offset) < NO_OFFSET * b.largest)
 
 
-def _plausible_scale(c: Candidate) -> float:
+def _plausible_scale(c: SeenSignal) -> float:
     low, high = TOP_SPEED
     return next((s for s in USUAL_KMH if low < s * c.largest < high), USUAL_KMH[0])
 
@@ -128,7 +131,7 @@ def _usual(scale: float, usual: Sequence[float]) -> float:
     return nearest if 0.8 < nearest / scale < 1.25 else float(f"{scale:.2g}")
 
 
-def _scaled(c: Candidate, unit: str, scale: float, offset: float = 0.0) -> Proposed:
+def _scaled(c: SeenSignal, unit: str, scale: float, offset: float = 0.0) -> Proposed:
     assert c.raw is not None, "only raw fields are offered"
     value = str(c.raw["value"])
     if scale != 1.0:
@@ -138,7 +141,7 @@ def _scaled(c: Candidate, unit: str, scale: float, offset: float = 0.0) -> Propo
     return Proposed(raw={**c.raw, "value": value}, unit=unit, channel=c.own_channel)
 
 
-def _steering(fields: Sequence[Candidate], reference: Reference) -> Choice | None:
+def _steering(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | None:
     curvature, what = reference.curvature, "the curvature"
     used: set[str] = set()
     if curvature is None:
@@ -146,7 +149,7 @@ def _steering(fields: Sequence[Candidate], reference: Reference) -> Choice | Non
         what = "the difference of two wheels over their speed"
     if curvature is None:
         return None
-    fits: list[tuple[Relation, Candidate]] = []
+    fits: list[tuple[Relation, SeenSignal]] = []
     for c in fields:
         found = relation(curvature, c.smooth)
         if c.path not in used and found.is_believed and found.explained >= SAME_MOTION:
@@ -156,21 +159,23 @@ def _steering(fields: Sequence[Candidate], reference: Reference) -> Choice | Non
     for found, c in fits:
         rows = np.isfinite(curvature) & np.isfinite(c.smooth)
         straight = float(np.polyfit(curvature[rows], c.smooth[rows], 1)[1])
-        scale = _usual(float(np.degrees(STEERING_METRES)) / found.gain, (0.1, 0.01, 0.05, 1 / 16, 0.5, 1.0))
+        scale = _usual(
+            float(np.degrees(STEERING_METRES)) / found.gain, (0.1, 0.01, 0.05, 1 / 16, 0.5, 1.0)
+        )
         source = _scaled(c, "deg", scale, -round(scale * straight, 1))
         if found.sign < 0:
             source = replace(source, sign=-1)
         offers.append((source, f"goes with {what} (correlation {found.correlation:+.2f})"))
     return _offer(
         "steering_wheel_angle", offers,
-        "scale (for a passenger car) and zero are guesses; turn the wheel to the left: it must grow",
+        "scale and zero are guesses for a passenger car; to the left it must grow",
     )  # fmt: skip
 
 
-def _curvature_of_wheels(fields: Sequence[Candidate]) -> tuple[Array | None, set[str]]:
+def _curvature_of_wheels(fields: Sequence[SeenSignal]) -> tuple[Array | None, set[str]]:
     """Curvature [1/m] from two neighbouring wheels of a message; without left and right known."""
     for group in speed_groups(fields):
-        by_message: dict[str, list[Candidate]] = {}
+        by_message: dict[str, list[SeenSignal]] = {}
         for c in group:
             by_message.setdefault(c.message.name, []).append(c)
         for wheels in by_message.values():

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import Relation, choose_unit
 from imucald.discovery.gyro_axes import (
     AS_IT_IS,
@@ -21,7 +22,7 @@ from imucald.discovery.planar import find_planar
 from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
 from imucald.discovery.reference import (
     GAIN_TOLERANCE,
-    Reference,
+    KnownMotion,
     SpeedFit,
     direction_up,
     speed_against_accelerometer,
@@ -54,9 +55,9 @@ REST_RATE = 5.0
 class Sensors:
     """The sensor to calibrate and the speed. `reference`: the motion; `taken`: signals in use."""
 
-    def __init__(self, candidates: Sequence[Candidate]) -> None:
+    def __init__(self, candidates: Sequence[SeenSignal]) -> None:
         self.candidates = candidates
-        self.reference = Reference()
+        self.reference = KnownMotion()
         self.wheels = next(iter(wheel_sets(candidates)), None)
         self.taken: set[str] = {c.path for c in self.wheels or ()}
         self._found: list[Choice | None] = []
@@ -80,7 +81,7 @@ class Sensors:
         tried = stated or triads[:MAX_TRIADS]
         best = max(tried, key=self._speed_for) if len(tried) > 1 else tried[0]
         self._speed_for(best)
-        reference = Reference(best, direction_up(best))
+        reference = KnownMotion(best, direction_up(best))
         self.reference = reference
         self.taken |= {m.path for m in best.members}
         accelerometer = _accelerometer_choice(best, [t for t in triads if t is not best])
@@ -152,13 +153,15 @@ class Sensors:
     # gyroscope -------------------------------------------------------------------------------
 
     def _choose_gyroscope(
-        self, reference: Reference
+        self, reference: KnownMotion
     ) -> tuple[Choice | None, GyroFit | None, tuple[tuple[int, int, int], tuple[int, int, int]]]:
         found = []
         for triad in gyroscopes(self.candidates):
             if {m.path for m in triad.members} & self.taken:
                 continue
-            tried = [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
+            tried = (
+                [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
+            )
             fit = fit_gyroscope(triad, reference, tried)
             if fit is not None and (triad.unit.is_stated or fit.is_believed):
                 found.append((triad, fit))
@@ -204,14 +207,18 @@ def _speed_source(fit: SpeedFit) -> Proposed:
 def _speed_words(fit: SpeedFit) -> str:
     r = fit.relation
     gain = r.gain / fit.unit.factor
-    late = f", {0.1 * abs(fit.delay):.1f} s {'late' if fit.delay > 0 else 'early'}" if fit.delay else ""
+    late = (
+        f", {0.1 * abs(fit.delay):.1f} s {'late' if fit.delay > 0 else 'early'}"
+        if fit.delay
+        else ""
+    )
     return (
         f"its changes show in the accelerometer (correlation {r.correlation:.2f}, "
         f"gain {gain:.2f} in {fit.unit.name}{late})"
     )
 
 
-def _standing(reference: Reference) -> Array | None:
+def _standing(reference: KnownMotion) -> NDArray[np.bool_] | None:
     if reference.speed is None:
         return None
     rows = np.nan_to_num(np.abs(reference.speed.speed), nan=np.inf) < 0.3
@@ -280,7 +287,11 @@ def _gyroscope_choice(
         words.append(f"gravity moves as it turns (correlation {fit.carried.correlation:.2f})")
     if sign < 0:
         words.append("it turns the other way than the accelerometer's axes")
-    words.append("axes as named" if triad.names_axes else f"axes by likelihood ({fit.ahead(cyclic):.0f} nats)")
+    words.append(
+        "axes as named"
+        if triad.names_axes
+        else f"axes by likelihood ({fit.ahead(cyclic):.0f} nats)"
+    )
     alternatives = [
         Alternative(_axes(t, t.unit.name, f.order[1][0]), "another gyroscope") for t, f in others
     ]
@@ -289,5 +300,3 @@ def _gyroscope_choice(
         alternatives[:MAX_ALTERNATIVES],
     )  # fmt: skip
     return choice, ((0, 1, 2), signs), ordered
-
-

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from imucald.discovery.candidates import Array, Candidate
-from imucald.discovery.evidence import choose_unit, relation
+from imucald.discovery.candidates import Array, SeenSignal
+from imucald.discovery.evidence import choose_unit, is_better, relation
 from imucald.discovery.names import hint
-from imucald.discovery.reference import SpeedFit, is_better, stated_unit
+from imucald.discovery.reference import SpeedFit, stated_unit
 from imucald.discovery.scalars import SAME_MOTION
 
 NEAR_WHEELS = 0.04
@@ -23,7 +23,7 @@ ONE_UNIT = 0.2
 """The same within which it is in the wheels' unit."""
 
 
-def wheel_mean(wheels: Sequence[Candidate] | None) -> Array | None:
+def wheel_mean(wheels: Sequence[SeenSignal] | None) -> Array | None:
     """(n,) mean speed of the wheels [m/s]; None where they state no unit."""
     unit = stated_unit(wheels[0], "speed") if wheels else None
     if unit is None or wheels is None:

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import Relation, UnitChoice, relation
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Choice, Proposed, source_of
-from imucald.discovery.reference import Reference, moving
+from imucald.discovery.reference import KnownMotion, moving
 
 SAME_SPEED = 0.1
 """Part by which the wheels of one vehicle may differ on average: tyres of other sizes make 3 %."""
@@ -26,15 +26,15 @@ MANY = 24
 _Ends = Callable[[int, int], Relation]
 
 
-def wheel_sets(candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, ...]]:
+def wheel_sets(candidates: Sequence[SeenSignal]) -> Iterator[tuple[SeenSignal, ...]]:
     """Every four signals of one kind that move like the wheels of one vehicle."""
-    kinds: dict[object, list[Candidate]] = {}
+    kinds: dict[object, list[SeenSignal]] = {}
     for c in candidates:
         if c.may_be("speed") and not c.is_constant and not c.levels and c.signal.length >= MIN_BITS:
             s = c.signal
             kinds.setdefault((c.unit, s.length, s.scale, s.offset, s.byte_order), []).append(c)
     for kind in kinds.values():
-        by_message: dict[str, list[Candidate]] = {}
+        by_message: dict[str, list[SeenSignal]] = {}
         for c in kind:
             by_message.setdefault(c.message.name, []).append(c)
         fours = [m for m in by_message.values() if len(m) == 4]
@@ -48,7 +48,7 @@ def wheel_sets(candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, ...
                 yield tuple(four)
 
 
-def _roll_together(four: Sequence[Candidate]) -> bool:
+def _roll_together(four: Sequence[SeenSignal]) -> bool:
     table = np.column_stack([c.smooth for c in four])
     table = table[np.isfinite(table).all(axis=1)]
     if len(table) < 100 or not (table.std(axis=0) > 0.0).all():
@@ -60,7 +60,7 @@ def _roll_together(four: Sequence[Candidate]) -> bool:
 
 
 def find_wheels(
-    four: Sequence[Candidate], unit: UnitChoice, doubt: str, reference: Reference
+    four: Sequence[SeenSignal], unit: UnitChoice, doubt: str, reference: KnownMotion
 ) -> tuple[Choice, float | None]:
     """Which signal is which wheel, and the track [m] that they show; by name where names say it.
 
@@ -84,7 +84,7 @@ def find_wheels(
 
 
 def _choice(
-    four: Sequence[Candidate], order: Sequence[int], unit: UnitChoice, text: str, doubt: str
+    four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, text: str, doubt: str
 ) -> Choice:
     sources: dict[str, Proposed] = {
         wheel: source_of(four[i], unit.name) for wheel, i in zip(WHEELS, order, strict=True)
@@ -93,11 +93,11 @@ def _choice(
 
 
 def _turning(
-    four: Sequence[Candidate], unit: UnitChoice, reference: Reference
+    four: Sequence[SeenSignal], unit: UnitChoice, reference: KnownMotion
 ) -> tuple[list[Relation], _Ends]:
     """Of each wheel, how it goes with the curvature; of two, which is further out in bends."""
     if reference.turn is None:
-        return [Relation()] * 4, lambda a, b: Relation()
+        return [Relation()] * 4, lambda _a, _b: Relation()
     table = np.column_stack([c.smooth for c in four]) * unit.factor
     v = moving(table.mean(axis=1))
     curvature = reference.turn / v
@@ -123,7 +123,7 @@ def _rest(x: Array, known: Array) -> Array:
 
 
 def _by_turns(
-    four: Sequence[Candidate], sides: list[Relation], further: _Ends
+    four: Sequence[SeenSignal], sides: list[Relation], further: _Ends
 ) -> tuple[list[int], str, str]:
     """Order front left, front right, rear left, rear right; evidence; doubt."""
     right = [i for i in range(4) if sides[i].sign > 0]
@@ -156,7 +156,7 @@ def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:
 
 
 def _track(
-    four: Sequence[Candidate], order: Sequence[int], unit: UnitChoice, reference: Reference
+    four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, reference: KnownMotion
 ) -> Relation | None:
     """Right less left against the yaw rate, over speed: its gain is the track."""
     if reference.turn is None:
