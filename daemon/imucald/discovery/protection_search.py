@@ -7,6 +7,7 @@ id adds to it is one number for all frames of a message (of a counter value, whe
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -38,6 +39,8 @@ COUNTS = 0.9
 COUNTER_BITS = range(2, 17)
 ID_BYTES = (0, 2, 4, 1)
 """Bytes of the identifier that go into a checksum first, the usual numbers first."""
+
+_NAMES = re.compile(r"crc|check|chk|cks|pruef|bcc", re.IGNORECASE)
 
 Columns = NDArray[np.uint8]
 
@@ -97,12 +100,15 @@ def _counter(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] |
                 text = f"goes on by one in {_percent(share)} of {len(values)} frames"
                 if best is None or share > best[0]:
                     best = share, settings, text
-                break
     return None if best is None else best[1:]
 
 
 def _checksum_in_signal(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] | None:
-    for name, signal in one.message.signals.items():
+    # every byte is the XOR of all others: the last is the one that is likely to be meant
+    for name, signal in sorted(
+        one.message.signals.items(),
+        key=lambda item: (not _NAMES.search(item[0]), -field_of(item[1]).first_bit),
+    ):
         if signal.length != 8 or signal.is_float:
             continue
         field = field_of(signal)
