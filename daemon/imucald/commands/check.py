@@ -20,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `check`."""
     parser.epilog = (
         "Without LOG it listens on the configuration's bus; it never sends. Exit status: 0 when "
-        "the configuration can be used, 1 when something necessary is missing or wrong."
+        "the configuration can be used, 1 when something necessary is missing or wrong, and with "
+        "--strict when there are warnings too."
     )
     parser.add_argument(
         "logs",
@@ -37,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help=f"how long to listen without LOG (default: {LISTEN_S:g})",
     )
+    parser.add_argument("--strict", action="store_true", help="fail on warnings too")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -46,6 +48,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.commands.files import check_files
     from imucald.core.errors import ConfigError
     from imucald.runtime.session import open_config
+    from imucald.service.start_check import check_start
 
     if options.logs and (options.interface or options.channel):
         raise ConfigError("either LOG or --interface and --channel: not both")
@@ -53,12 +56,14 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("--seconds must be positive")
     check_files((options.config, *options.database, *options.logs), ())
     loaded = open_config(options.config, options.database)
-    check = Check(loaded)
+    check = Check(loaded, "the log holds no frame") if options.logs else _for_a_bus(loaded, options)
+    check_start(loaded)
     if options.logs:
         _read(check, options.logs)
     else:
         _listen(check, loaded, options)
     report = check.report()
+    passed = report["usable"] and not (options.strict and report["warnings"])
     if options.json:
         json.dump(report, sys.stdout, indent=2, allow_nan=False, ensure_ascii=False)
         print()
@@ -67,8 +72,22 @@ def run(options: argparse.Namespace) -> int:
         from imucald.commands.terminal import plain_where_needed
 
         plain_where_needed()
-        print_report(report)
-    return 0 if report["usable"] else 1
+        print_report(report, options.strict)
+    return 0 if passed else 1
+
+
+def _for_a_bus(loaded: LoadedConfig, options: argparse.Namespace) -> Check:
+    from imucald.check import Check
+
+    interface = options.interface or loaded.config.bus.interface
+    channel = options.channel or loaded.config.bus.channel
+    remedy = "the plug, the ignition and the bit rate ('bus: bitrate:')"
+    if interface == "socketcan":
+        remedy = (
+            f"the plug, the ignition and the bit rate: ip -details -statistics link show {channel}"
+        )
+    text = f"listened {options.seconds:g} s on {channel}: no frame at all. Look at {remedy}"
+    return Check(loaded, text)
 
 
 def _read(check: Check, logs: list[str]) -> None:
