@@ -33,6 +33,7 @@ NEVER = {
     "attitude": IO_ROOMS,
     "config_check": {"api", "commands"},
     "diagnosis": {"api", "commands"},
+    "discovery": {"api", "commands", "service", "uds"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
     "runtime": {"api", "commands", "service"},
@@ -44,7 +45,8 @@ NEVER = {
 """Rooms that never reach these rooms, directly or through others."""
 
 LAZY_LIBRARIES = {
-    "asammdf", "can", "isotp", "jinja2", "matplotlib", "rich", "scipy", "subprocess", "yaml",
+    "aiohttp", "asammdf", "can", "isotp", "jinja2", "matplotlib", "rich", "scipy", "subprocess",
+    "yaml",
 }  # fmt: skip
 """Large libraries, which a function may import when it needs them."""
 
