@@ -75,7 +75,7 @@ class Recorder:
         self._last_stamp = float(np.max(stamps))
         if not self._signals:
             return
-        for channel, one in found.corrected.items():
+        for channel, one in found.corrected().items():
             self._put(channel, one.t, stamps[one.row], [one.values, one.quality])
         for channel, series in found.as_sensed.items():
             self._put(f"{RAW}{channel}", series.t, stamps[series.row], [series.values])

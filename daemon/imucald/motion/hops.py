@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,12 @@ class HopRows:
     samples: Array
     edges: Index
     before: Array
+
+    @cached_property
+    def plain(self) -> list[tuple[list[list[float]], list[list[int]], list[float]]]:
+        """Of each hop top, on_top (2, axes) and step (axes), as plain numbers."""
+        columns = (self.top.tolist(), self.on_top.tolist(), self.step.tolist())
+        return list(zip(*columns, strict=True))
 
 
 def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:

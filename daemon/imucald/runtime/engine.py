@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -302,13 +303,11 @@ class Engine:
         if self.consumers:
             yield from self._consumer_parts(routed, corrections, snapshots, ticks, base)
         lost = self._lost_rows(routed, segment.t)
-        corrected: dict[str, CorrectedSamples] = {}
-        if keep or self._on_samples is not None:
-            corrected = self._corrected(routed, corrections, ticks)
+        corrected = cache(lambda: self._corrected(routed, corrections, ticks))
         if self._on_samples is not None:
             self._on_samples(SegmentSamples(segment, chunk.t, watched, corrected))
         if keep:
-            yield from self._corrected_parts(corrected, base, lost)
+            yield from self._corrected_parts(corrected(), base, lost)
         else:
             self.sent += sum(corrected_count(routed, c) + len(lost[c]) for c in lost)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,10 +32,10 @@ class SegmentSamples:
 
     stamps: (N,) recorded times of the segment's frames [s]; rows of samples count in them.
     as_sensed: by channel, as the sensors gave them, SI (see `core.samples`), in sensor axes.
-    corrected: by channel of a corrected frame.
+    corrected: gives them by channel of a corrected frame; they are made when it is first called.
     """
 
     segment: TimeSegment
     stamps: NDArray[np.float64]
     as_sensed: Mapping[str, ColumnSamples]
-    corrected: Mapping[str, CorrectedSamples]
+    corrected: Callable[[], Mapping[str, CorrectedSamples]]
