@@ -22,7 +22,7 @@ from imucald.inputs.rate_guard import Spaced, guarded_cycle
 from imucald.inputs.router import Routed, Router, Sample
 from imucald.motion.sample_health import Faults, SampleHealth
 from imucald.motion.ticks import TICK_RATE, tick_index
-from imucald.mount.estimate import Correction, MountEstimator
+from imucald.mount.estimate import MountEstimator
 from imucald.runtime.consumer import Consumer, events_of, in_order
 from imucald.runtime.output.output_columns import (
     OutPart,
@@ -384,9 +384,7 @@ class Engine:
         base: int,
     ) -> Iterator[OutPart]:
         """Consumers take samples one by one here too; their frames stand as status frames do."""
-        rotations: list[Correction | None] = [
-            None if row[0] != row[0] else tuple(row) for row in corrections.rotations.tolist()
-        ]
+        rotations = corrections.corrections
         k = first = corrections.first
         due = {snapshot.k: snapshot for snapshot in snapshots}
 
