@@ -7,9 +7,9 @@ again, and stays. What is played twice to the last bit, such as a recording in a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.motion.hops import SIDES, HopRows
@@ -39,8 +39,7 @@ REMEMBERED = 64
 MOST_SAMPLES = 512
 
 
-@dataclass(slots=True)
-class _Pile:
+class _Pile(Struct):
     """What speaks for a value as a rail.
 
     rate: -log of the chance that a sample equals the one before, as it was known before [nats].
@@ -56,8 +55,7 @@ class _Pile:
     seen: set[bytes] = field(default_factory=set)
 
 
-@dataclass(slots=True)
-class _Top:
+class _Top(Struct):
     """A value that nothing has gone beyond since hop `born`.
 
     on: samples on it, below: one and two steps below, as far as they are tops of their hops.

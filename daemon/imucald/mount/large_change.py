@@ -13,9 +13,9 @@ and is learnt.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, vector_from_rotation
@@ -65,8 +65,7 @@ STANDING_TICKS = 12
 """Ticks of standing that its tilt is known from."""
 
 
-@dataclass(frozen=True)
-class LargeChange:
+class LargeChange(Struct, frozen=True):
     """axis: 0 roll, 1 pitch, 2 yaw. size [rad], in standard deviations, blocks since."""
 
     axis: int

@@ -8,11 +8,11 @@ whole columns (`run`); both give the same corrections to the last bit.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.core.samples import Samples, Series
@@ -41,8 +41,7 @@ _QUALITY = {
 }
 
 
-@dataclass(frozen=True)
-class Snapshot:
+class Snapshot(Struct, frozen=True):
     """The estimate at the end of tick k."""
 
     k: int
@@ -58,8 +57,7 @@ class Snapshot:
         return (self.k + 1) / TICK_RATE
 
 
-@dataclass(frozen=True)
-class TickCorrections:
+class TickCorrections(Struct, frozen=True, dict=True):
     """The corrections in force during ticks `first`, `first` + 1, ..., and their qualities.
 
     As arrays they are made when they are first looked at: not every replay does.
