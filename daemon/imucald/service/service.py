@@ -24,9 +24,7 @@ from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.summary import RunCounts, summary
-from imucald.service.attempt_store import AttemptStore
 from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
-from imucald.service.dtc_store import DtcStore
 from imucald.service.figures import NOT_SAVED, process_figures, status_line
 from imucald.service.folder_lock import FolderLock
 from imucald.service.identity import state_key
@@ -40,6 +38,8 @@ from imucald.service.state import StateStore, clear_unfinished
 from imucald.service.status import StatusServer
 
 if TYPE_CHECKING:
+    from imucald.service.attempt_store import AttemptStore
+    from imucald.service.dtc_store import DtcStore
     from imucald.service.uds_on_bus import BusUds
 
 CHORE_S = 0.1
@@ -166,6 +166,8 @@ class Service:
         if not loaded.config.diagnostics.enabled:
             return None
         # imported only where it is wanted: it loads OpenSSL (3.6 MiB) for keys
+        from imucald.service.attempt_store import AttemptStore  # noqa: PLC0415
+        from imucald.service.dtc_store import DtcStore  # noqa: PLC0415
         from imucald.service.uds_on_bus import bus_uds_for  # noqa: PLC0415
 
         if self.dtc_store is None:
