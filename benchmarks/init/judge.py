@@ -102,7 +102,7 @@ def _number(loaded: LoadedConfig, channel: str, source: cfg.SourceSettings) -> N
 def _on(source: cfg.SourceSettings, top: int) -> str:
     """A flag's meaning as text; a single bit that is not zero is one."""
     if source.above is not None:
-        return f"above"
+        return "above"
     if source.equals is not None:
         values = source.equals if isinstance(source.equals, tuple) else (source.equals,)
         return "=" + ",".join(f"{v:g}" for v in values)

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from imucald.config.calibration import MethodASettings
-from imucald.core.rotations import levelling_rotation
+from imucald.core.rotations import levelling_rotation, times_level, times_level_columns
 from imucald.motion.speed import SpeedInterval
 from imucald.motion.straight import windows_agree
 from imucald.mount.estimate import MountState
@@ -136,6 +136,22 @@ def test_claims_1_to_6_the_rotation_and_what_it_does_to_parallel_sensors(name: s
     other = RNG.normal(0.0, 1.0, (30, 3))  # gyroscope or magnetometer, axes parallel
     expected = text.corrected_sensor(other, J, lam)
     assert other @ correction_rotation(J, lam).T == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("crown", [0.0, 0.012])
+def test_claim_5_alone_turns_a_level_sensor_of_two_axes(crown: float) -> None:
+    """Only x and y: L'x, L'y. The crown of a road, which R holds too, is 0.04 mrad of the angle."""
+    lean = Rotation.from_euler("x", crown)
+    for lam in RNG.uniform(-math.pi, math.pi, 50):
+        R = (lean * Rotation.from_euler("z", lam)).as_matrix()
+        L = RNG.normal(0.0, 5.0, (20, 2))
+        given = np.column_stack([L, np.full(20, np.nan)])
+        found = times_level_columns(np.tile(R.ravel(), (20, 1)), given)
+        slack = 1e-9 if crown == 0.0 else 4e-5 * np.abs(L).sum(axis=1).max()
+        assert found[:, :2] == pytest.approx(text.corrected(L, lam), abs=slack)
+        assert np.isnan(found[:, 2]).all()
+        one_by_one = [times_level(tuple(R.ravel().tolist()), v) for v in given.tolist()]
+        assert np.array_equal(found, np.array(one_by_one), equal_nan=True)
 
 
 @pytest.mark.parametrize("name", ["level", "upside down", "pitched 90", "leaning"])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.core.errors import EstimateError
-from imucald.core.rotations import times, times_columns
+from imucald.core.rotations import times, times_columns, times_level, times_level_columns
 from imucald.inputs.rate_guard import Spaced, guarded_cycle
 from imucald.inputs.router import Routed, Router, Sample
 from imucald.motion.sample_health import Faults, SampleHealth
@@ -130,15 +130,11 @@ class Engine:
         self._feed_consumers(t, samples)
         pipeline = self.pipeline
         correction = pipeline.correction
-        turned: dict[str, Turned] = {}
         for channel, values in samples:
             pipeline.add(t, channel, values)
             if channel in self._watched:
                 self._watched[channel] = k
-            if channel in self.output.triads:
-                turned[channel] = None if correction is None else times(correction, values)
-        if self.preprocessing is not None and turned:
-            turned = self.preprocessing.corrected(t, turned)
+        turned = self._turned(t, samples, correction)
         faults = pipeline.health.faults
         for channel in self.output.triads:
             if channel in turned:
@@ -150,6 +146,21 @@ class Engine:
                 out.append(self.output.corrected(channel, None, 0))
         self.sent += len(out)
         return out
+
+    def _turned(
+        self, t: float, samples: Sequence[Sample], correction: Correction | None
+    ) -> dict[str, Turned]:
+        """Samples of one frame in vehicle axes, by channel; None where there is no correction."""
+        turned: dict[str, Turned] = {
+            channel: None if correction is None else times(correction, values)
+            for channel, values in samples
+            if channel in self.output.triads
+        }
+        if self.preprocessing is not None and turned:
+            turned = self.preprocessing.corrected(t, turned)
+        if self.output.planar and correction is not None:
+            turned |= {c: times_level(correction, v) for c, v in samples if c in self.output.planar}
+        return turned
 
     def idle(self, elapsed: float) -> list[OutFrame]:
         """No frame of ours came for `elapsed` seconds: close the ticks that have passed."""
@@ -348,6 +359,9 @@ class Engine:
         }
         if self.preprocessing is not None:
             turned = self.preprocessing.corrected_columns(found, turned)
+        for channel in self.output.planar & found.keys():
+            rotations = corrections.rotations[tick[channel]]
+            turned[channel] = times_level_columns(rotations, found[channel].values)
         corrected: dict[str, CorrectedSamples] = {}
         for channel, series in found.items():
             values, quality = turned[channel], corrections.quality[tick[channel]]
