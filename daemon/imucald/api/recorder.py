@@ -52,6 +52,8 @@ class Recorder:
         self._segments: list[tuple[float, float]] = []  # stream time of the start, stamp minus it
         self._last_stamp = math.nan
         self._parts: dict[str, list[tuple[Array, Array, list[NDArray[Any]]]]] = {}
+        self.rows = 0
+        """Rows of samples that have not been taken."""
 
     # what the engine calls -----------------------------------------------------------------
 
@@ -80,6 +82,7 @@ class Recorder:
 
     def _put(self, name: str, t: Array, stamps: Array, values: list[NDArray[Any]]) -> None:
         self._parts.setdefault(name, []).append((t, stamps, values))
+        self.rows += len(t)
 
     def _take_changes(self, snapshot: Snapshot) -> None:
         estimate = snapshot.estimate
@@ -125,7 +128,7 @@ class Recorder:
 
     def take_signals(self, lead: float, kinds: Mapping[str, str]) -> dict[str, Columns]:
         """The samples since the last call, by table; kinds: sensor of each parallel channel."""
-        taken, self._parts = self._parts, {}
+        taken, self._parts, self.rows = self._parts, {}, 0
         found: dict[str, Columns] = {}
         for name, parts in taken.items():
             channel = name.removeprefix(RAW)

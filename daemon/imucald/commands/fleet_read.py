@@ -26,10 +26,11 @@ def status(options: argparse.Namespace) -> int:
     """Say what is there, what failed and why, and whether a run goes on."""
     from collections import Counter
 
+    from rich.table import Table
+
     from imucald.commands.terminal import plain_console
     from imucald.fleet.compaction import read_tables
     from imucald.fleet.lease import holder_of
-    from rich.table import Table
 
     store = _store(options)
     tables = read_tables(store, ("sources", "failures", "drives", "costs"))

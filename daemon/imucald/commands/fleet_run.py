@@ -43,7 +43,9 @@ def run(options: argparse.Namespace) -> int:
     from imucald.fleet.store import Store
     from imucald.fleet.task import Limits
 
-    limits = Limits(_bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit))
+    limits = Limits(
+        _bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit)
+    )
     if options.since is not None and not re.fullmatch(r"\d{4}-\d\d-\d\d", options.since):
         raise ConfigError(f"--since {options.since}: the form is YYYY-MM-DD")
     fleet = load_fleet(options.fleet, {"logs": options.logs} if options.logs else None)

@@ -13,7 +13,6 @@ from imucald.commands.options import LOG_HELP
 
 if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
-    from imucald.can.link.link import Frame
     from imucald.discovery import Recording
 
 LISTEN_S = 120.0
@@ -38,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", default="-", metavar="FILE", help="write here (default: standard output)"
     )
-    parser.add_argument("--interface", help="listen on a bus: python-can interface or a name as can0")
+    parser.add_argument(
+        "--interface", help="listen on a bus: python-can interface or a name as can0"
+    )
     parser.add_argument("--channel", help="its channel")
     parser.add_argument(
         "--seconds",

@@ -123,7 +123,9 @@ def messages_in(
         if not parts:
             continue
         first = parts[0].channel
-        parts = [p for p in parts if p.channel == first and p.data.shape[1] == parts[0].data.shape[1]]
+        parts = [
+            p for p in parts if p.channel == first and p.data.shape[1] == parts[0].data.shape[1]
+        ]
         t = np.concatenate([p.t for p in parts])
         order = np.argsort(t, kind="stable")
         yield MessageTraffic(
@@ -180,7 +182,7 @@ def _candidate(
     rows = np.flatnonzero(count)
     means = np.bincount(index, values, minlength=ticks)[rows] / count[rows]
     x = bridged(ticks, rows, means)
-    levels = np.unique(values[: 200_000])
+    levels = np.unique(values[:200_000])
     few = len(levels) <= FEW_LEVELS
     return Candidate(
         message=one.message,

@@ -100,7 +100,9 @@ def _reverse_by_name(candidates: Sequence[Candidate]) -> Choice | None:
         value = _names_reverse(c.signal)
         if value is not None:
             options.append((0, c, source_of(c, equals=(value,)), "its value table names reverse"))
-        elif hint("reverse", c) in ("reverse", "ruecklicht", "rueckwaerts") and c.signal.length <= 2:
+        elif (
+            hint("reverse", c) in ("reverse", "ruecklicht", "rueckwaerts") and c.signal.length <= 2
+        ):
             options.append((1, c, source_of(c, equals=(1.0,)), f"named {c.signal.name}"))
     options.sort(key=lambda o: o[0])
     if not options:
@@ -186,7 +188,9 @@ def find_temperature(reference: Reference, candidates: Sequence[Candidate]) -> C
     if not usable or triad is None:
         return None
     own = triad.messages[0]
-    usable.sort(key=lambda c: (c.message.name not in triad.messages, not same_family(c.message.name, own)))
+    usable.sort(
+        key=lambda c: (c.message.name not in triad.messages, not same_family(c.message.name, own))
+    )
     best = usable[0]
     near = best.message.name in triad.messages or same_family(best.message.name, own)
     doubt = "" if near else "a temperature, but nothing says that it is the sensor's"

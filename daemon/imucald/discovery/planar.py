@@ -114,7 +114,9 @@ def _along(speeds: list[Candidate], accelerations: list[Candidate]) -> list[_Pai
     return sorted(pairs, key=lambda p: -p.relation.explained)
 
 
-def _across(v: Array, candidates: Sequence[Candidate], accelerations: list[Candidate]) -> _Pair | None:
+def _across(
+    v: Array, candidates: Sequence[Candidate], accelerations: list[Candidate]
+) -> _Pair | None:
     """The yaw rate and the acceleration that is speed times it; None where there are none."""
     rates = [(c, stated_unit(c, "angular_rate")) for c in candidates if not c.is_constant]
     pairs = []

@@ -89,7 +89,5 @@ class Recording:
         for rows in np.split(order, edges):
             name = whole.channels[int(whole.channel[rows[0]])]
             can_id = int(whole.can_id[rows[0]])
-            found.append(
-                Traffic(name, can_id, whole.t[rows], whole.data[rows], whole.length[rows])
-            )
+            found.append(Traffic(name, can_id, whole.t[rows], whole.data[rows], whole.length[rows]))
         return found

@@ -131,7 +131,9 @@ def _doubt(best: Match, others: list[Match], quantity: Quantity, sides: str) -> 
     if not best.unit.is_sure:
         return f"the database states no unit; {', '.join(best.unit.others)} would fit too"
     if not best.candidate.states(quantity.dimension):
-        rivals = [m for m in others if m.unit is not None and not is_better(best.relation, m.relation)]
+        rivals = [
+            m for m in others if m.unit is not None and not is_better(best.relation, m.relation)
+        ]
         if rivals:
             return f"{rivals[0].candidate.path} follows as well, and no unit is stated"
         if best.relation.explained < 0.8:
@@ -149,10 +151,10 @@ def by_unit_and_name(
     if not named:
         return None
     named.sort(key=lambda c: c.cycle)
-    why = why or "the recording shows no motion to hold it against: unit and name alone speak for it"
-    others = [
-        Alternative({"": source_of(c)}, "the same") for c in named[1 : 1 + MAX_ALTERNATIVES]
-    ]
+    why = (
+        why or "the recording shows no motion to hold it against: unit and name alone speak for it"
+    )
+    others = [Alternative({"": source_of(c)}, "the same") for c in named[1 : 1 + MAX_ALTERNATIVES]]
     return Choice(name, {"": source_of(named[0])}, f"named {hint(name, named[0])!r}", why, others)
 
 
@@ -197,4 +199,3 @@ def find_heading(reference: Reference, candidates: Sequence[Candidate]) -> Choic
     if found.sign < 0:
         evidence = evidence.replace("clockwise", "counter-clockwise")
     return Choice("heading", {"": source_of(candidate, None, found.sign)}, evidence)
-

@@ -154,7 +154,9 @@ class Sensors:
         for triad in gyroscopes(self.candidates):
             if {m.path for m in triad.members} & self.taken:
                 continue
-            tried = [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
+            tried = (
+                [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
+            )
             fit = fit_gyroscope(triad, reference, tried)
             if fit is not None and (triad.unit.is_stated or fit.is_believed):
                 found.append((triad, fit))
@@ -225,7 +227,11 @@ def _speed_source(fit: SpeedFit) -> Proposed:
 def _speed_words(fit: SpeedFit) -> str:
     r = fit.relation
     gain = r.gain / fit.unit.factor
-    late = f", {0.1 * abs(fit.delay):.1f} s {'late' if fit.delay > 0 else 'early'}" if fit.delay else ""
+    late = (
+        f", {0.1 * abs(fit.delay):.1f} s {'late' if fit.delay > 0 else 'early'}"
+        if fit.delay
+        else ""
+    )
     return (
         f"its changes show in the accelerometer (correlation {r.correlation:.2f}, "
         f"gain {gain:.2f} in {fit.unit.name}{late})"
@@ -301,7 +307,11 @@ def _gyroscope_choice(
         words.append(f"gravity moves as it turns (correlation {fit.carried.correlation:.2f})")
     if sign < 0:
         words.append("it turns the other way than the accelerometer's axes")
-    words.append("axes as named" if triad.names_axes else f"axes by likelihood ({fit.ahead(cyclic):.0f} nats)")
+    words.append(
+        "axes as named"
+        if triad.names_axes
+        else f"axes by likelihood ({fit.ahead(cyclic):.0f} nats)"
+    )
     alternatives = [
         Alternative(_axes(t, t.unit.name, f.order[1][0]), "another gyroscope") for t, f in others
     ]
@@ -310,5 +320,3 @@ def _gyroscope_choice(
         alternatives[:MAX_ALTERNATIVES],
     )  # fmt: skip
     return choice, ((0, 1, 2), signs), ordered
-
-

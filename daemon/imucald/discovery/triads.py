@@ -171,7 +171,9 @@ def _threes(
     across: dict[object, list[Candidate]] = {}
     for c in usable:
         if sum(other.message is c.message for other in usable) <= 2:
-            across.setdefault((round(4.0 * math.log(c.cycle + 1e-6)), *_kind(c, dimension)), []).append(c)
+            across.setdefault(
+                (round(4.0 * math.log(c.cycle + 1e-6)), *_kind(c, dimension)), []
+            ).append(c)
     for group in across.values():
         for three in _combinations(sorted(group, key=_place)):
             if len({c.message.name for c in three}) == 3 and len(group) <= MAX_TOGETHER:

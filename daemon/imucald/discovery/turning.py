@@ -93,7 +93,9 @@ class Turning:
             return
         metres = _turning_metres(candidate.smooth * factor * source.sign, curvature, speed.speed)
         if metres is not None:
-            text = f"wheelbase times ratio is {metres:.1f} m by the data; this is it for {WHEELBASE} m"
+            text = (
+                f"wheelbase times ratio is {metres:.1f} m by the data; this is it for {WHEELBASE} m"
+            )
             self.vehicle.append(("steering_ratio", f"{metres / WHEELBASE:.1f}", text))
 
 
@@ -121,5 +123,3 @@ def _turning_metres(angle: Array, curvature: Array, speed: Array) -> float | Non
     left = angle[rows] - known @ solution
     good = float(left.var()) < 0.2 * float(angle[rows].var()) and 15.0 < solution[0] < 130.0
     return float(solution[0]) if good else None
-
-

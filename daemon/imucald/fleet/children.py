@@ -63,7 +63,14 @@ class Template:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", __package__ + ".template", str(theirs.fileno()), self._function],
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    __package__ + ".template",
+                    str(theirs.fileno()),
+                    self._function,
+                ],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C is for the driver: what runs is finished

@@ -60,7 +60,9 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
             run_key="hash of configuration, databases, model file and version",
         ),
         *_VEHICLE,
-        *texts(sources="addresses of the log, a JSON list", date="day: of the log, or by the rules"),
+        *texts(
+            sources="addresses of the log, a JSON list", date="day: of the log, or by the rules"
+        ),
         Column("start", "time", "", "first frame, UTC; null where the log has no absolute time"),
         Column("end", "time", "", "last frame of ours, UTC"),
         *floats("s", "from the first frame of ours to the last", "duration_s"),
@@ -69,7 +71,9 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         *floats("s", "from the log's first frame", "first_usable_s", "first_fine_s"),
         *_MOUNT,
         *_COVARIANCE,
-        *floats("deg", "the road crown's part in cov_xx, common to a driving side", "crown_std_deg"),
+        *floats(
+            "deg", "the road crown's part in cov_xx, common to a driving side", "crown_std_deg"
+        ),
         *texts(
             driving_side="left, right or unknown",
             waiting_roll="what is still missing, in words",

@@ -88,7 +88,9 @@ class Run:
     def go(self, lease: Lease) -> bool:
         """Evaluate all; whether none is left. Raises AllFailedError, and ImucaldError of storage."""
         self._store.tidy()
-        self._number = max((n for name in self._rows for n, _ in parts(self._store, name)), default=0)
+        self._number = max(
+            (n for name in self._rows for n, _ in parts(self._store, name)), default=0
+        )
         try:
             self._rounds(lease, self._waiting, max(1, AHEAD * self._workers.slots))
             self._rounds(lease, self._again, 1)  # alone: nothing else can be the reason

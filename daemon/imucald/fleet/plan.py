@@ -54,9 +54,7 @@ class Plan(msgspec.Struct):
 def known_sources(store: Store) -> dict[str, Known]:
     """What the tables say of each address."""
     table = read_tables(store, ("sources",))["sources"]
-    columns = [
-        table.column(n).to_pylist() for n in ("source", "fingerprint", "run_key", "outcome")
-    ]
+    columns = [table.column(n).to_pylist() for n in ("source", "fingerprint", "run_key", "outcome")]
     return {s: Known(f, r, o) for s, f, r, o in zip(*columns, strict=True)}
 
 

@@ -260,7 +260,7 @@ def residual_map(motion: Motion, axis: int) -> str:
         top = max(float(np.nanpercentile(np.abs(mean), 95)), 0.05) if np.isfinite(mean).any() else 1
         drawn_map = axes.pcolormesh(*cells, mean.T, cmap=DIVERGING, vmin=-top, vmax=top, lw=0)
         bar = figure.colorbar(drawn_map, ax=axes, extend="both")
-        bar.outline.set_visible(False)  # type: ignore[operator]
+        bar.outline.set_visible(False)
         axes.grid(visible=False)
 
     return _themed(drawn(draw, MAP, STYLE))

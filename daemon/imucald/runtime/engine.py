@@ -252,18 +252,25 @@ class Engine:
             return None
         return merged(parts, frames)
 
+    def _after_gap(self, segment: TimeSegment, keep: bool) -> Iterator[OutPart]:
+        """Nothing is known of the time before the segment."""
+        base, first = segment.start, self.pipeline.k
+        snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
+        if self.preprocessing is not None:
+            self.preprocessing.gap()
+        if keep:
+            yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
+        else:
+            self._tell(snapshots)
+        out = self._consumer_ticks(first, self.pipeline.k, snapshots)
+        yield from self._frame_parts(out, base)
+        for consumer in self.consumers:
+            consumer.gap()
+
     def _segment(self, segment: TimeSegment, frames: FrameColumns, keep: bool) -> Iterator[OutPart]:
         base = segment.start
         if segment.gap:
-            first = self.pipeline.k
-            snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
-            if self.preprocessing is not None:
-                self.preprocessing.gap()
-            yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
-            out = self._consumer_ticks(first, self.pipeline.k, snapshots)
-            yield from self._frame_parts(out, base)
-            for consumer in self.consumers:
-                consumer.gap()
+            yield from self._after_gap(segment, keep)
         whole = base == 0 and segment.stop == len(frames)
         chunk = frames if whole else frames.take(slice(base, segment.stop))
         routed = self.router.columns(segment.t, chunk)
@@ -280,12 +287,15 @@ class Engine:
         if not wanted:
             self.sent += STATUS_FRAMES * self.pipeline.snapshots_due(first)
         events = np.floor(routed.events * TICK_RATE)
-        yield from self._status_parts(
-            snapshots,
-            lambda k: base + int(np.searchsorted(ticks, k, side="right")),
-            events,
-            routed,
-        )
+        if keep:
+            yield from self._status_parts(
+                snapshots,
+                lambda k: base + int(np.searchsorted(ticks, k, side="right")),
+                events,
+                routed,
+            )
+        else:
+            self._tell(snapshots)
         self._rejected_total = self.router.rejected.total()
         recent = sorted(set(events[events > ticks[-1] - 2 * MISSING_TICKS].tolist()))
         self._rejections.extend(map(int, recent))
@@ -437,6 +447,13 @@ class Engine:
                 np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
             )
             self.sent += len(out)
+
+    def _tell(self, snapshots: Sequence[Snapshot]) -> None:
+        """Hand snapshots on where nobody takes the frames that they would be sent in."""
+        self.sent += STATUS_FRAMES * len(snapshots)
+        if self._on_snapshot is not None:
+            for snapshot in snapshots:
+                self._on_snapshot(snapshot)
 
     def _last_sample(self, channel: str, k: int, routed: Routed | None) -> int:
         """Tick of the channel's last sample up to the end of tick k."""
