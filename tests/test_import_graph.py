@@ -33,6 +33,7 @@ NEVER = {
     "attitude": IO_ROOMS,
     "config_check": {"api", "commands"},
     "diagnosis": {"api", "commands"},
+    "discovery": {"api", "commands", "service", "uds"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
     "runtime": {"api", "commands", "service"},

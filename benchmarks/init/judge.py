@@ -31,7 +31,7 @@ SAME_FACTOR = 1e-3
 
 @dataclass(frozen=True)
 class Number:
-    """One configured number: where it comes from, SI value of one, sign included; flag's meaning."""
+    """One configured number: its source, SI value of one with sign, meaning of a flag."""
 
     source: str
     factor: float

@@ -26,7 +26,7 @@ from imucald.api.mount import MountResult
 from imucald.api.recorder import Recorder, microseconds
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_reader import LogReader
-from imucald.core.errors import LogError
+from imucald.core.errors import NoFramesError
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.replay import Replay, Sink
@@ -56,9 +56,9 @@ def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
 
 
 def require_frames(drive: DriveResult) -> DriveResult:
-    """The drive as it is; raises LogError where its logs held no frame at all."""
+    """The drive as it is; raises NoFramesError where its logs held no frame at all."""
     if drive.frames["read"] == 0:
-        raise LogError(f"{', '.join(drive.logs)}: holds no CAN frame")
+        raise NoFramesError(f"{', '.join(drive.logs)}: holds no CAN frame")
     return drive
 
 

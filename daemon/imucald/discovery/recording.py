@@ -31,7 +31,7 @@ class Traffic:
         return len(self.t)
 
 
-class Recording:
+class GatheredFrames:
     """Gathers frames, then gives them by channel and identifier."""
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Recording:
         """Whether frames came that were not looked at."""
 
     @classmethod
-    def of(cls, chunks: Iterable[FrameColumns]) -> Recording:
+    def of(cls, chunks: Iterable[FrameColumns]) -> GatheredFrames:
         """Gather as many chunks as there is room for."""
         recording = cls()
         for chunk in chunks:

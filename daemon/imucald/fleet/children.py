@@ -13,7 +13,7 @@ from contextlib import suppress
 import msgspec
 
 from imucald.core.errors import ImucaldError
-from imucald.fleet.own_process import ONE_THREAD
+from imucald.fleet.own_process import FOR_CHILDREN
 from imucald.fleet.task import Outcome, Task, encoded
 
 STARTING_S = 120.0
@@ -74,7 +74,7 @@ class Template:
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C is for the driver: what runs is finished
-                env={**os.environ, **ONE_THREAD},
+                env={**os.environ, **FOR_CHILDREN},
             )
         ours.settimeout(STARTING_S)
         if ours.recv(1) != b"r":

@@ -99,4 +99,7 @@ def _events(store: Store, of_drive: dict[str, tuple[int, str | None]]) -> pa.Tab
     keys = rows.column("log_key").to_pylist()
     came = {key: number for key, (number, _) in of_drive.items()}
     kept = np.array([came.get(k) == n for k, n in zip(keys, numbers, strict=True)], dtype=bool)
-    return rows.filter(pa.array(kept))
+    rows = rows.filter(pa.array(kept))
+    vehicles = [of_drive[key][1] for key in rows.column("log_key").to_pylist()]
+    place = rows.column_names.index("vehicle")
+    return rows.set_column(place, rows.schema.field("vehicle"), pa.array(vehicles, pa.string()))

@@ -59,7 +59,7 @@ class AllFailedError(ImucaldError):
     """The first logs all failed for one reason."""
 
 
-class Run:
+class FleetRun:
     """One run into one folder; `go` does it. Not used twice."""
 
     def __init__(

@@ -80,7 +80,7 @@ def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -
             log.bytes,
             options.limits,
             options.function,
-            f"{store.url}/signals" if options.signals else None,
+            store.url if options.signals else None,
             fleet.settings.storage,
         )
         plan.tasks.append((task, log))

@@ -37,7 +37,7 @@ class Task(msgspec.Struct, frozen=True):
     """One log to evaluate.
 
     source: its fsspec URL. bundle: name of the configuration, see `bundle.py`. function: what is
-    called in the child, as "module:name". signals: URL below which corrected signals are written.
+    called in the child, as "module:name". signals: URL of the folder that corrected signals go to.
     storage: options of the file systems by protocol; secrets come from the environment.
     """
 
