@@ -15,9 +15,9 @@ import pytest
 import yaml
 
 from imucald import cli
-from imucald.check import Check
 from imucald.config import Config, json_schema, load_config, parse_config
 from imucald.config.base import Settings
+from imucald.config_check import Check
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountState
@@ -53,6 +53,8 @@ def tables(page: Path) -> dict[str, dict[str, tuple[str, ...]]]:
 # configuration ---------------------------------------------------------------------------------
 
 SECTIONS = {
+    "Uds": "diagnostics",
+    "MotionCompensation": "compensation",
     "Config": "Top level",
     "Triad": "axes",
     "Source": "source",

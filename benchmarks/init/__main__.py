@@ -23,7 +23,7 @@ from benchmarks.init.obfuscated import write_bus
 from benchmarks.measured import DATA, EXAMPLES, FOLDER, verdict
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
-from imucald.check import Check
+from imucald.config_check import Check
 from imucald.discovery import GatheredFrames, as_yaml, discover
 from imucald.discovery.candidates import candidates_of, messages_in
 from imucald.runtime.replay import Replay

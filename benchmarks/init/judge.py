@@ -14,7 +14,8 @@ from imucald import config as cfg
 from imucald.config import LoadedConfig, load_config
 from imucald.discovery.proposal import Proposal
 from imucald.inputs.units import find_unit
-from imucald.inputs.wiring import DIMENSIONS, load_databases, wanted_numbers
+from imucald.inputs.wanted_numbers import DIMENSIONS, wanted_numbers
+from imucald.inputs.wiring import load_databases
 
 CHANNELS = {
     "accel": "accelerometer",

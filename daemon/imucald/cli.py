@@ -41,6 +41,8 @@ COMMANDS = {
     "simulate": "write a simulated drive as a log, with its truth",
     "diagnose": "say what the simulation gets wrong beside measured drives, and why",
     "walk": "direction of travel of a carried terminal, from recorded logs",
+    "draw": "draw how a sensor sits, from its angles",
+    "fleet": "evaluate thousands of logs of many vehicles, and read them together",
     "demo": "see a calibration converge, without hardware",
     "install-service": "put the systemd unit and its companions in place",
     "schema": "print the JSON schema of the configuration",

@@ -17,9 +17,9 @@ from imucald import cli
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_reader import CandumpWriter, LogReader
 from imucald.can.python_can import can
-from imucald.check import Check
 from imucald.commands.check_view import print_report
 from imucald.config import parse_config
+from imucald.config_check import Check
 from imucald.runtime.session import open_config
 from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import EPOCH_S, bus_frames

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucald.check.motion import smooth
+from imucald.config_check.motion import smooth
 from imucald.discovery.evidence import believed_z, choose_unit, relation
 
 

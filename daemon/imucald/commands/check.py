@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from imucald.commands.options import LOG_HELP, add_bus, add_config
 
 if TYPE_CHECKING:
-    from imucald.check import Check
     from imucald.config import LoadedConfig
+    from imucald.config_check import Check
 
 LISTEN_S = 10.0
 
@@ -44,8 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Look, then tell."""
-    from imucald.check import Check
     from imucald.commands.files import check_files
+    from imucald.config_check import Check
     from imucald.core.errors import ConfigError
     from imucald.runtime.session import open_config
     from imucald.service.start_check import check_start
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _for_a_bus(loaded: LoadedConfig, options: argparse.Namespace) -> Check:
-    from imucald.check import Check
+    from imucald.config_check import Check
 
     interface = options.interface or loaded.config.bus.interface
     channel = options.channel or loaded.config.bus.channel
@@ -104,8 +104,8 @@ def _read(check: Check, logs: list[str]) -> None:
 
 
 def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> None:
-    from imucald.check import EVERY_FRAME
     from imucald.commands.listening import listen
+    from imucald.config_check import EVERY_FRAME
     from imucald.service.live import open_link
 
     link = open_link(loaded, EVERY_FRAME, frozenset(), options.interface, options.channel)

@@ -103,8 +103,8 @@ def _read(logs: list[str]) -> GatheredFrames:
 
 def _listen(options: argparse.Namespace, databases: Mapping[str, Database]) -> GatheredFrames:
     from imucald.can.link.link import Link
-    from imucald.check import EVERY_FRAME
     from imucald.commands.listening import listen
+    from imucald.config_check import EVERY_FRAME
     from imucald.discovery import GatheredFrames
 
     interface, channel = options.interface, options.channel

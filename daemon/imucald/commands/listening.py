@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from imucald.check import columns_of
 from imucald.commands.terminal import countdown
+from imucald.config_check import columns_of
 
 if TYPE_CHECKING:
     from imucald.can.columns import FrameColumns

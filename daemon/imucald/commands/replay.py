@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import LOG_HELP, add_config
@@ -32,6 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--json", metavar="FILE", help="write the result as JSON ('-': standard output)"
+    )
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="write a page about the drive here (needs pip install 'imucald[report]')",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     parser.add_argument(
@@ -59,13 +66,22 @@ def run(options: argparse.Namespace) -> int:
     _check(options)
     keep_databases(os.environ)
     loaded = open_config(options.config, options.database)
-    engine = make_engine(loaded)
+    page = None
+    if options.report:
+        from imucald.commands.replay_report import ReplayReport
+
+        page = ReplayReport(loaded, options)
+    engine = make_engine(loaded, page and page.history.snapshot)
     with progress_bar("replay", options.quiet) as progress, _sink(options, loaded) as sink:
-        reader = LogReader(options.logs, engine.router.matches, options.strict, progress)
-        result = Replay(engine, reader, sink, options.speed).run()
+        new_reader = LogReader if page is None else page.reader
+        reader = new_reader(options.logs, engine.router.matches, options.strict, progress)
+        taker = sink if page is None else page.sink(engine, sink)
+        result = Replay(engine, reader, taker, options.speed).run()
     for text in reader.problems:
         print(f"imucald: {text}", file=sys.stderr)
-    for text in engine.stages.notes if engine.stages is not None and not options.quiet else ():
+    for text in (
+        engine.preprocessing.notes if engine.preprocessing is not None and not options.quiet else ()
+    ):
         print(f"imucald: not used of the model: {text}", file=sys.stderr)
     if options.json:
         write_text(options.json, as_json(result))
@@ -74,6 +90,8 @@ def run(options: argparse.Namespace) -> int:
     if engine.router.used == 0:
         text = "the log has no usable frame of this configuration; 'imucald check' tells more"
         print(f"imucald: {text}", file=sys.stderr)
+    if page is not None:
+        page.write(result, reader.problems)
     if STANDARD not in (options.json, options.out) and not options.quiet:
         from imucald.commands.terminal import print_summary
 

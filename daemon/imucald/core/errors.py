@@ -26,6 +26,9 @@ class DecodeError(ImucaldError):
         super().__init__(text)
         self.reason = reason
 
+    def __reduce__(self) -> tuple[type[DecodeError], tuple[str, str]]:
+        return type(self), (self.reason, str(self))
+
 
 class EncodeError(ImucaldError):
     """A value cannot be written into its signal (range, NaN, unknown name)."""

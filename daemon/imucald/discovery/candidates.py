@@ -15,7 +15,7 @@ from imucald.can.dbc.database import Database
 from imucald.can.dbc.decode import compile_decode, id_match
 from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import raw_limits
-from imucald.check.motion import bridged, smooth
+from imucald.config_check.motion import bridged, smooth
 from imucald.core.errors import DatabaseError
 from imucald.discovery.evidence import factor_of
 from imucald.discovery.recording import Traffic

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.check.motion import SMOOTH, shifted, smooth
+from imucald.config_check.motion import SMOOTH, shifted, smooth
 from imucald.discovery.candidates import Array
 from imucald.discovery.evidence import BELIEVED_NATS, Relation, relation
 from imucald.discovery.reference import KnownMotion

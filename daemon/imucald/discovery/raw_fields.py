@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
 from imucald.can.dbc.message import Message, Signal
-from imucald.check.motion import bridged, smooth
+from imucald.config_check.motion import bridged, smooth
 from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.recording import Traffic
 from imucald.motion.ticks import TICK_RATE

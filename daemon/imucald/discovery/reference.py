@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.check.motion import SMOOTH, shifted
+from imucald.config_check.motion import SMOOTH, shifted
 from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import (
     COMMON_UNITS,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imucald.check.motion import shifted
+from imucald.config_check.motion import shifted
 from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import Relation, UnitChoice, choose_unit, is_better, relation
 from imucald.discovery.names import hint

@@ -31,10 +31,11 @@ from imucald.runtime.output.output_columns import (
 from imucald.runtime.output.output_frames import STATUS_FRAMES, Health, OutputFrames
 from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.pipeline import Pipeline, Snapshot, TickCorrections
+from imucald.runtime.segment_samples import CorrectedSamples, SegmentSamples
 from imucald.runtime.timebase import TimeBase, TimeSegment
 
 if TYPE_CHECKING:
-    from imucald.compensation.preprocessing import PreprocessingChain
+    from imucald.model_compensation.preprocessing import PreprocessingChain
 
 MISSING_TICKS = 10
 """An input that gave no sample for so many ticks is missing: one second."""
@@ -61,7 +62,8 @@ class Engine:
     link_health: asked whenever a health frame is made.
     consumers: run beside, on the same samples.
     new_estimator: makes the estimator of `restart_calibration`.
-    stages: take out of the signals what a model file knows of them.
+    preprocessing: takes out of the signals what a model file knows of them.
+    on_samples: called by `columns` with the samples of every segment, as they came and corrected.
     """
 
     def __init__(
@@ -74,20 +76,22 @@ class Engine:
         link_health: Callable[[], LinkHealth] = LinkHealth,
         consumers: Sequence[Consumer] = (),
         new_estimator: Callable[[], MountEstimator] | None = None,
-        stages: PreprocessingChain | None = None,
+        preprocessing: PreprocessingChain | None = None,
+        on_samples: Callable[[SegmentSamples], None] | None = None,
     ) -> None:
         self.router = router
         self.output = output
-        self.stages = stages
-        evidence = None if stages is None else stages.evidence
+        self.preprocessing = preprocessing
+        ticks = None if preprocessing is None else preprocessing.ticks
         health = SampleHealth(router.measured_axes)
-        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), evidence, health)
+        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), ticks, health)
         self.timebase = TimeBase()
         self.consumers = tuple(consumers)
         self._consumed = frozenset(c for one in self.consumers for c in one.channels)
         self.sent = 0
         """Frames given out."""
         self._on_snapshot = on_snapshot
+        self._on_samples = on_samples
         self._link_health = link_health
         self._new_estimator = new_estimator
         self._spaced = {
@@ -100,7 +104,7 @@ class Engine:
     @property
     def model_key(self) -> str:
         """Names what a model changes of the estimate; "" without one."""
-        return "" if self.stages is None else self.stages.estimate_key
+        return "" if self.preprocessing is None else self.preprocessing.estimate_key
 
     # one frame -----------------------------------------------------------------------------
 
@@ -117,8 +121,8 @@ class Engine:
         samples, rejected = self.router.frame(t, can_id, data)
         for channel, values in samples:
             self.pipeline.health.add(channel, values)
-        if self.stages is not None:
-            samples, refused = self.stages.frame(t, samples, self.router.rejected)
+        if self.preprocessing is not None:
+            samples, refused = self.preprocessing.frame(t, samples, self.router.rejected)
             rejected += refused
         for channel in rejected:
             self.pipeline.reject(channel)
@@ -133,8 +137,8 @@ class Engine:
                 self._watched[channel] = k
             if channel in self.output.triads:
                 turned[channel] = None if correction is None else times(correction, values)
-        if self.stages is not None and turned:
-            turned = self.stages.corrected(t, turned)
+        if self.preprocessing is not None and turned:
+            turned = self.preprocessing.corrected(t, turned)
         faults = pipeline.health.faults
         for channel in self.output.triads:
             if channel in turned:
@@ -159,8 +163,8 @@ class Engine:
         pipeline = self.pipeline
         first = pipeline.k
         snapshots = pipeline.gap(k) if gap else pipeline.advance(k)
-        if gap and self.stages is not None:
-            self.stages.gap()
+        if gap and self.preprocessing is not None:
+            self.preprocessing.gap()
         out = self._statuses(snapshots)
         if self.consumers:
             out += self._consumer_ticks(first, k, snapshots)
@@ -242,8 +246,8 @@ class Engine:
         if segment.gap:
             first = self.pipeline.k
             snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
-            if self.stages is not None:
-                self.stages.gap()
+            if self.preprocessing is not None:
+                self.preprocessing.gap()
             yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
             out = self._consumer_ticks(first, self.pipeline.k, snapshots)
             yield from self._frame_parts(out, base)
@@ -253,8 +257,8 @@ class Engine:
         chunk = frames if whole else frames.take(slice(base, segment.stop))
         routed = self.router.columns(segment.t, chunk)
         watched = routed.samples
-        if self.stages is not None:
-            routed = self.stages.columns(routed, segment.t, self.router.rejected)
+        if self.preprocessing is not None:
+            routed = self.preprocessing.columns(routed, segment.t, self.router.rejected)
         ticks = np.floor(segment.t * TICK_RATE).astype(np.int64)
         times = {c: segment.t[rows] for c, rows in routed.rejected.items()}
         first = self.pipeline.k
@@ -281,8 +285,13 @@ class Engine:
         if self.consumers:
             yield from self._consumer_parts(routed, corrections, snapshots, ticks, base)
         lost = self._lost_rows(routed, segment.t)
+        corrected: dict[str, CorrectedSamples] = {}
+        if keep or self._on_samples is not None:
+            corrected = self._corrected(routed, corrections, ticks)
+        if self._on_samples is not None:
+            self._on_samples(SegmentSamples(segment, chunk.t, watched, corrected))
         if keep:
-            yield from self._corrected_parts(routed, corrections, ticks, base, lost)
+            yield from self._corrected_parts(corrected, base, lost)
         else:
             self.sent += sum(corrected_count(routed, c) + len(lost[c]) for c in lost)
 
@@ -291,35 +300,29 @@ class Engine:
         lost: dict[str, NDArray[np.int64]] = {}
         for channel in self.output.triads:
             series, bad = routed.samples.get(channel), routed.rejected.get(channel)
-            rows = np.zeros(0, np.int64) if bad is None else bad
-            if series is not None and len(rows):
-                rows = np.setdiff1d(rows, series.row)
-            rows = np.unique(rows)
+            if bad is None:
+                lost[channel] = np.zeros(0, np.int64)
+                continue
+            rows = np.unique(bad) if series is None else np.setdiff1d(bad, series.row)
             lost[channel] = rows[self._spaced[channel].among(t[rows])]
         return lost
 
     def _corrected_parts(
         self,
-        routed: Routed,
-        corrections: TickCorrections,
-        ticks: NDArray[np.int64],
+        corrected: Mapping[str, CorrectedSamples],
         base: int,
         lost: Mapping[str, NDArray[np.int64]],
     ) -> Iterator[OutPart]:
-        corrected = self._corrected(routed, corrections, ticks)
         for order, channel in enumerate(self.output.triads):
-            series = routed.samples.get(channel)
+            found = corrected.get(channel)
             bad = lost[channel]
-            if series is None and not len(bad):
-                continue
-            row = np.zeros(0, np.int64) if series is None else series.row
-            turned = corrected.get(channel, np.zeros((0, 3)))
-            quality = corrections.quality[ticks[row] - corrections.first]
-            unfit = corrections.unfit.get(self.output.sensor_of[channel])
-            if unfit is not None:
-                faulty = unfit[ticks[row] - corrections.first]
-                turned = np.where(faulty[:, None], np.nan, turned)
-                quality = np.where(faulty, 0, quality).astype(np.uint8)
+            if found is None:
+                if not len(bad):
+                    continue
+                row, turned = np.zeros(0, np.int64), np.zeros((0, 3))
+                quality = np.zeros(0, np.uint8)
+            else:
+                row, turned, quality = found.row, found.values, found.quality
             if len(bad):
                 row = np.concatenate([row, bad])
                 by_row = np.argsort(row, kind="stable")
@@ -335,16 +338,26 @@ class Engine:
 
     def _corrected(
         self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64]
-    ) -> dict[str, NDArray[np.float64]]:
-        """Corrected samples (N, 3) by channel."""
+    ) -> dict[str, CorrectedSamples]:
+        """Corrected samples by channel; not a number where there is no correction."""
         found = {c: routed.samples[c] for c in self.output.triads if c in routed.samples}
+        tick = {c: ticks[series.row] - corrections.first for c, series in found.items()}
         turned = {
-            channel: times_columns(
-                corrections.rotations[ticks[series.row] - corrections.first], series.values
-            )
+            channel: times_columns(corrections.rotations[tick[channel]], series.values)
             for channel, series in found.items()
         }
-        return turned if self.stages is None else self.stages.corrected_columns(found, turned)
+        if self.preprocessing is not None:
+            turned = self.preprocessing.corrected_columns(found, turned)
+        corrected: dict[str, CorrectedSamples] = {}
+        for channel, series in found.items():
+            values, quality = turned[channel], corrections.quality[tick[channel]]
+            unfit = corrections.unfit.get(self.output.sensor_of[channel])
+            if unfit is not None:
+                faulty = unfit[tick[channel]]
+                values = np.where(faulty[:, None], np.nan, values)
+                quality = np.where(faulty, 0, quality).astype(np.uint8)
+            corrected[channel] = CorrectedSamples(series.t, values, series.row, quality)
+        return corrected
 
     def _consumer_parts(
         self,
