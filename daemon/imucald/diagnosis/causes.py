@@ -88,6 +88,8 @@ _ROWS: tuple[Parameter, ...] = (
     *_axes("gyro.bias", "rad/s", 0.05 * DEG, f"0.05 (deg/s)/K over a kelvin, {MEMS}; stops of one"
            " measured drive differ by 0.03 deg/s", 10.0 * DEG, _IMU),
     *_axes("gyro.scale", "1", 0.01, f"sensitivity over temperature, {MEMS}", 0.18, _IMU, "012"),
+    *_axes("gyro.cross_axis", "1", 0.005, "axes square to 0.3 deg", 0.10, _IMU,
+           "012345"),
     *_axes("gyro.g_sensitivity", "(rad/s)/(m/s^2)", 0.01 * DEG, f"0.1 (deg/s)/g, {MEMS}",
            0.5 * DEG, _IMU, "012"),
     *_axes("gyro.bias_temperature", "rad/s/K", 0.01 * DEG, f"0.01 (deg/s)/K, {MEMS}", 0.3 * DEG,

@@ -191,7 +191,7 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
     """Move the model by a named hypothesis; a direction is evaluated once more where it led."""
     h = chosen.hypothesis
     if not h.directions:
-        state.apply(_changes(problem, h))
+        state.apply(_changes(problem, h, beyond(chosen)))
         return
     freed = set(state.free)
     for _ in range(2):
@@ -205,8 +205,20 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
                 state.bounds[key] = (-float(half[k]), float(half[k]))
 
 
-def _changes(problem: Problem, h: Hypothesis) -> dict[str, float]:
-    """Departures of a hypothesis' own parameters, with what moves with them."""
+def beyond(trial: Trial) -> tuple[str, ...]:
+    """Of a hypothesis' parameters those that leave their tolerance; the others stay within it."""
+    e, h = trial.estimate, trial.hypothesis
+    sure = (np.abs(e.value) - trial.tolerance) / np.maximum(e.se, 1e-30)
+    far = sure > min(trial.single, float(sure.max()) * 0.999)
+    far |= np.arange(len(h.keys)) < h.lead
+    return tuple(k for k, is_far in zip(h.keys, far, strict=True) if is_far)
+
+
+def _changes(problem: Problem, h: Hypothesis, only: Sequence[str] = ()) -> dict[str, float]:
+    """Departures of a hypothesis' own parameters, with what moves with them. only: these of them;
+    the others are fitted within their tolerance, and not moved."""
+    if only:
+        h = replace(h, keys=tuple(only))
     x = fitted(problem, h)
     own = problem.own(h)
     changes: dict[str, float] = {}
@@ -253,7 +265,7 @@ def _let_go(state: State) -> list[str]:
     for trial in state.named[:-1]:
         if not trial.hypothesis.is_plain:
             continue
-        keys = [k for k in trial.hypothesis.keys if k in problem.table.keys]
+        keys = [k for k in trial.hypothesis.keys if k in problem.table.keys and k in state.changes]
         low, high = problem.low.copy(), problem.high.copy()
         for key in keys:
             i = problem.table.keys.index(key)
@@ -285,20 +297,35 @@ def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
 
 
 def _demote(state: State) -> None:
-    """What does not hold beside all others, with all others' errors, is no more than likely."""
+    """What is not beyond its tolerance beside all others, with all others' errors, at the error
+    rate of a single question, is no more than likely."""
     estimates = final_estimates(state)
     for trial in list(state.named):
         h = trial.hypothesis
-        if not h.is_plain:
+        if h.pattern is not None:
             continue
         known = [(estimates[k], tau) for k, tau in zip(h.keys, trial.tolerance, strict=True)
-                 if k in estimates]  # fmt: skip
+                 if k in estimates] if h.is_plain else _by_direction(state, trial)  # fmt: skip
         known = known[: h.lead or len(known)]
-        if any(abs(x) > tau + se for (x, se, _), tau in known):
+        if any(abs(x) > tau + q * se for (x, se, q), tau in known):
             continue
         state.named.remove(trial)
         state.likely.append(trial)
-        for key in h.keys:
+        for key in {k for d in h.directions for k in d} or h.keys:
             state.changes.pop(key, None)
+            if h.directions:
+                state.held.discard(key)
+                state.bounds.pop(key, None)
         state.apply({})
         refit(state)
+
+
+def _by_direction(state: State, trial: Trial) -> list[tuple[tuple[float, float, float], float]]:
+    """As `final_estimates`, of parameters that were moved by a direction."""
+    problem, h = state.evaluated(), trial.hypothesis
+    se = estimate(problem, h, 1).se
+    q = quantile(problem.table.blocks, 1)
+    return [
+        ((state.changes.get(k, 0.0), float(s), q), float(tau))
+        for k, s, tau in zip(h.keys, se, trial.tolerance, strict=True)
+    ]
