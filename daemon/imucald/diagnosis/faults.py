@@ -241,8 +241,10 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
         )  # fmt: skip
     ppm = 1e6 * (cycle * message.rate_hz - 1.0)
     off = ppm - message.clock_drift_ppm
-    if is_steady and name in ("accel", "gyro", "speed", "steering", "yaw_rate") and (
-        CLOCK_PPM + 5.0 * 1e6 * se < abs(off) < CLOCK_UNKNOWN_PPM
+    if (
+        is_steady
+        and name in ("accel", "gyro", "speed", "steering", "yaw_rate")
+        and (CLOCK_PPM + 5.0 * 1e6 * se < abs(off) < CLOCK_UNKNOWN_PPM)
     ):
         yield Fault(
             "clock_drift", name, {f"{name}.clock_drift_ppm": (ppm, 1e6 * se, "ppm")},

@@ -153,12 +153,15 @@ def _ramp(table: Table) -> Array:
     return made
 
 
-def tried(problem: Problem, h: Hypothesis, base: Array, questions: int) -> Trial:
-    """Free a hypothesis and score it."""
+def tried(
+    problem: Problem, h: Hypothesis, base: Array, questions: int, null: Problem | None = None
+) -> Trial:
+    """Free a hypothesis and score it. base: (B,) held-out losses of the box of honest files; null:
+    that box, where the model has moved out of it already."""
     gain = base - held_out(problem, h)
     index = problem.table.index(h.keys)
     t = problem.table
-    return Trial(h, estimate(problem, h, questions), gain, without_best(gain),
+    return Trial(h, estimate(problem, h, questions, null), gain, without_best(gain),
                  t.tolerance[index], t.plausible[index], math.log(questions / ERROR_RATE),
                  float(student.ppf(1.0 - 0.5 * LIKELY, t.blocks - 1)), _reach(t, h))  # fmt: skip
 
