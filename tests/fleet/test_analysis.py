@@ -124,7 +124,9 @@ def test_the_crown_counts_once_and_is_not_divided_by_the_vehicles() -> None:
     few, many = (analysed(columns_of(n))["analysis/types"][0] for n in (10, 160))
     assert many["ci95_y_deg"] < 0.5 * few["ci95_y_deg"]
     assert many["ci95_x_deg"] > 1.96 * CROWN
-    assert many["ci95_x_deg"] == pytest.approx(math.hypot(1.96 * CROWN, many["ci95_y_deg"]), rel=0.1)
+    assert many["ci95_x_deg"] == pytest.approx(
+        math.hypot(1.96 * CROWN, many["ci95_y_deg"]), rel=0.1
+    )
 
 
 def test_the_crown_is_in_no_difference() -> None:
@@ -191,7 +193,9 @@ def test_shrinkage_brings_vehicles_nearer_to_the_truth() -> None:
     """Few, poor drives beside a narrow type: the type tells more than the vehicle's own."""
     rng_free = columns_of(60, 1, std=0.8, spread=0.2)
     tables = analysed(rng_free)
-    raw, shrunk = ([_angle(v, prefix) for v in tables["analysis/vehicles"]] for prefix in ("", "shrunk_"))
+    raw, shrunk = (
+        [_angle(v, prefix) for v in tables["analysis/vehicles"]] for prefix in ("", "shrunk_")
+    )
     # the truth of every vehicle is within 0.2 deg per axis of the type's mount
     assert np.mean(np.square(shrunk)) < 0.5 * np.mean(np.square(raw))
 
@@ -224,7 +228,9 @@ def test_cuts_are_where_the_partition_is_best_of_all() -> None:
     rng = np.random.default_rng(8)
     n = 9
     for _ in range(20):
-        e = rng.normal(0.0, 1.0, (n, 3)) + np.where(np.arange(n)[:, None] >= rng.integers(2, 8), 3, 0)
+        e = rng.normal(0.0, 1.0, (n, 3)) + np.where(
+            np.arange(n)[:, None] >= rng.integers(2, 8), 3, 0
+        )
         W = np.eye(3)[None] * rng.uniform(0.5, 2.0, (n, 1, 1))
         from scipy.stats import chi2
 

@@ -42,7 +42,9 @@ def test_every_reader_sees_the_same_table(done: Path) -> None:
         folder = done / table
         rows = pq.read_table(folder).to_pylist()
         name = str(next(folder.iterdir()))
-        of_duckdb = duckdb.sql(f"SET TimeZone='UTC'; SELECT * FROM '{folder}/*.parquet'").to_arrow_table()
+        of_duckdb = duckdb.sql(
+            f"SET TimeZone='UTC'; SELECT * FROM '{folder}/*.parquet'"
+        ).to_arrow_table()
         assert _plain(of_duckdb.to_pylist()) == _plain(rows)
         assert _plain(pl.read_parquet(name).to_dicts()) == _plain(rows)
         frame = pd.read_parquet(name)
@@ -75,7 +77,9 @@ def test_signals_are_found_by_vehicle_and_day(done: Path) -> None:
     assert not any("_work" in str(p) for p in (done / "signals").rglob("*"))
 
 
-def test_status_and_why_tell_what_the_tables_hold(done: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_status_and_why_tell_what_the_tables_hold(
+    done: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["fleet", "status", "--out", str(done)]) == 0
     text = capsys.readouterr().out
     assert "7 logs" in text
@@ -108,8 +112,13 @@ def test_a_folder_without_a_run_or_analysis_says_what_to_do(
         assert main(["fleet", action, "--out", str(tmp_path)]) == 1
         assert "imucald fleet run" in capsys.readouterr().err
     path = make_fleet(tmp_path, log, 1)
-    assert main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 0
-    assert main(["fleet", "report", "--out", str(tmp_path / "out"), "--html", str(tmp_path / "x")]) == 1
+    assert (
+        main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    )
+    assert (
+        main(["fleet", "report", "--out", str(tmp_path / "out"), "--html", str(tmp_path / "x")])
+        == 1
+    )
     assert "imucald fleet analyse" in capsys.readouterr().err
 
 
@@ -119,7 +128,10 @@ def test_a_folder_without_a_run_or_analysis_says_what_to_do(
         ("config: car.yaml\n", "logs"),
         ("logs: x\nconfig: nothing.yaml\n", "nothing.yaml"),
         (f"logs: x\nconfig: {CONFIG}\n", "no log is at x"),
-        (f"logs: x\nconfig: {CONFIG}\npath: '(x'\n", "fleet.yaml:3: path: is no regular expression"),
+        (
+            f"logs: x\nconfig: {CONFIG}\npath: '(x'\n",
+            "fleet.yaml:3: path: is no regular expression",
+        ),
         (f"logs: x\nconfig: {CONFIG}\npath: x\n", "(?P<vehicle>"),
         (f"logs: x\nconfig: {CONFIG}\nvehicles: no.csv\n", "fleet.yaml:3: vehicles"),
         (f"logs: x\nconfig: {CONFIG}\nfrobnicate: 1\n", "frobnicate"),
@@ -139,14 +151,18 @@ def test_a_wrong_fleet_file_is_told_before_any_work(
 def test_logs_come_from_any_file_system_that_fsspec_knows(tmp_path: Path, log: Path) -> None:
     """A zip archive stands for object stores: nothing there is a path of this machine."""
     path = make_fleet(tmp_path, log, 3)
-    assert main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "a"), "--quiet"]) == 0
+    assert (
+        main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "a"), "--quiet"]) == 0
+    )
     with zipfile.ZipFile(tmp_path / "logs.zip", "w") as archive:
         for file in sorted((tmp_path / "logs").rglob("*.log")):
             archive.write(file, file.relative_to(tmp_path))
     path.write_text(
         f"logs: 'zip://logs/**/*.log'\nconfig: {CONFIG}\nstorage: {{zip: {{fo: {tmp_path}/logs.zip}}}}\n"
     )
-    assert main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "b"), "--quiet"]) == 0
+    assert (
+        main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "b"), "--quiet"]) == 0
+    )
     a, b = (pq.read_table(tmp_path / name / "drives").to_pylist() for name in "ab")
     for one, other in zip(a, b, strict=True):
         assert other.pop("sources").startswith('["zip://logs/car-')
