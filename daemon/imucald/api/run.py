@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -23,10 +24,15 @@ from imucald.api.drive import DriveResult, drive_result
 from imucald.api.logs import LogSource, opened
 from imucald.api.mount import MountResult
 from imucald.api.recorder import Recorder, microseconds
+from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.errors import NoFramesError
+from imucald.runtime.engine import Engine
+from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.replay import Replay, Sink
 from imucald.runtime.session import make_engine
+
+_T = TypeVar("_T")
 
 Progress = Callable[[int, int | None], None]
 """Called now and then with bytes read, and bytes in all (None where nobody knows)."""
@@ -34,6 +40,14 @@ Progress = Callable[[int, int | None], None]
 _KINDS = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag"}
 
 UNUSED = "the log has no usable frame of this configuration; 'imucald check' tells more"
+
+
+def _both(first: Callable[[_T], None], second: Callable[[_T], None]) -> Callable[[_T], None]:
+    def both(what: _T) -> None:
+        first(what)
+        second(what)
+
+    return both
 
 
 def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
@@ -48,10 +62,37 @@ def require_frames(drive: DriveResult) -> DriveResult:
     return drive
 
 
+class Watcher(Protocol):
+    """Sees what passes during a run, such as whoever draws a page of it."""
+
+    def take(self, chunk: FrameColumns, /) -> None:
+        """Take frames of the logs, before the engine gets them."""
+
+    def snapshot(self, snapshot: Snapshot, /) -> None:
+        """Take a snapshot of the estimate."""
+
+    def sink(self, engine: Engine, /) -> Sink:
+        """Return what takes the frames that would be sent."""
+
+
+class _WatchedReader(LogReader):
+    """A reader whose chunks a watcher sees before the engine does."""
+
+    def __init__(self, watcher: Watcher, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._watcher = watcher
+
+    def __iter__(self) -> Iterator[FrameColumns]:
+        for chunk in super().__iter__():
+            self._watcher.take(chunk)
+            yield chunk
+
+
 class Run:
     """Logs that are the pieces of one recording, on their way through an engine of their own.
 
     sink: takes the frames that would be sent. speed: 1 is real time, None as fast as it goes.
+    watcher: sees all that passes.
     Raises ConfigError.
     """
 
@@ -64,15 +105,25 @@ class Run:
         strict: bool = False,
         sink: Sink | None = None,
         speed: float | None = None,
+        watcher: Watcher | None = None,
     ) -> None:
         sources = [opened(log) for log in logs]
         self.logs = tuple(str(source) for source in sources)
         self._signals = signals
         self._recorder = Recorder(signals)
+        snapshot = self._recorder.snapshot
         self.engine = make_engine(
-            config.loaded, self._recorder.snapshot, on_samples=self._recorder.samples
+            config.loaded,
+            snapshot if watcher is None else _both(snapshot, watcher.snapshot),
+            on_samples=self._recorder.samples,
         )
-        self._reader = LogReader(sources, self.engine.router.matches, strict, progress)
+        reading = sources, self.engine.router.matches, strict, progress
+        if watcher is None:
+            self._reader = LogReader(*reading)
+        else:
+            self._reader = _WatchedReader(watcher, *reading)
+            seen = watcher.sink(self.engine)
+            sink = seen if sink is None else _both(seen, sink)
         self._replay = Replay(self.engine, self._reader, sink, speed)
         self._kinds = {
             f"parallel/{p.name}": _KINDS[p.kind] for p in config.loaded.config.signals.parallel
@@ -105,7 +156,7 @@ class Run:
         engine, reader = self.engine, self._reader
         lead = self._replay.lead
         left_out = self._recorder.events_left_out
-        notes = [] if engine.stages is None else list(engine.stages.notes)
+        notes = [] if engine.preprocessing is None else list(engine.preprocessing.notes)
         notes = [f"not used of the model: {note}" for note in notes]
         notes += [UNUSED] if engine.router.used == 0 else []
         notes += [f"{left_out} more events were left out"] if left_out else []

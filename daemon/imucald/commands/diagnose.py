@@ -113,7 +113,7 @@ def _check(options: argparse.Namespace) -> None:
             raise ImucaldError(f"{folder}: cannot be written: Not a directory")
         # A folder that is made only at the end is checked by its name in the folder above.
         outputs.append(folder / PAGE if folder.exists() else folder)
-        from imucald.report import require_libraries
+        from imucald.report.page import require_libraries
 
         require_libraries()
     models = [options.model] if options.model else []
@@ -209,7 +209,7 @@ def _write_report(diagnosis: Diagnosis, options: argparse.Namespace) -> None:
     from imucald import __version__
     from imucald.commands.files import write_text
     from imucald.core.errors import ImucaldError
-    from imucald.report import About, report_page
+    from imucald.report.page import About, report_page
 
     about = About(
         logs=["/".join(Path(log).parts[-2:]) for log in options.logs],

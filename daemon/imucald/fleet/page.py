@@ -14,7 +14,7 @@ from imucald import __version__
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.reading import read_analysis
 from imucald.fleet.store import Store
-from imucald.report.page import address_of, page_environment, require_libraries
+from imucald.report.page import address_of, environment, require_libraries
 
 MAX_ROWS = 60
 """Of a table; the files have all."""
@@ -38,7 +38,7 @@ def fleet_page(store: Store) -> str:
     bad = [g for g in analysis["groups"] if g["verdict"] == "bad"]
     design = [c for c in analysis["causes"] if c["verdict"] == "design"]
     hours = (pc.sum(drives.column("duration_s")).as_py() or 0.0) / 3600.0
-    return page_environment().get_template("fleet.html").render(
+    return environment().get_template("fleet.html").render(
         place=store.url,
         made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, imucald {__version__}",
         headline=_headline(found, analysis["outliers"], bad, design),

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from imucald.report.plots import AFTER, BEFORE, FLOOR, as_svg
+from imucald.report.plots import AFTER, BEFORE, FLOOR
+from imucald.report.svg_figures import drawn
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +49,7 @@ def vehicles_picture(vehicles: Sequence[Row]) -> str:
         axes[-1].set_xticks(centres if named else [], [kinds[b] for b in begins] if named else [])
         axes[-1].set_xlabel("vehicles by type")
 
-    return as_svg(draw, (9.6, 5.4))
+    return drawn(draw, (9.6, 5.4))
 
 
 def groups_picture(groups: Sequence[Row]) -> str:
@@ -80,7 +81,7 @@ def types_picture(types: Sequence[Row]) -> str:
         _labelled(axes[0], [t["vehicle_type"] for t in shown])
         axes[-1].legend(loc="lower right")
 
-    return as_svg(draw, (9.6, 1.3 + 0.34 * len(shown)))
+    return drawn(draw, (9.6, 1.3 + 0.34 * len(shown)))
 
 
 def _intervals(
@@ -96,7 +97,7 @@ def _intervals(
             ax.set_xlabel(f"{AXES[axis]} {title}")
         _labelled(axes[0], labels)
 
-    return as_svg(draw, (9.6, 1.1 + 0.24 * len(rows)))
+    return drawn(draw, (9.6, 1.1 + 0.24 * len(rows)))
 
 
 def _bars(ax: Axes, value: Any, width: Any, axis: str, k: int) -> None:
@@ -137,7 +138,7 @@ def history_picture(drives: Sequence[Row], cuts: Sequence[str]) -> str:
             ax.set_xticks(at)
         figure.legend(ncols=3, loc="outside upper center")
 
-    return as_svg(draw, (4.7, 2.7))
+    return drawn(draw, (4.7, 2.7))
 
 
 def reasons_picture(rows: Sequence[Row]) -> str:
@@ -153,4 +154,4 @@ def reasons_picture(rows: Sequence[Row]) -> str:
         _labelled(ax, [reason for reason, _ in items])
         ax.set_xlabel("drives")
 
-    return as_svg(draw, (9.6, 0.9 + 0.3 * len(items)))
+    return drawn(draw, (9.6, 0.9 + 0.3 * len(items)))
