@@ -29,11 +29,12 @@ ONLY = {
 
 IO_ROOMS = {"can", "commands", "inputs", "runtime", "service", "uds"}
 NEVER = {
-    "api": {"commands", "report", "service", "uds"},
+    "api": {"commands", "fleet", "report", "service", "uds"},
     "attitude": IO_ROOMS,
     "config_check": {"api", "commands"},
     "diagnosis": {"api", "commands"},
     "discovery": {"api", "commands", "service", "uds"},
+    "fleet": {"commands", "service", "uds"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
     "runtime": {"api", "commands", "service"},
@@ -61,8 +62,11 @@ LAZY_MODULES: Mapping[str, str] = {
     "can.logs.python_can_logs._open: can.python_can": "python-can: candump does without",
     "config.root.json_schema: config.schema": "only `imucald schema` needs it",
     "core.yaml_lines.read_yaml: core.yaml_parser": "10 ms, 0.9 MiB: a kept file needs no parser",
+    "fleet.evaluation._replayed: fleet.signals": "loads pyarrow, for corrected signals only",
+    "fleet.page._drawing: fleet.pictures": "loads matplotlib",
     "report.page._breakable: markupsafe": "comes with jinja2, an extra",
     "report.page._pictures: report.plots": "loads matplotlib",
+    "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
     "runtime.estimators.estimator_for: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it alone",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "4 ms, 0.3 MiB",

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.core.errors import EstimateError
-from imucald.core.rotations import times, times_columns
+from imucald.core.rotations import times, times_columns, times_level, times_level_columns
 from imucald.inputs.rate_guard import Spaced, guarded_cycle
 from imucald.inputs.router import Routed, Router, Sample
 from imucald.motion.sample_health import Faults, SampleHealth
 from imucald.motion.ticks import TICK_RATE, tick_index
-from imucald.mount.estimate import MountEstimator
+from imucald.mount.estimate import Correction, MountEstimator
 from imucald.runtime.consumer import Consumer, events_of, in_order
 from imucald.runtime.output.output_columns import (
     OutPart,
@@ -133,15 +133,11 @@ class Engine:
         if self.consumers:
             self._feed_consumers(t, samples)
         correction, triads = pipeline.correction, self.output.triads
-        turned: dict[str, Turned] = {}
         for channel, values in samples:
             pipeline.add(t, channel, values)
             if channel in self._watched:
                 self._watched[channel] = k
-            if channel in triads:
-                turned[channel] = None if correction is None else times(correction, values)
-        if self.preprocessing is not None and turned:
-            turned = self.preprocessing.corrected(t, turned)
+        turned = self._turned(t, samples, correction)
         if turned:
             out += self._corrected_frames(turned)
         for channel in triads if rejected else ():
@@ -149,6 +145,21 @@ class Engine:
                 out.append(self.output.corrected(channel, None, 0))
         self.sent += len(out)
         return out
+
+    def _turned(
+        self, t: float, samples: Sequence[Sample], correction: Correction | None
+    ) -> dict[str, Turned]:
+        """Samples of one frame in vehicle axes, by channel; None where there is no correction."""
+        triads, planar = self.output.triads, self.output.planar
+        turned: dict[str, Turned] = {}
+        for channel, values in samples:
+            if channel in triads:
+                turned[channel] = None if correction is None else times(correction, values)
+        if self.preprocessing is not None and turned:
+            turned = self.preprocessing.corrected(t, turned)
+        if planar and correction is not None:
+            turned |= {c: times_level(correction, v) for c, v in samples if c in planar}
+        return turned
 
     def _corrected_frames(self, turned: Mapping[str, Turned]) -> list[OutFrame]:
         """Frames of corrected samples; *not available* where a sensor is not fit to be used."""
@@ -364,6 +375,9 @@ class Engine:
         }
         if self.preprocessing is not None:
             turned = self.preprocessing.corrected_columns(found, turned)
+        for channel in self.output.planar & found.keys():
+            rotations = corrections.rotations[tick[channel]]
+            turned[channel] = times_level_columns(rotations, found[channel].values)
         corrected: dict[str, CorrectedSamples] = {}
         for channel, series in found.items():
             values, quality = turned[channel], corrections.quality[tick[channel]]
