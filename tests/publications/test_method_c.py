@@ -189,6 +189,7 @@ def test_c2_noise_is_that_of_each_axis() -> None:
     assert ours.P[0:3, 0:3] == pytest.approx(expected, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_kingston_the_literal_filter_is_good_and_ours_is_better() -> None:
     """C on B's corrected samples, each sample a period; errors against the INS after a minute."""
     roll, pitch = rms_off(*tilted(recording(NAME), with_filter=True))

@@ -93,7 +93,7 @@ def why(options: argparse.Namespace) -> int:
             console.print(f"{name}:")
             for column, value in row.items():
                 if value is not None:
-                    console.print(f"  {column}: {value}")
+                    console.print(f"  {column}: {value}", soft_wrap=True)
     return 0
 
 

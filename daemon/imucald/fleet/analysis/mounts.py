@@ -49,7 +49,7 @@ class Segments:
 
 
 def interval(variance: Array, crown: Array, quantile: float = NORMAL_95) -> Array:
-    """Half of a 95 % interval (n, 3) [deg]: the crown is a roll, and normal whatever the rest is."""
+    """Half of a 95 % interval (n, 3) [deg]: the crown is a roll, normal whatever the rest is."""
     wide = quantile**2 * variance
     wide = wide + np.stack([(NORMAL_95 * crown) ** 2, 0.0 * crown, 0.0 * crown], axis=1)
     return np.sqrt(wide)

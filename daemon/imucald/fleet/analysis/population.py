@@ -8,7 +8,7 @@ differences and enters the intervals of mounts once, not divided by the number o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 from scipy.stats import t as t_distribution
 
-from imucald.fleet.analysis.components import Component, between_vehicles, robust_variance
+from imucald.fleet.analysis.components import VarianceComponent, between_vehicles, robust_variance
 from imucald.fleet.analysis.known_drives import between, turned
 from imucald.fleet.analysis.moderation import moderated
 
@@ -90,7 +90,7 @@ class Population:
     centre: Rotation
     e: Array
     offset: Array
-    T: list[list[Component]]
+    T: list[list[VarianceComponent]]
     tau2: Array
     freedom: Array
     mean_covariance: Array
@@ -155,7 +155,7 @@ def _sum(values: Array, kind: Index, kinds: int) -> Array:
 def _t_weights(e: Array, variance: Array) -> Array:
     """Weights (n,), at most 1, of the t distribution in three dimensions."""
     squares = (e * e / variance).sum(axis=1)
-    return np.minimum((T_FREEDOM + 3.0) / (T_FREEDOM + squares), 1.0)
+    return np.asarray(np.minimum((T_FREEDOM + 3.0) / (T_FREEDOM + squares), 1.0))
 
 
 def _first_centres(rotation: Rotation, units: Units) -> Rotation:
@@ -180,7 +180,8 @@ def _groups(
     found: dict[tuple[str, str], GroupEffect] = {}
     while True:
         effects = [
-            found.get((column, name)) or _effect(units, e, wide, w, left_out, column, name, index == i)
+            found.get((column, name))
+            or _effect(units, e, wide, w, left_out, column, name, index == i)
             for column, (names, index) in codes.items()
             for i, name in enumerate(names)
         ]
@@ -196,7 +197,14 @@ def _groups(
 
 
 def _effect(
-    units: Units, e: Array, wide: Array, w: Array, left_out: Flags, column: str, name: str, mine: Flags
+    units: Units,
+    e: Array,
+    wide: Array,
+    w: Array,
+    left_out: Flags,
+    column: str,
+    name: str,
+    mine: Flags,
 ) -> GroupEffect:
     """One group beside the other vehicles of its types: contrasts by type, put together."""
     vehicles = int(mine.sum())
@@ -214,7 +222,9 @@ def _effect(
         freedom += int(a.sum() + b.sum()) - 2
     nan = float("nan")
     if vehicles < LEAST_GROUP or kinds == 0:
-        return GroupEffect(column, name, vehicles, kinds, np.full(3, nan), np.full((3, 3), nan), nan, 0)
+        return GroupEffect(
+            column, name, vehicles, kinds, np.full(3, nan), np.full((3, 3), nan), nan, 0
+        )
     effect, covariance = weighted / total, np.diag(1.0 / total)
     square = float((effect**2 * total).sum())
     p = _p_of(square, freedom)
@@ -242,8 +252,7 @@ def _with_q(effects: Sequence[GroupEffect]) -> list[GroupEffect]:
 
 
 def _judged(g: GroupEffect, q: float) -> GroupEffect:
-    return GroupEffect(g.column, g.name, g.vehicles, g.kinds, g.effect, g.covariance, g.p, g.freedom,
-                       q, g.found or q <= MAX_Q)  # fmt: skip
+    return replace(g, q=q, found=g.found or q <= MAX_Q)
 
 
 def _offsets(
@@ -293,7 +302,9 @@ def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
     return np.asarray(count[units.kind] >= LEAST_PLAIN)
 
 
-def _components(units: Units, e: Array, odd: Flags) -> tuple[list[list[Component]], Array, Array]:
+def _components(
+    units: Units, e: Array, odd: Flags
+) -> tuple[list[list[VarianceComponent]], Array, Array]:
     """T by type and axis as each type shows it, then moderated (kinds, 3), with its freedoms."""
     found, usual = [], np.zeros((units.kinds, 3))
     for k in range(units.kinds):

@@ -179,7 +179,7 @@ class OutputFrames:
         """Frame of one corrected sample in SI (None: not available)."""
         message = self._corrected[channel]
         if values is None:
-            return message.frame((None, None, None, 0))
+            return message.not_available()
         factor = self._factors[channel]
         x, y, z = values
         up = None if channel in self.planar else z * factor
