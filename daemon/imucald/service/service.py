@@ -20,7 +20,8 @@ from imucald.core.errors import ImucaldError, LinkError
 from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.consumer import ChecksSensors
-from imucald.runtime.engine import Engine, LinkHealth
+from imucald.runtime.engine import Engine
+from imucald.runtime.input_watch import LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.summary import RunCounts, summary
