@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.inputs.router import Routed, Sample
+from imucald.inputs.column_samples import Routed
+from imucald.inputs.router import Sample
 from imucald.mount.estimate import Correction
 from imucald.runtime.consumer import Consumer, events_of, in_order
 from imucald.runtime.output.output_columns import OutPart, frames_part

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from imucald.can.columns import FrameColumns
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import times, times_level
+from imucald.inputs.column_samples import Routed
 from imucald.inputs.rate_guard import Spaced, guarded_cycle
-from imucald.inputs.router import Routed, Router, Sample
+from imucald.inputs.router import Router, Sample
 from imucald.motion.sample_health import SampleHealth
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator

@@ -10,7 +10,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.rotations import times_columns, times_level_columns
-from imucald.inputs.router import ColumnSamples, Routed
+from imucald.inputs.column_samples import ColumnSamples, Routed
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import TickCorrections
 from imucald.runtime.timebase import TimeSegment

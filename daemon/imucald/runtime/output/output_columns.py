@@ -9,7 +9,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
-from imucald.inputs.router import Routed
+from imucald.inputs.column_samples import Routed
 from imucald.runtime.output.output_frames import OutFrame, OutputFrames
 from imucald.runtime.segment_samples import CorrectedSamples
 
