@@ -35,6 +35,7 @@ NEVER = {
     "diagnosis": {"api", "commands"},
     "discovery": {"api", "commands", "service", "uds"},
     "fleet": {"commands", "service", "uds"},
+    "model_compensation": {"commands", "runtime", "service"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
     "runtime": {"api", "commands", "service"},

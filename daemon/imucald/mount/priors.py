@@ -20,8 +20,8 @@ CROSS_AXIS = ((0.001, 0.4), (0.005, 0.2), (0.01, 0.2), (0.02, 0.12), (0.04, 0.08
 """Cross-axis error (part, rms) where none is configured, with probabilities. The data
 sheet of a bare part states 2 % (MPU-6050), others 1 %. The shares are assumptions: two of five
 units were set at the end of their lines, to a tenth of 1 %; as many are as stated or half; and one
-of five is soldered, glued and bent to twice or four times as much. How far sources contradict one another
-then tells more (`fusion.ProbableScale`)."""
+of five is soldered, glued and bent to twice or four times as much. How far sources contradict one
+another then tells more (`fusion.ProbableScale`)."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
 A calibrated unit states that from axis to axis (ADIS16475 data sheet, features); of a bare part it
