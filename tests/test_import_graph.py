@@ -45,7 +45,8 @@ NEVER = {
 """Rooms that never reach these rooms, directly or through others."""
 
 LAZY_LIBRARIES = {
-    "asammdf", "can", "isotp", "jinja2", "matplotlib", "rich", "scipy", "subprocess", "yaml",
+    "asammdf", "can", "dpkt", "isotp", "jinja2", "matplotlib", "rich", "scipy", "subprocess",
+    "yaml", "zstandard",
 }  # fmt: skip
 """Large libraries, which a function may import when it needs them."""
 
