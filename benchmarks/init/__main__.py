@@ -80,17 +80,23 @@ def main() -> int:
     parser.add_argument("--part", choices=("measured", "second_world", "obfuscated"))
     parser.add_argument("--unseen", action="store_true", help="the drives kept for the end")
     parser.add_argument("--only", help="a case by its name")
+    parser.add_argument("--seeds", help="other obfuscated buses, as 11-40")
+    parser.add_argument("--no-replay", action="store_true", help="judge the proposal alone")
     options = parser.parse_args()
     total = Verdict()
     worse = 0
     print(f"{'case':28} found sure/unsure  wrong: marked, unmarked; missing   by hand -> proposed")
-    for case in _cases(options.part, options.unseen):
+    seeds: tuple[int, ...] = UNSEEN_SEEDS if options.unseen else SEEDS
+    if options.seeds:
+        first, last = map(int, options.seeds.split("-"))
+        seeds = tuple(range(first, last + 1))
+    for case in _cases("obfuscated" if options.seeds else options.part, options.unseen, seeds):
         if options.only not in (None, case.name):
             continue
         if not case.log.exists():
             print(f"{case.name}: absent ({case.log}), not measured")
             continue
-        one, by_hand, proposed = _run(case)
+        one, by_hand, proposed = _run(case, not options.no_replay)
         for name in ("right", "unsure_right", "unsure_wrong", "wrong", "missing", "beyond"):
             getattr(total, name).extend(f"{case.name}: {q}" for q in getattr(one, name))
         worse += STATES.index(proposed) < STATES.index(by_hand)
@@ -120,7 +126,7 @@ def main() -> int:
     return 0 if part >= FOUND_BAR and not total.wrong and not worse else 1
 
 
-def _run(case: Case) -> tuple[Verdict, str, str]:
+def _run(case: Case, replays: bool) -> tuple[Verdict, str, str]:
     folder = FOLDER / "init"
     folder.mkdir(parents=True, exist_ok=True)
     recording = GatheredFrames.of(LogReader([case.log]))
@@ -142,6 +148,8 @@ def _run(case: Case) -> tuple[Verdict, str, str]:
         if any("." in n.source and n.source not in moving for n in numbers.values())
     )
     one = judge(proposal, out, case.right, also, case.are_named, unseen)
+    if not replays:
+        return one, "none", "none"
     return one, _state(case.right, case.log), _state(out, case.log)
 
 
@@ -171,7 +179,7 @@ def _state(config: Path, log: Path) -> str:
     return str(summary["state"])
 
 
-def _cases(part: str | None, unseen: bool) -> Iterator[Case]:
+def _cases(part: str | None, unseen: bool, seeds: tuple[int, ...]) -> Iterator[Case]:
     if part in (None, "measured"):
         for name in UNSEEN_MEASURED if unseen else MEASURED:
             folder = DATA / name
@@ -195,7 +203,7 @@ def _cases(part: str | None, unseen: bool) -> Iterator[Case]:
                     ALSO["second_world"],
                 )  # fmt: skip
     if part in (None, "obfuscated"):
-        for seed in UNSEEN_SEEDS if unseen else SEEDS:
+        for seed in seeds:
             folder = FOLDER / "init" / f"seed{seed}"
             database, log, config = write_bus(seed, folder, MINUTES)
             yield Case(f"obfuscated {seed}", log, database, config, are_named=False)
