@@ -1,6 +1,6 @@
 """How much of a configuration `imucald init` finds, and whether it calibrates as the right one.
 
-    python -m benchmarks.init [--part measured|second_world|obfuscated] [--unseen] [--only NAME]
+    python -m benchmarks.init [--part measured|second_world|renamed|obfuscated] [--unseen]
 
 Of every quantity of the hand-written configuration: right with sign and unit, or not; then the
 state that `replay` reaches with either. Drives and seeds of `UNSEEN` were named before `init` was
@@ -20,6 +20,7 @@ from typing import Any
 
 from benchmarks.init.judge import Quantities, Verdict, judge, quantities_of
 from benchmarks.init.obfuscated import write_bus
+from benchmarks.init.renamed import renamed
 from benchmarks.measured import DATA, EXAMPLES, FOLDER, verdict
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
@@ -29,6 +30,8 @@ from imucald.discovery.candidates import candidates_of, messages_in
 from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine, open_config
 
+PARTS = ("measured", "second_world", "renamed", "obfuscated")
+"""Renamed: the first two with names that tell nothing."""
 MEASURED = ("wrx_sti", "css_canmod_164", "kingston_2008", "vehsense_2018_08_04")
 SECOND_WORLD = ("01", "04", "09", "14")
 SEEDS = tuple(range(1, 11))
@@ -77,7 +80,7 @@ class Case:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--part", choices=("measured", "second_world", "obfuscated"))
+    parser.add_argument("--part", choices=PARTS)
     parser.add_argument("--unseen", action="store_true", help="the drives kept for the end")
     parser.add_argument("--only", help="a case by its name")
     parser.add_argument("--seeds", help="other obfuscated buses, as 11-40")
@@ -179,6 +182,16 @@ def _state(config: Path, log: Path) -> str:
     return str(summary["state"])
 
 
+def _renamed(case: Case) -> Case:
+    """A case without the names; axes are known up to a rotation then."""
+    folder = FOLDER / "init" / f"renamed-{case.name}"
+    database, right, paths = renamed(case.database, case.right, folder)
+    also = json.dumps(case.also)
+    for old, new in paths.items():
+        also = also.replace(f'"{old}"', f'"{new}"')
+    return Case(f"renamed {case.name}", case.log, database, right, json.loads(also), False)
+
+
 def _cases(part: str | None, unseen: bool, seeds: tuple[int, ...]) -> Iterator[Case]:
     if part in (None, "measured"):
         for name in UNSEEN_MEASURED if unseen else MEASURED:
@@ -202,6 +215,10 @@ def _cases(part: str | None, unseen: bool, seeds: tuple[int, ...]) -> Iterator[C
                     folder.name, folder / "can.log.gz", world / "oem.dbc", folder / "car.yaml",
                     ALSO["second_world"],
                 )  # fmt: skip
+    if part in (None, "renamed"):
+        for case in (*_cases("measured", unseen, ()), *_cases("second_world", unseen, ())):
+            if case.log.exists():
+                yield _renamed(case)
     if part in (None, "obfuscated"):
         for seed in seeds:
             folder = FOLDER / "init" / f"seed{seed}"

@@ -77,11 +77,10 @@ def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list
     for noise as large as in the whole drive (its slopes included). Of each stretch the mean is
     taken out: an offset of the sensor, a slope.
     """
-    speed, triad = reference.speed, reference.accelerometer
-    if speed is None or triad is None or speed.forward is None or not speed.is_believed:
+    speed, along = reference.speed, reference.along
+    if speed is None or along is None or not speed.relation.is_believed_of(1):
         return []
     v, change = np.abs(speed.speed), speed.change
-    along = triad.smooth @ speed.forward
     known = np.isfinite(along) & np.isfinite(change) & (np.nan_to_num(v) > CREEP)
     noise = float(np.var((along - change)[known])) if known.any() else 0.0
     found = []

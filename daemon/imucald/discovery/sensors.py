@@ -234,7 +234,9 @@ def _axes(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
 
 def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:
     text = f"together {best.size:.2f} m/s2 +- {100 * best.spread:.1f} % at any mount: 1 g"
-    text += f" in {best.unit.name}" if not best.unit.is_stated else ""
+    if not best.unit.is_stated:
+        stated = best.members[0].unit
+        text += f" in {best.unit.name} (the database says {stated or 'no unit'})"
     text += "; axes as named" if best.names_axes else "; axes in the order of their places"
     doubt = "" if best.unit.is_sure else f"{', '.join(best.unit.others)} would fit as well"
     alternatives = [
