@@ -24,6 +24,7 @@ from benchmarks.init.renamed import renamed
 from benchmarks.measured import DATA, EXAMPLES, FOLDER, verdict
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
+from imucald.config import load_config
 from imucald.config_check import Check
 from imucald.discovery import GatheredFrames, as_yaml, discover
 from imucald.discovery.candidates import candidates_of, messages_in
@@ -43,7 +44,9 @@ UNSEEN_SECOND_WORLD = ("02", "03", "05", "06", "07", "08", "10", "11", "12", "13
 UNSEEN_SEEDS = tuple(range(101, 111))
 FOUND_BAR = 0.9
 MINUTES = 10.0
-STATES = ("none", "waiting", "levelled", "suspect", "recalibrating", "usable", "fine")
+WORTH = {"none": 0, "waiting": 1, "levelled": 2, "suspect": 2, "recalibrating": 2, "restored": 3,
+         "usable": 3, "fine": 4}  # fmt: skip
+"""States by what is sent in them."""
 
 ALSO: Mapping[str, Mapping[str, Any]] = {
     "second_world": {
@@ -102,7 +105,7 @@ def main() -> int:
         one, by_hand, proposed = _run(case, not options.no_replay)
         for name in ("right", "unsure_right", "unsure_wrong", "wrong", "missing", "beyond"):
             getattr(total, name).extend(f"{case.name}: {q}" for q in getattr(one, name))
-        worse += STATES.index(proposed) < STATES.index(by_hand)
+        worse += WORTH[proposed] < WORTH[by_hand]
         words = ", ".join(
             f"{kind} {', '.join(names)}"
             for kind, names in (
@@ -136,6 +139,8 @@ def _run(case: Case, replays: bool) -> tuple[Verdict, str, str]:
     path = os.path.relpath(case.database, folder)
     database = load_database([case.database])
     proposal = discover({path: database}, recording)
+    # the one thing that nobody can see in a recording, and that the user fills in
+    proposal.driving_side = load_config(case.right).config.vehicle.driving_side
     out = folder / f"{case.name}.yaml"
     out.write_text(as_yaml(proposal, [path]))
     also = {name: _quantities(case, signals) for name, signals in case.also.items()}

@@ -42,7 +42,7 @@ def renamed(database: Path, config: Path, folder: Path) -> tuple[Path, Path, dic
     new_database, new_config = folder / "bus.dbc", folder / "truth.yaml"
     new_database.write_text("\n".join(lines) + "\n")
     text = config.read_text()
-    text = re.sub(r"(path|database): [^\s{},]*\.dbc", r"\1: bus.dbc", text)
+    text = re.sub(r'(path|database)("?): ("?)[^\s{},"]*\.dbc', r"\1\2: \3bus.dbc", text)
     for old, new in sorted(paths.items(), key=lambda item: -len(item[0])):
         text = re.sub(rf"(?<![\w.]){re.escape(old)}(?![\w.])", new, text)
     head, section, tail = text.partition("\nmessages:")
