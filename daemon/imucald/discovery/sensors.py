@@ -81,10 +81,10 @@ class Sensors:
         self._found.append(accelerometer)
         speed = self._choose_speed()
         reference.set_lateral()
-        gyro, fit, order = self._choose_gyroscope(reference)
+        gyro = self._choose_gyroscope(reference)
         if not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
             accelerometer.doubt = "three signals of 1 g, but no unit is stated and no motion shows"
-        self._found += [gyro, self._magnetometer(fit, order), speed]
+        self._found += [gyro, self._magnetometer(), speed]
 
     def _speed_for(self, triad: Triad) -> float:
         """How well the best speed explains a triad; the fits are kept."""
@@ -145,9 +145,7 @@ class Sensors:
 
     # gyroscope -------------------------------------------------------------------------------
 
-    def _choose_gyroscope(
-        self, reference: KnownMotion
-    ) -> tuple[Choice | None, GyroFit | None, tuple[tuple[int, int, int], tuple[int, int, int]]]:
+    def _choose_gyroscope(self, reference: KnownMotion) -> Choice | None:
         found = []
         for triad in gyroscopes(self.candidates):
             if {m.path for m in triad.members} & self.taken:
@@ -159,7 +157,7 @@ class Sensors:
             if fit is not None and (triad.unit.is_stated or fit.is_believed):
                 found.append((triad, fit))
         if not found:
-            return None, None, AS_IT_IS
+            return None
         found.sort(key=lambda f: (not f[0].unit.is_stated, -f[1].nats[f[1].order]))
         triad, fit = found[0]
         choice, order, triad = gyroscope_choice(triad, fit, found[1:])
@@ -172,11 +170,9 @@ class Sensors:
             reference.turn, reference.turn_from = rate, "the gyroscope about up"
             if not reference.sides_from:
                 reference.sides_from = "the gyroscope, taken as right-handed"
-        return choice, fit, order
+        return choice
 
-    def _magnetometer(
-        self, fit: GyroFit | None, order: tuple[tuple[int, int, int], tuple[int, int, int]]
-    ) -> Choice | None:
+    def _magnetometer(self) -> Choice | None:
         found = [
             t
             for t in magnetometers(self.candidates)
@@ -187,7 +183,7 @@ class Sensors:
         best = found[0]
         self.taken |= {m.path for m in best.members}
         text = f"{1e6 * best.size:.0f} uT"
-        doubt = ""
+        doubt = "" if best.names_axes else "which axis is which is taken from their places"
         if not EARTH_FIELD[0] / 2.0 < best.size < EARTH_FIELD[1] * 2.0:
             doubt = "the earth's field has 22 to 67 uT"
         return Choice("magnetometer", axes_of(best, best.unit.name), text, doubt)
