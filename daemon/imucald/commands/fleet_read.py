@@ -13,10 +13,12 @@ if TYPE_CHECKING:
 
 
 def _store(options: argparse.Namespace) -> Store:
+    from imucald.fleet.fleet_file import read_settings
     from imucald.fleet.store import Store
     from imucald.fleet.tables import parts
 
-    store = Store(options.out)
+    storage = read_settings(options.fleet)[0].storage if options.fleet else None
+    store = Store(options.out, storage)
     if not parts(store, "sources"):
         raise ImucaldError(f"{store.url}: no run has written here ('imucald fleet run')")
     return store
@@ -93,5 +95,31 @@ def why(options: argparse.Namespace) -> int:
             console.print(f"{name}:")
             for column, value in row.items():
                 if value is not None:
-                    console.print(f"  {column}: {value}")
+                    console.print(f"  {column}: {value}", soft_wrap=True)
+    return 0
+
+
+def analyse(options: argparse.Namespace) -> int:
+    """Read all drives together, write `analysis/`, and say the most important of it."""
+    from imucald.commands.fleet_view import print_analysis
+    from imucald.fleet.analysis.analyse import GROUPS
+    from imucald.fleet.lease import Lease
+    from imucald.fleet.reading import analyse_fleet
+
+    store = _store(options)
+    with Lease(store):
+        tables = analyse_fleet(store, tuple(options.group) or GROUPS)
+    print_analysis(tables)
+    return 0
+
+
+def report(options: argparse.Namespace) -> int:
+    """Write the page."""
+    from imucald.commands.files import check_files, write_text
+    from imucald.fleet.page import fleet_page
+
+    check_files((), (options.html,))
+    store = _store(options)
+    write_text(options.html, fleet_page(store))
+    print(f"{options.html}: written")
     return 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
@@ -128,6 +128,30 @@ def print_summary(result: Mapping[str, Any]) -> None:
         console.print(f"rejected: {rejected}")
     for text in _beside(result):
         console.print(text)
+
+
+def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> None:
+    """Print several drives, a row each, and what is odd between them."""
+    from rich.table import Table
+
+    from imucald.mount.estimate import ANGLES
+    from imucald.mount.mount_words import CONVENTION, plus_minus
+
+    plain_where_needed()
+    console = plain_console()
+    table = Table(box=None, pad_edge=False)
+    table.add_column("drive", overflow="fold")
+    for name in ("s", "state", *ANGLES):
+        table.add_column(name, justify="left" if name == "state" else "right")
+    for row in rows:
+        values = [_number(row[f"{angle}_deg"], "+.2f", "") for angle in ANGLES]
+        widths = [plus_minus(row[f"std_{axis}_deg"]) for axis in "xyz"]
+        angles = [f"{value} {width}" for value, width in zip(values, widths, strict=True)]
+        table.add_row(row["log"], f"{row['duration_s']:.0f}", row["state"], *angles)
+    console.print(table)
+    console.print(f"degrees; {CONVENTION}")
+    for note in notes:
+        console.print(note)
 
 
 def _beside(result: Mapping[str, Any]) -> Iterator[str]:
