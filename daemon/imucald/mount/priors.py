@@ -14,12 +14,12 @@ ACCEL_SCALE_STD = 0.003
 """Scale error per axis (part). Data sheets state 0.4 % (BMI270) to 1 % (LSM6DSO) typical of bare
 parts; a unit that was set at the end of its line is taken to be a little better. Half of it turns
 into a tilt (`common_errors`): 0.08 deg."""
-CROSS_AXIS = ((0.001, 0.4), (0.005, 0.2), (0.01, 0.2), (0.02, 0.12), (0.04, 0.08))
+CROSS_AXIS = ((0.001, 0.2), (0.005, 0.2), (0.01, 0.3), (0.02, 0.2), (0.04, 0.1))
 """Cross-axis error (part, rms) where none is configured, with probabilities. Data sheets of bare
-parts state 1 % (ADXL345, BMI160) to 2 % (MPU-6050). Two of five units are taken to have been set at
-the end of their lines, to a tenth of that; as many to be as stated or half; and one of five to be
-soldered, glued and bent to twice or four times as much. How far sources contradict one another
-then tells more (`fusion.probable_scale2`)."""
+parts state 1 % (ADXL345, BMI160) to 2 % (MPU-6050) typical: half of all units are taken to have
+that. One in five was set at the end of its line to a tenth, another to a half; one in ten is
+soldered, glued and bent to four times as much. How far sources contradict one another, and the size
+of gravity, then tell more (`fusion.probable_scales`)."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
 Calibrated units state 0.05 deg from axis to axis (ADIS16470), bare parts 1 % of cross-axis."""

@@ -25,7 +25,7 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_spectra import MEASURED, RATE, SPEED_RATE, WINDOW, Measured, spectra
-from imucald.mount.fusion import CommonCovariance, Fused, fuse, probable_scale2
+from imucald.mount.fusion import CERTAIN, CommonCovariance, Fused, fuse, probable_scales
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.prior_drives import PriorDrives
@@ -36,7 +36,6 @@ from imucald.mount.shift import (
     MIN_BEFORE,
     NO_STEPS,
     SPANS,
-    UNEVEN_STD,
     ScoreSeries,
     Shift,
     largest_change,
@@ -69,8 +68,6 @@ SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
 """Windows after which the delay is sought: first, and then every so many."""
-UNEVEN_TILT = {name: std for name, std in UNEVEN_STD.items() if not name.startswith("yaw")}
-"""What roads make sources of roll and pitch differ by, beside what the sensor does."""
 SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
@@ -99,12 +96,9 @@ class MountSolver:
         self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
         self.blocks = 0
-        self._certain = CommonCovariance(common_errors(settings))
         self._sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
-        if settings.calibration.cross_axis > 0.0:
-            self._sharing.scale2 = 0.0  # configured: in the common errors
-        else:
-            self._sharing.scale2 = CROSS_AXIS[0][0] ** 2
+        self._is_configured = settings.calibration.cross_axis > 0.0  # then in the common errors
+        self._cross_axis = CERTAIN if self._is_configured else CROSS_AXIS
         self.prior_drives: PriorDrives | None = None
         self.creep: Creep | None = None
         self.p_constant = P_CONSTANT
@@ -260,15 +254,15 @@ class MountSolver:
                 source = sources["yaw_dvdt"]
                 sources["yaw_dvdt"] = replace(source, variance=source.variance + PRINCIPAL_STD**2)
             self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
-            if s.calibration.cross_axis == 0.0:
-                self._sharing.scale2 = probable_scale2(
-                    sources, self._sharing, CROSS_AXIS, UNEVEN_TILT
-                )
+            if not self._is_configured:
+                size = float(np.linalg.norm(self.gravity.mean_force())) / GRAVITY - 1.0
+                seen = ((size, spread / GRAVITY),)
+                self._cross_axis = probable_scales(sources, self._sharing, CROSS_AXIS, seen)
             if self.prior_drives is None:
-                fused = fuse(sources, self._sharing, self._certain)
+                fused = fuse(sources, self._sharing, self._cross_axis)
             else:
                 fused = self.prior_drives.fused(
-                    sources, self.R, self._tilt_bias, math.sqrt(self._sharing.scale2)
+                    sources, self.R, self._tilt_bias, self._probable_cross_axis
                 )
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
             self.sources, self.fused = sources, fused
@@ -284,7 +278,11 @@ class MountSolver:
     @property
     def cross_axis_std(self) -> float:
         """Cross-axis error that is reckoned with (part): configured, or probable."""
-        return math.hypot(self._settings.calibration.cross_axis, math.sqrt(self._sharing.scale2))
+        return math.hypot(self._settings.calibration.cross_axis, self._probable_cross_axis)
+
+    @property
+    def _probable_cross_axis(self) -> float:
+        return math.sqrt(math.fsum(p * scale * scale for scale, p in self._cross_axis))
 
     def follow_creep(self) -> None:
         """See whether the mount creeps; once a road segment."""
