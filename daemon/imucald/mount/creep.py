@@ -32,15 +32,23 @@ rate: 4, 10, 20, 40 and 80 deg/h."""
 WALKS: Array = np.concatenate([[0.0], SIZES, 0.2 * SIZES])
 RATES: Array = np.concatenate([[0.0], 0.0 * SIZES, SIZES])
 """Of each hypothesis: the constant, walks, and creep, whose rate wanders by a fifth a segment."""
-P_CONSTANT = 0.95
+P_CONSTANT = 0.5
 """Prior probability that the mount is tight; the others share the rest."""
-P_CONSTANT_AGAIN = 0.5
+P_CONSTANT_AGAIN = 0.2
 """The same once a shift was found in the drive."""
-BELIEVED = 0.9
+BELIEVED = 0.995
 """Probability from which creep is told."""
 MOST = 20
 """Road segments are joined to so many at most."""
-FEWEST = 5
+FEWEST = 3
+LATE = 0.5
+"""What is told of a segment is a window's length in the middle, half a segment old, and is served
+until the next one ends."""
+PRIOR_SEGMENTS = 6.0
+"""The spread from segment to segment is taken as the source's own with that weight."""
+EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
+"""What these say hardly depends on the road (`UNEVEN_STD` in `shift`), so that a spread about the
+mean that is larger than from segment to segment is a drift. The lean of roads goes on."""
 SILENT = frozenset({"pitch_gravity", "pitch_axis"})
 """What these say of town and of motorway differs too much to tell creep from it (`UNEVEN_STD` in
 `shift`)."""
@@ -64,7 +72,7 @@ class Creep:
 def creep(
     series: list[ScoreSeries], sources: Mapping[str, AngleEvidence], p_constant: float = P_CONSTANT
 ) -> Creep | None:
-    """Fit walks and rates to what series leave over from the constants; None while there is too little.
+    """Fit walks and rates to what series leave over from constants; None: there is too little.
 
     sources: the same evidence, whose variances tell by how much informations are too large.
     """
@@ -76,8 +84,9 @@ def creep(
         fit, source = one.fitted(), sources.get(one.kind)
         if fit is None or source is None or one.kind in SILENT:
             continue
-        total = float(fit.rows[:, 0].sum())
-        times = max(source.variance * total, 1.0)
+        times = max(source.variance * float(fit.rows[:, 0].sum()), 1.0)
+        if one.kind in EVEN:
+            times = min(times, _scatter(fit.left, fit.rows[:, 0]))
         m = len(fit.left)
         left[one.axis, n - m :] += fit.left / times
         known[one.axis, n - m :] += fit.rows[:, 0] / times
@@ -94,6 +103,21 @@ def creep(
     extra = (weight * (variance + (mean - level[:, None]) ** 2)).sum(axis=1)
     rate, moved = _trend(left, known, each)
     return Creep(level, extra, probability, rate, moved)
+
+
+def _scatter(left: Array, known: Array) -> float:
+    """By how much informations are too large, from segments that lie two apart.
+
+    Windows reach over into the next segment; over two a drift hardly shows, while it widens the
+    spread about the mean, which is what a source's variance was made of.
+    """
+    near, far = known[2:], known[:-2]
+    both = (near > 0.0) & (far > 0.0)
+    near, far = near[both], far[both]
+    change = left[2:][both] / near - left[:-2][both] / far
+    squares = change * change / (1.0 / near + 1.0 / far)
+    apart = (PRIOR_SEGMENTS + float(squares.sum())) / (PRIOR_SEGMENTS + len(squares))
+    return max(apart, 1.0)
 
 
 def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:
@@ -122,7 +146,7 @@ def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Arr
         p_lr = p_lr - gain_l * p_lr
         p_ll = np.where(begins, noise, p_ll - gain_l * p_ll)
         begun = begun | begins
-    rest = np.where(begun, 0.5 * float(each[-1]), 0.0)
+    rest = np.where(begun, 0.5 * float(each[-1]) + LATE, 0.0)
     level, p_ll, _ = _gone_on(level, rate, p_ll, p_lr, p_rr, rest)
     return log, level - level[:, :1], np.maximum(p_ll - 1.0 / total, 0.0)
 

@@ -31,7 +31,13 @@ from imucald.mount.gravity_step import GravityStep
 from imucald.mount.prior_drives import PriorDrives
 from imucald.mount.priors import BIAS_DRIFT_STD, CROSS_AXIS
 from imucald.mount.road_segments import AngleEvidence
-from imucald.mount.saved_information import SavedInformation, named_series, saved_sources, together
+from imucald.mount.saved_information import (
+    GRAVITY_KINDS,
+    SavedInformation,
+    named_series,
+    saved_sources,
+    together,
+)
 from imucald.mount.shift import (
     MIN_BEFORE,
     NO_STEPS,
@@ -291,7 +297,12 @@ class MountSolver:
         series = self.response.series
         if not self.response.without_speed:
             series = series + self._gravity_series(self.R, self.bias)
-        self.creep = creep(series, self.sources, self.p_constant)
+        sources = dict(self.sources)
+        for name, bias in zip(GRAVITY_KINDS, self._tilt_bias, strict=True):
+            if name in sources:  # the bias is the same in all segments
+                one = sources[name]
+                sources[name] = replace(one, variance=one.variance - bias)
+        self.creep = creep(series, sources, self.p_constant)
 
     @property
     def armed(self) -> bool:
