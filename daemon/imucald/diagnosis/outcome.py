@@ -15,6 +15,7 @@ from imucald.diagnosis.model_file import value
 from imucald.diagnosis.result import (
     NOT_PLAUSIBLE,
     Candidate,
+    Certainty,
     Estimated,
     FoundCause,
     Outcome,
@@ -25,6 +26,7 @@ from imucald.diagnosis.search import State
 from imucald.diagnosis.shift import KEYS, FittedShift
 from imucald.diagnosis.trials import Trial, questions
 from imucald.model.model import VehicleModel
+from imucald.mount.mount_words import SD_95
 
 SEEN_SHARE = 0.02
 """A signal shows a cause where it carries this share of what the cause explains."""
@@ -32,11 +34,17 @@ DEG = 180.0 / math.pi
 
 
 def told_trial(
-    state: State, trial: Trial, estimates: Mapping[str, tuple[float, float, float]]
+    state: State,
+    trial: Trial,
+    estimates: Mapping[str, tuple[float, float, float]],
+    certainty: Certainty = "certain",
 ) -> FoundCause:
     """A cause that the fit named, or that is likely."""
     h, parameters = trial.hypothesis, {}
+    moved = set(state.changes)
     for i, key in enumerate(h.keys):
+        if certainty == "certain" and h.is_plain and moved & set(h.keys) and key not in moved:
+            continue
         x = float(trial.estimate.value[i])
         change = state.changes.get(key, x) if h.pattern is None else x
         change, se, _ = estimates.get(key, (change, float(trial.estimate.se[i]), 0.0))
@@ -50,7 +58,7 @@ def told_trial(
         h.name, parameters, _signals(state.table, h.keys),
         {"held_out_nats": trial.shown, "sigma": sd, "quantile": trial.estimate.quantile},
         BY_NAME[h.name].sentence,
-        "certain" if trial.named else "likely",
+        certainty,
         tuple(_against(state, trial)),
     )  # fmt: skip
 
@@ -170,7 +178,7 @@ def told_rest_of(state: State) -> tuple[Candidate, ...]:
             outcome = "does not pay"
         else:
             outcome = "not decidable here"
-        text = f"{key} off by {_n(x)} +- {_n(se)} {unit}; named from {_n(tau + q * se)} on"
+        text = f"{key} off by {_n(x)} +- {_n(SD_95 * se)} {unit}; named from {_n(tau + q * se)} on"
         made.append(Candidate(name, outcome, t.shown, text))
     return tuple(made)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.core.errors import EstimateError
-from imucald.core.rotations import times, times_columns
+from imucald.core.rotations import times, times_columns, times_level, times_level_columns
 from imucald.inputs.rate_guard import Spaced, guarded_cycle
 from imucald.inputs.router import Routed, Router, Sample
 from imucald.motion.sample_health import Faults, SampleHealth
@@ -31,10 +32,11 @@ from imucald.runtime.output.output_columns import (
 from imucald.runtime.output.output_frames import STATUS_FRAMES, Health, OutputFrames
 from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.pipeline import Pipeline, Snapshot, TickCorrections
+from imucald.runtime.segment_samples import CorrectedSamples, SegmentSamples
 from imucald.runtime.timebase import TimeBase, TimeSegment
 
 if TYPE_CHECKING:
-    from imucald.compensation.preprocessing import PreprocessingChain
+    from imucald.model_compensation.preprocessing import PreprocessingChain
 
 MISSING_TICKS = 10
 """An input that gave no sample for so many ticks is missing: one second."""
@@ -61,7 +63,8 @@ class Engine:
     link_health: asked whenever a health frame is made.
     consumers: run beside, on the same samples.
     new_estimator: makes the estimator of `restart_calibration`.
-    stages: take out of the signals what a model file knows of them.
+    preprocessing: takes out of the signals what a model file knows of them.
+    on_samples: called by `columns` with the samples of every segment, as they came and corrected.
     """
 
     def __init__(
@@ -74,20 +77,22 @@ class Engine:
         link_health: Callable[[], LinkHealth] = LinkHealth,
         consumers: Sequence[Consumer] = (),
         new_estimator: Callable[[], MountEstimator] | None = None,
-        stages: PreprocessingChain | None = None,
+        preprocessing: PreprocessingChain | None = None,
+        on_samples: Callable[[SegmentSamples], None] | None = None,
     ) -> None:
         self.router = router
         self.output = output
-        self.stages = stages
-        evidence = None if stages is None else stages.evidence
+        self.preprocessing = preprocessing
+        ticks = None if preprocessing is None else preprocessing.ticks
         health = SampleHealth(router.measured_axes)
-        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), evidence, health)
+        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), ticks, health)
         self.timebase = TimeBase()
         self.consumers = tuple(consumers)
         self._consumed = frozenset(c for one in self.consumers for c in one.channels)
         self.sent = 0
         """Frames given out."""
         self._on_snapshot = on_snapshot
+        self._on_samples = on_samples
         self._link_health = link_health
         self._new_estimator = new_estimator
         self._spaced = {
@@ -100,7 +105,7 @@ class Engine:
     @property
     def model_key(self) -> str:
         """Names what a model changes of the estimate; "" without one."""
-        return "" if self.stages is None else self.stages.estimate_key
+        return "" if self.preprocessing is None else self.preprocessing.estimate_key
 
     # one frame -----------------------------------------------------------------------------
 
@@ -115,36 +120,56 @@ class Engine:
         if k > self.pipeline.k or gap:
             out += self._advance(k, gap)
         samples, rejected = self.router.frame(t, can_id, data)
+        pipeline = self.pipeline
+        health = pipeline.health
         for channel, values in samples:
-            self.pipeline.health.add(channel, values)
-        if self.stages is not None:
-            samples, refused = self.stages.frame(t, samples, self.router.rejected)
+            health.add(channel, values)
+        if self.preprocessing is not None:
+            samples, refused = self.preprocessing.frame(t, samples, self.router.rejected)
             rejected += refused
         for channel in rejected:
-            self.pipeline.reject(channel)
+            pipeline.reject(channel)
         self._count_rejections(k)
-        self._feed_consumers(t, samples)
-        pipeline = self.pipeline
-        correction = pipeline.correction
-        turned: dict[str, Turned] = {}
+        if self.consumers:
+            self._feed_consumers(t, samples)
+        correction, triads = pipeline.correction, self.output.triads
         for channel, values in samples:
             pipeline.add(t, channel, values)
             if channel in self._watched:
                 self._watched[channel] = k
-            if channel in self.output.triads:
-                turned[channel] = None if correction is None else times(correction, values)
-        if self.stages is not None and turned:
-            turned = self.stages.corrected(t, turned)
-        faults = pipeline.health.faults
-        for channel in self.output.triads:
-            if channel in turned:
-                fit = self.output.sensor_of[channel] not in faults
-                sent = turned[channel] if fit else None
-                out.append(self.output.corrected(channel, sent, pipeline.quality))
-        for channel in self.output.triads:
+        turned = self._turned(t, samples, correction)
+        if turned:
+            out += self._corrected_frames(turned)
+        for channel in triads if rejected else ():
             if channel in rejected and channel not in turned and self._spaced[channel].passes(t):
                 out.append(self.output.corrected(channel, None, 0))
         self.sent += len(out)
+        return out
+
+    def _turned(
+        self, t: float, samples: Sequence[Sample], correction: Correction | None
+    ) -> dict[str, Turned]:
+        """Samples of one frame in vehicle axes, by channel; None where there is no correction."""
+        triads, planar = self.output.triads, self.output.planar
+        turned: dict[str, Turned] = {}
+        for channel, values in samples:
+            if channel in triads:
+                turned[channel] = None if correction is None else times(correction, values)
+        if self.preprocessing is not None and turned:
+            turned = self.preprocessing.corrected(t, turned)
+        if planar and correction is not None:
+            turned |= {c: times_level(correction, v) for c, v in samples if c in planar}
+        return turned
+
+    def _corrected_frames(self, turned: Mapping[str, Turned]) -> list[OutFrame]:
+        """Frames of corrected samples; *not available* where a sensor is not fit to be used."""
+        output, faults, quality = self.output, self.pipeline.health.faults, self.pipeline.quality
+        out: list[OutFrame] = []
+        for channel in output.triads:
+            if channel in turned:
+                is_faulty = faults and output.sensor_of[channel] in faults
+                sent = None if is_faulty else turned[channel]
+                out.append(output.corrected(channel, sent, quality))
         return out
 
     def idle(self, elapsed: float) -> list[OutFrame]:
@@ -159,8 +184,8 @@ class Engine:
         pipeline = self.pipeline
         first = pipeline.k
         snapshots = pipeline.gap(k) if gap else pipeline.advance(k)
-        if gap and self.stages is not None:
-            self.stages.gap()
+        if gap and self.preprocessing is not None:
+            self.preprocessing.gap()
         out = self._statuses(snapshots)
         if self.consumers:
             out += self._consumer_ticks(first, k, snapshots)
@@ -182,8 +207,6 @@ class Engine:
         return out
 
     def _feed_consumers(self, t: float, samples: Sequence[Sample]) -> None:
-        if not self.consumers:
-            return
         correction = self.pipeline.correction
         for channel, values in in_order(samples):
             for consumer in self.consumers:
@@ -237,24 +260,31 @@ class Engine:
             return None
         return merged(parts, frames)
 
+    def _after_gap(self, segment: TimeSegment, keep: bool) -> Iterator[OutPart]:
+        """Nothing is known of the time before the segment."""
+        base, first = segment.start, self.pipeline.k
+        snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
+        if self.preprocessing is not None:
+            self.preprocessing.gap()
+        if keep:
+            yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
+        else:
+            self._tell(snapshots)
+        out = self._consumer_ticks(first, self.pipeline.k, snapshots)
+        yield from self._frame_parts(out, base)
+        for consumer in self.consumers:
+            consumer.gap()
+
     def _segment(self, segment: TimeSegment, frames: FrameColumns, keep: bool) -> Iterator[OutPart]:
         base = segment.start
         if segment.gap:
-            first = self.pipeline.k
-            snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
-            if self.stages is not None:
-                self.stages.gap()
-            yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
-            out = self._consumer_ticks(first, self.pipeline.k, snapshots)
-            yield from self._frame_parts(out, base)
-            for consumer in self.consumers:
-                consumer.gap()
+            yield from self._after_gap(segment, keep)
         whole = base == 0 and segment.stop == len(frames)
         chunk = frames if whole else frames.take(slice(base, segment.stop))
         routed = self.router.columns(segment.t, chunk)
         watched = routed.samples
-        if self.stages is not None:
-            routed = self.stages.columns(routed, segment.t, self.router.rejected)
+        if self.preprocessing is not None:
+            routed = self.preprocessing.columns(routed, segment.t, self.router.rejected)
         ticks = np.floor(segment.t * TICK_RATE).astype(np.int64)
         times = {c: segment.t[rows] for c, rows in routed.rejected.items()}
         first = self.pipeline.k
@@ -265,12 +295,15 @@ class Engine:
         if not wanted:
             self.sent += STATUS_FRAMES * self.pipeline.snapshots_due(first)
         events = np.floor(routed.events * TICK_RATE)
-        yield from self._status_parts(
-            snapshots,
-            lambda k: base + int(np.searchsorted(ticks, k, side="right")),
-            events,
-            routed,
-        )
+        if keep:
+            yield from self._status_parts(
+                snapshots,
+                lambda k: base + int(np.searchsorted(ticks, k, side="right")),
+                events,
+                routed,
+            )
+        else:
+            self._tell(snapshots)
         self._rejected_total = self.router.rejected.total()
         recent = sorted(set(events[events > ticks[-1] - 2 * MISSING_TICKS].tolist()))
         self._rejections.extend(map(int, recent))
@@ -281,8 +314,11 @@ class Engine:
         if self.consumers:
             yield from self._consumer_parts(routed, corrections, snapshots, ticks, base)
         lost = self._lost_rows(routed, segment.t)
+        corrected = cache(lambda: self._corrected(routed, corrections, ticks))
+        if self._on_samples is not None:
+            self._on_samples(SegmentSamples(segment, chunk.t, watched, corrected))
         if keep:
-            yield from self._corrected_parts(routed, corrections, ticks, base, lost)
+            yield from self._corrected_parts(corrected(), base, lost)
         else:
             self.sent += sum(corrected_count(routed, c) + len(lost[c]) for c in lost)
 
@@ -291,35 +327,29 @@ class Engine:
         lost: dict[str, NDArray[np.int64]] = {}
         for channel in self.output.triads:
             series, bad = routed.samples.get(channel), routed.rejected.get(channel)
-            rows = np.zeros(0, np.int64) if bad is None else bad
-            if series is not None and len(rows):
-                rows = np.setdiff1d(rows, series.row)
-            rows = np.unique(rows)
+            if bad is None:
+                lost[channel] = np.zeros(0, np.int64)
+                continue
+            rows = np.unique(bad) if series is None else np.setdiff1d(bad, series.row)
             lost[channel] = rows[self._spaced[channel].among(t[rows])]
         return lost
 
     def _corrected_parts(
         self,
-        routed: Routed,
-        corrections: TickCorrections,
-        ticks: NDArray[np.int64],
+        corrected: Mapping[str, CorrectedSamples],
         base: int,
         lost: Mapping[str, NDArray[np.int64]],
     ) -> Iterator[OutPart]:
-        corrected = self._corrected(routed, corrections, ticks)
         for order, channel in enumerate(self.output.triads):
-            series = routed.samples.get(channel)
+            found = corrected.get(channel)
             bad = lost[channel]
-            if series is None and not len(bad):
-                continue
-            row = np.zeros(0, np.int64) if series is None else series.row
-            turned = corrected.get(channel, np.zeros((0, 3)))
-            quality = corrections.quality[ticks[row] - corrections.first]
-            unfit = corrections.unfit.get(self.output.sensor_of[channel])
-            if unfit is not None:
-                faulty = unfit[ticks[row] - corrections.first]
-                turned = np.where(faulty[:, None], np.nan, turned)
-                quality = np.where(faulty, 0, quality).astype(np.uint8)
+            if found is None:
+                if not len(bad):
+                    continue
+                row, turned = np.zeros(0, np.int64), np.zeros((0, 3))
+                quality = np.zeros(0, np.uint8)
+            else:
+                row, turned, quality = found.row, found.values, found.quality
             if len(bad):
                 row = np.concatenate([row, bad])
                 by_row = np.argsort(row, kind="stable")
@@ -335,16 +365,29 @@ class Engine:
 
     def _corrected(
         self, routed: Routed, corrections: TickCorrections, ticks: NDArray[np.int64]
-    ) -> dict[str, NDArray[np.float64]]:
-        """Corrected samples (N, 3) by channel."""
+    ) -> dict[str, CorrectedSamples]:
+        """Corrected samples by channel; not a number where there is no correction."""
         found = {c: routed.samples[c] for c in self.output.triads if c in routed.samples}
+        tick = {c: ticks[series.row] - corrections.first for c, series in found.items()}
         turned = {
-            channel: times_columns(
-                corrections.rotations[ticks[series.row] - corrections.first], series.values
-            )
+            channel: times_columns(corrections.rotations[tick[channel]], series.values)
             for channel, series in found.items()
         }
-        return turned if self.stages is None else self.stages.corrected_columns(found, turned)
+        if self.preprocessing is not None:
+            turned = self.preprocessing.corrected_columns(found, turned)
+        for channel in self.output.planar & found.keys():
+            rotations = corrections.rotations[tick[channel]]
+            turned[channel] = times_level_columns(rotations, found[channel].values)
+        corrected: dict[str, CorrectedSamples] = {}
+        for channel, series in found.items():
+            values, quality = turned[channel], corrections.quality[tick[channel]]
+            unfit = corrections.unfit.get(self.output.sensor_of[channel])
+            if unfit is not None:
+                faulty = unfit[tick[channel]]
+                values = np.where(faulty[:, None], np.nan, values)
+                quality = np.where(faulty, 0, quality).astype(np.uint8)
+            corrected[channel] = CorrectedSamples(series.t, values, series.row, quality)
+        return corrected
 
     def _consumer_parts(
         self,
@@ -355,9 +398,7 @@ class Engine:
         base: int,
     ) -> Iterator[OutPart]:
         """Consumers take samples one by one here too; their frames stand as status frames do."""
-        rotations: list[Correction | None] = [
-            None if row[0] != row[0] else tuple(row) for row in corrections.rotations.tolist()
-        ]
+        rotations = corrections.corrections
         k = first = corrections.first
         due = {snapshot.k: snapshot for snapshot in snapshots}
 
@@ -410,6 +451,13 @@ class Engine:
                 np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
             )
             self.sent += len(out)
+
+    def _tell(self, snapshots: Sequence[Snapshot]) -> None:
+        """Hand snapshots on where nobody takes the frames that they would be sent in."""
+        self.sent += STATUS_FRAMES * len(snapshots)
+        if self._on_snapshot is not None:
+            for snapshot in snapshots:
+                self._on_snapshot(snapshot)
 
     def _last_sample(self, channel: str, k: int, routed: Routed | None) -> int:
         """Tick of the channel's last sample up to the end of tick k."""

@@ -8,23 +8,37 @@ whoever makes stream time of it meets a discontinuity.
 
 from __future__ import annotations
 
+import importlib
 import os
+import pkgutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
+from imucald.can import logs
 from imucald.can.columns import CAN_EFF_FLAG, Channels, FrameColumns, IdMatch
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.candump import CandumpReader
 from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.can.logs.log_format import LogFormat, ReadStatistics
-from imucald.can.logs.python_can_logs import PythonCanReader
-from imucald.can.logs.text_blocks import STDIN
+from imucald.can.logs.text_blocks import STDIN, OpenLog
 
 __all__ = ["CAN_EFF_FLAG", "CandumpWriter", "FrameColumns", "IdMatch", "LogReader"]
 
-FORMATS: Final[tuple[type[LogFormat], ...]] = (CandumpReader, PythonCanReader)
-"""Every format that can be read. A file whose ending none of them names is read by the first."""
+
+def find_formats() -> tuple[type[LogFormat], ...]:
+    """Every format that can be read: FORMAT of each module of this folder named `..._logs`."""
+    names = (module.name for module in pkgutil.iter_modules(logs.__path__))
+    return tuple(
+        importlib.import_module(f"{logs.__name__}.{name}").FORMAT
+        for name in sorted(names)
+        if name.endswith("_logs")
+    )
+
+
+FORMATS: Final = find_formats()
+
+CANDUMP_ENDING: Final = ".log"
+"""A file whose ending no format names is read as candump text."""
 
 Progress = Callable[[int, int | None], None]
 """Called with bytes read and bytes in all (None where standard input is among the files)."""
@@ -40,7 +54,7 @@ class LogReader:
 
     def __init__(
         self,
-        paths: Sequence[Path | str],
+        paths: Sequence[Path | str | OpenLog],
         keep: Sequence[IdMatch] | None = None,
         strict: bool = False,
         progress: Progress | None = None,
@@ -84,10 +98,11 @@ class LogReader:
         self._bytes_before = 0
         self._bytes_total = _total_bytes(self._paths)
         shared = IdFilters(self._keep), Channels(), self._statistics
-        readers: list[LogFormat] = [kind(*shared) for kind in FORMATS]
+        readers = [kind(*shared) for kind in FORMATS]
+        candump = next(r for r in readers if CANDUMP_ENDING in r.endings)
         for path in self._paths:
             ending = _ending(path)
-            reader = next((r for r in readers if ending in r.endings), readers[0])
+            reader = next((r for r in readers if ending in r.endings), candump)
             yield from reader.read(path, self._report)
             self._bytes_before += _file_bytes(path)
             self._report(0)
@@ -97,20 +112,22 @@ class LogReader:
             self._progress(self._bytes_before + bytes_of_file, self._bytes_total)
 
 
-def _ending(path: Path | str) -> str:
+def _ending(path: Path | str | OpenLog) -> str:
     """The ending of a file's name, before ``.gz``, in small letters."""
-    name = Path(path)
+    name = Path(str(path))
     return Path(name.stem if name.suffix.lower() == ".gz" else name.name).suffix.lower()
 
 
-def _file_bytes(path: Path | str) -> int:
+def _file_bytes(path: Path | str | OpenLog) -> int:
+    if isinstance(path, OpenLog) or str(path) == STDIN:
+        return 0
     try:
-        return 0 if str(path) == STDIN else os.stat(path).st_size  # noqa: PTH116
+        return os.stat(path).st_size  # noqa: PTH116
     except OSError:
         return 0
 
 
-def _total_bytes(paths: Sequence[Path | str]) -> int | None:
-    if any(str(path) == STDIN for path in paths):
+def _total_bytes(paths: Sequence[Path | str | OpenLog]) -> int | None:
+    if any(isinstance(path, OpenLog) or str(path) == STDIN for path in paths):
         return None
     return sum(_file_bytes(path) for path in paths)

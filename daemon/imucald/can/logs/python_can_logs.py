@@ -21,6 +21,7 @@ from imucald.can.columns import (
 )
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.log_format import ReadStatistics
+from imucald.can.logs.text_blocks import OpenLog
 from imucald.core.errors import LogError
 
 BATCH_FRAMES: Final = 8192
@@ -56,12 +57,16 @@ class PythonCanReader:
         self._statistics = statistics
         self._verdicts: dict[tuple[int, int], bool] = {}
 
-    def read(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+    def read(
+        self, path: Path | str | OpenLog, report: Callable[[int], None]
+    ) -> Iterator[FrameColumns]:
         """Yield the wanted frames of one file in batches; `report` gets the bytes read so far.
 
         A file that cannot be read at all raises LogError. One that fails after some frames counts
         as one rejection ("unreadable") and ends there, since python-can's readers cannot resume.
         """
+        if isinstance(path, OpenLog):
+            raise LogError(f"{path}: this format is read by its file's name only")
         path = Path(path)
         before = self._statistics.frames_read
         cut = _ends_in_half_a_byte(path)
@@ -206,3 +211,6 @@ def _columns(batch: list[Frame], channels: tuple[str, ...]) -> FrameColumns:
         channels,
         np.array(fd, np.bool_) if any(fd) else None,
     )
+
+
+FORMAT = PythonCanReader

@@ -6,6 +6,7 @@ import sys
 import zlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, cast
 
@@ -27,15 +28,35 @@ _GZIP_FORMAT: Final = 31
 STDIN: Final = "-"
 
 
-class _Source(Protocol):
-    def read(self, size: int, /) -> bytes | None: ...
-    def readinto(self, buffer: Any, /) -> int | None: ...
+class ByteSource(Protocol):
+    """Something open that gives bytes."""
+
+    def read(self, size: int, /) -> bytes | None:
+        """Read up to so many bytes."""
+        ...
+
+    def readinto(self, buffer: Any, /) -> int | None:
+        """Fill a buffer as far as bytes are there."""
+        ...
 
 
-def open_source(path: Path | str) -> AbstractContextManager[_Source]:
+@dataclass(frozen=True)
+class OpenLog:
+    """A log that somebody else has opened, and closes; name: for messages, and its ending."""
+
+    source: ByteSource
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def open_source(path: Path | str | OpenLog) -> AbstractContextManager[ByteSource]:
     """Open a file, or standard input for "-". Raises LogError."""
+    if isinstance(path, OpenLog):
+        return nullcontext(path.source)
     if str(path) == STDIN:
-        return nullcontext(cast(_Source, sys.stdin.buffer))
+        return nullcontext(cast(ByteSource, sys.stdin.buffer))
     try:
         return Path(path).open("rb", buffering=0)
     except OSError as error:
@@ -45,7 +66,7 @@ def open_source(path: Path | str) -> AbstractContextManager[_Source]:
 class _Plain:
     """Bytes as they are, after those already read to know the format."""
 
-    def __init__(self, source: _Source, head: bytes) -> None:
+    def __init__(self, source: ByteSource, head: bytes) -> None:
         self.bytes_read = len(head)
         self._source = source
         self._head = head
@@ -65,7 +86,7 @@ class _Plain:
 class _Inflated:
     """Bytes of a gzip file of one or more members (the gzip module reads in small pieces)."""
 
-    def __init__(self, source: _Source, head: bytes) -> None:
+    def __init__(self, source: ByteSource, head: bytes) -> None:
         self.bytes_read = len(head)
         self._source = source
         self._input = head
@@ -102,7 +123,7 @@ class _Inflated:
 class TextBlocks:
     """Iterate over the blocks of a text; afterwards `rest` and `damage` say how it ended."""
 
-    def __init__(self, source: _Source, padding: int, longest_line: int) -> None:
+    def __init__(self, source: ByteSource, padding: int, longest_line: int) -> None:
         """padding: bytes kept free behind each block. longest_line: see `__iter__`."""
         self.rest = b""
         """The last line where it has no newline."""
