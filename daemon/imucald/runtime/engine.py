@@ -23,7 +23,7 @@ from imucald.inputs.router import Routed, Router, Sample
 from imucald.motion.sample_health import Faults, SampleHealth
 from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
-from imucald.runtime.consumer import Consumer, events_of, in_order
+from imucald.runtime.consumer import Consumer, events_of, hand_on, in_order
 from imucald.runtime.output.output_columns import (
     OutPart,
     corrected_count,
@@ -207,11 +207,10 @@ class Engine:
         return out
 
     def _feed_consumers(self, t: float, samples: Sequence[Sample]) -> None:
-        correction = self.pipeline.correction
+        correction, faults = self.pipeline.correction, self.pipeline.health.faults
         for channel, values in in_order(samples):
             for consumer in self.consumers:
-                if channel in consumer.channels:
-                    consumer.sample(t, channel, values, correction)
+                hand_on(consumer, t, channel, values, correction, faults)
 
     def heartbeat(self) -> list[OutFrame]:
         """Status frames while no stream time passes: nothing was heard yet, or not for long."""
@@ -412,9 +411,9 @@ class Engine:
             while k < tick:
                 yield from close(k)
                 k += 1
+            unfit = [c for c, flags in corrections.unfit.items() if flags[tick - first]]
             for consumer in self.consumers:
-                if channel in consumer.channels:
-                    consumer.sample(t, channel, values, rotations[tick - first])
+                hand_on(consumer, t, channel, values, rotations[tick - first], unfit)
         while k < int(ticks[-1]):
             yield from close(k)
             k += 1
