@@ -47,8 +47,8 @@ NEVER = {
 """Rooms that never reach these rooms, directly or through others."""
 
 LAZY_LIBRARIES = {
-    "aiohttp", "asammdf", "can", "difflib", "isotp", "jinja2", "matplotlib", "rich", "scipy",
-    "subprocess", "yaml",
+    "aiohttp", "asammdf", "can", "difflib", "dpkt", "isotp", "jinja2", "matplotlib", "rich",
+    "scipy", "subprocess", "yaml", "zstandard",
 }  # fmt: skip
 """Large libraries, which a function may import when it needs them."""
 
