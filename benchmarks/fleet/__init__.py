@@ -1,1 +1,1 @@
-"""The fleet: its statistics on simulated drives, its throughput and memory on real logs and rows."""
+"""The fleet: statistics on simulated drives, throughput and memory on logs and rows."""

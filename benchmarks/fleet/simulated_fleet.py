@@ -24,7 +24,7 @@ CROWN_STD = math.degrees(0.0065)
 BRACKET_STD = np.array([0.3, 0.3, 0.35])
 """From vehicle to vehicle [deg]: a tolerance of one degree is three deviations. Assumed."""
 TAIL_FREEDOM = 6
-"""Of the t distribution of errors of single drives: their claimed deviation holds, outliers come."""
+"""Of the t distribution of errors of single drives: claimed deviations hold, tails are heavy."""
 UNKNOWN_SHARE = 0.05
 """Drives that never become usable. Assumed."""
 FIRST_DAY = 1_750_000_000.0
@@ -62,7 +62,9 @@ class Truth:
     effects: dict[str, Array] = field(default_factory=dict)
 
 
-def simulated_fleet(seed: int, design: Design | None = None) -> tuple[dict[str, list[object]], Truth]:
+def simulated_fleet(
+    seed: int, design: Design | None = None
+) -> tuple[dict[str, list[object]], Truth]:
     """Columns of `drives`, sorted by vehicle and time, and the truth."""
     design = design or Design()
     rng = np.random.default_rng(seed)
@@ -87,10 +89,16 @@ def simulated_fleet(seed: int, design: Design | None = None) -> tuple[dict[str, 
         mount = Rotation.from_rotvec(e, degrees=True) * truth.centre[kinds[i]]
         for d in range(design.drives):
             if d and rng.random() < design.remount_share:
-                mount = Rotation.from_rotvec(_direction(rng) * design.remount_deg, degrees=True) * mount
+                mount = (
+                    Rotation.from_rotvec(_direction(rng) * design.remount_deg, degrees=True) * mount
+                )
                 truth.remounts.add((name, f"{name}-{d}"))
             rows.append(_drive(rng, name, d, mount, crown))
-            rows[-1] |= {"vehicle_type": kinds[i], "sensor_batch": batches[i], "firmware": f"f{i % 3}"}
+            rows[-1] |= {
+                "vehicle_type": kinds[i],
+                "sensor_batch": batches[i],
+                "firmware": f"f{i % 3}",
+            }
         truth.mounts[name] = mount
     columns: dict[str, list[object]] = {key: [row[key] for row in rows] for key in rows[0]}
     return columns, truth
@@ -108,7 +116,9 @@ def _direction(rng: np.random.Generator) -> Array:
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _drive(rng: np.random.Generator, name: str, d: int, mount: Rotation, crown: float) -> dict[str, object]:
+def _drive(
+    rng: np.random.Generator, name: str, d: int, mount: Rotation, crown: float
+) -> dict[str, object]:
     minutes = 5.0 * 8.0 ** rng.random()
     # deviations at 5 min and 40 min (docs/mount-accuracy.md: median error / 0.67), crown apart
     share = math.log(minutes / 5.0) / math.log(8.0)
@@ -123,7 +133,8 @@ def _drive(rng: np.random.Generator, name: str, d: int, mount: Rotation, crown: 
     known = rng.random() >= UNKNOWN_SHARE
     start = FIRST_DAY + 86400.0 * d
     return {
-        "log_key": f"{name}-{d}", "run_key": "simulated", "vehicle": name, "sensor_serial": f"s{name}",
+        "log_key": f"{name}-{d}", "run_key": "simulated", "vehicle": name,
+        "sensor_serial": f"s{name}",
         "sources": f'["{name}/{d}.log"]', "date": None, "start": start, "end": start + 60 * minutes,
         "duration_s": 60 * minutes, "distance_m": 600 * minutes,
         "state": "fine" if known else "levelled", "first_usable_s": 60.0 if known else None,
@@ -133,5 +144,6 @@ def _drive(rng: np.random.Generator, name: str, d: int, mount: Rotation, crown: 
         "cov_yy_deg2": std[1] ** 2, "cov_yz_deg2": 0.0, "cov_zz_deg2": std[2] ** 2,
         "crown_std_deg": CROWN_STD, "driving_side": "right", "waiting_roll": None,
         "waiting_pitch": None, "waiting_yaw": None if known else "waiting for a change of speed",
-        "causes": "[]", "frames_read": 1, "frames_used": 1, "rejected": "{}", "rate_accel_hz": 100.0,
+        "causes": "[]", "frames_read": 1, "frames_used": 1, "rejected": "{}",
+        "rate_accel_hz": 100.0,
     }  # fmt: skip

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from benchmarks.fleet.simulated_fleet import Design, Truth, simulated_fleet
 from scipy.spatial.transform import Rotation
 
+from benchmarks.fleet.simulated_fleet import Design, Truth, simulated_fleet
 from imucald.fleet.analysis.analyse import analysed
 
 AXES = "xyz"
@@ -61,12 +61,16 @@ def _intervals(tables: dict[str, list[dict[str, Any]]], truth: Truth, scores: Sc
         scores.covered["type"].append(_inside(error, row, "ci95_{}_deg"))
     for row in tables["analysis/groups"]:
         if row["column"] == "sensor_batch" and row["p"] is not None:
-            error = [row[f"d_{a}_deg"] - t for a, t in zip(AXES, truth.effects[row["name"]], strict=True)]
+            error = [
+                row[f"d_{a}_deg"] - t for a, t in zip(AXES, truth.effects[row["name"]], strict=True)
+            ]
             scores.covered["batch"].append(_inside(error, row, "ci95_{}_deg"))
 
 
 def _found(tables: dict[str, list[dict[str, Any]]], truth: Truth, scores: Scores) -> None:
-    remounts = {(r["vehicle"], r["after_log_key"]) for r in tables["analysis/remounts"] if r["found"]}
+    remounts = {
+        (r["vehicle"], r["after_log_key"]) for r in tables["analysis/remounts"] if r["found"]
+    }
     _score("remounts", remounts, truth.remounts, scores)
     # a vehicle whose sensor was moved early, or before its first known drive, does stand out: told
     # so it is no false discovery, and none that had to be made

@@ -7,7 +7,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -41,9 +41,9 @@ def run(options: argparse.Namespace) -> int:
     from imucald.fleet.listing import list_logs
     from imucald.fleet.plan import Options, planned
     from imucald.fleet.store import Store
-    from imucald.fleet.task import Limits
+    from imucald.fleet.task import LogLimits
 
-    limits = Limits(
+    limits = LogLimits(
         _bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit)
     )
     if options.since is not None and not re.fullmatch(r"\d{4}-\d\d-\d\d", options.since):
@@ -145,7 +145,7 @@ def _line(counts: Counts) -> str:
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator[object]:
+def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
     """Yield what is told how far the run is: a line on a terminal, else one a minute."""
     import time
 

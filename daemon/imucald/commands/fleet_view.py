@@ -27,7 +27,9 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     design = [row for row in rows["causes"] if row["verdict"] == "design"]
     console.print(f"{len(rows['vehicles'])} vehicles, {len(rows['segments'])} segments")
     _list(console, "sensors moved between drives", found, lambda r: f"{r['vehicle']} {_turn(r)}")
-    _list(console, "vehicles that stand out", rows["outliers"], lambda r: f"{r['vehicle']} {_turn(r)}")
+    _list(
+        console, "vehicles that stand out", rows["outliers"], lambda r: f"{r['vehicle']} {_turn(r)}"
+    )
     _list(console, "bad batches", bad, lambda r: f"{r['column']} {r['name']} {_turn(r)}")
     _list(
         console,

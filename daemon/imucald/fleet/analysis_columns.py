@@ -68,7 +68,9 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *_MOUNT,
     ),
     "analysis/remounts": (
-        *texts(vehicle="name", before_log_key="last drive before", after_log_key="first drive after"),
+        *texts(
+            vehicle="name", before_log_key="last drive before", after_log_key="first drive after"
+        ),
         Column("before", "time", "", "end of the last drive before"),
         Column("after", "time", "", "start of the first drive after"),
         *_xyz("deg", "turn about the vehicle's axes", "d_{}_deg"),

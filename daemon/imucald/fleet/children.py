@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from contextlib import suppress
+from typing import ClassVar
 
 import msgspec
 
@@ -110,7 +111,7 @@ class _Templates:
     """One template per function in this process."""
 
     lock = threading.Lock()
-    of: dict[str, Template] = {}
+    of: ClassVar[dict[str, Template]] = {}
 
 
 def template_for(function: str) -> Template:

@@ -14,6 +14,8 @@ from imucald.api.columns import Columns
 from imucald.api.drive import DriveResult
 from imucald.config import Config
 from imucald.fleet.columns import AXES, PAIRS
+from imucald.fleet.fleet_file import Fleet
+from imucald.fleet.task import Task
 
 EARLIEST = 946_684_800.0
 """1 January 2000 as UNIX time [s]: a logger that is before it has no clock."""
@@ -56,6 +58,23 @@ def drive_row(drive: DriveResult, config: Config) -> dict[str, Any]:
     return row
 
 
+def drive_values(
+    fleet: Fleet, task: Task, log_key: str | None, drive: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The row with what names it: by the rules of the fleet, on the day of the drive."""
+    day = day_of(drive["start"]) or task.date
+    facts = fleet.facts(task.vehicle, day)
+    return {
+        **drive,
+        "log_key": log_key,
+        "vehicle": task.vehicle,
+        "vehicle_type": fleet.named(task.source)[2] or facts.get("type"),
+        **{name: facts.get(name) for name in ("sensor_serial", "sensor_batch", "firmware")},
+        "sources": json.dumps([task.source], ensure_ascii=False),
+        "date": day,
+    }
+
+
 def known_times(drive: DriveResult) -> tuple[float | None, float | None]:
     """First and last frame in use as UNIX time [s]; None of a logger without a clock."""
     if drive.start_us is None or drive.end_us is None:
@@ -95,7 +114,8 @@ def event_rows(events: Columns, has_clock: bool) -> list[dict[str, Any]]:
     names = [column.name for column in events.columns]
     rows = []
     for values in zip(*(array.tolist() for array in events.arrays), strict=True):
-        row = {n: None if v != v else v for n, v in zip(names, values, strict=True)}
+        row: dict[str, Any] = dict(zip(names, values, strict=True))
+        row = {name: None if value != value else value for name, value in row.items()}  # noqa: PLR0124
         row["time"] = row["time"] / 1e6 if has_clock else None
         rows.append(row)
     return rows

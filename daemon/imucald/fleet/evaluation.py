@@ -10,7 +10,7 @@ from imucald.core.errors import ConfigError, DatabaseError, LogError, NoFramesEr
 from imucald.fleet.bundle import code_hash, load_bundle
 from imucald.fleet.drive_row import drive_row, event_rows, known_times
 from imucald.fleet.fetch import NoRegularFileError, StorageError, local_copy
-from imucald.fleet.task import OK, Outcome, Task
+from imucald.fleet.task import OK, OTHER_CODE, Outcome, Task
 
 NOT_OURS = "the log has no usable frame of this configuration; 'imucald check' tells more"
 
@@ -22,7 +22,7 @@ def evaluate(task: Task) -> Outcome:
     other drives, the order or the machine.
     """
     if task.code and task.code != code_hash():
-        return Outcome("config", "this worker has other code of imucald than the driver")
+        return Outcome(OTHER_CODE)
     try:
         config = load_bundle(task.bundle)
         with local_copy(task.source, task.storage) as (path, key):

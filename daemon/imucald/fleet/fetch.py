@@ -54,9 +54,7 @@ def file_system(url: str, storage: Mapping[str, Mapping[str, Any]]) -> fsspec.Ab
 
 
 @contextlib.contextmanager
-def local_copy(
-    url: str, storage: Mapping[str, Mapping[str, Any]]
-) -> Iterator[tuple[Path, str]]:
+def local_copy(url: str, storage: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[Path, str]]:
     """Yield path and key (hash of the content) of a log.
 
     Raises NoRegularFileError and StorageError.

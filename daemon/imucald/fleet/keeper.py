@@ -7,6 +7,7 @@ any case. All of them die with whoever started them.
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import gc
 import importlib
@@ -64,6 +65,8 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
         asked.close()
         _become_child(task, keeper, answer, words)
     os.close(answer)
+    with contextlib.suppress(OSError):
+        os.setpgid(child, child)  # it does so too; whoever is first
     told, ended = _watch(child, answers, asked, began + task.limits.time_s)
     os.killpg(child, signal.SIGKILL)
     usage = _reaped(child)
@@ -96,7 +99,7 @@ def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tupl
 
 
 def _reaped(child: int) -> tuple[int, float, int] | None:
-    """Return exit status, processor time [s] and peak memory [bytes]; None where it does not die."""
+    """Exit status, processor time [s] and peak memory [bytes]; None where it does not die."""
     until = time.monotonic() + DYING_S
     while time.monotonic() < until:
         pid, status, usage = os.wait4(child, os.WNOHANG)
@@ -136,7 +139,8 @@ def _stack(words: str) -> str:
 def _become_child(task: Task, keeper: int, answer: int, words: int) -> NoReturn:
     """Evaluate, answer, end; never return to the keeper's code."""
     try:
-        os.setpgid(0, 0)
+        with contextlib.suppress(OSError):
+            os.setpgid(0, 0)
         die_with(keeper)
         nothing = os.open(os.devnull, os.O_RDONLY)
         os.dup2(nothing, 0)

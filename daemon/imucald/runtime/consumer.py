@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
-from imucald.inputs.router import ColumnSamples, Sample
+from imucald.inputs.column_samples import ColumnSamples
+from imucald.inputs.router import Sample
 from imucald.mount.estimate import Correction, MountEstimate
 from imucald.runtime.output.output_message import OutFrame
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from imucald.fleet.analysis.causes import UNKNOWN, cause_rows, never_usable_rows
-from imucald.fleet.analysis.components import Component
+from imucald.fleet.analysis.components import VarianceComponent
 from imucald.fleet.analysis.known_drives import KnownDrives, known_drives
 from imucald.fleet.analysis.mounts import (
     Segments,
@@ -92,7 +92,7 @@ def _mounts(rotation: Rotation, half_width: Array, prefix: str = "") -> Rows:
     ]
 
 
-def _spread(form: str, parts: Sequence[Component]) -> dict[str, float | None]:
+def _spread(form: str, parts: Sequence[VarianceComponent]) -> dict[str, float | None]:
     return {
         **_xyz(form.format("{}"), [math.sqrt(c.value) for c in parts]),
         **_xyz(form.format("low_{}"), [math.sqrt(c.low) for c in parts]),
@@ -100,8 +100,12 @@ def _spread(form: str, parts: Sequence[Component]) -> dict[str, float | None]:
     }
 
 
-def _type_rows(drives: KnownDrives, segments: Segments, remounts: Remounts, people: Population) -> Rows:
-    crown = np.array([segments.crown[segments.starts][drives.kind == k].mean() for k in range(len(drives.kinds))])
+def _type_rows(
+    drives: KnownDrives, segments: Segments, remounts: Remounts, people: Population
+) -> Rows:
+    crown = np.array(
+        [segments.crown[segments.starts][drives.kind == k].mean() for k in range(len(drives.kinds))]
+    )
     mounts = _mounts(people.centre, type_half_width(people, crown))
     of_drive = drives.kind[drives.vehicle]
     return [

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import betabinom, binom, false_discovery_control
 
-MAX_Q = 0.05
+from imucald.fleet.analysis.units import MAX_Q
+
 FEW_VEHICLES = 3
 """A cause in fewer vehicles is not called a matter of design, however small their type is."""
 FIGURES = re.compile(r"\s*\([^)]*\)|\d+(\.\d+)?")
@@ -48,7 +49,12 @@ def cause_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
 
 
 def _counted(
-    cause: str, kind: str, n: int, vehicles: set[str], kind_of: Mapping[str, str], size: Counter[str]
+    cause: str,
+    kind: str,
+    n: int,
+    vehicles: set[str],
+    kind_of: Mapping[str, str],
+    size: Counter[str],
 ) -> dict[str, Any]:
     others = len(kind_of) - size[kind]
     elsewhere = len(vehicles) - n
@@ -82,7 +88,14 @@ def never_usable_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, An
     drives: Counter[tuple[str, str]] = Counter()
     vehicles: dict[tuple[str, str], set[str]] = defaultdict(set)
     total: Counter[str] = Counter()
-    names = ("vehicle", "vehicle_type", "first_usable_s", "waiting_roll", "waiting_pitch", "waiting_yaw")
+    names = (
+        "vehicle",
+        "vehicle_type",
+        "first_usable_s",
+        "waiting_roll",
+        "waiting_pitch",
+        "waiting_yaw",
+    )
     for vehicle, kind, usable, *waiting in zip(*(columns[n] for n in names), strict=True):
         kind_name = str(kind or UNKNOWN)
         total[kind_name] += 1

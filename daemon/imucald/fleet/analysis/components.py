@@ -24,8 +24,8 @@ LARGEST = 180.0**2
 """No variance of a mount is larger [deg^2]."""
 
 
-class Component(NamedTuple):
-    """A variance [deg^2] with its 95 % interval (profile likelihood), and how many values made it."""
+class VarianceComponent(NamedTuple):
+    """A variance [deg^2] with its 95 % interval (profile likelihood), and its freedoms."""
 
     value: float
     low: float
@@ -33,12 +33,12 @@ class Component(NamedTuple):
     freedom: int
 
 
-def between_drives(y: Array, P: Array, segment: Index) -> Component:
+def between_drives(y: Array, P: Array, segment: Index) -> VarianceComponent:
     """D of one axis: y (n,) [deg], P (n,) variances, segment (n,) ascending index."""
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     freedom = len(y) - len(starts)
     if freedom < 1:
-        return Component(0.0, 0.0, LARGEST, 0)
+        return VarianceComponent(0.0, 0.0, LARGEST, 0)
 
     def deviance(D: float) -> float:
         w = 1.0 / (D + P)
@@ -50,10 +50,10 @@ def between_drives(y: Array, P: Array, segment: Index) -> Component:
     return _found(deviance, freedom)
 
 
-def between_vehicles(m: Array, V: Array) -> Component:
+def between_vehicles(m: Array, V: Array) -> VarianceComponent:
     """T of one axis: m (n,) [deg] of vehicles of a type, V (n,) their variances."""
     if len(m) < 2:
-        return Component(0.0, 0.0, LARGEST, 0)
+        return VarianceComponent(0.0, 0.0, LARGEST, 0)
 
     def deviance(T: float) -> float:
         w = 1.0 / (T + V)
@@ -63,7 +63,7 @@ def between_vehicles(m: Array, V: Array) -> Component:
     return _found(deviance, len(m) - 1)
 
 
-def _found(deviance: Callable[[float], float], freedom: int) -> Component:
+def _found(deviance: Callable[[float], float], freedom: int) -> VarianceComponent:
     """The value of least deviance, and where the deviance is 3.84 above it."""
 
     def of_root(x: float) -> float:
@@ -75,7 +75,9 @@ def _found(deviance: Callable[[float], float], freedom: int) -> Component:
     k = int(np.argmin(values))
     low, high = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)])
     best = minimize_scalar(of_root, bounds=(low, high), method="bounded", options={"xatol": 1e-6})
-    x, least = (float(best.x), float(best.fun)) if best.fun < values[k] else (float(grid[k]), values[k])
+    x, least = (
+        (float(best.x), float(best.fun)) if best.fun < values[k] else (float(grid[k]), values[k])
+    )
 
     def above(other: float) -> float:
         return of_root(other) - least - WITHIN_95
@@ -83,7 +85,7 @@ def _found(deviance: Callable[[float], float], freedom: int) -> Component:
     left = 0.0 if above(0.0) <= 0.0 else float(brentq(above, 0.0, x))
     top = float(grid[-1])
     right = top if above(top) <= 0.0 else float(brentq(above, x, top))
-    return Component(x * x, left * left, right * right, freedom)
+    return VarianceComponent(x * x, left * left, right * right, freedom)
 
 
 def robust_variance(squares: Array, known: Array) -> float:

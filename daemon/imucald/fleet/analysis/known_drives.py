@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 KNOWN = ("usable", "fine")
-"""States of drives whose mount counts: the others say themselves that it is not known, or moving."""
+"""States of drives whose mount counts: the others say that it is not known, or moving."""
 FLOOR_DEG2 = 1e-4
 """Least variance of a drive [deg^2], 0.01 deg: no estimate is better, whatever it says."""
 
@@ -52,7 +52,8 @@ def known_drives(columns: Mapping[str, Sequence[object]]) -> KnownDrives:
     """Take the drives out of the table's columns (in its order: by vehicle and time)."""
     state = np.array(columns["state"], dtype=object)
     numbers = np.array(
-        [columns[n] for n in ("q_x", "q_y", "q_z", "q_w", *_COVARIANCE, "crown_std_deg")], dtype=float
+        [columns[n] for n in ("q_x", "q_y", "q_z", "q_w", *_COVARIANCE, "crown_std_deg")],
+        dtype=float,
     ).T
     good = np.isin(state, KNOWN) & np.isfinite(numbers).all(axis=1)
     names = np.array([str(v) for v in columns["vehicle"]], dtype=object)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
-from imucald.fleet.analysis.components import Component
+from imucald.fleet.analysis.components import VarianceComponent
 
 Array = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ LEAST = 1e-6
 MOST_FREEDOM = 1e6
 
 
-def moderated(T: Sequence[Sequence[Component]], V: Array) -> tuple[Array, Array]:
+def moderated(T: Sequence[Sequence[VarianceComponent]], V: Array) -> tuple[Array, Array]:
     """T (kinds, 3) [deg^2] as used for tests and shrinkage, and freedoms (kinds,) of T + V.
 
     V: (kinds, 3) usual variance of a vehicle's mean. A type with one vehicle has the common T.
@@ -41,15 +41,19 @@ def moderated(T: Sequence[Sequence[Component]], V: Array) -> tuple[Array, Array]
     spread = ((e - common) ** 2).sum() / (3.0 * (len(e) - 1))
     beyond = float(spread - polygamma(1, d / 2.0).mean())
     worth = min(_freedom(beyond), float(freedom.sum()))
-    # of an endless prior the mean of logarithms is the logarithm of the variance itself
-    s0 = np.exp(common + digamma(worth / 2.0) - np.log(worth / 2.0)) if beyond > 0 else np.exp(common)
+    # of an endless prior the mean of logarithms is that of the variance itself
+    s0 = (
+        np.exp(common + digamma(worth / 2.0) - np.log(worth / 2.0))
+        if beyond > 0
+        else np.exp(common)
+    )
     total = freedom[:, None] + worth
     mixed = (worth * s0 + freedom[:, None] * np.maximum(own + V, LEAST)) / total
     return np.maximum(mixed - V, 0.0), total[:, 0]
 
 
 def _freedom(beyond: float) -> float:
-    """The freedoms of which trigamma(d / 2) is so much; very many where nothing is beyond chance."""
+    """Freedoms d of which trigamma(d / 2) is so much; very many where all is chance."""
     if beyond <= float(polygamma(1, MOST_FREEDOM / 2.0)):
         return MOST_FREEDOM
     return 2.0 * float(brentq(lambda x: float(polygamma(1, x)) - beyond, 1e-3, MOST_FREEDOM))

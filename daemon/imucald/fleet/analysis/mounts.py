@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from imucald.fleet.analysis.known_drives import KnownDrives, between, turned
-from imucald.fleet.analysis.population import Population, Units, t_quantile
+from imucald.fleet.analysis.population import Population
 from imucald.fleet.analysis.remounts import Remounts, weights
 from imucald.fleet.analysis.segments import means
+from imucald.fleet.analysis.units import Units, t_quantile
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -49,7 +50,7 @@ class Segments:
 
 
 def interval(variance: Array, crown: Array, quantile: float = NORMAL_95) -> Array:
-    """Half of a 95 % interval (n, 3) [deg]: the crown is a roll, and normal whatever the rest is."""
+    """Half of a 95 % interval (n, 3) [deg]: the crown is a roll, normal whatever the rest is."""
     wide = quantile**2 * variance
     wide = wide + np.stack([(NORMAL_95 * crown) ** 2, 0.0 * crown, 0.0 * crown], axis=1)
     return np.sqrt(wide)

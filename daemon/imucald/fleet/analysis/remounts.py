@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
 
-from imucald.fleet.analysis.components import Component, between_drives, robust_variance
+from imucald.fleet.analysis.components import VarianceComponent, between_drives, robust_variance
 from imucald.fleet.analysis.known_drives import KnownDrives, between
 from imucald.fleet.analysis.segments import candidates, means
+from imucald.fleet.analysis.units import MAX_Q
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-MAX_Q = 0.05
-"""Of what is told as found, such a share is false in expectation (Benjamini and Hochberg 1995)."""
 ROUNDS = 3
 OWN_FREEDOM = 20
 """A type with fewer differences between drives has the D of all types together."""
@@ -43,7 +43,7 @@ class Remounts:
     p: Array
     q: Array
     D: Array
-    components: list[list[Component]]
+    components: list[list[VarianceComponent]]
     scale: float
     segment: Index
 
@@ -57,7 +57,7 @@ def find_remounts(drives: KnownDrives) -> Remounts:
     """Look for remounts in all vehicles; D is learnt on the way from what is none."""
     e = between(drives.rotation, drives.rotation[drives.first[drives.vehicle]])
     D = np.tile(_first_D(e, drives), (len(drives.kinds), 1))
-    components: list[list[Component]] = []
+    components: list[list[VarianceComponent]] = []
     found, null = None, Null()
     for _ in range(ROUNDS):
         found = _cuts(e, drives, D, null)
@@ -85,7 +85,7 @@ def _first_D(e: Array, drives: KnownDrives) -> Array:
 def weights(drives: KnownDrives, D: Array, scale: float = 1.0) -> Array:
     """Inverse covariances (n, 3, 3) of single drives about their vehicle's mount [1/deg^2]."""
     V = drives.P + D[drives.kind[drives.vehicle]][:, :, None] * np.eye(3)
-    return np.linalg.inv(scale * V)
+    return np.asarray(np.linalg.inv(scale * V))
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,9 @@ def _null(e: Array, drives: KnownDrives, D: Array, cuts: Index) -> Null:
         return Null()
     V = np.linalg.inv(weights(drives, D))
     d = e[after] - e[after - 1]
-    squares = np.einsum("ni,ni->n", d, np.linalg.solve(V[after] + V[after - 1], d[:, :, None])[..., 0])
+    squares = np.einsum(
+        "ni,ni->n", d, np.linalg.solve(V[after] + V[after - 1], d[:, :, None])[..., 0]
+    )
     best, found = -np.inf, Null()
     for freedom in FREEDOMS:
         for scale in np.geomspace(0.4, 4.0, 24):
@@ -139,7 +141,7 @@ def _cuts(e: Array, drives: KnownDrives, D: Array, null: Null) -> Remounts:
     bounds = [*drives.first.tolist(), len(drives)]
     cuts = [
         start + cut
-        for start, stop in zip(bounds, bounds[1:], strict=False)
+        for start, stop in pairwise(bounds)
         for cut in candidates(e[start:stop], W[start:stop])
     ]
     drive = np.array(cuts, dtype=np.int64)
@@ -167,7 +169,7 @@ def _segments(drives: KnownDrives, cuts: Index) -> Index:
     return np.asarray(np.cumsum(begins) - 1, dtype=np.int64)
 
 
-def _components(e: Array, drives: KnownDrives, segment: Index) -> list[list[Component]]:
+def _components(e: Array, drives: KnownDrives, segment: Index) -> list[list[VarianceComponent]]:
     """D by type and axis; of all types together where a type shows too little."""
     kind = drives.kind[drives.vehicle]
     P = np.diagonal(drives.P, axis1=1, axis2=2)

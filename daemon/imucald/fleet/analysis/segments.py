@@ -7,6 +7,8 @@ remounts is decided over all vehicles together (`remounts`).
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -26,7 +28,7 @@ def candidates(e: Array, W: Array) -> list[int]:
     n = len(e)
     if n < 2:
         return []
-    penalty = float(chi2.isf(CANDIDATE_P / (n - 1), 3))
+    penalty = _penalty(n)
     We = np.einsum("nij,nj->ni", W, e)
     sums = (
         _from_zero(W),
@@ -46,6 +48,12 @@ def candidates(e: Array, W: Array) -> list[int]:
         cuts.append(place)
         place = int(before[place])
     return cuts[::-1]
+
+
+@cache
+def _penalty(n: int) -> float:
+    """Chi-square that the best of the n - 1 cuts of a vehicle without a remount seldom reaches."""
+    return float(chi2.isf(CANDIDATE_P / (n - 1), 3))
 
 
 def _from_zero(values: Array) -> Array:
