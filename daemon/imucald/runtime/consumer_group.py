@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from imucald.inputs.column_samples import Routed
 from imucald.inputs.router import Sample
 from imucald.mount.estimate import Correction
-from imucald.runtime.consumer import Consumer, events_of, in_order
+from imucald.runtime.consumer import Consumer, events_of, hand_on, in_order
 from imucald.runtime.output.output_columns import OutPart, frames_part
 from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.pipeline import Snapshot, TickCorrections
@@ -26,17 +26,17 @@ class ConsumerGroup:
     def __bool__(self) -> bool:
         return bool(self.all)
 
-    def feed(self, t: float, samples: Sequence[Sample], correction: Correction | None) -> None:
-        """Hand on the samples of one frame at stream time t [s]."""
-        for channel, values in in_order(samples):
-            self._sample(t, channel, values, correction)
-
-    def _sample(
-        self, t: float, channel: str, values: Sequence[float], correction: Correction | None
+    def feed(
+        self,
+        t: float,
+        samples: Sequence[Sample],
+        correction: Correction | None,
+        unfit: Collection[str],
     ) -> None:
-        for consumer in self.all:
-            if channel in consumer.channels:
-                consumer.sample(t, channel, values, correction)
+        """Hand on the samples of one frame at stream time t [s]; unfit: see `hand_on`."""
+        for channel, values in in_order(samples):
+            for consumer in self.all:
+                hand_on(consumer, t, channel, values, correction, unfit)
 
     def end_ticks(self, first: int, stop: int, snapshots: Sequence[Snapshot]) -> list[OutFrame]:
         """Ticks `first` to `stop` - 1 have ended; return the frames that are due."""
@@ -80,7 +80,9 @@ class ConsumerGroup:
             while k < tick:
                 yield from close(k)
                 k += 1
-            self._sample(t, channel, values, rotations[tick - first])
+            unfit = [c for c, flags in corrections.unfit.items() if flags[tick - first]]
+            for consumer in self.all:
+                hand_on(consumer, t, channel, values, rotations[tick - first], unfit)
         while k < int(ticks[-1]):
             yield from close(k)
             k += 1

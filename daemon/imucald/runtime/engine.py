@@ -122,7 +122,7 @@ class Engine:
             pipeline.reject(channel)
         self._watch.count_rejections(k, self.router.rejected.total())
         if self._group:
-            self._group.feed(t, samples, pipeline.correction)
+            self._group.feed(t, samples, pipeline.correction, health.faults)
         correction, triads, watched = pipeline.correction, self.output.triads, self._watch.last
         for channel, values in samples:
             pipeline.add(t, channel, values)
