@@ -59,7 +59,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "api.drive._repr_html_: api.html": "2 ms: pages of notebooks",
     "api.drive.write: api.files.written": "2 ms: few write tables",
     "api.streaming.write: api.files.written": "2 ms: few write tables",
-    "can.link.link._new_port: can.link.adapter": "python-can: SocketCAN does without",
+    "can.link.port.open_port: can.link.adapter": "python-can: SocketCAN does without",
     "can.logs.python_can_logs._open: can.python_can": "python-can: candump does without",
     "config.root.json_schema: config.schema": "only `imucald schema` needs it",
     "core.yaml_lines.read_yaml: core.yaml_parser": "10 ms, 0.9 MiB: a kept file needs no parser",

@@ -53,7 +53,7 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
     console.print()
     if angles:
         console.print(_result_table(angles))
-        console.print(Text(f"{CONVENTION}; it and the error: {AXES}", style="dim"))
+        console.print(Text(f"{CONVENTION}; ± and 'turned off': {AXES}", style="dim"))
         if sits := how_it_sits(demo.estimate()):
             console.print(f"The sensor: {sits}.")
         if steep := steep_note(demo.estimate()):
@@ -72,7 +72,7 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
 def _result_table(angles: list[Angle]) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("mount")
-    for name in ("estimate", "± 95 %", "truth", "error"):
+    for name in ("estimate", "± 95 %", "truth", "turned off"):
         table.add_column(name, justify="right", min_width=9)
     table.add_column("truth inside?")
     for angle in angles:

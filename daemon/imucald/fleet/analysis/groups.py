@@ -53,15 +53,15 @@ def group_codes(values: Sequence[str | None]) -> tuple[list[str], Index]:
 def group_effects(units: Units, e: Array, T: Array, codes: Codes) -> list[GroupEffect]:
     """Effects of all groups; those found are left out of what the others are compared with."""
     wide = T[units.kind] + units.v
-    w = t_weights(e, wide)
+    w = t_weights(e, wide)[:, None] / wide
     left_out = np.zeros(len(units), dtype=bool)
     found: dict[tuple[str, str], GroupEffect] = {}
     while True:
+        sums = np.concatenate([w, w * e, w * w * wide, np.ones((len(units), 1))], axis=1)
         effects = [
-            found.get((column, name))
-            or _effect(units, e, wide, w, left_out, column, name, index == i)
+            found.get((column, effect.name), effect)
             for column, (names, index) in codes.items()
-            for i, name in enumerate(names)
+            for effect in _effects(units, sums, ~left_out, column, names, index)
         ]
         effects = _with_q(effects)
         fresh = [g for g in effects if g.found and (g.column, g.name) not in found]
@@ -71,49 +71,54 @@ def group_effects(units: Units, e: Array, T: Array, codes: Codes) -> list[GroupE
         found[best.column, best.name] = best
         names, index = codes[best.column]
         left_out |= index == names.index(best.name)
-        w = np.where(index == names.index(best.name), 1.0, w)
 
 
-def _effect(
-    units: Units,
-    e: Array,
-    wide: Array,
-    w: Array,
-    left_out: Flags,
-    column: str,
-    name: str,
-    mine: Flags,
-) -> GroupEffect:
-    """One group beside the other vehicles of its types: contrasts by type, put together."""
-    vehicles = int(mine.sum())
-    inside, outside = mine & ~left_out, ~mine & ~left_out
-    total, weighted, kinds, freedom = np.zeros(3), np.zeros(3), 0, 0
-    for k in np.unique(units.kind[inside]):
-        a, b = inside & (units.kind == k), outside & (units.kind == k)
-        if not b.any():
-            continue  # the whole type is of this batch: the two cannot be told apart
-        (mean_a, var_a), (mean_b, var_b) = (_mean(e[s], wide[s], w[s]) for s in (a, b))
-        precision = 1.0 / (var_a + var_b)
-        total += precision
-        weighted += precision * (mean_a - mean_b)
-        kinds += 1
-        freedom += int(a.sum() + b.sum()) - 2
-    nan = float("nan")
-    if vehicles < LEAST_GROUP or kinds == 0:
-        return GroupEffect(
-            column, name, vehicles, kinds, np.full(3, nan), np.full((3, 3), nan), nan, 0
+def _effects(
+    units: Units, sums: Array, used: Flags, column: str, names: Sequence[str], index: Index
+) -> list[GroupEffect]:
+    """Each group beside the other vehicles of its types: contrasts by type, put together.
+
+    sums: (n, 10), by vehicle its weights, weights times e, the variance of that, and one.
+    """
+    vehicles = np.bincount(index[index >= 0], minlength=len(names))
+    mine = used & (index >= 0)
+    pairs, pair = np.unique(index[mine] * units.kinds + units.kind[mine], return_inverse=True)
+    inside = _summed(sums[mine], pair, len(pairs))
+    group, kind = np.divmod(pairs, units.kinds)
+    outside = _summed(sums[used], units.kind[used], units.kinds)[kind] - inside
+    # a type that is of this batch as a whole: the two cannot be told apart
+    beside = outside[:, 9] > 0.5
+    inside, outside, group = inside[beside], outside[beside], group[beside]
+    (mean, variance), (of_others, their_variance) = _mean(inside), _mean(outside)
+    precision = 1.0 / (variance + their_variance)
+    total = _summed(precision, group, len(names))
+    weighted = _summed(precision * (mean - of_others), group, len(names))
+    kinds = np.bincount(group, minlength=len(names))
+    freedom = np.bincount(group, inside[:, 9] + outside[:, 9] - 2.0, len(names))
+    found = []
+    for i, name in enumerate(names):
+        judged = vehicles[i] >= LEAST_GROUP and kinds[i] > 0
+        effect = weighted[i] / total[i] if judged else np.full(3, np.nan)
+        covariance = np.diag(1.0 / total[i]) if judged else np.full((3, 3), np.nan)
+        p = _p_of(float((effect**2 * total[i]).sum()), freedom[i]) if judged else float("nan")
+        found.append(
+            GroupEffect(
+                column, name, int(vehicles[i]), int(kinds[i]), effect, covariance, p, freedom[i]
+            )
         )
-    effect, covariance = weighted / total, np.diag(1.0 / total)
-    square = float((effect**2 * total).sum())
-    p = _p_of(square, freedom)
-    return GroupEffect(column, name, vehicles, kinds, effect, covariance, p, freedom)
+    return found
 
 
-def _mean(e: Array, wide: Array, w: Array) -> tuple[Array, Array]:
-    """Robust weighted mean (3,) and its variance (3,)."""
-    weight = w[:, None] / wide
-    total = weight.sum(axis=0)
-    return (weight * e).sum(axis=0) / total, (weight**2 * wide).sum(axis=0) / total**2
+def _summed(values: Array, index: Index, length: int) -> Array:
+    total = np.zeros((length, values.shape[1]))
+    np.add.at(total, index, values)
+    return total
+
+
+def _mean(sums: Array) -> tuple[Array, Array]:
+    """Robust weighted means (n, 3) and their variances (n, 3)."""
+    weight = sums[:, 0:3]
+    return sums[:, 3:6] / weight, sums[:, 6:9] / weight**2
 
 
 def _p_of(square: float | Array, freedom: float) -> float:
