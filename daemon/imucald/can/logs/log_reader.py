@@ -119,7 +119,9 @@ class LogReader:
         for path in self._paths:
             head, handed = look_at(path)
             chosen = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
-            yield from chosen.read(handed, self._report)
+            for columns in chosen.read(handed, self._report):
+                if len(columns):
+                    yield columns
             self._bytes_before += _file_bytes(path)
             self._report(0)
 
