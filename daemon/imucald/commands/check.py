@@ -95,7 +95,7 @@ def _read(check: Check, logs: list[str]) -> None:
     from imucald.commands.terminal import progress_bar
 
     with progress_bar("check") as progress:
-        reader = LogReader(logs, None, False, progress)
+        reader = LogReader(logs, None, False, progress, check.router.stated_cycles)
         for chunk in reader:
             check.feed(chunk)
     check.bad_lines.update(reader.rejected)
