@@ -25,8 +25,8 @@ from benchmarks.integrity.judge import (
 from benchmarks.integrity.sent import FINE, Sent, Triad, sent
 from benchmarks.mount_accuracy.drives import FULL
 from imucald.can.columns import FrameColumns
-from imucald.check.checker import Check
 from imucald.config import LoadedConfig
+from imucald.config_check.checker import Check
 from imucald.core.rotations import Matrix3, rotation_from_vector, vector_from_rotation
 from imucald.simulation import random_model
 

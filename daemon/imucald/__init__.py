@@ -1,3 +1,69 @@
-"""imucald: finds out how an IMU sits in a vehicle and re-emits its signals in vehicle axes."""
+"""imucald: finds out how an IMU sits in a vehicle and re-emits its signals in vehicle axes.
+
+`docs/python.md` shows how it is used from Python; `__all__` lists what can be relied on. Nothing is
+loaded before it is asked for: the daemon does without all of it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from imucald.api.configuration import Configuration as Config
+    from imucald.api.drive import DriveResult
+    from imucald.api.files.reading import open_result
+    from imucald.api.logs import find_logs
+    from imucald.api.mount import MountResult
+    from imucald.api.replaying import replay
+    from imucald.api.streaming import DrivePart, DriveStream, stream
+    from imucald.core.errors import ConfigError, ImucaldError, LogError
 
 __version__ = "0.1.0"
+
+_PLACES = {
+    "Config": ("api.configuration", "Configuration"),
+    "ConfigError": ("core.errors", "ConfigError"),
+    "DrivePart": ("api.streaming", "DrivePart"),
+    "DriveResult": ("api.drive", "DriveResult"),
+    "DriveStream": ("api.streaming", "DriveStream"),
+    "ImucaldError": ("core.errors", "ImucaldError"),
+    "LogError": ("core.errors", "LogError"),
+    "MountResult": ("api.mount", "MountResult"),
+    "find_logs": ("api.logs", "find_logs"),
+    "open_result": ("api.files.reading", "open_result"),
+    "replay": ("api.replaying", "replay"),
+    "stream": ("api.streaming", "stream"),
+}
+"""Where each name comes from: module, and its name there."""
+
+__all__ = [
+    "Config",
+    "ConfigError",
+    "DrivePart",
+    "DriveResult",
+    "DriveStream",
+    "ImucaldError",
+    "LogError",
+    "MountResult",
+    "__version__",
+    "find_logs",
+    "open_result",
+    "replay",
+    "stream",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load what is asked for (PEP 562)."""
+    place = _PLACES.get(name)
+    if place is None:
+        raise AttributeError(f"module 'imucald' has no attribute {name!r}")
+    module, there = place
+    found = getattr(import_module(f"imucald.{module}"), there)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -17,7 +17,7 @@ from imucald.mount.common_errors import common_errors, cross_axis_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.fusion import CommonCovariance, CommonError, fuse
-from imucald.mount.prior_drives import PriorDrives
+from imucald.mount.past_drives import PastDrives
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import (
@@ -86,13 +86,12 @@ def turned(mount: StoredMount, degrees: tuple[float, float, float]) -> StoredMou
 def test_it_says_what_the_estimate_said():
     """Fused by itself, without what changes between drives, it gives the mount it came from."""
     settings = driven()._settings
-    found = driven().estimate().details["cross_axis_std"]
-    assert isinstance(found, float)
+    scales = driven()._solver._cross_axis
+    assert sum(p for _, p in scales) == pytest.approx(1.0)
     sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
-    sharing.scale2 = found * found
     kept = evidence()
     pieces = {n: AngleEvidence(p.value, p.variance + p.bias, 1.0) for n, p in kept.sources.items()}
-    fused = fuse(pieces, sharing, CommonCovariance(common_errors(settings)))
+    fused = fuse(pieces, sharing, scales)
     assert np.abs(fused.error).max() < 1e-9
     crown = loaded().config.vehicle.crown_spread_percent / 100.0
     claimed = np.diag(stored().covariance) - [crown**2, 0.0, 0.0]
@@ -174,8 +173,8 @@ def piece(value: float, variance: float, bias: float = 0.0) -> SavedSource:
     return SavedSource(value, variance, bias, np.zeros(3), np.ones(3))
 
 
-def prior(shared: tuple[CommonError, ...] = (), **pieces: SavedSource) -> PriorDrives:
-    return PriorDrives(SavedInformation(np.eye(3), False, pieces), shared, 0.0)
+def prior(shared: tuple[CommonError, ...] = (), **pieces: SavedSource) -> PastDrives:
+    return PastDrives(SavedInformation(np.eye(3), False, pieces), shared, 0.0)
 
 
 def test_load_and_springs_limit_what_earlier_drives_are_worth():

@@ -14,7 +14,7 @@ import math
 from typing import NamedTuple
 
 from imucald.attitude.propagation import IntegralSnapshot
-from imucald.config.attitude import CompensationSettings
+from imucald.config.attitude import MotionCompensationSettings
 from imucald.core.rotations import Vector
 
 MIN_LEVEL = 0.5
@@ -25,9 +25,9 @@ class Interval(NamedTuple):
     """Gravity in P over an interval, and what its uncertainty depends on.
 
     up: mean specific force less motion, frame P [m/s^2]. t0, t1 [s]. speed: mean [m/s] or NaN.
-    forward_acceleration, lateral_acceleration: of the vehicle [m/s^2]. force_variance: of
-    one sample about the mean [(m/s^2)^2], all axes. n: samples. rate: mean of the raw
-    gyroscope [rad/s]; rate_variance: of one sample, all axes. angle: turned [rad].
+    forward_acceleration: of the vehicle [m/s^2]. force_variance: of one sample about the mean
+    [(m/s^2)^2], all axes. n: samples. rate: mean of the raw gyroscope [rad/s]; rate_variance: of
+    one sample, all axes. angle: turned [rad].
     sigma_forward, sigma_lateral: standard deviation of `up` along the body's axes [m/s^2].
     """
 
@@ -36,7 +36,6 @@ class Interval(NamedTuple):
     t1: float
     speed: float
     forward_acceleration: float
-    lateral_acceleration: float
     force_variance: float
     n: float
     rate: Vector
@@ -66,7 +65,11 @@ def along_body(endpoint: Endpoint, up: Vector) -> Endpoint:
 
 
 def interval(
-    first: Endpoint, last: Endpoint, settings: CompensationSettings, noise: Vector, unknown: float
+    first: Endpoint,
+    last: Endpoint,
+    settings: MotionCompensationSettings,
+    noise: Vector,
+    unknown: float,
 ) -> Interval:
     """Make the interval between two endpoints of one segment.
 
@@ -98,7 +101,6 @@ def interval(
         b.t,
         0.5 * (v0 + v1),
         forward,
-        lateral,
         force_variance,
         n,
         (rx, ry, rz),
@@ -110,7 +112,11 @@ def interval(
 
 
 def _known_sigma(
-    first: Endpoint, last: Endpoint, settings: CompensationSettings, forward: float, lateral: float
+    first: Endpoint,
+    last: Endpoint,
+    settings: MotionCompensationSettings,
+    forward: float,
+    lateral: float,
 ) -> tuple[float, float]:
     """How unsure the correction is, along and across the direction of motion [m/s^2].
 

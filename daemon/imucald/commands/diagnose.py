@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=300.0,
         metavar="S",
-        help="processor time after which what was found so far is told (default: %(default).0f s)",
+        help="processor time after which the search ends, with what it found (%(default).0f s)",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     parser.add_argument("--quiet", action="store_true", help="no progress, no summary")
@@ -113,7 +113,7 @@ def _check(options: argparse.Namespace) -> None:
             raise ImucaldError(f"{folder}: cannot be written: Not a directory")
         # A folder that is made only at the end is checked by its name in the folder above.
         outputs.append(folder / PAGE if folder.exists() else folder)
-        from imucald.report import require_libraries
+        from imucald.report.page import require_libraries
 
         require_libraries()
     models = [options.model] if options.model else []
@@ -190,7 +190,8 @@ def _model_text(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> str:
     """The extended model with a head that says where it comes from."""
     from imucald import __version__
     from imucald.report.model_changes import model_changes, value_text
-    from imucald.report.wording import duration, verdict
+    from imucald.report.numbers import duration
+    from imucald.report.wording import verdict
 
     head = [f"VehicleModel file written by imucald diagnose {__version__} from:"]
     head += [f"  {r.name} ({duration(r.duration_s)})" for r in recordings]
@@ -209,7 +210,7 @@ def _write_report(diagnosis: Diagnosis, options: argparse.Namespace) -> None:
     from imucald import __version__
     from imucald.commands.files import write_text
     from imucald.core.errors import ImucaldError
-    from imucald.report import About, report_page
+    from imucald.report.page import About, report_page
 
     about = About(
         logs=["/".join(Path(log).parts[-2:]) for log in options.logs],

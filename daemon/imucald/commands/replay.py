@@ -6,32 +6,62 @@ import argparse
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import LOG_HELP, add_config
 
 if TYPE_CHECKING:
+    from imucald.api.configuration import Configuration
+    from imucald.api.drive import DriveResult
     from imucald.can.columns import FrameColumns
-    from imucald.config import LoadedConfig
+    from imucald.commands.replay_report import ReplayReport
     from imucald.runtime.replay import Sink
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `replay`."""
+    parser.epilog = (
+        "Several logs are several drives, each replayed on its own; overlaps and mounts that "
+        "differ from drive to drive are told. With --joined they are one recording in pieces."
+    )
     parser.add_argument(
         "logs",
         nargs="+",
         metavar="LOG",
-        help=LOG_HELP,
+        help=f"{LOG_HELP}; a folder or a pattern stands for the logs in it",
     )
     add_config(parser)
+    parser.add_argument(
+        "--joined", action="store_true", help="the logs are pieces of one recording, in their order"
+    )
     parser.add_argument(
         "--out", metavar="FILE", help="write the frames that imucald would send (candump log)"
     )
     parser.add_argument(
+        "--write",
+        type=Path,
+        metavar="FILE",
+        help="write corrected signals, history and events: .parquet, .csv, .mf4 or .mcap (of "
+        "several drives a file each)",
+    )
+    parser.add_argument(
+        "--quantities",
+        metavar="NAMES",
+        help="with --write: which tables, such as accel,gyro,raw/speed ('raw': all samples as "
+        "they came; default: all but these)",
+    )
+    parser.add_argument(
         "--json", metavar="FILE", help="write the result as JSON ('-': standard output)"
+    )
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="write a page about the drive here, of several drives one in a folder each (needs "
+        "pip install 'imucald[report]')",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     parser.add_argument(
@@ -47,41 +77,168 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay, then say what came of it."""
-    from imucald.can.logs.log_reader import LogReader
-    from imucald.commands.files import STANDARD, write_text
-    from imucald.commands.terminal import progress_bar
-    from imucald.core.errors import LogError
+    from imucald.api.configuration import Configuration
+    from imucald.api.logs import found_names
     from imucald.core.file_cache import keep_databases
-    from imucald.runtime.replay import Replay
-    from imucald.runtime.session import make_engine, open_config
+
+    logs = found_names(options.logs)
+    _check(options, logs)
+    keep_databases(os.environ)
+    config = Configuration.load(options.config, options.database)
+    for text in config.warnings:
+        print(f"imucald: warning: {text}", file=sys.stderr)
+    if len(logs) > 1 and not options.joined:
+        return _several(options, config, logs)
+    return _one(options, config, logs)
+
+
+def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
+    from imucald.api.run import require_frames
+    from imucald.commands.files import STANDARD, write_text
     from imucald.runtime.summary import as_json
 
-    _check(options)
-    keep_databases(os.environ)
-    loaded = open_config(options.config, options.database)
-    engine = make_engine(loaded)
-    with progress_bar("replay", options.quiet) as progress, _sink(options, loaded) as sink:
-        reader = LogReader(options.logs, engine.router.matches, options.strict, progress)
-        result = Replay(engine, reader, sink, options.speed).run()
-    for text in reader.problems:
-        print(f"imucald: {text}", file=sys.stderr)
-    for text in engine.stages.notes if engine.stages is not None and not options.quiet else ():
-        print(f"imucald: not used of the model: {text}", file=sys.stderr)
+    with _sink(options, config) as sink:
+        page = _page(options, config, logs, options.report)
+        drive, written = _replayed(options, config, logs, options.write, sink, page)
+    _print_problems(options, drive)
     if options.json:
-        write_text(options.json, as_json(result))
-    if reader.frames_read == 0:
-        raise LogError(f"{', '.join(options.logs)}: holds no CAN frame")
-    if engine.router.used == 0:
-        text = "the log has no usable frame of this configuration; 'imucald check' tells more"
-        print(f"imucald: {text}", file=sys.stderr)
+        write_text(options.json, as_json(drive.to_dict()))
+    require_frames(drive)
+    if page is not None:
+        page.write(drive.to_dict(), drive.problems)
     if STANDARD not in (options.json, options.out) and not options.quiet:
         from imucald.commands.terminal import print_summary
 
-        print_summary(result)
+        print_summary(drive.to_dict())
+        _print_written(written)
     return 0
 
 
-def _check(options: argparse.Namespace) -> None:
+def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
+    """Each log is a drive; one that cannot be read is told, and the others go on."""
+    from imucald.api.between_drives import notes_between
+    from imucald.api.drives import DriveSet
+    from imucald.api.run import require_frames
+    from imucald.commands.files import STANDARD, write_text
+    from imucald.core.errors import LogError
+    from imucald.runtime.summary import as_json
+
+    drives, written, failed = [], list[Path](), False
+    places = zip(_paths(options.write, logs), _folders(options.report, logs), strict=True)
+    for log, (path, folder) in zip(logs, places, strict=True):
+        try:
+            page = _page(options, config, [log], folder)
+            drive, files = _replayed(options, config, [log], path, None, page)
+            _print_problems(options, drive)
+            require_frames(drive)
+            if page is not None:
+                page.write(drive.to_dict(), drive.problems)
+        except LogError as error:
+            if options.strict:
+                raise
+            print(f"imucald: {error}", file=sys.stderr)
+            failed = True
+            continue
+        drives.append(drive)
+        written += files
+    found = DriveSet(tuple(drives), notes_between(drives))
+    if options.json:
+        write_text(options.json, as_json(found.to_dict()))
+    if options.json != STANDARD and not options.quiet:
+        from imucald.commands.terminal import print_drives
+
+        print_drives(found.rows(), found.notes)
+        _print_written(written)
+    return 1 if failed else 0
+
+
+def _replayed(
+    options: argparse.Namespace,
+    config: Configuration,
+    logs: Sequence[str],
+    path: Path | None,
+    sink: Sink | None,
+    page: ReplayReport | None,
+) -> tuple[DriveResult, list[Path]]:
+    """Replay one recording; return what came of it, and the files that were written."""
+    from imucald.api.run import Run
+    from imucald.api.streaming import DriveStream
+    from imucald.commands.terminal import progress_bar
+    from imucald.core.errors import LogError
+
+    with progress_bar("replay", options.quiet) as progress:
+        watcher = None if page is None else page.history
+        run = Run(
+            config, logs, path is not None, progress, options.strict, sink, options.speed, watcher
+        )
+        stream = DriveStream(run)
+        written: list[Path] = []
+        try:
+            if path is not None:
+                written = stream.write(path, _quantities(options))
+            else:
+                for _ in stream:
+                    pass
+        except LogError:
+            if not stream.ended:  # one without a frame has a result, and is told after it
+                raise
+        return stream.result, written
+
+
+def _quantities(options: argparse.Namespace) -> list[str] | None:
+    return options.quantities.split(",") if options.quantities else None
+
+
+def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
+    """The file that each drive is written to."""
+    from imucald.api.drives import names_apart
+
+    if path is None:
+        return [None] * len(logs)
+    return [path.with_name(f"{path.stem}.{n}{path.suffix}") for n in names_apart(logs)]
+
+
+def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
+    """The folder of each drive's page, in the one that was named."""
+    from imucald.api.drives import names_apart
+    from imucald.core.errors import ImucaldError
+
+    if folder is None:
+        return [None] * len(logs)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ImucaldError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    return [folder / name for name in names_apart(logs)]
+
+
+def _page(
+    options: argparse.Namespace, config: Configuration, logs: Sequence[str], folder: Path | None
+) -> ReplayReport | None:
+    """What gathers a page about the drive; None where none is wanted."""
+    if folder is None:
+        return None
+    from imucald.commands.replay_report import ReplayReport
+
+    return ReplayReport(config.loaded, options, logs, folder)
+
+
+def _print_problems(options: argparse.Namespace, drive: DriveResult) -> None:
+    from imucald.api.run import UNUSED
+
+    for text in drive.problems:
+        print(f"imucald: {text}", file=sys.stderr)
+    for text in drive.notes:
+        if text == UNUSED or not options.quiet:
+            print(f"imucald: {text}", file=sys.stderr)
+
+
+def _print_written(files: Sequence[Path]) -> None:
+    for path in files:
+        print(f"written: {path}")
+
+
+def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
     """Raise ImucaldError for options that do not go together, before any work."""
     from imucald.commands.files import check_files
     from imucald.core.errors import ConfigError
@@ -91,12 +248,25 @@ def _check(options: argparse.Namespace) -> None:
             raise ConfigError("--interface and --channel need --speed (1 is real time)")
     elif not (options.speed > 0 and math.isfinite(options.speed)):
         raise ConfigError("--speed must be positive")
-    inputs = (options.config, *options.database, *options.logs)
-    check_files(inputs, (options.out, options.json))
+    if options.quantities and options.write is None:
+        raise ConfigError("--quantities needs --write")
+    inputs = (options.config, *options.database, *logs)
+    several = len(logs) > 1 and not options.joined
+    if options.write is not None:
+        from imucald.api.files.written import format_of
+
+        format_of(options.write)
+    written = _paths(options.write, logs) if several else [options.write]
+    check_files(inputs, (options.out, options.json, *written))
+    if several and (options.out or options.speed is not None):
+        raise ConfigError(
+            "several logs are several drives: --out and --speed take one, or the pieces of one "
+            "with --joined"
+        )
 
 
 @contextmanager
-def _sink(options: argparse.Namespace, loaded: LoadedConfig) -> Iterator[Sink | None]:
+def _sink(options: argparse.Namespace, config: Configuration) -> Iterator[Sink | None]:
     """Where the frames go: a file, a bus, both, or nowhere (None)."""
     from contextlib import ExitStack
 
@@ -113,7 +283,7 @@ def _sink(options: argparse.Namespace, loaded: LoadedConfig) -> Iterator[Sink | 
             from imucald.service.live import open_link, send_columns
 
             link = stack.enter_context(
-                open_link(loaded, [], frozenset(), options.interface, options.channel)
+                open_link(config.loaded, [], frozenset(), options.interface, options.channel)
             )
             sinks.append(lambda frames: send_columns(link, frames))
 

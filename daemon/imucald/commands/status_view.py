@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
-from rich.console import Group, RenderableType
+from rich.console import Group
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
+
+from imucald.commands.live_events import FLAGS
+from imucald.commands.mount_view import mount_parts
+from imucald.mount.mount_words import EVIDENCE_KINDS
 
 STYLES = {
     "usable": "green",
@@ -18,18 +22,6 @@ STYLES = {
     "recalibrating": "red",
 }
 QUALITIES = ("not available", "restored", "usable", "fine", "suspect")
-FLAGS = {
-    "accelerometer_missing": "no accelerometer",
-    "gyroscope_missing": "no gyroscope",
-    "speed_missing": "no speed",
-    "accelerometer_faulty": "accelerometer faulty",
-    "gyroscope_faulty": "gyroscope faulty",
-    "magnetometer_faulty": "magnetometer faulty",
-    "input_rejected": "inputs rejected",
-    "frames_lost": "frames lost",
-    "id_conflict": "another node sends our ids",
-    "send_failed": "frames not sent",
-}
 EVIDENCE = {
     "launches_and_brakings": "launches and brakings",
     "manoeuvres": "manoeuvres",
@@ -38,28 +30,17 @@ EVIDENCE = {
     "stops": "stops",
 }
 
-SOURCES = {
-    "turn": "turns",
-    "dvdt": "acceleration",
-    "axis": "axis of turning",
-    "gravity": "gravity",
-    "before": "earlier drives",
-}
-"""What the last part of an evidence's name means."""
 SHARE_SHOWN = 0.05
 
 
-def picture(status: Mapping[str, Any], steady: bool = False) -> Group:
-    """Return the picture; steady: of the same height always."""
-    parts: list[RenderableType] = [
-        _headline(status),
-        Padding(_angles(status, steady), (1, 0)),
-        _facts(status),
-    ]
-    return Group(*parts)
+def picture(status: Mapping[str, Any]) -> Group:
+    """Return the whole status, for any width."""
+    mount = Group(*mount_parts(status["mount"], status["waiting_for"]))
+    return Group(headline(status), Padding(mount, (1, 0)), facts(status))
 
 
-def _headline(status: Mapping[str, Any]) -> Text:
+def headline(status: Mapping[str, Any]) -> Text:
+    """Return who it is, on which bus, and in which state."""
     link, state = status["link"], status["state"]
     text = Text("imucald ", style="bold")
     text.append(f"{status['version']} on {link['channel']}", style="not bold")
@@ -75,47 +56,42 @@ def _headline(status: Mapping[str, Any]) -> Text:
     return text
 
 
-def _angles(status: Mapping[str, Any], steady: bool) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for name, justify in (("mount", "left"), ("angle", "right"), ("± 2 sd", "right")):
-        table.add_column(name, justify=justify, min_width=8)  # type: ignore[arg-type]
-    table.add_column("waiting for", overflow="ellipsis", no_wrap=steady)
-    mount = status["mount"]
-    for angle, axis in zip(("roll", "pitch", "yaw"), "xyz", strict=True):
-        value, std = mount[f"{angle}_deg"], mount["std_deg"][axis]
-        waiting = Text(status["waiting_for"].get(angle, ""), style="yellow")
-        table.add_row(angle, _deg(value, "+.2f"), _deg(std and 2.0 * std, ".2f"), waiting)
-    return table
+def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
+    """Return signals, evidence, frames, alarms, losses, saved state and process.
 
-
-def _facts(status: Mapping[str, Any]) -> Table:
+    wanted: these rows only; all where there are none.
+    """
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column(overflow="fold")
-    link, frames, saved = status["link"], status["frames"], status["saved_state"]
+    for name, value in _rows(status).items():
+        if not wanted or name in wanted:
+            grid.add_row(name, value)
+    return grid
+
+
+def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
+    link, frames, process = status["link"], status["frames"], status["process"]
     rates = [f"{c} {row['rate_hz']:.4g}/s" for c, row in status["signals"].items()]
-    grid.add_row("signals", ", ".join(rates) or "none yet")
-    grid.add_row("evidence", _evidence(status["details"]))
-    grid.add_row("weights", _weights(status["details"]))
-    grid.add_row("gates", _gates(status["details"]))
-    grid.add_row("frames", f"{frames['used']} used, {status['frames_given_out']} given out")
     alarms = [text for flag, text in FLAGS.items() if status["health"][flag]]
-    grid.add_row("now", Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""))
-    grid.add_row("sensors", _sensors(status["signal_health"]))
-    errors = sum(link["send_errors"].values())
-    grid.add_row(
-        "losses",
-        f"{link['lost']} lost, {errors} not sent, {link['conflicts']} in conflict, "
-        f"{link['went_down']} times down, {link['reopened']} times reopened",
-    )
     rejected = [f"{reason} {n}" for reason, n in frames["rejected"].items()]
-    grid.add_row("rejected", ", ".join(rejected) or "none")
-    grid.add_row("saved", _saved(saved))
-    process = status["process"]
     rss = "?" if process["rss_bytes"] is None else f"{process['rss_bytes'] / 2**20:.0f} MiB"
     share = 100.0 * process["cpu_s"] / max(status["uptime_s"], 1.0)
-    grid.add_row("process", f"pid {process['pid']}, {rss}, {share:.1f} % of a core since the start")
-    return grid
+    return {
+        "signals": ", ".join(rates) or "none yet",
+        "evidence": _evidence(status["details"]),
+        "weights": _weights(status["details"]),
+        "gates": _gates(status["details"]),
+        "frames": f"{frames['used']} used, {status['frames_given_out']} given out",
+        "now": Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""),
+        "sensors": _sensors(status["signal_health"]),
+        "losses": f"{link['lost']} lost, {sum(link['send_errors'].values())} not sent, "
+        f"{link['conflicts']} in conflict, {link['went_down']} times down, "
+        f"{link['reopened']} times reopened",
+        "rejected": ", ".join(rejected) or "none",
+        "saved": _saved(status["saved_state"]),
+        "process": f"pid {process['pid']}, {rss}, {share:.1f} % of a core since the start",
+    }
 
 
 def _sensors(health: Mapping[str, Any]) -> Text:
@@ -125,8 +101,8 @@ def _sensors(health: Mapping[str, Any]) -> Text:
         for channel, faults in health["sensors"].items()
         for fault, axes in faults.items()
     ]
-    told = len(health["events"])
-    before = f"; {told} faults so far" if told else ""
+    count = len(health["events"])
+    before = f"; {count} faults so far" if count else ""
     return Text((", ".join(faulty) or "all sound") + before, style="bold red" if faulty else "")
 
 
@@ -144,7 +120,7 @@ def _weights(details: Mapping[str, Any]) -> str:
         sums: dict[str, float] = {}
         for name, share in shares.items():
             source = name.rpartition("_")[2]
-            source = SOURCES.get(source, name)
+            source = EVIDENCE_KINDS.get(source, name)
             sums[source] = sums.get(source, 0.0) + share
         named = [
             f"{source} {100 * share:.0f} %"
@@ -177,7 +153,3 @@ def _time(seconds: float) -> str:
     minutes, rest = divmod(int(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
-
-
-def _deg(value: float | None, form: str) -> str:
-    return "-" if value is None else f"{value:{form}}°"

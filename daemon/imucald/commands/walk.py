@@ -147,10 +147,11 @@ def _table(steps: Sequence[Step], result: dict[str, Any]) -> None:
     from rich.table import Table
 
     from imucald.commands.terminal import plain_console, plain_where_needed
+    from imucald.mount.mount_words import CONVENTION, plus_minus
 
     plain_where_needed()
     table = Table(box=None, pad_edge=False)
-    for name in ("time s", "heading", "+-", "compass", "alternative", "published", "chosen"):
+    for name in ("time s", "heading", "± 95 %", "compass", "alternative", "published", "chosen"):
         table.add_column(name, justify="right")
     every = max(1, math.ceil(len(steps) / SHOWN))
     for step in result["track"][::every]:
@@ -158,7 +159,11 @@ def _table(steps: Sequence[Step], result: dict[str, Any]) -> None:
         cells = ["-" if step[k] is None else f"{step[k]:.0f}" for k in keys]
         if step["ambiguous"]:
             cells[0] = f"{cells[0]} or opposite"
-        cells.insert(1, "-" if step["deviation_deg"] is None else f"{step['deviation_deg']:.0f}")
+        cells.insert(1, plus_minus(step["deviation_deg"], 0, unit=""))
         table.add_row(f"{step['t_s']:.1f}", *cells, str(step.get("chosen", "-")))
     print(f"{result['steps']} steps; heading [deg from north] by the {result['method']} method")
-    plain_console().print(table)
+    if every > 1:
+        print(f"the table has every {every}th step; --json has all")
+    console = plain_console()
+    console.print(table)
+    console.print(CONVENTION)

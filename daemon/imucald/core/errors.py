@@ -26,6 +26,9 @@ class DecodeError(ImucaldError):
         super().__init__(text)
         self.reason = reason
 
+    def __reduce__(self) -> tuple[type[DecodeError], tuple[str, str]]:
+        return type(self), (self.reason, str(self))
+
 
 class EncodeError(ImucaldError):
     """A value cannot be written into its signal (range, NaN, unknown name)."""
@@ -33,6 +36,10 @@ class EncodeError(ImucaldError):
 
 class LogError(ImucaldError):
     """A recorded log cannot be opened or read, or has a bad line and strict reading was asked."""
+
+
+class NoFramesError(LogError):
+    """A log that can be read, but holds no CAN frame."""
 
 
 class LinkError(ImucaldError):

@@ -54,12 +54,26 @@ HOLD_TICKS: Mapping[SignalFault, int] = {
 }
 """Ticks around a fault that are not learnt from either; in the order in which they are counted."""
 
+_LIMITED = [
+    (i, most, count) for count, part, most in MAX_TICK for i in range(part.start, part.stop)
+]
+_COLUMNS, _MOST, _COUNTS = (np.array(one) for one in zip(*_LIMITED, strict=True))
+"""Columns of a tick that have a largest size, those sizes, and the columns of their counts."""
+
 
 def spread_out(flags: Flags, ticks: int) -> Flags:
     """Flags widened by that many ticks to both sides."""
     out = flags.copy()
     for i in np.flatnonzero(flags):
         out[max(0, i - ticks) : i + ticks + 1] = True
+    return out
+
+
+def _slope(values: Array) -> Array:
+    """As numpy.gradient of ticks, which takes six times as long [1/s]."""
+    out = np.empty_like(values)
+    out[1:-1] = (values[2:] - values[:-2]) / (2.0 * TICK_S)
+    out[0], out[-1] = (values[1] - values[0]) / TICK_S, (values[-1] - values[-2]) / TICK_S
     return out
 
 
@@ -91,6 +105,9 @@ class SignalHealth:
 
     def drop_impossible(self, rows: Array) -> None:
         """Empty, in place, the sensors of new ticks that hold a number that cannot be, or none."""
+        sizes, counts = np.abs(rows[:, _COLUMNS]), rows[:, _COUNTS]
+        if ((sizes <= _MOST) | (counts == 0)).all():  # as nearly always
+            return
         for count, columns, largest in MAX_TICK:
             sound = np.abs(rows[:, columns]).max(axis=1) <= largest  # False for NaN
             bad = (rows[:, count] > 0) & ~sound
@@ -124,7 +141,7 @@ class SignalHealth:
         """
         low, high = ROAD_FORCE
         size2 = (force * force).sum(axis=1)
-        wild = np.abs(np.gradient(speed, TICK_S)) > MAX_ROAD_DVDT
+        wild = np.abs(_slope(speed)) > MAX_ROAD_DVDT
         self.found |= {
             ("accel", SignalFault.IMPLAUSIBLE): ok_force & ((size2 < low**2) | (size2 > high**2)),
             ("gyro", SignalFault.IMPLAUSIBLE): turning > MAX_ROAD_RATE,

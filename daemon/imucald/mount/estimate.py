@@ -6,6 +6,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -51,6 +52,17 @@ class Missing(enum.IntEnum):
 
 
 @dataclass(frozen=True)
+class Targets:
+    """Standard deviations [rad] about the vehicle's x, y, z below which a state is reached.
+
+    They hold for `MountEstimate.std`: that about x contains the road's crown.
+    """
+
+    usable: tuple[float, float, float]
+    fine: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class MountEstimate:
     """One state of knowledge about the mount.
 
@@ -61,6 +73,7 @@ class MountEstimate:
     missing: the same as a code, for the bus.
     faults: contradictions between signals that stand, by the names of
     `contradictions.StandingFault`; while there is any, nothing is sent as good.
+    targets: what `std` must fall below; None where the estimator states none.
     """
 
     state: MountState
@@ -70,22 +83,23 @@ class MountEstimate:
     missing: Mapping[str, Missing] = field(default_factory=dict)
     details: Mapping[str, object] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
+    targets: Targets | None = None
 
-    @property
+    @cached_property
     def angles(self) -> tuple[float, float, float] | None:
         """Roll, pitch, yaw [rad], or None."""
         if self.R_vehicle_from_sensor is None:
             return None
         return angles_from_rotation(self.R_vehicle_from_sensor)
 
-    @property
+    @cached_property
     def quaternion(self) -> tuple[float, float, float, float] | None:
         """Unit quaternion (w, x, y, z), or None."""
         if self.R_vehicle_from_sensor is None:
             return None
         return quaternion_from_rotation(self.R_vehicle_from_sensor)
 
-    @property
+    @cached_property
     def std(self) -> tuple[float, float, float] | None:
         """Standard deviations [rad] of the rotation-vector error about vehicle x, y, z."""
         if self.covariance is None:

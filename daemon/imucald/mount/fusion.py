@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.mount.road_segments import AngleEvidence
@@ -19,16 +18,14 @@ at most this; where one carries nearly all, another's dissent says more of that 
 AXES = ("roll", "pitch", "yaw")
 
 
-@dataclass(frozen=True)
-class CommonError:
+class CommonError(Struct, frozen=True):
     """An error that several sources share: its standard deviation [rad] and each one's sign."""
 
     std: float
     signs: Mapping[str, float]
 
 
-@dataclass(frozen=True)
-class Fused:
+class Fused(Struct, frozen=True):
     """e (3,) [rad], its variances (3,), and which share of each angle each source carried."""
 
     error: Array
@@ -36,30 +33,38 @@ class Fused:
     shares: dict[str, dict[str, float]]
 
 
+CERTAIN: Sequence[tuple[float, float]] = ((0.0, 1.0),)
+"""Scales and their probabilities where no error is as large as a scale says."""
+
+
 class CommonCovariance:
-    """Covariance that sources have with one another (and with themselves) from shared errors."""
+    """Covariance that sources have with one another (and with themselves) from shared errors.
+
+    scaled: errors that are as large as a scale says, which only `fuse` is told.
+    """
 
     def __init__(self, shared: Sequence[CommonError], scaled: Sequence[CommonError] = ()) -> None:
-        """scaled: errors as large as `scale` says (1 at first), which may change."""
         self._pairs = _pairs(shared)
         self._scaled = _pairs(scaled)
-        self.scale2 = 1.0
+        self._of_names: dict[tuple[str, ...], tuple[Array, Array]] = {}
 
-    def scaled(self, names: Sequence[str]) -> Array:
-        """Covariance of the sources of those names from the scaled errors, at scale 1."""
-        get = self._scaled.get
-        return np.array([[get((a, b), 0.0) for b in names] for a in names])
+    def errors(self, names: Sequence[str]) -> tuple[Array, Array]:
+        """Covariances of sources from shared errors, and from scaled ones at scale 1."""
+        key = tuple(names)
+        found = self._of_names.get(key)
+        if found is None:  # few sets of names come
+            shared, scaled = (
+                np.array([[pairs.get((a, b), 0.0) for b in names] for a in names])
+                for pairs in (self._pairs, self._scaled)
+            )
+            found = self._of_names[key] = shared, scaled
+        return found
 
     def covariance(self, sources: Mapping[str, AngleEvidence], names: Sequence[str]) -> Array:
-        """Covariance of the sources of those names, their own variances included."""
-        get = self._pairs.get
-        known = np.array(
-            [
-                [get((a, b), 0.0) + (sources[a].variance if a == b else 0.0) for b in names]
-                for a in names
-            ]
-        )
-        return known + self.scale2 * self.scaled(names) if self._scaled else known
+        """Covariance of the sources of those names, their own variances included, at scale 0."""
+        known = self.errors(names)[0].copy()
+        known.flat[:: len(names) + 1] += [sources[name].variance for name in names]
+        return known
 
 
 def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
@@ -72,69 +77,106 @@ def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
     return found
 
 
-def probable_scale2(
+class _Angle(Struct, frozen=True):
+    """Sources of one angle: values (n,), covariances at all scales and their inverses (K, n, n)."""
+
+    axis: int
+    names: list[str]
+    values: Array
+    V: Array
+    inverse: Array
+
+
+def _angles(
     sources: Mapping[str, AngleEvidence],
     sharing: CommonCovariance,
+    scales: Sequence[tuple[float, float]],
+) -> list[_Angle]:
+    squares = np.array([scale * scale for scale, _ in scales])[:, None, None]
+    found = []
+    for i, axis in enumerate(AXES):
+        names = [name for name in sources if name.startswith(axis)]
+        if names:
+            values = np.array([sources[name].value for name in names])
+            V = sharing.covariance(sources, names) + squares * sharing.errors(names)[1]
+            found.append(_Angle(i, names, values, V, np.asarray(np.linalg.inv(V), np.float64)))
+    return found
+
+
+def weighed_scales(
+    angles: Sequence[_Angle],
     candidates: Sequence[tuple[float, float]],
-    uneven: Mapping[str, float],
-) -> float:
-    """Mean square of the scale of the scaled errors, from how far sources contradict one another.
+    seen: Sequence[tuple[float, float]] = (),
+) -> list[tuple[float, float]]:
+    """Scales of the scaled errors with their probabilities, from how far sources contradict.
 
     candidates: scales and their prior probabilities. Each is weighed by the likelihood of the
     differences between the sources of an angle (of which the angle itself is free; restricted
     maximum likelihood, Patterson and Thompson, Biometrika 58, 1971), over all angles.
-    uneven: what sources differ by for other reasons [rad].
+    seen: further errors of scale one, seen by themselves, with what else is in them (std).
     """
-    log = np.array([math.log(p) for _, p in candidates])
-    squares = np.array([scale * scale for scale, _ in candidates])
-    before, sharing.scale2 = sharing.scale2, 0.0
-    for axis in AXES:
-        names = [name for name in sources if name.startswith(axis)]
-        if len(names) < 2:
+    scales, prior = np.array(candidates).T
+    log = np.log(prior)
+    for one in angles:
+        if len(one.names) < 2:
             continue
-        known, extra = sharing.covariance(sources, names), sharing.scaled(names)
-        known += np.diag([uneven.get(name, 0.0) ** 2 for name in names])
-        values = np.array([sources[name].value for name in names])
-        V = known + squares[:, None, None] * extra
-        inverse = np.linalg.inv(V)
-        column = inverse.sum(axis=2)
+        column = one.inverse.sum(axis=2)
         total = column.sum(axis=1)
-        left = values - ((column @ values) / total)[:, None]
-        log -= 0.5 * ((inverse @ left[:, :, None])[:, :, 0] * left).sum(axis=1)
-        log -= 0.5 * (np.linalg.slogdet(V)[1] + np.log(total))
-    sharing.scale2 = before
+        left = one.values - ((column @ one.values) / total)[:, None]
+        log -= 0.5 * ((one.inverse @ left[:, :, None])[:, :, 0] * left).sum(axis=1)
+        log -= 0.5 * (np.linalg.slogdet(one.V)[1] + np.log(total))
+    for value, std in seen:
+        variance = scales * scales + std * std
+        log -= 0.5 * (value * value / variance + np.log(variance))
     weight = np.exp(log - log.max())
-    return float(weight @ squares / weight.sum())
+    return list(zip(scales.tolist(), (weight / weight.sum()).tolist(), strict=True))
+
+
+def fuse_weighing(
+    sources: Mapping[str, AngleEvidence],
+    sharing: CommonCovariance,
+    candidates: Sequence[tuple[float, float]],
+    seen: Sequence[tuple[float, float]] = (),
+) -> tuple[Fused, list[tuple[float, float]]]:
+    """`fuse` with the scales that `weighed_scales` makes of the candidates, and these."""
+    angles = _angles(sources, sharing, candidates)
+    scales = weighed_scales(angles, candidates, seen)
+    return _fused(angles, scales), scales
 
 
 def fuse(
     sources: Mapping[str, AngleEvidence],
     sharing: CommonCovariance,
-    base: CommonCovariance | None = None,
+    scales: Sequence[tuple[float, float]] = CERTAIN,
 ) -> Fused:
     """Best linear unbiased mean per angle; a source's name begins with its angle.
 
     The weights are V^-1 1 / (1' V^-1 1), V being the sources' variances plus what they share; a
-    negative weight is not taken. base: what the weights are made of, where `sharing` holds errors
-    that are only probable: these widen the interval and move nothing.
+    negative weight is not taken. scales: of the scaled errors, with probabilities; the means of
+    all are averaged, and how far they lie apart is in the variance (Bayesian model averaging;
+    Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999).
     """
+    return _fused(_angles(sources, sharing, scales), scales)
+
+
+def _fused(angles: Sequence[_Angle], scales: Sequence[tuple[float, float]]) -> Fused:
     error, variance = np.zeros(3), np.full(3, np.inf)
     shares: dict[str, dict[str, float]] = {}
-    for i, axis in enumerate(AXES):
-        names = [name for name in sources if name.startswith(axis)]
-        if not names:
-            continue
-        V = sharing.covariance(sources, names)
-        inverse = np.linalg.inv(V)
-        even = inverse if base is None else np.linalg.inv(base.covariance(sources, names))
-        weight = np.maximum(even.sum(axis=1), 0.0)
-        weight /= weight.sum()
-        values = np.array([sources[name].value for name in names])
-        error[i] = weight @ values
-        left = values - error[i]
-        free = max(len(names) - 1, 1)
-        disagreement = min(max(float(left @ inverse @ left) / free, 1.0), MAX_WIDENED)
-        evenness = len(names) / free * (1.0 - float(weight @ weight))
-        variance[i] = float(weight @ V @ weight) * (1.0 + (disagreement - 1.0) * evenness)
-        shares[axis] = dict(zip(names, weight.tolist(), strict=True))
+    probability = np.array([p for _, p in scales])
+    for one in angles:
+        n = len(one.names)
+        weight = np.maximum(one.inverse.sum(axis=2), 0.0)
+        weight /= weight.sum(axis=1, keepdims=True)
+        each = weight @ one.values
+        left = one.values - each[:, None]
+        free = max(n - 1, 1)
+        chi2 = (left * (one.inverse @ left[:, :, None])[:, :, 0]).sum(axis=1)
+        disagreement = np.minimum(np.maximum(chi2 / free, 1.0), MAX_WIDENED)
+        evenness = n / free * (1.0 - (weight * weight).sum(axis=1))
+        own = (weight * (one.V @ weight[:, :, None])[:, :, 0]).sum(axis=1)
+        own *= 1.0 + (disagreement - 1.0) * evenness
+        mean = float(probability @ each)
+        error[one.axis] = mean
+        variance[one.axis] = probability @ (own + (each - mean) ** 2)
+        shares[AXES[one.axis]] = dict(zip(one.names, (probability @ weight).tolist(), strict=True))
     return Fused(error, variance, shares)

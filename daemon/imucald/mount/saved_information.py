@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.errors import EstimateError
@@ -34,8 +35,7 @@ DIGITS = 6
 ROTATION_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True)
-class SavedSource:
+class SavedSource(Struct, frozen=True):
     """One kind of evidence about one angle.
 
     value: [rad] about `SavedInformation.R`. variance: of it, without the accelerometer's bias,
@@ -97,7 +97,7 @@ class SavesInformation(Protocol):
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of prior drives' evidence against this one's; None without any."""
+        """Chi-square (3) of past drives' evidence against this one's; None without any."""
         ...
 
     def saved_information(self) -> SavedInformation | None:
@@ -105,7 +105,7 @@ class SavesInformation(Protocol):
         ...
 
     def join_information(self, kept: SavedInformation) -> None:
-        """Go on with what prior drives found as well."""
+        """Go on with what past drives found as well."""
         ...
 
     def drop_information(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,24 +35,47 @@ class Replay:
     sink: Sink | None = None
     speed: float | None = None
 
+    _first: float | None = None
+    _last: float | None = None
+
     def run(self) -> dict[str, Any]:
         """Replay to the end; return the summary. Raises LogError."""
-        first = last = None
+        for _ in self.chunks():
+            pass
+        return self.summary()
+
+    def chunks(self) -> Iterator[None]:
+        """Replay chunk by chunk: each step is a chunk of frames that the engine has taken."""
+        began = 0.0
         for chunk in self.reader:
             if not len(chunk):
                 continue
-            if first is None:
-                first = float(chunk.t[0])
+            if self._first is None:
+                self._first = float(chunk.t[0])
                 began = time.monotonic()
-            last = float(chunk.t[-1])
+            self._last = float(chunk.t[-1])
             if self.speed is None:
                 self._feed(chunk)
             else:
-                self._feed_paced(chunk, began - first / self.speed)
-        duration = last - first if first is not None and last is not None else 0.0
+                self._feed_paced(chunk, began - self._first / self.speed)
+            yield
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Stamps of our first and last frame so far [s]; None before there is any."""
+        return None if self._first is None or self._last is None else (self._first, self._last)
+
+    @property
+    def lead(self) -> float:
+        """How long before our first frame the log began [s]."""
         start = self.reader.first_stamp
-        lead = first - start if first is not None and start is not None else 0.0
-        return summary(self.engine, self.counts(), max(duration, 0.0), max(lead, 0.0))
+        return 0.0 if self._first is None or start is None else max(self._first - start, 0.0)
+
+    def summary(self) -> dict[str, Any]:
+        """What the frames so far came to, as docs/json.md has it."""
+        first, last = self._first, self._last
+        duration = last - first if first is not None and last is not None else 0.0
+        return summary(self.engine, self.counts(), max(duration, 0.0), self.lead)
 
     def _feed(self, chunk: FrameColumns) -> None:
         out = self.engine.columns(chunk, keep=self.sink is not None)

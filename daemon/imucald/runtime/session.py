@@ -13,24 +13,30 @@ from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
-from imucald.runtime.consumers import consumers_for
-from imucald.runtime.engine import Engine, LinkHealth
+from imucald.mount.estimate import MountEstimator
+from imucald.runtime.engine import Engine
 from imucald.runtime.estimators import estimator_for
+from imucald.runtime.input_watch import LinkHealth
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import Snapshot
+from imucald.runtime.segment_samples import SegmentSamples
 
 if TYPE_CHECKING:
-    from imucald.compensation import ModelCompensation
+    from imucald.model_compensation import ModelCompensation
+    from imucald.runtime.consumer import Consumer
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
-    """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError.
-
-    Keys without effect are told on standard error.
-    """
-    loaded = load_config(path)
+    """Load a configuration, see `config_with`; keys without effect are told on standard error."""
+    loaded = config_with(path, databases)
     for line in loaded.idle_keys():
         print(f"imucald: warning: {line}", file=sys.stderr)
+    return loaded
+
+
+def config_with(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
+    """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError."""
+    loaded = load_config(path)
     if not databases:
         return loaded
     if len(databases) != len(loaded.config.database):
@@ -48,6 +54,7 @@ def make_engine(
     loaded: LoadedConfig,
     on_snapshot: Callable[[Snapshot], None] | None = None,
     link_health: Callable[[], LinkHealth] = LinkHealth,
+    on_samples: Callable[[SegmentSamples], None] | None = None,
 ) -> Engine:
     """Build the engine of a configuration. Raises ConfigError with the place of a mistake."""
     config = loaded.config
@@ -55,21 +62,38 @@ def make_engine(
     output = OutputFrames(config)
     _refuse_shared_ids(loaded, output, router.matches)
     compensation = open_compensation(loaded)
-    rates = [f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate"]
+    stated = loaded.keys_in("vehicle")
+
+    def new_estimator() -> MountEstimator:
+        return estimator_for(config, compensation, stated)
+
+    rates = [
+        f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate" and p.z
+    ]
     derived = config.signals.speed is None
     return Engine(
         router,
-        estimator_for(config, compensation),
+        new_estimator(),
         output,
         config.output.status_rate,
         on_snapshot,
         link_health,
-        consumers_for(loaded, output),
-        lambda: estimator_for(config, compensation),
+        _consumers(loaded, output),
+        new_estimator,
         None
         if compensation is None
         else compensation.preprocessing_chain(router.channels, derived, rates),
+        on_samples,
     )
+
+
+def _consumers(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
+    """What runs beside the calibration. Raises ConfigError where an input is missing."""
+    if output.attitude is None and output.travel is None:
+        return []
+    from imucald.runtime.consumers import consumers_for  # noqa: PLC0415 - few switch one on
+
+    return consumers_for(loaded, output)
 
 
 def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:
@@ -77,7 +101,7 @@ def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:
     path, model = loaded.model_path, loaded.config.model
     if path is None or model is None:
         return None
-    from imucald.compensation import compensation_from_model  # noqa: PLC0415 - 20 ms, not without a model
+    from imucald.model_compensation import compensation_from_model  # noqa: PLC0415 - 20 ms, not without a model
 
     if not path.is_file():
         raise loaded.error(("model",), f"{path}: there is no such file")

@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+from msgspec import Struct
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.mount.mount_words import how_it_sits, steep_note
 from imucald.runtime.engine import Engine
 
 
-@dataclass(frozen=True)
-class RunCounts:
+class RunCounts(Struct, frozen=True):
     """Frames of a run: read at all, and rejected by reason."""
 
     read: int
@@ -32,8 +34,8 @@ def summary(
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline
     more = dict(consumer.summary() for consumer in engine.consumers)
-    if engine.stages is not None:
-        more["model"] = engine.stages.summary()
+    if engine.preprocessing is not None:
+        more["model"] = engine.preprocessing.summary()
     return {
         "mount": mount_dict(estimate),
         "state": estimate.state.name.lower(),
@@ -61,7 +63,7 @@ def _after(t: float | None, lead: float) -> float | None:
 
 
 def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
-    """Angles, quaternion and deviations; None where there is none yet."""
+    """Angles, quaternion, deviations and covariance; None where there is none yet."""
     angles, quaternion, std = estimate.angles, estimate.quaternion, estimate.std
     result: dict[str, Any] = {
         f"{name}_deg": None if angles is None else round(angles[i] * DEG_PER_RAD, 4)
@@ -72,7 +74,24 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
         axis: None if std is None or not math.isfinite(std[i]) else round(std[i] * DEG_PER_RAD, 4)
         for i, axis in enumerate("xyz")
     }
-    return result
+    covariance = estimate.covariance
+    result["covariance_deg2"] = (
+        None
+        if covariance is None or not np.isfinite(covariance).all()
+        else [[round(v, 8) for v in row] for row in (covariance * DEG_PER_RAD**2).tolist()]
+    )
+    return result | _for_people(estimate)
+
+
+def _for_people(estimate: MountEstimate) -> dict[str, Any]:
+    """How the sensor sits in words, and what the deviations must fall below."""
+    found: dict[str, Any] = {"sits": how_it_sits(estimate), "steep": steep_note(estimate)}
+    if (targets := estimate.targets) is not None:
+        found["target_std_deg"] = {
+            goal: {a: round(s * DEG_PER_RAD, 4) for a, s in zip("xyz", std, strict=True)}
+            for goal, std in (("usable", targets.usable), ("fine", targets.fine))
+        }
+    return found
 
 
 def plain(value: object, digits: int | None = 6) -> Any:

@@ -1,7 +1,8 @@
-"""What every log format is: a reader of files with certain endings, and what it counts.
+"""What every log format is: a reader of files that begin in a certain way, and what it counts.
 
-A new format is a new file with a `LogFormat`, named in `log_reader.FORMATS`; one that python-can
-reads needs only its ending in `python_can_logs`.
+A new format is a new file of this folder whose name ends with `_logs` and which has a `LogFormat`
+under the name FORMAT: `log_reader` finds it. One that python-can reads needs only its ending in
+`python_can_logs`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import ClassVar, Final, Protocol
 
 from imucald.can.columns import Channels, FrameColumns
 from imucald.can.id_filter import IdFilters
+from imucald.can.logs.text_blocks import OpenLog
 from imucald.core.errors import LogError
 
 MAX_PROBLEMS: Final = 20
@@ -55,13 +57,21 @@ class LogFormat(Protocol):
     """A reader of one recording's files, which share filters, channels and statistics."""
 
     endings: ClassVar[tuple[str, ...]]
-    """Of file names, in small letters; ``.gz`` behind them does not count."""
+    """Of file names, in small letters; ``.gz`` and the like behind them do not count. They decide
+    where the first bytes do not."""
+
+    @staticmethod
+    def begins(head: bytes) -> bool:
+        """Whether a file with these first plain bytes (4 KiB, less where it is shorter) is one."""
+        ...
 
     def __init__(
         self, filters: IdFilters, channels: Channels, statistics: ReadStatistics
     ) -> None: ...
 
-    def read(self, path: Path | str, report: Callable[[int], None]) -> Iterator[FrameColumns]:
+    def read(
+        self, path: Path | str | OpenLog, report: Callable[[int], None]
+    ) -> Iterator[FrameColumns]:
         """Yield a file's wanted frames, empty chunks among them; `report` gets the bytes read.
 
         Raises LogError for a file that is no log at all; what is bad in one goes to statistics.

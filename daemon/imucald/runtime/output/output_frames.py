@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 from imucald.config import Config
 from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
-from imucald.runtime.output.attitude_frames import AttitudeFrames
 from imucald.runtime.output.output_message import (
     NOT_AVAILABLE_SIGNED,
     NOT_AVAILABLE_UNSIGNED,
@@ -24,7 +24,10 @@ from imucald.runtime.output.output_message import (
     OutputMessage,
     output_database,
 )
-from imucald.runtime.output.travel_frames import TravelFrames
+
+if TYPE_CHECKING:
+    from imucald.runtime.output.attitude_frames import AttitudeFrames
+    from imucald.runtime.output.travel_frames import TravelFrames
 
 __all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
 
@@ -88,7 +91,8 @@ class Health:
 class OutputFrames:
     """Encodes everything that imucald sends for one configuration.
 
-    triads: the channels that get a corrected frame, in the order they are sent in. sensor_of: the
+    triads: the channels that get a corrected frame, in the order they are sent in. planar: those
+    that are parallel sensors of two axes; their z is not available. sensor_of: the
     channel of the sensor whose health they follow: a parallel sensor's is the main one of its kind.
     attitude, travel: frames of methods B and C, and of D, where they are configured.
     """
@@ -104,6 +108,7 @@ class OutputFrames:
         for sensor in signals.parallel:
             kinds[f"parallel/{sensor.name}"] = (sensor.kind, sensor.id)
         self.triads = tuple(kinds)
+        self.planar = frozenset(f"parallel/{s.name}" for s in signals.parallel if s.z is None)
         self.sensor_of = {channel: _MAIN[kind] for channel, (kind, _) in kinds.items()}
         self._checksum = output.checksum
         self._corrected = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
@@ -130,8 +135,8 @@ class OutputFrames:
             {},
         )
 
-        self.attitude = AttitudeFrames(config) if config.attitude.enabled else None
-        self.travel = TravelFrames(config) if config.travel_direction.enabled else None
+        self.attitude = _attitude_frames(config) if config.attitude.enabled else None
+        self.travel = _travel_frames(config) if config.travel_direction.enabled else None
 
     @property
     def can_ids(self) -> frozenset[int]:
@@ -174,10 +179,11 @@ class OutputFrames:
         """Frame of one corrected sample in SI (None: not available)."""
         message = self._corrected[channel]
         if values is None:
-            return message.frame((None, None, None, 0))
+            return message.not_available()
         factor = self._factors[channel]
         x, y, z = values
-        return message.frame((x * factor, y * factor, z * factor, quality))
+        up = None if channel in self.planar else z * factor
+        return message.frame((x * factor, y * factor, up, quality))
 
     def corrected_columns(
         self, channel: str, values: NDArray[np.float64], quality: NDArray[np.uint8]
@@ -203,6 +209,18 @@ class OutputFrames:
             self._deviation.frame((*std_values, state)),
             self._health.frame((state, *waiting, *map(float, health.flags), *counts)),
         ]
+
+
+def _attitude_frames(config: Config) -> AttitudeFrames:
+    from imucald.runtime.output.attitude_frames import AttitudeFrames  # noqa: PLC0415
+
+    return AttitudeFrames(config)
+
+
+def _travel_frames(config: Config) -> TravelFrames:
+    from imucald.runtime.output.travel_frames import TravelFrames  # noqa: PLC0415
+
+    return TravelFrames(config)
 
 
 def _default(estimate: MountEstimate, angle: str) -> Missing:

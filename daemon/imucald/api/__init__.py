@@ -1,0 +1,6 @@
+"""What `import imucald` gives: settings in, results out, nothing printed, nothing asked.
+
+`configuration` loads, `replaying` runs logs through the engine, `drive` is what comes of one, with
+its `tables` (one per rate) and `mount`. The names that count stand in `imucald.__all__`; this room
+may change. The command line is made of it.
+"""

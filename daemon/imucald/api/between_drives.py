@@ -1,0 +1,83 @@
+"""What is odd between drives of one vehicle: the same time twice, a mount that has changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from imucald.api.drive import DriveResult
+from imucald.core.angles import DEG_PER_RAD
+from imucald.core.rotations import vector_from_rotation
+from imucald.mount.estimate import BETWEEN_DRIVES_STD
+
+CLOCK_SET_US = 946_684_800_000_000
+"""Year 2000: a log that begins earlier has no time of day, it counts from its own start."""
+LIKELY = 1e-3
+"""A difference of two mounts that chance gives less often than once in a thousand pairs is told."""
+GOOD = ("usable", "fine")
+
+
+def notes_between(drives: Sequence[DriveResult]) -> tuple[str, ...]:
+    """Overlaps and shifts between drives, in words; drives in the order of their times."""
+    timed = [d for d in drives if d.start_us is not None and d.start_us >= CLOCK_SET_US]
+    timed.sort(key=lambda d: d.start_us or 0)
+    in_order = timed if len(timed) == len(drives) else list(drives)
+    return (*_overlaps(timed), *_without_time(drives, timed), *_shifts(in_order))
+
+
+def _overlaps(drives: Sequence[DriveResult]) -> Iterator[str]:
+    latest: DriveResult | None = None
+    for drive in drives:
+        if latest is not None:
+            shared = ((latest.end_us or 0) - (drive.start_us or 0)) / 1e6
+            if _is_same(latest, drive):
+                yield f"{_name(drive)} is the same recording as {_name(latest)}"
+            elif shared > 0.0:
+                yield f"{_name(drive)} begins {shared:.1f} s before {_name(latest)} ends"
+        if latest is None or (drive.end_us or 0) > (latest.end_us or 0):
+            latest = drive
+
+
+def _is_same(one: DriveResult, other: DriveResult) -> bool:
+    return (one.start_us, one.end_us, one.frames) == (other.start_us, other.end_us, other.frames)
+
+
+def _without_time(drives: Sequence[DriveResult], timed: Sequence[DriveResult]) -> Iterator[str]:
+    lacking = [_name(drive) for drive in drives if drive not in timed]
+    if lacking:
+        yield f"no time of day, so that overlaps cannot be seen: {', '.join(lacking)}"
+
+
+def _shifts(drives: Sequence[DriveResult]) -> Iterator[str]:
+    """Mounts that differ from one good drive to the next by more than chance and load explain."""
+    before: DriveResult | None = None
+    for drive in drives:
+        if drive.state not in GOOD or drive.mount is None:
+            continue
+        if before is not None and before.mount is not None:
+            one, other = before.mount, drive.mount
+            e = vector_from_rotation(other.matrix @ one.matrix.T) * DEG_PER_RAD
+            between = 2.0 * np.diag(np.square(BETWEEN_DRIVES_STD)) * DEG_PER_RAD**2
+            p = _chance(e, one.covariance_deg2 + other.covariance_deg2 + between)
+            if p < LIKELY:
+                turn = ", ".join(f"{axis} {v:+.2f}" for axis, v in zip("xyz", e, strict=True))
+                yield (
+                    f"the mount was moved between {_name(before)} and {_name(drive)}: "
+                    f"by {turn} deg about the vehicle's axes (p = {p:.1g})"
+                )
+        before = drive
+
+
+def _chance(e: np.ndarray, covariance: np.ndarray) -> float:
+    """How often chance gives a difference e (3,) or a larger one: chi-square of three."""
+    square = float(e @ np.linalg.solve(covariance, e))
+    if not math.isfinite(square):
+        return 1.0
+    half = 0.5 * square
+    return math.erfc(math.sqrt(half)) + math.sqrt(4.0 * half / math.pi) * math.exp(-half)
+
+
+def _name(drive: DriveResult) -> str:
+    return ", ".join(drive.logs)

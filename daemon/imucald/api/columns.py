@@ -1,0 +1,141 @@
+"""The columns of each table: name, unit, kind. A unit is told in the name, too.
+
+Columns are only added, never renamed or given another meaning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+RAW = "raw/"
+"""Tables of samples as the sensors gave them begin so."""
+HISTORY, EVENTS = "history", "events"
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """One column.
+
+    unit: "1" for a pure number, "" for what has none (texts, times of day).
+    kind: "float", "int8", "bool", "text" or "time" (whole microseconds since 1970, UTC).
+    """
+
+    name: str
+    unit: str
+    kind: str = "float"
+
+
+TIMES = (TableColumn("t_s", "s"), TableColumn("time", "", "time"))
+"""Every table begins with them: seconds from the log's first frame, which never run backwards, and
+the time that the log states."""
+
+_DTYPES: Mapping[str, Any] = {
+    "float": np.float64,
+    "int8": np.int8,
+    "bool": np.bool_,
+    "text": object,
+    "time": np.int64,
+}
+
+_TRIADS = {
+    "accel": ("accel", "mps2", "m/s^2"),
+    "gyro": ("gyro", "radps", "rad/s"),
+    "mag": ("mag", "tesla", "T"),
+}
+_WHEELS = ("fl", "fr", "rl", "rr")
+_SCALARS = {
+    "speed": ("speed_mps", "m/s"),
+    "steering": ("steering_rad", "rad"),
+    "yaw_rate": ("yaw_rate_radps", "rad/s"),
+    "lateral_accel": ("lateral_accel_mps2", "m/s^2"),
+    "longitudinal_accel": ("longitudinal_accel_mps2", "m/s^2"),
+    "reverse": ("reverse", "1"),
+    "brake": ("brake", "1"),
+    "heading": ("heading_rad", "rad"),
+    "temperature": ("temperature_degc", "degC"),
+}
+
+HISTORY_COLUMNS = (
+    *TIMES,
+    TableColumn("state", "", "text"),
+    TableColumn("usable", "", "bool"),
+    *(TableColumn(f"{angle}_deg", "deg") for angle in ("roll", "pitch", "yaw")),
+    *(TableColumn(f"q_{part}", "1") for part in "wxyz"),
+    *(TableColumn(f"cov_{pair}_deg2", "deg^2") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
+)
+EVENT_COLUMNS = (
+    *TIMES,
+    TableColumn("kind", "", "text"),
+    TableColumn("text", "", "text"),
+    *(TableColumn(f"d_{axis}_deg", "deg") for axis in "xyz"),
+)
+QUALITY = TableColumn("quality", "1", "int8")
+
+
+def corrected_columns(kind: str) -> tuple[TableColumn, ...]:
+    """Columns of corrected samples of a sensor; kind: "accel", "gyro" or "mag"."""
+    return (*TIMES, *_triad(kind, ""), QUALITY)
+
+
+def raw_columns(channel: str, kind: str | None = None) -> tuple[TableColumn, ...]:
+    """Columns of a channel's samples as they came (see `core.samples`); kind: of a parallel one."""
+    sensor = kind or channel
+    if sensor in _TRIADS:
+        return (*TIMES, *_triad(sensor, "raw_"))
+    if sensor == "wheel_speeds":
+        return (*TIMES, *(TableColumn(f"raw_wheel_speed_{w}_mps", "m/s") for w in _WHEELS))
+    name, unit = _SCALARS[sensor]
+    return (*TIMES, TableColumn(f"raw_{name}", unit))
+
+
+def _triad(kind: str, before: str) -> tuple[TableColumn, ...]:
+    name, suffix, unit = _TRIADS[kind]
+    return tuple(TableColumn(f"{before}{name}_{axis}_{suffix}", unit) for axis in "xyz")
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """A table: its columns and an array (N,) for each; NaN, or None for a text, is *not known*."""
+
+    columns: tuple[TableColumn, ...]
+    arrays: tuple[NDArray[Any], ...]
+
+    def __len__(self) -> int:
+        return len(self.arrays[0])
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """An array by its column's name."""
+        return self.as_dict()[name]
+
+    def as_dict(self) -> dict[str, NDArray[Any]]:
+        """Arrays by name."""
+        return {c.name: a for c, a in zip(self.columns, self.arrays, strict=True)}
+
+    def sorted_by_time(self) -> Columns:
+        """The rows in the order of `t_s`."""
+        order = np.argsort(self.arrays[0], kind="stable")
+        return Columns(self.columns, tuple(array[order] for array in self.arrays))
+
+
+def columns_from(columns: tuple[TableColumn, ...], arrays: list[Any]) -> Columns:
+    """A table of arrays or lists, each turned into its column's type."""
+    typed = (np.asarray(a, dtype=_DTYPES[c.kind]) for c, a in zip(columns, arrays, strict=True))
+    return Columns(columns, tuple(typed))
+
+
+def joined(parts: list[Columns]) -> Columns:
+    """Parts of one table, in their order."""
+    if len(parts) == 1:
+        return parts[0]
+    arrays = zip(*(part.arrays for part in parts), strict=True)
+    return Columns(parts[0].columns, tuple(np.concatenate(a) for a in arrays))
+
+
+def no_rows(columns: tuple[TableColumn, ...]) -> Columns:
+    """A table of these columns without a row."""
+    return columns_from(columns, [[] for _ in columns])

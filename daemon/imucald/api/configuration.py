@@ -1,0 +1,49 @@
+"""A configuration that can be used: `imucald.Config`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from imucald.config import LoadedConfig
+from imucald.runtime.session import config_with
+
+PathLike = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Configuration:
+    """A configuration file, read and checked. Made by `load`; can be pickled.
+
+    path: the file. databases: absolute paths of the CAN databases in use.
+    warnings: one line for each key that has no effect, with its place and the reason.
+    """
+
+    path: Path
+    databases: tuple[Path, ...]
+    warnings: tuple[str, ...]
+    loaded: LoadedConfig
+    """The settings themselves, for the package's own use."""
+
+    @classmethod
+    def load(cls, path: PathLike, databases: Sequence[PathLike] | None = None) -> Configuration:
+        """Read a configuration file (YAML).
+
+        databases: files to use in place of those that it names, as many and in the same order.
+        Raises ConfigError with one line for each mistake: file, line, key, reason, remedy. What
+        the databases hold is looked at when the configuration is used.
+        """
+        file = Path(path)
+        loaded = config_with(file, [Path(database) for database in databases or ()])
+        return cls(
+            path=file,
+            databases=tuple(loaded.database_path(entry) for entry in loaded.config.database),
+            warnings=tuple(loaded.idle_keys()),
+            loaded=loaded,
+        )
+
+    def __repr__(self) -> str:
+        names = ", ".join(path.name for path in self.databases)
+        return f"Config({str(self.path)!r}, databases: {names})"

@@ -1,0 +1,164 @@
+"""What a replay came to: `imucald.DriveResult`."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from imucald.api.columns import Columns
+from imucald.api.configuration import PathLike
+from imucald.api.mount import MountResult
+from imucald.api.plots import DrivePlots
+from imucald.api.table_access import TableAccess
+
+WIDTH = 96
+"""Longest line of a representation."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DriveResult(TableAccess):
+    """One drive, replayed. Times are seconds from the log's first frame, angles degrees.
+
+    logs: names of the files. mount: how the sensor sits at the end; None before there is any
+    estimate. state, waiting_for, first_usable_s, first_fine_s, frames, duration_s: as in
+    `replay --json`, see docs/json.md. start_us, end_us: the log's own times of the first and the
+    last frame in use, microseconds since 1970; None without one. problems: the first bad lines, as
+    texts with file and line. notes: what else should be known, in words.
+    """
+
+    logs: tuple[str, ...]
+    mount: MountResult | None
+    state: str
+    waiting_for: Mapping[str, str]
+    first_usable_s: float | None
+    first_fine_s: float | None
+    frames: Mapping[str, Any]
+    duration_s: float
+    start_us: int | None
+    end_us: int | None
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+    summary: Mapping[str, Any]
+    """All that `replay --json` writes."""
+    tables: Mapping[str, Columns] = field(default_factory=dict)
+    """Every table there is, by name, for the package's own use."""
+
+    @property
+    def start(self) -> datetime | None:
+        """The log's time of the first frame in use (UTC); many loggers begin at 1970."""
+        return _day(self.start_us)
+
+    @property
+    def end(self) -> datetime | None:
+        """The log's time of the last frame in use (UTC)."""
+        return _day(self.end_us)
+
+    def write(self, path: PathLike, quantities: Sequence[str] | str | None = None) -> list[Path]:
+        """Write tables to a file, by the ending of its name; return the files.
+
+        .parquet, .csv: a file for each table, drive.accel.parquet and so on beside each other (a
+        single table: just `path`). .mf4: a channel group for each. .mcap: a topic for each.
+        quantities: names of tables, "raw" for all samples as they came; None for all but these.
+        `open_result` reads them again. Raises ImucaldError where a library is missing or the file
+        cannot be written; nothing is left behind then.
+        """
+        tables = {name: table.columns for name, table in self.tables.items()}
+        from imucald.api.files.written import chosen, write_parts  # noqa: PLC0415
+
+        there = chosen(tables, quantities)
+        return write_parts(Path(path), there, [self.tables], lambda: drive_plain(self))
+
+    @property
+    def plot(self) -> DrivePlots:
+        """Pictures, with matplotlib (the extra "report"); nothing is loaded before one is drawn."""
+        return DrivePlots(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Exactly what `imucald replay --json` writes, as plain data; a copy."""
+        return copy.deepcopy(dict(self.summary))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        from imucald.api.html import drive_html  # noqa: PLC0415
+
+        return drive_html(self.logs, self.mount, self.summary, tuple(self.tables))
+
+    def __repr__(self) -> str:
+        usable = "never" if self.first_usable_s is None else f"after {self.first_usable_s:.1f} s"
+        frames = f"{self.frames['read']} frames read, {self.frames['used']} used"
+        lines = (
+            f"Drive of {', '.join(self.logs)}",
+            f"  {self.mount or 'Mount(none yet)'}",
+            f"  state {self.state}, usable {usable}",
+            f"  {self.duration_s:.1f} s, {frames}",
+            f"  tables: {', '.join(self.tables)}",
+        )
+        return "\n".join(line if len(line) <= WIDTH else f"{line[:WIDTH]}..." for line in lines)
+
+
+def drive_result(
+    logs: tuple[str, ...],
+    mount: MountResult | None,
+    summary: Mapping[str, Any],
+    span_us: tuple[int, int] | None,
+    problems: tuple[str, ...],
+    notes: tuple[str, ...],
+    tables: Mapping[str, Columns],
+) -> DriveResult:
+    """A result from the content of `replay --json` and what that does not hold."""
+    return DriveResult(
+        logs=logs,
+        mount=mount,
+        state=summary["state"],
+        waiting_for=summary["waiting_for"],
+        first_usable_s=summary["first_usable_s"],
+        first_fine_s=summary["first_fine_s"],
+        frames=summary["frames"],
+        duration_s=summary["duration_s"],
+        start_us=None if span_us is None else span_us[0],
+        end_us=None if span_us is None else span_us[1],
+        problems=problems,
+        notes=notes,
+        summary=summary,
+        tables=tables,
+    )
+
+
+def drive_plain(drive: DriveResult) -> dict[str, Any]:
+    """What a file holds of a drive beside its tables."""
+    return {
+        "logs": list(drive.logs),
+        "mount": None if drive.mount is None else drive.mount.plain(),
+        "start_us": drive.start_us,
+        "end_us": drive.end_us,
+        "problems": list(drive.problems),
+        "notes": list(drive.notes),
+        "result": drive.summary,
+    }
+
+
+def drive_from_plain(content: Mapping[str, Any], tables: Mapping[str, Columns]) -> DriveResult:
+    """The drive again."""
+    start, end = content["start_us"], content["end_us"]
+    return drive_result(
+        logs=tuple(content["logs"]),
+        mount=MountResult.from_plain(content["mount"]),
+        summary=content["result"],
+        span_us=None if start is None or end is None else (start, end),
+        problems=tuple(content["problems"]),
+        notes=tuple(content["notes"]),
+        tables=tables,
+    )
+
+
+def _day(us: int | None) -> datetime | None:
+    if us is None:
+        return None
+    try:
+        return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=us)
+    except OverflowError:  # a damaged stamp
+        return None

@@ -1,0 +1,101 @@
+"""Several drives: one result each, and what is odd between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+from imucald.api.drive import DriveResult
+from imucald.api.html import angle_text, html_table
+from imucald.api.interchange import library
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ANGLES = ("roll", "pitch", "yaw")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DriveSet:
+    """Drives of one configuration, each replayed on its own, in the order that they were given.
+
+    notes: drives that overlap in time or are given twice, and mounts that differ from one drive to
+    the next by more than they may, in words.
+    """
+
+    drives: tuple[DriveResult, ...]
+    notes: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.drives)
+
+    def __iter__(self) -> Iterator[DriveResult]:
+        return iter(self.drives)
+
+    def __getitem__(self, index: int) -> DriveResult:
+        return self.drives[index]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row a drive: log, start, duration_s, state, the angles and deviations [deg]."""
+        return [_row(drive) for drive in self.drives]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The rows for pandas (the extra "pandas")."""
+        frame: pd.DataFrame = library("pandas", "pandas").DataFrame(self.rows())
+        return frame
+
+    def to_dict(self) -> dict[str, Any]:
+        """Exactly what `imucald replay --json` writes of several drives."""
+        drives = [{"log": log_names(drive), **drive.to_dict()} for drive in self.drives]
+        return {"drives": drives, "notes": list(self.notes)}
+
+    def __repr__(self) -> str:
+        states = ", ".join(drive.state for drive in self.drives)
+        return f"{len(self.drives)} drives: {states}"[:96] + f"\n  {len(self.notes)} notes"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        rows = []
+        for row in self.rows():
+            angles = [angle_text(row[f"{a}_deg"], row[f"std_{x}_deg"]) for a, x in _WITH_AXES]
+            rows.append([row["log"], f"{row['duration_s']:.1f}", row["state"], *angles])
+        table = html_table(("log", "s", "state", *ANGLES), rows)
+        return table + html_table(("notes",), [[note] for note in self.notes])
+
+
+_WITH_AXES = tuple(zip(ANGLES, "xyz", strict=True))
+
+
+def log_names(drive: DriveResult) -> str:
+    """The names of a drive's files, as one text."""
+    return ", ".join(drive.logs)
+
+
+def _row(drive: DriveResult) -> dict[str, Any]:
+    mount = drive.mount
+    found: dict[str, Any] = {
+        "log": log_names(drive),
+        "start": drive.start,
+        "duration_s": drive.duration_s,
+        "state": drive.state,
+        "first_usable_s": drive.first_usable_s,
+    }
+    for angle in ANGLES:
+        found[f"{angle}_deg"] = None if mount is None else float(getattr(mount, f"{angle}_deg"))
+    for i, axis in enumerate("xyz"):
+        found[f"std_{axis}_deg"] = None if mount is None else mount.std_deg[i]
+    return found
+
+
+def names_apart(logs: Sequence[str]) -> list[str]:
+    """A short name for each log, of its file's; made different where two are the same."""
+    found: list[str] = []
+    for log in logs:
+        word = stem = PurePath(log).name.partition(".")[0] or "drive"
+        number = 2
+        while word in found:
+            word, number = f"{stem}-{number}", number + 1
+        found.append(word)
+    return found

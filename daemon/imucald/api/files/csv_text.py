@@ -1,0 +1,62 @@
+"""CSV: a file for each table, units in the columns' names; `drive.result.json` tells the rest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from imucald.api.columns import Columns
+from imucald.api.files.table_file import Tables, named, names_beside, removed, unfinished
+from imucald.api.interchange import arrow_schema, from_arrow, library, to_arrow
+
+
+def result_file(path: Path) -> Path:
+    """The file that tells what CSV has no place for."""
+    return path.with_name(f"{path.stem}.result.json")
+
+
+class CsvTables:
+    """Writes CSV: what is not known is empty, times are ISO 8601 in UTC."""
+
+    def __init__(self, path: Path, tables: Tables) -> None:
+        csv = library("pyarrow.csv", "arrow")
+        self._files = names_beside(path, tables)
+        self._result = result_file(path)
+        self._writers = {
+            name: csv.CSVWriter(str(unfinished(self._files[name])), arrow_schema(columns, None))
+            for name, columns in tables.items()
+        }
+
+    def add(self, name: str, rows: Columns) -> None:
+        """Append rows."""
+        self._writers[name].write_table(to_arrow(rows))
+
+    def finish(self, about: Mapping[str, Any]) -> list[Path]:
+        """Close, and write the result beside."""
+        for writer in self._writers.values():
+            writer.close()
+        files = {name: file.name for name, file in self._files.items()}
+        text = json.dumps({**about, "files": files}, indent=1, allow_nan=False, ensure_ascii=False)
+        unfinished(self._result).write_text(text + "\n", encoding="utf-8")
+        return [named(file) for file in (*self._files.values(), self._result)]
+
+    def abandon(self) -> None:
+        """Close and remove."""
+        for writer in self._writers.values():
+            writer.close()
+        for file in (*self._files.values(), self._result):
+            removed(file)
+
+
+def read_tables(folder: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
+    """The tables of all files that were written together."""
+    csv = library("pyarrow.csv", "arrow")
+    found: dict[str, Columns] = {}
+    for name, columns in tables.items():
+        types = {field.name: field.type for field in arrow_schema(columns, None)}
+        options = csv.ConvertOptions(column_types=types, strings_can_be_null=False)
+        table = csv.read_csv(folder / about["files"][name], convert_options=options)
+        found[name] = from_arrow(table, columns)
+    return found

@@ -1,0 +1,121 @@
+"""MF4 (ASAM MDF 4.10): a channel group for each table, units at the channels, one attachment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.api.columns import Columns, TableColumn, columns_from
+from imucald.api.files.table_file import Tables, axes_of, named, removed, unfinished
+from imucald.api.interchange import library
+from imucald.core.errors import ImucaldError
+
+ATTACHMENT = "imucald.json"
+ENCODING = "utf-8"
+
+
+class Mf4Tables:
+    """Writes MF4; the master channel is `t_s`, and `time` is in microseconds since 1970."""
+
+    def __init__(self, path: Path, tables: Tables) -> None:
+        self._path = path
+        self._asammdf = library("asammdf", "mf4")
+        self._mdf = self._asammdf.MDF(version="4.10")
+        self._groups: dict[str, int] = {}
+
+    def add(self, name: str, rows: Columns) -> None:
+        """Append rows to the table's channel group, which the first rows make."""
+        if not len(rows):
+            return
+        arrays = [_stored(c, a) for c, a in zip(rows.columns, rows.arrays, strict=True)]
+        if name in self._groups:
+            self._mdf.extend(self._groups[name], [(array, None) for array in arrays])
+            return
+        signals = [
+            self._asammdf.Signal(
+                array, arrays[0], name=c.name, unit=_unit(c), encoding=ENCODING, raw=True
+            )
+            for c, array in zip(rows.columns[1:], arrays[1:], strict=True)
+        ]
+        comment = f"{name}; axes: {axes_of(name)}"
+        self._groups[name] = len(self._mdf.groups)
+        self._mdf.append(signals, acq_name=name, comment=comment, common_timebase=True)
+        master = self._mdf.groups[self._groups[name]].channels[0]
+        master.name, master.unit = "t_s", "s"
+
+    def finish(self, about: Mapping[str, Any]) -> list[Path]:
+        """Write the attachment and the file."""
+        start = timedelta(microseconds=about["drive"]["start_us"] or 0)
+        self._mdf.header.start_time = datetime(1970, 1, 1, tzinfo=UTC) + start
+        text = json.dumps({**about, "groups": self._groups}, allow_nan=False, ensure_ascii=False)
+        self._mdf.attach(text.encode(), ATTACHMENT, mime="application/json")
+        # asammdf puts the ending that it wants behind any other
+        place = unfinished(self._path).with_suffix(".mf4")
+        saved = self._mdf.save(place, overwrite=True, compression=2)
+        self._mdf.close()
+        Path(saved).replace(unfinished(self._path))
+        return [named(self._path)]
+
+    def abandon(self) -> None:
+        """Close and remove."""
+        self._mdf.close()
+        removed(self._path)
+
+
+def _unit(column: TableColumn) -> str:
+    return "us" if column.kind == "time" else column.unit
+
+
+def _stored(column: TableColumn, array: NDArray[Any]) -> NDArray[Any]:
+    if column.kind == "text":
+        return np.array([text.encode(ENCODING) for text in array.tolist()], dtype=np.bytes_)
+    return array.view(np.uint8) if column.kind == "bool" else array
+
+
+def open_file(path: Path) -> Any:
+    """Open a file. Raises ImucaldError for one that imucald did not write."""
+    mdf = library("asammdf", "mf4").MDF(path)
+    if not any(str(a.file_name) == ATTACHMENT for a in mdf.attachments):
+        mdf.close()
+        raise ImucaldError(f"{path}: was not written by imucald")
+    return mdf
+
+
+def read_about(path: Path) -> dict[str, Any]:
+    """What a file tells of itself."""
+    mdf = open_file(path)
+    try:
+        (found,) = [a for a in mdf.attachments if str(a.file_name) == ATTACHMENT]
+        about: dict[str, Any] = json.loads(found.extract())
+    finally:
+        mdf.close()
+    return about
+
+
+def read_tables(path: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
+    """The tables of a file."""
+    mdf = open_file(path)
+    try:
+        return {
+            name: _read(mdf, about["groups"].get(name), columns) for name, columns in tables.items()
+        }
+    finally:
+        mdf.close()
+
+
+def _read(mdf: Any, group: int | None, columns: tuple[TableColumn, ...]) -> Columns:
+    if group is None:
+        return columns_from(columns, [[] for _ in columns])
+    arrays: list[Any] = [mdf.get_master(group)]
+    for column in columns[1:]:
+        samples = mdf.get(column.name, group=group, raw=True).samples
+        if column.kind == "text":
+            samples = [text.decode(ENCODING) for text in samples.tolist()]
+        arrays.append(samples)
+    return columns_from(columns, arrays)

@@ -1,0 +1,64 @@
+"""`imucald.open_result`: what `write` wrote, as it was."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from imucald.api.columns import Columns
+from imucald.api.configuration import PathLike
+from imucald.api.drive import DriveResult, drive_from_plain
+from imucald.api.files import csv_text, mcap_log, mf4, parquet
+from imucald.api.files.table_file import Tables, tables_of
+from imucald.api.files.written import format_of
+from imucald.core.errors import ImucaldError
+
+Reader = Callable[[Path, Mapping[str, Any], Tables], dict[str, Columns]]
+
+
+def open_result(path: PathLike) -> DriveResult:
+    """Open what `DriveResult.write` or `imucald replay --write` wrote: the same result again.
+
+    path: the name that was given then; for Parquet and CSV any of the files beside it, too.
+    Raises ImucaldError for a file that is not there or that imucald did not write.
+    """
+    file = Path(path)
+    format_of(file)
+    try:
+        about, place, read = _opened(file)
+        tables = tables_of(about)
+        return drive_from_plain(about["drive"], read(place, about, tables))
+    except ImucaldError as error:
+        text = str(error)
+        raise ImucaldError(text if text.startswith(str(file)) else f"{file}: {text}") from None
+    except OSError as error:
+        raise ImucaldError(f"{file}: cannot be opened: {error.strerror or error}") from None
+    # What libraries raise on damaged files is not documented, and is anything.
+    except Exception as error:
+        raise ImucaldError(f"{file}: cannot be read: {error or type(error).__name__}") from error
+
+
+def _opened(file: Path) -> tuple[dict[str, Any], Path, Reader]:
+    ending = file.suffix.lower()
+    if ending == ".mf4":
+        return mf4.read_about(file), file, mf4.read_tables
+    if ending == ".mcap":
+        return mcap_log.read_about(file), file, mcap_log.read_tables
+    if ending == ".parquet":
+        one = file if file.exists() else _beside(file)
+        return parquet.read_about(one), file.parent, parquet.read_tables
+    for stem in (file.stem, file.stem.rpartition(".")[0]):
+        result = file.with_name(f"{stem}.result.json")
+        if stem and result.exists():
+            return json.loads(result.read_text(encoding="utf-8")), file.parent, csv_text.read_tables
+    raise ImucaldError(f"{file.stem}.result.json is not there, which was written with it")
+
+
+def _beside(file: Path) -> Path:
+    """One of the files that were written together under this name."""
+    found = sorted(file.parent.glob(f"{file.stem}.*{file.suffix}"))
+    if not found:
+        raise ImucaldError(f"{file}: cannot be opened: No such file or directory")
+    return found[0]

@@ -1,0 +1,90 @@
+"""What every format is: a writer of tables in pieces; and what is told about them in the file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from imucald import __version__
+from imucald.api.columns import RAW, Columns, TableColumn
+from imucald.core.errors import ImucaldError
+
+VERSION = 1
+"""Of what is told about tables; keys are only added."""
+UNFINISHED = ".unfinished"
+VEHICLE_AXES = "vehicle: x forward, y left, z up (ISO 8855)"
+SENSOR_AXES = "sensor"
+
+Tables = Mapping[str, tuple[TableColumn, ...]]
+"""Columns of each table, by its name."""
+
+
+class TableWriter(Protocol):
+    """Writes tables to a file, or to several beside each other."""
+
+    def __init__(self, path: Path, tables: Tables) -> None: ...
+
+    def add(self, name: str, rows: Columns) -> None:
+        """Append rows to a table."""
+        ...
+
+    def finish(self, about: Mapping[str, Any]) -> list[Path]:
+        """Write what is told about the tables; give the files their names, and return them."""
+        ...
+
+    def abandon(self) -> None:
+        """Close and remove what was written so far."""
+        ...
+
+
+def axes_of(table: str) -> str:
+    """Which axes a table's vectors are in."""
+    return SENSOR_AXES if table.startswith(RAW) else VEHICLE_AXES
+
+
+def about_tables(tables: Tables, drive: Mapping[str, Any]) -> dict[str, Any]:
+    """What a file tells of its tables; drive: of the drive that they are of."""
+    columns = {name: [[c.name, c.unit, c.kind] for c in cs] for name, cs in tables.items()}
+    return {"version": VERSION, "imucald": __version__, "tables": columns, "drive": dict(drive)}
+
+
+def tables_of(about: Mapping[str, Any]) -> dict[str, tuple[TableColumn, ...]]:
+    """The tables that a file tells of. Raises ImucaldError for a file of a later version."""
+    if about["version"] != VERSION:
+        raise ImucaldError(f"it was written by a later imucald ({about['imucald']})")
+    return {name: tuple(TableColumn(*c) for c in cs) for name, cs in about["tables"].items()}
+
+
+def unfinished(path: Path) -> Path:
+    """The name of a file while it is being written."""
+    return path.with_name(f".{path.name}{UNFINISHED}")
+
+
+def named(path: Path) -> Path:
+    """Give a file its name, now that it is whole."""
+    os.replace(unfinished(path), path)  # noqa: PTH105 - Path.replace takes the other order
+    return path
+
+
+def removed(path: Path) -> None:
+    """Remove an unfinished file."""
+    with contextlib.suppress(OSError):
+        unfinished(path).unlink()
+
+
+def names_beside(path: Path, tables: Tables) -> dict[str, Path]:
+    """The file of each table: `path` itself for one, drive.TABLE.parquet and so on for several."""
+    if len(tables) == 1:
+        return dict.fromkeys(tables, path)
+    found: dict[str, Path] = {}
+    for name in tables:
+        safe = word = re.sub(r"[^A-Za-z0-9_-]", "_", name)
+        number = 2
+        while (file := path.with_name(f"{path.stem}.{safe}{path.suffix}")) in found.values():
+            safe, number = f"{word}-{number}", number + 1
+        found[name] = file
+    return found

@@ -1,0 +1,44 @@
+"""What notebooks show of results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from imucald.api.mount import MountResult
+
+
+def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table; every text is escaped."""
+    head = "".join(f"<th>{escape(text)}</th>" for text in heads)
+    lines = ("".join(f"<td>{escape(text)}</td>" for text in row) for row in rows)
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def angle_text(value: float | None, std: float | None) -> str:
+    """An angle with its deviation [deg], for people."""
+    if value is None:
+        return "-"
+    return f"{value:+.2f}" if std is None or math.isnan(std) else f"{value:+.2f} ± {std:.2f}"
+
+
+def drive_html(
+    logs: Sequence[str],
+    mount: MountResult | None,
+    summary: Mapping[str, Any],
+    tables: Sequence[str],
+) -> str:
+    """A drive: its state, the three angles, its tables."""
+    usable = summary["first_usable_s"]
+    since = "never usable" if usable is None else f"usable after {usable:.1f} s"
+    title = f"{', '.join(logs)}: {summary['state']}, {since}, {summary['duration_s']:.1f} s"
+    angles: list[tuple[str, str, str]] = []
+    for i, angle in enumerate(("roll", "pitch", "yaw")):
+        value = None if mount is None else float(getattr(mount, f"{angle}_deg"))
+        std = None if mount is None else mount.std_deg[i]
+        angles.append((angle, angle_text(value, std), summary["waiting_for"].get(angle, "")))
+    found = html_table(("angle", "deg", "waiting for"), angles)
+    return f"<p><b>{escape(title)}</b></p>{found}<p>tables: {escape(', '.join(tables))}</p>"

@@ -1,0 +1,62 @@
+"""Which logs are meant: names, open files, folders, patterns."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from imucald.can.logs.text_blocks import STDIN, OpenLog
+from imucald.core.errors import LogError
+
+LogSource = str | os.PathLike[str] | Any
+"""A log's name, or a file that is open for reading bytes (candump text, plain or gzip)."""
+
+LOG_ENDINGS = (".log", ".log.gz", ".asc", ".blf", ".trc", ".mf4")
+"""Files that are taken for logs when a folder is given; others are to be named."""
+
+
+def opened(source: LogSource) -> Path | str | OpenLog:
+    """A source as the log reader takes it. Raises LogError for what is none."""
+    if isinstance(source, str | os.PathLike):
+        if str(source) != STDIN and Path(source).is_dir():
+            raise LogError(f"{source}: is a folder; imucald.find_logs lists its logs")
+        return source if isinstance(source, str) else Path(source)
+    if not hasattr(source, "readinto") or hasattr(source, "encoding"):
+        kind = type(source).__name__
+        raise LogError(f"a {kind} is no log: give its name, or a file opened for reading bytes")
+    name = getattr(source, "name", None)
+    return OpenLog(source, name if isinstance(name, str) else "<open file>")
+
+
+def find_logs(*where: str | os.PathLike[str]) -> list[Path]:
+    """List logs: each a file's name, a folder (with those in it), or a pattern as of a shell.
+
+    A folder's files are those whose names end in .log, .log.gz, .asc, .blf, .trc or .mf4, in the
+    order of their names. Raises LogError where there is none.
+    """
+    return [Path(name) for name in found_names([os.fspath(one) for one in where])]
+
+
+def found_names(where: Sequence[str]) -> list[str]:
+    """The same for the command line's words: '-' stays, each name as it was given."""
+    found: list[str] = []
+    for name in where:
+        if name != STDIN and Path(name).is_dir():
+            inside = (p for p in sorted(Path(name).rglob("*")) if p.is_file())
+            found += _some(name, (str(p) for p in inside if p.name.lower().endswith(LOG_ENDINGS)))
+        elif name != STDIN and glob.has_magic(name) and not Path(name).exists():
+            matching = sorted(glob.glob(name, recursive=True))  # noqa: PTH207 - names as given
+            found += _some(name, matching)
+        else:
+            found.append(name)
+    return found
+
+
+def _some(where: str, names: Iterable[str]) -> list[str]:
+    found = list(names)
+    if not found:
+        raise LogError(f"{where}: no log is there")
+    return found

@@ -1,0 +1,103 @@
+"""The mount that was found: a rotation with its covariance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from imucald.core.angles import DEG_PER_RAD
+from imucald.core.rotations import angles_from_rotation, quaternion_from_rotation
+from imucald.mount.estimate import MountEstimate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MountResult:
+    """How the sensor sits in the vehicle. Vehicle axes are ISO 8855: x forward, y left, z up.
+
+    matrix: (3, 3), R_vehicle_from_sensor: `matrix @ v_sensor` is the vector in vehicle axes.
+    covariance_deg2: (3, 3) [deg^2] of the rotation vector e about the vehicle's axes that takes
+    the estimate to the truth, R_true = exp(skew(e)) @ matrix; NaN where there is none yet. The
+    estimators find the three angles from evidence of their own each, so it is diagonal but for a
+    mount that was turned by `inverse`.
+    """
+
+    matrix: Array
+    covariance_deg2: Array
+
+    @classmethod
+    def from_estimate(cls, estimate: MountEstimate) -> MountResult | None:
+        """The mount of an estimate; None before there is any."""
+        if estimate.R_vehicle_from_sensor is None:
+            return None
+        covariance = np.full((3, 3), math.nan)
+        if estimate.covariance is not None:
+            covariance = np.asarray(estimate.covariance) * DEG_PER_RAD**2
+        return cls(np.array(estimate.R_vehicle_from_sensor), covariance)
+
+    @classmethod
+    def from_plain(cls, content: Mapping[str, Any] | None) -> MountResult | None:
+        """What `plain` gave."""
+        if content is None:
+            return None
+        covariance = [[math.nan if v is None else v for v in r] for r in content["covariance_deg2"]]
+        return cls(np.array(content["matrix"], dtype=float), np.array(covariance, dtype=float))
+
+    def plain(self) -> dict[str, Any]:
+        """The same as JSON can carry it, to the last digit."""
+        covariance = self.covariance_deg2.tolist()
+        return {
+            "matrix": self.matrix.tolist(),
+            "covariance_deg2": [[v if math.isfinite(v) else None for v in r] for r in covariance],
+        }
+
+    @property
+    def roll_deg(self) -> float:
+        """Intrinsic Z-Y-X angle about x [deg]; positive: the sensor's left side is up."""
+        return angles_from_rotation(self.matrix)[0] * DEG_PER_RAD
+
+    @property
+    def pitch_deg(self) -> float:
+        """Intrinsic Z-Y-X angle about y [deg]; positive: the sensor's nose is down."""
+        return angles_from_rotation(self.matrix)[1] * DEG_PER_RAD
+
+    @property
+    def yaw_deg(self) -> float:
+        """Intrinsic Z-Y-X angle about z [deg]; positive: the sensor is turned to the left."""
+        return angles_from_rotation(self.matrix)[2] * DEG_PER_RAD
+
+    @property
+    def quaternion_wxyz(self) -> tuple[float, float, float, float]:
+        """Unit quaternion of the matrix, w not negative."""
+        return quaternion_from_rotation(self.matrix)
+
+    @property
+    def std_deg(self) -> tuple[float, float, float]:
+        """Standard deviations about the vehicle's x, y, z [deg]; NaN where there is none yet."""
+        x, y, z = np.sqrt(np.diag(self.covariance_deg2)).tolist()
+        return x, y, z
+
+    def apply(self, xyz: ArrayLike) -> Array:
+        """Turn vectors in sensor axes (..., 3) into vehicle axes, same shape and unit."""
+        turned: Array = np.asarray(xyz, dtype=float) @ self.matrix.T
+        return turned
+
+    def inverse(self) -> MountResult:
+        """The rotation from vehicle to sensor axes; its covariance is about the sensor's axes."""
+        R = self.matrix
+        return MountResult(R.T.copy(), R.T @ self.covariance_deg2 @ R)
+
+    def __repr__(self) -> str:
+        angles = zip(
+            ("roll", "pitch", "yaw"),
+            (self.roll_deg, self.pitch_deg, self.yaw_deg),
+            self.std_deg,
+            strict=True,
+        )
+        return f"Mount({', '.join(f'{n} {v:+.2f} (+-{s:.2f})' for n, v, s in angles)} deg)"

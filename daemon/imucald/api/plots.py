@@ -1,0 +1,95 @@
+"""Pictures of a drive: `drive.plot.mount()` and so on. matplotlib is loaded when one is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from imucald.api.columns import HISTORY, Columns
+from imucald.api.interchange import library
+from imucald.core.errors import ImucaldError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MAX_POINTS = 20_000
+"""Points of a line; a screen has fewer."""
+
+
+class Drawn(Protocol):
+    """What is drawn of a drive."""
+
+    @property
+    def tables(self) -> Mapping[str, Columns]:
+        """Tables by name."""
+        ...
+
+    @property
+    def summary(self) -> Mapping[str, Any]:
+        """The content of `replay --json`."""
+        ...
+
+
+class DrivePlots:
+    """Pictures of one drive. Each takes axes to draw into (None: new ones) and returns them."""
+
+    def __init__(self, drive: Drawn) -> None:
+        self._drive = drive
+
+    def mount(self, ax: Axes | None = None) -> Axes:
+        """The three angles [deg] with twice their standard deviations, against time [s]."""
+        history = self._drive.tables[HISTORY]
+        ax = _axes(ax)
+        for name, axis in (("roll", "xx"), ("pitch", "yy"), ("yaw", "zz")):
+            value = history[f"{name}_deg"]
+            std = np.sqrt(np.maximum(history[f"cov_{axis}_deg2"], 0.0))
+            (line,) = ax.plot(history["t_s"], value, label=name)
+            low, high = value - 2.0 * std, value + 2.0 * std
+            ax.fill_between(history["t_s"], low, high, color=line.get_color(), alpha=0.2)
+        known = history["roll_deg"][history["usable"]]
+        if len(known):  # before the mount is known at all its intervals would hide all else
+            shown = [history[f"{n}_deg"][history["usable"]] for n in ("roll", "pitch", "yaw")]
+            ax.set_ylim(min(map(np.min, shown)) - 5.0, max(map(np.max, shown)) + 5.0)
+        return _finished(ax, "mount [deg], bands: 2 standard deviations")
+
+    def signals(self, table: str = "accel", ax: Axes | None = None) -> Axes:
+        """A table's numbers against time [s]; table: such as "gyro" or "raw/speed"."""
+        found = self._drive.tables.get(table)
+        if found is None:
+            raise ImucaldError(
+                f"there is no table {table!r} here; there are: {', '.join(self._drive.tables)}"
+            )
+        ax = _axes(ax)
+        every = max(1, len(found) // MAX_POINTS)
+        for column in found.columns:
+            if column.kind == "float" and column.name != "t_s":
+                values = found[column.name][::every]
+                ax.plot(found["t_s"][::every], values, label=column.name, lw=0.7)
+        return _finished(ax, f"{table} (every {every}.)" if every > 1 else table)
+
+    def evidence(self, ax: Axes | None = None) -> Axes:
+        """What each kind of evidence alone would give: standard deviations [deg]."""
+        found = self._drive.summary["details"].get("evidence_std_deg", {})
+        ax = _axes(ax)
+        ax.barh(list(found), list(found.values()))
+        ax.set_xscale("log")
+        ax.set_xlabel("standard deviation [deg]")
+        return ax
+
+
+def _axes(ax: Axes | None) -> Any:
+    if ax is not None:
+        return ax
+    _, found = library("matplotlib.pyplot", "report").subplots()
+    return found
+
+
+def _finished(ax: Any, title: str) -> Axes:
+    ax.set_xlabel("time [s]")
+    ax.set_title(title)
+    ax.legend(loc="best")
+    ax.grid(True, alpha=0.3)
+    found: Axes = ax
+    return found

@@ -1,0 +1,196 @@
+"""Takes what an engine tells while it replays, and makes tables of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.api.columns import (
+    EVENT_COLUMNS,
+    HISTORY_COLUMNS,
+    RAW,
+    Columns,
+    TableColumn,
+    columns_from,
+    corrected_columns,
+    joined,
+    raw_columns,
+)
+from imucald.core.angles import DEG_PER_RAD
+from imucald.motion.ticks import TICK_RATE
+from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.runtime.engine import Engine
+from imucald.runtime.pipeline import Snapshot
+from imucald.runtime.segment_samples import SegmentSamples
+
+MAX_EVENTS = 10_000
+"""Events that are kept; a log with more is shuffled or its clock is broken."""
+LATEST_US = 2**62
+"""Times of day are kept within this [us]: a damaged stamp must not overflow."""
+_UPPER = (0, 1, 2, 4, 5, 8)
+"""The upper triangle of a 3 x 3 matrix, row by row: xx, xy, xz, yy, yz, zz."""
+
+Array = NDArray[np.float64]
+
+
+class Recorder:
+    """Gathers history, events and (with `signals`) samples; give its methods to the engine."""
+
+    def __init__(self, signals: bool) -> None:
+        self._signals = signals
+        self._snapshots: list[tuple[float, Snapshot]] = []
+        self._rows: list[tuple[Any, ...]] = []
+        self._known: MountEstimate | None = None
+        self._figures: tuple[Any, ...] = ()
+        self._events: list[tuple[float, str, str, int, float]] = []
+        self.events_left_out = 0
+        self._state = "waiting"
+        self._faults: tuple[str, ...] = ()
+        self._shifts = 0
+        self._segments: list[tuple[float, float]] = []  # stream time of the start, stamp minus it
+        self._last_stamp = math.nan
+        self._parts: dict[str, list[tuple[Array, Array, list[NDArray[Any]]]]] = {}
+        self.rows = 0
+        """Rows of samples that have not been taken."""
+
+    # what the engine calls -----------------------------------------------------------------
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Take an estimate; whole seconds are kept."""
+        self._take_changes(snapshot)
+        if (snapshot.k + 1) % round(TICK_RATE) == 0:
+            estimate = snapshot.estimate
+            if estimate is not self._known:
+                self._known, self._figures = estimate, _history_figures(estimate)
+            state = estimate.state.name.lower()
+            self._rows.append((snapshot.t, state, snapshot.usable, *self._figures))
+
+    def samples(self, found: SegmentSamples) -> None:
+        """Take the samples of a segment."""
+        segment, stamps = found.segment, found.stamps
+        t = segment.t
+        if segment.gap:
+            self._event(float(t[0]), "segment", _gap_text(self._last_stamp, float(stamps[0])))
+        if segment.gap or not self._segments:
+            # a stamp a little out of order lies behind stream time: the largest one does not
+            self._segments.append((float(t[0]), float(np.max(stamps - t))))
+        self._last_stamp = float(np.max(stamps))
+        if not self._signals:
+            return
+        for channel, one in found.corrected().items():
+            self._put(channel, one.t, stamps[one.row], [one.values, one.quality])
+        for channel, series in found.as_sensed.items():
+            self._put(f"{RAW}{channel}", series.t, stamps[series.row], [series.values])
+
+    def _put(self, name: str, t: Array, stamps: Array, values: list[NDArray[Any]]) -> None:
+        self._parts.setdefault(name, []).append((t, stamps, values))
+        self.rows += len(t)
+
+    def _take_changes(self, snapshot: Snapshot) -> None:
+        estimate = snapshot.estimate
+        state = estimate.state.name.lower()
+        if state != self._state:
+            self._state = state
+            self._event(snapshot.t, "state", state)
+        for fault in estimate.faults:
+            if fault not in self._faults:
+                self._event(snapshot.t, "contradiction", fault)
+        self._faults = estimate.faults
+        shifts = estimate.details.get("shifts")
+        if isinstance(shifts, list):
+            for shift in shifts[self._shifts :]:
+                axis, size = ANGLES.index(shift["angle"]), float(shift["size_deg"])
+                text = f"{shift['angle']} by {size:+.2f} deg"
+                self._event(snapshot.t, "shift", text, axis, size)
+            self._shifts = len(shifts)
+
+    def _event(self, t: float, kind: str, text: str, axis: int = -1, size: float = 0.0) -> None:
+        if len(self._events) < MAX_EVENTS:
+            self._events.append((t, kind, text, axis, size))
+        else:
+            self.events_left_out += 1
+
+    # what becomes of it --------------------------------------------------------------------
+
+    def history(self, lead: float) -> Columns:
+        """The estimate at whole seconds of stream time; lead: see `runtime.replay`."""
+        cells = [list(cell) for cell in zip(*self._rows, strict=True)]
+        t = np.array(cells[0]) if cells else np.zeros(0)
+        rest = cells[1:] if cells else [[] for _ in HISTORY_COLUMNS[2:]]
+        return columns_from(HISTORY_COLUMNS, [t + lead, self._times(t), *rest])
+
+    def events(self, lead: float, engine: Engine) -> Columns:
+        """Changes of state, shifts, contradictions, segments, and faults of sensors."""
+        rows = [*self._events, *_sensor_faults(engine)]
+        t = np.array([row[0] for row in rows], dtype=float)
+        size = [[row[4] if row[3] == i else math.nan for row in rows] for i in range(3)]
+        texts = [[row[1] for row in rows], [row[2] for row in rows]]
+        found = columns_from(EVENT_COLUMNS, [t + lead, self._times(t), *texts, *size])
+        return found.sorted_by_time()
+
+    def take_signals(self, lead: float, kinds: Mapping[str, str]) -> dict[str, Columns]:
+        """The samples since the last call, by table; kinds: sensor of each parallel channel."""
+        taken, self._parts, self.rows = self._parts, {}, 0
+        found: dict[str, Columns] = {}
+        for name, parts in taken.items():
+            channel = name.removeprefix(RAW)
+            kind = kinds.get(channel, channel)
+            columns = raw_columns(channel, kind) if name != channel else corrected_columns(kind)
+            found[name] = joined([_table(columns, lead, *part) for part in parts])
+        return found
+
+    def _times(self, t: Array) -> NDArray[np.int64]:
+        """Times of day [us] of stream times: those of the segment that they lie in."""
+        if not self._segments:
+            return np.zeros(len(t), np.int64)
+        starts, offsets = np.array(self._segments).T
+        of = np.maximum(np.searchsorted(starts, t, side="right") - 1, 0)
+        return microseconds(t + offsets[of])
+
+
+def _history_figures(e: MountEstimate) -> tuple[Any, ...]:
+    """A row of the history from its angles on."""
+    nothing = (math.nan,)
+    angles = nothing * 3 if e.angles is None else [a * DEG_PER_RAD for a in e.angles]
+    quaternion = nothing * 4 if e.quaternion is None else e.quaternion
+    covariance: Any = nothing * 6
+    if e.covariance is not None:
+        flat = e.covariance.ravel().tolist()
+        covariance = [flat[i] * DEG_PER_RAD**2 for i in _UPPER]
+    return (*angles, *quaternion, *covariance)
+
+
+def _gap_text(before: float, stamp: float) -> str:
+    change = stamp - before
+    return f"hole of {change:.1f} s" if change > 0 else f"clock set back by {-change:.1f} s"
+
+
+def _sensor_faults(engine: Engine) -> list[tuple[float, str, str, int, float]]:
+    found = []
+    for event in engine.pipeline.health.summary()["events"]:
+        until = event["until_s"]
+        end = "to the end" if until is None else f"until {until:.1f} s"
+        text = f"{event['sensor']} {event['fault']} {event['axes']} {end}"
+        found.append((float(event["since_s"]), "sensor_fault", text, -1, 0.0))
+    return found
+
+
+def _table(
+    columns: tuple[TableColumn, ...],
+    lead: float,
+    t: Array,
+    stamps: Array,
+    values: list[NDArray[Any]],
+) -> Columns:
+    measured = values[0]
+    by_axis = list(measured.T) if measured.ndim == 2 else [measured]
+    return columns_from(columns, [t + lead, microseconds(stamps), *by_axis, *values[1:]])
+
+
+def microseconds(stamps: Array) -> NDArray[np.int64]:
+    """Stamps [s] as whole microseconds."""
+    return np.clip(np.rint(stamps * 1e6), -LATEST_US, LATEST_US).astype(np.int64)

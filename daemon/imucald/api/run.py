@@ -1,0 +1,196 @@
+"""One run of logs through an engine, whole or in pieces; with it the command line is made, too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from imucald.api.columns import (
+    EVENT_COLUMNS,
+    EVENTS,
+    HISTORY,
+    HISTORY_COLUMNS,
+    RAW,
+    Columns,
+    TableColumn,
+    corrected_columns,
+    no_rows,
+    raw_columns,
+)
+from imucald.api.configuration import Configuration
+from imucald.api.drive import DriveResult, drive_result
+from imucald.api.logs import LogSource, opened
+from imucald.api.mount import MountResult
+from imucald.api.recorder import Recorder, microseconds
+from imucald.can.columns import FrameColumns
+from imucald.can.logs.log_reader import LogReader
+from imucald.core.errors import NoFramesError
+from imucald.runtime.engine import Engine
+from imucald.runtime.pipeline import Snapshot
+from imucald.runtime.replay import Replay, Sink
+from imucald.runtime.session import make_engine
+
+_T = TypeVar("_T")
+
+Progress = Callable[[int, int | None], None]
+"""Called now and then with bytes read, and bytes in all (None where nobody knows)."""
+
+_KINDS = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag"}
+
+UNUSED = "the log has no usable frame of this configuration; 'imucald check' tells more"
+
+
+def _both(first: Callable[[_T], None], second: Callable[[_T], None]) -> Callable[[_T], None]:
+    def both(what: _T) -> None:
+        first(what)
+        second(what)
+
+    return both
+
+
+def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
+    """The pieces of a recording that may be in one."""
+    return log if isinstance(log, list | tuple) else [log]
+
+
+def require_frames(drive: DriveResult) -> DriveResult:
+    """The drive as it is; raises NoFramesError where its logs held no frame at all."""
+    if drive.frames["read"] == 0:
+        raise NoFramesError(f"{', '.join(drive.logs)}: holds no CAN frame")
+    return drive
+
+
+class Watcher(Protocol):
+    """Sees what passes during a run, such as whoever draws a page of it."""
+
+    def take(self, chunk: FrameColumns, /) -> None:
+        """Take frames of the logs, before the engine gets them."""
+
+    def snapshot(self, snapshot: Snapshot, /) -> None:
+        """Take a snapshot of the estimate."""
+
+    def sink(self, engine: Engine, /) -> Sink:
+        """Return what takes the frames that would be sent."""
+
+
+class _WatchedReader(LogReader):
+    """A reader whose chunks a watcher sees before the engine does."""
+
+    def __init__(self, watcher: Watcher, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._watcher = watcher
+
+    def __iter__(self) -> Iterator[FrameColumns]:
+        for chunk in super().__iter__():
+            self._watcher.take(chunk)
+            yield chunk
+
+
+class Run:
+    """Logs that are the pieces of one recording, on their way through an engine of their own.
+
+    sink: takes the frames that would be sent. speed: 1 is real time, None as fast as it goes.
+    watcher: sees all that passes.
+    Raises ConfigError.
+    """
+
+    def __init__(
+        self,
+        config: Configuration,
+        logs: Sequence[LogSource],
+        signals: bool = True,
+        progress: Progress | None = None,
+        strict: bool = False,
+        sink: Sink | None = None,
+        speed: float | None = None,
+        watcher: Watcher | None = None,
+    ) -> None:
+        sources = [opened(log) for log in logs]
+        self.logs = tuple(str(source) for source in sources)
+        self._signals = signals
+        self._recorder = Recorder(signals)
+        snapshot = self._recorder.snapshot
+        self.engine = make_engine(
+            config.loaded,
+            snapshot if watcher is None else _both(snapshot, watcher.snapshot),
+            on_samples=self._recorder.samples,
+        )
+        reading = sources, self.engine.router.matches, strict, progress
+        if watcher is None:
+            self._reader = LogReader(*reading)
+        else:
+            self._reader = _WatchedReader(watcher, *reading)
+            seen = watcher.sink(self.engine)
+            sink = seen if sink is None else _both(seen, sink)
+        self._replay = Replay(self.engine, self._reader, sink, speed)
+        self._kinds = {
+            f"parallel/{p.name}": _KINDS[p.kind] for p in config.loaded.config.signals.parallel
+        }
+
+    def chunks(self) -> Iterator[None]:
+        """Go on by a chunk of frames each; the first bad line raises LogError where strict."""
+        yield from self._replay.chunks()
+
+    @property
+    def rows(self) -> int:
+        """Rows of samples, of all tables, that have not been taken."""
+        return self._recorder.rows
+
+    def table_columns(self) -> dict[str, tuple[TableColumn, ...]]:
+        """The columns of every table that there may be."""
+        kinds, found = self._kinds, {}
+        for name in self.engine.output.triads:
+            found[name] = corrected_columns(kinds.get(name, name))
+        for channel in sorted(self.engine.router.channels):
+            found[f"{RAW}{channel}"] = raw_columns(channel, kinds.get(channel))
+        return {**found, HISTORY: HISTORY_COLUMNS, EVENTS: EVENT_COLUMNS}
+
+    def take_signals(self) -> dict[str, Columns]:
+        """The samples since the last call, by table; what was taken is not kept."""
+        return self._recorder.take_signals(self._replay.lead, self._kinds)
+
+    def result(self) -> DriveResult:
+        """What the frames so far came to, with the signals since they were last taken."""
+        engine, reader = self.engine, self._reader
+        lead = self._replay.lead
+        left_out = self._recorder.events_left_out
+        notes = [] if engine.preprocessing is None else list(engine.preprocessing.notes)
+        notes = [f"not used of the model: {note}" for note in notes]
+        notes += [UNUSED] if engine.router.used == 0 else []
+        notes += [f"{left_out} more events were left out"] if left_out else []
+        tables = self.take_signals()
+        return drive_result(
+            logs=self.logs,
+            mount=MountResult.from_estimate(engine.pipeline.estimator.estimate()),
+            summary=self._replay.summary(),
+            span_us=self._span_us(),
+            problems=tuple(reader.problems),
+            notes=tuple(notes),
+            tables={
+                **self._in_order(tables),
+                HISTORY: self._recorder.history(lead),
+                EVENTS: self._recorder.events(lead, engine),
+            },
+        )
+
+    def _in_order(self, tables: Mapping[str, Columns]) -> dict[str, Columns]:
+        """Corrected samples first; one of a sensor that never spoke has no rows."""
+        if not self._signals:
+            return {}
+        corrected = {
+            name: tables.get(name, no_rows(corrected_columns(self._kinds.get(name, name))))
+            for name in self.engine.output.triads
+        }
+        return {
+            **corrected,
+            **{name: tables[name] for name in sorted(set(tables) - set(corrected))},
+        }
+
+    def _span_us(self) -> tuple[int, int] | None:
+        span = self._replay.span
+        if span is None:
+            return None
+        first, last = microseconds(np.array(span)).tolist()
+        return first, last

@@ -1,0 +1,105 @@
+"""`imucald.stream`: logs that are larger than memory, part by part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from imucald.api.columns import Columns
+from imucald.api.configuration import Configuration, PathLike
+from imucald.api.drive import DriveResult, drive_plain
+from imucald.api.logs import LogSource
+from imucald.api.run import Progress, Run, pieces, require_frames
+from imucald.api.table_access import TableAccess
+from imucald.core.errors import ImucaldError
+
+PART_ROWS = 250_000
+"""Rows, of all tables together, that make a part (some 10 MiB)."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DrivePart(TableAccess):
+    """A stretch of a drive: the samples from `from_s` to `to_s`, as in `DriveResult`.
+
+    A table that has no sample here is absent; history and events come with the result.
+    """
+
+    from_s: float
+    to_s: float
+    tables: Mapping[str, Columns]
+
+    def __repr__(self) -> str:
+        rows = ", ".join(f"{name} {len(table)}" for name, table in self.tables.items())
+        return f"DrivePart({self.from_s:.1f} s to {self.to_s:.1f} s; rows: {rows})"[:200]
+
+
+class DriveStream:
+    """A replay on its way: iterate over its parts once, then ask for its `result`."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._begun = False
+        self._result: DriveResult | None = None
+
+    def __iter__(self) -> Iterator[DrivePart]:
+        """Yield parts of some minutes each. Raises LogError."""
+        if self._begun:
+            raise ImucaldError("a stream can be gone through once only")
+        self._begun = True
+        for _ in self._run.chunks():
+            if self._run.rows >= PART_ROWS:
+                yield _part(self._run.take_signals())
+        if self._run.rows:
+            yield _part(self._run.take_signals())
+        self._result = self._run.result()
+        require_frames(self._result)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the last part was given out, and there is a result."""
+        return self._result is not None
+
+    @property
+    def result(self) -> DriveResult:
+        """The drive's result with history and events, and without the samples that were given out.
+
+        Raises ImucaldError before the last part was taken.
+        """
+        if self._result is None:
+            raise ImucaldError("the stream has not ended: take all its parts first")
+        return self._result
+
+    def write(self, path: PathLike, quantities: Sequence[str] | str | None = None) -> list[Path]:
+        """Write the whole drive in bounded memory; the rest is as for `DriveResult.write`."""
+        from imucald.api.files.written import chosen, format_of, write_parts  # noqa: PLC0415
+
+        format_of(Path(path))
+        tables = chosen(self._run.table_columns(), quantities)
+
+        def parts() -> Iterator[Mapping[str, Columns]]:
+            for part in self:
+                yield part.tables
+            yield self.result.tables
+
+        return write_parts(Path(path), tables, parts(), lambda: drive_plain(self.result))
+
+
+def stream(
+    config: Configuration,
+    log: LogSource | Sequence[LogSource],
+    *,
+    progress: Progress | None = None,
+    strict: bool = False,
+) -> DriveStream:
+    """Replay one recording part by part, in bounded memory, however long it is.
+
+    The samples are those of `replay`; arguments and errors are the same. log: one, or a list of
+    the pieces of one recording in their order.
+    """
+    return DriveStream(Run(config, pieces(log), True, progress, strict))
+
+
+def _part(tables: dict[str, Columns]) -> DrivePart:
+    times = [table["t_s"] for table in tables.values()]
+    return DrivePart(min(float(t[0]) for t in times), max(float(t[-1]) for t in times), tables)

@@ -1,0 +1,140 @@
+"""The sensor's axes against the vehicle's motion: scale, delay, handedness."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
+from imucald.config_check.finding import (
+    CLEAR,
+    MIN_TICKS,
+    WRONG_GAIN,
+    Array,
+    Finding,
+    gain_between,
+    gain_guess,
+    spread,
+)
+from imucald.config_check.motion import Motion, shifted, smooth
+from imucald.config_check.yaw_rate_check import MIN_TURNING
+from imucald.motion.ticks import TICK_S
+
+MIN_BRAKING = 0.25
+"""Least standard deviation of the change of speed for a judgement [m/s^2]."""
+AXIS_DEG = 20.0
+"""Largest plausible angle between a gyroscope's axis in turns and gravity [deg]: body roll and
+cross-axis errors make a few."""
+HANDED = 0.7
+"""Triple product of the unit vectors forward, left and up from which their sense is clear."""
+OTHER_UNIT = 1.9
+"""A gain of the speed beyond is an error: half way, as a ratio, to km/h taken for m/s."""
+ODD_SPEED = 1.4
+"""A gain of the accelerometer over the change of speed beyond this (or below its inverse) is odd:
+measured and simulated vehicles show 0.8 to 1.2, miles taken for kilometres 0.6 or 1.6 of that."""
+MIN_REPORTED_DELAY = 2
+"""Ticks of speed delay from which it is reported."""
+_DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(MAX_SPEED_DELAY / TICK_S) + 1)
+"""[ticks]"""
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the accelerometer's axes (3,) show of changes of speed and of turns.
+
+    explained: part of the motion along `along` that the change of speed explains. delay: of the
+    speed behind the accelerometer [ticks].
+    """
+
+    along: Array
+    across: Array
+    explained: float
+    delay: int
+
+
+def _response(accel: Array, change: Array, turn: Array, delay: int) -> Response | None:
+    """Least squares of the axes on change of speed and centripetal acceleration."""
+    change = shifted(change, delay)
+    rows = np.isfinite(accel).all(axis=1) & np.isfinite(change) & np.isfinite(turn)
+    if np.count_nonzero(rows) < MIN_TICKS or float(np.std(change[rows])) < MIN_BRAKING:
+        return None
+    known = np.column_stack([change[rows], turn[rows], np.ones(np.count_nonzero(rows))])
+    coefficients, *_ = np.linalg.lstsq(known, accel[rows], rcond=None)
+    along, across = coefficients[0], coefficients[1]
+    if not np.linalg.norm(along) > 0.0:
+        return None
+    direction = along / np.linalg.norm(along)
+    rest = (accel[rows] - np.outer(turn[rows], across)) @ direction
+    correlation = float(np.corrcoef(rest, change[rows])[0, 1])
+    return Response(along, across, correlation * correlation, delay)
+
+
+def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None:
+    """The response with the delay that explains most; None where it is not clear."""
+    if motion.change is None or motion.accel is None or motion.speed is None:
+        return None
+    reference = next((r for r in rates.values() if spread(r) > MIN_TURNING), None)
+    turn = np.zeros_like(motion.speed) if reference is None else motion.speed * reference
+    fits = [_response(motion.accel, motion.change, turn, delay) for delay in _DELAYS]
+    best = max((fit for fit in fits if fit is not None), key=lambda f: f.explained, default=None)
+    return best if best is not None and best.explained >= CLEAR**2 else None
+
+
+def speed_findings(gain: float, delay: int) -> Iterator[Finding]:
+    """Whether changes of speed show in the accelerometer as they should, and how late."""
+    if not 1.0 / ODD_SPEED < gain < ODD_SPEED:
+        text = f"its changes are {gain_guess(1.0 / gain)} (against the accelerometer)"
+        yield Finding(
+            "error" if not 1.0 / OTHER_UNIT < gain < OTHER_UNIT else "warning", "speed", text
+        )
+    else:
+        text = f"its changes show in the accelerometer (gain {gain:.2f})"
+        yield Finding("ok", "speed", text)
+    if abs(delay) >= MIN_REPORTED_DELAY:
+        word = "behind" if delay > 0 else "ahead of"
+        text = f"is about {abs(delay) / 10:.1f} s {word} the accelerometer (this is allowed for)"
+        yield Finding("note", "speed", text)
+
+
+def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding]:
+    """Whether accelerometer and gyroscope make sense as right-handed sets of the same axes."""
+    up = motion.up
+    if up is None:
+        return
+    yield from _rotation_axis(motion, rates, up)
+    response = best_response(motion, rates)
+    if response is None or np.linalg.norm(response.across) < 1.0 / WRONG_GAIN:
+        return
+    along, across = response.along, response.across
+    handed = float(np.cross(along, across) @ up / np.linalg.norm(along) / np.linalg.norm(across))
+    if handed < -HANDED:
+        text = (
+            "forward, left and up are a left-handed set: one axis has the wrong sign, two are "
+            "exchanged, or the turn rate has the wrong sign"
+        )
+        yield Finding("error", "accelerometer", text)
+    elif handed > HANDED:
+        yield Finding("ok", "accelerometer", "forward, left and up are a right-handed set")
+
+
+def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Iterator[Finding]:
+    """In turns a gyroscope turns about the direction that the accelerometer calls up."""
+    names = [n for n, rate in rates.items() if n != "gyroscope" and spread(rate) > MIN_TURNING]
+    if "gyro" not in motion.grid or not names:
+        return
+    rate, gyro = rates[names[0]], smooth(motion.grid["gyro"])
+    rows = np.isfinite(rate) & np.isfinite(gyro).all(axis=1)
+    if np.count_nonzero(rows) < MIN_TICKS:
+        return
+    axis = np.cov(gyro[rows].T, rate[rows])[3, :3]
+    aligned = abs(float(axis @ up)) / max(float(np.linalg.norm(axis)), 1e-12)
+    angle = math.degrees(math.acos(min(aligned, 1.0)))
+    if angle > AXIS_DEG and abs(gain_between(gyro @ axis, rate)[1]) > CLEAR:
+        text = (
+            f"turns about an axis {angle:.0f} deg from gravity's: one of its axes (or of the "
+            "accelerometer's) has the wrong sign, or two are exchanged"
+        )
+        yield Finding("error", "gyroscope", text)

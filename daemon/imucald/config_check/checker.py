@@ -1,0 +1,207 @@
+"""Takes frames through the daemon's own router, and reports what they were."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from imucald.can.columns import (
+    CAN_EFF_FLAG,
+    CAN_EFF_MASK,
+    CLASSIC_BYTES,
+    FD_BYTES,
+    FrameColumns,
+    IdMatch,
+)
+from imucald.can.link.link import Frame
+from imucald.config import LoadedConfig
+from imucald.config_check.decoding import Decoding, counts_text
+from imucald.config_check.finding import Finding
+from imucald.config_check.health import health_findings
+from imucald.config_check.judgement import judge
+from imucald.config_check.motion import Motion, TickMeans
+from imucald.config_check.not_judged import not_judged
+from imucald.config_check.source import id_text, message_row, quantity_row, sources
+from imucald.config_check.statistics import Probe
+from imucald.inputs.wiring import compile_router
+from imucald.motion.sample_health import SampleHealth
+from imucald.motion.ticks import tick_index
+from imucald.runtime.output.output_frames import OutputFrames
+from imucald.runtime.session import make_engine, open_compensation
+from imucald.runtime.timebase import TimeBase
+
+EVERY_FRAME = (IdMatch(0, 0), IdMatch(CAN_EFF_FLAG, 0))
+"""Lets every identifier through, 11 and 29 bits."""
+MAX_IDS = 20_000
+"""Identifiers that are counted one by one; a vehicle has hundreds, a fuzzed bus any number."""
+MAX_TEXT = 80
+_OUTPUTS = ("acceleration", "angular_rate", "magnetic_field", "mount", "mount_deviation", "health")
+
+
+class Check:
+    """Takes frames; reports at the end what they were.
+
+    Raises ConfigError where the configuration cannot be used: whatever `run` refuses.
+    """
+
+    def __init__(self, loaded: LoadedConfig, silence: str = "the log holds no frame") -> None:
+        """silence: what to say, with the remedy, when no frame comes at all."""
+        make_engine(loaded)  # for its errors
+        self.loaded = loaded
+        self.silence = silence
+        self.router = compile_router(loaded)
+        self.compensation = open_compensation(loaded)
+        self.probes = [Probe(route) for route in self.router.routes]
+        self.router.routes = tuple(self.probes)
+        self.output = OutputFrames(loaded.config)
+        self.ids: Counter[tuple[str, int]] = Counter()
+        """Frames by (channel, id with the flag for 29 bits)."""
+        self.bad_lines: Counter[str] = Counter()
+        """What a log's reader rejected, by reason; for the report."""
+        self._uncounted = 0
+        self._timebase = TimeBase()
+        self._means = TickMeans()
+        self._health = SampleHealth(self.router.measured_axes)
+        self._tick = 0
+
+    def feed(self, frames: FrameColumns) -> None:
+        """Take a chunk of all the frames of a log or a bus."""
+        for index in np.unique(frames.channel).tolist():
+            ids, counts = np.unique(frames.can_id[frames.channel == index], return_counts=True)
+            for can_id, count in zip(ids.tolist(), counts.tolist(), strict=True):
+                key = frames.channels[index], can_id
+                if key in self.ids or len(self.ids) < MAX_IDS:
+                    self.ids[key] += count
+                else:
+                    self._uncounted += count
+        for segment in self._timebase.segments(frames.t):
+            chunk = frames.take(slice(segment.start, segment.stop))
+            samples = self.router.columns(segment.t, chunk).samples
+            self._means.add(samples)
+            if segment.gap:
+                self._health.gap()
+                self._tick = tick_index(float(segment.t[0]))
+            last = tick_index(float(segment.t[-1]))
+            self._health.columns(samples, self._tick, last)
+            self._tick = last
+
+    # the report ------------------------------------------------------------------------------
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first frame to the last."""
+        return self._timebase.now
+
+    def findings(self) -> list[Finding]:
+        """Every finding, the worst first."""
+        found = self._nothing() or self._found()
+        return sorted(found, key=lambda f: ("error", "warning", "note", "ok").index(f.level))
+
+    def _nothing(self) -> list[Finding]:
+        """Where nothing of ours came, one error says what to look at, and no warning besides."""
+        if not self.frames_read:
+            bad = (
+                f"; lines that cannot be used: {counts_text(self.bad_lines)}"
+                if self.bad_lines
+                else ""
+            )
+            return [Finding("error", "bus", self.silence + bad)]
+        if any(probe.frames for probe in self.probes):
+            return []
+        ids = ", ".join(dict.fromkeys(f"{id_text(i)} on {channel}" for channel, i in self.ids))
+        text = (
+            f"none of the {len(self.probes)} configured messages came, but {len(self.ids)} other "
+            f"ids ({_shortened(ids)}): is it the right bus ('channel:'), and its database?"
+        )
+        return [Finding("error", "bus", text)]
+
+    @property
+    def frames_read(self) -> int:
+        """All frames, ours or not."""
+        return sum(self.ids.values()) + self._uncounted
+
+    def _found(self) -> list[Finding]:
+        decoding = Decoding(
+            self.loaded,
+            self.probes,
+            list(sources(self.loaded, self.probes)),
+            self.ids,
+            self.router.sample_counts,
+            self._timebase.steps,
+            self.bad_lines,
+            self.output.can_ids,
+        )
+        vehicle = self.loaded.config.vehicle
+        planar = self.loaded.config.signals.accelerometer[0].z is None
+        motion = Motion(self._means.grid(), planar)
+        model = self.compensation
+        notes = () if model is None else model.notes_for(self.router.channels)
+        found = [
+            *(Finding("note", "model", text) for text in notes),
+            *decoding.findings(),
+            *judge(motion, vehicle.track, vehicle.wheelbase, vehicle.steering_ratio),
+        ]
+        wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
+        found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]
+        rows = list(sources(self.loaded, self.probes))
+        return [*found, *not_judged(rows, found)]
+
+    def report(self) -> dict[str, Any]:
+        """Everything, as docs/json.md describes it."""
+        findings = self.findings()
+        rejected = self.router.rejected + self.bad_lines
+        matched = {
+            key for key in self.ids if any(p.match.matches(key[1], key[0]) for p in self.probes)
+        }
+        unknown = {key: n for key, n in self.ids.items() if key not in matched}
+        return {
+            "usable": not any(f.level == "error" for f in findings),
+            "warnings": sum(f.level == "warning" for f in findings),
+            "duration_s": round(self.duration, 3),
+            "messages": [message_row(self.loaded, probe) for probe in self.probes],
+            "quantities": [quantity_row(source) for source in sources(self.loaded, self.probes)],
+            "findings": [finding.as_dict() for finding in findings],
+            "output": self._output_ids(),
+            "frames": {
+                "read": self.frames_read,
+                "used": self.router.used,
+                "rejected": dict(sorted(rejected.items())),
+                "other_ids": len(unknown),
+                "other_frames": sum(unknown.values()) + self._uncounted,
+            },
+        }
+
+    def _output_ids(self) -> list[dict[str, Any]]:
+        config = self.loaded.config
+        ids = {name: getattr(config.output.ids, name) for name in _OUTPUTS}
+        if config.signals.gyroscope is None:
+            del ids["angular_rate"]
+        if config.signals.magnetometer is None:
+            del ids["magnetic_field"]
+        ids |= {f"parallel.{sensor.name}": sensor.id for sensor in config.signals.parallel}
+        seen: Counter[int] = Counter()
+        for (_, can_id), n in self.ids.items():
+            seen[can_id & CAN_EFF_MASK] += n
+        return [{"frame": n, "id": id_text(i), "seen": seen[i]} for n, i in ids.items()]
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= MAX_TEXT else text[:MAX_TEXT].rpartition(",")[0] + ", ..."
+
+
+def columns_of(frames: Sequence[Frame], channel: str) -> FrameColumns:
+    """Frames of a live bus, (t, id, data) each, as columns."""
+    width = CLASSIC_BYTES if all(len(f[2]) <= CLASSIC_BYTES for f in frames) else FD_BYTES
+    data = b"".join(payload.ljust(width, b"\0") for _, _, payload in frames)
+    n = len(frames)
+    return FrameColumns(
+        t=np.array([t for t, _, _ in frames]),
+        can_id=np.array([can_id for _, can_id, _ in frames], dtype=np.uint32),
+        length=np.array([len(payload) for _, _, payload in frames], dtype=np.uint8),
+        data=np.frombuffer(data, np.uint8).reshape(n, width),
+        channel=np.zeros(n, np.uint8),
+        channels=(channel,),
+    )

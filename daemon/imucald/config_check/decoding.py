@@ -1,0 +1,164 @@
+"""What the frames themselves show: what does not come, what is rejected, what that costs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from imucald.can.columns import CAN_EFF_FLAG, IdMatch
+from imucald.config import LoadedConfig
+from imucald.config_check.finding import Finding
+from imucald.config_check.source import QuantitySource, configured_name, id_text, stated_cycle
+from imucald.config_check.statistics import Probe
+
+CYCLE_TOLERANCE = 1.5
+"""A cycle is reported when it is so many times longer or shorter than the database states."""
+MIN_REJECTED_SHARE = 0.01
+"""Part of rejected frames or values from which it is reported."""
+MIN_EQUAL_VALUES = 100
+"""So many equal values of a sensor in a row, and no other, look stuck."""
+
+_NO_SPEED = "missing: yaw takes longer and is less certain; "
+_NO_GYRO = "pitch and roll get nothing from turns, and no corrected angular rate is sent"
+_NO_TURNS = "so are yaw rate and steering angle: straight motion is told by steady angles only"
+_NO_REVERSE = "missing: reversing reads as braking, which costs some accuracy"
+_NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); say left or right"
+_REMEDIES = {
+    "checksum": "; see 'checksum:' (kind, id_bytes, data_id) of the message",
+    "counter": "; see 'counter:' (signal, modulus, max_step) of the message",
+    "short_frame": "; the database describes a longer frame: is it this vehicle's?",
+    "out_of_range": "; see 'range:' of the source, and its unit",
+    "not_available": "; the sender says so, or see 'not_available:' of the source",
+    "saturated": "; the sensor runs into its end, or the database's range is too narrow",
+}
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """What there is to judge: ids seen (channel, id with flag), samples by channel, clock steps,
+    bad lines by reason."""
+
+    loaded: LoadedConfig
+    probes: list[Probe]
+    sources: list[QuantitySource]
+    ids: Mapping[tuple[str, int], int]
+    samples: Mapping[str, int]
+    steps: int
+    bad_lines: Counter[str]
+    output_ids: frozenset[int]
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield every finding, in no order."""
+        yield from self._silent()
+        yield from self._doubtful()
+        yield from self._cycles()
+        yield from self._costs()
+        yield from self._conflicts()
+
+    def _has(self, channel: str) -> bool:
+        return self.samples.get(channel, 0) > 0
+
+    def _silent(self) -> Iterator[Finding]:
+        """Messages that did not come, and frames that were all refused."""
+        for probe in self.probes:
+            quantity = ", ".join(dict.fromkeys(configured_name(tap.channel) for tap in probe.taps))
+            if not probe.frames:
+                text = f"no frame of {probe.name} ({id_text(probe.match.can_id)}) came"
+                yield Finding("warning", quantity, text + self._elsewhere(probe.match))
+                continue
+            bad = probe.rejected.total()
+            if bad > MIN_REJECTED_SHARE * probe.frames:
+                reasons = counts_text(probe.rejected)
+                text = f"{bad} of {probe.frames} frames of {probe.name} are rejected ({reasons})"
+                yield Finding("warning", quantity, text + _remedy(probe.rejected))
+
+    def _elsewhere(self, match: IdMatch) -> str:
+        """A hint where the frame came by another channel or with another kind of id."""
+        channels = [c for c, can_id in self.ids if not (can_id ^ match.can_id) & match.full_mask]
+        if channels:
+            return f"; it comes on {', '.join(channels)}, the configuration says {match.channel}"
+        flipped = IdMatch(match.can_id ^ CAN_EFF_FLAG, match.mask)
+        if any(flipped.matches(can_id, c) for c, can_id in self.ids):
+            bits = 11 if match.can_id & CAN_EFF_FLAG else 29
+            return f"; the same number comes as a {bits}-bit id"
+        return ""
+
+    def _doubtful(self) -> Iterator[Finding]:
+        for source in self.sources:
+            statistics = source.statistics
+            good, bad = statistics.si.count, statistics.rejected.total()
+            if bad > MIN_REJECTED_SHARE * (good + bad):
+                reasons = counts_text(statistics.rejected)
+                text = f"{bad} of {good + bad} values of {source.name} are rejected ({reasons})"
+                yield Finding("warning", source.quantity, text + _remedy(statistics.rejected))
+            sensor = source.wanted.channel in ("accel", "gyro")
+            same = statistics.si.least == statistics.si.largest
+            if sensor and good >= MIN_EQUAL_VALUES and same:
+                text = f"never changes ({statistics.physical.least:g} {source.unit})"
+                yield Finding("warning", source.quantity, text)
+
+    def _cycles(self) -> Iterator[Finding]:
+        for probe in self.probes:
+            stated = stated_cycle(self.loaded, probe)
+            seen = probe.cycle
+            if stated and seen and not 1 / CYCLE_TOLERANCE < seen / stated < CYCLE_TOLERANCE:
+                text = f"{probe.name} comes every {1e3 * seen:.3g} ms, stated are {1e3 * stated:g}"
+                yield Finding("note", "", text)
+        if self.bad_lines:
+            text = f"lines that cannot be used: {counts_text(self.bad_lines)}"
+            yield Finding("warning", "log", text)
+        if self.steps:
+            text = f"jumps of the time stamps: {self.steps}; holes, or a clock that was set"
+            yield Finding("note", "", text)
+
+    def _costs(self) -> Iterator[Finding]:
+        """What is missing, and what that costs."""
+        config = self.loaded.config
+        if not self._has("accel"):
+            text = "gives no sample: nothing can be calibrated"
+            yield Finding("error", "accelerometer", text)
+        if not self._has("speed"):
+            yield Finding("warning", "speed", _NO_SPEED + self._direction_without_speed())
+        if not self._has("gyro"):
+            yield Finding("note", "gyroscope", self._without_gyro())
+        elif not self._has("yaw_rate"):
+            yield Finding("note", "yaw_rate", "missing: turns are taken from the gyroscope")
+        if self._has("speed") and not self._has("reverse"):
+            yield Finding("note", "reverse", _NO_REVERSE)
+        if config.vehicle.driving_side == "unknown" and config.signals.accelerometer[0].z:
+            yield Finding("note", "vehicle.driving_side", _NO_SIDE)
+
+    def _direction_without_speed(self) -> str:
+        if self._has("brake"):
+            return "forward is told from backward by the brake switch"
+        if self._has("yaw_rate") or self._has("gyro"):
+            return "forward is told from backward in turns and by the first motion after a stop"
+        return "forward is told from backward by the first motion after a stop only"
+
+    def _without_gyro(self) -> str:
+        for channel in ("yaw_rate", "steering"):
+            if self._has(channel):
+                word = configured_name(channel)
+                return f"missing: turns are taken from {word}; {_NO_GYRO}"
+        return f"missing, and {_NO_TURNS}; {_NO_GYRO}"
+
+    def _conflicts(self) -> Iterator[Finding]:
+        for can_id in sorted(self.output_ids):
+            seen = sum(n for (_, other), n in self.ids.items() if other == can_id)
+            if seen:
+                text = (
+                    f"{id_text(can_id)} is on this bus already ({seen} frames): imucald sent it, "
+                    "or another unit does; then choose another under 'output: ids:'"
+                )
+                yield Finding("warning", "output.ids", text)
+
+
+def _remedy(reasons: Counter[str]) -> str:
+    """A hint for the most frequent reason."""
+    return _REMEDIES.get(reasons.most_common(1)[0][0], "")
+
+
+def counts_text(reasons: Counter[str]) -> str:
+    """Reasons with their numbers, the most frequent first."""
+    return ", ".join(f"{reason} {n}" for reason, n in reasons.most_common())

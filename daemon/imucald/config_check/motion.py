@@ -1,0 +1,201 @@
+"""Samples on a common grid, and what they say about the vehicle's motion, for `imucald check`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.samples import CHANNEL_WIDTH, Samples
+from imucald.motion.standstill import ZERO_SPEED_SMOOTHED
+from imucald.motion.ticks import TICK_RATE
+
+Array = NDArray[np.float64]
+
+MAX_TICKS = 72_000
+"""Two hours: enough to judge a sign by, and no more memory for a longer log."""
+MAX_HOLE = 25
+"""Holes up to so many ticks are bridged: speed over OBD-II comes once a second."""
+SMOOTH = 11
+"""Ticks of the moving mean, 1.1 s: delays between signals and the road's bumps matter less."""
+MIN_STANDING_TICKS = 20
+"""Ticks of standing (after smoothing) that show something: two seconds."""
+
+
+class TickMeans:
+    """Mean of each channel in each tick (0.1 s), gathered from chunks of samples."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, Array] = {}
+        self._counts: dict[str, Array] = {}
+
+    def add(self, samples: Samples) -> None:
+        """Take samples by channel; times are stream times."""
+        for channel, series in samples.items():
+            ticks = np.floor(series.t * TICK_RATE).astype(np.int64)
+            inside = ticks < MAX_TICKS
+            if not inside.any():
+                continue
+            ticks = ticks[inside]
+            values = series.values[inside].reshape(len(ticks), -1)
+            self._grow(channel, values.shape[1], int(ticks[-1]) + 1)
+            np.add.at(self._sums[channel], ticks, values)
+            np.add.at(self._counts[channel], ticks, 1.0)
+
+    def _grow(self, channel: str, width: int, ticks: int) -> None:
+        have = self._counts.get(channel, np.zeros(0))
+        if ticks <= len(have):
+            return
+        size = min(max(2 * len(have), ticks), MAX_TICKS)
+        sums, counts = np.zeros((size, width)), np.zeros(size)
+        counts[: len(have)] = have
+        if channel in self._sums:
+            sums[: len(have)] = self._sums[channel]
+        self._sums[channel], self._counts[channel] = sums, counts
+
+    def grid(self) -> dict[str, Array]:
+        """Channel to means (n,) or (n, width), holes bridged, NaN where nothing is known."""
+        last = [np.flatnonzero(counts) for counts in self._counts.values()]
+        n = max((int(rows[-1]) + 1 for rows in last if len(rows)), default=0)
+        grid = {}
+        for channel, sums in self._sums.items():
+            counts = np.zeros(n)
+            counts[: len(self._counts[channel])] = self._counts[channel][:n]
+            rows = np.flatnonzero(counts)
+            means = sums[rows] / counts[rows, None]
+            table = np.column_stack([bridged(n, rows, column) for column in means.T])
+            grid[channel] = table[:, 0] if CHANNEL_WIDTH.get(channel, 3) == 1 else table
+        return grid
+
+
+def bridged(n: int, rows: NDArray[np.intp], values: Array) -> Array:
+    """Values (n,) known at some rows, short holes bridged by lines, NaN where nothing is known."""
+    here = np.arange(n)
+    result = np.interp(here, rows, values)
+    after = np.searchsorted(rows, here)
+    left = rows[np.maximum(after - 1, 0)]
+    right = rows[np.minimum(after, len(rows) - 1)]
+    known = np.isin(here, rows) | (
+        (right - left <= MAX_HOLE) & (here >= rows[0]) & (here <= rows[-1])
+    )
+    return np.where(known, result, np.nan)
+
+
+def smooth(x: Array) -> Array:
+    """Moving mean along the first axis; NaN at the ends and near NaN."""
+    if x.ndim == 2:
+        return np.column_stack([smooth(column) for column in x.T])
+    if len(x) < SMOOTH:
+        return np.full(len(x), np.nan)
+    result = np.convolve(x, np.full(SMOOTH, 1.0 / SMOOTH), "same")
+    half = SMOOTH // 2
+    result[:half] = result[-half:] = np.nan
+    return result
+
+
+class Motion:
+    """What the vehicle did, from the grid; each part is None where its signals are missing.
+
+    All arrays are smoothed and (n,): speed [m/s] (negative in reverse), change of speed
+    [m/s^2]; accel (n, 3) [m/s^2]; up (3,) unit vector in sensor axes.
+    """
+
+    def __init__(self, grid: Mapping[str, Array], planar: bool) -> None:
+        self.planar = planar
+        self.grid = grid
+        self.speed = self.change = None
+        if "speed" in grid:
+            self.speed = smooth(self._direction() * grid["speed"])
+            half = SMOOTH // 2
+            ahead, behind = shifted(self.speed, half), shifted(self.speed, -half)
+            self.change = (ahead - behind) * (TICK_RATE / (2 * half))
+        self.accel = smooth(grid["accel"]) if "accel" in grid else None
+        self.standing = self._standing()
+        self.gravity = self._gravity()
+
+    def scaled(self, accel: float = 1.0, speed: float = 1.0) -> Motion:
+        """The same motion with accelerometer and speed times a factor."""
+        factors = {"accel": accel, "speed": speed}
+        grid = {name: values * factors.get(name, 1.0) for name, values in self.grid.items()}
+        return Motion(grid, self.planar)
+
+    def without(self, channel: str) -> Motion:
+        """The same motion as if a channel were not there."""
+        grid = {name: values for name, values in self.grid.items() if name != channel}
+        return Motion(grid, self.planar)
+
+    @property
+    def up(self) -> Array | None:
+        """Direction of gravity's reaction in sensor axes (3,)."""
+        if self.gravity is None:
+            return None
+        return np.asarray(self.gravity / np.linalg.norm(self.gravity))
+
+    def _direction(self) -> Array:
+        """-1 in reverse, else 1 (n,), or (1,) where reverse is not known."""
+        return np.where(np.nan_to_num(self.grid.get("reverse", np.zeros(1))) > 0.5, -1.0, 1.0)
+
+    def _standing(self) -> NDArray[np.bool_] | None:
+        """Ticks at rest (n,), None where too few."""
+        if self.speed is None:
+            return None
+        calm = np.nan_to_num(np.abs(self.speed), nan=np.inf) < ZERO_SPEED_SMOOTHED
+        return calm if np.count_nonzero(calm) >= MIN_STANDING_TICKS else None
+
+    def _gravity(self) -> Array | None:
+        """Mean specific force at rest (3,) [m/s^2]; over the whole drive where it never rests."""
+        if self.accel is None:
+            return None
+        known = np.isfinite(self.accel).all(axis=1)
+        rows = known if self.standing is None else known & self.standing
+        if not rows.any():
+            rows = known
+        if not rows.any():
+            return None
+        mean = np.asarray(self.accel[rows].mean(axis=0))
+        return mean if np.linalg.norm(mean) > 0.0 else None
+
+    def turn_rates(self, track: float, wheelbase: float, steering_ratio: float) -> dict[str, Array]:
+        """Each witness of the yaw rate (n,) [rad/s], positive to the left, by its quantity's name.
+
+        The gyro's is its part about the vertical, less its mean at rest.
+        """
+        found: dict[str, Array] = {}
+        grid = self.grid
+        if "gyro" in grid and self.up is not None and not self.planar:
+            rate = smooth(grid["gyro"]) @ self.up
+            if self.standing is not None and np.isfinite(rate[self.standing]).any():
+                rate = rate - np.nanmean(rate[self.standing])
+            found["gyroscope"] = rate
+        if "yaw_rate" in grid:
+            found["yaw_rate"] = smooth(grid["yaw_rate"])
+        if "wheel_speeds" in grid:
+            wheels = grid["wheel_speeds"]
+            right_less_left = 0.5 * (wheels[:, 1] - wheels[:, 0] + wheels[:, 3] - wheels[:, 2])
+            if not np.nanmin(wheels, initial=0.0) < 0.0:  # magnitudes, as nearly all vehicles send
+                right_less_left = right_less_left * self._direction()
+            found["wheel_speeds"] = smooth(right_less_left) / track
+        if self.speed is None:
+            return found
+        if "steering" in grid:
+            angle = smooth(grid["steering"]) / steering_ratio
+            found["steering_wheel_angle"] = self.speed * angle / wheelbase
+        fast = np.where(np.abs(self.speed) > 3.0, self.speed, np.nan)
+        if "lateral_accel" in grid:
+            found["lateral_acceleration"] = smooth(grid["lateral_accel"]) / fast
+        if self.planar and self.accel is not None:
+            found["accelerometer.y"] = self.accel[:, 1] / fast
+        return found
+
+
+def shifted(x: Array, ticks: int) -> Array:
+    """The array whose row k is row k + ticks of x; NaN beyond the ends."""
+    result = np.full_like(x, np.nan)
+    if abs(ticks) >= len(x):
+        return result
+    if ticks >= 0:
+        result[: len(x) - ticks] = x[ticks:]
+    else:
+        result[-ticks:] = x[:ticks]
+    return result

@@ -1,0 +1,128 @@
+"""Each configured number with the signal that it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from imucald.can.columns import CAN_EFF_MASK
+from imucald.can.dbc.message import Signal
+from imucald.config import LoadedConfig
+from imucald.config_check.statistics import Probe, SignalStatistics
+from imucald.inputs.routes import MessageRoute
+from imucald.inputs.wanted_numbers import Wanted, wanted_numbers
+
+SI_UNITS = {
+    "acceleration": "m/s^2",
+    "angular_rate": "rad/s",
+    "angle": "rad",
+    "speed": "m/s",
+    "magnetic_field": "T",
+    "temperature": "degC",
+    "flag": "",
+}
+
+_WORDS = {
+    "accel": "accelerometer",
+    "gyro": "gyroscope",
+    "mag": "magnetometer",
+    "steering": "steering_wheel_angle",
+    "lateral_accel": "lateral_acceleration",
+    "longitudinal_accel": "longitudinal_acceleration",
+}
+"""Channels whose name in the configuration differs."""
+_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+
+
+def configured_name(channel: str) -> str:
+    """The configuration's name of a channel."""
+    return _WORDS.get(channel, channel).replace("/", ".")
+
+
+@dataclass(frozen=True)
+class QuantitySource:
+    """One configured number with the figures that its signal gave."""
+
+    wanted: Wanted
+    probe: Probe
+    signal: Signal | None
+    name: str
+    statistics: SignalStatistics
+
+    @property
+    def quantity(self) -> str:
+        """The quantity's name in the configuration, with axis or wheel."""
+        word = configured_name(self.wanted.channel)
+        if self.wanted.width == 3:
+            return f"{word}.{'xyz'[self.wanted.slot]}"
+        return f"{word}.{_WHEELS[self.wanted.slot]}" if self.wanted.width == 4 else word
+
+    @property
+    def unit(self) -> str:
+        """The source's unit, as the configuration or the database spells it."""
+        stated = self.wanted.source.unit
+        return stated if stated is not None else self.signal.unit if self.signal else ""
+
+
+def sources(loaded: LoadedConfig, probes: Sequence[Probe]) -> Iterator[QuantitySource]:
+    """Yield all configured numbers, in the order of the configuration."""
+    by_key: dict[tuple[str, int, int], tuple[Probe, str, Signal | None]] = {}
+    for probe in probes:
+        route = probe.route
+        for tap in probe.taps:
+            for component, slot in zip(tap.components, tap.slots, strict=True):
+                name, signal = probe.name, None
+                if isinstance(route, MessageRoute):
+                    signal = route.plan.message.signal(route.plan.signal_names[component.index])
+                    name = f"{probe.name}.{signal.name}"
+                by_key[tap.channel, tap.rank, slot] = probe, name, signal
+    for wanted in wanted_numbers(loaded.config.signals):
+        key = wanted.channel, wanted.rank, wanted.slot
+        probe, name, signal = by_key[key]
+        yield QuantitySource(wanted, probe, signal, name, probe.signals[key])
+
+
+def message_row(loaded: LoadedConfig, probe: Probe) -> dict[str, Any]:
+    """A message as JSON has it."""
+    return {
+        "name": probe.name,
+        "id": id_text(probe.match.can_id),
+        "channel": probe.match.channel,
+        "frames": probe.frames,
+        "cycle_s": None if probe.cycle is None else round(probe.cycle, 6),
+        "stated_cycle_s": stated_cycle(loaded, probe),
+        "rejected": dict(sorted(probe.rejected.items())),
+    }
+
+
+def quantity_row(source: QuantitySource) -> dict[str, Any]:
+    """A configured number as JSON has it."""
+    conversion = source.statistics.conversion
+    return {
+        "quantity": source.quantity,
+        "preference": source.wanted.rank,
+        "source": source.name,
+        "id": id_text(source.probe.match.can_id),
+        "unit": source.unit,
+        "si_unit": SI_UNITS[conversion.unit.dimension],
+        "factor": conversion.unit.factor * conversion.sign,
+        "samples": source.statistics.si.count,
+        "in_unit": source.statistics.physical.as_dict(),
+        "in_si": source.statistics.si.as_dict(),
+        "rejected": dict(sorted(source.statistics.rejected.items())),
+    }
+
+
+def stated_cycle(loaded: LoadedConfig, probe: Probe) -> float | None:
+    """Cycle time [s] as the configuration or the database states it."""
+    if not isinstance(probe.route, MessageRoute):
+        return None
+    protection = loaded.config.messages.get(probe.name)
+    own = protection.cycle_time if protection is not None else None
+    return own or probe.route.plan.message.cycle_time
+
+
+def id_text(can_id: int) -> str:
+    """An identifier for people, without its flag."""
+    return f"0x{can_id & CAN_EFF_MASK:X}"

@@ -1,0 +1,77 @@
+"""Witnesses of the yaw rate beside one another: signs and units of what shows turns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from imucald.config_check.finding import (
+    CLEAR,
+    Array,
+    Finding,
+    gain_between,
+    gain_guess,
+    is_wrong,
+    spread,
+)
+
+MIN_TURNING = 0.008
+"""Least standard deviation of the yaw rate for a judgement [rad/s]: bends of a motorway."""
+MIN_TURNING_TO_FOLLOW = 0.04
+"""The same from which a signal that does not follow is reported [rad/s]: a city."""
+
+
+def yaw_rate_findings(rates: Mapping[str, Array]) -> Iterator[Finding]:
+    """Compare all witnesses of the yaw rate with the first one that turns."""
+    names = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
+    if len(names) < 2:
+        return
+    reference, *others = names
+    gains = {reference: 1.0}
+    for name in others:
+        gain, correlation = gain_between(rates[reference], rates[name])
+        if abs(correlation) >= CLEAR:
+            gains[name] = gain
+        elif abs(correlation) < CLEAR / 2.0 and spread(rates[reference]) > MIN_TURNING_TO_FOLLOW:
+            text = f"hardly follows {reference} in turns (correlation {correlation:+.2f})"
+            yield Finding("error", name, text)
+    yield from _signs(gains)
+    yield from _gains(gains)
+
+
+def _gains(gains: Mapping[str, float]) -> Iterator[Finding]:
+    """Of three witnesses or more the middle one is believed; of two the first."""
+    sizes = {name: abs(gain) for name, gain in gains.items()}
+    middle = float(np.median(list(sizes.values()))) if len(sizes) > 2 else 1.0
+    for name, size in sizes.items():
+        if is_wrong(size / middle):
+            against = ", ".join(other for other in sizes if other != name)
+            text = f"against {against} in turns {gain_guess(size / middle)}"
+            yield Finding("error", name, text)
+
+
+def _signs(gains: Mapping[str, float]) -> Iterator[Finding]:
+    left = [name for name, gain in gains.items() if gain > 0.0]
+    right = [name for name, gain in gains.items() if gain <= 0.0]
+    if len(gains) < 2:
+        return
+    if not right:
+        yield Finding("ok", left[0], f"turns the same way as {', '.join(left[1:])}")
+    elif len(left) == len(right):
+        text = f"has the opposite sign of {', '.join(right)} in turns; positive must be to the left"
+        yield Finding("error", left[0], text)
+    else:
+        few, many = (left, right) if len(left) < len(right) else (right, left)
+        for name in few:
+            hint = _sign_hint(name)
+            text = f"has the opposite sign of {', '.join(many)} in turns{hint}"
+            yield Finding("error", name, text)
+
+
+def _sign_hint(name: str) -> str:
+    if name == "wheel_speeds":
+        return ": are left and right exchanged?"
+    if name == "gyroscope":
+        return ": all three axes need 'sign: -1', or the accelerometer's do"
+    return ": positive is to the left; set 'sign: -1'"

@@ -1,0 +1,153 @@
+"""From databases and a recording to a proposed configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence, Set
+
+from msgspec.structs import asdict
+
+from imucald.can.dbc.database import Database
+from imucald.config.network import OutputIds
+from imucald.discovery.by_names import by_names
+from imucald.discovery.candidates import (
+    MessageTraffic,
+    SeenSignal,
+    candidates_of,
+    messages_in,
+    obd_speeds,
+    silent_candidates,
+)
+from imucald.discovery.flags import find_brake, find_reverse, find_temperature
+from imucald.discovery.proposal import Choice, Proposal
+from imucald.discovery.protection_search import find_protection
+from imucald.discovery.raw_fields import raw_fields
+from imucald.discovery.raw_search import raw_choices
+from imucald.discovery.recording import GatheredFrames, Traffic
+from imucald.discovery.reference import KnownMotion
+from imucald.discovery.scalars import find_heading
+from imucald.discovery.sensors import Sensors
+from imucald.discovery.turning import Turning
+from imucald.motion.ticks import TICK_RATE
+
+
+def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Proposal:
+    """Propose a configuration. databases: by the path that the configuration will name."""
+    traffic = recording.traffic()
+    ticks = int(recording.seconds * TICK_RATE) + 1
+    proposal = Proposal()
+    messages: dict[str, MessageTraffic] = {}
+    channels: dict[str, str] = {}
+    for path, database in databases.items():
+        channel = _channel_of(database, traffic)
+        if channel is not None:
+            channels[path] = channel
+        for one in messages_in(database, traffic, channel):
+            messages.setdefault(one.message.name, one)
+    proposal.channels = channels
+    candidates = [c for one in messages.values() for c in candidates_of(one, ticks)]
+    if not recording.frames:
+        candidates = [c for d in databases.values() for c in silent_candidates(d)]
+    candidates += obd_speeds(traffic, ticks)
+    proposal.choices, reference = choices_from(candidates, proposal)
+    wanted = {"speed", "steering_wheel_angle"} - {c.quantity for c in proposal.choices}
+    if wanted:
+        known = {one.can_id for one in traffic if _is_described(databases, one)}
+        proposal.choices += raw_choices(list(raw_fields(traffic, known, ticks)), reference, wanted)
+    for name in used_messages(proposal.choices):
+        if name in messages:
+            found = find_protection(messages[name])
+            if found is not None:
+                proposal.protections.append(found)
+    taken = {one.can_id for one in traffic}
+    taken |= {m.can_id for d in databases.values() for m in d.messages.values()}
+    proposal.output_ids = free_output_ids(taken)
+    proposal.notes = list(_notes(recording, candidates, databases))
+    return proposal
+
+
+def _notes(
+    recording: GatheredFrames, candidates: Sequence[SeenSignal], databases: Mapping[str, Database]
+) -> Iterator[str]:
+    """What the head of the file says about the recording."""
+    if not recording.frames:
+        yield "No recording was looked at: names and units alone speak, and all of it is unsure."
+        return
+    names = {c.message.name for c in candidates}
+    known = sum(bool(m.signals) for d in databases.values() for m in d.messages.values())
+    yield (
+        f"Looked at: {recording.frames} frames in {recording.seconds:.0f} s, {len(names)} of "
+        f"{known} messages of the database, {len(candidates)} signals."
+    )
+    if recording.is_full:
+        yield "The recording is longer; its beginning was looked at."
+    if not names and databases:
+        yield "None of the database's messages is on this bus: is it this vehicle's database?"
+
+
+def free_output_ids(taken: Set[int]) -> dict[str, int]:
+    """The ids to be sent, moved where one of the usual ones is on the bus; empty where none is."""
+    usual = asdict(OutputIds())
+    if not taken & set(usual.values()):
+        return {}
+    first, count = min(usual.values()), len(usual)
+    for base in (*range(first, 0x7F0 - count, 0x10), *range(0x100, first, 0x10)):
+        if not taken & set(range(base, base + count)):
+            return {name: base + i - first for name, i in usual.items()}
+    return {}
+
+
+def choices_from(
+    candidates: Sequence[SeenSignal], proposal: Proposal
+) -> tuple[list[Choice], KnownMotion]:
+    """Every quantity that the candidates hold, and the motion that they were held against."""
+    sensors = Sensors(candidates)
+    turning = Turning(sensors)
+    reference = sensors.reference
+    free = [c for c in candidates if c.path not in sensors.taken]
+    found: list[Choice | None] = [
+        *sensors.choices(),
+        *turning.choices(free),
+        find_reverse(reference, free),
+        find_brake(reference, free),
+        find_temperature(reference, free),
+        find_heading(reference, free),
+    ]
+    proposal.vehicle += turning.vehicle
+    chosen = [c for c in found if c is not None]
+    unused = [c for c in candidates if c.path not in sensors.taken]
+    chosen += by_names(unused, {c.quantity for c in chosen})
+    rates = {c.path: 1.0 / c.cycle for c in candidates if c.cycle > 0.0 and c.x.size > 1}
+    for choice in chosen:
+        first = next(iter(choice.sources.values()), None)
+        if first is not None and first.signal in rates:
+            choice.evidence = f"{rates[first.signal]:.3g}/s; {choice.evidence}"
+    return chosen, reference
+
+
+def used_messages(choices: Sequence[Choice]) -> list[str]:
+    """Messages from which something is taken, in order."""
+    names = (
+        source.signal.partition(".")[0]
+        for choice in choices
+        for source in choice.sources.values()
+        if source.signal
+    )
+    return list(dict.fromkeys(names))
+
+
+def _is_described(databases: Mapping[str, Database], one: Traffic) -> bool:
+    """Whether a database has a message with signals of this identifier."""
+    return any(
+        message.signals and not message.unsupported and message.can_id == one.can_id
+        for database in databases.values()
+        for message in database.messages.values()
+    )
+
+
+def _channel_of(database: Database, traffic: Sequence[Traffic]) -> str | None:
+    """The channel on which most messages of a database come, where the recording has several."""
+    channels = dict.fromkeys(one.channel for one in traffic)
+    if len(channels) < 2:
+        return None
+    counts = {c: sum(1 for _ in messages_in(database, traffic, c)) for c in channels}
+    return max(counts, key=lambda c: counts[c])

@@ -1,0 +1,231 @@
+"""Reverse, brake and the sensor's temperature: what is on when the vehicle does something."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.dbc.message import Signal
+from imucald.config_check.motion import SMOOTH
+from imucald.discovery.candidates import Array, SeenSignal
+from imucald.discovery.evidence import BELIEVED_NATS
+from imucald.discovery.names import hint, same_family
+from imucald.discovery.proposal import Alternative, Choice, source_of
+from imucald.discovery.reference import KnownMotion
+from imucald.discovery.scalars import MAX_ALTERNATIVES
+from imucald.inputs.units import find_unit
+
+REVERSE_SPEED = 7.0
+"""Nobody reverses faster [m/s]."""
+CREEP = 0.2
+MIN_REVERSE_TICKS = 15
+BRAKING = 0.7
+"""Deceleration that takes a brake [m/s^2]: drag and engine in gear stay below about 0.6."""
+COASTING = 0.3
+"""Milder than this nobody brakes."""
+ENGINE_WARM = 75.0
+"""Coolant and oil become warmer: thermostats open at 80 to 95 [degC]."""
+CLEAR_MATTHEWS = 0.6
+"""Matthews' correlation of a switch with braking, from which it is the brake."""
+_REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
+
+
+def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
+    """A switch or a lever's place at which the change of speed shows the wrong way round."""
+    found = sorted(_reversing(reference, candidates), key=lambda f: -f.nats)
+    sure = [f for f in found if f.nats >= BELIEVED_NATS + math.log(len(found))]
+    if sure:
+        best = sure[0]
+        named = hint("reverse", best.candidate) or _names_reverse(best.candidate.signal)
+        named_ones = [f for f in sure if hint("reverse", f.candidate)]
+        if not named and named_ones:
+            best = named_ones[0]
+        text = (
+            f"at {best.level:g} the accelerometer and the change of speed are opposite "
+            f"(correlation {best.correlation:+.2f}, {best.nats:.0f} nats), and never above "
+            f"{REVERSE_SPEED:g} m/s"
+        )
+        others = [
+            Alternative({"": source_of(f.candidate, equals=(f.level,))}, "the same")
+            for f in sure
+            if f.candidate is not best.candidate
+        ]
+        chosen = source_of(best.candidate, equals=(best.level,))
+        return Choice("reverse", {"": chosen}, text, "", others[:MAX_ALTERNATIVES])
+    return _reverse_by_name(candidates)
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """A value of a switch or lever; nats: of going backwards against forwards while it is held."""
+
+    candidate: SeenSignal
+    level: float
+    correlation: float
+    nats: float
+
+
+def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list[_Level]:
+    """Every value that is held at low speed only, with its likelihood ratio.
+
+    Forwards the acceleration along the vehicle is the change of speed, backwards its opposite, but
+    for noise as large as in the whole drive (its slopes included). Of each stretch the mean is
+    taken out: an offset of the sensor, a slope.
+    """
+    speed, along = reference.speed, reference.along
+    if speed is None or along is None or not speed.relation.is_believed_of(1):
+        return []
+    v, change = np.abs(speed.speed), speed.change
+    known = np.isfinite(along) & np.isfinite(change) & (np.nan_to_num(v) > CREEP)
+    noise = float(np.var((along - change)[known])) if known.any() else 0.0
+    found = []
+    for c in candidates:
+        if c.held is None or c.is_constant or not noise > 0.0:
+            continue
+        for level in c.levels:
+            at = (c.held == level) & known
+            if np.count_nonzero(at) < MIN_REVERSE_TICKS or float(v[at].max()) > REVERSE_SPEED:
+                continue
+            a, b = _less_their_means(along, at), _less_their_means(change, at)
+            product, sizes = float(a @ b), float(a @ a) * float(b @ b)
+            correlation = product / math.sqrt(sizes) if sizes > 0.0 else 0.0
+            found.append(_Level(c, level, correlation, -2.0 * product / noise / SMOOTH))
+    return found
+
+
+def _less_their_means(x: Array, at: NDArray[np.bool_]) -> Array:
+    """Values of the marked ticks, less the mean of each stretch of neighbours."""
+    rows = np.flatnonzero(at)
+    parts = np.split(x[rows], np.flatnonzero(np.diff(rows) > 1) + 1)
+    return np.concatenate([part - part.mean() for part in parts])
+
+
+def _names_reverse(signal: Signal) -> float | None:
+    """The physical value that a value table calls reverse."""
+    for raw, name in signal.choices.items():
+        if name.strip().lower() in _REVERSE_NAMES:
+            return float(raw * signal.scale + signal.offset)
+    return None
+
+
+def _reverse_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
+    why = "the vehicle does not reverse here long enough to see it: the name alone speaks for it"
+    options = []
+    for c in candidates:
+        value = _names_reverse(c.signal)
+        if value is not None:
+            options.append((0, c, source_of(c, equals=(value,)), "its value table names reverse"))
+        elif (
+            hint("reverse", c) in ("reverse", "ruecklicht", "rueckwaerts") and c.signal.length <= 2
+        ):
+            options.append((1, c, source_of(c, equals=(1.0,)), f"named {c.signal.name}"))
+    options.sort(key=lambda o: o[0])
+    if not options:
+        return None
+    others = [Alternative({"": o[2]}, o[3]) for o in options[1 : 1 + MAX_ALTERNATIVES]]
+    return Choice("reverse", {"": options[0][2]}, options[0][3], why, others)
+
+
+def find_brake(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
+    """A switch (or a pressure) that is on when the vehicle slows down more than by itself."""
+    if reference.speed is None:
+        return None
+    change = reference.speed.change
+    moving = np.nan_to_num(np.abs(reference.speed.speed)) > 1.0
+    judged = moving & (np.nan_to_num(change) < -BRAKING) | moving & (change > -COASTING)
+    braking = np.nan_to_num(change) < -BRAKING
+    if min(np.count_nonzero(judged & braking), np.count_nonzero(judged & ~braking)) < 50:
+        return _brake_by_name(candidates)
+    found = []
+    for c in candidates:
+        if c.is_constant or any(c.states(d) for d in ("speed", "acceleration", "angular_rate")):
+            continue
+        for on, settings in _switches(c):
+            rows = judged & np.isfinite(on)
+            score = _matthews(on[rows] > 0.5, braking[rows])
+            if score > CLEAR_MATTHEWS:
+                found.append((score, c, settings))
+    if not found:
+        return _brake_by_name(candidates)
+    found.sort(key=lambda f: (hint("brake", f[1]) is None, -f[0]))
+    score, best, settings = found[0]
+    named = hint("brake", best)
+    text = f"on when slowing down by more than {BRAKING:g} m/s2 (Matthews' correlation {score:.2f})"
+    doubt = ""
+    if not named and (score < 0.8 or (len(found) > 1 and found[1][0] > score - 0.05)):
+        doubt = "its name does not say brake, and other signals go with braking too"
+    others = [
+        Alternative({"": source_of(c, **s)}, f"Matthews' correlation {one:.2f}")
+        for one, c, s in found[1:]
+        if c is not best
+    ]
+    chosen = source_of(best, **settings)
+    return Choice("brake", {"": chosen}, text, doubt, others[:MAX_ALTERNATIVES])
+
+
+def _switches(c: SeenSignal) -> list[tuple[Array, dict[str, Any]]]:
+    """Ways to read a signal as on or off, with their settings."""
+    if c.held is not None:
+        if len(c.levels) == 2:
+            if 0.0 in c.levels and max(c.levels) > 0.0:
+                return [((c.held != 0.0).astype(float), {})]
+            return [((c.held == v).astype(float), {"equals": (v,)}) for v in c.levels]
+        return [((c.held == v).astype(float), {"equals": (v,)}) for v in c.levels]
+    low = float(np.nanquantile(c.x, 0.05))
+    threshold = low + 0.02 * (c.largest - c.least)
+    digits = 1 - math.floor(math.log10(max(abs(threshold), 1e-9)))
+    threshold = round(threshold, max(digits, 0))
+    on = np.where(np.isfinite(c.x), (c.x > threshold).astype(float), np.nan)
+    return [(on, {"above": threshold})]
+
+
+def _matthews(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+    if not len(a) or not 0 < np.count_nonzero(a) < len(a):
+        return 0.0
+    return float(np.corrcoef(a.astype(float), b.astype(float))[0, 1])
+
+
+def _brake_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
+    named = [c for c in candidates if hint("brake", c) and not c.is_constant]
+    if not named:
+        return None
+    named.sort(key=lambda c: not c.levels)
+    best = named[0]
+    settings = _switches(best)[0][1] if len(best.levels) <= 2 else {}
+    why = "the recording does not show braking well enough: the name alone speaks for it"
+    return Choice("brake", {"": source_of(best, **settings)}, f"named {best.signal.name}", why)
+
+
+def _is_an_engine(c: SeenSignal) -> bool:
+    """Whether a temperature becomes an engine's; a sensor that hot is near its end (85 degC)."""
+    unit = find_unit(c.unit, "temperature")
+    return c.largest * unit.factor + unit.offset > ENGINE_WARM
+
+
+def find_temperature(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
+    """A temperature whose message belongs to the sensor's."""
+    usable = [c for c in candidates if c.states("temperature")]
+    triad = reference.accelerometer
+    if not usable or triad is None:
+        return None
+    own = triad.messages[0]
+    usable.sort(
+        key=lambda c: (
+            c.message.name not in triad.messages,
+            not same_family(c.message.name, own),
+            _is_an_engine(c),
+        )
+    )
+    best = usable[0]
+    near = best.message.name in triad.messages or same_family(best.message.name, own)
+    doubt = "" if near else "a temperature, but nothing says that it is the sensor's"
+    text = f"a temperature of {best.least:g} to {best.largest:g} {best.unit}"
+    if near:
+        text += f", and {best.message.name} is named like {own}"
+    others = [Alternative({"": source_of(c)}, "another temperature") for c in usable[1:]]
+    return Choice("temperature", {"": source_of(best)}, text, doubt, others[:MAX_ALTERNATIVES])

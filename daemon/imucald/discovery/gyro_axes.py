@@ -1,0 +1,195 @@
+"""How a gyroscope's axes lie to an accelerometer's: which is which, sign and unit.
+
+Two facts tell, whatever the mount. In turns speed times the rate about up is the acceleration to
+the left. And while the body pitches and rolls, gravity moves through the accelerometer's axes as
+the gyroscope says: g' = -omega x g. Each of the 48 ways to name and sign three axes is held against
+both, by likelihood; offsets, and acceleration that goes with speed, are fitted and do not count.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.config_check.motion import SMOOTH, shifted, smooth
+from imucald.discovery.candidates import Array
+from imucald.discovery.evidence import BELIEVED_NATS, Relation, relation
+from imucald.discovery.reference import KnownMotion
+from imucald.discovery.triads import Triad
+from imucald.motion.ticks import TICK_RATE
+
+WINDOW = 10
+"""Ticks over which gravity's change is compared: a second, a pitching body's time."""
+STEADY_UP = 0.97
+"""Mean resultant length of the force's direction from which gravity is one direction: a vehicle's
+slopes and manoeuvres keep within 15 deg of it."""
+
+Order = tuple[tuple[int, int, int], tuple[int, int, int]]
+"""Which gyroscope axis is x, y, z, and their signs."""
+
+AS_IT_IS: Order = ((0, 1, 2), (1, 1, 1))
+
+
+@dataclass(frozen=True)
+class GyroFit:
+    """The likeliest order of a gyroscope's axes among `tried`, and what supports it.
+
+    nats: log likelihood of each order, relative to none. turning: of the acceleration to the left
+    against speed times rate; carried: of gravity's change against the rates. is_contradicted:
+    whether gravity speaks clearly for another order than turns do.
+    """
+
+    order: Order
+    nats: dict[Order, float]
+    turning: Relation
+    carried: Relation
+    is_contradicted: bool = False
+
+    def ahead(self, orders: list[Order]) -> float:
+        """Nats by which the order is ahead of the best other one of some orders."""
+        others = [self.nats[o] for o in orders if o != self.order]
+        return self.nats[self.order] - max(others, default=-math.inf)
+
+    @property
+    def is_believed(self) -> bool:
+        """Whether the rates go with the accelerometer at all."""
+        return self.turning.is_believed or self.carried.is_believed
+
+
+def every_order() -> list[Order]:
+    """All 48 orders and signs."""
+    signs = list(itertools.product((1, -1), repeat=3))
+    return [(p, s) for p in itertools.permutations((0, 1, 2)) for s in signs]  # type: ignore[misc]
+
+
+def right_handed_orders() -> list[Order]:
+    """The three cyclic orders, and the same with all signs turned round."""
+    cyclic = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+    return [(p, s) for p in cyclic for s in ((1, 1, 1), (-1, -1, -1))]
+
+
+def signed(gyro: Array, order: Order) -> Array:
+    """(n, 3) rates in another order."""
+    return gyro[:, list(order[0])] * np.array(order[1], np.float64)
+
+
+def fit_gyroscope(gyro: Triad, reference: KnownMotion, tried: list[Order]) -> GyroFit | None:
+    """Hold a gyroscope's axes against the accelerometer; None where there is nothing to hold."""
+    if reference.accelerometer is None or reference.up is None:
+        return None
+    orders = every_order()
+    turning = _turning(gyro.smooth, reference, orders)
+    carried = _carried(gyro.ticks, reference.accelerometer, reference, orders)
+    nothing = 0.0, Relation()
+    of_turns = {o: turning.get(o, nothing)[0] for o in orders}
+    of_gravity = {o: carried.get(o, nothing)[0] for o in orders}
+    nats = {o: of_turns[o] + of_gravity[o] for o in orders}
+    # turns are what the mount is found from: gravity decides among what they leave open
+    most = max(of_turns[o] for o in tried)
+    open_ones = [o for o in tried if of_turns[o] > most - BELIEVED_NATS]
+    best = max(open_ones, key=lambda o: nats[o])
+    contradicted = max(of_gravity[o] for o in tried) - of_gravity[best] >= BELIEVED_NATS
+    return GyroFit(
+        best, nats, turning.get(best, nothing)[1], carried.get(best, nothing)[1], contradicted
+    )
+
+
+def _turning(
+    gyro: Array, reference: KnownMotion, orders: list[Order]
+) -> dict[Order, tuple[float, Relation]]:
+    """Log likelihood of each order from turns."""
+    if reference.lateral is None or reference.speed is None or reference.up is None:
+        return {}
+    v = reference.speed.moving
+    found = {}
+    for order in orders:
+        rate = signed(gyro, order) @ reference.up
+        one = relation(v * rate, reference.lateral)
+        part = max(one.correlation, 0.0) ** 2
+        found[order] = (-0.5 * one.independent * math.log1p(-min(part, 1.0 - 1e-12)), one)
+    return found
+
+
+def _carried(
+    gyro: Array, accelerometer: Triad, reference: KnownMotion, orders: list[Order]
+) -> dict[Order, tuple[float, Relation]]:
+    """The same from gravity's movement through the axes, in windows of a second."""
+    force = accelerometer.smooth
+    gravity = _gravity(force)
+    target = shifted(force, WINDOW) - force
+    moved = _accelerations(reference)
+    # the change if gyroscope axis i were the accelerometer's axis p
+    terms = {
+        (i, p): _integrated(-np.cross(np.eye(3)[p], gravity) * gyro[:, [i]])
+        for i in range(3)
+        for p in range(3)
+    }
+    rows = np.isfinite(target).all(axis=1) & np.isfinite(moved).all(axis=1)
+    for term in terms.values():
+        rows &= np.isfinite(term).all(axis=1)
+    count = int(np.count_nonzero(rows))
+    if count < 20 * (WINDOW + SMOOTH):
+        return {}
+    basis = np.linalg.qr(np.column_stack([np.ones(count), moved[rows]]))[0]
+    target, *left = (x[rows] - basis @ (basis.T @ x[rows]) for x in (target, *terms.values()))
+    parts = dict(zip(terms, left, strict=True))
+    independent = 2.0 * count / (WINDOW + SMOOTH)  # two level axes in each window
+    return {order: _held_against(target, _in_order(parts, order), independent) for order in orders}
+
+
+def _gravity(force: Array) -> Array:
+    """Gravity in sensor axes (n, 3): one direction in a vehicle, the force itself in a hand."""
+    direction = force / np.linalg.norm(force, axis=1, keepdims=True)
+    if np.linalg.norm(np.nanmean(direction, axis=0)) < STEADY_UP:
+        return force
+    return np.broadcast_to(np.nanmean(force, axis=0), force.shape)
+
+
+def _accelerations(reference: KnownMotion) -> Array:
+    """Windowed changes (n, k) of the accelerations that go with speed; k is 0 without a speed."""
+    known = []
+    if reference.speed is not None:
+        known.append(_windowed(reference.speed.change))
+        if reference.turn is not None:
+            known.append(_windowed(reference.speed.speed * reference.turn))
+    if not known:
+        return np.zeros((len(reference.accelerometer.ticks) if reference.accelerometer else 0, 0))
+    return np.column_stack(known)
+
+
+def _in_order(parts: dict[tuple[int, int], Array], order: Order) -> Array:
+    """Change of gravity (m, 3) with the gyroscope's axes in an order."""
+    return np.asarray(
+        sum(sign * parts[axis, p] for p, (axis, sign) in enumerate(zip(*order, strict=True)))
+    )
+
+
+def _held_against(target: Array, predicted: Array, independent: float) -> tuple[float, Relation]:
+    """Log likelihood of a prediction whose scale is free but positive, and the relation."""
+    dot, size = float((target * predicted).sum()), float((predicted * predicted).sum())
+    total = float((target * target).sum())
+    if not (size > 0.0 and total > 0.0):
+        return 0.0, Relation()
+    root = max(min(dot / math.sqrt(size * total), 1.0 - 1e-9), 1e-9 - 1.0)
+    nats = -0.5 * independent * math.log1p(-(max(root, 0.0) ** 2))
+    high = total / dot if dot > 0.0 else 0.0
+    return nats, Relation(root, independent, max(dot / size, 0.0), high)
+
+
+def _windowed(x: Array) -> Array:
+    return np.asarray(shifted(x, WINDOW) - x)
+
+
+def _integrated(rate: Array) -> Array:
+    """Change over a window of what goes by a rate (n, 3) [1/s], smoothed as the force is."""
+    known = np.where(np.isfinite(rate), rate, 0.0)
+    whole = smooth(np.cumsum(known, axis=0) / TICK_RATE)
+    return np.where(np.isfinite(rate), shifted(whole, WINDOW) - whole, np.nan)
+
+
+def is_decided(fit: GyroFit, orders: list[Order]) -> bool:
+    """Whether an order is ahead of some others beyond doubt."""
+    return fit.ahead(orders) >= BELIEVED_NATS

@@ -1,0 +1,231 @@
+"""Accelerometer, speed, gyroscope and magnetometer: what everything else is held against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.discovery.candidates import SeenSignal
+from imucald.discovery.evidence import Relation
+from imucald.discovery.gyro_axes import AS_IT_IS, fit_gyroscope, right_handed_orders, signed
+from imucald.discovery.gyro_choice import axes_of, gyroscope_choice
+from imucald.discovery.names import hint
+from imucald.discovery.planar import find_planar
+from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
+from imucald.discovery.reference import (
+    KnownMotion,
+    SpeedFit,
+    direction_up,
+    speed_against_accelerometer,
+    speed_candidates,
+    stated_unit,
+)
+from imucald.discovery.speeds import (
+    NEAR_WHEELS,
+    apart_from,
+    best_first,
+    speed_doubt,
+    wheel_mean,
+)
+from imucald.discovery.triads import (
+    EARTH_FIELD,
+    Triad,
+    accelerometers,
+    gyroscopes,
+    magnetometers,
+)
+from imucald.discovery.wheels import wheel_sets
+
+MAX_TRIADS = 6
+"""Triads that are held against every speed, where no unit tells which is the accelerometer."""
+MAX_ALTERNATIVES = 3
+REST_RATE = 5.0
+"""Largest zero error of a gyroscope [deg/s]."""
+
+
+class Sensors:
+    """The sensor to calibrate and the speed. `reference`: the motion; `taken`: signals in use."""
+
+    def __init__(self, candidates: Sequence[SeenSignal]) -> None:
+        self.candidates = candidates
+        self.reference = KnownMotion()
+        self.wheels = next(iter(wheel_sets(candidates)), None)
+        self.taken: set[str] = {c.path for c in self.wheels or ()}
+        self._found: list[Choice | None] = []
+        self._speeds: list[SpeedFit] = []
+        triads = accelerometers(candidates)
+        if triads:
+            self._set_accelerometer(triads)
+        else:
+            planar = find_planar(candidates, self.wheels, self.taken)
+            if planar is not None:
+                self.reference = planar.reference
+                self._found += [planar.accelerometer, planar.speed]
+                self.taken |= planar.taken
+
+    def choices(self) -> Iterator[Choice | None]:
+        """What was found, in the order of the configuration."""
+        yield from self._found
+
+    def _set_accelerometer(self, triads: list[Triad]) -> None:
+        stated = [t for t in triads if t.unit.is_stated]
+        tried = stated or triads[:MAX_TRIADS]
+        best = max(tried, key=self._speed_for) if len(tried) > 1 else tried[0]
+        self._speed_for(best)
+        reference = KnownMotion(best, direction_up(best))
+        self.reference = reference
+        self.taken |= {m.path for m in best.members}
+        accelerometer = _accelerometer_choice(best, [t for t in triads if t is not best])
+        self._found.append(accelerometer)
+        speed = self._choose_speed()
+        reference.set_lateral()
+        gyro = self._choose_gyroscope(reference)
+        if not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
+            accelerometer.doubt = "three signals of 1 g, but no unit is stated and no motion shows"
+        self._found += [gyro, self._magnetometer(), speed]
+
+    def _speed_for(self, triad: Triad) -> float:
+        """How well the best speed explains a triad; the fits are kept."""
+        up = direction_up(triad)
+        members = {m.path for m in triad.members}
+        fits = [
+            speed_against_accelerometer(c, triad, up)
+            for c in speed_candidates(self.candidates)
+            if c.path not in members
+        ]
+        self._speeds = [f for f in fits if f is not None]
+        return max((f.relation.explained for f in self._speeds if f.is_believed), default=0.0)
+
+    # speed -----------------------------------------------------------------------------------
+
+    def _choose_speed(self) -> Choice | None:
+        """The speed whose changes the accelerometer shows best; wheels stand in for it."""
+        wheels = {c.path for c in self.wheels or ()}
+        believed = [f for f in self._speeds if f.is_believed]
+        rolling = best_first([f for f in believed if f.candidate.path in wheels], None)
+        mean = wheel_mean(self.wheels)
+        own = best_first([f for f in believed if f.candidate.path not in wheels], mean)
+        if not own:
+            self.reference.speed = rolling[0] if rolling else None
+            return None if rolling else self._speed_by_unit(wheels)
+        best = own[0]
+        self.reference.speed = best
+        self.taken.add(best.candidate.path)
+        others = [Alternative({"": _speed_source(f)}, _speed_words(f)) for f in own[1:]]
+        words, doubt = _speed_words(best), speed_doubt(own, mean)
+        apart = None if mean is None else apart_from(best, mean)
+        if apart is not None and apart < NEAR_WHEELS:
+            words += f"; that of the wheels within {100 * apart:.1f} %"
+        chosen = {"": _speed_source(best)}
+        return Choice("speed", chosen, words, doubt, others[:MAX_ALTERNATIVES])
+
+    def _speed_by_unit(self, wheels: set[str]) -> Choice | None:
+        """A speed that no accelerometer confirms: by its unit, and by its name among several."""
+        usable = [
+            c
+            for c in self.candidates
+            if c.states("speed") and c.path not in wheels and not c.is_constant
+        ]
+        usable.sort(key=lambda c: (hint("speed", c) is None, c.cycle))
+        if not usable:
+            return None
+        best = usable[0]
+        unit = stated_unit(best, "speed")
+        assert unit is not None, "its unit was just asked for"
+        self.reference.speed = SpeedFit(best, unit, Relation())
+        self.taken.add(best.path)
+        doubt = "its changes do not show in the accelerometer: its unit alone speaks for it"
+        others = [Alternative({"": source_of(c)}, f"in {c.unit}") for c in usable[1:]]
+        return Choice(
+            "speed", {"": source_of(best)}, f"a speed in {best.unit}", doubt,
+            others[:MAX_ALTERNATIVES],
+        )  # fmt: skip
+
+    # gyroscope -------------------------------------------------------------------------------
+
+    def _choose_gyroscope(self, reference: KnownMotion) -> Choice | None:
+        found = []
+        for triad in gyroscopes(self.candidates):
+            if {m.path for m in triad.members} & self.taken:
+                continue
+            tried = (
+                [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
+            )
+            fit = fit_gyroscope(triad, reference, tried)
+            if fit is not None and (triad.unit.is_stated or fit.is_believed):
+                found.append((triad, fit))
+        if not found:
+            return None
+        found.sort(key=lambda f: (not f[0].unit.is_stated, -f[1].nats[f[1].order]))
+        triad, fit = found[0]
+        choice, order, triad = gyroscope_choice(triad, fit, found[1:])
+        self.taken |= {m.path for m in triad.members}
+        if reference.up is not None:
+            rate = signed(triad.smooth, order) @ reference.up
+            standing = _standing(reference)
+            if standing is not None:
+                rate = rate - np.nanmean(rate[standing])
+            reference.turn, reference.turn_from = rate, "the gyroscope about up"
+            if not reference.sides_from:
+                reference.sides_from = "the gyroscope, taken as right-handed"
+        return choice
+
+    def _magnetometer(self) -> Choice | None:
+        found = [
+            t
+            for t in magnetometers(self.candidates)
+            if not {m.path for m in t.members} & self.taken
+        ]
+        if not found:
+            return None
+        best = found[0]
+        self.taken |= {m.path for m in best.members}
+        text = f"{1e6 * best.size:.0f} uT"
+        doubt = "" if best.names_axes else "which axis is which is taken from their places"
+        if not EARTH_FIELD[0] / 2.0 < best.size < EARTH_FIELD[1] * 2.0:
+            doubt = "the earth's field has 22 to 67 uT"
+        return Choice("magnetometer", axes_of(best, best.unit.name), text, doubt)
+
+
+def _speed_source(fit: SpeedFit) -> Proposed:
+    return source_of(fit.candidate, fit.unit.name)
+
+
+def _speed_words(fit: SpeedFit) -> str:
+    r = fit.relation
+    gain = r.gain / fit.unit.factor
+    late = (
+        f", {0.1 * abs(fit.delay):.1f} s {'late' if fit.delay > 0 else 'early'}"
+        if fit.delay
+        else ""
+    )
+    return (
+        f"its changes show in the accelerometer (correlation {r.correlation:.2f}, "
+        f"gain {gain:.2f} in {fit.unit.name}{late})"
+    )
+
+
+def _standing(reference: KnownMotion) -> NDArray[np.bool_] | None:
+    if reference.speed is None:
+        return None
+    rows = np.nan_to_num(np.abs(reference.speed.speed), nan=np.inf) < 0.3
+    return rows if np.count_nonzero(rows) > 20 else None
+
+
+def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:
+    text = f"together {best.size:.2f} m/s2 +- {100 * best.spread:.1f} % at any mount: 1 g"
+    if not best.unit.is_stated:
+        stated = best.members[0].unit
+        text += f" in {best.unit.name} (the database says {stated or 'no unit'})"
+    text += "; axes as named" if best.names_axes else "; axes in the order of their places"
+    doubt = "" if best.unit.is_sure else f"{', '.join(best.unit.others)} would fit as well"
+    alternatives = [
+        Alternative(axes_of(t, t.unit.name), f"{t.size:.2f} m/s2 +- {100 * t.spread:.1f} %")
+        for t in others
+        if t.unit.is_stated
+    ]
+    return Choice(
+        "accelerometer", axes_of(best, best.unit.name), text, doubt, alternatives[:MAX_ALTERNATIVES]
+    )

@@ -1,0 +1,170 @@
+"""Types of vehicles: their mount, how far vehicles differ, which vehicle or batch stands out.
+
+Rotation vectors about the type's mount, in the vehicle's axes [deg]. One vehicle counts once, by
+its first segment: as it was delivered. The road crown is in every vehicle alike; it cancels in all
+differences and enters the intervals of mounts once, not divided by the number of vehicles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.stats import f as f_distribution
+from scipy.stats import false_discovery_control
+
+from imucald.fleet.analysis.components import VarianceComponent, between_vehicles, robust_variance
+from imucald.fleet.analysis.groups import (
+    GroupEffect,
+    group_codes,
+    group_effects,
+    group_offsets,
+)
+from imucald.fleet.analysis.known_drives import between, turned
+from imucald.fleet.analysis.moderation import moderated
+from imucald.fleet.analysis.units import MAX_Q, T_FREEDOM, Units, t_weights
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+ROUNDS = 12
+RESTARTS = 4
+CENTRES = 400
+"""Vehicles from which the first centre is chosen."""
+LEAST_PLAIN = 5
+"""A type with fewer vehicles beside those of found batches has these in its mean too."""
+
+
+@dataclass
+class Population:
+    """What was found. centre: mounts of the types; e: (n, 3) vehicles about them, offsets of found
+    batches taken out; offset: (n, 3) these. mean_covariance: (kinds, 3, 3) of the centres without
+    the crown. T: components by type and axis; tau2: (kinds, 3) [deg^2] T moderated by the other
+    types. freedom: (kinds,) of it. p, q: (n,) of each vehicle being an outlier."""
+
+    centre: Rotation
+    e: Array
+    offset: Array
+    T: list[list[VarianceComponent]]
+    tau2: Array
+    freedom: Array
+    mean_covariance: Array
+    p: Array
+    q: Array
+    outlier: Flags
+    groups: list[GroupEffect] = field(default_factory=list)
+
+
+def population(units: Units, columns: Mapping[str, Sequence[str | None]]) -> Population:
+    """Find types, batches and outliers. columns: what each vehicle is grouped by, by name."""
+    codes = {name: group_codes(values) for name, values in columns.items()}
+    found: list[GroupEffect] = []
+    offset = np.zeros((len(units), 3))
+    for _ in range(RESTARTS):
+        centre, e, T = _robust(units, offset)
+        effects = group_effects(units, e + offset, T, codes)
+        now = {(g.column, g.name) for g in effects if g.found}
+        offset = group_offsets(units, effects, codes)
+        if now == {(g.column, g.name) for g in found if g.found}:
+            found = effects
+            break
+        found = effects
+    return _without_outliers(units, centre, e, offset, T, found)
+
+
+def _robust(units: Units, offset: Array) -> tuple[Rotation, Array, Array]:
+    """Centres, vehicles about them less the offsets (n, 3), and T (kinds, 3), all robust."""
+    rotation = turned(units.rotation, -offset) if len(units) else units.rotation
+    centre = _first_centres(rotation, units)
+    T = np.zeros((units.kinds, 3))
+    e = np.zeros((len(units), 3))
+    for _ in range(ROUNDS):
+        e = between(rotation, centre[units.kind])
+        for k in range(units.kinds):
+            mine = units.kind == k
+            T[k] = [robust_variance(e[mine, a] ** 2, units.v[mine, a]) for a in range(3)]
+        w = t_weights(e, T[units.kind] + units.v)[:, None] / (T[units.kind] + units.v)
+        total = _sum(w, units.kind, units.kinds)
+        centre = turned(centre, _sum(w * e, units.kind, units.kinds) / np.maximum(total, 1e-12))
+    return centre, between(rotation, centre[units.kind]), T
+
+
+def _sum(values: Array, kind: Index, kinds: int) -> Array:
+    total = np.zeros((kinds, *values.shape[1:]))
+    np.add.at(total, kind, values)
+    return total
+
+
+def _first_centres(rotation: Rotation, units: Units) -> Rotation:
+    """The vehicle of each type with the least median distance to the others."""
+    chosen = []
+    for k in range(units.kinds):
+        mine = np.flatnonzero(units.kind == k)
+        mine = mine[:: max(1, len(mine) // CENTRES)]
+        q = rotation[mine].as_quat()
+        alike = np.abs(q @ q.T)  # cosine of half the angle between
+        chosen.append(int(mine[int(np.argmax(np.median(alike, axis=1)))]))
+    return rotation[chosen]
+
+
+def _without_outliers(
+    units: Units, centre: Rotation, e: Array, offset: Array, T: Array, groups: list[GroupEffect]
+) -> Population:
+    """REML of T and the means without outliers; each vehicle judged by the others of its type."""
+    odd = t_weights(e, T[units.kind] + units.v) < _SUSPECT_WEIGHT
+    rotation = turned(units.rotation, -offset) if len(units) else units.rotation
+    for _ in range(RESTARTS):
+        _, tau2, freedom = _components(units, e, odd)
+        p = _leave_one_out(units, e, odd, tau2, freedom)
+        q = false_discovery_control(p) if len(p) else p
+        now = q <= MAX_Q
+        if (now == odd).all():
+            break
+        odd = now
+    parts, tau2, freedom = _components(units, e, odd)
+    w = np.where(odd[:, None], 0.0, 1.0 / (tau2[units.kind] + units.v))
+    w *= np.where((offset != 0.0).any(axis=1) & _has_others(units, offset, odd), 0.0, 1.0)[:, None]
+    total = np.maximum(_sum(w, units.kind, units.kinds), 1e-12)
+    centre = turned(centre, _sum(w * e, units.kind, units.kinds) / total)
+    e = between(rotation, centre[units.kind])
+    covariance = np.array([np.diag(1.0 / row) for row in total]).reshape(-1, 3, 3)
+    return Population(centre, e, offset, parts, tau2, freedom, covariance, p, q, odd, groups)
+
+
+_SUSPECT_WEIGHT = (T_FREEDOM + 3.0) / (T_FREEDOM + 16.27)
+"""Of a vehicle whose square is above the 99.9th percentile of chi-square with 3 freedoms."""
+
+
+def _has_others(units: Units, offset: Array, odd: Flags) -> Flags:
+    """Whether a vehicle's type has others that neither stand out nor are of a found batch."""
+    plain = ~odd & (offset == 0.0).all(axis=1)
+    count = _sum(plain[:, None].astype(float), units.kind, units.kinds)[:, 0]
+    return np.asarray(count[units.kind] >= LEAST_PLAIN)
+
+
+def _components(
+    units: Units, e: Array, odd: Flags
+) -> tuple[list[list[VarianceComponent]], Array, Array]:
+    """T by type and axis as each type shows it, then moderated (kinds, 3), with its freedoms."""
+    found, usual = [], np.zeros((units.kinds, 3))
+    for k in range(units.kinds):
+        mine = (units.kind == k) & ~odd
+        found.append([between_vehicles(e[mine, a], units.v[mine, a]) for a in range(3)])
+        if mine.any():
+            usual[k] = np.median(units.v[mine], axis=0)
+    return found, *moderated(found, usual)
+
+
+def _leave_one_out(units: Units, e: Array, odd: Flags, tau2: Array, freedom: Array) -> Array:
+    """p of each vehicle against the mean of the others of its type that do not stand out."""
+    wide = tau2[units.kind] + units.v
+    w = np.where(odd[:, None], 0.0, 1.0 / wide)
+    total, weighted = (_sum(x, units.kind, units.kinds)[units.kind] for x in (w, w * e))
+    others = np.maximum(total - w, 1e-12)
+    mean = (weighted - w * e) / others
+    squares = ((e - mean) ** 2 / (wide + 1.0 / others)).sum(axis=1)
+    return np.asarray(f_distribution.sf(squares / 3.0, 3, freedom[units.kind]))

@@ -1,0 +1,180 @@
+"""A Dask cluster as workers: `--scheduler tcp://HOST:PORT` or `tls://HOST:PORT`."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import CancelledError
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+from distributed import Client, Worker, WorkerPlugin
+from distributed.security import Security
+
+from imucald import __version__
+from imucald.core.errors import ImucaldError
+from imucald.fleet.bundle import Bundle, code_hash, unpack
+from imucald.fleet.children import close_templates
+from imucald.fleet.task import Outcome, Task
+from imucald.fleet.workers import DEATHS, Futures, run_one_log, unique_keys
+
+CONNECTING_S = 30.0
+WORKERS_S = 60.0
+"""How long is waited for the first worker."""
+TRIES, AGAIN_S = 5, 1.0
+"""To prepare the workers of a cluster that changes."""
+GONE = ("closed", "closing", "failed", "connecting")
+"""States of a client that had a scheduler. It would wait for another one, which knows nothing."""
+PLUGIN = "imucald-fleet"
+
+
+@dataclass(frozen=True)
+class TlsFiles:
+    """PEM files: certificate authority, this client's certificate and key."""
+
+    ca: str
+    certificate: str
+    key: str
+
+    def security(self) -> Security:
+        """As Dask wants them; nothing goes unencrypted."""
+        return Security(  # type: ignore[no-untyped-call]
+            tls_ca_file=self.ca,
+            tls_client_cert=self.certificate,
+            tls_client_key=self.key,
+            require_encryption=True,
+        )
+
+
+_client: Any = Client
+"""Dask's client has no types."""
+
+
+class BundlePlugin(WorkerPlugin):
+    """Gives each worker, also one that joins later, the configurations as content."""
+
+    name = PLUGIN
+
+    def __init__(self, bundles: Mapping[str, Bundle]) -> None:
+        self._bundles = dict(bundles)
+
+    def setup(self, worker: Worker) -> None:
+        """Unpack them where children of this worker find them."""
+        unpack(self._bundles)
+        close_templates()  # one that runs already does not know the folder
+
+
+def about_worker() -> dict[str, str]:
+    """What must be alike on driver and workers for the same rows."""
+    return {
+        "imucald": __version__,
+        "code of imucald": code_hash(),
+        "Python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+
+
+class DaskWorkers:
+    """The workers of one cluster. Raises ImucaldError where it cannot be used."""
+
+    def __init__(
+        self, address: str, bundles: Mapping[str, Bundle], tls: TlsFiles | None = None
+    ) -> None:
+        if address.startswith("tls://") and tls is None:
+            raise ImucaldError(f"{address}: needs --tls-ca, --tls-cert and --tls-key")
+        self._futures = Futures()
+        security = None if tls is None else tls.security()
+        try:
+            self._client: Any = _client(address, security=security, timeout=CONNECTING_S)
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
+            raise ImucaldError(f"{address}: no Dask scheduler answers: {error}") from None
+        try:
+            self._prepared(address, bundles)
+        except BaseException:
+            self._client.close()
+            raise
+
+    def _prepared(self, address: str, bundles: Mapping[str, Bundle]) -> None:
+        """Prepare; a worker that goes away in the middle of it is no reason to give up."""
+        for left in reversed(range(TRIES)):
+            try:
+                self._prepare(address, bundles)
+            except OSError as error:  # Dask's CommClosedError is one
+                if left == 0:
+                    text = f"{address}: workers come and go, none can be prepared: {error}"
+                    raise ImucaldError(text) from None
+                time.sleep(AGAIN_S)
+            else:
+                return
+
+    def _prepare(self, address: str, bundles: Mapping[str, Bundle]) -> None:
+        try:
+            self._client.wait_for_workers(1, timeout=WORKERS_S)
+        except TimeoutError:
+            raise ImucaldError(f"{address}: has no workers") from None
+        mine = about_worker()
+        try:
+            answers: dict[str, Any] = self._client.run(about_worker)
+        except OSError:
+            raise
+        except Exception as error:
+            raise ImucaldError(
+                f"{address}: its workers lack this imucald ({type(error).__name__}: {error}); "
+                "install the same version there"
+            ) from None
+        for worker, theirs in sorted(answers.items()):
+            for what, version in mine.items():
+                if theirs.get(what) != version:
+                    raise ImucaldError(
+                        f"{address}: {worker} has {what} {theirs.get(what)}, here it is {version}; "
+                        "rows would depend on the worker: install the same everywhere"
+                    )
+        self._client.register_plugin(BundlePlugin(bundles))
+
+    @property
+    def slots(self) -> int:
+        """Threads of all workers there are now."""
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
+
+    def submit(self, tasks: Sequence[Task]) -> None:
+        """Take tasks."""
+        keys = unique_keys(len(tasks))
+        futures = self._client.map(run_one_log, list(tasks), key=keys, pure=False)
+        for future, task in zip(futures, tasks, strict=True):
+            self._futures.add(future, task)
+
+    def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
+        """Outcomes since the last call; what they held on the cluster is let go."""
+        found = []
+        if self._client.status in GONE:
+            raise ImucaldError(
+                "the Dask scheduler is gone; start it again, the run goes on with the same command"
+            )
+        for future, task in self._futures.ended(timeout):
+            found.append((task, _result(future)))
+            future.release()
+        return found
+
+    def call_back(self) -> None:
+        """Nothing: Dask does not tell which of the few tasks that are with it have begun."""
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        self._client.close()
+
+
+def _result(future: Any) -> Outcome | None:
+    if future.status == "cancelled":
+        return None
+    try:
+        found: Outcome = future.result()
+    except CancelledError:
+        return None
+    except Exception as error:  # KilledWorker and the like
+        return Outcome("crashed", f"{DEATHS}: {type(error).__name__}")
+    return found

@@ -1,0 +1,61 @@
+"""One log to one row: what the child process does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from imucald.api.configuration import Configuration
+from imucald.api.replaying import replay
+from imucald.core.errors import ConfigError, DatabaseError, LogError, NoFramesError
+from imucald.fleet.bundle import code_hash, load_bundle
+from imucald.fleet.drive_row import drive_row, event_rows, known_times
+from imucald.fleet.fetch import NoRegularFileError, StorageError, local_copy
+from imucald.fleet.task import OK, OTHER_CODE, Outcome, Task
+
+NOT_OURS = "the log has no usable frame of this configuration; 'imucald check' tells more"
+
+
+def evaluate(task: Task) -> Outcome:
+    """Replay a log by itself, cold, and say what came of it.
+
+    The row depends on the log's content, the configuration and the code alone: not on the vehicle's
+    other drives, the order or the machine.
+    """
+    if task.code and task.code != code_hash():
+        return Outcome(OTHER_CODE)
+    try:
+        config = load_bundle(task.bundle)
+        with local_copy(task.source, task.storage) as (path, key):
+            return _replayed(task, config, path, key)
+    except StorageError as error:
+        return Outcome("storage", str(error))
+    except NoRegularFileError as error:
+        return Outcome("unreadable", str(error))
+    except (ConfigError, DatabaseError) as error:
+        return Outcome("config", str(error))
+
+
+def _replayed(task: Task, config: Configuration, path: Path, key: str) -> Outcome:
+    try:
+        drive = replay(config, path, signals=task.signals is not None)
+    except NoFramesError as error:
+        return Outcome("no_frames", _named(error, path, task), key)
+    except LogError as error:
+        return Outcome("unreadable", _named(error, path, task), key)
+    if drive.frames["used"] == 0:
+        return Outcome("no_frames", f"{task.source}: {NOT_OURS}", key)
+    start, _ = known_times(drive)
+    if task.signals is not None:
+        from imucald.fleet.signals import write_signals  # noqa: PLC0415 - loads pyarrow: 0.2 s
+
+        write_signals(drive, task, key, start)
+    events = event_rows(drive.tables["events"], start is not None)
+    return Outcome(OK, log_key=key, drive=drive_row(drive, config.loaded.config), events=events)
+
+
+def _named(error: LogError, path: Path, task: Task) -> str:
+    """The error with the log's address in place of that of a copy."""
+    return str(error).replace(str(path), task.source)
+
+
+code_hash()  # once in the template: its copies know it

@@ -1,0 +1,119 @@
+"""Which logs a run has to evaluate: those whose outcome is not known yet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Literal
+
+import msgspec
+
+from imucald.fleet.bundle import code_hash
+from imucald.fleet.compaction import read_tables
+from imucald.fleet.fleet_file import Fleet
+from imucald.fleet.listing import Log, is_since
+from imucald.fleet.store import Store
+from imucald.fleet.task import OK, LogLimits, Task
+
+SAMPLE = 20
+"""Logs from whose ends alone a run that is wrong as a whole is known (`driver.ALL_ALIKE`)."""
+Redo = Literal["nothing", "failed", "config", "all"]
+
+
+class Options(msgspec.Struct, frozen=True, kw_only=True):
+    """How a run is done; the defaults are those of the command line."""
+
+    limits: LogLimits = LogLimits()
+    redo: Redo = "nothing"
+    since: str | None = None
+    limit: int | None = None
+    signals: bool = False
+    function: str = "imucald.fleet.evaluation:evaluate"
+
+
+class Known(msgspec.Struct, frozen=True):
+    """What an earlier run says of an address."""
+
+    fingerprint: str
+    run_key: str
+    outcome: str
+
+
+class Plan(msgspec.Struct):
+    """What a run is going to do. other_configuration: done before, with another run_key."""
+
+    tasks: list[tuple[Task, Log]]
+    listed: int
+    done: int = 0
+    failed_before: int = 0
+    other_configuration: int = 0
+
+    @property
+    def bytes(self) -> int:
+        """Of the logs to evaluate."""
+        return sum(log.bytes for _, log in self.tasks)
+
+
+def known_sources(store: Store) -> dict[str, Known]:
+    """What the tables say of each address."""
+    table = read_tables(store, ("sources",))["sources"]
+    columns = [table.column(n).to_pylist() for n in ("source", "fingerprint", "run_key", "outcome")]
+    return {s: Known(f, r, o) for s, f, r, o in zip(*columns, strict=True)}
+
+
+def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -> Plan:
+    """Compare what there is with what is known; after a sample the largest logs come first."""
+    known = known_sources(store)
+    plan = Plan([], 0)
+    for log in logs:
+        task = task_of(fleet, log.source, log.bytes, options, store.url)
+        if options.since is not None and not is_since(log, task.date, options.since):
+            continue
+        plan.listed += 1
+        if not _is_done(known.get(log.source), log, task.bundle, options.redo, plan):
+            plan.tasks.append((task, log))
+    plan.tasks.sort(key=lambda pair: (-pair[1].bytes, pair[1].source))
+    _sample_first(plan.tasks)
+    if options.limit is not None:
+        del plan.tasks[options.limit :]
+    return plan
+
+
+def task_of(fleet: Fleet, source: str, size: int, options: Options, out: str = "") -> Task:
+    """The task of a log: its vehicle and configuration by the rules of the fleet."""
+    vehicle, day, vehicle_type = fleet.named(source)
+    vehicle_type = vehicle_type or fleet.facts(vehicle, day).get("type")
+    return Task(
+        source,
+        fleet.bundle(vehicle_type).name,
+        code_hash(),
+        vehicle,
+        day,
+        size,
+        options.limits,
+        options.function,
+        out if options.signals else None,
+        fleet.settings.storage,
+    )
+
+
+def _sample_first(tasks: list[tuple[Task, Log]]) -> None:
+    """Put some of all sizes before the others: when these all fail alike, so will the rest."""
+    step = len(tasks) // SAMPLE
+    if step > 1:
+        chosen = range(0, step * SAMPLE, step)
+        tasks[:] = [tasks[i] for i in chosen] + [t for i, t in enumerate(tasks) if i not in chosen]
+
+
+def _is_done(before: Known | None, log: Log, bundle: str, redo: Redo, plan: Plan) -> bool:
+    if before is None or before.fingerprint != log.fingerprint or redo == "all":
+        return False
+    if before.run_key != bundle:
+        if redo == "config" or before.outcome != OK:
+            return False
+        plan.other_configuration += 1
+    elif before.outcome != OK:
+        if redo == "failed":
+            return False
+        plan.failed_before += 1
+    plan.done += 1
+    return True
