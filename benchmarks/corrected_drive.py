@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from imucald.core.rotations import times_columns
 from imucald.core.samples import Samples, Series
 from imucald.model_compensation.compensation import ModelCompensation
-from imucald.model_compensation.vehicle import Corrected
+from imucald.model_compensation.lever_arm_and_suspension import Corrected
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
 from imucald.mount.estimator import FullEstimator

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmarks.corrected_drive import CorrectedDrive
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.samples import Series
-from imucald.model_compensation.vehicle import less_suspension_rate, on_road
+from imucald.model_compensation.lever_arm_and_suspension import less_suspension_rate, on_road
 
 if TYPE_CHECKING:
     from imucald.simulation import Truth

@@ -21,8 +21,8 @@ from benchmarks.measured import DATA, FOLDER
 from hidden import Effect, hidden_drive
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
+from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.diagnose import diagnose
-from imucald.diagnosis.model_file import mount_of
 from imucald.diagnosis.recording import read_samples
 from imucald.diagnosis.result import Diagnosis
 from imucald.model.model import VehicleModel, load_model, model_from_mapping

@@ -13,8 +13,8 @@ import numpy as np
 from imucald import config as cfg
 from imucald.config import LoadedConfig, load_config
 from imucald.discovery.proposal import Proposal
+from imucald.inputs.quantities import DIMENSIONS, wanted_numbers
 from imucald.inputs.units import find_unit
-from imucald.inputs.wanted_numbers import DIMENSIONS, wanted_numbers
 from imucald.inputs.wiring import load_databases
 
 CHANNELS = {

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucald.can.dbc.bits import Field
+from imucald.can.e2e.checksum_engine import Checksum, ChecksumSpec
 from imucald.can.e2e.checksums import (
     crc8_j1850,
     crc16_ccitt,
@@ -21,7 +22,6 @@ from imucald.can.e2e.checksums import (
     e2e_profile_11,
     xor_checksum,
 )
-from imucald.can.e2e.crc import Checksum, ChecksumSpec
 from imucald.core.errors import ConfigError
 
 MODES = ("both", "alternating", "low", "nibble")

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 
 from imucald.can.dbc.bits import Field, field_at
 from imucald.can.dbc.message import Signal
+from imucald.can.e2e.checksum_engine import ChecksumSpec
 from imucald.can.e2e.checksums import (
     E2E_COUNTERS,
     crc8_j1850,
@@ -22,7 +23,6 @@ from imucald.can.e2e.checksums import (
     e2e_profile_11,
     xor_checksum,
 )
-from imucald.can.e2e.crc import ChecksumSpec
 from imucald.can.e2e.protection import (
     REASONS,
     CounterSpec,

@@ -11,9 +11,9 @@ from hidden import Effect, hidden_drive
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import Series
 from imucald.diagnosis.blocks import table_of
+from imucald.diagnosis.cause_keys import extended, mount_of, value, with_delay_rate, with_shifts
 from imucald.diagnosis.direct import Rest, gravity_at_rest, rest_of
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.model_file import extended, mount_of, value, with_delay_rate, with_shifts
 from imucald.diagnosis.signals import Channel, drive_of, duplicates
 from imucald.model.model import VehicleModel, model_from_mapping
 

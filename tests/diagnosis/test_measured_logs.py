@@ -10,8 +10,8 @@ import pytest
 
 from imucald.core.samples import Series
 from imucald.diagnosis.baseline import baseline_model
+from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.diagnose import diagnose
-from imucald.diagnosis.model_file import mount_of
 from imucald.diagnosis.recording import read_samples
 from imucald.runtime.session import open_config
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from imucald.can.dbc.message import Message, Signal
-from imucald.can.e2e.crc import Checksum
+from imucald.can.e2e.checksum_engine import Checksum
 from imucald.can.e2e.protector import MessageProtector
 from imucald.config import MessageProtection, parse_config
 from imucald.discovery.candidates import MessageTraffic

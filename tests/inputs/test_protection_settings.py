@@ -13,7 +13,7 @@ import pytest
 
 from engine_bus import columns_of, load
 from imucald.can.e2e import checksums
-from imucald.can.e2e.crc import ChecksumSpec
+from imucald.can.e2e.checksum_engine import ChecksumSpec
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
 

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from imucald.core.samples import CHANNEL_WIDTH, Series
 from imucald.model_compensation import ModelCompensation, compensation_from_model
+from imucald.model_compensation.lever_arm_and_suspension import Corrected, VehicleCorrection
 from imucald.model_compensation.sensors import SensorCorrection
 from imucald.model_compensation.terms import ScalarTerms
-from imucald.model_compensation.vehicle import Corrected, VehicleCorrection
 from model_compensation.models import random_terms
 
 SENSED = ("accel", "gyro", "mag", "speed", "wheel_speeds", "yaw_rate", "temperature")

@@ -12,7 +12,10 @@ from imucald.core.rotations import levelling_rotation, rotation_from_angles, vec
 from imucald.motion.speed import SpeedInterval
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.method_a.levelling import Tilt
-from imucald.mount.method_a.manoeuvres import (
+from imucald.mount.method_a.settings import PublishedSettings
+from imucald.mount.method_a.sign import VOTES_NEEDED, SignEvidence, SignVotes
+from imucald.mount.method_a.states import TiltAndAngle, judged, waiting_for
+from imucald.mount.method_a.target_angle import (
     FLOOR_STD,
     CombinedAngle,
     Manoeuvre,
@@ -20,9 +23,6 @@ from imucald.mount.method_a.manoeuvres import (
     combined,
     combined_axis,
 )
-from imucald.mount.method_a.settings import PublishedSettings
-from imucald.mount.method_a.sign import VOTES_NEEDED, SignEvidence, SignVotes
-from imucald.mount.method_a.states import TiltAndAngle, judged, waiting_for
 from imucald.mount.slewing import SlewedRotation
 
 DEG = math.radians(1.0)

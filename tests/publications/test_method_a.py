@@ -23,9 +23,9 @@ from imucald.mount.estimate import MountState
 from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.gate import StraightGate, WanderingOffset
 from imucald.mount.method_a.levelling import rotation_about_up
-from imucald.mount.method_a.manoeuvres import Manoeuvre, ManoeuvreBook, combined
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.static_test import StandstillDetector
+from imucald.mount.method_a.target_angle import Manoeuvre, ManoeuvreBook, combined
 from mount_settings import published
 from publications import method_a as text
 from published_drive import Drive, mount_error_deg

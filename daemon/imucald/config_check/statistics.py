@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
-from imucald.inputs.quantities import REASONS, Conversion
+from imucald.inputs.conversion import REASONS, Conversion
 from imucald.inputs.rate_guard import RateGuard
 from imucald.inputs.routes import Columns, Physical, Raw, SignalRoute, Tap
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import dct
 
+from imucald.diagnosis.cause_keys import plausible, tolerance
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.model_file import plausible, tolerance
 from imucald.diagnosis.signals import STEP_S, Array, DriveSignals, Mask
 from imucald.model.model import VehicleModel
 

@@ -17,10 +17,10 @@ from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
 from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
 from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.faults import Fault, find_faults, spoilt
 from imucald.diagnosis.gain import gain_of
-from imucald.diagnosis.model_file import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import TOO_MUCH, Diagnosis, FoundCause, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, estimate, quantile

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from imucald.core.samples import GRAVITY
+from imucald.diagnosis.cause_keys import mounts, sensor_of, tolerance
 from imucald.diagnosis.causes import DEG
-from imucald.diagnosis.model_file import mounts, sensor_of, tolerance
 from imucald.diagnosis.signals import Array, DriveSignals
 from imucald.model.model import VehicleModel
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.model_file import Changes, age
+from imucald.diagnosis.cause_keys import Changes, age
 from imucald.diagnosis.motion import SLOW_MPS, VehicleMotion
 from imucald.diagnosis.reading import Reader
 from imucald.diagnosis.signals import STEP_S, Array, Mask

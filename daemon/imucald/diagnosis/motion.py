@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.model_file import Changes, age, rear_slip
+from imucald.diagnosis.cause_keys import Changes, age, rear_slip
 from imucald.diagnosis.reading import Reader, Reference
 from imucald.diagnosis.signals import STEP_S, Array
 

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.cause_keys import value
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS
 from imucald.diagnosis.direct import Rest
 from imucald.diagnosis.faults import Fault
-from imucald.diagnosis.model_file import value
 from imucald.diagnosis.result import (
     NOT_PLAUSIBLE,
     TOO_MUCH,

@@ -8,7 +8,7 @@ import numpy as np
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.model_file import Changes, age, along_vehicle, mounts, sensor_of
+from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, mounts, sensor_of
 from imucald.diagnosis.signals import Array, DriveSignals
 from imucald.model.model import VehicleModel
 

@@ -14,14 +14,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imucald.diagnosis.blocks import Table, table_of
-from imucald.diagnosis.causes import PARAMETERS
-from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.model_file import (
+from imucald.diagnosis.cause_keys import (
     Changes,
     extended,
     with_delay_rate,
     with_shifts,
 )
+from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.score import (
     Estimate,
     Hypothesis,

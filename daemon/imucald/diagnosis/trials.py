@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.cause_keys import level_effect
 from imucald.diagnosis.causes import CAUSES, Cause
-from imucald.diagnosis.model_file import level_effect
 from imucald.diagnosis.score import (
     ERROR_RATE,
     Estimate,

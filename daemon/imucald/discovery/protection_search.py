@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import Field, field_of, read_column, words_of
+from imucald.can.e2e.checksum_engine import Checksum, ChecksumSpec
 from imucald.can.e2e.checksums import (
     E2E_COUNTERS,
     KINDS,
@@ -24,7 +25,6 @@ from imucald.can.e2e.checksums import (
     e2e_profile_2,
     e2e_profile_5,
 )
-from imucald.can.e2e.crc import Checksum, ChecksumSpec
 from imucald.core.errors import ConfigError
 from imucald.discovery.candidates import MessageTraffic
 from imucald.discovery.proposal import ProtectionFound

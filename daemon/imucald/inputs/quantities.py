@@ -1,113 +1,87 @@
-"""From a signal's number to a quantity in SI: unit, sign, offset, plausibility.
-
-A number that is not available, implausible, saturated or not finite is no number: it is rejected
-with a reason. One number and a column go the same way, with equal results.
-"""
+"""Which numbers a configuration's `signals` section asks for: key -> channel, quantity, axis."""
 
 from __future__ import annotations
 
-import math
-from typing import Final
+from collections.abc import Iterator, Sequence
 
-import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-from imucald.inputs.units import Unit
+from imucald import config as cfg
 
-OK: Final = 0
-REASONS: Final = ("", "not_available", "not_finite", "saturated", "out_of_range", "status")
-"""Why a number was rejected, by code; 0 is accepted. The last: the sensor's own status says so."""
-STATUS: Final = 5
+Place = tuple[str | int, ...]
 
-LIMITS: Final = {
-    "acceleration": 200.0,
-    "angular_rate": 70.0,
-    "angle": 30.0,
-    "speed": 150.0,
-    "magnetic_field": 0.01,
-    "temperature": 1000.0,
-    "flag": math.inf,
+DIMENSIONS = {
+    "accel": "acceleration",
+    "gyro": "angular_rate",
+    "mag": "magnetic_field",
+    "speed": "speed",
+    "wheel_speeds": "speed",
+    "steering": "angle",
+    "yaw_rate": "angular_rate",
+    "lateral_accel": "acceleration",
+    "longitudinal_accel": "acceleration",
+    "reverse": "flag",
+    "brake": "flag",
+    "temperature": "temperature",
+    "heading": "angle",
 }
-"""Largest plausible magnitude per dimension [SI]: beyond any road vehicle and its sensors."""
+_TRIADS = {"accelerometer": "accel", "gyroscope": "gyro", "magnetometer": "mag"}
+_SCALARS = {
+    "speed": "speed",
+    "steering_wheel_angle": "steering",
+    "yaw_rate": "yaw_rate",
+    "lateral_acceleration": "lateral_accel",
+    "longitudinal_acceleration": "longitudinal_accel",
+    "reverse": "reverse",
+    "brake": "brake",
+    "temperature": "temperature",
+    "heading": "heading",
+}
+_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 
 
-class Conversion(Struct, frozen=True):
-    """How a physical value of the database becomes a quantity.
+class Wanted(Struct, frozen=True):
+    """One number that the configuration asks for."""
 
-    SI = sign * (factor * (physical + offset) + unit_offset). `low`, `high`: plausible physical
-    values, both included. `rails`: physical values at which the sensor is saturated (included), or
-    None. `not_available`: raw values. `on_values`, `on_above`: for flags.
-    """
+    channel: str
+    dimension: str
+    rank: int
+    slot: int
+    width: int
+    planar: bool
+    source: cfg.SourceSettings
+    place: Place
 
-    unit: Unit
-    sign: float = 1.0
-    offset: float = 0.0
-    low: float = -math.inf
-    high: float = math.inf
-    rails: tuple[float, float] | None = None
-    not_available: tuple[int, ...] = ()
-    on_values: tuple[float, ...] | None = None
-    on_above: float | None = None
 
-    @property
-    def limit(self) -> float:
-        """Largest plausible magnitude in SI."""
-        return LIMITS[self.unit.dimension]
+def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
+    """Every number that the configuration's `signals` section names."""
+    for key, channel in _TRIADS.items():
+        triads: Sequence[cfg.TriadSettings] | None = getattr(signals, key)
+        for rank, triad in enumerate(triads or ()):
+            place: Place = ("signals", key, rank)
+            yield from _axes(channel, DIMENSIONS[channel], rank, triad, place)
+    for sensor_index, sensor in enumerate(signals.parallel):
+        triad = cfg.TriadSettings(x=sensor.x, y=sensor.y, z=sensor.z)
+        place = ("signals", "parallel", sensor_index)
+        yield from _axes(f"parallel/{sensor.name}", sensor.kind, 0, triad, place)
+    for key, channel in _SCALARS.items():
+        sources: Sequence[cfg.SourceSettings] | None = getattr(signals, key)
+        for rank, source in enumerate(sources or ()):
+            place = ("signals", key, rank)
+            yield Wanted(channel, DIMENSIONS[channel], rank, 0, 1, False, source, place)
+    if signals.wheel_speeds is not None:
+        for slot, key in enumerate(_WHEELS):
+            source = getattr(signals.wheel_speeds, key)
+            place = ("signals", "wheel_speeds", key)
+            yield Wanted("wheel_speeds", "speed", 0, slot, 4, False, source, place)
 
-    def scalar(self, raw: float | int, physical: float) -> tuple[float, int]:
-        """Return (value in SI, code); the value is NaN where the code is not OK."""
-        if self.not_available and raw in self.not_available:
-            return math.nan, 1
-        if not math.isfinite(physical):
-            return math.nan, 2
-        if self.rails is not None and not self.rails[0] < physical < self.rails[1]:
-            return math.nan, 3
-        if not self.low <= physical <= self.high:
-            return math.nan, 4
-        if self.unit.dimension == "flag":
-            return self._flag(physical), OK
-        value = ((physical + self.offset) * self.unit.factor + self.unit.offset) * self.sign
-        if not -self.limit <= value <= self.limit:
-            return math.nan, 4
-        return value, OK
 
-    def _flag(self, physical: float) -> float:
-        if self.on_values is not None:
-            return 1.0 if physical in self.on_values else 0.0
-        if self.on_above is not None:
-            return 1.0 if physical > self.on_above else 0.0
-        return 1.0 if physical != 0.0 else 0.0
-
-    def array(
-        self, raw: NDArray[np.generic], physical: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Values (N,) in SI (NaN where rejected) and codes (N,)."""
-        if self.unit.dimension == "flag":
-            values = self._flags(physical)
-        else:
-            with np.errstate(all="ignore"):
-                values = ((physical + self.offset) * self.unit.factor + self.unit.offset) * (
-                    self.sign
-                )
-        codes = np.zeros(len(physical), dtype=np.uint8)
-        with np.errstate(invalid="ignore"):
-            codes[~((self.low <= physical) & (physical <= self.high))] = 4
-            codes[~((-self.limit <= values) & (values <= self.limit))] = 4
-            if self.rails is not None:
-                codes[~((self.rails[0] < physical) & (physical < self.rails[1]))] = 3
-        codes[~np.isfinite(physical)] = 2
-        for number in self.not_available:
-            codes[raw == number] = 1
-        if codes.any():
-            values = np.where(codes == OK, values, np.nan)
-        return values, codes
-
-    def _flags(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
-        if self.on_values is not None:
-            on = np.isin(physical, self.on_values)
-        elif self.on_above is not None:
-            on = physical > self.on_above
-        else:
-            on = physical != 0.0
-        return on.astype(np.float64)
+def _axes(
+    channel: str, dimension: str, rank: int, triad: cfg.TriadSettings, place: Place
+) -> Iterator[Wanted]:
+    planar = triad.z is None
+    for slot, axis in enumerate("xyz"):
+        source: cfg.SourceSettings | None = getattr(triad, axis)
+        if source is not None:
+            here = (*place, axis)
+            yield Wanted(channel, dimension, rank, slot, 3, planar, source, here)

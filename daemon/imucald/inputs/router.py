@@ -22,7 +22,7 @@ from imucald.inputs.column_samples import (
     rows_of,
     width_of,
 )
-from imucald.inputs.quantities import REASONS
+from imucald.inputs.conversion import REASONS
 from imucald.inputs.routes import Physical, Raw, SignalRoute, Tap
 from imucald.inputs.source_selector import SourceSelector
 from imucald.inputs.triad_assembler import TapSamples, TriadAssembler

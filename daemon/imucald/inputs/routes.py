@@ -14,8 +14,8 @@ from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.dbc.decode import DecodePlan
 from imucald.can.e2e.protection import REASONS, MessageChecker
 from imucald.core.samples import GRAVITY
+from imucald.inputs.conversion import STATUS, Conversion
 from imucald.inputs.expression import Expression
-from imucald.inputs.quantities import STATUS, Conversion
 from imucald.inputs.rate_guard import RateGuard
 
 ABSENT = -1

@@ -18,9 +18,10 @@ from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ONE_BYTE_KINDS
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
+from imucald.inputs.conversion import Conversion
 from imucald.inputs.expression import Expression
 from imucald.inputs.protection_settings import checker_for
-from imucald.inputs.quantities import Conversion
+from imucald.inputs.quantities import Place, Wanted, wanted_numbers
 from imucald.inputs.router import Router
 from imucald.inputs.routes import (
     PLANAR_Z,
@@ -33,7 +34,6 @@ from imucald.inputs.routes import (
 )
 from imucald.inputs.units import Unit, find_unit, unit_names
 from imucald.inputs.value_table import no_values
-from imucald.inputs.wanted_numbers import Place, Wanted, wanted_numbers
 
 PLANAR_AXES = 2
 SPLIT_PLANAR = "x and y of a sensor without z must be in one message"

@@ -13,6 +13,7 @@ from msgspec import structs
 from imucald.config.vehicle import VehicleSettings
 from imucald.core.samples import Samples, Series
 from imucald.model.section import ZERO
+from imucald.model_compensation.lever_arm_and_suspension import VehicleCorrection
 from imucald.model_compensation.preprocessing import PreprocessingChain
 from imucald.model_compensation.reading import read_terms
 from imucald.model_compensation.sensors import SensorCorrection
@@ -20,7 +21,6 @@ from imucald.model_compensation.suspension import SuspensionFilter
 from imucald.model_compensation.terms import Terms, TriadTerms, saved_text
 from imucald.model_compensation.tick_preprocessing import TickPreprocessing
 from imucald.model_compensation.time_alignment import TimeAlignment, alignment_shifts
-from imucald.model_compensation.vehicle import VehicleCorrection
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.method_a.settings import PublishedSettings
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from imucald.inputs.column_samples import ColumnSamples, Routed
 from imucald.inputs.router import Sample
 from imucald.model.section import Vector3
+from imucald.model_compensation.lever_arm_and_suspension import Corrected, VehicleCorrection
 from imucald.model_compensation.sensors import SensorCorrection
 from imucald.model_compensation.tick_preprocessing import TickPreprocessing
-from imucald.model_compensation.vehicle import Corrected, VehicleCorrection
 
 Array = NDArray[np.float64]
 

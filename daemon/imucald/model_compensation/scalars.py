@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.inputs.quantities import LIMITS
+from imucald.inputs.conversion import LIMITS
 from imucald.model_compensation.terms import ScalarTerms
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import Series
-from imucald.inputs.quantities import LIMITS
+from imucald.inputs.conversion import LIMITS
 from imucald.model.section import Vector3
 from imucald.model_compensation.held_repeats import HeldRepeats, HeldStages
 from imucald.model_compensation.sample_chain import Stage, through

@@ -12,8 +12,8 @@ from typing import Final
 
 from imucald.core.atomic_file import free_name, split_checksum, with_checksum, write_file
 from imucald.core.regular_file import read_regular
+from imucald.service.background_writer import Say, StateWriter
 from imucald.service.journal import WARNING
-from imucald.service.state_writer import Say, StateWriter
 
 MAGIC: Final = "imucald-keys 1"
 MAX_BYTES: Final = 256

@@ -18,9 +18,9 @@ from imucald.mount.estimate import MountEstimator, MountState
 from imucald.mount.restored import RestoredEstimator, StoredMount
 from imucald.mount.saved_information import SavedInformation, SavesInformation, saved_from
 from imucald.runtime.summary import plain
+from imucald.service.background_writer import Say, StateWriter
 from imucald.service.journal import INFO, NOTICE, WARNING
 from imucald.service.state import SavedState, StateStore
-from imucald.service.state_writer import Say, StateWriter
 
 SAVE_PERIOD_S = 10.0
 """A changing estimate is saved so often [s]: what a cut of power may cost."""

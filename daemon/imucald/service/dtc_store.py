@@ -15,8 +15,8 @@ from typing import Any, Final
 
 from imucald.core.atomic_file import free_name, split_checksum, with_checksum, write_file
 from imucald.core.regular_file import read_regular
+from imucald.service.background_writer import Say, StateWriter
 from imucald.service.journal import WARNING
-from imucald.service.state_writer import Say, StateWriter
 from imucald.uds.dtc_memory import DtcMemory
 
 MAGIC: Final = "imucald-troubles 1"

@@ -22,7 +22,7 @@ from imucald.can.e2e.protector import MessageProtector
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.core.samples import Series
-from imucald.inputs.quantities import Conversion
+from imucald.inputs.conversion import Conversion
 from imucald.inputs.routes import MessageRoute, Tap
 from imucald.inputs.wiring import compile_router
 from imucald.simulation.drive import Drive

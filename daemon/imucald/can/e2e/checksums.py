@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from imucald.can.columns import CAN_EFF_MASK
 from imucald.can.dbc.bits import Field, field_of
 from imucald.can.dbc.message import Message
-from imucald.can.e2e.crc import ChecksumSpec
+from imucald.can.e2e.checksum_engine import ChecksumSpec
 from imucald.can.e2e.protection import CounterSpec
 from imucald.core.errors import ConfigError
 

@@ -33,7 +33,7 @@ from imucald.can.dbc.bits import (
     words_of,
 )
 from imucald.can.dbc.message import Signal
-from imucald.can.e2e.crc import Checksum, ChecksumSpec
+from imucald.can.e2e.checksum_engine import Checksum, ChecksumSpec
 from imucald.core.errors import ConfigError
 
 DEFAULT_RECOVERY = 3

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.dbc.bits import Columns, Field, write_bits, write_column
-from imucald.can.e2e.crc import Checksum
+from imucald.can.e2e.checksum_engine import Checksum
 from imucald.can.e2e.protection import ProtectionSpec
 from imucald.core.errors import EncodeError
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from imucald.core.rotations import Matrix3, Vector
 from imucald.motion.speed import SpeedInterval
-from imucald.mount.method_a.manoeuvres import Manoeuvre, ManoeuvreBook
 from imucald.mount.method_a.settings import PublishedSettings
+from imucald.mount.method_a.target_angle import Manoeuvre, ManoeuvreBook
 
 MANOEUVRES_KEPT = 150
 """Manoeuvres that are kept (about an hour of city); the oldest goes first."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.hysteresis import Level, best_level
 from imucald.mount.method_a.levelling import Tilt
-from imucald.mount.method_a.manoeuvres import CombinedAngle
 from imucald.mount.method_a.settings import PublishedSettings
+from imucald.mount.method_a.target_angle import CombinedAngle
 
 
 @dataclass(frozen=True)

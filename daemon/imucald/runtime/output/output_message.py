@@ -17,8 +17,8 @@ from imucald.can.columns import CAN_EFF_FLAG
 from imucald.can.dbc.database import Database, load_database_text
 from imucald.can.dbc.encode import EncodePlan, compile_encode
 from imucald.can.dbc.message import Message
+from imucald.can.e2e.checksum_engine import ChecksumSpec
 from imucald.can.e2e.checksums import NO_CHECKSUM, ONE_BYTE_KINDS
-from imucald.can.e2e.crc import ChecksumSpec
 from imucald.can.e2e.protection import ProtectionSpec, counter_of
 from imucald.can.e2e.protector import MessageProtector
 from imucald.config import STANDARD_ID_MAX

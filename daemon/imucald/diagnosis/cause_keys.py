@@ -1,4 +1,6 @@
-"""The model file, read and written by the catalogue's keys: the only place that knows its schema.
+"""The causes' keys in the model file: read from it and written to it.
+
+The file itself is read and written by `imucald.model`.
 
 A change (`Changes`) is a mapping from key to departure from the model file. Vectors are along the
 vehicle's axes; here they are turned into those of the sensor.

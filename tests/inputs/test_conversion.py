@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucald.inputs.quantities import LIMITS, REASONS, Conversion
+from imucald.inputs.conversion import LIMITS, REASONS, Conversion
 from imucald.inputs.units import Unit, find_unit
 
 KMH = find_unit("km/h", "speed")

@@ -1,0 +1,113 @@
+"""From a signal's number to a quantity in SI: unit, sign, offset, plausibility.
+
+A number that is not available, implausible, saturated or not finite is no number: it is rejected
+with a reason. One number and a column go the same way, with equal results.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.inputs.units import Unit
+
+OK: Final = 0
+REASONS: Final = ("", "not_available", "not_finite", "saturated", "out_of_range", "status")
+"""Why a number was rejected, by code; 0 is accepted. The last: the sensor's own status says so."""
+STATUS: Final = 5
+
+LIMITS: Final = {
+    "acceleration": 200.0,
+    "angular_rate": 70.0,
+    "angle": 30.0,
+    "speed": 150.0,
+    "magnetic_field": 0.01,
+    "temperature": 1000.0,
+    "flag": math.inf,
+}
+"""Largest plausible magnitude per dimension [SI]: beyond any road vehicle and its sensors."""
+
+
+class Conversion(Struct, frozen=True):
+    """How a physical value of the database becomes a quantity.
+
+    SI = sign * (factor * (physical + offset) + unit_offset). `low`, `high`: plausible physical
+    values, both included. `rails`: physical values at which the sensor is saturated (included), or
+    None. `not_available`: raw values. `on_values`, `on_above`: for flags.
+    """
+
+    unit: Unit
+    sign: float = 1.0
+    offset: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+    rails: tuple[float, float] | None = None
+    not_available: tuple[int, ...] = ()
+    on_values: tuple[float, ...] | None = None
+    on_above: float | None = None
+
+    @property
+    def limit(self) -> float:
+        """Largest plausible magnitude in SI."""
+        return LIMITS[self.unit.dimension]
+
+    def scalar(self, raw: float | int, physical: float) -> tuple[float, int]:
+        """Return (value in SI, code); the value is NaN where the code is not OK."""
+        if self.not_available and raw in self.not_available:
+            return math.nan, 1
+        if not math.isfinite(physical):
+            return math.nan, 2
+        if self.rails is not None and not self.rails[0] < physical < self.rails[1]:
+            return math.nan, 3
+        if not self.low <= physical <= self.high:
+            return math.nan, 4
+        if self.unit.dimension == "flag":
+            return self._flag(physical), OK
+        value = ((physical + self.offset) * self.unit.factor + self.unit.offset) * self.sign
+        if not -self.limit <= value <= self.limit:
+            return math.nan, 4
+        return value, OK
+
+    def _flag(self, physical: float) -> float:
+        if self.on_values is not None:
+            return 1.0 if physical in self.on_values else 0.0
+        if self.on_above is not None:
+            return 1.0 if physical > self.on_above else 0.0
+        return 1.0 if physical != 0.0 else 0.0
+
+    def array(
+        self, raw: NDArray[np.generic], physical: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        """Values (N,) in SI (NaN where rejected) and codes (N,)."""
+        if self.unit.dimension == "flag":
+            values = self._flags(physical)
+        else:
+            with np.errstate(all="ignore"):
+                values = ((physical + self.offset) * self.unit.factor + self.unit.offset) * (
+                    self.sign
+                )
+        codes = np.zeros(len(physical), dtype=np.uint8)
+        with np.errstate(invalid="ignore"):
+            codes[~((self.low <= physical) & (physical <= self.high))] = 4
+            codes[~((-self.limit <= values) & (values <= self.limit))] = 4
+            if self.rails is not None:
+                codes[~((self.rails[0] < physical) & (physical < self.rails[1]))] = 3
+        codes[~np.isfinite(physical)] = 2
+        for number in self.not_available:
+            codes[raw == number] = 1
+        if codes.any():
+            values = np.where(codes == OK, values, np.nan)
+        return values, codes
+
+    def _flags(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.on_values is not None:
+            on = np.isin(physical, self.on_values)
+        elif self.on_above is not None:
+            on = physical > self.on_above
+        else:
+            on = physical != 0.0
+        return on.astype(np.float64)
