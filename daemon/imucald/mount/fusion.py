@@ -154,7 +154,8 @@ def fuse(
     The weights are V^-1 1 / (1' V^-1 1), V being the sources' variances plus what they share; a
     negative weight is not taken. scales: of the scaled errors, with probabilities; the means of
     all are averaged, and how far they lie apart is in the variance (Bayesian model averaging;
-    Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999).
+    Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999). So is how far that moves
+    the mean from that of the first scale, the smallest: sources may contradict for other reasons.
     """
     return _fused(_angles(sources, sharing, scales), scales)
 
@@ -177,6 +178,6 @@ def _fused(angles: Sequence[_Angle], scales: Sequence[tuple[float, float]]) -> F
         own *= 1.0 + (disagreement - 1.0) * evenness
         mean = float(probability @ each)
         error[one.axis] = mean
-        variance[one.axis] = probability @ (own + (each - mean) ** 2)
+        variance[one.axis] = probability @ (own + (each - mean) ** 2) + (mean - each[0]) ** 2
         shares[AXES[one.axis]] = dict(zip(one.names, (probability @ weight).tolist(), strict=True))
     return Fused(error, variance, shares)
