@@ -2,7 +2,8 @@
 
 `SignalHealth` takes block after block of ticks, online and pure. Every fault is found by signal
 and, where an axis can fail alone, by axis; who learns takes the ticks of all of them together, and
-who reports reads `found`. What each fault means stands where its limits are: `physical_limits`, `stuck`.
+who reports reads `found`. What each fault means stands where its
+limits are: `physical_limits`, `stuck`.
 Every reason is counted. A tick that is flagged is left out; what is known stays.
 """
 
