@@ -22,7 +22,7 @@ from benchmarks.attitude_drives import kingston
 from benchmarks.attitude_methods import Track, compensated, filtered, rms_degrees
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import LoadedConfig, load_config, parse_config
-from imucald.config.attitude import AttitudeSettings, CompensationSettings
+from imucald.config.attitude import AttitudeSettings, MotionCompensationSettings
 from imucald.runtime.session import make_engine
 from publications import on_the_van
 from publications.recordings import recording
@@ -80,7 +80,7 @@ def methods_b_and_c() -> None:
 
     for name, rate_time in (("method: compensation", 0.0), ("the same, rate_time: 1.0", 1.0)):
         options: dict[str, Any] = {"delay": -on_the_van.SPEED_LEADS, "rate_time": rate_time}
-        settings = AttitudeSettings(compensation=CompensationSettings(**options))
+        settings = AttitudeSettings(compensation=MotionCompensationSettings(**options))
         row(name, compensated(events, settings))
     loaded = load_config(EXAMPLES / "kingston_2008.yaml")
     row("method: filter", filtered(events, loaded.config.attitude)[0])

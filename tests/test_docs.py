@@ -53,6 +53,8 @@ def tables(page: Path) -> dict[str, dict[str, tuple[str, ...]]]:
 # configuration ---------------------------------------------------------------------------------
 
 SECTIONS = {
+    "Uds": "diagnostics",
+    "MotionCompensation": "compensation",
     "Config": "Top level",
     "Triad": "axes",
     "Source": "source",

@@ -26,7 +26,7 @@ import udsoncan  # isort: skip
 from udsoncan.client import Client  # isort: skip
 from udsoncan.connections import PythonIsoTpConnection  # isort: skip
 
-from uds_host import key_of
+from uds_bench import key_of
 
 REQUEST, RESPONSE, TO_ALL = 0x7B0, 0x7B8, 0x7DF
 CHANNELS = itertools.count()
@@ -37,7 +37,7 @@ diagnostics:
   enabled: true
   request_id: {REQUEST:#x}
   response_id: {RESPONSE:#x}
-  security: {{key_function: "uds_host:key_of", delay: 1.0}}
+  security: {{key_function: "uds_bench:key_of", delay: 1.0}}
 """
 
 

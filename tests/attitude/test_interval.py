@@ -12,11 +12,11 @@ from imucald.attitude.endpoints import EndpointMaker
 from imucald.attitude.grade import GradeFilter
 from imucald.attitude.interval import Endpoint, along_body, interval
 from imucald.attitude.propagation import HISTORY_S, Propagator
-from imucald.config.attitude import CompensationSettings
+from imucald.config.attitude import MotionCompensationSettings
 
 G = 9.80665
 RATE = 200.0
-PLAIN = CompensationSettings()
+PLAIN = MotionCompensationSettings()
 
 
 def travelled(seconds=3.0, lever=(0.0, 0.0, 0.0), speed=lambda t: 10.0 + 1.5 * t):
@@ -150,7 +150,7 @@ def test_without_speed_nothing_is_sure():
 
 
 def test_a_lever_arm_that_is_not_known_makes_unsure():
-    known = CompensationSettings(lever_uncertainty=0.0)
+    known = MotionCompensationSettings(lever_uncertainty=0.0)
     assert sigmas(10.0, 11.0)[1] > sigmas(10.0, 11.0, known)[1]
 
 
@@ -188,20 +188,20 @@ def test_intervals_are_a_second_at_least():
 
 
 def test_late_speed_meets_the_force_of_its_time():
-    settings = CompensationSettings(delay=0.4, average=0.01)
+    settings = MotionCompensationSettings(delay=0.4, average=0.01)
     found = endpoints_of(settings, [(1.0 * k, float(k)) for k in range(6)])
     assert [b.snapshot.t for _, b in found] == pytest.approx([0.6, 1.6, 2.6, 3.6, 4.6])
     assert [b.speed for _, b in found] == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
 def test_leading_speed_waits():
-    settings = CompensationSettings(delay=-0.3, average=0.01)
+    settings = MotionCompensationSettings(delay=-0.3, average=0.01)
     found = endpoints_of(settings, [(1.0 * k, float(k)) for k in range(6)])
     assert [b.snapshot.t for _, b in found] == pytest.approx([0.3, 1.3, 2.3, 3.3, 4.3, 5.3])
 
 
 def test_without_speed_intervals_go_on_by_time():
-    found = endpoints_of(CompensationSettings(timeout=1.5), [(0.0, 3.0)], 8.0)
+    found = endpoints_of(MotionCompensationSettings(timeout=1.5), [(0.0, 3.0)], 8.0)
     unknown = [(a, b) for a, b in found if math.isnan(b.speed)]
     assert len(unknown) >= 5
 

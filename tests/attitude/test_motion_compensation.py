@@ -15,7 +15,7 @@ from imucald.attitude.motion_compensation import (
     SpeedAverager,
     deflection,
 )
-from imucald.config.attitude import CompensationSettings
+from imucald.config.attitude import MotionCompensationSettings
 
 G = 9.80665
 UP = np.array([0.0, 0.0, G])
@@ -52,7 +52,7 @@ def test_acceleration_on_a_hill_is_taken_out():
     along = nose_up(pitch).apply([0.0, a, 0.0])
     samples = [(0.1 * k, felt(nose_up(pitch), along), (0.0, 0.0, 0.0)) for k in range(200)]
     speeds = [(0.1 * k, 10.0 + a * 0.1 * k) for k in range(200)]
-    result = driven(CompensationSettings(), speeds, samples)
+    result = driven(MotionCompensationSettings(), speeds, samples)
     assert result.raw_pitch == pytest.approx(pitch, abs=1e-9)
     assert result.pitch == pytest.approx(pitch, abs=1e-4)
     assert math.hypot(*result.force) == pytest.approx(G, abs=1e-9)
@@ -66,7 +66,9 @@ def test_a_turn_is_taken_out_whole(pitch, roll, yaw_rate, speed):
     w = attitude.inv().apply(w_earth)
     velocity = attitude.apply([0.0, speed, 0.0])
     force = felt(attitude, np.cross(w_earth, velocity))
-    result = driven(CompensationSettings(), [(0.0, speed), (1.0, speed)], [(1.0, force, tuple(w))])
+    result = driven(
+        MotionCompensationSettings(), [(0.0, speed), (1.0, speed)], [(1.0, force, tuple(w))]
+    )
     assert result.raw_pitch == pytest.approx(pitch, abs=1e-9)
     assert result.raw_roll == pytest.approx(math.atan2(math.sin(roll), math.cos(roll)), abs=1e-9)
 
@@ -80,7 +82,7 @@ def test_a_lever_arm_is_taken_out(w, change):
     dt = 0.01
     before = w - change * dt
     extra = np.cross(change, arm) + np.cross(w, np.cross(w, arm))
-    settings = CompensationSettings(lever_arm=tuple(lever))
+    settings = MotionCompensationSettings(lever_arm=tuple(lever))
     compensation = MotionCompensation(settings)
     compensation.take(0.0, (0.0, 0.0, G), tuple(before))
     result = compensation.take(dt, tuple(np.array([0, 0, G]) + extra), tuple(w))
@@ -88,7 +90,7 @@ def test_a_lever_arm_is_taken_out(w, change):
 
 
 def test_zero_error_of_the_gyroscope_is_taken_off():
-    compensation = MotionCompensation(CompensationSettings(), zero_error=(0.01, -0.02, 0.03))
+    compensation = MotionCompensation(MotionCompensationSettings(), zero_error=(0.01, -0.02, 0.03))
     result = compensation.take(0.0, (0.0, 0.0, G), (0.11, 0.08, 0.03))
     assert result.rate == pytest.approx((0.1, 0.1, 0.0), abs=1e-15)
 
@@ -114,7 +116,7 @@ def test_pitch_is_nearer_the_truth_with_the_deflection(pitch_deg, a):
     pitch = math.radians(pitch_deg)
     samples = [(0.1 * k, felt(nose_up(pitch), (0.0, a, 0.0)), (0.0, 0.0, 0.0)) for k in range(60)]
     speeds = [(0.1 * k, 30.0 + a * 0.1 * k) for k in range(60)]
-    result = driven(CompensationSettings(speed_is="horizontal"), speeds, samples)
+    result = driven(MotionCompensationSettings(speed_is="horizontal"), speeds, samples)
     uncorrected, corrected = abs(result.raw_pitch - pitch), abs(result.pitch - pitch)
     assert uncorrected > math.radians(0.08)
     assert corrected < 0.1 * uncorrected
@@ -130,7 +132,7 @@ def test_roll_is_nearer_the_truth_with_the_deflection(roll_deg, yaw_rate):
     force = felt(attitude, (-yaw_rate * speed, 0.0, 0.0))
     samples = [(0.1 * k, force, w) for k in range(100)]
     speeds = [(0.1 * k, speed) for k in range(100)]
-    settings = CompensationSettings(centripetal="plane", speed_is="horizontal")
+    settings = MotionCompensationSettings(centripetal="plane", speed_is="horizontal")
     result = driven(settings, speeds, samples)
     uncorrected, corrected = abs(result.raw_roll - roll), abs(result.roll - roll)
     assert uncorrected > math.radians(0.1)
@@ -147,7 +149,7 @@ def test_squat_deflects_and_the_slope_does_not_where_wheels_count():
         t = 0.05 * k
         attitude, acceleration = (body, road.apply([0, a, 0])) if t > 8.0 else (road, (0, 0, 0))
         samples.append((t, felt(attitude, acceleration), (0.0, 0.0, 0.0)))
-    result = driven(CompensationSettings(), speeds, samples)
+    result = driven(MotionCompensationSettings(), speeds, samples)
     uncorrected = abs(result.raw_pitch - slope - squat)
     assert abs(result.pitch - slope - squat) < uncorrected
 
@@ -156,7 +158,7 @@ def test_squat_deflects_and_the_slope_does_not_where_wheels_count():
 
 
 def test_average_speed_is_of_the_middle_of_its_samples():
-    averager = SpeedAverager(CompensationSettings(average=0.2, delay=0.1))
+    averager = SpeedAverager(MotionCompensationSettings(average=0.2, delay=0.1))
     for k in range(20):
         found = averager.add(0.05 * k, 2.0 * 0.05 * k)
     assert found.speed == pytest.approx(2.0 * (0.95 - 0.1))
@@ -164,7 +166,7 @@ def test_average_speed_is_of_the_middle_of_its_samples():
 
 
 def test_old_speed_is_not_used():
-    settings = CompensationSettings(timeout=3.0)
+    settings = MotionCompensationSettings(timeout=3.0)
     compensation = MotionCompensation(settings)
     for k in range(30):
         compensation.speed(0.1 * k, 2.0 * 0.1 * k)

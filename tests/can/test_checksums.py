@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from imucald.can.dbc.bits import Field
 from imucald.can.e2e.checksums import (
     crc8_j1850,
+    crc16_ccitt,
     e2e_profile_1,
     e2e_profile_2,
     e2e_profile_5,
@@ -89,6 +90,11 @@ def test_j1850_with_id_bytes_equals_crccheck(data: bytes, id_bytes: bytes, last:
     fed = others + id_bytes if last else id_bytes + others
     expected = crccheck.crc.Crc8SaeJ1850.calc(fed)
     assert Checksum(crc8_j1850(8, 3, id_bytes, last)).compute(data) == expected
+
+
+def test_crc16_ccitt_has_its_catalogue_check_value() -> None:
+    # CRC RevEng catalogue, CRC-16/IBM-3740: check("123456789") = 0x29B1
+    assert Checksum(crc16_ccitt(11, 9)).compute(b"123456789\0\0") == 0x29B1
 
 
 @settings(deadline=None)
@@ -176,6 +182,7 @@ def any_spec(size: int) -> st.SearchStrategy[ChecksumSpec]:
     return st.one_of(
         st.builds(xor_checksum, st.just(size), st.integers(0, size - 1), ids, st.integers(0, 255)),
         st.builds(crc8_j1850, st.just(size), st.integers(0, size - 1), ids, st.booleans()),
+        st.builds(crc16_ccitt, st.just(size), st.integers(0, size - 2), ids),
         st.builds(e2e_profile_1, st.just(size), data_id, st.sampled_from(MODES)),
         st.builds(e2e_profile_2, st.just(size), st.binary(min_size=16, max_size=16)),
         st.builds(e2e_profile_5, st.just(size), data_id),

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from imucald.can.logs import candump, candump_line, text_blocks
+from imucald.can.logs import candump_line, candump_logs, text_blocks
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, IdMatch, LogReader
 from imucald.can.python_can import can
 from imucald.core.errors import LogError
@@ -316,7 +316,7 @@ def test_lines_of_common_forms_are_not_read_one_by_one(
         singly.append(text)
         return candump_line.parse_line(text)
 
-    monkeypatch.setattr(candump, "parse_line", counted)
+    monkeypatch.setattr(candump_logs, "parse_line", counted)
     rng = np.random.default_rng(4)
     forms = [(3, "#", 8), (3, "#", 0), (8, "#", 5), (3, "##1", 64), (8, "##0", 12)]
     lines = []

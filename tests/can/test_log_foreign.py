@@ -4,10 +4,9 @@ import contextlib
 import gzip
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from imucald.can.columns import FrameColumns
+from imucald.can import logs
 from imucald.can.logs import log_reader, python_can_logs
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, IdMatch, LogReader
 from imucald.can.python_can import can
@@ -213,24 +212,32 @@ def test_messages_that_cannot_have_been_frames_are_rejected(
     assert reader.problems[0] == f"{tmp_path / 'a.blf'}: message 2: bad timestamp"
 
 
-def test_a_new_format_is_a_class_named_in_the_table_of_formats(tmp_path, monkeypatch):
-    class OneFrameReader:
-        endings = (".one",)
+ONE_FRAME_LOGS = """
+import numpy as np
+from imucald.can.columns import FrameColumns
 
-        def __init__(self, filters, channels, statistics):
-            self.filters, self.channels, self.statistics = filters, channels, statistics
+class FORMAT:
+    endings = (".one",)
 
-        def read(self, path, report):
-            index = self.channels.index("can7")
-            if not self.filters.of("can7").wanted(0x123):
-                return
-            self.statistics.frames_read += 1
-            data = np.frombuffer(path.read_bytes(), np.uint8)[None]
-            t, ids = np.array([1.5]), np.array([0x123], np.uint32)
-            length, channel = np.array([8], np.uint8), np.array([index], np.uint8)
-            yield FrameColumns(t, ids, length, data, channel, self.channels.names)
+    def __init__(self, filters, channels, statistics):
+        self.filters, self.channels, self.statistics = filters, channels, statistics
 
-    monkeypatch.setattr(log_reader, "FORMATS", (*log_reader.FORMATS, OneFrameReader))
+    def read(self, path, report):
+        index = self.channels.index("can7")
+        if not self.filters.of("can7").wanted(0x123):
+            return
+        self.statistics.frames_read += 1
+        data = np.frombuffer(path.read_bytes(), np.uint8)[None]
+        t, ids = np.array([1.5]), np.array([0x123], np.uint32)
+        length, channel = np.array([8], np.uint8), np.array([index], np.uint8)
+        yield FrameColumns(t, ids, length, data, channel, self.channels.names)
+"""
+
+
+def test_a_new_format_is_one_file_in_the_folder_of_logs(tmp_path, monkeypatch):
+    (tmp_path / "one_frame_logs.py").write_text(ONE_FRAME_LOGS)
+    monkeypatch.setattr(logs, "__path__", [*logs.__path__, str(tmp_path)])
+    monkeypatch.setattr(log_reader, "FORMATS", log_reader.find_formats())
     path = tmp_path / "a.one"
     path.write_bytes(bytes(range(8)))
     reader = LogReader([path], [IdMatch(0x123, 0x7FF)])

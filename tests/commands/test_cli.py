@@ -138,6 +138,7 @@ MISTAKES = [
     ("kind: crc8_j1850", "kind: crc9", 18, "checksum.kind", "crc8_j1850"),
     ("acceleration: 0x640", "acceleration: 0x200", 20, "output.ids", "0x200"),
     ("acceleration: 0x640", "acceleration: 0x641", 20, "output.ids", "same id"),
+    ("ids: {acceleration: 0x640}", "checksum: crc16_ccitt", 20, "output.checksum", "crc8_j1850"),
     ("usable_yaw_deg: 1.0", "usable_yaw_deg: -1", 22, "states.usable_yaw_deg", "greater"),
     ("  reverse:", "reverse:", 14, "reverse", "unknown key"),
     ("vehicle:", "vehicle: [", 3, "YAML", ""),
@@ -278,4 +279,7 @@ def test_the_schema_lists_every_kind_of_checksum(capsys):
     assert cli.main(["schema"]) == 0
     schema = json.loads(capsys.readouterr().out)
     kinds = schema["$defs"]["ChecksumSettings"]["properties"]["kind"]["enum"]
-    assert kinds == ["none", "xor", "crc8_j1850", "e2e_p1", "e2e_p2", "e2e_p5", "e2e_p11"]
+    profiles = ["e2e_p1", "e2e_p2", "e2e_p5", "e2e_p11"]
+    assert kinds == ["none", "xor", "crc8_j1850", "crc16_ccitt", *profiles]
+    own = schema["$defs"]["Output"]["properties"]["checksum"]["enum"]
+    assert own == ["none", "xor", "crc8_j1850"]

@@ -26,10 +26,10 @@ from imucald.diagnosis.result import (
     SignalGain,
     Structure,
 )
-from imucald.report import About, report_page, require_libraries
 from imucald.report import wording as words
 from imucald.report.decimation import envelope, log_bins, telling_stretch, trend
 from imucald.report.model_changes import as_diff, model_changes, value_text
+from imucald.report.page import About, report_page, require_libraries
 
 ABOUT = About(["a.log", "b.log"], "car.yaml", "car_model.yaml", "2026-01-02 03:04, imucald 9")
 VOID = {"meta", "img", "br", "hr", "link", "input", "wbr", "base"}
@@ -93,8 +93,8 @@ def test_causes_come_with_values_intervals_and_evidence(found):
     assert "Found: body roll and accelerometer bias" in text
     assert "Two causes are certain." in text
     assert "The body rolls otherwise than the model's." in text
-    assert "0.01712 ± 0.00031 rad/(m/s²)" in text
-    assert "9.62 ± 0.17 deg/g" in text  # 0.01712 rad/(m/s^2) * 57.296 * 9.80665
+    assert "0.01712 ± 0.00062 rad/(m/s²)" in text
+    assert "9.62 ± 0.35 deg/g" in text  # 0.01712 rad/(m/s^2) * 57.296 * 9.80665
     assert "4.50 deg/g" in text, "what the file said"
     assert "25.2 ± 1.1 mg" in text
     assert "29 standard deviations" in text
@@ -314,11 +314,11 @@ def test_words_need_neither_library():
 
 
 @pytest.mark.parametrize(("value", "std", "text"), [
-    (0.0171234, 0.00031, "0.01712 ± 0.00031"),
-    (-3.0, 0.5, "-3.00 ± 0.50"),
-    (1234.5, 120.0, "1234 ± 120"),
+    (0.0171234, 0.00031, "0.01712 ± 0.00062"),
+    (-3.0, 0.5, "-3.0 ± 1.0"),
+    (1234.5, 120.0, "1234 ± 240"),
     (0.5, 0.0, "0.5000"),
-    (1e-9, 3e-9, "1.00e-09 ± 3.0e-09"),
+    (1e-9, 3e-9, "1.00e-09 ± 6.0e-09"),
     (math.nan, 1.0, "-"),
 ])  # fmt: skip
 def test_values_are_rounded_by_their_deviation(value, std, text):
@@ -340,11 +340,11 @@ def test_parameters_have_names_that_people_use(key, text):
 
 
 @pytest.mark.parametrize(("key", "p", "text"), [
-    ("gyro.bias.z", Estimated(0.5 / words.DEG, 0.02 / words.DEG, "rad/s"), "0.500 ± 0.020 deg/s"),
-    ("chassis.steering_ratio", Estimated(16.42, 0.31, "1"), "16.42 ± 0.31"),
-    ("speed.scale", Estimated(0.031, 0.004, "1"), "3.10 ± 0.40 %"),
-    ("speed.delay_rate", Estimated(1.74e-4, 9e-6, "1"), "174.0 ± 9.0 ppm"),
-    ("mount.lever_arm_m.0", Estimated(1.5, 0.1, "m"), "1.50 ± 0.10 m"),
+    ("gyro.bias.z", Estimated(0.5 / words.DEG, 0.02 / words.DEG, "rad/s"), "0.500 ± 0.040 deg/s"),
+    ("chassis.steering_ratio", Estimated(16.42, 0.31, "1"), "16.42 ± 0.62"),
+    ("speed.scale", Estimated(0.031, 0.004, "1"), "3.10 ± 0.80 %"),
+    ("speed.delay_rate", Estimated(1.74e-4, 9e-6, "1"), "174 ± 18 ppm"),
+    ("mount.lever_arm_m.0", Estimated(1.5, 0.1, "m"), "1.50 ± 0.20 m"),
 ])  # fmt: skip
 def test_values_are_in_units_that_people_use(key, p, text):
     assert words.for_people(key, p)[0] == text

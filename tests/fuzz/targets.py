@@ -159,7 +159,7 @@ def saved_dtcs(data: bytes) -> None:
 
 def isotp_frames(data: bytes) -> None:
     """Frames of a tester, cut from the bytes, through transport and server."""
-    from uds_host import Bench
+    from uds_bench import Bench
 
     bench = Bench()
     channel = IsoTpChannel(0x7E0, 0x7E8, 0x7DF, bench.server.handle, bench.clock)

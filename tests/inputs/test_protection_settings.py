@@ -5,13 +5,16 @@ from __future__ import annotations
 import binascii
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import e2e
+import numpy as np
 import pytest
 
-from engine_bus import load
+from engine_bus import columns_of, load
 from imucald.can.e2e import checksums
 from imucald.can.e2e.crc import ChecksumSpec
+from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
 
 SIZE = 20
@@ -23,6 +26,8 @@ BO_ 256 ACC: {SIZE} CAR
  SG_ AX : 96|16@1- (0.002,0) [-60|60] "m/s^2" CAR
  SG_ AY : 112|16@1- (0.002,0) [-60|60] "m/s^2" CAR
  SG_ AZ : 128|16@1- (0.002,0) [-60|60] "m/s^2" CAR
+ SG_ CRC_LOW_FIRST : 144|16@1+ (1,0) [0|0] "" CAR
+ SG_ CRC_HIGH_FIRST : 151|16@0+ (1,0) [0|0] "" CAR
 BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","StandardCAN_FD";
 BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
 BA_ "VFrameFormat" BO_ 256 2;
@@ -141,18 +146,37 @@ def test_silence_is_a_fault_after_the_configured_cycles(
     assert dict(router.rejected) == rejected
 
 
-def test_a_new_kind_of_checksum_is_one_entry_in_the_table_of_kinds(tmp_path, monkeypatch) -> None:
-    """CRC-16 XMODEM in the last two bytes, low byte first, against the standard library's."""
+@pytest.mark.parametrize(
+    ("signal", "order"), [("CRC_LOW_FIRST", "little"), ("CRC_HIGH_FIRST", "big")]
+)
+def test_a_new_kind_of_checksum_is_a_function_and_one_entry_in_the_table_of_kinds(
+    signal: str, order: Literal["little", "big"], tmp_path, monkeypatch
+) -> None:
+    """CRC-16 XMODEM in two bytes of either order, against the standard library's."""
 
-    def xmodem(message, options):
-        return ChecksumSpec(message.length, message.length - 2, 2, checksums.CCITT_POLYNOMIAL)
+    def xmodem(size, position, id_bytes):
+        return ChecksumSpec(size, position, 2, checksums.CCITT_POLYNOMIAL, prefixes=(id_bytes,))
 
-    monkeypatch.setitem(checksums.KINDS, "crc16_xmodem", checksums.ChecksumKind(xmodem))
+    monkeypatch.setitem(checksums.KINDS, "crc16_xmodem", checksums.in_signal(xmodem))
     frames = []
     for k in range(5):
         payload = bytes([k]) * (SIZE - 2)
-        frames.append(payload + binascii.crc_hqx(payload, 0).to_bytes(2, "little"))
-    message = "checksum: {kind: crc16_xmodem}, recover_after: 0"
+        crc = binascii.crc_hqx(b"\x01\x00" + payload, 0)
+        frames.append(payload + crc.to_bytes(2, order))
+    message = f"checksum: {{kind: crc16_xmodem, signal: {signal}, id_bytes: 2}}, recover_after: 0"
     assert outcome(tmp_path, message, frames) == (5, {})
+    router = compile_router(load(f"{HEAD}messages:\n  ACC: {{{message}}}\n", tmp_path, DBC))
+    router.columns(np.arange(5.0), columns_of((k, 256, f) for k, f in enumerate(frames)))
+    assert (router.used, dict(router.rejected)) == (5, {})
     frames[2] = bytes(SIZE - 1) + b"1"
     assert outcome(tmp_path, message, frames) == (4, {"checksum": 1})
+
+
+@pytest.mark.parametrize(("kind", "signal", "remedy"), [
+    ("crc16_ccitt", "CNT_LOW", "is not 2 whole bytes"),
+    ("crc8_j1850", "CRC_HIGH_FIRST", "is not one whole byte"),
+])  # fmt: skip
+def test_a_checksum_stands_in_whole_bytes(kind: str, signal: str, remedy: str, tmp_path) -> None:
+    text = f"{HEAD}messages:\n  ACC: {{checksum: {{kind: {kind}, signal: {signal}}}}}\n"
+    with pytest.raises(ConfigError, match=remedy):
+        compile_router(load(text, tmp_path, DBC))

@@ -80,7 +80,7 @@ MISTAKES = {
     ),
     "checksum of no known kind": (
         "messages:\n  ACC: {checksum: {kind: crc9}}  # here",
-        ["messages.ACC.checksum.kind", "'crc9' is no kind", "none, xor, crc8_j1850, e2e_p1"],
+        ["messages.ACC.checksum.kind", "'crc9' is no kind", "none, xor, crc8_j1850, crc16_ccitt"],
     ),
     "checksum without signal": (
         "messages:\n  ACC: {checksum: {kind: xor}}  # here",

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from imucald.compensation import compensation_from_model
+from imucald.model_compensation import compensation_from_model
 from imucald.simulation import VehicleModel, load_model
 from paths import ROOT, SHARED_DATA
 

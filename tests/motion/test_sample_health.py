@@ -260,3 +260,43 @@ def test_time_that_jumped_ends_a_run() -> None:
     }
     health.columns(frozen, 600, 608)
     assert not told(health)
+
+
+@pytest.mark.parametrize("length", [20.0, 63.7, 181.3])
+def test_a_recording_that_is_played_again_and_again_is_no_fault(length: float) -> None:
+    """Its largest values come back to the last bit; a loop of any length, not of whole hops."""
+    once, times = drive(length, seed=4), math.ceil(600.0 / length)
+    looped = {}
+    for c, s in once.items():
+        period = len(once["accel"].t) / HZ
+        t = np.concatenate([s.t + k * period for k in range(times)])
+        looped[c] = Series(t, np.tile(s.values, (times,) + (1,) * (s.values.ndim - 1)))
+    if length < 30.0:
+        looped["speed"] = Series(looped["speed"].t, np.full(len(looped["speed"].t), 10.0))
+    assert not told(watched(looped))
+
+
+def test_a_rail_that_comes_after_larger_values_is_told_at_its_first_bends() -> None:
+    samples = drive(300.0)
+    rail = float(np.quantile(samples["accel"].values[:, 1], 0.99))
+
+    def clip(t: np.ndarray, values: np.ndarray) -> None:
+        late = t >= 150.0
+        values[late, 1] = values[late, 1].clip(None, rail)
+
+    health = watched(edited(samples, "accel", clip))
+    event = health.events[0]
+    assert (event.fault, event.axes) == (SignalFault.SATURATED, "y")
+    beyond = samples["accel"].t[(samples["accel"].values[:, 1] > rail) & (samples["accel"].t > 150)]
+    assert beyond[0] < event.since < beyond[0] + 30.0
+
+
+def test_a_clipped_axis_in_a_loop_is_told() -> None:
+    once = drive(60.0, seed=2)
+    rail = float(np.quantile(once["gyro"].values[:, 2], 0.98))
+    once = edited(once, "gyro", lambda _, v: v.clip(None, [9.0, 9.0, rail], out=v))
+    twice = {
+        c: Series(np.concatenate([s.t, s.t + 60.0]), np.concatenate([s.values, s.values]))
+        for c, s in once.items()
+    }
+    assert told(watched(twice)) == [("gyro", "saturated", "z")]

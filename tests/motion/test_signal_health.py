@@ -9,8 +9,8 @@ import pytest
 
 from imucald.core.samples import GRAVITY
 from imucald.motion.physical_limits import is_plausible, is_saturated, saturated_axes
-from imucald.motion.rest_thresholds import is_idle, keeps_steady
 from imucald.motion.signal_health import SignalFault, SignalHealth
+from imucald.motion.standstill import is_idle, keeps_steady
 from imucald.motion.stuck import HELD_TICKS, HeldForce
 from imucald.motion.ticks import ACCEL, GYRO, SPEED, WHEEL_SPREAD, empty_rows
 

@@ -149,7 +149,7 @@ def test_the_states_come_in_order_and_say_what_is_missing():
             if not reasons or reasons[-1] != text:
                 reasons.append(text)
     assert seen[:3] == [MountState.WAITING, MountState.LEVELLED, MountState.USABLE]
-    assert "waiting for acceleration or braking above 1 m/s2 (0 of 3 seen)" in reasons
+    assert "acceleration or braking above 1 m/s2 (0 of 3 seen)" in reasons
     assert any("(2 of 3 seen)" in text for text in reasons)
 
 
@@ -163,8 +163,8 @@ def test_a_parked_vehicle_is_levelled_and_waits_for_driving():
     assert estimate.state == MountState.LEVELLED
     assert estimate.std is not None
     assert math.degrees(estimate.std[2]) > 90.0
-    assert "no turns yet" in estimate.waiting_for["roll"]
-    assert estimate.waiting_for["yaw"].startswith("waiting for acceleration or braking")
+    assert "turns (none yet)" in estimate.waiting_for["roll"]
+    assert estimate.waiting_for["yaw"].startswith("acceleration or braking")
 
 
 @pytest.mark.slow

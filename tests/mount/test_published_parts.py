@@ -199,12 +199,12 @@ def test_each_condition_alone_keeps_from_usable() -> None:
 
 def test_waiting_for_names_one_thing_per_angle() -> None:
     nothing = waiting_for(TiltAndAngle(), SETTINGS)
-    assert nothing["pitch"] == ("standstill of 2 s not seen yet", Missing.STANDSTILL)
+    assert nothing["pitch"] == ("a standstill of 2 s", Missing.STANDSTILL)
     assert set(nothing) == {"roll", "pitch", "yaw"}
     few = waiting_for(TiltAndAngle(Tilt(UP, 0.9 * DEG, 3), None, False, 3, 1), SETTINGS)
     assert few == {
         "yaw": (
-            "waiting for straight acceleration above 0.8 m/s2 (1 of 3 seen)",
+            "straight acceleration above 0.8 m/s2 (1 of 3 seen)",
             Missing.ACCELERATION,
         )
     }

@@ -17,7 +17,7 @@ from imucald.mount.common_errors import common_errors, cross_axis_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.fusion import CommonCovariance, CommonError, fuse
-from imucald.mount.prior_drives import PriorDrives
+from imucald.mount.past_drives import PastDrives
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import (
@@ -174,8 +174,8 @@ def piece(value: float, variance: float, bias: float = 0.0) -> SavedSource:
     return SavedSource(value, variance, bias, np.zeros(3), np.ones(3))
 
 
-def prior(shared: tuple[CommonError, ...] = (), **pieces: SavedSource) -> PriorDrives:
-    return PriorDrives(SavedInformation(np.eye(3), False, pieces), shared, 0.0)
+def prior(shared: tuple[CommonError, ...] = (), **pieces: SavedSource) -> PastDrives:
+    return PastDrives(SavedInformation(np.eye(3), False, pieces), shared, 0.0)
 
 
 def test_load_and_springs_limit_what_earlier_drives_are_worth():

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from imucald.attitude.carried_angles import CarriedAngles, vertical
 from imucald.attitude.compensated import CompensatedAttitude
 from imucald.attitude.motion_compensation import MotionCompensation, deflection
-from imucald.config.attitude import AttitudeSettings, CompensationSettings
+from imucald.config.attitude import AttitudeSettings, MotionCompensationSettings
 from publications import method_b as text
 from publications.recordings import recording, table
 
@@ -57,7 +57,7 @@ def test_claim_1_each_instant_of_random_motion(option: str) -> None:
     """B1 among it: the centripetal part is of the current speed, the forward one of the average."""
     rng = np.random.default_rng(len(option))
     options = OPTIONS[option]
-    ours = MotionCompensation(CompensationSettings(**options))
+    ours = MotionCompensation(MotionCompensationSettings(**options))
     theirs = same_settings(options)
     speed, t_speed = 10.0, 0.0
     for k in range(3000):
@@ -82,7 +82,7 @@ def test_claim_1_each_instant_of_random_motion(option: str) -> None:
 
 
 def alone(**options: object) -> CompensatedAttitude:
-    return CompensatedAttitude(AttitudeSettings(compensation=CompensationSettings(**options)))
+    return CompensatedAttitude(AttitudeSettings(compensation=MotionCompensationSettings(**options)))
 
 
 def braking_turn(rate_hz: float) -> float:
@@ -206,7 +206,7 @@ def test_kingston_b_alone_is_the_claims_b() -> None:
         for rank, channel in enumerate(("speed", "gyro", "accel"))
         for t, v in zip(*(column.tolist() for column in samples[channel]), strict=True)
     )
-    settings = CompensationSettings(delay=-0.2)
+    settings = MotionCompensationSettings(delay=-0.2)
     ours = CompensatedAttitude(AttitudeSettings(compensation=settings))
     theirs = text.Correction(delay=-0.2)
     rate, found = None, []
@@ -219,7 +219,7 @@ def test_kingston_b_alone_is_the_claims_b() -> None:
             ours.gyro(t, (value[1], -value[0], value[2]))  # the sensor's axes are right, forward
         elif rate is not None:
             ours.accel(t, (value[1], -value[0], value[2]))
-            theirs.zero_error = np.array(ours.compensation.zero_error)
+            theirs.zero_error = np.array(ours.motion_compensation.zero_error)
             *_, (pitch, roll) = theirs.take(t, value, rate)
             e = ours.estimate()
             found.append((t, e.roll - roll, -e.pitch - pitch, roll, pitch))

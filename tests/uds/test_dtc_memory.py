@@ -19,7 +19,7 @@ from imucald.uds.dtc import (
 )
 from imucald.uds.dtc_memory import DtcMemory
 from imucald.uds.host import FrameCounts, Symptoms
-from uds_host import Bench
+from uds_bench import Bench
 
 UNTESTED = 0x50
 PASSED = 0x00

@@ -9,8 +9,8 @@ import pytest
 from imucald.service.dtc_store import MAX_BYTES, DtcStore
 from imucald.uds.dtc import NOT_CALIBRATED, SENSOR_MOVED
 from imucald.uds.host import FrameCounts, Symptoms
+from uds_bench import Clock
 from uds_bus import UdsBench, asking, with_diagnostics
-from uds_host import Clock
 
 
 class Kept:

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imucald.uds.isotp_channel import FRAMES_AT_ONCE, MAX_REQUEST, IsoTpChannel
-from uds_host import Bench, Clock
+from uds_bench import Bench, Clock
 
 REQUEST, RESPONSE, TO_ALL = 0x7B0, 0x7B8, 0x7DF
 READ_SESSION = bytes.fromhex("0322F186")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from imucald.service.attempt_store import AttemptStore
-from uds_host import Bench, key_of
+from uds_bench import Bench, key_of
 
 DELAY_S = 10.0
 WRONG = b"\x27\x02" + b"no such key here"

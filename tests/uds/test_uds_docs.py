@@ -14,7 +14,7 @@ from imucald.uds.identifiers import COUNTED_FAULTS, MAX_RESPONSE
 from imucald.uds.isotp_channel import FRAMES_PER_SECOND, MAX_REQUEST
 from imucald.uds.routines import CALIBRATE, CHECK_SENSORS, RESET
 from paths import ROOT
-from uds_host import Bench
+from uds_bench import Bench
 
 PAGE = (ROOT / "docs" / "uds.md").read_text()
 

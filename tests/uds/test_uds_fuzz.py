@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from imucald.uds.codes import Nrc, Sid
 from imucald.uds.host import FrameCounts, Symptoms
 from imucald.uds.identifiers import MAX_RESPONSE
-from uds_host import Bench
+from uds_bench import Bench
 
 LIKELY = st.one_of(
     st.binary(max_size=140),

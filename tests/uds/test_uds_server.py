@@ -12,7 +12,7 @@ import pytest
 
 from imucald.mount.estimate import MountEstimate, MountState
 from imucald.uds.host import Identity
-from uds_host import ANGLES_DEG, Bench, estimate_of, key_of
+from uds_bench import ANGLES_DEG, Bench, estimate_of, key_of
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,6 +26,8 @@ from imucald.api.mount import MountResult
 from imucald.api.recorder import Recorder, microseconds
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.errors import LogError
+from imucald.runtime.engine import Engine
+from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.replay import Replay, Sink
 from imucald.runtime.session import make_engine
 
@@ -36,11 +39,6 @@ _KINDS = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "ma
 UNUSED = "the log has no usable frame of this configuration; 'imucald check' tells more"
 
 
-def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
-    """The pieces of a recording that may be in one."""
-    return log if isinstance(log, list | tuple) else [log]
-
-
 def require_frames(drive: DriveResult) -> DriveResult:
     """The drive as it is; raises LogError where its logs held no frame at all."""
     if drive.frames["read"] == 0:
@@ -48,10 +46,27 @@ def require_frames(drive: DriveResult) -> DriveResult:
     return drive
 
 
+class Watcher(Protocol):
+    """Sees what passes in a run, beside it."""
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Take a snapshot of the estimate."""
+        ...
+
+    def reader(self, *arguments: Any) -> LogReader:
+        """Return a reader that it watches; arguments as for `LogReader`."""
+        ...
+
+    def sink(self, engine: Engine, other: Sink | None) -> Sink:
+        """Return what takes the frames that are given out, and hands them on to the other."""
+        ...
+
+
 class Run:
     """Logs that are the pieces of one recording, on their way through an engine of their own.
 
     sink: takes the frames that would be sent. speed: 1 is real time, None as fast as it goes.
+    watcher: sees what passes.
     Raises ConfigError.
     """
 
@@ -64,19 +79,27 @@ class Run:
         strict: bool = False,
         sink: Sink | None = None,
         speed: float | None = None,
+        watcher: Watcher | None = None,
     ) -> None:
         sources = [opened(log) for log in logs]
         self.logs = tuple(str(source) for source in sources)
         self._signals = signals
         self._recorder = Recorder(signals)
-        self.engine = make_engine(
-            config.loaded, self._recorder.snapshot, on_samples=self._recorder.samples
-        )
-        self._reader = LogReader(sources, self.engine.router.matches, strict, progress)
+        self._watcher = watcher
+        self.engine = make_engine(config.loaded, self._snapshot, on_samples=self._recorder.samples)
+        new_reader = LogReader if watcher is None else watcher.reader
+        self._reader = new_reader(sources, self.engine.router.matches, strict, progress)
+        if watcher is not None:
+            sink = watcher.sink(self.engine, sink)
         self._replay = Replay(self.engine, self._reader, sink, speed)
         self._kinds = {
             f"parallel/{p.name}": _KINDS[p.kind] for p in config.loaded.config.signals.parallel
         }
+
+    def _snapshot(self, snapshot: Snapshot) -> None:
+        self._recorder.snapshot(snapshot)
+        if self._watcher is not None:
+            self._watcher.snapshot(snapshot)
 
     def chunks(self) -> Iterator[None]:
         """Go on by a chunk of frames each; the first bad line raises LogError where strict."""
@@ -105,7 +128,7 @@ class Run:
         engine, reader = self.engine, self._reader
         lead = self._replay.lead
         left_out = self._recorder.events_left_out
-        notes = [] if engine.stages is None else list(engine.stages.notes)
+        notes = [] if engine.preprocessing is None else list(engine.preprocessing.notes)
         notes = [f"not used of the model: {note}" for note in notes]
         notes += [UNUSED] if engine.router.used == 0 else []
         notes += [f"{left_out} more events were left out"] if left_out else []

@@ -10,8 +10,8 @@ from imucald.api.columns import Columns
 from imucald.api.configuration import Configuration, PathLike
 from imucald.api.drive import DriveResult, drive_plain
 from imucald.api.files.written import chosen, format_of, write_parts
-from imucald.api.logs import LogSource
-from imucald.api.run import Progress, Run, pieces, require_frames
+from imucald.api.logs import LogSource, pieces
+from imucald.api.run import Progress, Run, require_frames
 from imucald.api.table_access import TableAccess
 from imucald.core.errors import ImucaldError
 

@@ -27,7 +27,7 @@ class CompensatedAttitude:
 
     def __init__(self, settings: AttitudeSettings | None = None) -> None:
         self.settings = settings or AttitudeSettings()
-        self.compensation = MotionCompensation(self.settings.compensation)
+        self.motion_compensation = MotionCompensation(self.settings.compensation)
         self.checked = False
         """Whether the gyroscope's zero error has been measured at rest."""
         self._rest = RestingGyro(self.settings.filter)
@@ -38,7 +38,7 @@ class CompensatedAttitude:
 
     def reset(self) -> None:
         """Forget everything but the zero error."""
-        self.compensation.restart()
+        self.motion_compensation.restart()
         self._sign = 1.0
         self._rate: Vector | None = None
         self._t_gyro = -math.inf
@@ -64,24 +64,24 @@ class CompensatedAttitude:
         """The zero error of the last rest, vehicle axes; None before the first."""
         if not self.checked:
             return None
-        return CheckResult(vehicle_from_rfu(*self.compensation.zero_error), (0.0, 0.0, 0.0))
+        return CheckResult(vehicle_from_rfu(*self.motion_compensation.zero_error), (0.0, 0.0, 0.0))
 
     def restore_check(self, found: CheckResult) -> None:
         """Take what an earlier check found, vehicle axes; the next rest renews it."""
-        self.compensation.zero_error = rfu_from_vehicle(*found.rate)
+        self.motion_compensation.zero_error = rfu_from_vehicle(*found.rate)
         self.checked = True
 
     def gyro(self, t: float, values: Sequence[float]) -> None:
         """Take an angular rate [rad/s]."""
         self._rate = rfu_from_vehicle(values[0], values[1], values[2])
         self._t_gyro = t
-        stands = self.compensation.is_standing(t)
+        stands = self.motion_compensation.is_standing(t)
         zero_error = self._rest.gyro(t, self._rate, stands, is_first=not self.checked)
         if zero_error is not None:
-            self.compensation.zero_error = zero_error
+            self.motion_compensation.zero_error = zero_error
             self.checked = True
         if self.settings.compensation.rate_time > 0.0:
-            b, w = self.compensation.zero_error, self._rate
+            b, w = self.motion_compensation.zero_error, self._rate
             self._carried.turn(t, (w[0] - b[0], w[1] - b[1], w[2] - b[2]))
 
     def accel(self, t: float, values: Sequence[float]) -> None:
@@ -90,17 +90,17 @@ class CompensatedAttitude:
             return
         force = rfu_from_vehicle(values[0], values[1], values[2])
         self._rest.accel(force)
-        last = self._last = self.compensation.take(t, force, self._rate)
+        last = self._last = self.motion_compensation.take(t, force, self._rate)
         self._t = t
         if self.settings.compensation.rate_time > 0.0:
             self._carried.draw(t, last.pitch, last.roll)
             angles = self._carried.angles
             if angles is not None:
-                self.compensation.angles = angles
+                self.motion_compensation.angles = angles
 
     def speed(self, t: float, speed: float) -> None:
         """Take a speed [m/s], not negative: the direction comes by `reverse`."""
-        self.compensation.speed(t, self._sign * speed)
+        self.motion_compensation.speed(t, self._sign * speed)
         if speed > 0.0:
             self._rest.begin()
 
@@ -121,8 +121,8 @@ class CompensatedAttitude:
         """Return roll and pitch of the newest sample; there are no deviations and no heading."""
         last = self._last
         stale = now is not None and now - min(self._t, self._t_gyro) > STALE_S
-        b = self.compensation.zero_error
-        pitch, roll = self.compensation.angles
+        b = self.motion_compensation.zero_error
+        pitch, roll = self.motion_compensation.angles
         if last is not None and (angles := self._carried.angles) is not None:
             pitch, roll = angles  # of the newest rate, not only of the newest force
         return AttitudeEstimate(

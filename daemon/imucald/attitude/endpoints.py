@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from imucald.attitude.interval import Endpoint
 from imucald.attitude.motion_compensation import AverageSpeed, SpeedAverager
 from imucald.attitude.propagation import Propagator
-from imucald.config.attitude import CompensationSettings
+from imucald.config.attitude import MotionCompensationSettings
 
 MAX_ENDPOINTS = 64
 """Averaged speeds that wait for the accelerometer: a leading speed is ahead by a second."""
@@ -20,7 +20,7 @@ SLACK_S = 1e-6
 class EndpointMaker:
     """Pairs of endpoints, each an interval between two averaged speeds, from samples."""
 
-    def __init__(self, settings: CompensationSettings, propagator: Propagator) -> None:
+    def __init__(self, settings: MotionCompensationSettings, propagator: Propagator) -> None:
         self._settings = settings
         self._propagator = propagator
         self.restart()

@@ -20,6 +20,7 @@ from imucald.attitude.kalman import NineStateFilter, of_axes
 from imucald.attitude.measurements import MIN_UP, heading_difference, rest_rates, tilt
 from imucald.attitude.motion_compensation import MotionCompensation
 from imucald.attitude.propagation import Propagator
+from imucald.attitude.rest import is_rest
 from imucald.attitude.right_forward_up import rfu_from_vehicle, vehicle_angles, vehicle_from_rfu
 from imucald.attitude.sensor_check import CheckResult, rest_errors
 from imucald.config.attitude import AttitudeSettings
@@ -38,15 +39,11 @@ from imucald.core.rotations import (
     times,
     transposed_times,
 )
-from imucald.core.samples import GRAVITY
-from imucald.motion.rest_thresholds import PARKED_GRAVITY, PARKED_SAMPLE_STD
 
 START_REST_STD = math.radians(10.0)
 START_MOVING_STD = math.radians(15.0)
 """Tilt error taken for granted at the start: so large that what the first interval finds is tilt,
 and nothing of it an accelerometer error that would be forgotten slowly."""
-MAX_ZERO_ERROR = 6.0
-"""In standard deviations: what turns faster than any zero error is not at rest."""
 HEADING_KNOWN_STD = math.radians(20.0)
 """A heading less sure than this is not called a heading [rad]."""
 HEADING_SPACING_S = 0.5
@@ -66,7 +63,6 @@ class AttitudeFilter:
         """ds of the publication [m/s^2], right-forward-up axes."""
         self.checked = False
         """Whether the sensor check has been made."""
-        self.last_interval: Interval | None = None
         self._propagator = Propagator(
             of_filter.longest_step, rfu_from_vehicle(*compensation.lever_arm)
         )
@@ -233,8 +229,7 @@ class AttitudeFilter:
             self._start = self._rest = None
             return
         found = self._interval(first, endpoint)
-        self.last_interval = found
-        resting = self._is_rest(first, endpoint, found)
+        resting = is_rest(first, endpoint, found, self.constant_bias, self.settings.filter)
         if not resting:
             self._rest = None
         elif self._rest is None:
@@ -253,24 +248,6 @@ class AttitudeFilter:
             up = transposed_times(rows_from_quaternion(self._correction), (0.0, 0.0, 1.0))
             first, last = along_body(first, up), along_body(last, up)
         return interval(first, last, c, per_axis(s.filter.accel_noise), s.filter.unknown_motion)
-
-    def _is_rest(self, first: Endpoint, last: Endpoint, found: Interval) -> bool:
-        s = self.settings.filter
-        turn = math.dist(found.rate, self.constant_bias)
-        quiet = (
-            found.force_variance < s.rest_accel_spread**2
-            and found.rate_variance < s.rest_gyro_spread**2
-            and turn < MAX_ZERO_ERROR * max(s.gyro_start)
-        )
-        if math.isnan(found.speed):
-            # without a speed only what is as still as a parked vehicle is taken for rest
-            size = math.sqrt(sum(c * c for c in found.up))
-            return (
-                quiet
-                and found.force_variance < PARKED_SAMPLE_STD**2
-                and abs(size - GRAVITY) < PARKED_GRAVITY
-            )
-        return quiet and first.speed == 0.0 and last.speed == 0.0
 
     def _try_start(self, first: Endpoint, last: Endpoint, resting: bool) -> None:
         if self._start is None or (resting and self._rest is first):

@@ -14,7 +14,7 @@ import math
 from typing import NamedTuple
 
 from imucald.attitude.propagation import IntegralSnapshot
-from imucald.config.attitude import CompensationSettings
+from imucald.config.attitude import MotionCompensationSettings
 from imucald.core.rotations import Vector
 
 MIN_LEVEL = 0.5
@@ -66,7 +66,11 @@ def along_body(endpoint: Endpoint, up: Vector) -> Endpoint:
 
 
 def interval(
-    first: Endpoint, last: Endpoint, settings: CompensationSettings, noise: Vector, unknown: float
+    first: Endpoint,
+    last: Endpoint,
+    settings: MotionCompensationSettings,
+    noise: Vector,
+    unknown: float,
 ) -> Interval:
     """Make the interval between two endpoints of one segment.
 
@@ -110,7 +114,11 @@ def interval(
 
 
 def _known_sigma(
-    first: Endpoint, last: Endpoint, settings: CompensationSettings, forward: float, lateral: float
+    first: Endpoint,
+    last: Endpoint,
+    settings: MotionCompensationSettings,
+    forward: float,
+    lateral: float,
 ) -> tuple[float, float]:
     """How unsure the correction is, along and across the direction of motion [m/s^2].
 

@@ -30,7 +30,7 @@ from collections import deque
 from typing import NamedTuple
 
 from imucald.attitude.right_forward_up import rfu_from_vehicle
-from imucald.config.attitude import CompensationSettings
+from imucald.config.attitude import MotionCompensationSettings
 from imucald.core.rotations import Vector, cross
 from imucald.core.samples import GRAVITY
 
@@ -61,7 +61,7 @@ class AverageSpeed(NamedTuple):
 class SpeedAverager:
     """v_avg: mean of the speed samples of the last `average` seconds, less their lateness."""
 
-    def __init__(self, settings: CompensationSettings) -> None:
+    def __init__(self, settings: MotionCompensationSettings) -> None:
         self._settings = settings
         self._samples: deque[tuple[float, float]] = deque(maxlen=MAX_SPEEDS)
 
@@ -103,7 +103,7 @@ class MotionCompensation:
     """
 
     def __init__(
-        self, settings: CompensationSettings, zero_error: Vector = (0.0, 0.0, 0.0)
+        self, settings: MotionCompensationSettings, zero_error: Vector = (0.0, 0.0, 0.0)
     ) -> None:
         self.settings = settings
         self.zero_error = zero_error

@@ -1,21 +1,37 @@
-"""The gyroscope's zero error at the current moment: its mean over each rest (method B, claim 1)."""
+"""Rest: of an interval (method C), and the gyroscope's mean over each rest (method B, claim 1)."""
 
 from __future__ import annotations
 
 import math
 
+from imucald.attitude.interval import Endpoint, Interval
 from imucald.config.attitude import FilterSettings
 from imucald.core.rotations import Vector
-from imucald.core.samples import GRAVITY
+from imucald.motion.standstill import feels_parked
 
 BLOCK_S = 1.0
 """A rest is looked at in pieces of this length [s]: one that is not quiet ends it."""
-QUIET_FORCE = 0.05
-"""Standard deviation of an accelerometer that is parked, engine off [m/s^2]."""
-QUIET_SIZE = 0.1
-"""By how much its mean may differ from gravity: the sensor's zero error [m/s^2]."""
-LARGEST_ZERO_ERROR = 6.0
+MAX_ZERO_ERROR = 6.0
 """In standard deviations: what turns faster than any zero error is not at rest."""
+
+
+def is_rest(
+    first: Endpoint, last: Endpoint, found: Interval, zero_error: Vector, settings: FilterSettings
+) -> bool:
+    """Whether the vehicle is at rest from one endpoint to the next.
+
+    zero_error: of the gyroscope, as far as it is known [rad/s].
+    """
+    quiet = (
+        found.force_variance < settings.rest_accel_spread**2
+        and found.rate_variance < settings.rest_gyro_spread**2
+        and math.dist(found.rate, zero_error) < MAX_ZERO_ERROR * max(settings.gyro_start)
+    )
+    if math.isnan(found.speed):
+        # without a speed only what is as still as a parked vehicle is taken for rest
+        size = math.sqrt(sum(c * c for c in found.up))
+        return quiet and feels_parked(found.force_variance, size)
+    return quiet and first.speed == 0.0 and last.speed == 0.0
 
 
 class _TriadSums:
@@ -107,9 +123,8 @@ class RestingGyro:
         s, rates, forces = self._settings, self._rates, self._forces
         if rates.variance > s.rest_gyro_spread**2 or not forces.n:
             return False
-        if math.hypot(*rates.mean) > LARGEST_ZERO_ERROR * max(s.gyro_start):
+        if math.hypot(*rates.mean) > MAX_ZERO_ERROR * max(s.gyro_start):
             return False
         if speed_known:
             return forces.variance < s.rest_accel_spread**2
-        off = abs(math.hypot(*forces.mean) - GRAVITY)
-        return forces.variance < QUIET_FORCE**2 and off < QUIET_SIZE
+        return feels_parked(forces.variance, math.hypot(*forces.mean))

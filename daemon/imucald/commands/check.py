@@ -44,23 +44,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Look, then tell."""
+    from imucald.api.checking import check, check_report
+    from imucald.api.configuration import Configuration
     from imucald.commands.files import check_files
+    from imucald.commands.terminal import progress_bar
     from imucald.config_check import Check
     from imucald.core.errors import ConfigError
-    from imucald.runtime.session import open_config
 
     if options.logs and (options.interface or options.channel):
         raise ConfigError("either LOG or --interface and --channel: not both")
     if not options.seconds > 0:
         raise ConfigError("--seconds must be positive")
     check_files((options.config, *options.database, *options.logs), ())
-    loaded = open_config(options.config, options.database)
-    check = Check(loaded)
+    config = Configuration.load(options.config, options.database)
+    for text in config.warnings:
+        print(f"imucald: warning: {text}", file=sys.stderr)
     if options.logs:
-        _read(check, options.logs)
+        with progress_bar("check") as progress:
+            found = check(config, options.logs, progress=progress)
+        for text in found.problems:
+            print(f"imucald: {text}", file=sys.stderr)
     else:
-        _listen(check, loaded, options)
-    report = check.report()
+        checker = Check(config.loaded)
+        _listen(checker, config.loaded, options)
+        found = check_report(checker)
+    report = found.to_dict()
     if options.json:
         json.dump(report, sys.stdout, indent=2, allow_nan=False, ensure_ascii=False)
         print()
@@ -71,19 +79,6 @@ def run(options: argparse.Namespace) -> int:
         plain_where_needed()
         print_report(report)
     return 0 if report["usable"] else 1
-
-
-def _read(check: Check, logs: list[str]) -> None:
-    from imucald.can.logs.log_reader import LogReader
-    from imucald.commands.terminal import progress_bar
-
-    with progress_bar("check") as progress:
-        reader = LogReader(logs, None, False, progress)
-        for chunk in reader:
-            check.feed(chunk)
-    check.bad_lines.update(reader.rejected)
-    for text in reader.problems:
-        print(f"imucald: {text}", file=sys.stderr)
 
 
 def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> None:

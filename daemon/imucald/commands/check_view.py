@@ -27,7 +27,7 @@ def print_report(report: Mapping[str, Any]) -> None:
     console.print()
     console.print(_messages(report["messages"]))
     console.print()
-    console.print(_quantities(report["quantities"], console.width < WIDE))
+    console.print(_quantities(report["quantities"], console.width < WIDE, console.is_terminal))
     console.print()
     console.print(_findings(report["findings"]))
     console.print()
@@ -60,7 +60,8 @@ def _messages(rows: list[dict[str, Any]]) -> Table:
     return table
 
 
-def _quantities(rows: list[dict[str, Any]], narrow: bool) -> Table:
+def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Table:
+    """stacked: a cell may have two lines; else a row is one line, as `grep` wants it."""
     table = Table(box=None, pad_edge=False)
     table.add_column("quantity", overflow="fold")
     table.add_column("from", overflow="fold")
@@ -68,9 +69,10 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool) -> Table:
     for name in ("min", "mean", "max"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit", overflow="fold")
+    new_line = "\n" if stacked else " "
     for row in rows:
         rank = f" ({row['preference'] + 1}.)" if row["preference"] else ""
-        rejected = f"\n-{_reasons(row['rejected'])}" if row["rejected"] else ""
+        rejected = f"{new_line}-{_reasons(row['rejected'])}" if row["rejected"] else ""
         in_unit, in_si = row["in_unit"], row["in_si"]
         same = row["unit"] == row["si_unit"] or row["factor"] == 1.0 or not row["si_unit"]
         cells = [
@@ -80,13 +82,14 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool) -> Table:
         unit = row["si_unit"] if same else f"{row['unit']}\n{row['si_unit']}"
         if not same and row["factor"] < 0:
             unit += " (sign -1)"
-        table.add_row(
+        line = [
             _broken(row["quantity"], narrow) + rank,
             _broken(row["source"], narrow) + rejected,
             str(row["samples"]),
             *cells,
             unit,
-        )
+        ]
+        table.add_row(*(line if stacked else [cell.replace("\n", " = ") for cell in line]))
     return table
 
 

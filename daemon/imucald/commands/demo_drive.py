@@ -9,7 +9,6 @@ knows nothing but ``imucald_out.dbc``, and believes a frame only with a good cou
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
@@ -23,9 +22,10 @@ from numpy.typing import NDArray
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
 from imucald.can.python_can import can
 from imucald.config import LoadedConfig, parse_config
-from imucald.core.rotations import Matrix3, angles_from_rotation, rotation_from_vector
+from imucald.core.rotations import Matrix3, angles_from_rotation, vector_from_rotation
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.mount.mount_words import SD_95
 from imucald.runtime.engine import LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine
@@ -41,8 +41,6 @@ LAST_S = 60.0
 """The corrected acceleration is compared with the truth over this last part of the drive [s]."""
 UNKNOWN_STD = 1.0
 """An angle with a larger standard deviation is as good as unknown [rad]."""
-UNBOUNDED = 1e4
-"""Stands for an infinite variance [rad^2]."""
 ACCEL = "accel"
 
 _LISTENER = """
@@ -62,22 +60,21 @@ _channel_numbers = itertools.count()
 
 @dataclass(frozen=True)
 class Angle:
-    """One mount angle beside the truth [rad]; `error` is estimate less truth."""
+    """One mount angle beside the truth [rad].
+
+    std, error: of a turn about the vehicle's axis of that name, the error from truth to estimate.
+    """
 
     name: str
     estimate: float
     std: float
     truth: float
-
-    @property
-    def error(self) -> float:
-        """Estimate less truth, within +-pi [rad]."""
-        return math.remainder(self.estimate - self.truth, 2.0 * math.pi)
+    error: float
 
     @property
     def inside(self) -> bool:
-        """Whether the truth lies within two standard deviations."""
-        return abs(self.error) <= 2.0 * self.std
+        """Whether the truth lies within the 95 % interval."""
+        return abs(self.error) <= SD_95 * self.std
 
 
 @dataclass(frozen=True)
@@ -241,24 +238,16 @@ def _rms(error: NDArray[np.float64]) -> float:
 def angles_beside(estimate: MountEstimate, truth: Matrix3) -> list[Angle]:
     """Those of roll, pitch and yaw that are known at all (see `UNKNOWN_STD`), beside the truth.
 
-    The covariance of the rotation vector about the vehicle's axes is carried over to the angles
-    by their derivatives, which at a large pitch are far from one to one.
+    Error and deviation are turns about the vehicle's x, y and z axis, as everywhere: they hold at
+    any pitch, where differences of angles do not.
     """
-    R, covariance = estimate.R_vehicle_from_sensor, estimate.covariance
-    if R is None or covariance is None:
+    R, std = estimate.R_vehicle_from_sensor, estimate.std
+    if R is None or std is None:
         return []
-    covariance = np.nan_to_num(covariance, posinf=UNBOUNDED)
-    step = 1e-6
-    here = angles_from_rotation(R)
-    J = np.empty((3, 3))
-    for axis in range(3):
-        turned = angles_from_rotation(rotation_from_vector(step * np.eye(3)[axis]) @ R)
-        for i in range(3):
-            J[i, axis] = math.remainder(turned[i] - here[i], 2.0 * math.pi) / step
-    std = np.sqrt(np.maximum(np.diag(J @ covariance @ J.T), 0.0)).tolist()
-    real = angles_from_rotation(truth)
+    here, real = angles_from_rotation(R), angles_from_rotation(truth)
+    error = vector_from_rotation(R @ truth.T)
     return [
-        Angle(name, here[i], std[i], real[i])
+        Angle(name, here[i], std[i], real[i], float(error[i]))
         for i, name in enumerate(ANGLES)
         if std[i] < UNKNOWN_STD
     ]

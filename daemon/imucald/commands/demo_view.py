@@ -24,6 +24,15 @@ from imucald.core.angles import DEG_PER_RAD
 from imucald.core.errors import ImucaldError
 from imucald.core.rotations import angles_from_rotation
 from imucald.mount.estimate import ANGLES, MountState
+from imucald.mount.mount_words import (
+    AXES,
+    CONVENTION,
+    SD_95,
+    how_it_sits,
+    plus_minus,
+    reasons,
+    steep_note,
+)
 
 FASTEST = 24.0
 """On a terminal no more times real time than this, so that the eye can follow."""
@@ -36,7 +45,7 @@ HISTORY = 24
 SVG_COLUMNS = 82
 BLOCKS = " ▁▂▃▄▅▆▇█"
 WIDEST_DEG, NARROWEST_DEG = 12.0, 0.25
-"""Two standard deviations that fill the history's column, and that leave it empty (log scale)."""
+"""95 % intervals that fill the history's column, and that leave it empty (log scale)."""
 _STYLES = {
     MountState.USABLE: "green",
     MountState.FINE: "bold green",
@@ -55,7 +64,7 @@ class PlainView:
     def __enter__(self) -> Self:
         print(f"A simulated drive (seed {self._seed}) on a virtual CAN bus, imucald listening.")
         print(
-            "   time  state          roll +- 2 sd     pitch +- 2 sd       yaw +- 2 sd  waiting for"
+            "   time  state             roll 95 %        pitch 95 %          yaw 95 %  waiting for"
         )
         return self
 
@@ -75,7 +84,7 @@ class PlainView:
         estimate = demo.estimate()
         found = {a.name: a for a in angles_beside(estimate, demo.truth)}
         cells = "".join(f"{_with_interval(found.get(name)):>18}" for name in ANGLES)
-        waiting = next(iter(estimate.waiting_for.values()), "").removeprefix("waiting for ")
+        waiting = next((text for _, text in reasons(estimate.waiting_for)), "")
         state = estimate.state.name.lower()
         print(f"{_clock(demo.now):>7}  {state:<9}{cells}  {waiting}".rstrip(), flush=True)
 
@@ -127,13 +136,13 @@ class Picture:
             return
         angles = {a.name: a for a in angles_beside(demo.estimate(), demo.truth)}
         for name, history in self._history.items():
-            width = 2.0 * angles[name].std if name in angles else math.inf
+            width = SD_95 * angles[name].std if name in angles else math.inf
             history.extend([width] * (columns - len(history)))
 
     def draw(self, demo: Demonstration, steady: bool = True) -> Group:
         """Return the picture, twenty lines for 80 columns; steady: of the same height always."""
         estimate = demo.estimate()
-        waiting = [f"{angle:<6} {text}" for angle, text in estimate.waiting_for.items()]
+        waiting = [f"waiting for  {who}: {text}" for who, text in reasons(estimate.waiting_for)]
         if steady:
             waiting += [""] * (len(ANGLES) - len(waiting))
         return Group(
@@ -153,12 +162,12 @@ class Picture:
         truth = dict(zip(ANGLES, angles_from_rotation(demo.truth), strict=True))
         table = Table(box=None, pad_edge=False)
         table.add_column("mount", min_width=6)
-        for name in ("estimate", "± 2 sd", "truth"):
+        for name in ("estimate", "± 95 %", "truth"):
             table.add_column(name, justify="right", min_width=9)
-        table.add_column("± 2 sd so far (log scale)", min_width=HISTORY)
+        table.add_column("± 95 % so far (log scale)", min_width=HISTORY)
         for name in ANGLES:
             found = angles.get(name)
-            cells = ("-", "-") if found is None else (_deg(found.estimate), _size(2.0 * found.std))
+            cells = ("-", "-") if found is None else (_deg(found.estimate), _interval(found.std))
             history = Text(_history(self._history[name]), style="cyan")
             table.add_row(name, *cells, _deg(truth[name]), history)
         return table
@@ -234,6 +243,11 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
     console.print()
     if angles:
         console.print(_result_table(angles))
+        console.print(Text(f"{CONVENTION}; it and the error: {AXES}", style="dim"))
+        if sits := how_it_sits(demo.estimate()):
+            console.print(f"The sensor: {sits}.")
+        if steep := steep_note(demo.estimate()):
+            console.print(Text(steep, style="yellow"))
     else:
         console.print("No estimate was reached.")
     console.print()
@@ -248,7 +262,7 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
 def _result_table(angles: list[Angle]) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("mount")
-    for name in ("estimate", "± 2 sd", "truth", "error"):
+    for name in ("estimate", "± 95 %", "truth", "error"):
         table.add_column(name, justify="right", min_width=9)
     table.add_column("truth inside?")
     for angle in angles:
@@ -256,7 +270,7 @@ def _result_table(angles: list[Angle]) -> Table:
         table.add_row(
             angle.name,
             _deg(angle.estimate),
-            _size(2.0 * angle.std),
+            _interval(angle.std),
             _deg(angle.truth),
             _deg(angle.error),
             Text("yes" if angle.inside else "no", style=style),
@@ -270,6 +284,10 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
     name = demo.estimate().state.name.lower()
     usable = "not yet usable" if first is None else f"usable after {_clock(first)}"
     fine = "" if best is None else f", fine after {_clock(best)}"
+    targets = demo.estimate().targets
+    if best is None and targets is not None:
+        roll, pitch, yaw = (plus_minus(s * DEG_PER_RAD, 1) for s in targets.fine)
+        fine = f" (fine below roll {roll}, pitch {pitch}, yaw {yaw})"
     lines = [
         f"State {name}: {usable}{fine} of {_clock(demo.now)} driven, in {waited:.0f} s.",
         f"{demo.sent} frames received, {demo.engine.router.rejected.total()} rejected; "
@@ -290,15 +308,15 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
 def _with_interval(angle: Angle | None) -> str:
     if angle is None:
         return "-"
-    return f"{angle.estimate * DEG_PER_RAD:+.2f} +- {2.0 * angle.std * DEG_PER_RAD:.2f}"
+    return f"{angle.estimate * DEG_PER_RAD:+.2f} {plus_minus(angle.std * DEG_PER_RAD, unit='')}"
 
 
 def _deg(angle: float) -> str:
     return f"{angle * DEG_PER_RAD:+.2f}°"
 
 
-def _size(angle: float) -> str:
-    return f"{angle * DEG_PER_RAD:.2f}°"
+def _interval(std: float) -> str:
+    return plus_minus(std * DEG_PER_RAD)
 
 
 def _history(widths: list[float]) -> str:

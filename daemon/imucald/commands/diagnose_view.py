@@ -77,7 +77,7 @@ def _print_cause(console: Console, cause: FoundCause) -> None:
     console.print(Text.assemble((title, "bold"), f". {words.typographic(cause.text)}"))
     table = _table()
     table.add_column("parameter", overflow="fold")
-    table.add_column("value", justify="right")
+    table.add_column("value ± 95 %", justify="right")
     table.add_column("the file said", justify="right")
     table.add_column("in the model file", overflow="fold")
     for key, p in cause.parameters.items():

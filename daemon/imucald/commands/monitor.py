@@ -44,6 +44,6 @@ def run(options: argparse.Namespace) -> int:
                 note = Text("")
             except (LinkError, ValueError) as error:
                 note = Text(f"no answer: {error}", style="bold red")
-            live.update(Group(picture(status, steady=True), note, foot), refresh=True)
+            live.update(Group(picture(status), note, foot), refresh=True)
             time.sleep(PERIOD_S)
     return 0

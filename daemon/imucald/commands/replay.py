@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from imucald.api.configuration import Configuration
     from imucald.api.drive import DriveResult
     from imucald.can.columns import FrameColumns
+    from imucald.commands.replay_report import ReplayReport
     from imucald.runtime.replay import Sink
 
 
@@ -55,6 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json", metavar="FILE", help="write the result as JSON ('-': standard output)"
     )
+    parser.add_argument(
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="write a page about the drive here (needs pip install 'imucald[report]')",
+    )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     parser.add_argument(
         "--speed",
@@ -89,12 +96,19 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
     from imucald.commands.files import STANDARD, write_text
     from imucald.runtime.summary import as_json
 
+    page = None
+    if options.report:
+        from imucald.commands.replay_report import ReplayReport
+
+        page = ReplayReport(config.loaded, options)
     with _sink(options, config) as sink:
-        drive, written = _replayed(options, config, logs, options.write, sink)
+        drive, written = _replayed(options, config, logs, options.write, sink, page)
     _print_problems(options, drive)
     if options.json:
         write_text(options.json, as_json(drive.to_dict()))
     require_frames(drive)
+    if page is not None:
+        page.write(drive.summary, drive.problems)
     if STANDARD not in (options.json, options.out) and not options.quiet:
         from imucald.commands.terminal import print_summary
 
@@ -143,6 +157,7 @@ def _replayed(
     logs: Sequence[str],
     path: Path | None,
     sink: Sink | None,
+    page: ReplayReport | None = None,
 ) -> tuple[DriveResult, list[Path]]:
     """Replay one recording; return what came of it, and the files that were written."""
     from imucald.api.run import Run
@@ -151,7 +166,8 @@ def _replayed(
     from imucald.core.errors import LogError
 
     with progress_bar("replay", options.quiet) as progress:
-        run = Run(config, logs, path is not None, progress, options.strict, sink, options.speed)
+        signals, strict, speed = path is not None, options.strict, options.speed
+        run = Run(config, logs, signals, progress, strict, sink, speed, page)
         stream = DriveStream(run)
         written: list[Path] = []
         try:
@@ -214,10 +230,10 @@ def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
         format_of(options.write)
     written = _paths(options.write, logs) if several else [options.write]
     check_files(inputs, (options.out, options.json, *written))
-    if several and (options.out or options.speed is not None):
+    if several and (options.out or options.report or options.speed is not None):
         raise ConfigError(
-            "several logs are several drives: --out and --speed take one, or the pieces of one "
-            "with --joined"
+            "several logs are several drives: --out, --report and --speed take one, or the pieces "
+            "of one with --joined"
         )
 
 

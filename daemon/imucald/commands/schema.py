@@ -11,8 +11,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the schema."""
-    from imucald.can.e2e.checksums import KINDS
+    from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ONE_BYTE_KINDS
     from imucald.config import json_schema
 
-    print(json_schema({("ChecksumSettings", "kind"): ["none", *KINDS]}))
+    choices = {
+        ("ChecksumSettings", "kind"): [NO_CHECKSUM, *KINDS],
+        ("Output", "checksum"): [NO_CHECKSUM, *ONE_BYTE_KINDS],
+    }
+    print(json_schema(choices))
     return 0

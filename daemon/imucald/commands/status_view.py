@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rich.console import Group, RenderableType
+from rich.console import Group
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
+
+from imucald.commands.mount_view import mount_parts
+from imucald.mount.mount_words import EVIDENCE_KINDS
 
 STYLES = {
     "usable": "green",
@@ -38,28 +41,17 @@ EVIDENCE = {
     "stops": "stops",
 }
 
-SOURCES = {
-    "turn": "turns",
-    "dvdt": "acceleration",
-    "axis": "axis of turning",
-    "gravity": "gravity",
-    "before": "earlier drives",
-}
-"""What the last part of an evidence's name means."""
 SHARE_SHOWN = 0.05
 
 
-def picture(status: Mapping[str, Any], steady: bool = False) -> Group:
-    """Return the picture; steady: of the same height always."""
-    parts: list[RenderableType] = [
-        _headline(status),
-        Padding(_angles(status, steady), (1, 0)),
-        _facts(status),
-    ]
-    return Group(*parts)
+def picture(status: Mapping[str, Any]) -> Group:
+    """Return the whole status, for any width."""
+    mount = Group(*mount_parts(status["mount"], status["waiting_for"]))
+    return Group(headline(status), Padding(mount, (1, 0)), facts(status))
 
 
-def _headline(status: Mapping[str, Any]) -> Text:
+def headline(status: Mapping[str, Any]) -> Text:
+    """Return who it is, on which bus, and in which state."""
     link, state = status["link"], status["state"]
     text = Text("imucald ", style="bold")
     text.append(f"{status['version']} on {link['channel']}", style="not bold")
@@ -75,20 +67,8 @@ def _headline(status: Mapping[str, Any]) -> Text:
     return text
 
 
-def _angles(status: Mapping[str, Any], steady: bool) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for name, justify in (("mount", "left"), ("angle", "right"), ("± 2 sd", "right")):
-        table.add_column(name, justify=justify, min_width=8)  # type: ignore[arg-type]
-    table.add_column("waiting for", overflow="ellipsis", no_wrap=steady)
-    mount = status["mount"]
-    for angle, axis in zip(("roll", "pitch", "yaw"), "xyz", strict=True):
-        value, std = mount[f"{angle}_deg"], mount["std_deg"][axis]
-        waiting = Text(status["waiting_for"].get(angle, ""), style="yellow")
-        table.add_row(angle, _deg(value, "+.2f"), _deg(std and 2.0 * std, ".2f"), waiting)
-    return table
-
-
-def _facts(status: Mapping[str, Any]) -> Table:
+def facts(status: Mapping[str, Any]) -> Table:
+    """Return signals, evidence, frames, alarms, losses, saved state and process."""
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column(overflow="fold")
@@ -144,7 +124,7 @@ def _weights(details: Mapping[str, Any]) -> str:
         sums: dict[str, float] = {}
         for name, share in shares.items():
             source = name.rpartition("_")[2]
-            source = SOURCES.get(source, name)
+            source = EVIDENCE_KINDS.get(source, name)
             sums[source] = sums.get(source, 0.0) + share
         named = [
             f"{source} {100 * share:.0f} %"
@@ -177,7 +157,3 @@ def _time(seconds: float) -> str:
     minutes, rest = divmod(int(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
-
-
-def _deg(value: float | None, form: str) -> str:
-    return "-" if value is None else f"{value:{form}}°"

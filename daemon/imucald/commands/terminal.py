@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
-
-from imucald.mount.estimate import ANGLES
+from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -16,15 +15,50 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int | None], None]
 
 
+PIPED_WIDTH = 2000
+"""Columns where no terminal says how many there are: a row is a line, whoever reads it."""
+
+
+class _LinesWithoutPadding(io.TextIOBase):
+    """Passes text on line by line, without the blanks that fill a table's columns."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._line = ""
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """That of the stream behind."""
+        return self._stream.encoding
+
+    def write(self, text: str) -> int:
+        """Pass on the lines that are whole."""
+        *lines, self._line = (self._line + text).split("\n")
+        self._stream.writelines(f"{line.rstrip(' ')}\n" for line in lines)
+        return len(text)
+
+    def flush(self) -> None:
+        """Pass on what is left."""
+        self._stream.write(self._line)
+        self._line = ""
+        self._stream.flush()
+
+
 def plain_console() -> Console:
-    """Standard output for tables: names from databases are no markup, a closed pipe is no error."""
+    """Standard output for tables: names from databases are no markup, a closed pipe is no error.
+
+    Where it is no terminal each row is one line, as `grep` and `awk` want it.
+    """
     from rich.console import Console
 
     class PlainConsole(Console):
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
-    return PlainConsole(highlight=False, markup=False)
+    if sys.stdout.isatty() or "COLUMNS" in os.environ:
+        return PlainConsole(highlight=False, markup=False)
+    file = cast("IO[str]", _LinesWithoutPadding(sys.stdout))
+    return PlainConsole(highlight=False, markup=False, width=PIPED_WIDTH, file=file)
 
 
 @contextmanager
@@ -72,26 +106,15 @@ def plain_where_needed() -> None:
 
 def print_summary(result: Mapping[str, Any]) -> None:
     """Print the result of a replay as tables."""
-    from rich.table import Table
     from rich.text import Text
+
+    from imucald.commands.mount_view import mount_parts
 
     plain_where_needed()
     console = plain_console()
     console.print(Text.assemble("state: ", (result["state"], "bold"), _since(result)))
-    table = Table(box=None, pad_edge=False)
-    table.add_column("angle")
-    table.add_column("value", justify="right")
-    table.add_column("std", justify="right")
-    table.add_column("waiting for", overflow="fold")
-    mount = result["mount"]
-    for angle, axis in zip(ANGLES, "xyz", strict=True):
-        table.add_row(
-            angle,
-            _number(mount[f"{angle}_deg"], "+.2f", " deg"),
-            _number(mount["std_deg"][axis], ".2f", " deg"),
-            result["waiting_for"].get(angle, ""),
-        )
-    console.print(table)
+    for part in mount_parts(result["mount"], result["waiting_for"]):
+        console.print(part)
     frames = result["frames"]
     signals = ", ".join(
         f"{name} {row['rate_hz'] or 0:.4g}/s" for name, row in result["signals"].items()
@@ -111,6 +134,9 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
     """Print several drives, a row each, and what is odd between them."""
     from rich.table import Table
 
+    from imucald.mount.estimate import ANGLES
+    from imucald.mount.mount_words import ABOUT, plus_minus
+
     plain_where_needed()
     console = plain_console()
     table = Table(box=None, pad_edge=False)
@@ -118,11 +144,12 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
     for name in ("s", "state", *ANGLES):
         table.add_column(name, justify="left" if name == "state" else "right")
     for row in rows:
-        values = [_number(row[f"{angle}_deg"], "+.2f", "") for angle in ANGLES]
-        stds = [_number(row[f"std_{axis}_deg"], ".2f", "") for axis in "xyz"]
-        angles = [f"{v} +-{s}" for v, s in zip(values, stds, strict=True)]
+        values = [_number(row[f"{angle}_deg"], "+.2f", "°") for angle in ANGLES]
+        widths = [plus_minus(row[f"std_{axis}_deg"]) for axis in "xyz"]
+        angles = [f"{value} {width}" for value, width in zip(values, widths, strict=True)]
         table.add_row(row["log"], f"{row['duration_s']:.0f}", row["state"], *angles)
     console.print(table)
+    console.print(ABOUT)
     for note in notes:
         console.print(note)
 

@@ -15,13 +15,14 @@ from imucald.config.base import (
     RadiansPerAxis,
     Settings,
     Share,
+    SpeedDelay,
 )
 
 AxisConvention = Literal["force", "gravity"]
 """What an accelerometer at rest reads on the axis that points up: +g, or -g."""
 
 
-class CompensationSettings(Settings, frozen=True):
+class MotionCompensationSettings(Settings, frozen=True):
     """Method B: how motion is taken out of the accelerometer."""
 
     average: Positive = 0.2
@@ -30,7 +31,7 @@ class CompensationSettings(Settings, frozen=True):
     """Shortest time between two averages that are differenced [s]: coarse speed, quietly."""
     timeout: Annotated[float, Meta(gt=0, le=4.0)] = 3.0
     """Speed older than this is not known [s]; OBD-II answers come once a second."""
-    delay: Annotated[float, Meta(ge=-0.5, le=1.2)] | None = None
+    delay: SpeedDelay | None = None
     """How late speed is against the accelerometer [s]; default: calibration.speed_delay, or 0."""
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Sensor from the middle of the axle that does not steer: forward, left, up [m]."""
@@ -121,7 +122,7 @@ class AttitudeSettings(Settings, frozen=True):
     """Nose-up pitch of the body per forward specific force [rad/(m/s^2)], for the grade."""
     grade_time: Positive = 1.0
     """Time constant of the road grade [s]: longer than the body swings."""
-    compensation: CompensationSettings = CompensationSettings()
+    compensation: MotionCompensationSettings = MotionCompensationSettings()
     filter: FilterSettings = FilterSettings()
 
 

@@ -22,6 +22,12 @@ Share = Annotated[float, Meta(ge=0, le=0.5)]
 """Relative uncertainty."""
 Angle = Annotated[float, Meta(ge=-180, le=180)]
 """[deg]"""
+MIN_SPEED_DELAY, MAX_SPEED_DELAY = -0.5, 1.2
+"""Of speed behind the accelerometer [s]: what can be configured, and where it is sought. A speed
+of 1 Hz that is averaged over its cycle and waits for a frame is a second late; the accelerometer
+is late against it by a low-pass and its own cycle at most."""
+SpeedDelay = Annotated[float, Meta(ge=MIN_SPEED_DELAY, le=MAX_SPEED_DELAY)]
+"""[s]"""
 
 
 PerAxis = Positive | Annotated[tuple[Positive, ...], Meta(min_length=3, max_length=3)]

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from imucald.config.base import NotNegative, Positive, Radians, RadiansOrNone, Settings
+from imucald.config.base import NotNegative, Positive, Radians, RadiansOrNone, Settings, SpeedDelay
 
 
 class StaticTestSettings(Settings, frozen=True):
@@ -132,7 +132,7 @@ class CalibrationSettings(Settings, frozen=True):
     """Full scale [m/s^2]; nothing is learnt close to it."""
     cross_axis: Annotated[float, Meta(ge=0, le=0.05)] = 0.0
     """Cross-axis error of the accelerometer (part): widens the intervals."""
-    speed_delay: Annotated[float, Meta(ge=-0.5, le=1.2)] | None = None
+    speed_delay: SpeedDelay | None = None
     """How late speed is against the accelerometer [s]; estimated when absent."""
     states: StateLimits = StateLimits()
     static: StaticTestSettings = StaticTestSettings()

@@ -43,7 +43,7 @@ class ChecksumSettings(Settings, frozen=True):
     """E2E data id; profile 2: a list of sixteen."""
     data_id_mode: Literal["both", "alternating", "low", "nibble"] = "both"
     id_bytes: Annotated[int, Meta(ge=0, le=4)] = 0
-    """For xor and crc8_j1850: bytes of the CAN identifier that go in first."""
+    """For kinds that stand in a signal: bytes of the CAN identifier that go in first."""
     offset: Annotated[int, Meta(ge=0, le=63)] = 0
     """E2E: first byte of the header in the frame."""
 
@@ -100,4 +100,5 @@ class Output(Settings, frozen=True):
     ids: OutputIds = OutputIds()
     status_rate: Literal[1, 2, 5, 10] = 1
     """Status frames per second."""
-    checksum: Literal["crc8_j1850", "xor", "none"] = "crc8_j1850"
+    checksum: str = "crc8_j1850"
+    """"none" or a kind of one byte that `can.e2e.checksums` knows."""

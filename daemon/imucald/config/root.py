@@ -21,7 +21,7 @@ from imucald.config.network import (
 )
 from imucald.config.shorthand import spelled_out
 from imucald.config.signals import Signals
-from imucald.config.uds import Diagnostics
+from imucald.config.uds import Uds
 from imucald.config.vehicle import ModelFile, VehicleSettings
 from imucald.config.without_effect import idle_keys, impossible
 from imucald.core.errors import ConfigError
@@ -45,7 +45,7 @@ class Config(Settings, frozen=True, kw_only=True):
     output: Output = Output()
     attitude: AttitudeSettings = AttitudeSettings()
     travel_direction: TravelDirectionSettings = TravelDirectionSettings()
-    diagnostics: Diagnostics = Diagnostics()
+    diagnostics: Uds = Uds()
 
     def __post_init__(self) -> None:
         """Fill in the defaults that are another key's value."""
@@ -92,6 +92,19 @@ class LoadedConfig:
     def with_databases(self, entries: tuple[DatabaseSettings, ...]) -> LoadedConfig:
         """The same configuration with other database entries."""
         config = msgspec.structs.replace(self.config, database=entries)
+        return LoadedConfig(config, self.path, self._marks)
+
+    def keys_in(self, section: str) -> frozenset[str]:
+        """The keys of a section that stand in the file, whatever their values."""
+        places = (place for place in self._marks if len(place) == 2 and place[0] == section)
+        return frozenset(str(place[1]) for place in places)
+
+    def with_model(self, path: Path) -> LoadedConfig:
+        """The same configuration with its model file at another place."""
+        if self.config.model is None:
+            raise self.error(("model",), "there is none to be put at another place")
+        model = msgspec.structs.replace(self.config.model, path=str(path.resolve()))
+        config = msgspec.structs.replace(self.config, model=model)
         return LoadedConfig(config, self.path, self._marks)
 
     def idle_keys(self) -> list[str]:

@@ -1,4 +1,4 @@
-"""Diagnostics on the bus."""
+"""UDS (ISO 14229): the server's ids and who may start routines."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SecurityAccess(Settings, frozen=True):
     """How long no key is taken then [s]."""
 
 
-class Diagnostics(Settings, frozen=True):
+class Uds(Settings, frozen=True):
     """An ISO 14229 server over ISO-TP."""
 
     enabled: bool = False

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
 from imucald.config_check.finding import (
     CLEAR,
     MIN_TICKS,
@@ -20,6 +21,7 @@ from imucald.config_check.finding import (
 )
 from imucald.config_check.motion import Motion, shifted, smooth
 from imucald.config_check.yaw_rate_check import MIN_TURNING
+from imucald.motion.ticks import TICK_S
 
 MIN_BRAKING = 0.25
 """Least standard deviation of the change of speed for a judgement [m/s^2]."""
@@ -35,9 +37,8 @@ ODD_SPEED = 1.4
 measured and simulated vehicles show 0.8 to 1.2, miles taken for kilometres 0.6 or 1.6 of that."""
 MIN_REPORTED_DELAY = 2
 """Ticks of speed delay from which it is reported."""
-MAX_DELAY = 12
-"""Ticks: a speed is up to 1.2 s late."""
-_DELAYS = range(-MAX_DELAY // 2, MAX_DELAY + 1)
+_DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(MAX_SPEED_DELAY / TICK_S) + 1)
+"""[ticks]"""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.samples import CHANNEL_WIDTH, Samples
-from imucald.motion.rest_thresholds import ZERO_SPEED_SMOOTHED
+from imucald.motion.standstill import ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
 
 Array = NDArray[np.float64]
@@ -64,12 +64,13 @@ class TickMeans:
             counts[: len(self._counts[channel])] = self._counts[channel][:n]
             rows = np.flatnonzero(counts)
             means = sums[rows] / counts[rows, None]
-            table = np.column_stack([_bridged(n, rows, column) for column in means.T])
+            table = np.column_stack([bridged(n, rows, column) for column in means.T])
             grid[channel] = table[:, 0] if CHANNEL_WIDTH.get(channel, 3) == 1 else table
         return grid
 
 
-def _bridged(n: int, rows: NDArray[np.intp], values: Array) -> Array:
+def bridged(n: int, rows: NDArray[np.intp], values: Array) -> Array:
+    """Values (n,) known at some rows, short holes bridged by lines, NaN where nothing is known."""
     here = np.arange(n)
     result = np.interp(here, rows, values)
     after = np.searchsorted(rows, here)

@@ -11,7 +11,7 @@ from imucald.can.dbc.message import Signal
 from imucald.config import LoadedConfig
 from imucald.config_check.statistics import Probe, SignalStatistics
 from imucald.inputs.routes import MessageRoute
-from imucald.inputs.wiring import Wanted, wanted_numbers
+from imucald.inputs.wanted_numbers import Wanted, wanted_numbers
 
 SI_UNITS = {
     "acceleration": "m/s^2",

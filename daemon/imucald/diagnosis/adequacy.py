@@ -19,6 +19,7 @@ from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
 from imucald.diagnosis.search import State
 from imucald.diagnosis.signals import STEP_S
 from imucald.diagnosis.trials import BIAS, tried
+from imucald.mount.mount_words import SD_95
 
 Spectra = NDArray[np.complex128]
 OPPOSITE = -0.4
@@ -170,7 +171,7 @@ def _shaken(problem: Problem, state: State) -> list[Structure]:
     i = int(np.argmax(np.abs(trial.estimate.value) / trial.estimate.se))
     text = (
         f"the zero {('forward', 'left', 'up')[i]} moves by {trial.estimate.value[i]:+.2g} +- "
-        f"{trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken stretches"
+        f"{SD_95 * trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken stretches"
     )
     size = float(abs(trial.estimate.value[i]) / trial.estimate.se[i])
     return [Structure(f"accel_{'xyz'[i]}", "goes with shaking", size, text)]

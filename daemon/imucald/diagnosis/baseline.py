@@ -17,6 +17,7 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis.recording import Recording
 from imucald.model.model import VehicleModel
+from imucald.mount.mount_words import reasons_line
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
 
@@ -79,7 +80,7 @@ def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
     estimate = pipeline.estimator.estimate()
     angles, std = estimate.angles, estimate.std
     if angles is None or std is None or math.degrees(max(std)) > LARGEST_STD_DEG:
-        why = "; ".join(f"{angle}: {text}" for angle, text in estimate.waiting_for.items())
+        why = reasons_line(estimate.waiting_for)
         raise EstimateError(
             "the drives do not say how the sensor sits, so there is no model to compare with; "
             f"give one with --model ({why or 'see imucald replay'})"

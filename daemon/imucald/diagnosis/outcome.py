@@ -25,6 +25,7 @@ from imucald.diagnosis.search import State
 from imucald.diagnosis.shift import KEYS, FittedShift
 from imucald.diagnosis.trials import Trial, questions
 from imucald.model.model import VehicleModel
+from imucald.mount.mount_words import SD_95
 
 SEEN_SHARE = 0.02
 """A signal shows a cause where it carries this share of what the cause explains."""
@@ -170,7 +171,7 @@ def told_rest_of(state: State) -> tuple[Candidate, ...]:
             outcome = "does not pay"
         else:
             outcome = "not decidable here"
-        text = f"{key} off by {_n(x)} +- {_n(se)} {unit}; named from {_n(tau + q * se)} on"
+        text = f"{key} off by {_n(x)} +- {_n(SD_95 * se)} {unit}; named from {_n(tau + q * se)} on"
         made.append(Candidate(name, outcome, t.shown, text))
     return tuple(made)
 

@@ -17,7 +17,8 @@ from imucald.core.errors import LogError
 from imucald.core.samples import CHANNEL_WIDTH, Samples, Series
 from imucald.inputs.router import Routed, Router
 from imucald.inputs.routes import MessageRoute, SignalRoute
-from imucald.inputs.wiring import compile_router, wanted_numbers
+from imucald.inputs.wanted_numbers import wanted_numbers
+from imucald.inputs.wiring import compile_router
 from imucald.runtime.timebase import TimeBase, TimeSegment
 
 Array = NDArray[np.float64]

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from imucald.can.dbc.message import Message
-from imucald.can.e2e.checksums import KINDS, ChecksumKind
+from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ChecksumKind
 from imucald.can.e2e.crc import ChecksumSpec
 from imucald.can.e2e.protection import CounterSpec, MessageChecker, ProtectionSpec, counter_of
 from imucald.config import MessageProtection
 from imucald.core.errors import ConfigError
-
-NO_CHECKSUM = "none"
 
 
 def checker_for(message: Message, protection: MessageProtection | None) -> MessageChecker:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,15 +76,26 @@ class RateGuard:
             return {}
         second = np.floor(t).astype(np.int64)
         first = int(second[0])
-        seen, faulty = good.copy(), np.zeros(len(t), dtype=bool)
-        for reason, rows in reasons.items():
-            seen[rows] = reason not in _DAMAGED
-            faulty[rows] = reason.startswith("counter")
         of = second - first
         n = int(of[-1]) + 1
-        counts = [np.bincount(of[flags], minlength=n).tolist() for flags in (seen, faulty, good)]
+        good_count = seen_count = np.bincount(of if good.all() else of[good], minlength=n)
+        fault_count = np.zeros(n, np.int64)
+        for reason, rows in reasons.items():
+            count = np.bincount(of[rows], minlength=n)
+            if reason not in _DAMAGED:
+                seen_count = seen_count + count
+            if reason.startswith("counter"):
+                fault_count += count
+        seen, faulty, sound_in = seen_count.tolist(), fault_count.tolist(), good_count.tolist()
+        last = max(n - SECONDS - 1, 0)
+        if last and self._is_usual(first, seen):  # only what the next chunk needs is gone through
+            self._second = first + last - 1
+            self._seen, self._faults = seen[last - 1], faulty[last - 1]
+        else:
+            last = 0
         refused: dict[str, list[Rows]] = {}
-        for i, (frames, faults, sound) in enumerate(zip(*counts, strict=True)):
+        for i in range(last, n):
+            frames, faults, sound = seen[i], faulty[i], sound_in[i]
             if frames == sound == 0 and not self._any(of, i):
                 continue
             self._enter(first + i)
@@ -99,6 +110,12 @@ class RateGuard:
                 rows = np.flatnonzero((of == i) & good)[room:]
                 refused.setdefault(TOO_FAST, []).append(rows)
         return {reason: np.concatenate(rows) for reason, rows in refused.items()}
+
+    def _is_usual(self, first: int, seen: Sequence[int]) -> bool:
+        """Whether nothing can be refused in these seconds: all have few frames, as those before."""
+        open_second = self._seen + (seen[0] if first == self._second else 0)
+        most = max(*seen, open_second, *(before for before, _ in self._before))
+        return most <= TWO_SENDERS * self._usual < math.inf and first > self._distrusted_until
 
     @staticmethod
     def _any(of: Rows, i: int) -> bool:

@@ -14,62 +14,20 @@ from imucald.can.dbc.database import Database, load_database
 from imucald.can.dbc.decode import compile_decode
 from imucald.can.dbc.message import Message, Signal
 from imucald.can.dbc.resolved_signal import raw_limits
-from imucald.can.e2e.checksums import KINDS
+from imucald.can.e2e.checksums import KINDS, NO_CHECKSUM, ONE_BYTE_KINDS
 from imucald.config import LoadedConfig
 from imucald.core.errors import ConfigError, DatabaseError
 from imucald.inputs.expression import Expression
-from imucald.inputs.protection_settings import NO_CHECKSUM, checker_for
+from imucald.inputs.protection_settings import checker_for
 from imucald.inputs.quantities import Conversion
 from imucald.inputs.router import Router
 from imucald.inputs.routes import Component, MessageRoute, RawRoute, SignalRoute, Status, Tap
 from imucald.inputs.units import Unit, find_unit, unit_names
 from imucald.inputs.value_table import no_values
+from imucald.inputs.wanted_numbers import Place, Wanted, wanted_numbers
 
-Place = tuple[str | int, ...]
-
-DIMENSIONS = {
-    "accel": "acceleration",
-    "gyro": "angular_rate",
-    "mag": "magnetic_field",
-    "speed": "speed",
-    "wheel_speeds": "speed",
-    "steering": "angle",
-    "yaw_rate": "angular_rate",
-    "lateral_accel": "acceleration",
-    "longitudinal_accel": "acceleration",
-    "reverse": "flag",
-    "brake": "flag",
-    "temperature": "temperature",
-    "heading": "angle",
-}
-_TRIADS = {"accelerometer": "accel", "gyroscope": "gyro", "magnetometer": "mag"}
-_SCALARS = {
-    "speed": "speed",
-    "steering_wheel_angle": "steering",
-    "yaw_rate": "yaw_rate",
-    "lateral_acceleration": "lateral_accel",
-    "longitudinal_acceleration": "longitudinal_accel",
-    "reverse": "reverse",
-    "brake": "brake",
-    "temperature": "temperature",
-    "heading": "heading",
-}
-_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _SENSORS = ("accel", "gyro")
 """Channels whose end-of-range values mean a saturated sensor."""
-
-
-class Wanted(Struct, frozen=True):
-    """One number that the configuration asks for."""
-
-    channel: str
-    dimension: str
-    rank: int
-    slot: int
-    width: int
-    planar: bool
-    source: cfg.SourceSettings
-    place: Place
 
 
 class LoadedDatabase(Struct):
@@ -90,40 +48,6 @@ class _MessageSignals:
     names: list[str] = field(default_factory=list)
     wanted: list[tuple[Wanted, int, Conversion]] = field(default_factory=list)
     statuses: dict[tuple[str, int], list[Status]] = field(default_factory=dict)
-
-
-def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
-    """Every number that the configuration's `signals` section names."""
-    for key, channel in _TRIADS.items():
-        triads: Sequence[cfg.TriadSettings] | None = getattr(signals, key)
-        for rank, triad in enumerate(triads or ()):
-            place: Place = ("signals", key, rank)
-            yield from _axes(channel, DIMENSIONS[channel], rank, triad, place)
-    for sensor_index, sensor in enumerate(signals.parallel):
-        triad = cfg.TriadSettings(x=sensor.x, y=sensor.y, z=sensor.z)
-        place = ("signals", "parallel", sensor_index)
-        yield from _axes(f"parallel/{sensor.name}", sensor.kind, 0, triad, place)
-    for key, channel in _SCALARS.items():
-        sources: Sequence[cfg.SourceSettings] | None = getattr(signals, key)
-        for rank, source in enumerate(sources or ()):
-            place = ("signals", key, rank)
-            yield Wanted(channel, DIMENSIONS[channel], rank, 0, 1, False, source, place)
-    if signals.wheel_speeds is not None:
-        for slot, key in enumerate(_WHEELS):
-            source = getattr(signals.wheel_speeds, key)
-            place = ("signals", "wheel_speeds", key)
-            yield Wanted("wheel_speeds", "speed", 0, slot, 4, False, source, place)
-
-
-def _axes(
-    channel: str, dimension: str, rank: int, triad: cfg.TriadSettings, place: Place
-) -> Iterator[Wanted]:
-    planar = triad.z is None
-    for slot, axis in enumerate("xyz"):
-        source: cfg.SourceSettings | None = getattr(triad, axis)
-        if source is not None:
-            here = (*place, axis)
-            yield Wanted(channel, dimension, rank, slot, 3, planar, source, here)
 
 
 def load_databases(loaded: LoadedConfig) -> list[LoadedDatabase]:
@@ -331,12 +255,18 @@ def _refuse_unknown_messages(
 
 
 def _refuse_unknown_checksums(loaded: LoadedConfig) -> None:
-    known = (NO_CHECKSUM, *KINDS)
-    for name, protection in loaded.config.messages.items():
-        checksum = protection.checksum
-        if checksum is not None and checksum.kind not in known:
-            text = f"{checksum.kind!r} is no kind of checksum (known: {', '.join(known)})"
-            raise loaded.error(("messages", name, "checksum", "kind"), text)
+    config = loaded.config
+    asked: list[tuple[Place, str, Iterable[str]]] = [
+        (("messages", name, "checksum", "kind"), protection.checksum.kind, KINDS)
+        for name, protection in config.messages.items()
+        if protection.checksum is not None
+    ]
+    asked.append((("output", "checksum"), config.output.checksum, ONE_BYTE_KINDS))
+    for place, kind, kinds in asked:
+        known = (NO_CHECKSUM, *kinds)
+        if kind not in known:
+            text = f"{kind!r} is no kind of checksum (known: {', '.join(known)})"
+            raise loaded.error(place, text)
 
 
 def _refuse_split_planar(loaded: LoadedConfig, groups: Iterable[_MessageSignals]) -> None:

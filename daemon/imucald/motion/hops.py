@@ -17,7 +17,6 @@ from imucald.motion.ticks import TICK_S
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 HOP_TICKS = 5
 """Ticks of a hop: half a second, so that three are over before a fault is two seconds old."""
@@ -25,24 +24,19 @@ HOP_S = HOP_TICKS * TICK_S
 
 SIDES = 2
 """Of each axis the upper and the lower extreme are watched."""
-WINDOW_HOPS = 120
-"""Extremes are those of so many hops of driving (a minute), then new ones are looked for."""
 
 
 @dataclass
 class Carry:
-    """What the next hop has to know of those before; arrays by axis, extremes by side and axis.
+    """What the next hop has to know of those before; arrays by axis.
 
     last: the last sample, NaN before the first. run: how many samples in a row have been equal to
-    it. step: the smallest change so far. extreme: (2, axes), the largest value, and the largest of
-    the negated ones, while the vehicle moved in this window. moved: hops of driving so far.
+    it. step: the smallest change so far.
     """
 
     last: Array
     run: Index
     step: Array
-    extreme: Array
-    moved: int = 0
 
     @classmethod
     def none(cls, axes: int) -> Carry:
@@ -51,7 +45,6 @@ class Carry:
             np.full(axes, math.nan),
             np.zeros(axes, np.int64),
             np.full(axes, math.inf),
-            np.full((SIDES, axes), -math.inf),
         )
 
     def restart(self) -> None:
@@ -65,11 +58,10 @@ class HopRows:
     """Figures of H hops: count (H,), the others (H, axes), of extremes (H, 2, axes).
 
     mean: of the samples. level: mean size of the change from sample to sample. step: smallest
-    change so far. ended: runs of equal values that ended. longest: of those the longest, but for
-    runs at an extreme. run: samples up to the hop's end that are equal. top: the hop's largest
-    value. extreme: the largest so far in the window; at_it: samples on it, ties: those that follow
-    another on it while another axis changed, below: samples one step, and two steps, below it
-    (H, 2, 2, axes). window: the window of each hop.
+    change so far. ended: runs of equal values that ended. longest: of those the longest. run:
+    samples up to the hop's end that are equal. top: the hop's largest value, and the largest of
+    the negated ones; on_top: samples on it. samples: (axes, N), the samples themselves, those of
+    hop h from edges[h] to edges[h + 1]; before: (axes,), the one before the first, NaN if none.
     """
 
     count: Index
@@ -80,20 +72,18 @@ class HopRows:
     longest: Index
     run: Index
     top: Array
-    extreme: Array
-    at_it: Index
-    ties: Index
-    below: Index
-    window: Index
+    on_top: Index
+    samples: Array
+    edges: Index
+    before: Array
 
 
-def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
-    """Return the figures of hops 0 .. H-1, and bring `carry` up to their end.
+def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
+    """Return the figures of hops 0 .. hops-1, and bring `carry` up to their end.
 
-    values: (N, axes) samples. hop: (N,) the hop of each, never decreasing. moving: (H,).
+    values: (N, axes) samples. hop: (N,) the hop of each, never decreasing.
     """
     n, axes = values.shape
-    hops = len(moving)
     edges = np.searchsorted(hop, np.arange(hops + 1))
     count = np.diff(edges)
     # All axes in one long column, axis after axis: one call of each function instead of three.
@@ -112,21 +102,13 @@ def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
     starts = np.flatnonzero(new)
     of_start = cell[starts]
     step = _steps(size[starts], of_start, cells, axes, carry)
-    moved = moving & (count > 0)
-    window = (carry.moved + np.cumsum(moved) - moved) // WINDOW_HOPS
-    top, extreme = _extremes(v, edges, count, moving, window, carry)
-    is_new = new.reshape(axes, n)
-    alone = (~is_new & (is_new.sum(axis=0) > 0)).ravel()
+    top, on_top = _extremes(v, edges, count, hop)
     run = _runs(starts, edges, n, axes, carry)
     ended = np.bincount(of_start, minlength=cells)
-    longest = _longest(v, starts, of_start, extreme, hops, carry)
-    at_it, ties, below = _at_extremes(flat, alone, cell, top, extreme, step, moving)
+    longest = _longest(starts, of_start, n, axes, hops, carry)
+    before = carry.last
     carry.last = v[:, -1].copy()
     carry.run, carry.step = run[:, -1].copy(), step[:, -1].copy()
-    carry.extreme = extreme[:, :, -1].copy()
-    carry.moved += int(moved.sum())
-    if carry.moved // WINDOW_HOPS > window[-1]:
-        carry.extreme[:] = -math.inf
     return HopRows(
         count=count,
         mean=mean.T,
@@ -136,11 +118,10 @@ def hop_rows(values: Array, hop: Index, moving: Flags, carry: Carry) -> HopRows:
         longest=longest.T,
         run=run.T,
         top=np.moveaxis(top, -1, 0),
-        extreme=np.moveaxis(extreme, -1, 0),
-        at_it=np.moveaxis(at_it, -1, 0),
-        ties=np.moveaxis(ties, -1, 0),
-        below=np.moveaxis(below, -1, 0),
-        window=window,
+        on_top=np.moveaxis(on_top, -1, 0),
+        samples=v,
+        edges=edges,
+        before=before,
     )
 
 
@@ -154,20 +135,17 @@ def _steps(size: Array, cell: Index, cells: int, axes: int, carry: Carry) -> Arr
     return np.minimum.accumulate(joined, axis=1)
 
 
-def _extremes(
-    v: Array, edges: Index, count: Index, moving: Flags, window: Index, carry: Carry
-) -> tuple[Array, Array]:
-    """Largest values of each hop, and so far while moving in its window (2, axes, H)."""
+def _extremes(v: Array, edges: Index, count: Index, hop: Index) -> tuple[Array, Index]:
+    """Largest values of each hop, and how many samples are on them (2, axes, H)."""
     some = count > 0
     top = np.full((SIDES, len(v), len(count)), -math.inf)
+    on_top = np.zeros(top.shape, np.int64)
     at = edges[:-1][some]
     top[0][:, some] = np.maximum.reduceat(v, at, axis=1)
     top[1][:, some] = -np.minimum.reduceat(v, at, axis=1)
-    seen = np.where(moving, top, -math.inf)
-    seen[:, :, 0] = np.maximum(seen[:, :, 0], carry.extreme)
-    for part in np.split(np.arange(len(count)), np.flatnonzero(np.diff(window)) + 1):
-        seen[:, :, part] = np.maximum.accumulate(seen[:, :, part], axis=2)
-    return top, seen
+    on_top[0][:, some] = np.add.reduceat(v == top[0][:, hop], at, axis=1, dtype=np.int64)
+    on_top[1][:, some] = np.add.reduceat(-v == top[1][:, hop], at, axis=1, dtype=np.int64)
+    return top, on_top
 
 
 def _runs(starts: Index, edges: Index, n: int, axes: int, carry: Carry) -> Index:
@@ -180,11 +158,8 @@ def _runs(starts: Index, edges: Index, n: int, axes: int, carry: Carry) -> Index
     return np.asarray(np.where(own, ends - begun, ends - first + carry.run[:, None]))
 
 
-def _longest(
-    v: Array, starts: Index, cell: Index, extreme: Array, hops: int, carry: Carry
-) -> Index:
-    """Longest run that ended in each hop (axes, H); those on an extreme do not count."""
-    axes, n = v.shape
+def _longest(starts: Index, cell: Index, n: int, axes: int, hops: int, carry: Carry) -> Index:
+    """Longest run that ended in each hop (axes, H)."""
     out = np.zeros(axes * hops, np.int64)
     if not len(starts):
         return out.reshape(axes, hops)
@@ -192,39 +167,5 @@ def _longest(
     length = np.diff(starts, prepend=0)
     first = np.concatenate([[True], axis[1:] != axis[:-1]])
     length[first] = row[first] + carry.run[axis[first]]
-    value = np.where(row > 0, v.ravel()[starts - 1], carry.last[axis])
-    high, low = extreme.reshape(SIDES, -1)
-    length[(value >= high[cell]) | (-value >= low[cell])] = 0
     np.maximum.at(out, cell, length)
     return out.reshape(axes, hops)
-
-
-def _at_extremes(
-    flat: Array, alone: Flags, cell: Index, top: Array, extreme: Array, step: Array, moving: Flags
-) -> tuple[Index, Index, Index]:
-    """Samples at the extremes, ties there (2, axes, H), and samples below (2, 2, axes, H)."""
-    shape = extreme.shape
-    at_it = np.zeros(shape, np.int64)
-    ties = np.zeros(shape, np.int64)
-    below = np.zeros((2, *shape), np.int64)
-    cells = shape[1] * shape[2]
-    wide = np.where(np.isfinite(step), 2.5 * step, 0.0)
-    near = (top >= extreme - wide) & moving & np.isfinite(extreme)
-    for side in range(SIDES):
-        if not near[side].any():
-            continue
-        rows = np.flatnonzero(near[side].ravel()[cell])
-        mine = cell[rows]
-        value = flat[rows] if side == 0 else -flat[rows]
-        under = extreme[side].ravel()[mine] - value
-        grain = step.ravel()[mine]
-        on = under == 0.0
-        one, two = under < 1.5 * grain, under < 2.5 * grain
-        for out, chosen in (
-            (at_it[side], on),
-            (ties[side], on & alone[rows]),
-            (below[0, side], one & ~on),
-            (below[1, side], two & ~one),
-        ):
-            out[:] = np.bincount(mine[chosen], minlength=cells).reshape(out.shape)
-    return at_it, ties, below

@@ -1,157 +1,247 @@
 """Rails: an axis that cannot go beyond some value, at either end.
 
-A value that a live axis happens to reach as its largest comes once or twice; on a rail it comes
-again and again, and stays.
+A value that a live axis happens to reach as its largest comes once; on a rail it comes again and
+again, and stays. What is played twice to the last bit, such as a recording in a loop, comes once.
 """
 
 from __future__ import annotations
 
 import math
-from bisect import insort
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.motion.hops import SIDES, WINDOW_HOPS, HopRows
+from imucald.motion.hops import SIDES, HopRows
 from imucald.motion.sensor_judges import SURPRISE, Runs, StuckAxis
 
-Flags = NDArray[np.bool_]
+Array = NDArray[np.float64]
 
-MIN_WINDOW_HOPS = 30
-"""Hops of driving in a window from which the tail of an axis is known (15 s)."""
+TAIL_HOPS = 120
+"""The tail of an axis is that of the largest values of so many hops of driving (a minute) ..."""
+LEAST_TAIL_HOPS = 30
+"""... and known from so many (15 s)."""
 LEAST_STEPS = 16
 """A signal of fewer steps from end to end has no tail."""
 LEAST_AT_EXTREME = 5
 PILE = 1.3
 """An extreme is a rail where more samples are on it than on the steps below, so many times."""
-TIES_COUNT = 0.5
+STAYS_COUNT = 0.5
 """Neighbouring samples are not independent: each counts for so much."""
+BOTH_ENDS = SURPRISE + 4.0
+"""A range that ends at both ends: for the sum of two surprises, as x + log(1 + x) has it."""
 BROAD = 3
 """The tail is measured from where it holds so many times the arrivals at the extreme."""
+LONG_STAY = 4
+"""Fewer samples on a value that is reached for the first time say nothing."""
 REMEMBERED = 64
+"""Values that nothing has gone beyond since; they fall, so there are few of them."""
+MOST_SAMPLES = 512
+
+
+@dataclass(slots=True)
+class _Pile:
+    """What speaks for a value as a rail.
+
+    rate: -log of the chance that a sample equals the one before, as it was known before [nats].
+    surprise: -log of the chance of all that was seen [nats]. seen: samples, each with the one
+    before it, so that what comes again to the last bit counts once.
+    """
+
+    rate: float
+    at_it: int = 0
+    arrivals: int = 0
+    last: int = -2
+    surprise: float = 0.0
+    seen: set[bytes] = field(default_factory=set)
+
+
+@dataclass(slots=True)
+class _Top:
+    """A value that nothing has gone beyond since hop `born`.
+
+    on: samples on it, below: one and two steps below, as far as they are tops of their hops.
+    """
+
+    value: float
+    born: int
+    on: int
+    below: list[int]
+    pile: _Pile | None = None
+
+    @property
+    def is_piled_up(self) -> bool:
+        """Whether more samples are on it than a tail has there."""
+        at_it = 0 if self.pile is None else self.pile.at_it
+        return at_it >= LEAST_AT_EXTREME and at_it > PILE * max(self.below)
 
 
 class Rail:
     """Whether the largest value of an axis, of one side, is the end of its range.
 
     Peaks that meet in one step of a tail, and samples that stay there while other axes move, are
-    improbable; on a rail they are the rule. Only driving counts, window by window, so that what was
-    reached before the rail was there does not hide it; an extreme that comes again in a later one
-    goes on counting. It is no rail when a value lies beyond.
+    improbable; on a rail they are the rule. Watched is every value that nothing has gone beyond
+    since it came, so what was reached before the rail was there does not hide it. Only driving
+    counts. It is no rail when a value lies beyond.
+
+    surprise: -log of the chance of what is seen if there is none [nats], as far as it has been
+    left again: an axis that sticks is none. value: for which it is.
     """
 
-    def __init__(self) -> None:
-        self._former: dict[float, tuple[int, int, int, list[int]]] = {}
-        self._window = -1
-        self._extreme = self._rail = -math.inf
-        self._at_it = self._ties = self._arrivals = self._before = 0
-        self._below = [0, 0]
-        self._last = -2
-        self._peaks: list[float] = []
-        self._is_known = self.found = False
+    def __init__(self, side: int, axis: int) -> None:
+        self._side, self._axis = side, axis
+        self._tops: list[_Top] = []  # their values fall
+        self._rail = -math.inf
+        self._changed = False
+        self.found = False
+        self.surprise, self.value = 0.0, math.inf
 
-    def _begin(self, window: int) -> None:
-        self._window = window
-        if self._at_it:
-            self._former[self._extreme] = self._at_it, self._ties, self._arrivals, self._below
-        self._is_known = False
-        self._extreme = -math.inf
-        self._at_it = self._ties = self._arrivals = self._before = 0
-        self._below = [0, 0]
-        self._last = -2
-        self._peaks = []
+    def step(self, rows: HopRows, h: int, hop: int, runs: Runs, recent: Array) -> None:
+        """Take hop h of the rows, the `hop`th of driving; -1 where the vehicle stands.
 
-    def least_peak(self, window: int) -> float:
-        """A hop's largest value that is lower says nothing in that window."""
-        if window != self._window or len(self._peaks) < REMEMBERED:
-            return -math.inf
-        return self._peaks[0]
-
-    def step(self, rows: HopRows, h: int, side: int, axis: int, hop: int, runs: Runs) -> bool:
-        """Take hop h of the rows, the `hop`th of driving; whether its largest value is a rail."""
-        at = h, side, axis
-        top, extreme = float(rows.top[at]), float(rows.extreme[at])
-        step = float(rows.step[h, axis])
-        if self.found and top > self._rail + 0.5 * step:
+        runs: of the axis. recent: (TAIL_HOPS, 2, axes), tops of the last hops of driving.
+        """
+        value = float(rows.top[h, self._side, self._axis])
+        if self.found and value > self._rail + 0.5 * float(rows.step[h, self._axis]):
             self.found = False
+        if value > self.value:
+            self.surprise, self.value = 0.0, math.inf
         if hop < 0:
-            return self.found
-        if rows.window[h] != self._window:
-            self._begin(int(rows.window[h]))
-        if extreme > self._extreme:
-            self._raise(extreme, step)
-        peaks = self._peaks
-        if len(peaks) < REMEMBERED or top > peaks[0]:
-            insort(peaks, top)
-            del peaks[:-REMEMBERED]
-        for i in range(2):
-            self._below[i] += int(rows.below[h, i, side, axis])
-        if at_it := int(rows.at_it[at]):
-            self._at_it += at_it
-            self._ties += int(rows.ties[at])
-            self._arrivals += hop - self._last > 1
-            self._last = hop
-            steps = float(rows.extreme[h, :, axis].sum()) / step
-            if not self.found and steps >= LEAST_STEPS and self._is_rail(step, hop, runs):
-                self.found, self._rail = True, extreme
-        return self.found
-
-    def _raise(self, extreme: float, step: float) -> None:
-        """A larger value: what was the extreme is now so many steps below."""
-        higher = extreme - self._extreme
-        steps = round(higher / step) if higher < 3.0 * step else 3
-        if steps <= 1:
-            self._below = [self._at_it, self._below[0]]
-        elif steps == 2:
-            self._below = [0, self._at_it]
+            while self._tops and self._tops[-1].value < value:
+                self._tops.pop()
         else:
-            self._below = [0, 0]
-        self._extreme = extreme
-        self._at_it = self._ties = self._arrivals = 0
-        self._last = -2
-        self._is_known = extreme in self._former
-        if self._is_known:
-            self._at_it, self._ties, self._arrivals, self._below = self._former[extreme]
-        self._former = {v: n for v, n in self._former.items() if v > extreme}
-        self._before = self._arrivals
+            top = self._reached(value, rows, h, hop)
+            if top.pile is not None or top.born < hop or top.on >= LONG_STAY:
+                if top.pile is None:
+                    top.pile = _Pile(runs.rate())
+                self._take(top, top.pile, rows, h, hop, runs, recent)
+                self._changed = True
+        if self._changed:
+            self._weigh(rows, h, recent)
 
-    def _is_rail(self, step: float, hop: int, runs: Runs) -> bool:
-        if self._at_it < LEAST_AT_EXTREME or self._at_it <= PILE * max(self._below):
-            return False
-        surprise = TIES_COUNT * self._ties * runs.rate()
-        now = self._arrivals - self._before
-        low = self._peaks[-min(BROAD * now, len(self._peaks))]
-        scale = (self._extreme - low) / math.log(BROAD)
-        is_late = self._is_known or hop % WINDOW_HOPS >= MIN_WINDOW_HOPS
-        if self._arrivals > 1 and scale > 0.0 and is_late:
-            surprise -= (self._arrivals - 1) * math.log(-math.expm1(-step / scale))
-        return surprise > SURPRISE
+    def _weigh(self, rows: HopRows, h: int, recent: Array) -> None:
+        """Of the values that may be a rail the one for which most speaks."""
+        ends = recent[:, :, self._axis].max(axis=0)
+        if float(ends.sum()) < LEAST_STEPS * float(rows.step[h, self._axis]):
+            return
+        last = float(rows.samples[self._axis, rows.edges[h + 1] - 1])
+        now = last if self._side == 0 else -last
+        # once it is left, nothing changes before the next arrival
+        self._changed = bool(self._tops) and now == self._tops[-1].value
+        piles = [
+            (one.pile.surprise, one.value)
+            for one in self._tops
+            if one.pile is not None and one.is_piled_up and now < one.value
+        ]
+        self.surprise, self.value = max(piles, default=(0.0, math.inf))
+
+    def on_rail(self) -> None:
+        """The value for which most speaks is a rail."""
+        self.found, self._rail = True, self.value
+
+    def _reached(self, value: float, rows: HopRows, h: int, hop: int) -> _Top:
+        """A value as the latest top; those that it goes beyond are no longer watched."""
+        tops, step = self._tops, float(rows.step[h, self._axis])
+        on, below = int(rows.on_top[h, self._side, self._axis]), [0, 0]
+        while tops and tops[-1].value < value:
+            old = tops.pop()
+            steps = _steps(value - old.value, step)
+            if steps == 1:
+                below = [below[0] + old.on, below[1] + old.below[0]]
+            elif steps == 2:
+                below[1] += old.on
+        if tops and tops[-1].value == value:
+            tops[-1].on += on  # those below it were added when they came
+            return tops[-1]
+        new = _Top(value, hop, on, below)
+        if tops and (steps := _steps(tops[-1].value - value, step)) < 3:
+            tops[-1].below[steps - 1] += on
+        if len(tops) == REMEMBERED:
+            del tops[next((k for k, one in enumerate(tops) if one.pile is None), 0)]
+        tops.append(new)
+        return new
+
+    def _take(
+        self, top: _Top, pile: _Pile, rows: HopRows, h: int, hop: int, runs: Runs, recent: Array
+    ) -> None:
+        """Weigh the samples of a hop that are on its top."""
+        pile.rate = pile.rate or runs.rate()
+        fresh = self._fresh(rows, h, top.value, pile.seen)
+        is_arrival = hop - pile.last > 1
+        pile.last = hop
+        if not fresh:
+            return
+        pile.at_it += fresh
+        if not is_arrival:
+            pile.surprise += STAYS_COUNT * pile.rate * fresh
+            return
+        pile.surprise += STAYS_COUNT * pile.rate * (fresh - 1)
+        pile.arrivals += 1
+        if pile.arrivals > 1:
+            pile.surprise += self._coincidence(top, float(rows.step[h, self._axis]), hop, recent)
+
+    def _fresh(self, rows: HopRows, h: int, value: float, seen: set[bytes]) -> int:
+        """Samples of a hop on the value that have not been there before; not those sent twice."""
+        first, stop = rows.edges[h], rows.edges[h + 1]
+        before = rows.samples[:, first - 1] if first else rows.before
+        hop = np.column_stack([before, rows.samples[:, first:stop]])
+        own = hop[self._axis] if self._side == 0 else -hop[self._axis]
+        fresh = 0
+        for k in np.flatnonzero(own[1:] == value).tolist():
+            two = hop[:, k : k + 2]
+            if len(seen) == MOST_SAMPLES or (two[:, 0] == two[:, 1]).all():
+                continue
+            known = len(seen)
+            seen.add(two.tobytes())
+            fresh += len(seen) - known
+        return fresh
+
+    def _coincidence(self, top: _Top, step: float, hop: int, recent: Array) -> float:
+        """-log of the chance that one more peak of the tail meets the same step [nats]."""
+        n = min(hop - top.born + 1, TAIL_HOPS)
+        if n < LEAST_TAIL_HOPS:
+            return 0.0
+        peaks = recent[np.arange(hop - n + 1, hop + 1) % TAIL_HOPS, self._side, self._axis]
+        on = int(np.count_nonzero(peaks == top.value))
+        broad = min(BROAD * on, n)
+        low = float(np.partition(peaks, n - broad)[n - broad])
+        if low >= top.value:
+            return 0.0
+        scale = (top.value - low) / math.log(broad / on)
+        return -math.log(-math.expm1(-step / scale))
+
+
+def _steps(difference: float, step: float) -> int:
+    """Steps between two values: 1, 2, or 3 for more."""
+    if difference < 1.5 * step:
+        return 1
+    return 2 if difference < 2.5 * step else 3
 
 
 class Rails:
     """All rails of a sensor."""
 
     def __init__(self, axes: int) -> None:
-        self._rails = [[Rail() for _ in range(axes)] for _ in range(SIDES)]
+        self._rails = [[Rail(side, axis) for side in range(SIDES)] for axis in range(axes)]
+        self._recent = np.full((TAIL_HOPS, SIDES, axes), -math.inf)
+        self._hops = 0
         self.found = ""
 
-    def due(self, rows: HopRows, moving: Flags) -> list[list[tuple[int, int]]]:
-        """Of each hop the sides and axes that `step` has to look at."""
-        window = int(rows.window[-1])
-        least = np.array([[rail.least_peak(window) for rail in side] for side in self._rails])
-        known = np.array([[rail.found for rail in side] for side in self._rails])
-        near = (rows.top > least) | (rows.below.sum(axis=1) > 0) | (rows.at_it > 0)
-        near &= moving[:, None, None]
-        due: list[list[tuple[int, int]]] = [[] for _ in moving]
-        for h, side, axis in np.argwhere(near | known).tolist():
-            due[h].append((side, axis))
-        return due
-
-    def step(
-        self, rows: HopRows, h: int, due: list[tuple[int, int]], hop: int, stuck: list[StuckAxis]
-    ) -> None:
-        """Look at hop h; `found` names the axes that are on a rail."""
-        for side, axis in due:
-            self._rails[side][axis].step(rows, h, side, axis, hop, stuck[axis].moving)
-        either = [any(rails[i].found for rails in self._rails) for i in range(len(stuck))]
-        self.found = "".join(name for name, on in zip("xyz", either, strict=False) if on)
+    def step(self, rows: HopRows, h: int, moving: bool, stuck: list[StuckAxis]) -> None:
+        """Look at hop h, which has samples; `found` names the axes on a rail."""
+        hop = -1
+        if moving:
+            hop = self._hops
+            self._recent[hop % TAIL_HOPS] = rows.top[h]
+            self._hops += 1
+        found = ""
+        for name, (high, low), judge in zip("xyz", self._rails, stuck, strict=False):
+            for rail in (high, low):
+                rail.step(rows, h, hop, judge.moving, self._recent)
+            both = high.surprise + low.surprise > BOTH_ENDS
+            for rail in (high, low):
+                if not rail.found and (rail.surprise > SURPRISE or (both and rail.surprise > 0.0)):
+                    rail.on_rail()
+            if high.found or low.found:
+                found += name
+        self.found = found

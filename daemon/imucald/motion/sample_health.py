@@ -18,7 +18,6 @@ from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
 from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
 from imucald.motion.rails import Rails
-from imucald.motion.rest_thresholds import ROLLING_SPEED
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
     RATE_HOPS,
@@ -29,6 +28,7 @@ from imucald.motion.sensor_judges import (
     unlike_gravity,
 )
 from imucald.motion.signal_health import SignalFault
+from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
 
 SOUND_S = 10.0
@@ -98,8 +98,8 @@ class _Sensor:
         if self._unit is not None:
             self._unit.restart()
 
-    def rows(self, moving: Flags, more: _More | None) -> HopRows | None:
-        """The figures of hops from what is pending, which are in the first, and more."""
+    def rows(self, hops: int, more: _More | None) -> HopRows | None:
+        """The figures of so many hops from what is pending, which are in the first, and more."""
         pending, self.pending = self.pending, []
         values, hop = more if more is not None else (np.zeros((0, 3)), np.zeros(0, np.int64))
         if pending:
@@ -107,10 +107,10 @@ class _Sensor:
             hop = np.concatenate([np.zeros(len(pending), np.int64), hop])
         if not len(values):
             return None
-        return hop_rows(values[:, : self.axes], hop, moving, self.carry)
+        return hop_rows(values[:, : self.axes], hop, hops, self.carry)
 
     def judge(
-        self, rows: HopRows, moving: Flags, moved_hops: int, other: Array
+        self, rows: HopRows, moving: Flags, other: Array
     ) -> list[dict[SignalFault, str] | None]:
         """Faults that each hop shows; None for a hop without samples."""
         wild = np.zeros(len(moving), dtype=bool)
@@ -121,23 +121,20 @@ class _Sensor:
             wild[some] = self._wild.step(turning_wildly(rows.mean[some]))
         if self._unit is not None:
             wild[some] |= self._unit.step(rows.level[some], other[some])
-        due = self.rails.due(rows, moving)
         columns = (moving, rows.count, rows.ended, rows.longest, rows.run, rows.step, wild)
         found: list[dict[SignalFault, str] | None] = []
         for h, (moves, count, *axes, is_wild) in enumerate(
             zip(*(column.tolist() for column in columns), strict=True)
         ):
-            moved_hops += moves
             if count == 0:
                 found.append(None)
                 continue
             faults: dict[SignalFault, str] = {}
+            self.rails.step(rows, h, moves, self.stuck)
             stuck = [
                 judge.step(moves, count, *one)
                 for judge, *one in zip(self.stuck, *axes, strict=True)
             ]
-            if due[h]:
-                self.rails.step(rows, h, due[h], moved_hops if moves else -1, self.stuck)
             if True in stuck:
                 faults[SignalFault.STUCK] = "".join(AXES[i] for i, s in enumerate(stuck) if s)
             if self.rails.found:
@@ -158,7 +155,6 @@ class SampleHealth:
         self._sensors = {c: _Sensor(c, axes[c]) for c in WATCHED if c in axes}
         self._speed, self._speed_age = 0.0, SPEED_HOPS
         self._moved = False
-        self._moved_hops = 0
         self._heard: float | None = None
         self.faults: Mapping[str, Faults] = {}
         """By channel, of those that are not fit to be used now."""
@@ -228,7 +224,7 @@ class SampleHealth:
         """
         moves = [self._is_moving(speed) for speed in speeds]
         moving = np.array(moves)
-        rows = {c: s.rows(moving, more.get(c)) for c, s in self._sensors.items()}
+        rows = {c: s.rows(len(moves), more.get(c)) for c, s in self._sensors.items()}
         level = {
             c: np.zeros(len(moving)) if r is None else np.sqrt((r.level * r.level).sum(axis=1))
             for c, r in rows.items()
@@ -239,8 +235,7 @@ class SampleHealth:
             of = rows[channel]
             if of is not None:
                 other = level.get("accel" if channel == "gyro" else "gyro", nothing)
-                found[channel] = sensor.judge(of, moving, self._moved_hops, other)
-        self._moved_hops += sum(moves)
+                found[channel] = sensor.judge(of, moving, other)
         out: list[Mapping[str, Faults]] = []
         for h in range(len(moves)):
             for channel, faults in found.items():

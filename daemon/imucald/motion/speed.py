@@ -12,14 +12,13 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
 from imucald.core.errors import EstimateError
 from imucald.motion.ticks import TICK_S
 
 NAN = math.nan
 HISTORY_TICKS = 64
-"""Ticks of running sums that are kept: a delay of up to 2 s and an interval of up to 4 s."""
-MAX_DELAY = 2.0
-"""Speed delay [s] that can be matched, either way."""
+"""Ticks of running sums that are kept: any delay and an interval of up to 4 s."""
 
 
 class SpeedInterval(NamedTuple):
@@ -58,8 +57,10 @@ class SpeedIntervalMaker:
     """
 
     def __init__(self, block_s: float, delay: float, timeout: float) -> None:
-        if abs(delay) > MAX_DELAY:
-            raise EstimateError(f"speed delay of {delay} s: at most {MAX_DELAY} s either way")
+        if not MIN_SPEED_DELAY <= delay <= MAX_SPEED_DELAY:
+            raise EstimateError(
+                f"speed delay of {delay} s: from {MIN_SPEED_DELAY} to {MAX_SPEED_DELAY} s"
+            )
         self._block_s = block_s
         self._delay = delay
         self._timeout = timeout

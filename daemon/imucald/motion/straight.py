@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imucald.core.errors import EstimateError
-from imucald.motion.rest_thresholds import MAX_ZERO_OFFSET
+from imucald.motion.standstill import MAX_ZERO_OFFSET
 from imucald.motion.ticks import GYRO, STEERING, YAW_RATE, TickRow
 
 NAN = math.nan

@@ -99,20 +99,22 @@ def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Arr
     walks2 = WALKS**2
     # the level at the beginning is free: information filter from none, restricted likelihood
     information = np.zeros((3, len(WALKS)))
-    mean, log = np.zeros((3, len(WALKS))), np.zeros((3, len(WALKS)))
-    for k in range(left.shape[1]):
-        step = walks2 * (each[k] if k else 0.0)
-        information = information / (1.0 + information * step)
-        new = known[:, k : k + 1]
-        value = left[:, k : k + 1] / np.maximum(new, 1e-12)
-        both = information + new
-        has = (information > 0.0) & (new > 0.0)
-        spread = np.where(
-            has, 1.0 / np.maximum(information, 1e-12) + 1.0 / np.maximum(new, 1e-12), 1.0
-        )
-        log -= np.where(has, 0.5 * ((value - mean) ** 2 / spread + np.log(spread)), 0.0)
-        mean += np.where(new > 0.0, new / np.maximum(both, 1e-12), 0.0) * (value - mean)
-        information = both
+    mean = np.zeros((3, len(WALKS)))
+    n = left.shape[1]
+    before, surprise = np.empty((2, n, 3, len(WALKS)))
+    new = known.T[:, :, None]  # segments first
+    value = left.T[:, :, None] / np.maximum(new, 1e-12)
+    pull = np.maximum(new, 0.0)  # nothing new: the mean stays
+    for k in range(n):
+        if k:
+            information = information / (1.0 + information * (walks2 * each[k]))
+        before[k] = information
+        information = information + new[k]
+        surprise[k] = value[k] - mean
+        mean = mean + pull[k] / np.maximum(information, 1e-12) * surprise[k]
+    has = (before > 0.0) & (new > 0.0)
+    spread = np.where(has, 1.0 / np.maximum(before, 1e-12) + 1.0 / np.maximum(new, 1e-12), 1.0)
+    log = -0.5 * np.where(has, surprise**2 / spread + np.log(spread), 0.0).sum(axis=0)
     variance = 1.0 / np.maximum(information, 1e-12)
     return log, mean - mean[:, :1], np.maximum(variance - 1.0 / total, 0.0)
 

@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.config.base import MAX_SPEED_DELAY, MIN_SPEED_DELAY
 from imucald.mount.estimator_settings import DelayPrior
 from imucald.mount.evidence_spectra import OMEGA, WINDOW
 from imucald.mount.signal_blocks import BLOCK_TICKS
@@ -21,7 +22,6 @@ Array = NDArray[np.float64]
 
 STEP = 0.025
 """Grid of candidates [s]."""
-MIN_DELAY, MAX_DELAY = -0.5, 1.2
 MIN_POWER = 2e-2
 """A window with less tells nothing [(m/s^2)^2]."""
 MIN_WINDOWS = 3
@@ -32,8 +32,8 @@ class DelaySearch:
 
     def __init__(self, prior: DelayPrior) -> None:
         self._prior = prior
-        low = max(MIN_DELAY, prior.mean - 4.0 * prior.std)
-        high = min(MAX_DELAY, prior.mean + 4.0 * prior.std)
+        low = max(MIN_SPEED_DELAY, prior.mean - 4.0 * prior.std)
+        high = min(MAX_SPEED_DELAY, prior.mean + 4.0 * prior.std)
         self._taus = np.arange(low, high + 0.5 * STEP, STEP) if prior.std > 0 else np.zeros(1)
         self._phases = np.exp(1j * np.outer(self._taus, OMEGA))
         self._cross = np.zeros((len(OMEGA), 3), dtype=np.complex128)

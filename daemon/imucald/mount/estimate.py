@@ -51,6 +51,17 @@ class Missing(enum.IntEnum):
 
 
 @dataclass(frozen=True)
+class Targets:
+    """Standard deviations [rad] about the vehicle's x, y, z below which a state is reached.
+
+    They hold for `MountEstimate.std`: that about x contains the road's crown.
+    """
+
+    usable: tuple[float, float, float]
+    fine: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class MountEstimate:
     """One state of knowledge about the mount.
 
@@ -61,6 +72,7 @@ class MountEstimate:
     missing: the same as a code, for the bus.
     faults: contradictions between signals that stand, by the names of
     `contradictions.StandingFault`; while there is any, nothing is sent as good.
+    targets: what `std` must fall below; None where the estimator states none.
     """
 
     state: MountState
@@ -70,6 +82,7 @@ class MountEstimate:
     missing: Mapping[str, Missing] = field(default_factory=dict)
     details: Mapping[str, object] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
+    targets: Targets | None = None
 
     @property
     def angles(self) -> tuple[float, float, float] | None:

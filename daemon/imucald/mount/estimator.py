@@ -31,15 +31,17 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.hysteresis import GOOD
-from imucald.mount.large_change import LargeChange, LargeChangeDetector, is_off_vertical
+from imucald.mount.large_change import LargeChange, LargeChangeDetector
+from imucald.mount.manoeuvres import Manoeuvres
+from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.refit import KEPT_BLOCKS, Refit
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock, SignalBlockMaker
 from imucald.mount.slewing import SlewedRotation
 from imucald.mount.solver import MountSolver
+from imucald.mount.states import MountKnowledge, judged, waiting_for
 from imucald.mount.steering import SteeringOffsetEstimator
-from imucald.mount.supervision import Manoeuvres, MountKnowledge, judged, waiting_for
 
 Array = NDArray[np.float64]
 
@@ -100,7 +102,7 @@ class FullEstimator:
         self._segment = 0
         self._failures = 0
         self._failed_for = 0
-        self._known = MountKnowledge(accelerometer=False)
+        self._known = MountKnowledge(begun=False, accelerometer=False)
 
     @property
     def correction(self) -> Correction | None:
@@ -297,7 +299,7 @@ class FullEstimator:
             self._begin_without_rotation(list(self._kept)[-min(after, len(self._kept)) :])
             return
         self._moved, self._stands_out = True, False
-        self._solver.prior_drives = None  # it is about the mount before
+        self._solver.past_drives = None  # it is about the mount before
         self._driven = Manoeuvres()
         self._large.restart()
         self._looked_again = True
@@ -350,6 +352,14 @@ class FullEstimator:
             return False
         return self._signals.without_speed or self._contradictions.agreed
 
+    def _why_not_fine(self) -> str:
+        """Why an estimate whose deviations are small enough is not *fine*."""
+        if len(self._shifts) > SHIFTS_ALLOWED:
+            return f"a mount that stays: it moved {len(self._shifts)} times in this drive"
+        if not self._solver.armed:
+            return "more driving, until a moved sensor would be noticed"
+        return "more turns and changes of speed, until the signals are seen to agree"
+
     def _state_by(self, found: MountState) -> MountState:
         """The state to report for the one that the evidence gives."""
         is_good = found in GOOD
@@ -384,16 +394,16 @@ class FullEstimator:
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of prior drives' evidence against this one's; None without any."""
-        prior = self._solver.prior_drives
-        return None if prior is None else prior.contradiction
+        """Chi-square (3) of past drives' evidence against this one's; None without any."""
+        past = self._solver.past_drives
+        return None if past is None else past.contradiction
 
     def saved_information(self) -> SavedInformation | None:
         """What all evidence comes to, for the next start; None where there is too little."""
         return None if self._refit is not None and self._moved else self._solver.kept()
 
     def join_information(self, kept: SavedInformation) -> None:
-        """Go on with what prior drives found as well."""
+        """Go on with what past drives found as well."""
         for solver in self._solvers():
             solver.join(kept)
         self._solver.fit()
@@ -401,7 +411,7 @@ class FullEstimator:
     def drop_information(self) -> None:
         """Go on with this drive's evidence alone."""
         for solver in self._solvers():
-            solver.prior_drives = None
+            solver.past_drives = None
         self._solver.fit()
 
     def _solvers(self) -> list[MountSolver]:
@@ -415,10 +425,22 @@ class FullEstimator:
         codes = {name: code for name, (_, code) in reasons.items()}
         for angle, text in self._troubles().items():
             words[angle], codes[angle] = text, Missing.OTHER
+        if self._state is MountState.USABLE and not words:
+            words = dict.fromkeys(ANGLES, self._why_not_fine())
+            codes = dict.fromkeys(ANGLES, Missing.NOTHING)
+        targets = self._settings.targets
         if self._solver.fused is None:
-            return MountEstimate(self._state, waiting_for=words, missing=codes, faults=self.faults)
+            return MountEstimate(
+                self._state,
+                waiting_for=words,
+                missing=codes,
+                faults=self.faults,
+                targets=targets,
+            )
         R, covariance = self._answer()
-        return MountEstimate(self._state, R, covariance, words, codes, self._details(), self.faults)
+        return MountEstimate(
+            self._state, R, covariance, words, codes, self._details(), self.faults, targets
+        )
 
     def _troubles(self) -> dict[str, str]:
         """What more driving does not mend, per angle: contradictions, and a mount that moves."""

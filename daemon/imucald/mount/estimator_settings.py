@@ -13,6 +13,7 @@ from typing import ClassVar, NamedTuple
 
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.vehicle import VehicleSettings
+from imucald.mount.estimate import Targets
 from imucald.mount.priors import (
     ACCEL_SCALE_STD,
     GYRO_MISALIGNMENT_STD,
@@ -26,7 +27,7 @@ from imucald.mount.priors import (
 class DelayPrior:
     """Lateness of a vehicle signal against the accelerometer, before data speak [s].
 
-    Positive: the signal arrives late. Sought within mean +- 4 std (at most -0.5 .. 1.2 s).
+    Positive: the signal arrives late. Sought within mean +- 4 std, and what can be configured.
     """
 
     mean: float = 0.1
@@ -71,6 +72,15 @@ class MountSettings:
             given.usable_tilt or own.usable_tilt,
             given.fine_yaw or own.fine_yaw,
             given.fine_tilt or own.fine_tilt,
+        )
+
+    @property
+    def targets(self) -> Targets:
+        """The same about each axis of the vehicle, with the crown that roll cannot be rid of."""
+        limits, crown = self.limits, self.vehicle.crown_std
+        return Targets(
+            (math.hypot(limits.usable_tilt, crown), limits.usable_tilt, limits.usable_yaw),
+            (math.hypot(limits.fine_tilt, crown), limits.fine_tilt, limits.fine_yaw),
         )
 
 

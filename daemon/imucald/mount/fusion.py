@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -43,23 +42,27 @@ class CommonCovariance:
         """scaled: errors as large as `scale` says (1 at first), which may change."""
         self._pairs = _pairs(shared)
         self._scaled = _pairs(scaled)
+        self._of_names: dict[tuple[str, ...], tuple[Array, Array]] = {}
         self.scale2 = 1.0
 
-    def scaled(self, names: Sequence[str]) -> Array:
-        """Covariance of the sources of those names from the scaled errors, at scale 1."""
-        get = self._scaled.get
-        return np.array([[get((a, b), 0.0) for b in names] for a in names])
+    def errors(self, names: Sequence[str]) -> tuple[Array, Array]:
+        """Covariances of sources from shared errors, and from scaled ones at scale 1."""
+        key = tuple(names)
+        found = self._of_names.get(key)
+        if found is None:  # few sets of names come
+            shared, scaled = (
+                np.array([[pairs.get((a, b), 0.0) for b in names] for a in names])
+                for pairs in (self._pairs, self._scaled)
+            )
+            found = self._of_names[key] = shared, scaled
+        return found
 
     def covariance(self, sources: Mapping[str, AngleEvidence], names: Sequence[str]) -> Array:
         """Covariance of the sources of those names, their own variances included."""
-        get = self._pairs.get
-        known = np.array(
-            [
-                [get((a, b), 0.0) + (sources[a].variance if a == b else 0.0) for b in names]
-                for a in names
-            ]
-        )
-        return known + self.scale2 * self.scaled(names) if self._scaled else known
+        shared, scaled = self.errors(names)
+        known = shared.copy()
+        known.flat[:: len(names) + 1] += [sources[name].variance for name in names]
+        return known + self.scale2 * scaled if self._scaled else known
 
 
 def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
@@ -72,39 +75,82 @@ def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
     return found
 
 
-def probable_scale2(
-    sources: Mapping[str, AngleEvidence],
-    sharing: CommonCovariance,
-    candidates: Sequence[tuple[float, float]],
-    uneven: Mapping[str, float],
-) -> float:
-    """Mean square of the scale of the scaled errors, from how far sources contradict one another.
+@dataclass(frozen=True)
+class _Layout:
+    """Where the sources of all angles stand in stacked matrices; an angle of one is left out.
+
+    An angle with fewer sources than another gets some that tell nothing (is_there 0).
+    """
+
+    names: list[str]
+    angle: list[int]
+    place: list[int]
+    certain: Array  # (angles, n, n), without the sources' own variances
+    scaled: Array
+    is_there: Array  # (angles, 1, n)
+
+
+class ProbableScale:
+    """Mean square of the scale of scaled errors, from how far sources contradict one another.
 
     candidates: scales and their prior probabilities. Each is weighed by the likelihood of the
     differences between the sources of an angle (of which the angle itself is free; restricted
     maximum likelihood, Patterson and Thompson, Biometrika 58, 1971), over all angles.
     uneven: what sources differ by for other reasons [rad].
     """
-    log = np.array([math.log(p) for _, p in candidates])
-    squares = np.array([scale * scale for scale, _ in candidates])
-    before, sharing.scale2 = sharing.scale2, 0.0
-    for axis in AXES:
-        names = [name for name in sources if name.startswith(axis)]
-        if len(names) < 2:
-            continue
-        known, extra = sharing.covariance(sources, names), sharing.scaled(names)
-        known += np.diag([uneven.get(name, 0.0) ** 2 for name in names])
-        values = np.array([sources[name].value for name in names])
-        V = known + squares[:, None, None] * extra
+
+    def __init__(
+        self,
+        sharing: CommonCovariance,
+        candidates: Sequence[tuple[float, float]],
+        uneven: Mapping[str, float],
+    ) -> None:
+        scales, priors = np.array(candidates).T
+        self._squares, self._log = scales * scales, np.log(priors)
+        self._sharing, self._uneven = sharing, uneven
+        self._layouts: dict[tuple[str, ...], _Layout] = {}
+
+    def squared(self, sources: Mapping[str, AngleEvidence]) -> float:
+        """The mean square of the scale by these sources."""
+        keys = tuple(sources)
+        layout = self._layouts.get(keys)
+        if layout is None:
+            layout = self._layouts[keys] = self._layout(keys)
+        known, is_there = layout.certain.copy(), layout.is_there
+        values = np.zeros(is_there.shape)
+        found = [sources[name] for name in layout.names]
+        known[layout.angle, layout.place, layout.place] += [one.variance for one in found]
+        values[layout.angle, 0, layout.place] = [one.value for one in found]
+        V = known[:, None] + self._squares[:, None, None] * layout.scaled[:, None]
         inverse = np.linalg.inv(V)
-        column = inverse.sum(axis=2)
-        total = column.sum(axis=1)
-        left = values - ((column @ values) / total)[:, None]
-        log -= 0.5 * ((inverse @ left[:, :, None])[:, :, 0] * left).sum(axis=1)
-        log -= 0.5 * (np.linalg.slogdet(V)[1] + np.log(total))
-    sharing.scale2 = before
-    weight = np.exp(log - log.max())
-    return float(weight @ squares / weight.sum())
+        column = (inverse * is_there[:, :, None]).sum(axis=3) * is_there
+        total = column.sum(axis=2)
+        left = (values - ((column * values).sum(axis=2) / total)[:, :, None]) * is_there
+        misfit = ((inverse @ left[..., None])[..., 0] * left).sum(axis=2)
+        log = self._log - 0.5 * (misfit + np.linalg.slogdet(V)[1] + np.log(total)).sum(axis=0)
+        weight = np.exp(log - log.max())
+        return float(weight @ self._squares / weight.sum())
+
+    def _layout(self, names: Sequence[str]) -> _Layout:
+        groups = [[name for name in names if name.startswith(axis)] for axis in AXES]
+        groups = [group for group in groups if len(group) > 1]
+        size = max(map(len, groups), default=0)
+        certain, scaled = np.zeros((2, len(groups), size, size))
+        is_there = np.zeros((len(groups), 1, size))
+        for i, group in enumerate(groups):
+            n = len(group)
+            certain[i] = np.eye(size)
+            certain[i, :n, :n], scaled[i, :n, :n] = self._sharing.errors(group)
+            certain[i, range(n), range(n)] += [self._uneven.get(name, 0.0) ** 2 for name in group]
+            is_there[i, 0, :n] = 1.0
+        return _Layout(
+            [name for group in groups for name in group],
+            [i for i, group in enumerate(groups) for _ in group],
+            [place for group in groups for place in range(len(group))],
+            certain,
+            scaled,
+            is_there,
+        )
 
 
 def fuse(
@@ -125,8 +171,8 @@ def fuse(
         if not names:
             continue
         V = sharing.covariance(sources, names)
-        inverse = np.linalg.inv(V)
-        even = inverse if base is None else np.linalg.inv(base.covariance(sources, names))
+        certain = V if base is None else base.covariance(sources, names)
+        inverse, even = np.linalg.inv(np.array([V, certain]))
         weight = np.maximum(even.sum(axis=1), 0.0)
         weight /= weight.sum()
         values = np.array([sources[name].value for name in names])

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, vector_from_rotation
-from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
@@ -235,26 +234,3 @@ def _direction(force: Array, a: Array, v: Array, use: NDArray[np.bool_]) -> tupl
     a, v, f = a[use] - a[use].mean(), v[use] - v[use].mean(), force[use] - force[use].mean(axis=0)
     turned = math.atan2(float(v @ f[:, 0] - a @ f[:, 1]), float(a @ f[:, 0] + v @ f[:, 1]))
     return turned, float(a @ a + v @ v)
-
-
-OFF_VERTICAL = math.radians(25.0)
-"""The steepest street has 35 % (19.3 deg, Baldwin Street); the rest is what a mount, levelled on
-one slope, may still be off."""
-
-
-def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
-    """Whether gravity, through R, points further from the vertical than any road does.
-
-    Both ways, as it comes and with the motion taken out, so that neither hard driving nor a wrong
-    speed or turn rate is taken for it.
-    """
-    use = p.ok_force
-    if np.count_nonzero(use) < LEAST_TICKS:
-        return False
-    mean = R @ p.force[use].mean(axis=0)
-    motion = np.array([float(p.accel[use].mean()), float(turn[use].mean()), 0.0])
-    if not mean.any() or float(np.linalg.norm(mean)) < 0.5 * GRAVITY:
-        return False
-    return all(
-        math.atan2(math.hypot(f[0], f[1]), f[2]) > OFF_VERTICAL for f in (mean, mean - motion)
-    )

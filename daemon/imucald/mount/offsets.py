@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.motion.rest_thresholds import IDLE_RATE, MAX_GYRO_BIAS, is_idle
+from imucald.motion.standstill import IDLE_RATE, MAX_GYRO_BIAS, is_idle
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -19,7 +19,7 @@ CROSS_AXIS = ((0.001, 0.4), (0.005, 0.2), (0.01, 0.2), (0.02, 0.12), (0.04, 0.08
 parts state 1 % (ADXL345, BMI160) to 2 % (MPU-6050). Two of five units are taken to have been set at
 the end of their lines, to a tenth of that; as many to be as stated or half; and one of five to be
 soldered, glued and bent to twice or four times as much. How far sources contradict one another
-then tells more (`fusion.probable_scale2`)."""
+then tells more (`fusion.ProbableScale`)."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
 Calibrated units state 0.05 deg from axis to axis (ADIS16470), bare parts 1 % of cross-axis."""

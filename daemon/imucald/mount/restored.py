@@ -30,7 +30,7 @@ from imucald.mount.estimate import (
     MountState,
 )
 from imucald.mount.hysteresis import GOOD
-from imucald.mount.plumb_line import PlumbLine
+from imucald.mount.off_vertical_limit import PlumbLine
 from imucald.mount.saved_information import SavedInformation, SavesInformation
 from imucald.mount.slewing import SlewedRotation
 

@@ -97,7 +97,7 @@ class SavesInformation(Protocol):
 
     @property
     def contradiction(self) -> float | None:
-        """Chi-square (3) of prior drives' evidence against this one's; None without any."""
+        """Chi-square (3) of past drives' evidence against this one's; None without any."""
         ...
 
     def saved_information(self) -> SavedInformation | None:
@@ -105,7 +105,7 @@ class SavesInformation(Protocol):
         ...
 
     def join_information(self, kept: SavedInformation) -> None:
-        """Go on with what prior drives found as well."""
+        """Go on with what past drives found as well."""
         ...
 
     def drop_information(self) -> None:

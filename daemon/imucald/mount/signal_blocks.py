@@ -13,14 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
-from imucald.motion.rest_thresholds import (
-    PARKED_FORCE_CHANGE,
-    PARKED_FORCE_STD,
-    PARKED_RATE_STD,
-    ZERO_SPEED,
-    keeps_steady,
-)
 from imucald.motion.signal_health import SignalHealth
+from imucald.motion.standstill import ZERO_SPEED, is_parked
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S, TickRow, empty_rows
 from imucald.mount.estimator_settings import EstimatorSettings
@@ -44,8 +38,6 @@ SPEED_GAP = 2.3
 YAW_GAP = 0.5
 REST_TICKS = 12
 """Speed must have been zero that long before it counts as rest: braking jerk dies out."""
-STEADY_TICKS = 32
-"""Without speed, rest is judged over such parts of a block."""
 NOMINAL_SPEED = 12.0
 """Where there is no speed signal, v r is taken with this [m/s]; its gain is free."""
 BLOCKS_WITHOUT_SPEED = 4
@@ -87,14 +79,18 @@ def bridged(at: Array, times: Array, values: Array, longest: float) -> tuple[Arr
     m = len(times)
     low, high = np.maximum(after - 1, 0), np.minimum(after, m - 1)
     right, left = times[high], times[low]
-    hole = np.where(after == 0, right - at, np.where(after == m, at - left, right - left))
-    ends = (after == 0) | (after == m)
-    ok = hole <= np.where(ends, 0.3 * longest, longest)
+    width = right - left
+    ok = width <= longest
+    if after[0] == 0 or after[-1] == m:  # before the first sample, or after the last
+        ends = (after == 0) | (after == m)
+        ok[ends] = np.abs(at - left)[ends] <= 0.3 * longest
     if values.ndim == 1:
         return np.interp(at, times, values), ok
-    width = right - left
-    part = np.where(width > 0.0, (at - left) / np.where(width > 0.0, width, 1.0), 0.0)
-    out: Array = values[low] + part[:, None] * (values[high] - values[low])
+    if width.min() <= 0.0:
+        width[width <= 0.0] = math.inf
+    part = (at - left) / width
+    before = values[low]
+    out: Array = before + part[:, None] * (values[high] - before)
     return out, ok
 
 
@@ -247,11 +243,7 @@ class SignalBlockMaker:
         if ok.any():
             still = ok & (np.abs(speed) < ZERO_SPEED)
         else:
-            move = np.abs(np.diff(force, axis=0, prepend=force[:1])).max(axis=1)
-            still = move < PARKED_FORCE_CHANGE
-            still &= keeps_steady(force, PARKED_FORCE_STD, STEADY_TICKS)
-            if ok_rate.any():
-                still &= keeps_steady(rate, PARKED_RATE_STD, STEADY_TICKS)
+            still = is_parked(force, rate if ok_rate.any() else None)
         run = self._rest_run
         for i, s in enumerate(still.tolist()):
             run = run + 1 if s else 0

@@ -25,10 +25,10 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_spectra import MEASURED, RATE, SPEED_RATE, WINDOW, Measured, spectra
-from imucald.mount.fusion import CommonCovariance, Fused, fuse, probable_scale2
+from imucald.mount.fusion import CommonCovariance, Fused, ProbableScale, fuse
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
-from imucald.mount.prior_drives import PriorDrives
+from imucald.mount.past_drives import PastDrives
 from imucald.mount.priors import BIAS_DRIFT_STD, CROSS_AXIS
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import SavedInformation, named_series, saved_sources, together
@@ -101,11 +101,12 @@ class MountSolver:
         self.blocks = 0
         self._certain = CommonCovariance(common_errors(settings))
         self._sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
+        self._cross_axis = ProbableScale(self._sharing, CROSS_AXIS, UNEVEN_TILT)
         if settings.calibration.cross_axis > 0.0:
             self._sharing.scale2 = 0.0  # configured: in the common errors
         else:
             self._sharing.scale2 = CROSS_AXIS[0][0] ** 2
-        self.prior_drives: PriorDrives | None = None
+        self.past_drives: PastDrives | None = None
         self.creep: Creep | None = None
         self.p_constant = P_CONSTANT
         self._tilt_bias = (0.0, 0.0)
@@ -121,7 +122,7 @@ class MountSolver:
         self.delay_speed, self.delay_turn = other.delay_speed, other.delay_turn
         self.response.without_speed = other.response.without_speed
         self.vertical.steps.start_from(other.vertical.steps)
-        self.prior_drives = other.prior_drives
+        self.past_drives = other.past_drives
 
     def gap(self) -> None:
         """Time jumped."""
@@ -185,8 +186,8 @@ class MountSolver:
 
     def gains(self) -> tuple[float, float]:
         """Mean gains of dv/dt and v r in the low bands."""
-        g = self.response.gains
-        return float(g[0, 2:6].mean()), float(g[1, 2:6].mean())
+        dvdt, lateral = self.response.gains[:2, 2:6].mean(axis=1).tolist()
+        return dvdt, lateral
 
     def _slide(self, p: SignalBlock, lone: Array, turn: Array, r: Array) -> None:
         w, m = self._window, self._mask
@@ -261,13 +262,11 @@ class MountSolver:
                 sources["yaw_dvdt"] = replace(source, variance=source.variance + PRINCIPAL_STD**2)
             self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
             if s.calibration.cross_axis == 0.0:
-                self._sharing.scale2 = probable_scale2(
-                    sources, self._sharing, CROSS_AXIS, UNEVEN_TILT
-                )
-            if self.prior_drives is None:
+                self._sharing.scale2 = self._cross_axis.squared(sources)
+            if self.past_drives is None:
                 fused = fuse(sources, self._sharing, self._certain)
             else:
-                fused = self.prior_drives.fused(
+                fused = self.past_drives.fused(
                     sources, self.R, self._tilt_bias, math.sqrt(self._sharing.scale2)
                 )
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
@@ -299,7 +298,7 @@ class MountSolver:
     def armed(self) -> bool:
         """Whether a change of each angle would be seen: enough road before, and after."""
         segments = self.response.segment
-        before = 0 if self.prior_drives is None else self.prior_drives.segments
+        before = 0 if self.past_drives is None else self.past_drives.segments
         return bool(segments >= SPANS[0] and segments + before >= max(MIN_BEFORE) + SPANS[0])
 
     def largest_change(self, axes: tuple[int, ...] = (0, 1, 2)) -> Shift | None:
@@ -310,9 +309,9 @@ class MountSolver:
             return largest_change(self.response.series, (2,))
         series = self._gravity_series(self.R, self.bias)
         found, fresh = self.response.series + series, None
-        if self.prior_drives is not None:
+        if self.past_drives is not None:
             fresh = max(len(flow.score) for flow in found)
-            found = self.prior_drives.series(named_series(found), self.R)
+            found = self.past_drives.series(named_series(found), self.R)
         return largest_change(found, axes, self._steps(), self._settings.unevenness, fresh)
 
     def _steps(self) -> Array:
@@ -328,20 +327,20 @@ class MountSolver:
         return self.gravity.series(R, bias, self.gains(), (across, along), s.slope_length)
 
     def join(self, kept: SavedInformation) -> None:
-        """Bring in what prior drives found; it stays apart and can be left again."""
+        """Bring in what past drives found; it stays apart and can be left again."""
         if self.yaw_known and kept.without_speed == self.response.without_speed:
             crown_std = self._settings.vehicle.crown_std
-            self.prior_drives = PriorDrives(kept, common_errors(self._settings), crown_std)
+            self.past_drives = PastDrives(kept, common_errors(self._settings), crown_std)
 
     def kept(self) -> SavedInformation | None:
-        """What to keep for the next start, prior drives' evidence included."""
+        """What to keep for the next start, past drives' evidence included."""
         if self.R is None or self.fused is None or self.bias is None or not self.yaw_known:
             return None
         gravity = self._gravity_series(self.R, self.bias)
         series = named_series(self.response.series + gravity)
         sources = saved_sources(self.sources, series, self.fused.error, self._tilt_bias)
         now = SavedInformation(self.R, self.response.without_speed, sources)
-        return together(None if self.prior_drives is None else self.prior_drives.kept, now)
+        return together(None if self.past_drives is None else self.past_drives.kept, now)
 
     def _start(self) -> None:
         """Find a first rotation: level by gravity, yaw from the direction of the responses."""

@@ -1,5 +1,1 @@
-"""Pages that an engineer can send on. Needs the extra `report` (jinja2, matplotlib)."""
-
-from imucald.report.page import About, report_page, require_libraries
-
-__all__ = ["About", "report_page", "require_libraries"]
+"""Pages and drawings that one can send on; pages need the extra `report`."""

@@ -53,7 +53,7 @@ def require_libraries() -> None:
 def report_page(diagnosis: Diagnosis, about: About) -> str:
     """Return the page as HTML text. Raises ImucaldError where a library is missing."""
     require_libraries()
-    template = _environment().get_template("diagnosis.html")
+    template = environment().get_template("diagnosis.html")
     changes = model_changes(diagnosis.model_before, diagnosis.model_after)
     verdict = words.verdict(diagnosis)
     alike = [name for group in diagnosis.look_alikes for name in group]
@@ -81,7 +81,8 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
     )
 
 
-def _environment() -> Environment:
+def environment() -> Environment:
+    """Templates of this room, with the filters that they use."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 - an extra
 
     environment = Environment(

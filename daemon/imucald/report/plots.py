@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import io
 import math
-import re
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from imucald.diagnosis.result import SignalPicture
 from imucald.report.decimation import envelope, log_bins, telling_stretch, trend
+from imucald.report.svg_figures import drawn
 from imucald.report.wording import unit_text
 
 if TYPE_CHECKING:
@@ -29,36 +24,6 @@ if TYPE_CHECKING:
 
 BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
 """Vermilion, blue, near black, grey: told apart with any colour blindness (Okabe and Ito)."""
-
-LAYOUT_FONT = "DejaVu Sans"
-"""Comes with matplotlib, so pictures are laid out alike anywhere; it is wide."""
-READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
-METADATA = ("Date", "Creator", "Format", "Type")
-PATH = re.compile(r'( d=")([^"]*)"')
-FINE = re.compile(r"(\.\d\d)\d+")
-
-STYLE: dict[Any, Any] = {
-    "text.parse_math": False,  # names come from databases: a dollar sign is no formula
-    "svg.fonttype": "none",
-    "svg.hashsalt": "imucald",
-    "font.family": "sans-serif",
-    "font.sans-serif": [LAYOUT_FONT],
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#888888",
-    "axes.labelcolor": "#333333",
-    "axes.linewidth": 0.7,
-    "xtick.color": "#555555",
-    "ytick.color": "#555555",
-    "axes.grid": True,
-    "grid.color": "#E4E4E4",
-    "grid.linewidth": 0.6,
-    "axes.formatter.useoffset": False,
-    "axes.unicode_minus": True,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-}
 
 TIME_BINS = 420
 SPECTRUM_BINS = 160
@@ -78,47 +43,28 @@ EXTREME = 99.7
 
 def time_picture(p: SignalPicture) -> str:
     """Residual before and after, against time: range and mean in short stretches."""
-    return _drawn(_draw_time, p, (9.6, 2.5))
+    return _picture(_draw_time, p, (9.6, 2.5))
 
 
 def stretch_picture(p: SignalPicture) -> str:
     """Measured and predicted, in the stretch where the residual falls most."""
-    return _drawn(_draw_stretch, p, (9.6, 2.5))
+    return _picture(_draw_stretch, p, (9.6, 2.5))
 
 
 def driver_picture(p: SignalPicture) -> str:
     """Residual against the input that it goes with: mean and spread in bins."""
-    return _drawn(_draw_driver, p, (4.7, 2.9))
+    return _picture(_draw_driver, p, (4.7, 2.9))
 
 
 def spectrum_picture(p: SignalPicture) -> str:
     """Residual spectrum before and after, with the noise floor."""
-    return _drawn(_draw_spectrum, p, (4.7, 2.9))
+    return _picture(_draw_spectrum, p, (4.7, 2.9))
 
 
-def _drawn(
+def _picture(
     draw: Callable[[Axes, SignalPicture], None], p: SignalPicture, size: tuple[float, float]
 ) -> str:
-    with mpl.rc_context(STYLE), warnings.catch_warnings():
-        # Letters of other scripts are missing in the font of the layout, not in the reader's.
-        warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure = Figure(figsize=size, layout="constrained")
-        FigureCanvasSVG(figure)
-        draw(figure.add_subplot(), p)
-        out = io.StringIO()
-        figure.savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
-    return _shortened(out.getvalue())
-
-
-def _shortened(svg: str) -> str:
-    """Drop what a browser does not need: half the size, the same picture.
-
-    Paths keep hundredths of a point; text takes the reader's fonts.
-    """
-    start = svg.index("<svg")
-    return PATH.sub(lambda m: m[1] + FINE.sub(r"\1", m[2]) + '"', svg[start:]).replace(
-        f"'{LAYOUT_FONT}'", READERS_FONTS
-    )
+    return drawn(lambda figure: draw(figure.add_subplot(), p), size)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from imucald.diagnosis.result import (
     Gain,
     SignalGain,
 )
+from imucald.mount.mount_words import SD_95
 
 CAUSES: Mapping[str, str] = {
     "accel_bias": "accelerometer bias",
@@ -266,20 +267,21 @@ def number(x: float, digits: int = 3) -> str:
 
 
 def with_spread(value: float, std: float) -> str:
-    """Return `value ± std`, rounded to two digits of the deviation."""
+    """Return `value ± 95 %`, rounded to two digits of the interval's half width."""
     if not math.isfinite(value):
         return "-"
     if not math.isfinite(std) or std <= 0.0:
         return number(value, 4)
-    places = _places(std)
+    half = SD_95 * std
+    places = _places(half)
     if places is None:
-        return f"{number(value, 3)} ± {number(std, 2)}"
-    return f"{value:.{places}f} ± {std:.{places}f}"
+        return f"{number(value, 3)} ± {number(half, 2)}"
+    return f"{value:.{places}f} ± {half:.{places}f}"
 
 
-def _places(std: float) -> int | None:
-    """Decimals that show two digits of a deviation; None where that takes powers of ten."""
-    size = math.floor(math.log10(std)) if std > 0.0 else -99
+def _places(half: float) -> int | None:
+    """Decimals that show two digits of it; None where that takes powers of ten."""
+    size = math.floor(math.log10(half)) if half > 0.0 else -99
     return max(0, 1 - size) if -7 < size < 6 else None
 
 

@@ -35,7 +35,7 @@ from imucald.runtime.segment_samples import CorrectedSamples, SegmentSamples
 from imucald.runtime.timebase import TimeBase, TimeSegment
 
 if TYPE_CHECKING:
-    from imucald.compensation.preprocessing import PreprocessingChain
+    from imucald.model_compensation.preprocessing import PreprocessingChain
 
 MISSING_TICKS = 10
 """An input that gave no sample for so many ticks is missing: one second."""
@@ -62,7 +62,7 @@ class Engine:
     link_health: asked whenever a health frame is made.
     consumers: run beside, on the same samples.
     new_estimator: makes the estimator of `restart_calibration`.
-    stages: take out of the signals what a model file knows of them.
+    preprocessing: takes out of the signals what a model file knows of them.
     on_samples: called by `columns` with the samples of every segment, as they came and corrected.
     """
 
@@ -76,15 +76,15 @@ class Engine:
         link_health: Callable[[], LinkHealth] = LinkHealth,
         consumers: Sequence[Consumer] = (),
         new_estimator: Callable[[], MountEstimator] | None = None,
-        stages: PreprocessingChain | None = None,
+        preprocessing: PreprocessingChain | None = None,
         on_samples: Callable[[SegmentSamples], None] | None = None,
     ) -> None:
         self.router = router
         self.output = output
-        self.stages = stages
-        evidence = None if stages is None else stages.evidence
+        self.preprocessing = preprocessing
+        ticks = None if preprocessing is None else preprocessing.ticks
         health = SampleHealth(router.measured_axes)
-        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), evidence, health)
+        self.pipeline = Pipeline(estimator, round(TICK_RATE / status_rate), ticks, health)
         self.timebase = TimeBase()
         self.consumers = tuple(consumers)
         self._consumed = frozenset(c for one in self.consumers for c in one.channels)
@@ -104,7 +104,7 @@ class Engine:
     @property
     def model_key(self) -> str:
         """Names what a model changes of the estimate; "" without one."""
-        return "" if self.stages is None else self.stages.estimate_key
+        return "" if self.preprocessing is None else self.preprocessing.estimate_key
 
     # one frame -----------------------------------------------------------------------------
 
@@ -121,8 +121,8 @@ class Engine:
         samples, rejected = self.router.frame(t, can_id, data)
         for channel, values in samples:
             self.pipeline.health.add(channel, values)
-        if self.stages is not None:
-            samples, refused = self.stages.frame(t, samples, self.router.rejected)
+        if self.preprocessing is not None:
+            samples, refused = self.preprocessing.frame(t, samples, self.router.rejected)
             rejected += refused
         for channel in rejected:
             self.pipeline.reject(channel)
@@ -137,8 +137,8 @@ class Engine:
                 self._watched[channel] = k
             if channel in self.output.triads:
                 turned[channel] = None if correction is None else times(correction, values)
-        if self.stages is not None and turned:
-            turned = self.stages.corrected(t, turned)
+        if self.preprocessing is not None and turned:
+            turned = self.preprocessing.corrected(t, turned)
         faults = pipeline.health.faults
         for channel in self.output.triads:
             if channel in turned:
@@ -163,8 +163,8 @@ class Engine:
         pipeline = self.pipeline
         first = pipeline.k
         snapshots = pipeline.gap(k) if gap else pipeline.advance(k)
-        if gap and self.stages is not None:
-            self.stages.gap()
+        if gap and self.preprocessing is not None:
+            self.preprocessing.gap()
         out = self._statuses(snapshots)
         if self.consumers:
             out += self._consumer_ticks(first, k, snapshots)
@@ -246,12 +246,9 @@ class Engine:
         if segment.gap:
             first = self.pipeline.k
             snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
-            if self.stages is not None:
-                self.stages.gap()
-            if keep:
-                yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
-            else:
-                self._tell(snapshots)
+            if self.preprocessing is not None:
+                self.preprocessing.gap()
+            yield from self._status_parts(snapshots, lambda _: base, np.zeros(0), None, keep)
             out = self._consumer_ticks(first, self.pipeline.k, snapshots)
             yield from self._frame_parts(out, base)
             for consumer in self.consumers:
@@ -260,8 +257,8 @@ class Engine:
         chunk = frames if whole else frames.take(slice(base, segment.stop))
         routed = self.router.columns(segment.t, chunk)
         watched = routed.samples
-        if self.stages is not None:
-            routed = self.stages.columns(routed, segment.t, self.router.rejected)
+        if self.preprocessing is not None:
+            routed = self.preprocessing.columns(routed, segment.t, self.router.rejected)
         ticks = np.floor(segment.t * TICK_RATE).astype(np.int64)
         times = {c: segment.t[rows] for c, rows in routed.rejected.items()}
         first = self.pipeline.k
@@ -272,15 +269,13 @@ class Engine:
         if not wanted:
             self.sent += STATUS_FRAMES * self.pipeline.snapshots_due(first)
         events = np.floor(routed.events * TICK_RATE)
-        if keep:
-            yield from self._status_parts(
-                snapshots,
-                lambda k: base + int(np.searchsorted(ticks, k, side="right")),
-                events,
-                routed,
-            )
-        else:
-            self._tell(snapshots)
+        yield from self._status_parts(
+            snapshots,
+            lambda k: base + int(np.searchsorted(ticks, k, side="right")),
+            events,
+            routed,
+            keep,
+        )
         self._rejected_total = self.router.rejected.total()
         recent = sorted(set(events[events > ticks[-1] - 2 * MISSING_TICKS].tolist()))
         self._rejections.extend(map(int, recent))
@@ -306,10 +301,10 @@ class Engine:
         lost: dict[str, NDArray[np.int64]] = {}
         for channel in self.output.triads:
             series, bad = routed.samples.get(channel), routed.rejected.get(channel)
-            rows = np.zeros(0, np.int64) if bad is None else bad
-            if series is not None and len(rows):
-                rows = np.setdiff1d(rows, series.row)
-            rows = np.unique(rows)
+            if bad is None:
+                lost[channel] = np.zeros(0, np.int64)
+                continue
+            rows = np.unique(bad) if series is None else np.setdiff1d(bad, series.row)
             lost[channel] = rows[self._spaced[channel].among(t[rows])]
         return lost
 
@@ -352,8 +347,8 @@ class Engine:
             channel: times_columns(corrections.rotations[tick[channel]], series.values)
             for channel, series in found.items()
         }
-        if self.stages is not None:
-            turned = self.stages.corrected_columns(found, turned)
+        if self.preprocessing is not None:
+            turned = self.preprocessing.corrected_columns(found, turned)
         corrected: dict[str, CorrectedSamples] = {}
         for channel, series in found.items():
             values, quality = turned[channel], corrections.quality[tick[channel]]
@@ -413,9 +408,13 @@ class Engine:
         snapshots: list[Snapshot],
         row_of: Callable[[int], int],
         events: NDArray[np.float64],
-        routed: Routed | None = None,
+        routed: Routed | None,
+        keep: bool,
     ) -> Iterator[OutPart]:
         """Status frames with the health as it was at each snapshot, not at the chunk's end."""
+        if not keep:
+            self._tell(snapshots)
+            return
         before = self._rejected_total
         for snapshot in snapshots:
             seen = events[events <= snapshot.k]

@@ -2,41 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from imucald.config import Config, VehicleSettings
+from imucald.config import Config
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.mount.method_a.estimator import PublishedEstimator
 from imucald.mount.method_a.settings import PublishedSettings
 
 if TYPE_CHECKING:
-    from imucald.compensation import ModelCompensation
+    from imucald.model_compensation import ModelCompensation
 
 CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""
 
 
-def estimator_for(config: Config, compensation: ModelCompensation | None = None) -> MountEstimator:
-    """Return the estimator that a configuration asks for, with what its model knows."""
+def estimator_for(
+    config: Config,
+    compensation: ModelCompensation | None = None,
+    stated: Collection[str] = (),
+) -> MountEstimator:
+    """Return the estimator that a configuration asks for, with what its model knows.
+
+    stated: keys of `vehicle` that stand in the file, which no model overrules.
+    """
     if config.calibration.estimator == "published":
+        from imucald.mount.method_a.estimator import PublishedEstimator  # noqa: PLC0415 - few use it
+
         published = published_settings(config)
         if compensation is not None:
-            published = compensation.published_settings(published, _stated(config.vehicle))
+            published = compensation.published_settings(published, stated)
         return PublishedEstimator(published)
     full = full_settings(config)
     if compensation is not None:
-        full = compensation.full_settings(full, _stated(config.vehicle))
+        full = compensation.full_settings(full, stated)
     return FullEstimator(full)
-
-
-def _stated(vehicle: VehicleSettings) -> frozenset[str]:
-    """Keys that the configuration says otherwise than the defaults: no model overrules them."""
-    defaults = VehicleSettings()
-    keys = VehicleSettings.__struct_fields__
-    return frozenset(k for k in keys if getattr(vehicle, k) != getattr(defaults, k))
 
 
 def published_settings(config: Config) -> PublishedSettings:

@@ -13,7 +13,7 @@ from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.config import LoadedConfig, load_config
 from imucald.core.errors import ConfigError
 from imucald.inputs.wiring import compile_router
-from imucald.runtime.consumers import consumers_for
+from imucald.mount.estimate import MountEstimator
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.output.output_frames import OutputFrames
@@ -21,7 +21,8 @@ from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.segment_samples import SegmentSamples
 
 if TYPE_CHECKING:
-    from imucald.compensation import ModelCompensation
+    from imucald.model_compensation import ModelCompensation
+    from imucald.runtime.consumer import Consumer
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
@@ -60,17 +61,22 @@ def make_engine(
     output = OutputFrames(config)
     _refuse_shared_ids(loaded, output, router.matches)
     compensation = open_compensation(loaded)
+    stated = loaded.keys_in("vehicle")
+
+    def new_estimator() -> MountEstimator:
+        return estimator_for(config, compensation, stated)
+
     rates = [f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate"]
     derived = config.signals.speed is None
     return Engine(
         router,
-        estimator_for(config, compensation),
+        new_estimator(),
         output,
         config.output.status_rate,
         on_snapshot,
         link_health,
-        consumers_for(loaded, output),
-        lambda: estimator_for(config, compensation),
+        _consumers(loaded, output),
+        new_estimator,
         None
         if compensation is None
         else compensation.preprocessing_chain(router.channels, derived, rates),
@@ -78,12 +84,21 @@ def make_engine(
     )
 
 
+def _consumers(loaded: LoadedConfig, output: OutputFrames) -> list[Consumer]:
+    """What runs beside the calibration. Raises ConfigError where an input is missing."""
+    if output.attitude is None and output.travel is None:
+        return []
+    from imucald.runtime.consumers import consumers_for  # noqa: PLC0415 - few switch one on
+
+    return consumers_for(loaded, output)
+
+
 def open_compensation(loaded: LoadedConfig) -> ModelCompensation | None:
     """Read the configuration's model file, where it names one. Raises ConfigError."""
     path, model = loaded.model_path, loaded.config.model
     if path is None or model is None:
         return None
-    from imucald.compensation import compensation_from_model  # noqa: PLC0415 - 20 ms, not without a model
+    from imucald.model_compensation import compensation_from_model  # noqa: PLC0415 - 20 ms, not without a model
 
     if not path.is_file():
         raise loaded.error(("model",), f"{path}: there is no such file")

@@ -12,6 +12,7 @@ import numpy as np
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.mount.mount_words import how_it_sits, steep_note
 from imucald.runtime.engine import Engine
 
 
@@ -34,8 +35,8 @@ def summary(
     estimate = engine.pipeline.estimator.estimate()
     pipeline = engine.pipeline
     more = dict(consumer.summary() for consumer in engine.consumers)
-    if engine.stages is not None:
-        more["model"] = engine.stages.summary()
+    if engine.preprocessing is not None:
+        more["model"] = engine.preprocessing.summary()
     return {
         "mount": mount_dict(estimate),
         "state": estimate.state.name.lower(),
@@ -80,7 +81,18 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
         if covariance is None or not np.isfinite(covariance).all()
         else [[round(v, 8) for v in row] for row in (covariance * DEG_PER_RAD**2).tolist()]
     )
-    return result
+    return result | _for_people(estimate)
+
+
+def _for_people(estimate: MountEstimate) -> dict[str, Any]:
+    """How the sensor sits in words, and what the deviations must fall below."""
+    found: dict[str, Any] = {"sits": how_it_sits(estimate), "steep": steep_note(estimate)}
+    if (targets := estimate.targets) is not None:
+        found["target_std_deg"] = {
+            goal: {a: round(s * DEG_PER_RAD, 4) for a, s in zip("xyz", std, strict=True)}
+            for goal, std in (("usable", targets.usable), ("fine", targets.fine))
+        }
+    return found
 
 
 def plain(value: object, digits: int | None = 6) -> Any:

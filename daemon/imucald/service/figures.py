@@ -10,6 +10,7 @@ from typing import Any
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.mount.mount_words import half_width, how_it_sits, plus_minus, reasons_line
 
 NOT_SAVED: dict[str, Any] = {
     "folder": None,
@@ -26,13 +27,23 @@ NOT_SAVED: dict[str, Any] = {
 def status_line(estimate: MountEstimate, link: str) -> str:
     """One line for `systemctl status`."""
     parts = [estimate.state.name.lower()]
-    angles, std = estimate.angles, estimate.std
+    angles, std, targets = estimate.angles, estimate.std, estimate.targets
     if angles is not None and std is not None:
-        parts += [
-            f"{name} {angle * DEG_PER_RAD:+.2f} +-{2.0 * min(s * DEG_PER_RAD, 180.0):.2f}"
-            for name, angle, s in zip(ANGLES, angles, std, strict=True)
+        known = [
+            (name, angle * DEG_PER_RAD, s * DEG_PER_RAD, i)
+            for i, (name, angle, s) in enumerate(zip(ANGLES, angles, std, strict=True))
+            if half_width(s * DEG_PER_RAD) is not None
         ]
-    parts += [f"{name}: {text}" for name, text in list(estimate.waiting_for.items())[-1:]]
+        for name, angle, s, i in known:
+            text = f"{name} {angle:+.2f} {plus_minus(s)}"
+            if targets is not None and s >= (fine := targets.fine[i] * DEG_PER_RAD):
+                text += f" (fine below {plus_minus(fine)})"
+            parts.append(text)
+        parts.append("± 95 %")
+        if sits := how_it_sits(estimate):
+            parts.append(sits)
+    if waiting := reasons_line(estimate.waiting_for):
+        parts.append(waiting)
     if link != "up":
         parts.insert(0, f"bus {link}")
     return "; ".join(parts)

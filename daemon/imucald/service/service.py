@@ -18,6 +18,7 @@ from imucald.can.link.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.mount.estimate import MountEstimate, MountEstimator
+from imucald.mount.mount_words import reasons_line
 from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.pipeline import Snapshot
@@ -424,10 +425,10 @@ class Service:
 
     def _tell_model(self) -> None:
         """Say what of the model file is used, and what is not."""
-        stages = self.engine.stages
-        if stages is not None:
-            self.journal.say(stages.words())
-            for note in stages.notes:
+        preprocessing = self.engine.preprocessing
+        if preprocessing is not None:
+            self.journal.say(preprocessing.words())
+            for note in preprocessing.notes:
                 self.journal.say(f"not used of the model: {note}", NOTICE)
 
     def _link_health(self) -> LinkHealth:
@@ -442,7 +443,7 @@ class Service:
         if estimate.state is self._announced:
             return
         self._announced = estimate.state
-        waiting = "; ".join(estimate.waiting_for.values())
+        waiting = reasons_line(estimate.waiting_for)
         text = f"{estimate.state.name.lower()} at {snapshot.t:.1f} s"
         self.journal.say(text + (waiting and f" ({waiting})"), NOTICE)
 

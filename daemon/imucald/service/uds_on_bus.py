@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
 from imucald.config import LoadedConfig
-from imucald.config.uds import Diagnostics
+from imucald.config.uds import Uds
 from imucald.core.errors import ConfigError
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_message import OutFrame
@@ -44,7 +44,7 @@ class BusUds:
     def __init__(
         self,
         service: RunningService,
-        config: Diagnostics,
+        config: Uds,
         key_function: KeyFunction | None = None,
         clock: Callable[[], float] = time.monotonic,
         dtcs: DtcMemory | None = None,

@@ -23,7 +23,7 @@ from imucald.core.rotations import (
     rows_from_quaternion,
     times,
 )
-from imucald.motion.rest_thresholds import MAX_TERMINAL_BIAS, TERMINAL_RATE_RANGE
+from imucald.motion.standstill import is_terminal_at_rest
 from imucald.travel_direction.certainty import COMPASS_STD
 from imucald.travel_direction.north import NorthFilter
 
@@ -149,9 +149,10 @@ class TerminalAttitude:
             self._total[i] += w
         if t - self._rest_start < REST_S:
             return
-        x, y, z = (total / self._n for total in self._total)
+        x, y, z = self._total
+        mean = x / self._n, y / self._n, z / self._n
         spread = max(high - low for high, low in zip(self._high, self._low, strict=True))
-        if spread < TERMINAL_RATE_RANGE and max(abs(x), abs(y), abs(z)) < MAX_TERMINAL_BIAS:
-            self.zero_error = (x, y, z)
+        if is_terminal_at_rest(spread, mean):
+            self.zero_error = mean
             self.north.rested()
         self._rest_begin()

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.attitude import StepSettings
+from imucald.core.rotations import Vector
 
 Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
 
 POINTS = 64
 """A cycle is looked at on so many equal parts of its duration."""

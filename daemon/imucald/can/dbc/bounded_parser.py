@@ -10,10 +10,9 @@ import contextlib
 import json
 import os
 import resource
-import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -21,6 +20,9 @@ from imucald.can.dbc.message import Message
 from imucald.can.dbc.parser import parse
 from imucald.core.errors import DatabaseError
 from imucald.core.memory import allowed_memory
+
+if TYPE_CHECKING:
+    import subprocess
 
 SMALL = 64 * 2**10
 """Characters of text that this process parses itself: 220 times that is 14 MiB."""
@@ -51,6 +53,8 @@ def parse_bounded(text: str, database_format: str, source: str) -> list[Message]
     """Return the messages of a database's text; DatabaseError where it is wrong or too much."""
     if len(text) <= SMALL or not sys.executable:
         return parse(text, database_format, source)
+    import subprocess  # noqa: PLC0415 - large databases only
+
     memory = int(allowed_memory() * PARSER_SHARE)
     seconds = max(MIN_SECONDS, SECONDS_PER_MB * len(text) // _MB)
     flags = [flag for flag, is_set in _interpreter_flags() if is_set]

@@ -1,6 +1,6 @@
-"""Every kind of checksum that a message may carry: XOR, CRC-8 SAE J1850, AUTOSAR E2E profiles.
+"""Every kind of checksum that a message may carry: XOR, CRC-8, CRC-16, AUTOSAR E2E profiles.
 
-A new one (another CRC-8, a CRC-16) is added in this file alone: a function that gives its
+A new one (another CRC-8 or CRC-16) is added in this file alone: a function that gives its
 `ChecksumSpec`, and a line in `KINDS`, by whose names configurations ask for it.
 
 Source: AUTOSAR PRS "E2E Protocol Specification" (profiles 1, 2, 5, 11) and SWS "CRC Library".
@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, Protocol
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from imucald.can.columns import CAN_EFF_MASK
 from imucald.can.dbc.bits import Field, field_of
@@ -29,7 +30,7 @@ H2F_POLYNOMIAL = 0x2F
 """CRC-8 of E2E profile 2 (AUTOSAR Crc_CalculateCRC8H2F)."""
 
 CCITT_POLYNOMIAL = 0x1021
-"""CRC-16 of E2E profile 5 (AUTOSAR Crc_CalculateCRC16, start 0xFFFF)."""
+"""CRC-16-CCITT, also of E2E profile 5 (AUTOSAR Crc_CalculateCRC16, start 0xFFFF)."""
 
 E2E_COUNTER_VALUES = 16
 """Profiles 1, 2 and 11 count in four bits."""
@@ -74,11 +75,19 @@ class HeaderCounter(Struct, frozen=True):
         return CounterSpec(field, self.modulus, max_jump)
 
 
+SignalChecksum = Callable[[int, int, bytes], ChecksumSpec]
+"""Bytes of the message, first byte of the checksum, identifier bytes that go in first."""
+
+
 class ChecksumKind(Struct, frozen=True):
-    """How a kind becomes a message's checksum (ConfigError where it cannot), and its counter."""
+    """How a kind becomes a message's checksum (ConfigError where it cannot), and its counter.
+
+    in_signal: of a kind that stands in a signal of its own, over identifier bytes and payload.
+    """
 
     make: Callable[[Message, ChecksumOptions], ChecksumSpec]
     counter: HeaderCounter | None = None
+    in_signal: SignalChecksum | None = None
 
 
 def xor_checksum(size: int, position: int, id_bytes: bytes = b"", start: int = 0) -> ChecksumSpec:
@@ -94,6 +103,11 @@ def crc8_j1850(
     return ChecksumSpec(
         size, position, 1, J1850_POLYNOMIAL, 0xFF, 0xFF, prefixes=(first,), suffixes=(last,)
     )
+
+
+def crc16_ccitt(size: int, position: int, id_bytes: bytes = b"") -> ChecksumSpec:
+    """CRC-16-CCITT (0x1021, start 0xFFFF, not inverted: AUTOSAR Crc_CalculateCRC16)."""
+    return ChecksumSpec(size, position, 2, CCITT_POLYNOMIAL, 0xFFFF, prefixes=(id_bytes,))
 
 
 def e2e_profile_1(
@@ -169,21 +183,22 @@ def e2e_profile_11(
     return e2e_profile_1(size, data_id, mode, crc_bit, counter_bit, nibble_bit)
 
 
-def _in_signal(
-    make: Callable[[int, int, bytes], ChecksumSpec],
-) -> Callable[[Message, ChecksumOptions], ChecksumSpec]:
-    """A kind whose one byte is a signal of the database, over identifier bytes and payload."""
+def in_signal(function: SignalChecksum) -> ChecksumKind:
+    """A kind that stands in a signal of the database, over identifier bytes and payload."""
 
     def made(message: Message, options: ChecksumOptions) -> ChecksumSpec:
         if options.signal is None:
             raise ConfigError("needs 'signal:', the signal it stands in")
         field = field_of(message.signal(options.signal))
-        if field.length != 8 or field.first_bit % 8:
-            raise ConfigError(f"signal {options.signal} is not one whole byte")
         identifier = (message.can_id & CAN_EFF_MASK).to_bytes(4, "big")
-        return make(message.length, field.first_bit // 8, identifier[4 - options.id_bytes :])
+        position = field.first_bit // 8
+        spec = function(message.length, position, identifier[4 - options.id_bytes :])
+        if field.length != 8 * spec.width or field.first_bit % 8:
+            whole = "one whole byte" if spec.width == 1 else f"{spec.width} whole bytes"
+            raise ConfigError(f"signal {options.signal} is not {whole}")
+        return replace(spec, byte_order=field.order)
 
-    return made
+    return ChecksumKind(made, in_signal=function)
 
 
 def _p1(message: Message, options: ChecksumOptions) -> ChecksumSpec:
@@ -217,14 +232,25 @@ E2E_COUNTERS: Mapping[int, HeaderCounter] = {
 """Alive counters of the AUTOSAR E2E profiles (1 and 11 leave 15 out)."""
 
 KINDS: dict[str, ChecksumKind] = {
-    "xor": ChecksumKind(_in_signal(xor_checksum)),
-    "crc8_j1850": ChecksumKind(_in_signal(crc8_j1850)),
+    "xor": in_signal(xor_checksum),
+    "crc8_j1850": in_signal(crc8_j1850),
+    "crc16_ccitt": in_signal(crc16_ccitt),
     "e2e_p1": ChecksumKind(_p1, E2E_COUNTERS[1]),
     "e2e_p2": ChecksumKind(_p2, E2E_COUNTERS[2]),
     "e2e_p5": ChecksumKind(_p5, E2E_COUNTERS[5]),
     "e2e_p11": ChecksumKind(_p11, E2E_COUNTERS[11]),
 }
 """Kinds by the name that configurations use."""
+
+ONE_BYTE_KINDS: Mapping[str, SignalChecksum] = {
+    name: kind.in_signal
+    for name, kind in KINDS.items()
+    if kind.in_signal is not None and kind.in_signal(8, 0, b"").width == 1
+}
+"""Those of one byte over identifier and payload: what imucald's own frames may carry."""
+
+NO_CHECKSUM = "none"
+"""The name of none at all."""
 
 
 def _one_id(options: ChecksumOptions) -> int:

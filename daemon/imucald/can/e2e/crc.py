@@ -7,6 +7,8 @@ columns give the same number.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ class ChecksumSpec(Struct, frozen=True):
     """Where a checksum lies and over what it runs.
 
     `size`: bytes of the message that are covered; longer frames are covered up to there.
-    `position`: first byte of the checksum; `width`: 1, or 2 (low byte first). `polynomial`:
+    `position`: first byte of the checksum; `width`: 1 or 2 bytes, in `byte_order`. `polynomial`:
     0 is XOR. `prefixes`, `suffixes`: bytes fed before and after the payload; one entry, or one for
     each counter value (then `counter` says where the counter is). `fixed`: a field that must hold
     a value (the data id's nibble of profiles 1 and 11).
@@ -35,6 +37,7 @@ class ChecksumSpec(Struct, frozen=True):
     suffixes: tuple[bytes, ...] = (b"",)
     counter: Field | None = None
     fixed: tuple[Field, int] | None = None
+    byte_order: Literal["little", "big"] = "little"
 
     def __post_init__(self) -> None:
         if self.width not in (1, 2) or not 0 <= self.position <= self.size - self.width:
@@ -48,6 +51,13 @@ class ChecksumSpec(Struct, frozen=True):
         for table in (self.prefixes, self.suffixes):
             if len(table) not in (1, needed):
                 raise ConfigError(f"{len(table)} data ids for {needed} counter values")
+
+    def bytes_at(self) -> list[tuple[int, int]]:
+        """By how many bits each byte of the checksum is shifted, and where it stands."""
+        places = range(self.position, self.position + self.width)
+        if self.byte_order == "big":
+            places = places[::-1]
+        return [(8 * i, place) for i, place in enumerate(places)]
 
 
 class Checksum:
@@ -79,7 +89,7 @@ class Checksum:
         spec = self.spec
         if spec.fixed is not None and read_bits(data, spec.fixed[0]) != spec.fixed[1]:
             return False
-        stored = int.from_bytes(data[self._before : self._after], "little")
+        stored = int.from_bytes(data[self._before : self._after], spec.byte_order)
         return stored == self.compute(data)
 
     def compute_columns(self, data: Columns) -> NDArray[np.uint16]:
@@ -97,9 +107,9 @@ class Checksum:
 
     def are_right(self, data: Columns) -> NDArray[np.bool_]:
         """The same as `is_right` for (N, W) frames, W at least `size`."""
-        stored = data[:, self._before].astype(np.uint16)
-        if self.spec.width == 2:
-            stored |= data[:, self._before + 1].astype(np.uint16) << np.uint16(8)
+        stored = np.zeros(len(data), np.uint16)
+        for shift, place in self.spec.bytes_at():
+            stored |= data[:, place].astype(np.uint16) << np.uint16(shift)
         right: NDArray[np.bool_] = stored == self.compute_columns(data)
         if self.spec.fixed is not None:
             field, value = self.spec.fixed

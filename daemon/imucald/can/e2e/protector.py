@@ -36,7 +36,7 @@ class MessageProtector:
                 write_bits(payload, *spec.fixed)
             end = spec.position + spec.width
             value = self._checksum.compute(payload)
-            payload[spec.position : end] = value.to_bytes(spec.width, "little")
+            payload[spec.position : end] = value.to_bytes(spec.width, spec.byte_order)
         return bytes(payload)
 
     def protect_columns(self, data: Columns) -> Columns:
@@ -56,8 +56,8 @@ class MessageProtector:
                 field, value = spec.fixed
                 _overwrite(out, field, np.full(count, value, np.uint64))
             crc = self._checksum.compute_columns(out)
-            for i in range(spec.width):
-                out[:, spec.position + i] = (crc >> np.uint16(8 * i)) & np.uint16(0xFF)
+            for shift, place in spec.bytes_at():
+                out[:, place] = (crc >> np.uint16(shift)) & np.uint16(0xFF)
         return np.ascontiguousarray(out[:, :width])
 
     def _refuse_short(self, length: int) -> None:

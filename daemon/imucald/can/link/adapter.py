@@ -13,12 +13,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, CLASSIC_BYTES, IdMatch
+from imucald.can.link.echoes import Echoes
 from imucald.can.link.socketcan import MAX_BATCH, Frame
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError
 
 SEND_WAIT = 0.002
 """An adapter may block so long when its transmit queue is full [s]."""
+
+ECHOING = ("udp_multicast",)
+"""Interfaces of python-can that hand back what we sent without a mark."""
 
 _IN_MEMORY = ("virtual",)  # no filter of their own; the link's is quicker than python-can's
 
@@ -43,6 +47,7 @@ class Adapter:
         bitrate: int | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> None:
+        self._echoes = Echoes() if interface in ECHOING else None
         arguments: dict[str, Any] = dict(options or {})
         if interface not in _IN_MEMORY:
             arguments["can_filters"] = [_filter(match) for match in matches]
@@ -79,7 +84,7 @@ class Adapter:
         try:
             message = receive(timeout)
             while message is not None:
-                if message.is_rx:  # some adapters hand back what we sent
+                if message.is_rx and not self._is_echo(message):  # some hand back what we sent
                     frames.append((_stamp(message), _can_id(message), bytes(message.data)))
                 if len(frames) >= MAX_BATCH:
                     break
@@ -107,6 +112,12 @@ class Adapter:
             self._bus.send(message, timeout=SEND_WAIT)
         except (can.CanError, OSError, ValueError) as error:
             raise OSError(errno.EIO, str(error)) from error
+        if self._echoes is not None:
+            self._echoes.sent(can_id, data)
+
+    def _is_echo(self, message: can.Message) -> bool:
+        echoes = self._echoes
+        return echoes is not None and echoes.is_own(_can_id(message), bytes(message.data))
 
     def is_same_interface(self) -> bool:
         """Whether the adapter is still there: only an error would tell."""

@@ -1,7 +1,8 @@
 """What every log format is: a reader of files with certain endings, and what it counts.
 
-A new format is a new file with a `LogFormat`, named in `log_reader.FORMATS`; one that python-can
-reads needs only its ending in `python_can_logs`.
+A new format is a new file of this folder whose name ends with `_logs` and which has a `LogFormat`
+under the name FORMAT: `log_reader` finds it. One that python-can reads needs only its ending in
+`python_can_logs`.
 """
 
 from __future__ import annotations

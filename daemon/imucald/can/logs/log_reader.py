@@ -8,23 +8,37 @@ whoever makes stream time of it meets a discontinuity.
 
 from __future__ import annotations
 
+import importlib
 import os
+import pkgutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
+from imucald.can import logs
 from imucald.can.columns import CAN_EFF_FLAG, Channels, FrameColumns, IdMatch
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.candump import CandumpReader
 from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.can.logs.log_format import LogFormat, ReadStatistics
-from imucald.can.logs.python_can_logs import PythonCanReader
 from imucald.can.logs.text_blocks import STDIN, OpenLog
 
 __all__ = ["CAN_EFF_FLAG", "CandumpWriter", "FrameColumns", "IdMatch", "LogReader"]
 
-FORMATS: Final[tuple[type[LogFormat], ...]] = (CandumpReader, PythonCanReader)
-"""Every format that can be read. A file whose ending none of them names is read by the first."""
+
+def find_formats() -> tuple[type[LogFormat], ...]:
+    """Every format that can be read: FORMAT of each module of this folder named `..._logs`."""
+    names = (module.name for module in pkgutil.iter_modules(logs.__path__))
+    return tuple(
+        importlib.import_module(f"{logs.__name__}.{name}").FORMAT
+        for name in sorted(names)
+        if name.endswith("_logs")
+    )
+
+
+FORMATS: Final = find_formats()
+
+CANDUMP_ENDING: Final = ".log"
+"""A file whose ending no format names is read as candump text."""
 
 Progress = Callable[[int, int | None], None]
 """Called with bytes read and bytes in all (None where standard input is among the files)."""
@@ -84,10 +98,11 @@ class LogReader:
         self._bytes_before = 0
         self._bytes_total = _total_bytes(self._paths)
         shared = IdFilters(self._keep), Channels(), self._statistics
-        readers: list[LogFormat] = [kind(*shared) for kind in FORMATS]
+        readers = [kind(*shared) for kind in FORMATS]
+        candump = next(r for r in readers if CANDUMP_ENDING in r.endings)
         for path in self._paths:
             ending = _ending(path)
-            reader = next((r for r in readers if ending in r.endings), readers[0])
+            reader = next((r for r in readers if ending in r.endings), candump)
             yield from reader.read(path, self._report)
             self._bytes_before += _file_bytes(path)
             self._report(0)

@@ -211,3 +211,6 @@ def _columns(batch: list[Frame], channels: tuple[str, ...]) -> FrameColumns:
         channels,
         np.array(fd, np.bool_) if any(fd) else None,
     )
+
+
+FORMAT = PythonCanReader

@@ -13,7 +13,7 @@ from math import isnan
 
 import numpy as np
 
-from imucald.core.rotations import Matrix3, rotation_from_angles
+from imucald.core.rotations import Matrix3, Vector, rotation_from_angles
 from imucald.core.samples import GRAVITY
 from imucald.motion.physical_limits import ROAD_FORCE_WIDE, is_saturated
 from imucald.motion.speed import SpeedInterval, SpeedIntervalMaker
@@ -22,19 +22,14 @@ from imucald.motion.stuck import HeldForce
 from imucald.motion.ticks import ACCEL, BRAKE, LATERAL_ACCEL, REVERSE, SPEED, T, TickRow
 from imucald.mount.estimate import Correction, MountEstimate, MountState
 from imucald.mount.hysteresis import GOOD
+from imucald.mount.method_a.collector import ManoeuvreCollector
 from imucald.mount.method_a.gate import (
     OFFSET_LOST_SPEED_S,
     OFFSET_WITHOUT_SPEED_S,
     StraightGate,
     WanderingOffset,
 )
-from imucald.mount.method_a.manoeuvres import (
-    CombinedAngle,
-    Manoeuvre,
-    ManoeuvreBook,
-    combined,
-    combined_axis,
-)
+from imucald.mount.method_a.manoeuvres import CombinedAngle, combined, combined_axis
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.sign import SignEvidence
 from imucald.mount.method_a.solver import rotation_about_up
@@ -43,16 +38,7 @@ from imucald.mount.method_a.tilt import TiltEstimator
 from imucald.mount.slewing import SlewedRotation
 
 NAN = math.nan
-Vector = tuple[float, float, float]
 
-MANOEUVRES_KEPT = 150
-"""Manoeuvres that are kept (about an hour of city); the oldest goes first."""
-MAX_MANOEUVRE_S = 8.0
-"""A longer one counts as several [s]."""
-MIN_MANOEUVRE_S = 1.0
-"""A shorter one is a bump [s]."""
-MANOEUVRE_HOLE = 1.5
-"""Time without an accepted interval that ends a manoeuvre [s]."""
 MAX_HOLE_TICKS = 5
 """Ticks for which the last specific force stands in: a 10 Hz sensor jitters."""
 UNKNOWN_SIGN_STD = math.pi / 2.0
@@ -80,14 +66,12 @@ class PublishedEstimator:
         self._offset = WanderingOffset(s.calibration.target_angle.remove_offset_after, lost)
         self._gate = StraightGate(s, self._offset)
         self._sign = SignEvidence(s.calibration.target_angle.sign_from)
-        self._signed = ManoeuvreBook(MANOEUVRES_KEPT)
-        self._unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
+        self._collector = ManoeuvreCollector(s)
         self._applied = SlewedRotation(s.slew)
         self._held = HeldForce()
         self._known = TiltAndAngle()
         self._target: Matrix3 | None = None
         self._state = MountState.WAITING
-        self._reverse_known = False
         self._restart_stream()
         self._solve()
 
@@ -114,7 +98,7 @@ class PublishedEstimator:
         self._offset.restart()
         self._gate.restart()
         self._sign.restart()
-        self._open: Manoeuvre | None = None
+        self._collector.drop()
         self._force: Vector | None = None
         self._holes = 0
         self._held.restart()
@@ -161,11 +145,12 @@ class PublishedEstimator:
             details={
                 "method": "published",
                 "stops": self._tilt.stops,
-                "manoeuvres": len(self._signed),
-                "manoeuvres_without_speed": len(self._unsigned),
+                "manoeuvres": len(self._collector.signed),
+                "manoeuvres_without_speed": len(self._collector.unsigned),
                 "sign_votes": dict(self._sign.votes.counts),
                 "yaw_rate_source": self._yaw_source.source,
             },
+            targets=s.targets,
         )
 
     # What a tick brings.
@@ -173,7 +158,7 @@ class PublishedEstimator:
     def _take_vehicle(self, tick: TickRow) -> None:
         if not isnan(tick[REVERSE]):
             self._reverse = tick[REVERSE] > 0.5
-            self._reverse_known = True
+            self._collector.gear_known = True
         if not isnan(tick[BRAKE]):
             self._brake = tick[BRAKE]
         if tick[LATERAL_ACCEL.n] > 0.0:
@@ -227,7 +212,7 @@ class PublishedEstimator:
             self._offset.fade(dt)
             if self._gate.is_turning(interval):
                 self._straight_s = 0.0
-            self._close()
+            self._end_manoeuvre()
             return
         known = not isnan(interval.dvdt)
         dvdt = interval.dvdt if known else 0.0
@@ -237,66 +222,19 @@ class PublishedEstimator:
         self._offset.add(interval, dvdt, lateral, with_speed=known)
         self._straight_s += dt
         if not ready or self._tilt.still or self._straight_s < s.settle:
-            self._close()
+            self._end_manoeuvre()
             return
         braking = self._brake > 0.5
         self._sign.take_straight(interval, f, self._tilt.up, self._reverse, braking)
         if known and "speed" in target.sign_from:
-            self._collect(interval, f, dvdt - m_dvdt, lateral - m_lateral)
+            ended = self._collector.take(interval, f, dvdt - m_dvdt, lateral - m_lateral)
         else:
-            self._collect_without_sign(interval, f)
+            ended = self._collector.take_unsigned(interval, f, self._tilt.level)
+        if ended:
+            self._solve()
 
-    def _collect(self, interval: SpeedInterval, f: Vector, along: float, lateral: float) -> None:
-        s, m = self._settings, self._open
-        straight = s.calibration.straight
-        slowest = straight.min_speed if self._reverse_known else s.min_speed_unknown_gear
-        if (
-            abs(interval.speed) < slowest
-            or max(abs(along), abs(interval.dvdt)) < straight.min_speed_change
-        ):
-            return
-        if (
-            m is not None
-            and m.peak * interval.dvdt < 0.0
-            and abs(interval.dvdt) >= straight.min_speed_change
-        ):
-            self._close()  # from braking to accelerating: another manoeuvre
-        m = self._manoeuvre(interval, signed=True)
-        weight = (
-            1.0 if s.wander_speed <= 0.0 else 1.0 / (1.0 + abs(interval.speed) / s.wander_speed)
-        )
-        m.add(interval, f, along, lateral, weight)
-        if abs(interval.dvdt) > abs(m.peak):
-            m.peak = interval.dvdt
-
-    def _collect_without_sign(self, interval: SpeedInterval, f: Vector) -> None:
-        x, y, _ = (self._tilt.level @ np.array(f)).tolist()
-        size = math.hypot(x, y)
-        if size >= self._settings.calibration.straight.min_speed_change:
-            m = self._manoeuvre(interval, signed=False)
-            m.add(interval, f, 0.0, 0.0, 1.0)
-            m.peak = max(m.peak, size)
-
-    def _manoeuvre(self, interval: SpeedInterval, signed: bool) -> Manoeuvre:
-        """Return the open manoeuvre if the interval belongs to it, else a new one."""
-        m = self._open
-        if m is not None and (
-            m.signed != signed
-            or m.seconds >= MAX_MANOEUVRE_S
-            or interval.t0 - m.stop > MANOEUVRE_HOLE
-        ):
-            self._close()
-        if self._open is None:
-            self._open = Manoeuvre(interval.t0, signed)
-        return self._open
-
-    def _close(self) -> None:
-        """End the open manoeuvre; if it was one, count it and solve again."""
-        m, self._open = self._open, None
-        if m is None or abs(m.peak) < self._settings.calibration.straight.manoeuvre_peak:
-            return
-        if m.seconds >= MIN_MANOEUVRE_S:
-            (self._signed if m.signed else self._unsigned).add(m)
+    def _end_manoeuvre(self) -> None:
+        if self._collector.end():
             self._solve()
 
     # The solution.
@@ -315,7 +253,7 @@ class PublishedEstimator:
             angle=angle,
             sign_known=sign_known,
             stops=self._tilt.stops,
-            manoeuvres=max(len(self._signed), len(self._unsigned)),
+            manoeuvres=max(len(self._collector.signed), len(self._collector.unsigned)),
         )
         self._state = judged(self._known, self._state, self._settings)
         if self._state in GOOD and self._target is not None:
@@ -323,11 +261,12 @@ class PublishedEstimator:
 
     def _target_angle(self, level: Matrix3) -> tuple[CombinedAngle | None, bool]:
         """Return lambda and whether its sign is known; manoeuvres with speed are preferred."""
-        signed = combined(self._signed.pointers(level))
-        if not self._unsigned or len(self._signed) >= self._settings.usable_manoeuvres:
+        book, unsigned = self._collector.signed, self._collector.unsigned
+        signed = combined(book.pointers(level))
+        if not unsigned or len(book) >= self._settings.usable_manoeuvres:
             return signed, signed is not None
-        books = (self._unsigned, self._signed)
-        axis = combined_axis(np.concatenate([book.axis_pointers(level) for book in books]))
+        books = (unsigned, book)
+        axis = combined_axis(np.concatenate([b.axis_pointers(level) for b in books]))
         if axis is None:
             return None, False
         forward = math.cos(axis.value) * level[0] - math.sin(axis.value) * level[1]

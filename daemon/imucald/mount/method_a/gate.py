@@ -8,12 +8,10 @@ from math import isnan
 
 import numpy as np
 
-from imucald.core.rotations import Matrix3
+from imucald.core.rotations import Matrix3, Vector
 from imucald.motion.speed import SpeedInterval
 from imucald.motion.straight import angles_agree
 from imucald.mount.method_a.settings import PublishedSettings
-
-Vector = tuple[float, float, float]
 
 OFFSET_SETTLED_S = 2.0
 """Straight motion that the offset needs before it is good [s]; less where it forgets sooner."""

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from imucald.core.errors import EstimateError
-from imucald.core.rotations import levelling_rotation
+from imucald.core.rotations import Vector, levelling_rotation
 from imucald.core.samples import GRAVITY
-
-Vector = tuple[float, float, float]
 
 PLACES_KEPT = 40
 """Places of rest that are kept; the oldest goes first, so a slow creep of the mount is followed."""

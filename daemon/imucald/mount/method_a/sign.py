@@ -9,9 +9,8 @@ import math
 from collections import deque
 from collections.abc import Sequence
 
+from imucald.core.rotations import Vector
 from imucald.motion.speed import SpeedInterval
-
-Vector = tuple[float, float, float]
 
 VOTES_KEPT = 60
 VOTES_NEEDED = 3

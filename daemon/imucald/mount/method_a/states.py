@@ -1,8 +1,7 @@
-"""States of the published solver with their hysteresis, and what each angle still waits for."""
+"""States of method A with their hysteresis, and what each angle still waits for."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from imucald.mount.estimate import Missing, MountState
@@ -55,12 +54,12 @@ def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[st
     reasons: dict[str, tuple[str, Missing]] = {}
     if known.tilt is None:
         reason = (
-            f"standstill of {s.calibration.static.duration:g} s not seen yet",
+            f"a standstill of {s.calibration.static.duration:g} s",
             Missing.STANDSTILL,
         )
         reasons["roll"] = reasons["pitch"] = reason
     elif known.tilt.std > s.limits.fine_tilt and not s.is_level:
-        text = f"waiting for stops in other places, slope averages out ({known.stops} seen)"
+        text = f"stops in other places: slope averages out ({known.stops} seen)"
         reasons["roll"] = reasons["pitch"] = text, Missing.STANDSTILL
     yaw = _waiting_for_yaw(known, s)
     if yaw is not None:
@@ -72,17 +71,16 @@ def _waiting_for_yaw(known: TiltAndAngle, s: PublishedSettings) -> tuple[str, Mi
     angle = known.angle
     count = known.manoeuvres if angle is None else angle.manoeuvres
     what = f"straight acceleration above {s.calibration.straight.manoeuvre_peak:g} m/s2"
-    seen = f"waiting for {what} ({count} of {s.usable_manoeuvres} seen)"
+    seen = f"{what} ({count} of {s.usable_manoeuvres} seen)"
     if known.tilt is None:
-        return f"levelling first, then {seen}", Missing.STANDSTILL
+        return f"levelling, then {seen}", Missing.STANDSTILL
     if angle is None or count < s.usable_manoeuvres:
         return seen, Missing.ACCELERATION
     if not known.sign_known:
-        text = "waiting for forward or backward: brake switch, a turn, or moving off from rest"
+        text = "forward or backward: brake switch, a turn, or moving off from rest"
         return text, Missing.DIRECTION_OF_TRAVEL
     if angle.std > s.limits.usable_yaw:
-        std = math.degrees(angle.std)
-        return f"manoeuvres do not agree yet ({count} seen, +-{std:.1f} deg)", Missing.AGREEMENT
+        return f"manoeuvres that agree better ({count} seen)", Missing.AGREEMENT
     if count < s.fine_manoeuvres or angle.std > s.limits.fine_yaw:
-        return f"waiting for more {what} ({count} seen)", Missing.ACCELERATION
+        return f"more {what} ({count} seen)", Missing.ACCELERATION
     return None

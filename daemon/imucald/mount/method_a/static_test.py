@@ -16,8 +16,6 @@ from imucald.config.calibration import StaticTestSettings
 from imucald.core.errors import EstimateError
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
-Vector = tuple[float, float, float]
-
 CONFIRM_TICKS = 5
 """A window counts after this many further quiet ticks: a late speed signal (up to 0.4 s) still
 reads zero when the vehicle has begun to move."""

@@ -7,13 +7,11 @@ from math import isnan
 
 import numpy as np
 
-from imucald.core.rotations import Matrix3, levelling_rotation
+from imucald.core.rotations import Matrix3, Vector, levelling_rotation
 from imucald.motion.ticks import TICK_S, TickRow
 from imucald.mount.method_a.levelling import LongRunLevel, StopBook, Tilt
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.static_test import StandstillDetector
-
-Vector = tuple[float, float, float]
 
 UP_MEMORY_S = 20.0
 """Time constant of the vertical before the first levelling [s]."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 from imucald.config import Config
 from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, Missing, MountEstimate, MountState
-from imucald.runtime.output.attitude_frames import AttitudeFrames
 from imucald.runtime.output.output_message import (
     NOT_AVAILABLE_SIGNED,
     NOT_AVAILABLE_UNSIGNED,
@@ -24,7 +24,10 @@ from imucald.runtime.output.output_message import (
     OutputMessage,
     output_database,
 )
-from imucald.runtime.output.travel_frames import TravelFrames
+
+if TYPE_CHECKING:
+    from imucald.runtime.output.attitude_frames import AttitudeFrames
+    from imucald.runtime.output.travel_frames import TravelFrames
 
 __all__ = ["Health", "OutFrame", "OutputFrames", "output_database"]
 
@@ -130,8 +133,8 @@ class OutputFrames:
             {},
         )
 
-        self.attitude = AttitudeFrames(config) if config.attitude.enabled else None
-        self.travel = TravelFrames(config) if config.travel_direction.enabled else None
+        self.attitude = _attitude_frames(config) if config.attitude.enabled else None
+        self.travel = _travel_frames(config) if config.travel_direction.enabled else None
 
     @property
     def can_ids(self) -> frozenset[int]:
@@ -203,6 +206,18 @@ class OutputFrames:
             self._deviation.frame((*std_values, state)),
             self._health.frame((state, *waiting, *map(float, health.flags), *counts)),
         ]
+
+
+def _attitude_frames(config: Config) -> AttitudeFrames:
+    from imucald.runtime.output.attitude_frames import AttitudeFrames  # noqa: PLC0415
+
+    return AttitudeFrames(config)
+
+
+def _travel_frames(config: Config) -> TravelFrames:
+    from imucald.runtime.output.travel_frames import TravelFrames  # noqa: PLC0415
+
+    return TravelFrames(config)
 
 
 def _default(estimate: MountEstimate, angle: str) -> Missing:

@@ -17,7 +17,7 @@ from imucald.can.columns import CAN_EFF_FLAG
 from imucald.can.dbc.database import Database, load_database_text
 from imucald.can.dbc.encode import EncodePlan, compile_encode
 from imucald.can.dbc.message import Message
-from imucald.can.e2e.checksums import crc8_j1850, xor_checksum
+from imucald.can.e2e.checksums import NO_CHECKSUM, ONE_BYTE_KINDS
 from imucald.can.e2e.crc import ChecksumSpec
 from imucald.can.e2e.protection import ProtectionSpec, counter_of
 from imucald.can.e2e.protector import MessageProtector
@@ -89,10 +89,7 @@ class OutputMessage:
 
 
 def _checksum(kind: str, can_id: int, message: Message) -> ChecksumSpec | None:
-    position = message.length - 1
+    if kind == NO_CHECKSUM:
+        return None
     id_bytes = can_id.to_bytes(4 if can_id > STANDARD_ID_MAX else 2, "big")
-    if kind == "crc8_j1850":
-        return crc8_j1850(message.length, position, id_bytes)
-    if kind == "xor":
-        return xor_checksum(message.length, position, id_bytes)
-    return None
+    return ONE_BYTE_KINDS[kind](message.length, message.length - 1, id_bytes)

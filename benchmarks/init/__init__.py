@@ -1,0 +1,1 @@
+"""How much of a configuration `imucald init` finds."""

@@ -1,0 +1,80 @@
+"""`imucald draw`: how a sensor sits, drawn and in words, from its angles."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from imucald.core.rotations import Matrix3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `draw`."""
+    # Otherwise "-5,3,30" would be taken for an option.
+    parser._negative_number_matcher = re.compile(r"^-[\d.][\d.,e+-]*$")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "--mount", metavar="R,P,Y", help="roll, pitch and yaw of the sensor in degrees"
+    )
+    what.add_argument(
+        "--quaternion",
+        metavar="W,X,Y,Z",
+        help="the rotation from sensor to vehicle axes, as replay --json gives it",
+    )
+    what.add_argument(
+        "--axes", action="store_true", help="the vehicle's axes and the signs of the angles"
+    )
+    parser.add_argument("--out", metavar="FILE.svg", help="write the drawing here")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Say how the sensor sits, and draw it."""
+    from imucald.commands.files import write_text
+    from imucald.commands.terminal import plain_where_needed
+    from imucald.core.orientation_words import sits_words, steep_words
+    from imucald.core.rotations import angles_from_rotation, quaternion_from_rotation
+    from imucald.report.drawing import axes_drawing, drawing
+
+    plain_where_needed()
+    if options.axes:
+        svg, words = axes_drawing(), "vehicle axes: x forward, y left, z up"
+    else:
+        R = _rotation(options)
+        words = sits_words(R)
+        svg = drawing(R, words)
+        steep = steep_words(angles_from_rotation(R)[1], quaternion_from_rotation(R))
+        words += f"\n{steep}" if steep else ""
+    if options.out:
+        write_text(options.out, svg)
+    print(words)
+    return 0
+
+
+def _rotation(options: argparse.Namespace) -> Matrix3:
+    """R_vehicle_from_sensor of the angles or the quaternion; ConfigError where it is none."""
+    import math
+
+    import numpy as np
+
+    from imucald.core.errors import ConfigError
+    from imucald.core.rotations import rotation_from_angles, rows_from_quaternion
+
+    name, text, wanted = "--quaternion", options.quaternion, 4
+    if options.mount:
+        name, text, wanted = "--mount", options.mount, 3
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != wanted or not all(map(math.isfinite, numbers)):
+        raise ConfigError(f"{name} must be {wanted} numbers with commas between, not {text!r}")
+    if options.mount:
+        roll, pitch, yaw = (math.radians(x) for x in numbers)
+        return rotation_from_angles(roll, pitch, yaw)
+    length = math.hypot(*numbers)
+    if not 0.99 < length < 1.01:
+        raise ConfigError(f"--quaternion must have the length 1, not {length:.3g}")
+    w, x, y, z = (n / length for n in numbers)
+    return np.array(rows_from_quaternion((w, x, y, z))).reshape(3, 3)

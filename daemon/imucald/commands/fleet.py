@@ -1,0 +1,75 @@
+"""`imucald fleet`: thousands of logs of hundreds of vehicles, here or on a Dask cluster."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+from pathlib import Path
+
+from imucald.core.errors import ImucaldError
+
+LIBRARIES = ("pyarrow", "fsspec")
+ACTIONS = {
+    "run": "evaluate the logs that are not evaluated yet",
+    "retry": "the same, with those that failed before",
+    "status": "say how far the runs are and what failed",
+    "why": "say all that is known of one log",
+    "analyse": "read all drives together: vehicles, types, batches, remounts, outliers",
+    "report": "write what the analysis found as one HTML page",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `fleet`, action by action."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    for name, text in ACTIONS.items():
+        sub = actions.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        sub.add_argument("--out", required=True, metavar="URL", help="folder of the tables")
+        if name in ("run", "retry"):
+            _add_run(sub)
+        elif name == "why":
+            sub.add_argument("log", metavar="LOG", help="its address, a part of it, or its log_key")
+        elif name == "analyse":
+            sub.add_argument(
+                "--group",
+                action="append",
+                default=[],
+                metavar="COLUMN",
+                help="columns of drives to compare vehicles by, within their type "
+                "(default: sensor_batch and firmware)",
+            )
+        elif name == "report":
+            sub.add_argument("--html", type=Path, metavar="FILE", required=True, help="the page")
+
+
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--fleet", required=True, type=Path, metavar="FILE", help="fleet.yaml")
+    parser.add_argument("--logs", metavar="GLOB|LIST", help="in place of the file's logs")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, metavar="N", help="processes here (default: cores)")
+    where.add_argument("--scheduler", metavar="URL", help="Dask: tcp://HOST:PORT or tls://HOST:PORT")
+    for part in ("ca", "cert", "key"):
+        parser.add_argument(f"--tls-{part}", metavar="FILE", help="PEM file for tls://")
+    parser.add_argument("--memory", default="1GiB", metavar="SIZE", help="of a log (1GiB)")
+    parser.add_argument("--time-limit", default="15min", metavar="TIME", help="of a log (15min)")
+    parser.add_argument("--signals", choices=("none", "corrected"), default="none",
+                        help="write corrected signals too")  # fmt: skip
+    parser.add_argument("--since", metavar="DATE", help="only logs of that day or later")
+    parser.add_argument("--redo", choices=("nothing", "failed", "config", "all"),
+                        default="nothing", help="evaluate again what is known: what failed, what "
+                        "had another configuration or version, all")  # fmt: skip
+    parser.add_argument("--limit", type=int, metavar="N", help="no more than N logs")
+    parser.add_argument("--dry-run", action="store_true", help="only say what would be done")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do the action; 0 done, 3 some logs failed, 1 the run broke off."""
+    missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
+    if missing:
+        text = f"fleet needs {' and '.join(missing)}: pip install 'imucald[fleet]'"
+        raise ImucaldError(text)
+    module = "run" if options.action in ("run", "retry") else "read"
+    action = importlib.import_module(f"imucald.commands.fleet_{module}")
+    return int(getattr(action, options.action)(options))

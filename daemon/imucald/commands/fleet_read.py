@@ -1,0 +1,96 @@
+"""`imucald fleet status`, `why`, `analyse` and `report`: what the tables say."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import TYPE_CHECKING
+
+from imucald.core.errors import ImucaldError
+
+if TYPE_CHECKING:
+    from imucald.fleet.store import Store
+
+
+def _store(options: argparse.Namespace) -> Store:
+    from imucald.fleet.store import Store
+    from imucald.fleet.tables import parts
+
+    store = Store(options.out)
+    if not parts(store, "sources"):
+        raise ImucaldError(f"{store.url}: no run has written here ('imucald fleet run')")
+    return store
+
+
+def status(options: argparse.Namespace) -> int:
+    """Say what is there, what failed and why, and whether a run goes on."""
+    from collections import Counter
+
+    from imucald.commands.terminal import plain_console
+    from imucald.fleet.compaction import read_tables
+    from imucald.fleet.lease import holder_of
+    from rich.table import Table
+
+    store = _store(options)
+    tables = read_tables(store, ("sources", "failures", "drives", "costs"))
+    console = plain_console()
+    holder = holder_of(store)
+    if holder is not None:
+        age = time.time() - holder.beat
+        console.print(f"a run goes on: process {holder.pid} on {holder.host}, {age:.0f} s ago")
+    drives, failures = tables["drives"], tables["failures"]
+    sources = tables["sources"]
+    gigabytes = sum(sources.column("bytes").to_pylist()) / 1e9
+    hours = sum(d or 0.0 for d in drives.column("duration_s").to_pylist()) / 3600.0
+    cpu = sum(c or 0.0 for c in tables["costs"].column("cpu_s").to_pylist()) / 3600.0
+    console.print(
+        f"{len(sources)} logs, {gigabytes:.3g} GB: {len(drives)} drives of "
+        f"{len(set(drives.column('vehicle').to_pylist()))} vehicles, {hours:.1f} h of driving, "
+        f"{cpu:.3g} h of processor"
+    )
+    states = Counter(drives.column("state").to_pylist())
+    console.print("states: " + (", ".join(f"{s} {n}" for s, n in states.most_common()) or "none"))
+    if len(failures):
+        table = Table(box=None, pad_edge=False)
+        for title in ("failure", "logs", "for example"):
+            table.add_column(title, overflow="fold")
+        kinds = failures.column("kind").to_pylist()
+        messages = failures.column("message").to_pylist()
+        for kind, n in Counter(kinds).most_common():
+            table.add_row(kind, str(n), messages[kinds.index(kind)])
+        console.print(table)
+    return 0
+
+
+def why(options: argparse.Namespace) -> int:
+    """Say all that the tables hold of one log."""
+    import pyarrow.compute as pc
+
+    from imucald.commands.terminal import plain_console
+    from imucald.fleet.compaction import read_tables
+
+    store = _store(options)
+    tables = read_tables(store)
+    console = plain_console()
+    sources = tables["sources"]
+    fits = pc.or_(
+        pc.match_substring(sources.column("source"), options.log),
+        pc.fill_null(pc.equal(sources.column("log_key"), options.log), False),
+    )
+    found = sources.filter(fits).to_pylist()
+    if not found:
+        raise ImucaldError(f"{options.log}: no log of this fleet has such an address or key")
+    if len(found) > 1:
+        names = "\n  ".join(row["source"] for row in found[:20])
+        raise ImucaldError(f"{options.log}: {len(found)} logs have that; say more:\n  {names}")
+    wanted = {"source": found[0]["source"], "log_key": found[0]["log_key"]}
+    for name, table in tables.items():
+        key = "log_key" if name in ("drives", "events") else "source"
+        if wanted[key] is None:
+            continue
+        for row in table.filter(pc.equal(table.column(key), wanted[key])).to_pylist():
+            console.print(f"{name}:")
+            for column, value in row.items():
+                if value is not None:
+                    console.print(f"  {column}: {value}")
+    return 0

@@ -1,0 +1,175 @@
+"""`imucald fleet run` and `retry`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from imucald.core.errors import ConfigError, ImucaldError
+
+if TYPE_CHECKING:
+    from imucald.fleet.driver import Counts, Run
+    from imucald.fleet.fleet_file import Fleet
+    from imucald.fleet.plan import Plan
+    from imucald.fleet.workers import Workers
+
+SOME_FAILED = 3
+INTERRUPTED = 130
+_SIZES = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30}
+_TIMES = {"s": 1.0, "": 1.0, "min": 60.0, "h": 3600.0}
+_SIZE = re.compile(r"([\d.]+)\s*([KMG]?)(?:i?B)?")
+_TIME = re.compile(r"([\d.]+)\s*(s|min|h|)")
+
+
+def retry(options: argparse.Namespace) -> int:
+    """Evaluate what failed before once more."""
+    options.redo = "failed"
+    return run(options)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Evaluate what is not evaluated yet."""
+    from imucald.fleet.driver import Run
+    from imucald.fleet.fleet_file import load_fleet
+    from imucald.fleet.lease import Lease
+    from imucald.fleet.listing import list_logs
+    from imucald.fleet.plan import Options, planned
+    from imucald.fleet.store import Store
+    from imucald.fleet.task import Limits
+
+    limits = Limits(_bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit))
+    if options.since is not None and not re.fullmatch(r"\d{4}-\d\d-\d\d", options.since):
+        raise ConfigError(f"--since {options.since}: the form is YYYY-MM-DD")
+    fleet = load_fleet(options.fleet, {"logs": options.logs} if options.logs else None)
+    store = Store(options.out, fleet.settings.storage)
+    how = Options(limits=limits, redo=options.redo, since=options.since, limit=options.limit,
+                  signals=options.signals == "corrected")  # fmt: skip
+    logs = list_logs(fleet)
+    if options.dry_run:
+        print(_said(planned(fleet, store, logs, how)))
+        return 0
+    with Lease(store) as lease:
+        plan = planned(fleet, store, logs, how)
+        print(_said(plan), file=sys.stderr)
+        workers = _workers(options, fleet)
+        with _progress(options.quiet) as tell:
+            work = Run(fleet, store, workers, plan, tell)
+            try:
+                with _stopped_by_signals(work):
+                    whole = work.go(lease)
+            finally:
+                workers.close()
+    return _told(work.counts, whole)
+
+
+def _bytes(option: str, text: str) -> int:
+    match = _SIZE.fullmatch(text.strip())
+    if match is None or float(match[1]) <= 0:
+        raise ConfigError(f"{option} {text}: a size such as 512MiB or 2GiB is needed")
+    return round(float(match[1]) * _SIZES[match[2]])
+
+
+def _seconds(option: str, text: str) -> float:
+    match = _TIME.fullmatch(text.strip())
+    if match is None or float(match[1]) <= 0:
+        raise ConfigError(f"{option} {text}: a time such as 90s or 15min is needed")
+    return float(match[1]) * _TIMES[match[2]]
+
+
+def _workers(options: argparse.Namespace, fleet: Fleet) -> Workers:
+    from imucald.fleet.workers import ExecutorWorkers
+
+    if options.scheduler is None:
+        slots = options.workers or len(os.sched_getaffinity(0))
+        if slots < 1:
+            raise ConfigError("--workers must be 1 or more")
+        return ExecutorWorkers.here(slots, fleet.bundles)
+    try:
+        from imucald.fleet.dask_workers import DaskWorkers, TlsFiles
+    except ModuleNotFoundError:
+        text = "--scheduler needs distributed: pip install 'imucald[fleet]'"
+        raise ImucaldError(text) from None
+    files = (options.tls_ca, options.tls_cert, options.tls_key)
+    if any(files) and not all(files):
+        raise ConfigError("--tls-ca, --tls-cert and --tls-key belong together")
+    return DaskWorkers(options.scheduler, fleet.bundles, TlsFiles(*files) if all(files) else None)
+
+
+def _said(plan: Plan) -> str:
+    text = f"imucald: {plan.listed} logs, {plan.done} known, {len(plan.tasks)} to evaluate"
+    text += f" ({plan.bytes / 1e9:.3g} GB)"
+    if plan.failed_before:
+        text += f"; {plan.failed_before} failed before ('imucald fleet retry' tries them again)"
+    if plan.other_configuration:
+        text += f"; {plan.other_configuration} were evaluated with another configuration or version"
+        text += " (--redo config evaluates them anew)"
+    return text
+
+
+@contextmanager
+def _stopped_by_signals(work: Run) -> Iterator[None]:
+    """Ctrl-C and SIGTERM: begin nothing more, finish what runs; a second one breaks off."""
+
+    def stop(number: int, frame: object) -> None:
+        if work.counts.stopping:
+            raise KeyboardInterrupt
+        text = "finishing what runs; once more breaks off"
+        print(f"\nimucald: {text}", file=sys.stderr)
+        work.stop()
+
+    before = {s: signal.signal(s, stop) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _line(counts: Counts) -> str:
+    failed = sum(counts.failed.values())
+    left = counts.left_s
+    text = f"{counts.done}/{counts.logs} logs, {counts.bytes_done / 1e9:.3g}"
+    text += f"/{counts.bytes / 1e9:.3g} GB, {failed} failed"
+    if left is not None:
+        hours, rest = divmod(round(left), 3600)
+        text += f", {hours}:{rest // 60:02}:{rest % 60:02} left"
+    return text
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[object]:
+    """Yield what is told how far the run is: a line on a terminal, else one a minute."""
+    import time
+
+    terminal = sys.stderr.isatty()
+    last = [0.0 if terminal else time.monotonic()]
+
+    def tell(counts: Counts) -> None:
+        now = time.monotonic()
+        if quiet or now - last[0] < (0.5 if terminal else 60.0):
+            return
+        last[0] = now
+        end = "" if terminal else "\n"
+        start = "\r\x1b[K" if terminal else "imucald: "
+        print(f"{start}{_line(counts)}", end=end, file=sys.stderr, flush=True)
+
+    yield tell
+    if terminal and not quiet:
+        print("\r\x1b[K", end="", file=sys.stderr)
+
+
+def _told(counts: Counts, whole: bool) -> int:
+    failed = ", ".join(f"{kind} {n}" for kind, n in sorted(counts.failed.items()))
+    text = f"imucald: {counts.done} logs evaluated"
+    print(f"{text}{f'; failed: {failed}' if failed else ''}", file=sys.stderr)
+    if not whole:
+        left = counts.logs - counts.done
+        print(f"imucald: stopped; {left} logs are left. The same command goes on", file=sys.stderr)
+        return INTERRUPTED
+    return SOME_FAILED if failed else 0

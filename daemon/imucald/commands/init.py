@@ -1,0 +1,106 @@
+"""`imucald init`: a configuration proposed from a database and what is on the bus."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imucald.commands.options import LOG_HELP
+
+if TYPE_CHECKING:
+    from imucald.can.dbc.database import Database
+    from imucald.can.link.link import Frame
+    from imucald.discovery import Recording
+
+LISTEN_S = 120.0
+"""A drive round the block: a stop, a start, some bends."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `init`."""
+    parser.epilog = (
+        "The recording should hold a drive of some minutes with stops and bends. Without a "
+        "recording names and units alone speak. Then: imucald check --config FILE LOG."
+    )
+    parser.add_argument("logs", nargs="*", metavar="LOG", help=LOG_HELP)
+    parser.add_argument(
+        "--database",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="database of the bus (repeat for several)",
+    )
+    parser.add_argument(
+        "--out", default="-", metavar="FILE", help="write here (default: standard output)"
+    )
+    parser.add_argument("--interface", help="listen on a bus: python-can interface or a name as can0")
+    parser.add_argument("--channel", help="its channel")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=LISTEN_S,
+        metavar="S",
+        help=f"how long to listen (default: {LISTEN_S:g})",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read or listen, then propose."""
+    from imucald.can.dbc.database import load_database
+    from imucald.commands.files import STANDARD, check_files, write_text
+    from imucald.core.errors import ConfigError
+    from imucald.discovery import Recording, as_yaml, discover
+
+    if options.logs and (options.interface or options.channel):
+        raise ConfigError("either LOG or --interface and --channel: not both")
+    if not options.seconds > 0:
+        raise ConfigError("--seconds must be positive")
+    if not options.database and not options.logs and not options.interface:
+        raise ConfigError("say what there is: --database FILE, a LOG, or --interface can0")
+    out = None if options.out == STANDARD else options.out
+    check_files((*options.database, *options.logs), (out,))
+    base = Path(options.out).resolve().parent if out else Path.cwd()
+    databases: dict[str, Database] = {
+        os.path.relpath(path.resolve(), base): load_database([path]) for path in options.database
+    }
+    if options.logs:
+        recording = _read(options.logs)
+    elif options.interface:
+        recording = _listen(options)
+    else:
+        recording = Recording()
+    proposal = discover(databases, recording)
+    write_text(options.out, as_yaml(proposal, list(databases)))
+    if out:
+        unsure = sum(not choice.is_sure for choice in proposal.choices)
+        print(
+            f"{options.out}: {len(proposal.choices)} quantities, {unsure} of them unsure; next: "
+            f"imucald check --config {options.out}",
+            file=sys.stderr,
+        )
+    return 0
+
+
+def _read(logs: list[str]) -> Recording:
+    from imucald.can.logs.log_reader import LogReader
+    from imucald.commands.terminal import progress_bar
+    from imucald.discovery import Recording
+
+    with progress_bar("init") as progress:
+        reader = LogReader(logs, None, False, progress)
+        recording = Recording.of(reader)
+    for text in reader.problems:
+        print(f"imucald: {text}", file=sys.stderr)
+    return recording
+
+
+def _listen(options: argparse.Namespace) -> Recording:
+    raise NotImplementedError
+
+
+__all__ = ["time"]

@@ -1,0 +1,259 @@
+"""Every signal of the databases that a recording holds, as numbers on a common grid."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.columns import CAN_EFF_MASK
+from imucald.can.dbc.database import Database
+from imucald.can.dbc.decode import compile_decode, id_match
+from imucald.can.dbc.message import Message, Signal
+from imucald.can.dbc.resolved_signal import raw_limits
+from imucald.config_check.motion import bridged, smooth
+from imucald.core.errors import DatabaseError
+from imucald.discovery.evidence import factor_of
+from imucald.discovery.recording import Traffic
+from imucald.inputs.units import DIMENSIONS
+from imucald.inputs.value_table import no_values
+from imucald.motion.ticks import TICK_RATE
+
+Array = NDArray[np.float64]
+
+FEW_LEVELS = 16
+"""A signal with so few values may be a switch or a lever."""
+MIN_FRAMES = 20
+"""Frames of a message from which it is looked at."""
+SNA_BITS = 6
+"""Bits from which all ones are likely to mean 'not available' when they stand far out."""
+_NO_UNIT = frozenset({"", "-", "1", "none", "unit", "raw", "bit", "bits", "unitless"})
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One signal. x, smooth: (n,) on ticks of 0.1 s in the signal's unit, NaN where unknown.
+
+    cycle: median time between frames [s]. levels: number of different values, FEW_LEVELS + 1 for
+    more. held: (n,) the last value before each tick, of signals with few levels. unavailable: raw
+    values that the data show to mean 'not available', and that no value table names.
+    """
+
+    message: Message
+    signal: Signal
+    channel: str
+    x: Array
+    smooth: Array
+    cycle: float
+    levels: tuple[float, ...]
+    held: Array | None
+    unavailable: tuple[int, ...]
+    least: float
+    largest: float
+    raw: Mapping[str, Any] | None = None
+    """Bytes and an expression, where no database describes it."""
+    own_channel: str | None = None
+    """The channel that its source must name: raw ones of a recording with several."""
+
+    @property
+    def path(self) -> str:
+        """``MESSAGE.SIGNAL``."""
+        return f"{self.message.name}.{self.signal.name}"
+
+    @property
+    def unit(self) -> str:
+        """Unit as the database states it."""
+        return self.signal.unit.strip()
+
+    @property
+    def has_no_unit(self) -> bool:
+        """Whether the database states none."""
+        return self.unit.casefold() in _NO_UNIT
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether it never changed."""
+        return self.least == self.largest
+
+    def may_be(self, dimension: str) -> bool:
+        """Whether its unit allows the dimension: it names it, or says nothing."""
+        return self.has_no_unit or factor_of(self.unit, dimension) is not None
+
+    def states(self, dimension: str) -> bool:
+        """Whether its unit names the dimension."""
+        return not self.has_no_unit and factor_of(self.unit, dimension) is not None
+
+    @property
+    def states_other(self) -> bool:
+        """Whether it has a unit of nothing that is looked for, as rpm or V."""
+        return not self.has_no_unit and not any(self.states(d) for d in DIMENSIONS if d != "flag")
+
+
+@dataclass(frozen=True, eq=False)
+class MessageTraffic:
+    """A message of a database with its frames."""
+
+    message: Message
+    channel: str
+    t: Array
+    data: NDArray[np.uint8]
+    length: NDArray[np.uint8]
+
+
+def messages_in(
+    database: Database, traffic: Sequence[Traffic], channel: str | None
+) -> Iterator[MessageTraffic]:
+    """Each decodable message that came on a channel (any where None), with its frames."""
+    for message in database.messages.values():
+        if message.unsupported or not message.signals:
+            continue
+        try:
+            match = id_match(message)
+        except DatabaseError:
+            continue
+        parts = [
+            one
+            for one in traffic
+            if match.matches(one.can_id, one.channel) and channel in (None, one.channel)
+        ]
+        if not parts:
+            continue
+        first = parts[0].channel
+        parts = [p for p in parts if p.channel == first and p.data.shape[1] == parts[0].data.shape[1]]
+        t = np.concatenate([p.t for p in parts])
+        order = np.argsort(t, kind="stable")
+        yield MessageTraffic(
+            message,
+            first,
+            t[order],
+            np.concatenate([p.data for p in parts])[order],
+            np.concatenate([p.length for p in parts])[order],
+        )
+
+
+def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[Candidate]:
+    """Every signal of a message that can be decoded and came often enough."""
+    names = []
+    for name in one.message.signals:
+        try:
+            compile_decode(one.message, [name])
+        except DatabaseError:
+            continue
+        names.append(name)
+    if not names:
+        return
+    decoded = compile_decode(one.message, names).decode_columns(one.data, one.length)
+    for i, name in enumerate(names):
+        good = decoded.ok.copy()
+        present = decoded.present[i]
+        if present is not None:
+            good &= present
+        found = _candidate(one, name, decoded.raw[i], decoded.values[i], good, ticks)
+        if found is not None:
+            yield found
+
+
+def _candidate(
+    one: MessageTraffic,
+    name: str,
+    raw: NDArray[np.generic],
+    values: Array,
+    good: NDArray[np.bool_],
+    ticks: int,
+) -> Candidate | None:
+    signal = one.message.signal(name)
+    named = list(no_values(signal.choices))
+    if isinstance(signal.invalid_raw, int):
+        named.append(signal.invalid_raw)
+    good &= np.isfinite(values) & ~np.isin(raw, named)
+    unavailable = () if signal.is_float else _unavailable(signal, raw[good])
+    good &= ~np.isin(raw, unavailable)
+    if np.count_nonzero(good) < MIN_FRAMES:
+        return None
+    t, values = one.t[good], values[good]
+    index = np.minimum((t * TICK_RATE).astype(np.int64), ticks - 1)
+    count = np.bincount(index, minlength=ticks)
+    rows = np.flatnonzero(count)
+    means = np.bincount(index, values, minlength=ticks)[rows] / count[rows]
+    x = bridged(ticks, rows, means)
+    levels = np.unique(values[: 200_000])
+    few = len(levels) <= FEW_LEVELS
+    return Candidate(
+        message=one.message,
+        signal=signal,
+        channel=one.channel,
+        x=x,
+        smooth=smooth(x),
+        cycle=float(np.median(np.diff(t))),
+        levels=tuple(levels.tolist()) if few else (),
+        held=_held(t, values, ticks) if few else None,
+        unavailable=unavailable,
+        least=float(values.min()),
+        largest=float(values.max()),
+    )
+
+
+def _held(t: Array, values: Array, ticks: int) -> Array:
+    """The last value at the end of each tick; NaN before the first."""
+    last = np.searchsorted(t, (np.arange(ticks) + 1.0) / TICK_RATE) - 1
+    return np.where(last >= 0, values[np.maximum(last, 0)], np.nan)
+
+
+def _unavailable(signal: Signal, raw: NDArray[np.generic]) -> tuple[int, ...]:
+    """All ones (or the lowest number of a signed signal), where it is jumped to from far away.
+
+    Twice as far as any other step: a signal that grows to its end comes there by its usual steps.
+    """
+    if signal.length < SNA_BITS or len(raw) < MIN_FRAMES:
+        return ()
+    low, high = raw_limits(signal)
+    found = []
+    for code in (high, low) if signal.is_signed else (high,):
+        here = raw == code
+        if not here.any() or here.mean() > 0.5:
+            continue
+        others = raw[~here].astype(np.float64)
+        if len(others) < MIN_FRAMES:
+            continue
+        usual = float(np.abs(np.diff(others)).max(initial=0.0))
+        if float(np.abs(others - code).min()) > max(2.0 * usual, 0.1 * (high - low)):
+            found.append(int(code))
+    return tuple(found)
+
+
+def obd_speeds(traffic: Sequence[Traffic], ticks: int) -> Iterator[Candidate]:
+    """Answers to OBD-II requests for the vehicle's speed (SAE J1979: mode 01, PID 0x0D, km/h)."""
+    several = len({one.channel for one in traffic}) > 1
+    for one in traffic:
+        if not _is_obd_answer(one.can_id) or one.data.shape[1] < 4:
+            continue
+        rows = (one.data[:, 1] == 0x41) & (one.data[:, 2] == 0x0D) & (one.length >= 4)
+        if np.count_nonzero(rows) < MIN_FRAMES:
+            continue
+        signal = Signal("vehicle_speed_PID_0x0D", 24, 8, unit="km/h")
+        message = Message("OBD-II", one.can_id, 4, {signal.name: signal})
+        answers = MessageTraffic(
+            message, one.channel, one.t[rows], one.data[rows], one.length[rows]
+        )
+        raw = {
+            "id": one.can_id & CAN_EFF_MASK,
+            "when": "data[1] == 0x41 and data[2] == 0x0D",
+            "value": "data[3]",
+        }
+        for candidate in candidates_of(answers, ticks):
+            yield replace(candidate, raw=raw, own_channel=one.channel if several else None)
+
+
+def _is_obd_answer(can_id: int) -> bool:
+    """Whether an identifier is one that ISO 15765-4 gives to answers."""
+    return 0x7E8 <= can_id <= 0x7EF or can_id & ~0xFF == 0x98DAF100
+
+
+def words(name: str) -> list[str]:
+    """The parts of a name in small letters: "WheelSpeed_FL" is wheel, speed, fl."""
+    parted = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    return [w.lower() for w in re.split(r"[\W_]+|(?<=\D)(?=\d)|\s+", parted) if w]

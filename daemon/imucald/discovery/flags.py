@@ -1,0 +1,197 @@
+"""Reverse, brake and the sensor's temperature: what is on when the vehicle does something."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.can.dbc.message import Signal
+from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.evidence import MANY, believed_z, relation
+from imucald.discovery.names import hint, same_family
+from imucald.discovery.proposal import Alternative, Choice, source_of
+from imucald.discovery.reference import Reference
+from imucald.discovery.scalars import MAX_ALTERNATIVES
+
+REVERSE_SPEED = 7.0
+"""Nobody reverses faster [m/s]."""
+CREEP = 0.2
+MIN_REVERSE_TICKS = 15
+BRAKING = 0.7
+"""Deceleration that takes a brake [m/s^2]: drag and engine in gear stay below about 0.6."""
+COASTING = 0.3
+"""Milder than this nobody brakes."""
+CLEAR_MATTHEWS = 0.6
+"""Matthews' correlation of a switch with braking, from which it is the brake."""
+_REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
+
+
+def find_reverse(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:
+    """A switch or a lever's place at which the change of speed shows the wrong way round."""
+    found = sorted(_reversing(reference, candidates), key=lambda f: -f.z)
+    sure = [f for f in found if f.z >= believed_z(MANY)]
+    if sure:
+        best = sure[0]
+        named = hint("reverse", best.candidate) or _names_reverse(best.candidate.signal)
+        named_ones = [f for f in sure if hint("reverse", f.candidate) and f.z > 0.7 * best.z]
+        if not named and named_ones:
+            best = named_ones[0]
+        text = (
+            f"at {best.level:g} the accelerometer and the change of speed are opposite "
+            f"(correlation {best.correlation:+.2f}), and never above {REVERSE_SPEED:g} m/s"
+        )
+        others = [
+            Alternative({"": source_of(f.candidate, equals=(f.level,))}, "the same")
+            for f in sure
+            if f.candidate is not best.candidate
+        ]
+        chosen = source_of(best.candidate, equals=(best.level,))
+        return Choice("reverse", {"": chosen}, text, "", others[:MAX_ALTERNATIVES])
+    return _reverse_by_name(candidates)
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    candidate: Candidate
+    level: float
+    correlation: float
+    z: float
+
+
+def _reversing(reference: Reference, candidates: Sequence[Candidate]) -> list[_Level]:
+    speed, triad = reference.speed, reference.accelerometer
+    if speed is None or triad is None or speed.forward is None or not speed.is_believed:
+        return []
+    v, change = np.abs(speed.speed), speed.change
+    along = triad.smooth @ speed.forward
+    offset = float(np.nanmedian(along - change))
+    moving = np.nan_to_num(v) > CREEP
+    found = []
+    for c in candidates:
+        if c.held is None or c.is_constant:
+            continue
+        for level in c.levels:
+            at = (c.held == level) & moving
+            count = int(np.count_nonzero(at))
+            if count < MIN_REVERSE_TICKS or float(np.nanmax(v[at])) > REVERSE_SPEED:
+                continue
+            # An offset of the sensor must not make a relation; a slope makes little of one.
+            one = relation(np.where(at, change, np.nan), np.where(at, along - offset, np.nan))
+            if one.correlation < 0.0:
+                found.append(_Level(c, level, one.correlation, one.z))
+    return found
+
+
+def _names_reverse(signal: Signal) -> float | None:
+    """The physical value that a value table calls reverse."""
+    for raw, name in signal.choices.items():
+        if name.strip().lower() in _REVERSE_NAMES:
+            return float(raw * signal.scale + signal.offset)
+    return None
+
+
+def _reverse_by_name(candidates: Sequence[Candidate]) -> Choice | None:
+    why = "the vehicle does not reverse here long enough to see it: the name alone speaks for it"
+    options = []
+    for c in candidates:
+        value = _names_reverse(c.signal)
+        if value is not None:
+            options.append((0, c, source_of(c, equals=(value,)), "its value table names reverse"))
+        elif hint("reverse", c) in ("reverse", "ruecklicht", "rueckwaerts") and c.signal.length <= 2:
+            options.append((1, c, source_of(c, equals=(1.0,)), f"named {c.signal.name}"))
+    options.sort(key=lambda o: o[0])
+    if not options:
+        return None
+    others = [Alternative({"": o[2]}, o[3]) for o in options[1 : 1 + MAX_ALTERNATIVES]]
+    return Choice("reverse", {"": options[0][2]}, options[0][3], why, others)
+
+
+def find_brake(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:
+    """A switch (or a pressure) that is on when the vehicle slows down more than by itself."""
+    if reference.speed is None:
+        return None
+    change = reference.speed.change
+    moving = np.nan_to_num(np.abs(reference.speed.speed)) > 1.0
+    judged = moving & (np.nan_to_num(change) < -BRAKING) | moving & (change > -COASTING)
+    braking = np.nan_to_num(change) < -BRAKING
+    if min(np.count_nonzero(judged & braking), np.count_nonzero(judged & ~braking)) < 50:
+        return _brake_by_name(candidates)
+    found = []
+    for c in candidates:
+        if c.is_constant or any(c.states(d) for d in ("speed", "acceleration", "angular_rate")):
+            continue
+        for on, settings in _switches(c):
+            rows = judged & np.isfinite(on)
+            score = _matthews(on[rows] > 0.5, braking[rows])
+            if score > CLEAR_MATTHEWS:
+                found.append((score, c, settings))
+    if not found:
+        return _brake_by_name(candidates)
+    found.sort(key=lambda f: (hint("brake", f[1]) is None, -f[0]))
+    score, best, settings = found[0]
+    named = hint("brake", best)
+    text = f"on when slowing down by more than {BRAKING:g} m/s2 (Matthews' correlation {score:.2f})"
+    doubt = ""
+    if not named and (score < 0.8 or (len(found) > 1 and found[1][0] > score - 0.05)):
+        doubt = "its name does not say brake, and other signals go with braking too"
+    others = [
+        Alternative({"": source_of(c, **s)}, f"Matthews' correlation {one:.2f}")
+        for one, c, s in found[1:]
+        if c is not best
+    ]
+    chosen = source_of(best, **settings)
+    return Choice("brake", {"": chosen}, text, doubt, others[:MAX_ALTERNATIVES])
+
+
+def _switches(c: Candidate) -> list[tuple[Array, dict[str, object]]]:
+    """Ways to read a signal as on or off, with their settings."""
+    if c.held is not None:
+        if len(c.levels) == 2:
+            if 0.0 in c.levels and max(c.levels) > 0.0:
+                return [((c.held != 0.0).astype(float), {})]
+            return [((c.held == v).astype(float), {"equals": (v,)}) for v in c.levels]
+        return [((c.held == v).astype(float), {"equals": (v,)}) for v in c.levels]
+    low = float(np.nanquantile(c.x, 0.05))
+    threshold = low + 0.02 * (c.largest - c.least)
+    digits = 1 - math.floor(math.log10(max(abs(threshold), 1e-9)))
+    threshold = round(threshold, max(digits, 0))
+    on = np.where(np.isfinite(c.x), (c.x > threshold).astype(float), np.nan)
+    return [(on, {"above": threshold})]
+
+
+def _matthews(a: Array, b: Array) -> float:
+    if not len(a) or not 0 < np.count_nonzero(a) < len(a):
+        return 0.0
+    return float(np.corrcoef(a.astype(float), b.astype(float))[0, 1])
+
+
+def _brake_by_name(candidates: Sequence[Candidate]) -> Choice | None:
+    named = [c for c in candidates if hint("brake", c) and not c.is_constant]
+    if not named:
+        return None
+    named.sort(key=lambda c: not c.levels)
+    best = named[0]
+    settings = _switches(best)[0][1] if len(best.levels) <= 2 else {}
+    why = "the recording does not show braking well enough: the name alone speaks for it"
+    return Choice("brake", {"": source_of(best, **settings)}, f"named {best.signal.name}", why)
+
+
+def find_temperature(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:
+    """A temperature whose message belongs to the sensor's."""
+    usable = [c for c in candidates if c.states("temperature")]
+    triad = reference.accelerometer
+    if not usable or triad is None:
+        return None
+    own = triad.messages[0]
+    usable.sort(key=lambda c: (c.message.name not in triad.messages, not same_family(c.message.name, own)))
+    best = usable[0]
+    near = best.message.name in triad.messages or same_family(best.message.name, own)
+    doubt = "" if near else "a temperature, but nothing says that it is the sensor's"
+    text = f"a temperature of {best.least:g} to {best.largest:g} {best.unit}"
+    if near:
+        text += f", and {best.message.name} is named like {own}"
+    others = [Alternative({"": source_of(c)}, "another temperature") for c in usable[1:]]
+    return Choice("temperature", {"": source_of(best)}, text, doubt, others[:MAX_ALTERNATIVES])

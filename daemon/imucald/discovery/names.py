@@ -1,0 +1,77 @@
+"""What names of signals tell: axes, wheels, sides. Names break ties; the data decide."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from imucald.discovery.candidates import Candidate, words
+
+WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+_FRONT, _REAR = ("f", "v", "front", "vorn", "vorne", "vorder", "av"), (
+    "r", "h", "b", "rear", "back", "hinten", "hinter", "ar",
+)  # fmt: skip
+_LEFT, _RIGHT = ("l", "left", "links", "g"), ("r", "right", "rechts", "d")
+_CORNERS = {
+    **{a + b: WHEELS[0] for a in ("f", "v") for b in ("l",)},
+    **{a + b: WHEELS[1] for a in ("f", "v") for b in ("r",)},
+    **{a + b: WHEELS[2] for a in ("r", "h", "b") for b in ("l",)},
+    **{a + b: WHEELS[3] for a in ("r", "h", "b") for b in ("r",)},
+    "lf": WHEELS[0], "rf": WHEELS[1], "lr": WHEELS[2], "lh": WHEELS[2], "rh": WHEELS[3],
+}  # fmt: skip
+_AXIS = re.compile(r"^(.*?)([xyzXYZ])(.*)$")
+
+
+def axes_by_name(candidates: Sequence[Candidate]) -> tuple[int, int, int] | None:
+    """Which of three signals are x, y and z, where their names differ in that letter alone."""
+    names = [c.signal.name for c in candidates]
+    for place in range(min(map(len, names))):
+        letters = "".join(n[place] for n in names).lower()
+        rest = {n[:place] + n[place + 1 :] for n in names}
+        if len(rest) == 1 and sorted(letters) == ["x", "y", "z"]:
+            return letters.index("x"), letters.index("y"), letters.index("z")
+    return None
+
+
+def wheel_by_name(name: str) -> str | None:
+    """The wheel that a signal's name tells."""
+    parts = words(name)
+    for part in reversed(parts):
+        if part in _CORNERS:
+            return _CORNERS[part]
+    front = any(p in _FRONT[2:] for p in parts)
+    rear = any(p in _REAR[3:] for p in parts)
+    left = any(p in _LEFT[1:3] for p in parts)
+    right = any(p in _RIGHT[1:3] for p in parts)
+    if front == rear or left == right:
+        return None
+    return f"{'front' if front else 'rear'}_{'left' if left else 'right'}"
+
+
+_HINTS = {
+    "speed": ("speed", "velocity", "geschwindigkeit", "vehspd", "vspd", "speedo", "v", "spd"),
+    "steering_wheel_angle": ("steering", "steer", "lenkwinkel", "lws", "sas", "winkel"),
+    "yaw_rate": ("yaw", "gierrate", "gier"),
+    "lateral_acceleration": ("lateral", "lat", "querbeschl", "quer", "ay"),
+    "longitudinal_acceleration": ("longitudinal", "long", "laengs", "längs", "ax"),
+    "reverse": ("reverse", "rueckwaerts", "ruecklicht", "rückwärts", "backward", "gear", "gang"),
+    "brake": ("brake", "bremse", "bremslicht", "brk", "stoplamp"),
+    "temperature": ("temp", "temperature", "temperatur"),
+    "heading": ("heading", "course", "azimuth", "kurs"),
+}
+
+
+def hint(quantity: str, candidate: Candidate) -> str | None:
+    """The word of a signal's name that speaks for a quantity."""
+    known = _HINTS.get(quantity, ())
+    parts = words(candidate.signal.name)
+    for part in parts:
+        if part in known or any(len(k) > 4 and part.startswith(k) for k in known):
+            return part
+    return None
+
+
+def same_family(a: str, b: str) -> bool:
+    """Whether two messages begin with the same word, as INS_Acc_02 and INS_Temp do."""
+    first, second = words(a), words(b)
+    return bool(first and second) and first[0] == second[0] and len(first[0]) > 1

@@ -1,0 +1,154 @@
+"""A vehicle without a sensor of three axes: the stability control's two axes stand in for it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.evidence import Relation, UnitChoice, relation
+from imucald.discovery.names import WHEELS, wheel_by_name
+from imucald.discovery.proposal import Alternative, Choice, source_of
+from imucald.discovery.reference import (
+    Reference,
+    SpeedFit,
+    change_of,
+    speed_candidates,
+    stated_unit,
+    unit_for,
+)
+from imucald.discovery.scalars import MAX_ALTERNATIVES, RELATED
+
+_LEFT = re.compile(r"(positive|\+|>\s*0)[^.;]{0,20}\bleft|left[^.;]{0,20}(positive|\+)", re.I)
+WRONG_SCALE = 2.0
+"""Half way, as a ratio, to another unit: databases that people find out by trial are off so far."""
+
+
+@dataclass
+class Planar:
+    """What was found: the two-axis accelerometer and the speed, with the motion they show."""
+
+    reference: Reference
+    accelerometer: Choice
+    speed: Choice | None
+    taken: set[str]
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """A signal that follows another one."""
+
+    first: Candidate
+    second: Candidate
+    relation: Relation
+    unit: UnitChoice
+
+
+def find_planar(
+    candidates: Sequence[Candidate], wheels: Sequence[Candidate] | None, taken: set[str]
+) -> Planar | None:
+    """Two accelerations that follow the change of speed, and speed times a yaw rate."""
+    accelerations = [c for c in candidates if c.states("acceleration") and not c.is_constant]
+    speeds = [c for c in speed_candidates(candidates) if c.states("speed")]
+    along = _along(speeds, accelerations)
+    own = [p for p in along if p.first.path not in taken] or along
+    if not own:
+        return None
+    best = own[0]
+    unit = stated_unit(best.first, "speed")
+    assert unit is not None, "only speeds that state their unit were tried"
+    fit = SpeedFit(best.first, unit, best.relation)
+    reference = Reference(speed=fit)
+    across = _across(fit.moving, candidates, [c for c in accelerations if c is not best.second])
+    if across is None:
+        return None
+    yaw_unit = stated_unit(across.first, "angular_rate")
+    assert yaw_unit is not None, "only rates that state their unit were tried"
+    sign, why = _sides(fit.moving, candidates, wheels, across.first)
+    reference.sides_from = why
+    reference.turn = sign * across.first.smooth * yaw_unit.factor
+    reference.turn_from = across.first.path
+    sources = {
+        "x": source_of(best.second, best.unit.name, best.relation.sign),
+        "y": source_of(across.second, across.unit.name, sign * across.relation.sign),
+    }
+    evidence = (
+        "no three signals are 1 g: two axes of the vehicle, already level; x follows the change of "
+        f"speed (correlation {best.relation.correlation:+.2f}), y speed times {across.first.path} "
+        f"({across.relation.correlation:+.2f})"
+    )
+    doubt = "" if why else "nothing tells left from right: the sign of y may be the other one"
+    used = {best.second.path, across.second.path}
+    speed = None
+    if best.first.path not in taken:
+        used.add(best.first.path)
+        speed = _speed_choice(best, [p for p in own[1:] if p.first is not best.first])
+    return Planar(reference, Choice("accelerometer", sources, evidence, doubt), speed, used)
+
+
+def _speed_choice(best: _Pair, others: list[_Pair]) -> Choice:
+    text = f"its changes are those of {best.second.path} (correlation "
+    rest = [
+        Alternative({"": source_of(p.first)}, f"{text}{p.relation.correlation:+.2f})")
+        for p in others
+    ]
+    return Choice(
+        "speed", {"": source_of(best.first)}, f"{text}{best.relation.correlation:+.2f})", "",
+        rest[:MAX_ALTERNATIVES],
+    )  # fmt: skip
+
+
+def _along(speeds: list[Candidate], accelerations: list[Candidate]) -> list[_Pair]:
+    """Speeds with the acceleration that follows their changes, the clearest first."""
+    pairs = []
+    for v in speeds:
+        own = stated_unit(v, "speed")
+        for a in accelerations:
+            if own is None:
+                continue
+            found = relation(change_of(v.smooth * own.factor), a.smooth)
+            unit = unit_for(a, "acceleration", found, WRONG_SCALE)
+            if unit is not None and _is_clear(found, len(speeds) * len(accelerations)):
+                pairs.append(_Pair(v, a, found, unit))
+    return sorted(pairs, key=lambda p: -p.relation.explained)
+
+
+def _across(v: Array, candidates: Sequence[Candidate], accelerations: list[Candidate]) -> _Pair | None:
+    """The yaw rate and the acceleration that is speed times it; None where there are none."""
+    rates = [(c, stated_unit(c, "angular_rate")) for c in candidates if not c.is_constant]
+    pairs = []
+    for rate, own in rates:
+        for a in accelerations:
+            if own is None:
+                continue
+            found = relation(v * rate.smooth * own.factor, a.smooth)
+            unit = unit_for(a, "acceleration", found)
+            if unit is not None and _is_clear(found, len(rates) * len(accelerations)):
+                pairs.append(_Pair(rate, a, found, unit))
+    return max(pairs, key=lambda p: p.relation.explained, default=None)
+
+
+def _is_clear(found: Relation, comparisons: int) -> bool:
+    return found.is_believed_of(comparisons) and found.explained >= RELATED
+
+
+def _sides(
+    v: Array, candidates: Sequence[Candidate], wheels: Sequence[Candidate] | None, yaw: Candidate
+) -> tuple[int, str]:
+    """Sign that makes a yaw rate positive to the left, and what tells it."""
+    if wheels:
+        named = [wheel_by_name(c.signal.name) for c in wheels]
+        if sorted(n or "" for n in named) == sorted(WHEELS):
+            fl, fr, rl, rr = (wheels[named.index(w)].smooth for w in WHEELS)
+            found = relation(yaw.smooth / v, (fr - fl + rr - rl) / v)
+            if found.is_believed_of(1):
+                return found.sign, "the wheels' names: the right ones are faster in left turns"
+    if _LEFT.search(yaw.signal.comment):
+        return 1, f"the database's comment on {yaw.path}"
+    for c in candidates:
+        if _LEFT.search(c.signal.comment) and c.states("angle"):
+            found = relation(yaw.smooth, c.smooth * v)
+            if _is_clear(found, 1):
+                return found.sign, f"the database's comment on {c.path}"
+    return 1, ""

@@ -1,0 +1,258 @@
+"""Alive counters and checksums of a message, found by trying them on its frames.
+
+A checksum of eight bits fits a frame by chance once in 256; it must fit nearly all of at least 20
+different ones. Unknown data ids of AUTOSAR E2E profiles need no search: a CRC is linear, so what an
+id adds to it is one number for all frames of a message (of a counter value, where ids take turns).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.dbc.bits import Field, field_of, read_column, words_of
+from imucald.can.e2e.checksums import (
+    E2E_COUNTERS,
+    KINDS,
+    DataIdMode,
+    e2e_profile_1,
+    e2e_profile_2,
+    e2e_profile_5,
+)
+from imucald.can.e2e.crc import Checksum, ChecksumSpec
+from imucald.core.errors import ConfigError
+from imucald.discovery.candidates import MessageTraffic
+from imucald.discovery.proposal import ProtectionFound
+
+MAX_FRAMES = 20_000
+MIN_DIFFERENT = 20
+"""Different frames from which a fit is no chance (256^-20)."""
+FITS = 0.99
+"""Part of the frames that a checksum must fit: a recording may hold damaged ones."""
+COUNTS = 0.9
+"""Part of the frames from which a counter goes on by one: a tenth of the frames may be lost."""
+COUNTER_BITS = range(2, 17)
+ID_BYTES = (0, 2, 4, 1)
+"""Bytes of the identifier that go into a checksum first, the usual numbers first."""
+
+Columns = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class _Options:
+    """What `ChecksumKind.make` reads."""
+
+    signal: str | None = None
+    id_bytes: int = 0
+    offset: int = 0
+    data_id: int | tuple[int, ...] | None = None
+    data_id_mode: DataIdMode = "both"
+
+
+def find_protection(one: MessageTraffic) -> ProtectionFound | None:
+    """Counter and checksum of a message; None where it has neither."""
+    whole = one.length == one.message.length
+    data = one.data[whole][:MAX_FRAMES]
+    if len(data) < MIN_DIFFERENT or data.shape[1] < one.message.length:
+        return None
+    settings: dict[str, Any] = {}
+    evidence: dict[str, str] = {}
+    counter = _counter(one, data)
+    if counter is not None:
+        settings["counter"], evidence["counter"] = counter
+    checksum = _checksum_in_signal(one, data)
+    if checksum is None:
+        checksum = next(_e2e(one.message.length, data), None)
+        if checksum is not None:  # its profile brings its own counter
+            settings.pop("counter", None)
+            evidence.pop("counter", None)
+    if checksum is not None:
+        settings["checksum"], evidence["checksum"] = checksum
+    return ProtectionFound(one.message.name, settings, evidence) if settings else None
+
+
+def _counter(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] | None:
+    best: tuple[float, dict[str, Any], str] | None = None
+    for name, signal in one.message.signals.items():
+        whole = not signal.is_float and not signal.is_signed and not signal.selectors
+        if not whole or signal.length not in COUNTER_BITS:
+            continue
+        field = field_of(signal)
+        if field.first_bit < 0 or field.end_byte > one.message.length:
+            continue
+        values = read_column(words_of(data, field.byte_order), field).astype(np.int64)
+        full, seen = 1 << signal.length, int(values.max()) + 1
+        for modulus in dict.fromkeys((full, seen)):
+            if not full // 2 < modulus <= full or modulus < 3:
+                continue
+            share = float(np.mean(np.diff(values) % modulus == 1))
+            if share >= COUNTS and len(np.unique(values)) > modulus // 2:
+                settings: dict[str, Any] = {"signal": name}
+                if modulus != full:
+                    settings["modulus"] = modulus
+                text = f"goes on by one in {_percent(share)} of {len(values)} frames"
+                if best is None or share > best[0]:
+                    best = share, settings, text
+                break
+    return None if best is None else best[1:]
+
+
+def _checksum_in_signal(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] | None:
+    for name, signal in one.message.signals.items():
+        if signal.length != 8 or signal.is_float:
+            continue
+        field = field_of(signal)
+        if field.first_bit % 8 or field.first_bit < 0 or field.end_byte > one.message.length:
+            continue
+        if len(np.unique(data[:, field.first_bit // 8])) < MIN_DIFFERENT:
+            continue
+        for kind in ("crc8_j1850", "xor"):
+            for id_bytes in ID_BYTES:
+                options = _Options(signal=name, id_bytes=id_bytes)
+                share = _share(KINDS[kind].make(one.message, options), data)
+                if share >= FITS:
+                    settings: dict[str, Any] = {"kind": kind, "signal": name}
+                    if id_bytes:
+                        settings["id_bytes"] = id_bytes
+                    return settings, f"fits {_percent(share)} of {len(data)} frames"
+    return None
+
+
+def _share(spec: ChecksumSpec, data: Columns) -> float:
+    if len(np.unique(data, axis=0)) < MIN_DIFFERENT:
+        return 0.0
+    checksum = Checksum(spec)
+    if not checksum.are_right(data[:50]).any():
+        return 0.0
+    return float(np.mean(checksum.are_right(data)))
+
+
+def _e2e(size: int, data: Columns) -> Iterator[tuple[dict[str, Any], str]]:
+    """Settings of each E2E profile that fits, with any data id."""
+    for offset in range(size - 1):
+        stored = data[:, offset]
+        if len(np.unique(stored)) < MIN_DIFFERENT:
+            continue
+        for profile in (_profile_1, _profile_2, _profile_5):
+            try:
+                found = profile(size, offset, data)
+            except ConfigError:  # the header does not fit at this place
+                continue
+            if found is not None:
+                spec, settings, words = found
+                share = _share(spec, data)
+                if share >= FITS:
+                    text = f"fits {_percent(share)} of {len(data)} frames{words}"
+                    if offset:
+                        settings["offset"] = offset
+                    yield settings, text
+
+
+Found = tuple[ChecksumSpec, dict[str, Any], str] | None
+
+
+def _profile_1(size: int, offset: int, data: Columns) -> Found:
+    bit = 8 * offset
+    counter = _header_counter(1, bit, data)
+    if counter is None:
+        return None
+    places = (bit, bit + 8, bit + 12)
+    added = _added(e2e_profile_1(size, 0, "low", *places), data)
+    ids = {_added_by(e2e_profile_1(size, i, "low", *places)): i for i in range(256)}
+    words = "; other ids and modes give the same checksum: the maker's data sheet names the id"
+    common = _common(added)
+    if common in ids:
+        return (
+            e2e_profile_1(size, ids[common], "low", *places),
+            {"kind": "e2e_p1", "data_id": ids[common], "data_id_mode": "low"},
+            words,
+        )
+    even, odd = (_common(added[counter % 2 == parity]) for parity in (0, 1))
+    if even in ids and odd in ids:
+        data_id = ids[even] | ids[odd] << 8
+        return (
+            e2e_profile_1(size, data_id, "alternating", *places),
+            {"kind": "e2e_p1", "data_id": data_id, "data_id_mode": "alternating"},
+            "",
+        )
+    return None
+
+
+def _profile_2(size: int, offset: int, data: Columns) -> Found:
+    bit = 8 * offset
+    counter = _header_counter(2, bit, data)
+    if counter is None:
+        return None
+    added = _added(e2e_profile_2(size, [0] * 16, bit), data)
+    ids = {_added_by(e2e_profile_2(size, [i] * 16, bit)): i for i in range(256)}
+    commons = [_common(added[counter == value]) for value in range(16)]
+    if not all(c in ids for c in commons):
+        return None
+    data_ids = [ids[c] for c in commons if c is not None]
+    return e2e_profile_2(size, data_ids, bit), {"kind": "e2e_p2", "data_id": data_ids}, ""
+
+
+def _profile_5(size: int, offset: int, data: Columns) -> Found:
+    bit = 8 * offset
+    if _header_counter(5, bit, data) is None:
+        return None
+    common = _common(_added(e2e_profile_5(size, 0, bit), data))
+    if common is None:
+        return None
+    made = np.zeros(1, np.uint16)
+    for power in range(16):  # what an id adds is the sum of what its bits add
+        one = _added_by(e2e_profile_5(size, 1 << power, bit))
+        made = np.concatenate([made, made ^ np.uint16(one)])
+    fitting = np.flatnonzero(made == common)
+    if len(fitting) != 1:
+        return None
+    data_id = int(fitting[0])
+    return e2e_profile_5(size, data_id, bit), {"kind": "e2e_p5", "data_id": data_id}, ""
+
+
+def _header_counter(profile: int, bit: int, data: Columns) -> NDArray[np.int64] | None:
+    """The counter (N,) of a profile's header at a bit, where it counts."""
+    header = E2E_COUNTERS[profile]
+    field = Field(bit + header.bit, header.length, "little_endian")
+    if field.end_byte > data.shape[1]:
+        return None
+    values = read_column(words_of(data, "little_endian"), field).astype(np.int64)
+    steps = np.mean(np.diff(values) % header.modulus == 1)
+    return values if steps >= COUNTS and int(values.max()) < header.modulus else None
+
+
+def _added(spec: ChecksumSpec, data: Columns) -> NDArray[np.uint16]:
+    """What the stored checksums (N,) differ by from those without an id."""
+    stored = data[:, spec.position].astype(np.uint16)
+    if spec.width == 2:
+        stored |= data[:, spec.position + 1].astype(np.uint16) << np.uint16(8)
+    return np.asarray(stored ^ Checksum(spec).compute_columns(data))
+
+
+def _added_by(spec: ChecksumSpec) -> int:
+    """What a spec's id adds to the checksum of any frame."""
+    zero = bytes(spec.size)
+    without = {
+        1: lambda: e2e_profile_1(spec.size, 0, "low", 8 * spec.position, 8 * spec.position + 8,
+                                 8 * spec.position + 12),
+        2: lambda: e2e_profile_2(spec.size, [0] * 16, 8 * spec.position),
+        5: lambda: e2e_profile_5(spec.size, 0, 8 * spec.position),
+    }[5 if spec.width == 2 else 2 if spec.suffixes != (b"",) else 1]()  # fmt: skip
+    return Checksum(spec).compute(zero) ^ Checksum(without).compute(zero)
+
+
+def _common(values: NDArray[np.uint16]) -> int | None:
+    """The number that nearly all values are; None where there is none."""
+    if len(values) < 3:
+        return None
+    numbers, counts = np.unique(values, return_counts=True)
+    most = int(counts.argmax())
+    return int(numbers[most]) if counts[most] >= FITS * len(values) else None
+
+
+def _percent(share: float) -> str:
+    return "all" if share == 1.0 else f"{100.0 * share:.4g} %"

@@ -1,0 +1,200 @@
+"""Single signals that follow the vehicle's motion: yaw rate, accelerations, steering, heading.
+
+Each has a reference made of other signals and a gain that physics knows; its sign and unit follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.config_check.motion import shifted
+from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.evidence import Relation, UnitChoice, choose_unit, relation
+from imucald.discovery.names import hint
+from imucald.discovery.proposal import Alternative, Choice, source_of
+from imucald.discovery.reference import (
+    Reference,
+    is_better,
+    stated_unit,
+    unit_for,
+)
+
+SAME_MOTION = 0.5
+"""Part of the variance that a signal and its reference share, from which they are the same thing
+and not one the cause of the other: more than half."""
+STEERING_METRES = (15.0, 130.0)
+"""Wheelbase times steering ratio: from a small car's quick rack (2.4 m x 12, understeer allowed for)
+to a lorry's (6 m x 20) [m]."""
+RELATED = 0.25
+"""The same where the stated unit fits too: half the amplitude is the reference's."""
+MAX_ALTERNATIVES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """A candidate held against a reference."""
+
+    candidate: Candidate
+    relation: Relation
+    unit: UnitChoice | None
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a single signal may be. unit: how its unit follows from the relation."""
+
+    name: str
+    dimension: str
+    words: str
+    """What its reference is, for the evidence."""
+    unit: Callable[[Candidate, Relation], UnitChoice | None]
+
+
+def _by_gain(dimension: str) -> Callable[[Candidate, Relation], UnitChoice | None]:
+    return lambda c, found: unit_for(c, dimension, found)
+
+
+def _steering_unit(c: Candidate, found: Relation) -> UnitChoice | None:
+    """The angle's unit in which wheelbase times ratio is a vehicle's."""
+    if not found.low > 0.0:
+        return None
+    low, high = STEERING_METRES
+    middle = found.gain
+    return choose_unit(c.unit, "angle", low / middle, high / middle)
+
+
+YAW_RATE = Quantity("yaw_rate", "angular_rate", "the yaw rate", _by_gain("angular_rate"))
+LATERAL = Quantity(
+    "lateral_acceleration", "acceleration", "speed times yaw rate", _by_gain("acceleration")
+)
+LONGITUDINAL = Quantity(
+    "longitudinal_acceleration", "acceleration", "the change of speed", _by_gain("acceleration")
+)
+STEERING = Quantity("steering_wheel_angle", "angle", "the curvature", _steering_unit)
+
+
+def find_scalar(
+    quantity: Quantity, reference: Array | None, candidates: Sequence[Candidate], sides: str
+) -> Choice | None:
+    """The signal that follows a reference best, with its unit and sign; None where none does.
+
+    sides: what tells left from right; empty where nothing does, or where the sign has none.
+    """
+    usable = [c for c in candidates if c.may_be(quantity.dimension) and not c.is_constant]
+    if reference is None:
+        return by_unit_and_name(quantity.name, quantity.dimension, usable)
+    matches = []
+    for c in usable:
+        found = relation(reference, c.smooth)
+        unit = quantity.unit(c, found)
+        stated = unit is not None and unit.is_stated
+        if found.is_believed_of(len(usable)) and found.explained >= (
+            RELATED if stated else SAME_MOTION
+        ):
+            matches.append(Match(c, found, unit))
+    matches = _ranked(matches, quantity)
+    if not matches:
+        return by_unit_and_name(quantity.name, quantity.dimension, usable)
+    best = matches[0]
+    unit = best.unit or stated_unit(best.candidate, quantity.dimension)
+    if unit is None:
+        return None
+    evidence = f"{_words(best.relation)} with {quantity.words}{_gain_words(quantity, best)}"
+    doubt = _doubt(best, matches[1:], quantity, sides)
+    others = [
+        Alternative({"": source_of(m.candidate, m.unit.name, m.relation.sign)}, _words(m.relation))
+        for m in matches[1 : 1 + MAX_ALTERNATIVES]
+        if m.unit is not None
+    ]
+    chosen = source_of(best.candidate, unit.name, best.relation.sign)
+    return Choice(quantity.name, {"": chosen}, evidence, doubt, others)
+
+
+def _ranked(matches: list[Match], quantity: Quantity) -> list[Match]:
+    """Those whose unit fits first, then stated units, then the stronger relation."""
+    return sorted(
+        matches,
+        key=lambda m: (
+            m.unit is None,
+            not m.candidate.states(quantity.dimension),
+            -m.relation.explained,
+        ),
+    )
+
+
+def _doubt(best: Match, others: list[Match], quantity: Quantity, sides: str) -> str:
+    if best.unit is None:
+        return "its size fits no unit: scale or meaning are not what the database says"
+    if not best.unit.is_sure:
+        return f"the database states no unit; {', '.join(best.unit.others)} would fit too"
+    if not best.candidate.states(quantity.dimension):
+        rivals = [m for m in others if m.unit is not None and not is_better(best.relation, m.relation)]
+        if rivals:
+            return f"{rivals[0].candidate.path} follows as well, and no unit is stated"
+        if best.relation.explained < 0.8:
+            return "the database states no unit, and much of it is not explained"
+    if not sides:
+        return "nothing on this bus tells left from right: its sign may be the other one"
+    return ""
+
+
+def by_unit_and_name(
+    name: str, dimension: str, candidates: Sequence[Candidate], why: str = ""
+) -> Choice | None:
+    """What unit and name alone suggest; never sure."""
+    named = [c for c in candidates if c.states(dimension) and hint(name, c)]
+    if not named:
+        return None
+    named.sort(key=lambda c: c.cycle)
+    why = why or "the recording shows no motion to hold it against: unit and name alone speak for it"
+    others = [
+        Alternative({"": source_of(c)}, "the same") for c in named[1 : 1 + MAX_ALTERNATIVES]
+    ]
+    return Choice(name, {"": source_of(named[0])}, f"named {hint(name, named[0])!r}", why, others)
+
+
+def _words(found: Relation) -> str:
+    return f"correlation {found.correlation:+.2f}"
+
+
+def _gain_words(quantity: Quantity, match: Match) -> str:
+    if match.unit is None:
+        return ""
+    size = match.relation.gain * match.unit.factor
+    if quantity is STEERING:
+        return f", {size:.0f} m of wheelbase times ratio"
+    stated = "stated" if match.unit.is_stated else "found"
+    return f", gain {size:.2f} in {match.unit.name} ({stated})"
+
+
+def find_heading(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:
+    """An angle of a whole turn whose change is the yaw rate, clockwise."""
+    usable = [c for c in candidates if c.states("angle") and not c.is_constant]
+    wide = []
+    for c in usable:
+        unit = stated_unit(c, "angle")
+        if unit is not None and (c.largest - c.least) * unit.factor > np.pi:
+            wide.append((c, unit))
+    best: tuple[Candidate, Relation] | None = None
+    if reference.turn is not None:
+        for c, unit in wide:
+            turned = shifted(c.x, 10) - c.x
+            turned = np.mod(turned * unit.factor + np.pi, 2.0 * np.pi) - np.pi
+            turned[np.abs(turned) > 1.0] = np.nan  # the bridge over the jump from 360 to 0
+            middle = shifted(reference.turn, 5)
+            found = relation(-middle, turned)
+            size = found.gain
+            fits = found.explained >= SAME_MOTION and 1 / 1.5 < size < 1.5
+            if found.is_believed and fits and (best is None or found.z > best[1].z):
+                best = c, found
+    if best is None:
+        return by_unit_and_name("heading", "angle", [c for c, _ in wide])
+    candidate, found = best
+    evidence = f"its change follows the yaw rate ({_words(found)}, clockwise)"
+    if found.sign < 0:
+        evidence = evidence.replace("clockwise", "counter-clockwise")
+    return Choice("heading", {"": source_of(candidate, None, found.sign)}, evidence)
+

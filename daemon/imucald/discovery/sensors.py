@@ -1,0 +1,314 @@
+"""Accelerometer, speed, gyroscope and magnetometer: what everything else is held against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.evidence import Relation, choose_unit
+from imucald.discovery.gyro_axes import (
+    AS_IT_IS,
+    GyroFit,
+    fit_gyroscope,
+    is_decided,
+    right_handed_orders,
+    signed,
+)
+from imucald.discovery.names import hint
+from imucald.discovery.planar import find_planar
+from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
+from imucald.discovery.reference import (
+    GAIN_TOLERANCE,
+    Reference,
+    SpeedFit,
+    direction_up,
+    is_better,
+    speed_against_accelerometer,
+    speed_candidates,
+    stated_unit,
+)
+from imucald.discovery.triads import (
+    EARTH_FIELD,
+    Triad,
+    accelerometers,
+    gyroscopes,
+    magnetometers,
+)
+from imucald.discovery.wheels import wheel_sets
+
+MAX_TRIADS = 6
+"""Triads that are held against every speed, where no unit tells which is the accelerometer."""
+MAX_ALTERNATIVES = 3
+REST_RATE = 5.0
+"""Largest zero error of a gyroscope [deg/s]."""
+
+
+class Sensors:
+    """The sensor to calibrate and the speed. `reference`: the motion; `taken`: signals in use."""
+
+    def __init__(self, candidates: Sequence[Candidate]) -> None:
+        self.candidates = candidates
+        self.reference = Reference()
+        self.wheels = next(iter(wheel_sets(candidates)), None)
+        self.taken: set[str] = {c.path for c in self.wheels or ()}
+        self._found: list[Choice | None] = []
+        self._speeds: list[SpeedFit] = []
+        triads = accelerometers(candidates)
+        if triads:
+            self._set_accelerometer(triads)
+        else:
+            planar = find_planar(candidates, self.wheels, self.taken)
+            if planar is not None:
+                self.reference = planar.reference
+                self._found += [planar.accelerometer, planar.speed]
+                self.taken |= planar.taken
+
+    def choices(self) -> Iterator[Choice | None]:
+        """What was found, in the order of the configuration."""
+        yield from self._found
+
+    def _set_accelerometer(self, triads: list[Triad]) -> None:
+        stated = [t for t in triads if t.unit.is_stated]
+        tried = stated or triads[:MAX_TRIADS]
+        best = max(tried, key=self._speed_for) if len(tried) > 1 else tried[0]
+        self._speed_for(best)
+        reference = Reference(best, direction_up(best))
+        self.reference = reference
+        self.taken |= {m.path for m in best.members}
+        accelerometer = _accelerometer_choice(best, [t for t in triads if t is not best])
+        self._found.append(accelerometer)
+        speed = self._choose_speed()
+        reference.set_lateral()
+        gyro, fit, order = self._choose_gyroscope(reference)
+        if not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
+            accelerometer.doubt = "three signals of 1 g, but no unit is stated and no motion shows"
+        self._found += [gyro, self._magnetometer(fit, order), speed]
+
+    def _speed_for(self, triad: Triad) -> float:
+        """How well the best speed explains a triad; the fits are kept."""
+        up = direction_up(triad)
+        members = {m.path for m in triad.members}
+        fits = [
+            speed_against_accelerometer(c, triad, up)
+            for c in speed_candidates(self.candidates)
+            if c.path not in members
+        ]
+        self._speeds = [f for f in fits if f is not None]
+        return max((f.relation.explained for f in self._speeds if f.is_believed), default=0.0)
+
+    # speed -----------------------------------------------------------------------------------
+
+    def _choose_speed(self) -> Choice | None:
+        """The speed whose changes the accelerometer shows best; wheels stand in for it."""
+        wheels = {c.path for c in self.wheels or ()}
+        believed = [f for f in self._speeds if f.is_believed]
+        own = _best_first([f for f in believed if f.candidate.path not in wheels])
+        rolling = _best_first([f for f in believed if f.candidate.path in wheels])
+        if own and rolling and not own[0].unit.is_stated and rolling[0].unit.is_stated:
+            own = [f for f in own if _same_speed(f, rolling[0])]
+        if not own:
+            self.reference.speed = rolling[0] if rolling else None
+            return None if rolling else self._speed_by_unit(wheels)
+        best = own[0]
+        self.reference.speed = best
+        self.taken.add(best.candidate.path)
+        doubt = ""
+        if not best.unit.is_sure:
+            doubt = f"the database states no unit; {', '.join(best.unit.others)} would fit too"
+        elif not best.unit.is_stated and best.relation.explained < 0.5:
+            doubt = "the database states no unit, and half of the accelerations are not explained"
+        others = [Alternative({"": _speed_source(f)}, _speed_words(f)) for f in own[1:]]
+        chosen = {"": _speed_source(best)}
+        return Choice("speed", chosen, _speed_words(best), doubt, others[:MAX_ALTERNATIVES])
+
+    def _speed_by_unit(self, wheels: set[str]) -> Choice | None:
+        """A speed that no accelerometer confirms: by its unit, and by its name among several."""
+        usable = [
+            c
+            for c in self.candidates
+            if c.states("speed") and c.path not in wheels and not c.is_constant
+        ]
+        usable.sort(key=lambda c: (hint("speed", c) is None, c.cycle))
+        if not usable:
+            return None
+        best = usable[0]
+        unit = stated_unit(best, "speed")
+        assert unit is not None, "its unit was just asked for"
+        self.reference.speed = SpeedFit(best, unit, Relation())
+        self.taken.add(best.path)
+        doubt = "its changes do not show in the accelerometer: its unit alone speaks for it"
+        others = [Alternative({"": source_of(c)}, f"in {c.unit}") for c in usable[1:]]
+        return Choice(
+            "speed", {"": source_of(best)}, f"a speed in {best.unit}", doubt,
+            others[:MAX_ALTERNATIVES],
+        )  # fmt: skip
+
+    # gyroscope -------------------------------------------------------------------------------
+
+    def _choose_gyroscope(
+        self, reference: Reference
+    ) -> tuple[Choice | None, GyroFit | None, tuple[tuple[int, int, int], tuple[int, int, int]]]:
+        found = []
+        for triad in gyroscopes(self.candidates):
+            if {m.path for m in triad.members} & self.taken:
+                continue
+            tried = [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
+            fit = fit_gyroscope(triad, reference, tried)
+            if fit is not None and (triad.unit.is_stated or fit.is_believed):
+                found.append((triad, fit))
+        if not found:
+            return None, None, AS_IT_IS
+        found.sort(key=lambda f: (not f[0].unit.is_stated, -f[1].nats[f[1].order]))
+        triad, fit = found[0]
+        choice, order, triad = _gyroscope_choice(triad, fit, found[1:])
+        self.taken |= {m.path for m in triad.members}
+        if reference.up is not None:
+            rate = signed(triad.smooth, order) @ reference.up
+            standing = _standing(reference)
+            if standing is not None:
+                rate = rate - np.nanmean(rate[standing])
+            reference.turn, reference.turn_from = rate, "the gyroscope about up"
+            if not reference.sides_from:
+                reference.sides_from = "the gyroscope, taken as right-handed"
+        return choice, fit, order
+
+    def _magnetometer(
+        self, fit: GyroFit | None, order: tuple[tuple[int, int, int], tuple[int, int, int]]
+    ) -> Choice | None:
+        found = [
+            t
+            for t in magnetometers(self.candidates)
+            if not {m.path for m in t.members} & self.taken
+        ]
+        if not found:
+            return None
+        best = found[0]
+        self.taken |= {m.path for m in best.members}
+        text = f"{1e6 * best.size:.0f} uT"
+        doubt = ""
+        if not EARTH_FIELD[0] / 2.0 < best.size < EARTH_FIELD[1] * 2.0:
+            doubt = "the earth's field has 22 to 67 uT"
+        return Choice("magnetometer", _axes(best, best.unit.name), text, doubt)
+
+
+def _best_first(fits: list[SpeedFit]) -> list[SpeedFit]:
+    """Stated units first, then what explains most; of what differs by chance the faster cycle."""
+    fits = sorted(fits, key=lambda f: (not f.unit.is_stated, -f.relation.explained))
+    if not fits:
+        return fits
+    first = fits[0]
+    equal = [
+        f
+        for f in fits
+        if f.unit.is_stated == first.unit.is_stated and not is_better(first.relation, f.relation)
+    ]
+    equal.sort(key=lambda f: (hint("speed", f.candidate) is None, f.candidate.cycle))
+    return equal + [f for f in fits if f not in equal]
+
+
+def _same_speed(a: SpeedFit, b: SpeedFit) -> bool:
+    """Whether two speeds are in a constant ratio near one."""
+    one, other = a.speed, b.speed
+    fast = np.nan_to_num(np.minimum(np.abs(one), np.abs(other))) > 1.0
+    if np.count_nonzero(fast) < 50:
+        return False
+    ratio = one[fast] / other[fast]
+    return 0.85 < float(np.median(ratio)) < 1.2 and float(np.std(ratio)) < 0.1
+
+
+def _speed_source(fit: SpeedFit) -> Proposed:
+    return source_of(fit.candidate, fit.unit.name)
+
+
+def _speed_words(fit: SpeedFit) -> str:
+    r = fit.relation
+    gain = r.gain / fit.unit.factor
+    late = f", {0.1 * abs(fit.delay):.1f} s {'late' if fit.delay > 0 else 'early'}" if fit.delay else ""
+    return (
+        f"its changes show in the accelerometer (correlation {r.correlation:.2f}, "
+        f"gain {gain:.2f} in {fit.unit.name}{late})"
+    )
+
+
+def _standing(reference: Reference) -> Array | None:
+    if reference.speed is None:
+        return None
+    rows = np.nan_to_num(np.abs(reference.speed.speed), nan=np.inf) < 0.3
+    return rows if np.count_nonzero(rows) > 20 else None
+
+
+def _axes(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
+    return {
+        axis: source_of(member, unit, sign)
+        for axis, member in zip("xyz", triad.members, strict=True)
+    }
+
+
+def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:
+    text = f"together {best.size:.2f} m/s2 +- {100 * best.spread:.1f} % at any mount: 1 g"
+    text += f" in {best.unit.name}" if not best.unit.is_stated else ""
+    text += "; axes as named" if best.names_axes else "; axes in the order of their places"
+    doubt = "" if best.unit.is_sure else f"{', '.join(best.unit.others)} would fit as well"
+    alternatives = [
+        Alternative(_axes(t, t.unit.name), f"{t.size:.2f} m/s2 +- {100 * t.spread:.1f} %")
+        for t in others
+        if t.unit.is_stated
+    ]
+    return Choice(
+        "accelerometer", _axes(best, best.unit.name), text, doubt, alternatives[:MAX_ALTERNATIVES]
+    )
+
+
+def _gyroscope_choice(
+    triad: Triad, fit: GyroFit, others: list[tuple[Triad, GyroFit]]
+) -> tuple[Choice, tuple[tuple[int, int, int], tuple[int, int, int]], Triad]:
+    """Choice, the order within the triad that it now has, and the triad in its unit and order."""
+    found = fit.turning if fit.turning.is_believed else fit.carried
+    unit, doubt = triad.unit, ""
+    if found.is_believed and found.low > 0.0:
+        size = triad.unit.factor  # the relation was taken in this unit
+        low, high = size * found.low / GAIN_TOLERANCE, size * found.high * GAIN_TOLERANCE
+        fitting = choose_unit(triad.members[0].unit, "angular_rate", low, high)
+        if fitting is None:
+            doubt = "its size fits no unit"
+        else:
+            unit = fitting
+    elif not unit.is_stated:
+        doubt = "the database states no unit"
+    else:
+        doubt = "no turn shows its unit and sign"
+    (axes, signs) = fit.order
+    members = tuple(triad.members[i] for i in axes)
+    assert len(members) == 3
+    sign = signs[0]
+    cyclic = right_handed_orders()
+    if not doubt and sign < 0 and not is_decided(fit, [o for o in cyclic if o[1] != signs]):
+        doubt = "the sign is not beyond doubt"
+    if not doubt and not triad.names_axes and not is_decided(fit, cyclic):
+        doubt = "which axis is which is not beyond doubt"
+    if not doubt and not fit.is_believed:
+        doubt = "neither turns nor slopes confirm it"
+    ordered = Triad(members, unit, triad.names_axes)
+    words = []
+    if fit.turning.is_believed:
+        words.append(
+            "speed times the rate about up is the acceleration to the left "
+            f"(correlation {fit.turning.correlation:.2f})"
+        )
+    if fit.carried.is_believed:
+        words.append(f"gravity moves as it turns (correlation {fit.carried.correlation:.2f})")
+    if sign < 0:
+        words.append("it turns the other way than the accelerometer's axes")
+    words.append("axes as named" if triad.names_axes else f"axes by likelihood ({fit.ahead(cyclic):.0f} nats)")
+    alternatives = [
+        Alternative(_axes(t, t.unit.name, f.order[1][0]), "another gyroscope") for t, f in others
+    ]
+    choice = Choice(
+        "gyroscope", _axes(ordered, unit.name, sign), "; ".join(words), doubt,
+        alternatives[:MAX_ALTERNATIVES],
+    )  # fmt: skip
+    return choice, ((0, 1, 2), signs), ordered
+
+

@@ -1,0 +1,205 @@
+"""Sensors of three axes: which three signals belong together, and in which unit.
+
+An accelerometer's three axes make one vector whose size at rest is 1 g, whatever its mount and
+whatever its unit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucald.core.samples import GRAVITY
+from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, factor_of
+from imucald.discovery.names import axes_by_name
+
+MIN_BITS = 7
+"""No axis of a sensor has fewer."""
+MAX_TOGETHER = 12
+"""Signals of one kind in a message up to which any three are tried; beyond, neighbours only."""
+SCALE_AND_OFFSET = 0.08
+"""Part by which a sensor's 1 g may be off: 5 % of scale and 30 mg of offset (consumer MEMS)."""
+WRONG_SCALE = 0.25
+"""The same beyond which a stated unit is wrong."""
+NORM_SPREAD = 0.05
+"""Largest spread of the vector's size in a drive, as a part of it: sqrt(1 + 0.3^2) - 1 = 0.04 is
+the vector's growth in a manoeuvre of 0.3 g, and most of a drive is calmer."""
+EARTH_FIELD = (22e-6, 67e-6)
+"""Size of the earth's magnetic field [T] (World Magnetic Model)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Triad:
+    """Three signals as x, y, z. names_axes: whether their names say which is which."""
+
+    members: tuple[Candidate, Candidate, Candidate]
+    unit: UnitChoice
+    names_axes: bool
+    size: float = math.nan
+    """Median size of the vector in SI."""
+    spread: float = math.nan
+    """Robust standard deviation of that size, as a part of it."""
+
+    @property
+    def smooth(self) -> Array:
+        """(n, 3) in SI, smoothed."""
+        return np.column_stack([m.smooth for m in self.members]) * self.unit.factor
+
+    @property
+    def ticks(self) -> Array:
+        """(n, 3) in SI."""
+        return np.column_stack([m.x for m in self.members]) * self.unit.factor
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """Names of their messages."""
+        return tuple(dict.fromkeys(m.message.name for m in self.members))
+
+    def with_unit(self, unit: UnitChoice) -> Triad:
+        """The same in another unit."""
+        return replace(self, unit=unit)
+
+
+def accelerometers(candidates: Sequence[Candidate]) -> list[Triad]:
+    """Every three signals that are 1 g in size, the likeliest first."""
+    found: list[Triad] = []
+    for three in _threes(candidates, "acceleration"):
+        fit = _of_one_g(three)
+        if fit is not None:
+            found.append(fit)
+    found.sort(key=_accelerometer_rank)
+    return _without_overlap(found)
+
+
+def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, float]:
+    """Stated unit, named axes, one message; then the steadiest 1 g."""
+    stated = all(m.states("acceleration") for m in triad.members)
+    return not stated, not triad.names_axes, len(triad.messages) > 1, triad.spread
+
+
+def _of_one_g(three: tuple[Candidate, ...]) -> Triad | None:
+    ordered, named = in_order(three)
+    size = np.linalg.norm(np.column_stack([m.smooth for m in ordered]), axis=1)
+    size = size[np.isfinite(size)]
+    if not len(size) or not np.median(size) > 0.0:
+        return None
+    middle = float(np.median(size))
+    spread = 1.4826 * float(np.median(np.abs(size - middle))) / middle
+    stated = ordered[0].unit
+    for tolerance in (SCALE_AND_OFFSET, WRONG_SCALE):
+        low, high = ((1.0 + s * tolerance) * GRAVITY / middle for s in (-1.0, 1.0))
+        unit = choose_unit(stated, "acceleration", low, high)
+        if unit is not None and spread <= NORM_SPREAD:
+            if tolerance == WRONG_SCALE and not unit.is_stated:
+                continue
+            return Triad(ordered, unit, named, middle * unit.factor, spread)
+    return None
+
+
+def gyroscopes(candidates: Sequence[Candidate]) -> list[Triad]:
+    """Every three signals of one kind that may be angular rates; the unit is not judged yet."""
+    found = []
+    for three in _threes(candidates, "angular_rate"):
+        ordered, named = in_order(three)
+        unit = _stated_or_first(ordered[0], "angular_rate")
+        found.append(Triad(ordered, unit, named))
+    found.sort(key=lambda t: (not t.unit.is_stated, not t.names_axes, len(t.messages) > 1))
+    return found
+
+
+def magnetometers(candidates: Sequence[Candidate]) -> list[Triad]:
+    """Every three signals that state a unit of the magnetic field, or whose names agree."""
+    found = []
+    for three in _threes(candidates, "magnetic_field"):
+        ordered, named = in_order(three)
+        if not ordered[0].states("magnetic_field"):
+            continue
+        unit = _stated_or_first(ordered[0], "magnetic_field")
+        size = np.linalg.norm(np.column_stack([m.smooth for m in ordered]), axis=1)
+        middle = float(np.nanmedian(size)) * unit.factor if np.isfinite(size).any() else math.nan
+        found.append(Triad(ordered, unit, named, middle))
+    return _without_overlap(found)
+
+
+def _stated_or_first(candidate: Candidate, dimension: str) -> UnitChoice:
+    factor = factor_of(candidate.unit, dimension) if not candidate.has_no_unit else None
+    if factor is not None:
+        return UnitChoice(candidate.unit, factor, True)
+    names = COMMON_UNITS[dimension]
+    return UnitChoice(names[0], factor_of(names[0], dimension) or 1.0, False, names[1:])
+
+
+def in_order(
+    three: tuple[Candidate, ...],
+) -> tuple[tuple[Candidate, Candidate, Candidate], bool]:
+    """Three signals as x, y, z: by their names, else by their places; and whether by names."""
+    named = axes_by_name(three)
+    if named is not None:
+        x, y, z = (three[i] for i in named)
+        return (x, y, z), True
+    a, b, c = sorted(three, key=_place)
+    return (a, b, c), False
+
+
+def _place(candidate: Candidate) -> tuple[int, int]:
+    """Identifier, then bit from the payload's beginning."""
+    signal = candidate.signal
+    big = signal.byte_order == "big_endian"
+    bit = 8 * (signal.start // 8) + 7 - signal.start % 8 if big else signal.start
+    return candidate.message.can_id, bit
+
+
+def _threes(
+    candidates: Sequence[Candidate], dimension: str
+) -> Iterator[tuple[Candidate, Candidate, Candidate]]:
+    """Signals of one kind by threes: within messages, and one from each of three messages."""
+    usable = [
+        c
+        for c in candidates
+        if c.may_be(dimension) and c.signal.length >= MIN_BITS and not c.levels
+    ]
+    groups: dict[object, list[Candidate]] = {}
+    for c in usable:
+        groups.setdefault((c.message.name, *_kind(c, dimension)), []).append(c)
+    for group in groups.values():
+        yield from _combinations(sorted(group, key=_place))
+    across: dict[object, list[Candidate]] = {}
+    for c in usable:
+        if sum(other.message is c.message for other in usable) <= 2:
+            across.setdefault((round(4.0 * math.log(c.cycle + 1e-6)), *_kind(c, dimension)), []).append(c)
+    for group in across.values():
+        for three in _combinations(sorted(group, key=_place)):
+            if len({c.message.name for c in three}) == 3 and len(group) <= MAX_TOGETHER:
+                yield three
+
+
+def _combinations(group: list[Candidate]) -> Iterator[tuple[Candidate, Candidate, Candidate]]:
+    if len(group) <= MAX_TOGETHER:
+        yield from itertools.combinations(group, 3)
+    else:
+        yield from zip(group, group[1:], group[2:], strict=False)
+
+
+def _kind(c: Candidate, dimension: str) -> tuple[object, ...]:
+    """What the axes of one sensor have in common."""
+    if c.states(dimension):
+        return (c.unit,)
+    s = c.signal
+    return "", s.length, s.scale, s.offset, s.is_signed, s.byte_order
+
+
+def _without_overlap(found: list[Triad]) -> list[Triad]:
+    """Only triads that share no signal with a better one."""
+    used: set[str] = set()
+    kept = []
+    for triad in found:
+        paths = {m.path for m in triad.members}
+        if not paths & used:
+            kept.append(triad)
+            used |= paths
+    return kept

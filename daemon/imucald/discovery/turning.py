@@ -1,0 +1,125 @@
+"""What turns with what: yaw rate, steering, accelerations of the vehicle, wheels, its dimensions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.evidence import choose_unit, factor_of, relation
+from imucald.discovery.proposal import Choice
+from imucald.discovery.reference import stated_unit
+from imucald.discovery.scalars import (
+    LATERAL,
+    LONGITUDINAL,
+    STEERING,
+    YAW_RATE,
+    find_scalar,
+)
+from imucald.discovery.sensors import Sensors
+from imucald.discovery.wheels import find_wheels
+
+WHEELBASE = 2.7
+"""What the configuration takes where nobody says otherwise [m]."""
+
+
+class Turning:
+    """Signals of turns. vehicle: (key, value, evidence) of what they say about the vehicle."""
+
+    def __init__(self, sensors: Sensors) -> None:
+        self._sensors = sensors
+        self.reference = sensors.reference
+        self.vehicle: list[tuple[str, str, str]] = []
+
+    def choices(self, free: Sequence[Candidate]) -> Iterator[Choice | None]:
+        """Wheels, steering, yaw rate and accelerations, in the order of the configuration."""
+        reference = self.reference
+        yaw_rate = self._yaw_rate(free)
+        yield self._wheels()
+        steering = find_scalar(STEERING, reference.curvature, free, reference.sides_from)
+        yield steering
+        if steering is not None:
+            self._note_steering(steering, free)
+        yield yaw_rate
+        speed, turn = reference.speed, reference.turn
+        lateral = None if speed is None or turn is None else speed.moving * turn
+        change = None if speed is None or not speed.relation.independent else speed.change
+        yield find_scalar(LATERAL, lateral, free, reference.sides_from)
+        yield find_scalar(LONGITUDINAL, change, free, "speed")
+
+    def _yaw_rate(self, free: Sequence[Candidate]) -> Choice | None:
+        """Against the gyroscope; without one, speed times it must be the lateral acceleration."""
+        reference = self.reference
+        if reference.turn is None and reference.lateral is not None and reference.speed is not None:
+            turn = reference.lateral / reference.speed.moving
+            choice = find_scalar(YAW_RATE, turn, free, reference.sides_from)
+            reference.turn, reference.turn_from = _turn_of(choice, free, turn)
+            return choice
+        return find_scalar(YAW_RATE, reference.turn, free, reference.sides_from)
+
+    def _wheels(self) -> Choice | None:
+        wheels, reference = self._sensors.wheels, self.reference
+        if wheels is None:
+            return None
+        unit = stated_unit(wheels[0], "speed")
+        doubt = ""
+        mean = np.column_stack([c.smooth for c in wheels]).mean(axis=1)
+        speed = reference.speed
+        if speed is not None:
+            own = speed.candidate.smooth * speed.unit.factor
+            found = relation(own, mean)
+            if found.is_believed and found.low > 0.0:
+                fitting = choose_unit(wheels[0].unit, "speed", 0.87 / found.high, 1.15 / found.low)
+                if fitting is None:
+                    doubt = f"they are not {speed.candidate.path} in any unit"
+                unit = fitting or unit
+        if unit is None:
+            return None
+        if not unit.is_sure:
+            doubt = f"the database states no unit; {', '.join(unit.others)} would fit too"
+        choice, track = find_wheels(wheels, unit, doubt, reference)
+        if track is not None:
+            self.vehicle.append(("track", f"{track:.2f}", "right less left wheels over yaw rate"))
+        return choice
+
+    def _note_steering(self, choice: Choice, free: Sequence[Candidate]) -> None:
+        """Steering ratio for the wheelbase that is assumed: only their product can be seen."""
+        source = choice.sources[""]
+        candidate = next(c for c in free if c.path == source.signal)
+        factor = factor_of(source.unit or candidate.unit, "angle")
+        curvature, speed = self.reference.curvature, self.reference.speed
+        if factor is None or curvature is None or speed is None or choice.doubt:
+            return
+        metres = _turning_metres(candidate.smooth * factor * source.sign, curvature, speed.speed)
+        if metres is not None:
+            text = f"wheelbase times ratio is {metres:.1f} m by the data; this is it for {WHEELBASE} m"
+            self.vehicle.append(("steering_ratio", f"{metres / WHEELBASE:.1f}", text))
+
+
+def _turn_of(
+    choice: Choice | None, free: Sequence[Candidate], otherwise: Array
+) -> tuple[Array, str]:
+    """The yaw rate that was found, else what the accelerometer shows of it."""
+    if choice is not None and choice.is_sure:
+        source = choice.sources[""]
+        candidate = next(c for c in free if c.path == source.signal)
+        factor = factor_of(source.unit or candidate.unit, "angular_rate")
+        if factor is not None:
+            return candidate.smooth * (factor * source.sign), source.signal
+    return otherwise, "the accelerometer's lateral axis over speed"
+
+
+def _turning_metres(angle: Array, curvature: Array, speed: Array) -> float | None:
+    """Wheelbase times ratio: angle = L i curvature (1 + K v^2) + offset, by least squares."""
+    rows = np.isfinite(angle) & np.isfinite(curvature) & np.isfinite(speed)
+    if np.count_nonzero(rows) < 200:
+        return None
+    k, v = curvature[rows], speed[rows]
+    known = np.column_stack([k, k * v * v, np.ones(len(k))])
+    solution, *_ = np.linalg.lstsq(known, angle[rows], rcond=None)
+    left = angle[rows] - known @ solution
+    good = float(left.var()) < 0.2 * float(angle[rows].var()) and 15.0 < solution[0] < 130.0
+    return float(solution[0]) if good else None
+
+

@@ -1,0 +1,159 @@
+"""Four wheel speeds: which signals they are, and which is which wheel."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.evidence import Relation, UnitChoice, relation
+from imucald.discovery.names import WHEELS, wheel_by_name
+from imucald.discovery.proposal import Choice, Proposed, source_of
+from imucald.discovery.reference import Reference, moving
+
+SAME_SPEED = 0.1
+"""Part by which the wheels of one vehicle may differ on average: tyres of other sizes make 3 %."""
+SIDE_BY_SIDE = 0.98
+"""Correlation of wheel speeds in a drive: they differ in bends and by slip only."""
+MIN_BITS = 7
+MANY = 24
+"""Signals of one kind beyond which only messages with four of them are looked at."""
+
+
+def wheel_sets(candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, ...]]:
+    """Every four signals of one kind that move like the wheels of one vehicle."""
+    kinds: dict[object, list[Candidate]] = {}
+    for c in candidates:
+        if c.may_be("speed") and not c.is_constant and not c.levels and c.signal.length >= MIN_BITS:
+            s = c.signal
+            kinds.setdefault((c.unit, s.length, s.scale, s.offset, s.byte_order), []).append(c)
+    for kind in kinds.values():
+        by_message: dict[str, list[Candidate]] = {}
+        for c in kind:
+            by_message.setdefault(c.message.name, []).append(c)
+        fours = [m for m in by_message.values() if len(m) == 4]
+        twos = [m for m in by_message.values() if len(m) == 2]
+        if len(kind) <= MANY:
+            fours += [a + b for a, b in itertools.combinations(twos, 2)]
+            if len(kind) == 4 and not fours:
+                fours = [kind]
+        for four in fours:
+            if _roll_together(four):
+                yield tuple(four)
+
+
+def _roll_together(four: Sequence[Candidate]) -> bool:
+    table = np.column_stack([c.smooth for c in four])
+    table = table[np.isfinite(table).all(axis=1)]
+    if len(table) < 100 or not (table.std(axis=0) > 0.0).all():
+        return False
+    means = table.mean(axis=0)
+    if means.min() <= 0.0 or means.max() > (1.0 + SAME_SPEED) * means.min():
+        return False
+    return bool(np.corrcoef(table.T).min() > SIDE_BY_SIDE)
+
+
+def find_wheels(
+    four: Sequence[Candidate], unit: UnitChoice, doubt: str, reference: Reference
+) -> tuple[Choice, float | None]:
+    """Which signal is which wheel, and the track [m] that they show; by name where names say it.
+
+    In a left turn the right wheels are faster; in any turn the front wheels go further round.
+    """
+    named = [wheel_by_name(c.signal.name) for c in four]
+    by_name = sorted(n or "" for n in named) == sorted(WHEELS)
+    sides, ends = _turning(four, unit, reference)
+    if by_name:
+        order = [named.index(w) for w in WHEELS]
+        track = _track(four, order, unit, reference)
+        text = "named so"
+        if track is not None and track.is_believed:
+            text += f"; {'right' if track.sign > 0 else 'LEFT'} wheels are faster in left turns"
+            if track.sign < 0:
+                doubt = "by the data left and right are exchanged"
+        return _choice(four, order, unit, text, doubt), _metres(track)
+    order, text, unsure = _by_turns(four, sides, ends)
+    track = _track(four, order, unit, reference)
+    return _choice(four, order, unit, text, doubt or unsure), _metres(track)
+
+
+def _choice(
+    four: Sequence[Candidate], order: Sequence[int], unit: UnitChoice, text: str, doubt: str
+) -> Choice:
+    sources: dict[str, Proposed] = {
+        wheel: source_of(four[i], unit.name) for wheel, i in zip(WHEELS, order, strict=True)
+    }
+    return Choice("wheel_speeds", sources, f"four speeds that roll together; {text}", doubt)
+
+
+def _turning(
+    four: Sequence[Candidate], unit: UnitChoice, reference: Reference
+) -> tuple[list[Relation], list[Relation]]:
+    """Of each wheel against their mean: with the yaw rate, and with the curvature's square."""
+    if reference.turn is None:
+        return [Relation()] * 4, [Relation()] * 4
+    table = np.column_stack([c.smooth for c in four]) * unit.factor
+    mean = table.mean(axis=1)
+    v = moving(mean)
+    bend = (reference.turn / v) ** 2
+    sides = [relation(reference.turn / v, table[:, i] / v) for i in range(4)]
+    ends = [relation(bend, _less_turn(table[:, i] / v - 1.0, reference.turn / v)) for i in range(4)]
+    return sides, ends
+
+
+def _less_turn(part: Array, curvature: Array) -> Array:
+    """What is left of a wheel's relative speed when its side is taken out."""
+    rows = np.isfinite(part) & np.isfinite(curvature)
+    if not rows.any() or not (curvature[rows] ** 2).sum() > 0.0:
+        return part
+    slope = float(curvature[rows] @ part[rows] / (curvature[rows] @ curvature[rows]))
+    return np.asarray(part - slope * curvature)
+
+
+def _by_turns(
+    four: Sequence[Candidate], sides: list[Relation], ends: list[Relation]
+) -> tuple[list[int], str, str]:
+    """Order front left, front right, rear left, rear right; evidence; doubt."""
+    right = [i for i in range(4) if sides[i].sign > 0]
+    left = [i for i in range(4) if i not in right]
+    if len(right) != 2 or not all(s.is_believed for s in sides):
+        return [0, 1, 2, 3], "in the order of their places", "which is which wheel is not known"
+    front_left, rear_left, sure_left = _front_first(left, ends)
+    front_right, rear_right, sure_right = _front_first(right, ends)
+    same_rows = (front_left < rear_left) == (front_right < rear_right)
+    text = "left and right by the yaw rate"
+    order = [front_left, front_right, rear_left, rear_right]
+    if sure_left and sure_right and same_rows:
+        return order, f"{text}, front and rear by their ways in bends", ""
+    left.sort()
+    right.sort()
+    order = [left[0], right[0], left[1], right[1]]
+    return order, text, "which are the front ones is taken from their places"
+
+
+def _front_first(pair: list[int], ends: list[Relation]) -> tuple[int, int, bool]:
+    """The wheel that goes further in bends first, and whether that is sure."""
+    a, b = pair
+    first, second = ends[a], ends[b]
+    za, zb = first.sign * first.z, second.sign * second.z
+    front, rear = (a, b) if za > zb else (b, a)
+    return front, rear, abs(za - zb) > 4.0
+
+
+def _track(
+    four: Sequence[Candidate], order: Sequence[int], unit: UnitChoice, reference: Reference
+) -> Relation | None:
+    """Right less left against the yaw rate, over speed: its gain is the track."""
+    if reference.turn is None:
+        return None
+    fl, fr, rl, rr = (four[i].smooth * unit.factor for i in order)
+    v = moving(0.25 * (fl + fr + rl + rr))
+    return relation(reference.turn / v, 0.5 * (fr - fl + rr - rl) / v)
+
+
+def _metres(track: Relation | None) -> float | None:
+    if track is None or not track.is_believed or track.sign < 0:
+        return None
+    return track.low if 0.8 < track.low < 3.0 and track.explained > 0.8 else None

@@ -1,0 +1,134 @@
+"""A proposal as a commented configuration file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from imucald.discovery.proposal import Alternative, Choice, Proposal, Proposed
+
+WIDTH = 100
+_ORDER = (
+    "accelerometer", "gyroscope", "magnetometer", "speed", "wheel_speeds", "steering_wheel_angle",
+    "yaw_rate", "lateral_acceleration", "longitudinal_acceleration", "reverse", "brake",
+    "temperature", "heading",
+)  # fmt: skip
+_MISSING = {
+    "accelerometer": "{x: MESSAGE.SIGNAL, y: MESSAGE.SIGNAL, z: MESSAGE.SIGNAL}",
+    "gyroscope": "{x: MESSAGE.SIGNAL, y: MESSAGE.SIGNAL, z: MESSAGE.SIGNAL}",
+    "speed": "MESSAGE.SIGNAL",
+}
+"""What is worth a line even where it was not found."""
+
+
+def as_yaml(proposal: Proposal, databases: Sequence[str]) -> str:
+    """The whole file. databases: paths as the file is to name them."""
+    return "\n".join(_lines(proposal, databases)) + "\n"
+
+
+def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
+    yield "# Proposed by 'imucald init'. Read it through: beside each line stands what speaks for it."
+    yield "# 'unsure' marks what the recording does not decide. Every key: docs/configuration.md"
+    for note in proposal.notes:
+        yield from _comment(note, "")
+    yield ""
+    yield from _databases(proposal, databases)
+    yield ""
+    yield "vehicle:"
+    yield "  id: my-car"
+    yield "  driving_side: unknown # left or right: crowned roads lean to the kerb, as mount roll does"
+    for key, value, evidence in proposal.vehicle:
+        yield f"  {key}: {value} # {evidence}"
+    yield ""
+    yield "signals:"
+    by_name = {choice.quantity: choice for choice in proposal.choices}
+    for name in _ORDER:
+        choice = by_name.get(name)
+        if choice is not None:
+            yield from _choice(choice)
+        elif name in _MISSING:
+            yield f"  # {name}: {_MISSING[name]} # not found"
+    if proposal.protections:
+        yield ""
+        yield "messages:"
+        for found in proposal.protections:
+            yield f"  {_flow(found.message)}:"
+            for key, value in found.settings.items():
+                yield f"    {key}: {_flow(value)} # {found.evidence[key]}"
+
+
+def _databases(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
+    entries: list[Any] = []
+    for path in databases:
+        channel = proposal.channels.get(path)
+        entries.append(path if channel is None else {"path": path, "channel": channel})
+    yield f"database: {_flow(entries[0] if len(entries) == 1 else entries)}"
+
+
+def _choice(choice: Choice) -> Iterator[str]:
+    yield from _comment(choice.evidence, "  ")
+    if choice.doubt:
+        yield from _comment(f"unsure: {choice.doubt}", "  ")
+    yield from _sources(choice.quantity, choice.sources, "  ")
+    for other in choice.alternatives:
+        yield from _alternative(choice.quantity, other)
+
+
+def _alternative(quantity: str, other: Alternative) -> Iterator[str]:
+    """One commented line, however long: it is to be put in a line's place."""
+    flat: Any = {key: one.settings() for key, one in other.sources.items()}
+    value = flat[""] if "" in flat else flat
+    yield f"  # unsure: {quantity}: {_flow(value)} # {other.text}"
+
+
+def _sources(quantity: str, sources: Mapping[str, Proposed], indent: str) -> Iterator[str]:
+    if "" in sources:
+        yield f"{indent}{quantity}: {_flow(sources[''].settings())}"
+        return
+    yield f"{indent}{quantity}:"
+    for key, one in sources.items():
+        yield f"{indent}  {key}: {_flow(one.settings())}"
+
+
+def _flow(value: Any) -> str:
+    """A value in YAML's short form."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k}: {_of_key(k, v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_flow(v) for v in value) + "]"
+    if isinstance(value, str):
+        return value if _is_plain(value) else json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    return str(value)
+
+
+def _of_key(key: str, value: Any) -> str:
+    """A value; identifiers as people write them."""
+    return f"0x{value:03X}" if key == "id" and isinstance(value, int) else _flow(value)
+
+
+def _is_plain(text: str) -> bool:
+    """Whether YAML reads a text as itself without quotes, in a list too."""
+    words = {"y", "n", "yes", "no", "on", "off", "true", "false", "null", "~"}
+    if not text or text.lower() in words or text != text.strip():
+        return False
+    plain = all(c.isalnum() or c in "_./^²°%" for c in text)
+    return plain and (text[0].isalpha() or text[0] in "_./") and text.isascii()
+
+
+def _comment(text: str, indent: str) -> Iterator[str]:
+    yield from (f"{indent}# {line}" for line in _wrapped(text, WIDTH - len(indent) - 2))
+
+
+def _wrapped(text: str, width: int) -> Iterable[str]:
+    line = ""
+    for word in text.split():
+        if line and len(line) + 1 + len(word) > width:
+            yield line
+            line = word
+        else:
+            line = f"{line} {word}" if line else word
+    if line:
+        yield line

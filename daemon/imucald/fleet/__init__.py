@@ -1,0 +1,1 @@
+"""Thousands of logs of hundreds of vehicles: evaluated one by one, then read together."""

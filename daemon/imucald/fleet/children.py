@@ -1,0 +1,122 @@
+"""A worker's side: hands tasks to its template process and waits for the ends of the children."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+
+import msgspec
+
+from imucald.core.errors import ImucaldError
+from imucald.fleet.own_process import ONE_THREAD
+from imucald.fleet.task import Outcome, Task, encoded
+
+STARTING_S = 120.0
+"""A template imports for less than a second; a shared folder of packages may be slow."""
+
+
+class Template:
+    """One template process; `run` may be called by several threads at a time."""
+
+    def __init__(self, function: str) -> None:
+        self._function = function
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
+
+    def run(self, task: Task) -> Outcome:
+        """Run a task in a child of its own; its end, whatever it was."""
+        ours, theirs = socket.socketpair()
+        with ours:
+            with theirs:
+                self._send(theirs)
+            with suppress(OSError):
+                ours.sendall(encoded(task))
+                ours.shutdown(socket.SHUT_WR)
+            answer = b"".join(iter(lambda: _received(ours), b""))
+        try:
+            return msgspec.json.decode(answer, type=Outcome)
+        except msgspec.DecodeError:
+            text = "the process that watches over it was killed from outside"
+            return Outcome("crashed", text)
+
+    def _send(self, theirs: socket.socket) -> None:
+        """Give the template the other end; a template that died is started anew, once."""
+        with self._lock:
+            for last in (False, True):
+                control = self._control or self._started()
+                try:
+                    socket.send_fds(control, [b"t"], [theirs.fileno()])
+                except OSError:
+                    self._stop()
+                    if last:
+                        raise
+                else:
+                    return
+
+    def _started(self) -> socket.socket:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", __package__ + ".template", str(theirs.fileno()), self._function],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is for the driver: what runs is finished
+                env={**os.environ, **ONE_THREAD},
+            )
+        ours.settimeout(STARTING_S)
+        if ours.recv(1) != b"r":
+            ours.close()
+            raise ImucaldError(f"the process that evaluates logs does not start: {self._function}")
+        ours.settimeout(None)
+        self._control = ours
+        return ours
+
+    def _stop(self) -> None:
+        if self._control is not None:
+            self._control.close()
+            self._control = None
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def close(self) -> None:
+        """End the template; its children end with it."""
+        with self._lock:
+            self._stop()
+
+
+def _received(ours: socket.socket) -> bytes:
+    try:
+        return ours.recv(2**16)
+    except OSError:  # the keeper died and left unread what we sent
+        return b""
+
+
+class _Templates:
+    """One template per function in this process."""
+
+    lock = threading.Lock()
+    of: dict[str, Template] = {}
+
+
+def template_for(function: str) -> Template:
+    """The template of this process for a function."""
+    with _Templates.lock:
+        if not _Templates.of:
+            atexit.register(close_templates)
+        return _Templates.of.setdefault(function, Template(function))
+
+
+def close_templates() -> None:
+    """End all templates of this process."""
+    with _Templates.lock:
+        for template in _Templates.of.values():
+            template.close()
+        _Templates.of.clear()

@@ -1,0 +1,158 @@
+"""The columns of every table, once: name, type, unit and meaning.
+
+Columns are only appended, never renamed or given another meaning; a file always has all columns of
+its version, and what is not known is null of the column's type.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Literal, NamedTuple
+
+VERSION: Final = 1
+
+Kind = Literal["text", "time", "float", "integer", "short", "flag", "float32", "int8"]
+
+
+class Column(NamedTuple):
+    """One column; unit is empty where there is none."""
+
+    name: str
+    kind: Kind
+    unit: str = ""
+    meaning: str = ""
+
+
+def floats(unit: str, meaning: str, *names: str) -> tuple[Column, ...]:
+    """Columns of numbers alike in unit."""
+    return tuple(Column(name, "float", unit, meaning) for name in names)
+
+
+def texts(**meanings: str) -> tuple[Column, ...]:
+    """Columns of text by name."""
+    return tuple(Column(name, "text", "", meaning) for name, meaning in meanings.items())
+
+
+AXES: Final = ("x", "y", "z")
+PAIRS: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
+"""Of a symmetric matrix."""
+
+_VEHICLE = texts(
+    vehicle="from the rules of fleet.yaml",
+    vehicle_type="model of the vehicle: sensors of a type are meant to sit alike",
+    sensor_serial="serial number",
+    sensor_batch="batch of production",
+    firmware="of the sensor",
+)
+_MOUNT = (
+    *floats("", "mount as a unit quaternion, R_vehicle_from_sensor", "q_w", "q_x", "q_y", "q_z"),
+    *floats("deg", "mount as intrinsic Z-Y-X angles", "roll_deg", "pitch_deg", "yaw_deg"),
+)
+_COVARIANCE = floats(
+    "deg^2",
+    "covariance of the rotation-vector error about the vehicle's axes",
+    *(f"cov_{pair}_deg2" for pair in PAIRS),
+)
+
+TABLES: Final[dict[str, tuple[Column, ...]]] = {
+    "drives": (
+        *texts(
+            log_key="SHA-256 of the log's content, 16 hex digits: one row for each",
+            run_key="hash of configuration, databases, model file and version",
+        ),
+        *_VEHICLE,
+        *texts(sources="addresses of the log, a JSON list", date="day: of the log, or by the rules"),
+        Column("start", "time", "", "first frame, UTC; null where the log has no absolute time"),
+        Column("end", "time", "", "last frame of ours, UTC"),
+        *floats("s", "from the first frame of ours to the last", "duration_s"),
+        *floats("m", "by the speed", "distance_m"),
+        *texts(state="of the calibration at the end"),
+        *floats("s", "from the log's first frame", "first_usable_s", "first_fine_s"),
+        *_MOUNT,
+        *_COVARIANCE,
+        *floats("deg", "the road crown's part in cov_xx, common to a driving side", "crown_std_deg"),
+        *texts(
+            driving_side="left, right or unknown",
+            waiting_roll="what is still missing, in words",
+            waiting_pitch="the same",
+            waiting_yaw="the same",
+            causes="faults that were seen in the drive, a JSON list of names",
+        ),
+        Column("frames_read", "integer", "", "frames of the log"),
+        Column("frames_used", "integer", "", "frames that gave samples"),
+        *texts(rejected="frames rejected by reason, JSON"),
+        *floats("Hz", "good samples of the accelerometer by time", "rate_accel_hz"),
+        Column("schema_version", "short", "", "version of this table"),
+    ),
+    "events": (
+        *texts(log_key="the drive", vehicle="as in drives"),
+        Column("time", "time", "", "UTC; null where the log has no absolute time"),
+        *floats("s", "from the first frame of ours", "t_s"),
+        *texts(kind="shift, sensor or fault", name="which", axes="of the sensor, where told"),
+        *floats("deg", "turn about the vehicle's axes", "d_x_deg", "d_y_deg", "d_z_deg"),
+        *floats("s", "end of what lasted; null: to the end", "until_s"),
+        Column("schema_version", "short", "", "version of this table"),
+    ),
+    "failures": (
+        *texts(
+            source="address of the log",
+            vehicle="as in drives",
+            log_key="null where the content was not read to the end",
+            run_key="as in drives",
+            kind="unreadable, no_frames, config, storage, timeout, memory, crashed, bug",
+            message="for people",
+            traceback="of Python, where there is one",
+        ),
+        Column("exit_code", "integer", "", "of the child; -N: killed by signal N"),
+        Column("attempts", "integer", "", "how often it was tried"),
+        Column("schema_version", "short", "", "version of this table"),
+    ),
+    "sources": (
+        *texts(
+            source="address of the log",
+            fingerprint="etag, or size and time of change",
+            log_key="of its content; null where that was not read",
+            run_key="as in drives",
+            vehicle="as in drives",
+            outcome="ok, or the kind of failure",
+        ),
+        Column("bytes", "integer", "B", "of the log"),
+        Column("schema_version", "short", "", "version of this table"),
+    ),
+    "costs": (
+        *texts(source="address of the log", outcome="ok, or the kind of failure"),
+        Column("attempt", "integer", "", "first is 1"),
+        Column("finished", "time", "", "UTC"),
+        *floats("s", "by the wall clock, in the worker", "wall_s"),
+        *floats("s", "of the processor", "cpu_s"),
+        Column("peak_memory_bytes", "integer", "B", "resident, of the child"),
+        *texts(worker="machine that evaluated it"),
+        Column("bytes", "integer", "B", "of the log"),
+        Column("schema_version", "short", "", "version of this table"),
+    ),
+}
+"""Tables that `fleet run` writes. Those of `fleet analyse` stand in `analysis_columns`."""
+
+KEYS: Final = {
+    "drives": ("log_key",),
+    "events": ("log_key", "kind", "name", "t_s", "axes"),
+    "failures": ("source",),
+    "sources": ("source",),
+    "costs": ("source", "attempt", "finished"),
+}
+"""By which a row is known: of two alike, the later one counts."""
+
+ORDER: Final = {
+    "drives": ("vehicle", "start", "date", "log_key"),
+    "events": ("vehicle", "log_key", "t_s", "kind", "name", "axes"),
+    "failures": ("source",),
+    "sources": ("source",),
+    "costs": ("finished", "source", "attempt"),
+}
+"""How the rows of a finished table are sorted."""
+
+
+def row_of(table: str, values: dict[str, object]) -> dict[str, object]:
+    """A row with every column of its table: null where there is no value."""
+    found = {column.name: values.get(column.name) for column in TABLES[table]}
+    found["schema_version"] = VERSION
+    return found

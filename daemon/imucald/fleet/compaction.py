@@ -1,0 +1,102 @@
+"""From the parts of a run to the finished tables: the same whatever the order things came in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+
+import numpy as np
+import pyarrow as pa
+
+from imucald.fleet.columns import TABLES
+from imucald.fleet.store import Store
+from imucald.fleet.tables import as_parquet, finished, main_file, parts, read_with_parts
+from imucald.fleet.task import OK
+
+
+def read_tables(store: Store, names: Sequence[str] = tuple(TABLES)) -> dict[str, pa.Table]:
+    """The tables as they are now, parts of a run that goes on or was broken off included."""
+    sources, numbers = read_with_parts(store, "sources")
+    last = _last(sources.column("source").to_pylist(), numbers)
+    sources = sources.take(pa.array(last, pa.int64()))
+    found = {"sources": finished("sources", sources)}
+    if "failures" in names:
+        found["failures"] = finished("failures", _failures(store, sources))
+    if "drives" in names or "events" in names:
+        drives, of_drive = _drives(store, sources)
+        found["drives"] = finished("drives", drives)
+        if "events" in names:
+            found["events"] = finished("events", _events(store, of_drive))
+    if "costs" in names:
+        found["costs"] = finished("costs", read_with_parts(store, "costs")[0])
+    return {name: found[name] for name in names}
+
+
+def compact(store: Store) -> None:
+    """Write the finished tables and delete the parts they are made of."""
+    old = {name: [file for n, file in parts(store, name) if n > 0] for name in TABLES}
+    if not any(old.values()):
+        return
+    for name, table in read_tables(store).items():
+        store.write(main_file(name), as_parquet(table))
+    # drives first, sources last: broken off between, what is left still says the same
+    for name in ("drives", "events", "failures", "costs", "sources"):
+        for file in old[name]:
+            store.remove(file)
+
+
+def _last(keys: Sequence[object], numbers: Sequence[int]) -> list[int]:
+    """Index of the row that counts for each key: of the highest number, there the last."""
+    best: dict[object, int] = {}
+    for index, key in enumerate(keys):
+        if key not in best or numbers[index] >= numbers[best[key]]:
+            best[key] = index
+    return list(best.values())
+
+
+def _failures(store: Store, sources: pa.Table) -> pa.Table:
+    rows, numbers = read_with_parts(store, "failures")
+    outcome = dict(
+        zip(
+            sources.column("source").to_pylist(),
+            sources.column("outcome").to_pylist(),
+            strict=True,
+        )
+    )
+    names = rows.column("source").to_pylist()
+    kept = [i for i in _last(names, numbers) if outcome.get(names[i], OK) != OK]
+    return rows.take(pa.array(kept, pa.int64()))
+
+
+def _drives(store: Store, sources: pa.Table) -> tuple[pa.Table, dict[str, tuple[int, str | None]]]:
+    """The rows of drives; by log_key the flush that the row came with, and its vehicle."""
+    addresses: dict[str, list[str]] = {}
+    columns = (sources.column(name).to_pylist() for name in ("source", "log_key", "outcome"))
+    for source, key, outcome in zip(*columns, strict=True):
+        if outcome == OK and key is not None:
+            addresses.setdefault(key, []).append(source)
+    rows, numbers = read_with_parts(store, "drives")
+    keys = rows.column("log_key").to_pylist()
+    firsts = [json.loads(text)[0] for text in rows.column("sources").to_pylist()]
+    known = [(key, first) for key, first in zip(keys, firsts, strict=True)]
+    chosen: dict[str, int] = {}
+    for index in _last(known, numbers):
+        key = keys[index]
+        # a drive that came twice: by the first of its addresses, whichever came first
+        if key in addresses and (key not in chosen or firsts[index] < firsts[chosen[key]]):
+            chosen[key] = index
+    kept = rows.take(pa.array(list(chosen.values()), pa.int64()))
+    lists = [json.dumps(sorted(addresses[key]), ensure_ascii=False) for key in chosen]
+    place = kept.column_names.index("sources")
+    kept = kept.set_column(place, kept.schema.field("sources"), pa.array(lists, pa.string()))
+    vehicles = rows.column("vehicle").to_pylist()
+    return kept, {key: (numbers[i], vehicles[i]) for key, i in chosen.items()}
+
+
+def _events(store: Store, of_drive: dict[str, tuple[int, str | None]]) -> pa.Table:
+    """The events that came with the rows of drives that count."""
+    rows, numbers = read_with_parts(store, "events")
+    keys = rows.column("log_key").to_pylist()
+    came = {key: number for key, (number, _) in of_drive.items()}
+    kept = np.array([came.get(k) == n for k, n in zip(keys, numbers, strict=True)], dtype=bool)
+    return rows.filter(pa.array(kept))

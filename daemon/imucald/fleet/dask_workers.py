@@ -1,0 +1,152 @@
+"""A Dask cluster as workers: `--scheduler tcp://HOST:PORT` or `tls://HOST:PORT`."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping, Sequence
+from concurrent.futures import CancelledError
+from dataclasses import dataclass
+from typing import Any
+
+from distributed import Client, Worker, WorkerPlugin
+from distributed.security import Security
+
+from imucald import __version__
+from imucald.core.errors import ImucaldError
+from imucald.fleet.bundle import Bundle, code_hash, unpack
+from imucald.fleet.children import close_templates
+from imucald.fleet.task import Outcome, Task
+from imucald.fleet.workers import DEATHS, _Futures, run_one_log, unique_keys
+
+CONNECTING_S = 30.0
+WORKERS_S = 60.0
+"""How long is waited for the first worker."""
+PLUGIN = "imucald-fleet"
+
+
+@dataclass(frozen=True)
+class TlsFiles:
+    """PEM files: certificate authority, this client's certificate and key."""
+
+    ca: str
+    certificate: str
+    key: str
+
+    def security(self) -> Security:
+        """As Dask wants them; nothing goes unencrypted."""
+        return Security(
+            tls_ca_file=self.ca,
+            tls_client_cert=self.certificate,
+            tls_client_key=self.key,
+            require_encryption=True,
+        )
+
+
+class BundlePlugin(WorkerPlugin):
+    """Gives each worker, also one that joins later, the configurations as content."""
+
+    name = PLUGIN
+
+    def __init__(self, bundles: Mapping[str, Bundle]) -> None:
+        self._bundles = dict(bundles)
+
+    def setup(self, worker: Worker) -> None:
+        """Unpack them where children of this worker find them."""
+        unpack(self._bundles)
+        close_templates()  # one that runs already does not know the folder
+
+
+def about_worker() -> dict[str, str]:
+    """What must be alike on driver and workers for the same rows."""
+    import numpy as np  # noqa: PLC0415 - on the worker
+    import scipy  # noqa: PLC0415
+
+    return {
+        "imucald": __version__,
+        "code of imucald": code_hash(),
+        "Python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
+
+
+class DaskWorkers:
+    """The workers of one cluster. Raises ImucaldError where it cannot be used."""
+
+    def __init__(
+        self, address: str, bundles: Mapping[str, Bundle], tls: TlsFiles | None = None
+    ) -> None:
+        if address.startswith("tls://") and tls is None:
+            raise ImucaldError(f"{address}: needs --tls-ca, --tls-cert and --tls-key")
+        self._futures = _Futures()
+        security = None if tls is None else tls.security()
+        try:
+            self._client = Client(address, security=security, timeout=CONNECTING_S)
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
+            raise ImucaldError(f"{address}: no Dask scheduler answers: {error}") from None
+        try:
+            self._prepare(address, bundles)
+        except BaseException:
+            self._client.close()
+            raise
+
+    def _prepare(self, address: str, bundles: Mapping[str, Bundle]) -> None:
+        try:
+            self._client.wait_for_workers(1, timeout=WORKERS_S)
+        except TimeoutError:
+            raise ImucaldError(f"{address}: has no workers") from None
+        mine = about_worker()
+        try:
+            answers: dict[str, Any] = self._client.run(about_worker)
+        except Exception as error:
+            raise ImucaldError(
+                f"{address}: its workers lack this imucald ({type(error).__name__}: {error}); "
+                "install the same version there"
+            ) from None
+        for worker, theirs in sorted(answers.items()):
+            for what, version in mine.items():
+                if theirs.get(what) != version:
+                    raise ImucaldError(
+                        f"{address}: {worker} has {what} {theirs.get(what)}, here it is {version}; "
+                        "rows would depend on the worker: install the same everywhere"
+                    )
+        self._client.register_plugin(BundlePlugin(bundles))
+
+    @property
+    def slots(self) -> int:
+        """Threads of all workers there are now."""
+        return max(1, sum(self._client.nthreads().values()))
+
+    def submit(self, tasks: Sequence[Task]) -> None:
+        """Take tasks."""
+        keys = unique_keys(len(tasks))
+        futures = self._client.map(run_one_log, list(tasks), key=keys, pure=False)
+        for future, task in zip(futures, tasks, strict=True):
+            self._futures.add(future, task)
+
+    def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
+        """Outcomes since the last call; what they held on the cluster is let go."""
+        found = []
+        for future, task in self._futures.ended(timeout):
+            found.append((task, _result(future)))
+            future.release()
+        return found
+
+    def call_back(self) -> None:
+        """Nothing: Dask does not tell which of the few tasks that are with it have begun."""
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        self._client.close()
+
+
+def _result(future: Any) -> Outcome | None:
+    if future.status == "cancelled":
+        return None
+    try:
+        found: Outcome = future.result()
+    except CancelledError:
+        return None
+    except Exception as error:  # KilledWorker and the like
+        return Outcome("crashed", f"{DEATHS}: {type(error).__name__}")
+    return found

@@ -1,0 +1,197 @@
+"""A run: hands out logs, takes their outcomes, and is the only one that writes tables."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from imucald.core.errors import ImucaldError
+from imucald.fleet.columns import row_of
+from imucald.fleet.compaction import compact
+from imucald.fleet.drive_row import day_of
+from imucald.fleet.fleet_file import Fleet
+from imucald.fleet.lease import Lease
+from imucald.fleet.listing import Log
+from imucald.fleet.plan import Plan
+from imucald.fleet.store import Store
+from imucald.fleet.tables import parts, write_part
+from imucald.fleet.task import OK, ONCE_MORE, Outcome, Task
+from imucald.fleet.workers import Workers
+
+AHEAD = 2
+"""Tasks handed out for each that can run: enough that no worker waits, few to wait for at an end."""
+FLUSH_ROWS = 500
+FLUSH_S = 60.0
+LOOK_S = 0.5
+ALL_ALIKE = 20
+"""When so many logs come first and all fail for one reason, the run is wrong, not the logs."""
+TRIES = 2
+
+ORDER_OF_WRITING = ("costs", "events", "failures", "drives", "sources")
+
+
+class Counts(msgspec.Struct):
+    """How far a run is."""
+
+    logs: int
+    bytes: int
+    done: int = 0
+    bytes_done: int = 0
+    failed: Counter[str] = msgspec.field(default_factory=Counter)
+    began: float = msgspec.field(default_factory=time.monotonic)
+    stopping: bool = False
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds that the rest will take, by the bytes so far; None before there are any."""
+        if self.bytes_done <= 0 or self.done < 1:
+            return None
+        passed = time.monotonic() - self.began
+        return passed * max(self.bytes - self.bytes_done, 0) / self.bytes_done
+
+
+class AllFailedError(ImucaldError):
+    """The first logs all failed for one reason."""
+
+
+class Run:
+    """One run into one folder; `go` does it. Not used twice."""
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        store: Store,
+        workers: Workers,
+        plan: Plan,
+        tell: Callable[[Counts], None] = lambda counts: None,
+    ) -> None:
+        self._fleet, self._store, self._workers, self._tell = fleet, store, workers, tell
+        self._logs: dict[str, Log] = {task.source: log for task, log in plan.tasks}
+        self._waiting = deque(task for task, _ in plan.tasks)
+        self._again: deque[Task] = deque()
+        self._running = 0
+        self._attempts: Counter[str] = Counter()
+        self._rows: dict[str, list[dict[str, Any]]] = {name: [] for name in ORDER_OF_WRITING}
+        self._flushed = time.monotonic()
+        self._number = 0
+        self.counts = Counts(len(plan.tasks), plan.bytes)
+
+    def stop(self) -> None:
+        """Begin no further log; what runs is finished (called by a signal handler)."""
+        self.counts.stopping = True
+
+    def go(self, lease: Lease) -> bool:
+        """Evaluate all; whether none is left. Raises AllFailedError, and ImucaldError of storage."""
+        self._store.tidy()
+        self._number = max((n for name in self._rows for n, _ in parts(self._store, name)), default=0)
+        try:
+            self._rounds(lease, self._waiting, max(1, AHEAD * self._workers.slots))
+            self._rounds(lease, self._again, 1)  # alone: nothing else can be the reason
+        finally:
+            self._flush()
+        compact(self._store)
+        return not (self._waiting or self._again)
+
+    def _rounds(self, lease: Lease, waiting: deque[Task], at_once: int) -> None:
+        called_back = False
+        while self._running or (waiting and not self.counts.stopping):
+            if self.counts.stopping and not called_back:
+                self._workers.call_back()
+                called_back = True
+            free = 0 if self.counts.stopping else at_once - self._running
+            tasks = [waiting.popleft() for _ in range(min(free, len(waiting)))]
+            if tasks:
+                self._workers.submit(tasks)
+                self._running += len(tasks)
+            for task, outcome in self._workers.finished(LOOK_S):
+                self._running -= 1
+                if outcome is None:
+                    waiting.appendleft(task)
+                else:
+                    self._take(task, outcome)
+            due = time.monotonic() - self._flushed > FLUSH_S
+            if due or len(self._rows["sources"]) >= FLUSH_ROWS:
+                self._flush()
+            lease.beat()
+            self._tell(self.counts)
+
+    def _take(self, task: Task, outcome: Outcome) -> None:
+        self._attempts[task.source] += 1
+        attempt = self._attempts[task.source]
+        cost = msgspec.structs.asdict(outcome.cost)
+        self._add(
+            "costs", task, **cost, outcome=outcome.kind, attempt=attempt, finished=time.time()
+        )
+        if outcome.kind in ONCE_MORE and attempt < TRIES:
+            self._again.append(task)
+            return
+        self.counts.done += 1
+        self.counts.bytes_done += task.bytes
+        self._add(
+            "sources",
+            task,
+            fingerprint=self._logs[task.source].fingerprint,
+            outcome=outcome.kind,
+            log_key=outcome.log_key,
+        )
+        if outcome.kind == OK and outcome.drive is not None:
+            self._take_drive(task, outcome, outcome.drive)
+        else:
+            self._take_failure(task, outcome, attempt)
+
+    def _take_drive(self, task: Task, outcome: Outcome, drive: dict[str, Any]) -> None:
+        day = day_of(drive["start"]) or task.date
+        facts = self._fleet.facts(task.vehicle, day)
+        named_type = self._fleet.named(task.source)[2]
+        twice = any(row["log_key"] == outcome.log_key for row in self._rows["drives"])
+        self._add(
+            "drives",
+            task,
+            **drive,
+            log_key=outcome.log_key,
+            vehicle_type=named_type or facts.get("type"),
+            **{name: facts.get(name) for name in ("sensor_serial", "sensor_batch", "firmware")},
+            sources=json.dumps([task.source], ensure_ascii=False),
+            date=day,
+        )
+        if not twice:
+            for event in outcome.events:
+                self._add("events", task, **event, log_key=outcome.log_key)
+
+    def _take_failure(self, task: Task, outcome: Outcome, attempt: int) -> None:
+        self.counts.failed[outcome.kind] += 1
+        self._add(
+            "failures",
+            task,
+            kind=outcome.kind,
+            log_key=outcome.log_key,
+            message=outcome.message,
+            traceback=outcome.traceback or None,
+            exit_code=outcome.exit_code,
+            attempts=attempt,
+        )
+        failed = self.counts.failed
+        if self.counts.done == failed[outcome.kind] == ALL_ALIKE:
+            self.stop()
+            raise AllFailedError(
+                f"the first {ALL_ALIKE} logs all failed: {outcome.kind}. The last of them: "
+                f"{outcome.message}. Put that right; the run goes on with the same command"
+            )
+
+    def _add(self, table: str, task: Task, **values: object) -> None:
+        about = {"source": task.source, "vehicle": task.vehicle, "run_key": task.bundle}
+        self._rows[table].append(row_of(table, {**about, "bytes": task.bytes, **values}))
+
+    def _flush(self) -> None:
+        self._flushed = time.monotonic()
+        if not any(self._rows.values()):
+            return
+        self._number += 1
+        for name in ORDER_OF_WRITING:
+            write_part(self._store, name, self._number, self._rows[name])
+            self._rows[name].clear()

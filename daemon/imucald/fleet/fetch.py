@@ -1,0 +1,107 @@
+"""A log as a file on this machine: as it is where it is one already, else a copy for the time."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import stat
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import fsspec
+
+from imucald.core.errors import ImucaldError
+from imucald.fleet.bundle import KEY_DIGITS
+
+BLOCK = 2**20
+TRIES = 3
+WAIT_S = 0.5
+"""Before the second try; twice as long before each further one."""
+MAX_BYTES = 64 * 2**30
+"""Of a log that is copied: a wrong address must not fill the disk."""
+LOCAL = ("file", "local")
+
+
+class StorageError(ImucaldError):
+    """A log could not be fetched; the reason and the address."""
+
+
+class NoRegularFileError(ImucaldError):
+    """What stands under the log's name is a pipe, a device, a folder."""
+
+
+def protocol_of(url: str) -> str:
+    """The file system of a URL: "file" where it names none."""
+    return url.partition("://")[0] if "://" in url else "file"
+
+
+def bare_path(url: str) -> str:
+    """The path of a local URL."""
+    return url.partition("://")[2] if "://" in url else url
+
+
+def file_system(url: str, storage: Mapping[str, Mapping[str, Any]]) -> fsspec.AbstractFileSystem:
+    """The file system of a URL. Raises StorageError where its package is missing."""
+    protocol = protocol_of(url)
+    try:
+        return fsspec.filesystem(protocol, **storage.get(protocol, {}))
+    except (ImportError, ValueError) as error:
+        raise StorageError(f"{url}: {error}") from None
+
+
+@contextlib.contextmanager
+def local_copy(
+    url: str, storage: Mapping[str, Mapping[str, Any]]
+) -> Iterator[tuple[Path, str, int]]:
+    """Yield path, key (hash of the content) and size in bytes of a log.
+
+    Raises NoRegularFileError and StorageError.
+    """
+    if protocol_of(url) in LOCAL:
+        path = Path(bare_path(url))
+        yield path, *_hashed(path)
+        return
+    with tempfile.TemporaryDirectory(prefix="imucald-log-") as folder:
+        path = Path(folder) / url.rpartition("/")[2]
+        yield path, *_downloaded(url, storage, path)
+
+
+def _hashed(path: Path) -> tuple[str, int]:
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise NoRegularFileError(f"{path}: is a pipe, a device or a folder, no regular file")
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as file:
+            return _hash(file, None)
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _hash(source: IO[bytes], target: IO[bytes] | None) -> tuple[str, int]:
+    digest, size = hashlib.sha256(), 0
+    while block := source.read(BLOCK):
+        digest.update(block)
+        size += len(block)
+        if target is not None:
+            target.write(block)
+            if size > MAX_BYTES:
+                raise OSError(f"is longer than {MAX_BYTES} bytes")
+    return digest.hexdigest()[:KEY_DIGITS], size
+
+
+def _downloaded(url: str, storage: Mapping[str, Mapping[str, Any]], path: Path) -> tuple[str, int]:
+    system = file_system(url, storage)
+    for left in reversed(range(TRIES)):
+        try:
+            with system.open(url, "rb") as source, path.open("wb") as target:
+                return _hash(source, target)
+        except Exception as error:  # each storage has errors of its own
+            if left == 0 or isinstance(error, FileNotFoundError):
+                text = f"{url}: cannot be fetched: {type(error).__name__}: {error}"
+                raise StorageError(text) from None
+            time.sleep(WAIT_S * 2 ** (TRIES - 1 - left))
+    raise AssertionError("the last try returns or raises")

@@ -1,0 +1,139 @@
+"""fleet.yaml: where the logs are, which vehicle each is of, and what it is evaluated with."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from imucald.config.base import Settings
+from imucald.core.errors import ConfigError
+from imucald.core.locations import Marks, located
+from imucald.core.typed import typed
+from imucald.core.yaml_lines import read_yaml_file
+from imucald.fleet.bundle import Bundle, bundle_of
+
+_WHOLE = "fleet file"
+DEFAULT_RULE = r"(?P<vehicle>[^/]+)/[^/]+$"
+"""The folder that the log is in."""
+_DATE = re.compile(r"(\d{4})[-_/.]?(\d\d)[-_/.]?(\d\d)")
+COLUMNS = ("type", "sensor_serial", "sensor_batch", "firmware")
+
+
+class FleetSettings(Settings, frozen=True, kw_only=True):
+    """What fleet.yaml holds."""
+
+    logs: str | tuple[str, ...]
+    """Addresses with wildcards (`**` for folders of any depth), or lists ending in .csv or .txt."""
+    config: str
+    """Configuration of all vehicles whose type has none of its own."""
+    configs: dict[str, str] = msgspec.field(default_factory=dict)
+    """Configuration by vehicle type."""
+    path: str = DEFAULT_RULE
+    """Regular expression on the address: (?P<vehicle>...), and where there is one (?P<date>...),
+    (?P<type>...)."""
+    vehicles: str | None = None
+    """CSV with the columns vehicle, type, sensor_serial, sensor_batch, firmware, from, to."""
+    storage: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
+    """Options of file systems by protocol; secrets come from the environment."""
+
+
+class VehicleFacts(msgspec.Struct, frozen=True):
+    """One row of the list of vehicles: what holds from a day to another (ISO dates, or empty)."""
+
+    vehicle: str
+    values: dict[str, str]
+    since: str = ""
+    until: str = ""
+
+
+class Fleet:
+    """A fleet file, read and checked.
+
+    settings: as written. bundles: configurations by name.
+    """
+
+    def __init__(self, settings: FleetSettings, path: Path, marks: Marks) -> None:
+        """Raise ConfigError with place and remedy."""
+        self.settings = settings
+        self._path, self._marks = path, marks
+        self.folder = path.parent.resolve()
+        try:
+            self._rule = re.compile(settings.path)
+        except re.error as error:
+            raise self._error("path", f"is no regular expression: {error}") from None
+        if "vehicle" not in self._rule.groupindex:
+            raise self._error("path", "needs a group (?P<vehicle>...)")
+        self._facts = self._read_vehicles()
+        self.default, *others = (
+            bundle_of(self.folder / name) for name in (settings.config, *settings.configs.values())
+        )
+        self._by_type = dict(zip(settings.configs, others, strict=True))
+        self.bundles: dict[str, Bundle] = {b.name: b for b in (self.default, *others)}
+
+    def _error(self, key: str, text: str) -> ConfigError:
+        return ConfigError(f"{located(str(self._path), self._marks, (key,), _WHOLE)}: {text}")
+
+    def _read_vehicles(self) -> dict[str, list[VehicleFacts]]:
+        if self.settings.vehicles is None:
+            return {}
+        path = self.folder / self.settings.vehicles
+        try:
+            with path.open(newline="", encoding="utf-8-sig") as file:
+                rows = list(csv.DictReader(file))
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise self._error("vehicles", f"{path}: cannot be read: {error}") from None
+        if rows and "vehicle" not in rows[0]:
+            raise self._error("vehicles", f"{path}: has no column 'vehicle'")
+        found: dict[str, list[VehicleFacts]] = {}
+        for row in rows:
+            values = {name: row[name] for name in COLUMNS if row.get(name)}
+            facts = VehicleFacts(
+                row["vehicle"], values, row.get("from") or "", row.get("to") or ""
+            )
+            found.setdefault(facts.vehicle, []).append(facts)
+        return found
+
+    def named(self, source: str) -> tuple[str, str | None, str | None]:
+        """Vehicle, day (ISO) and type that a log's address tells; the address where none fits."""
+        match = self._rule.search(source)
+        if match is None:
+            return source, None, None
+        groups = match.groupdict()
+        return groups["vehicle"], iso_day(groups.get("date")), groups.get("type")
+
+    def facts(self, vehicle: str, day: str | None) -> dict[str, str]:
+        """Type, serial number, batch and firmware of a vehicle on a day."""
+        rows = self._facts.get(vehicle, [])
+        for row in rows:
+            if day is None or (row.since or day) <= day <= (row.until or day):
+                return row.values
+        return {}
+
+    def bundle(self, vehicle_type: str | None) -> Bundle:
+        """The configuration of a type."""
+        return self._by_type.get(vehicle_type or "", self.default)
+
+
+def iso_day(text: str | None) -> str | None:
+    """A day as YYYY-MM-DD, from any usual way to write it in a path; None where it is none."""
+    match = _DATE.search(text or "")
+    return "-".join(match.groups()) if match else None
+
+
+def load_fleet(path: Path, changes: Mapping[str, Any] | None = None) -> Fleet:
+    """Read a fleet file; changes: keys that the command line gives. Raises ConfigError."""
+    data, marks = read_yaml_file(path, _WHOLE)
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}:1: a fleet file is a mapping with 'logs' and 'config'")
+    data = data | dict(changes or {})
+    return Fleet(typed(data, FleetSettings, marks, str(path), _WHOLE), path, marks)
+
+
+def patterns(settings: FleetSettings) -> Sequence[str]:
+    """The addresses of the logs, always as a list."""
+    return (settings.logs,) if isinstance(settings.logs, str) else settings.logs

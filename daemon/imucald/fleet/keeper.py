@@ -1,0 +1,173 @@
+"""Keeps one child process within its limits, and says how it ended.
+
+The template forks a keeper for each task, the keeper forks the child that evaluates the log. A
+child may hang, eat memory or die in C code: the keeper, which does nothing but wait, tells it in
+any case. All of them die with whoever started them.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import gc
+import importlib
+import os
+import select
+import signal
+import socket
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from typing import NoReturn
+
+import msgspec
+
+from imucald.fleet.own_process import die_with, limit_memory
+from imucald.fleet.task import Cost, Outcome, Task, encoded
+
+MAX_ANSWER = 64 * 2**20
+"""Bytes; a day's events are far below."""
+LAST_WORDS = 4000
+"""Bytes of standard error that are kept."""
+DYING_S = 5.0
+"""A process that waits for its storage does not die at once; no longer is waited for it."""
+BLOCK = 2**16
+
+
+def keep(asked: socket.socket, template: int) -> NoReturn:
+    """Run the task that the socket brings, answer through it, and end this process."""
+    status = 1
+    try:
+        die_with(template)
+        task = msgspec.json.decode(_whole(asked), type=Task)
+        asked.sendall(encoded(_guarded(task, asked)))
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def _whole(asked: socket.socket) -> bytes:
+    blocks = []
+    while block := asked.recv(BLOCK):
+        blocks.append(block)
+    return b"".join(blocks)
+
+
+def _guarded(task: Task, asked: socket.socket) -> Outcome:
+    began = time.monotonic()
+    words = os.memfd_create("last words")
+    answers, answer = os.pipe()
+    keeper = os.getpid()
+    child = os.fork()
+    if child == 0:
+        os.close(answers)
+        asked.close()
+        _become_child(task, keeper, answer, words)
+    os.close(answer)
+    told, ended = _watch(child, answers, asked, began + task.limits.time_s)
+    os.killpg(child, signal.SIGKILL)
+    usage = _reaped(child)
+    if usage is None:
+        text = f"still not dead {DYING_S:g} s after its time was up: its storage does not answer"
+        return Outcome("timeout", text)
+    status, cpu_s, peak = usage
+    cost = Cost(time.monotonic() - began, cpu_s, peak)
+    outcome = _verdict(told, ended, status, task, _last_words(words))
+    return msgspec.structs.replace(outcome, cost=cost)
+
+
+def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tuple[bytes, bool]:
+    """Return what the child said, and whether it ended by itself before its time was up."""
+    poll = select.poll()
+    poll.register(answers, select.POLLIN)
+    poll.register(asked, select.POLLHUP | select.POLLERR)
+    said = bytearray()
+    while (left := until - time.monotonic()) > 0.0 and len(said) <= MAX_ANSWER:
+        for descriptor, event in poll.poll(left * 1000.0):
+            if descriptor == answers:
+                block = os.read(answers, BLOCK)
+                if not block:
+                    return bytes(said), True
+                said += block
+            elif event & (select.POLLHUP | select.POLLERR):  # nobody waits for the answer
+                os.killpg(child, signal.SIGKILL)
+                os._exit(1)
+    return b"", False
+
+
+def _reaped(child: int) -> tuple[int, float, int] | None:
+    """Return exit status, processor time [s] and peak memory [bytes]; None where it does not die."""
+    until = time.monotonic() + DYING_S
+    while time.monotonic() < until:
+        pid, status, usage = os.wait4(child, os.WNOHANG)
+        if pid:
+            return status, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024
+        time.sleep(0.001)
+    return None
+
+
+def _last_words(words: int) -> str:
+    size = os.fstat(words).st_size
+    return os.pread(words, LAST_WORDS, max(size - LAST_WORDS, 0)).decode("utf-8", "replace")
+
+
+def _verdict(told: bytes, ended: bool, status: int, task: Task, words: str) -> Outcome:
+    code = os.waitstatus_to_exitcode(status)
+    if told:
+        try:
+            return msgspec.json.decode(told, type=Outcome)
+        except msgspec.DecodeError:
+            return Outcome("crashed", "its answer was cut off", exit_code=code)
+    if not ended:
+        return Outcome("timeout", f"took longer than {task.limits.time_s:g} s")
+    if code == -signal.SIGKILL:
+        text = "was killed from outside (SIGKILL): as a rule the machine's memory was exhausted"
+        return Outcome("memory", text, exit_code=code)
+    name = signal.Signals(-code).name if code < 0 else f"exit status {code}"
+    return Outcome("crashed", f"its process died: {name}", None, code, _stack(words))
+
+
+def _stack(words: str) -> str:
+    """The lines of standard error that are the same each time: without addresses of threads."""
+    kept = [line for line in words.splitlines() if "0x" not in line]
+    return "\n".join(kept)
+
+
+def _become_child(task: Task, keeper: int, answer: int, words: int) -> NoReturn:
+    """Evaluate, answer, end; never return to the keeper's code."""
+    try:
+        os.setpgid(0, 0)
+        die_with(keeper)
+        nothing = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(nothing, 0)
+        os.dup2(words, 1)
+        os.dup2(words, 2)
+        faulthandler.enable(sys.__stderr__ or 2)
+        limit_memory(task.limits.memory_bytes)
+        data = encoded(_evaluated(task))
+        while data:
+            data = data[os.write(answer, data) :]
+    except BaseException:
+        traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(1)
+    os._exit(0)
+
+
+def _evaluated(task: Task) -> Outcome:
+    try:
+        return function_of(task.function)(task)
+    except MemoryError:
+        gc.collect()
+        mebibytes = task.limits.memory_bytes / 2**20
+        return Outcome("memory", f"wanted more than {mebibytes:g} MiB beside the program")
+    except Exception as error:
+        text = f"{type(error).__name__}: {error}"
+        return Outcome("bug", text, traceback=traceback.format_exc(limit=-12))
+
+
+def function_of(name: str) -> Callable[[Task], Outcome]:
+    """The function that "module:name" means."""
+    module, _, attribute = name.partition(":")
+    found: Callable[[Task], Outcome] = getattr(importlib.import_module(module), attribute)
+    return found

@@ -1,0 +1,102 @@
+"""Who may write into a fleet's folder: one driver at a time."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+import uuid
+from pathlib import Path
+
+import msgspec
+
+from imucald.core.errors import ImucaldError
+from imucald.fleet.store import Store
+
+NAME = "_lease.json"
+BEAT_S = 20.0
+STALE_S = 120.0
+"""Without a sign of life for so long, the owner on another machine counts as dead."""
+
+
+class Owner(msgspec.Struct, frozen=True):
+    """Who holds the lease. started: of the process, in the kernel's ticks: pids come again."""
+
+    token: str
+    host: str
+    pid: int
+    started: str
+    beat: float
+
+
+class Lease:
+    """The right to write; taken by `with`."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._owner = Owner(
+            uuid.uuid4().hex, socket.gethostname(), os.getpid(), _started(os.getpid()), time.time()
+        )
+
+    def __enter__(self) -> Lease:
+        """Raise ImucaldError where another run holds it and lives."""
+        data = msgspec.json.encode(self._owner)
+        for _ in range(2):
+            if self._store.create(NAME, data):
+                break
+            holder = holder_of(self._store)
+            if holder is not None and _lives(holder):
+                age = time.time() - holder.beat
+                raise ImucaldError(
+                    f"{self._store.url}: another run is writing there (process {holder.pid} on "
+                    f"{holder.host}, last sign of life {age:.0f} s ago); wait for it, or give this "
+                    "one another --out"
+                )
+            self._store.remove(NAME)
+        else:
+            raise ImucaldError(f"{self._store.url}: another run was faster to take the lease")
+        self._check()
+        return self
+
+    def beat(self) -> None:
+        """Show a sign of life, where one is due. Raises ImucaldError where another took over."""
+        now = time.time()
+        if now - self._owner.beat < BEAT_S:
+            return
+        self._check()
+        self._owner = msgspec.structs.replace(self._owner, beat=now)
+        self._store.write(NAME, msgspec.json.encode(self._owner))
+
+    def _check(self) -> None:
+        holder = holder_of(self._store)
+        if holder is None or holder.token != self._owner.token:
+            raise ImucaldError(f"{self._store.url}: another run has taken this folder over")
+
+    def __exit__(self, *_: object) -> None:
+        """Give it back, where it is still ours."""
+        holder = holder_of(self._store)
+        if holder is not None and holder.token == self._owner.token:
+            self._store.remove(NAME)
+
+
+def holder_of(store: Store) -> Owner | None:
+    """Who holds the lease of a folder; None where nobody does, or nobody knows."""
+    try:
+        return msgspec.json.decode(store.read(NAME), type=Owner)
+    except (ImucaldError, msgspec.DecodeError):
+        return None
+
+
+def _lives(owner: Owner) -> bool:
+    if owner.host == socket.gethostname():
+        return _started(owner.pid) == owner.started != ""
+    return time.time() - owner.beat < STALE_S
+
+
+def _started(pid: int) -> str:
+    """When a process began (field 22 of /proc/PID/stat, proc(5)); empty where there is none."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return ""
+    return text.rpartition(")")[2].split()[19]

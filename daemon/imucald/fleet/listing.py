@@ -1,0 +1,97 @@
+"""Which logs there are, and whether one has changed: by its address and fingerprint alone."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from imucald.core.errors import ImucaldError
+from imucald.fleet.fetch import LOCAL, bare_path, file_system, protocol_of
+from imucald.fleet.fleet_file import Fleet, patterns
+
+LISTS = (".csv", ".txt")
+
+
+class Log(msgspec.Struct, frozen=True):
+    """One log of a listing. fingerprint: changes with the content. changed: UNIX time [s]."""
+
+    source: str
+    bytes: int
+    fingerprint: str
+    changed: float | None = None
+
+
+def list_logs(fleet: Fleet) -> list[Log]:
+    """All logs of a fleet, each address once, sorted. Raises ImucaldError where there is none."""
+    found = {log.source: log for pattern in patterns(fleet.settings) for log in _of(fleet, pattern)}
+    if not found:
+        text = ", ".join(patterns(fleet.settings))
+        raise ImucaldError(f"no log is at {text}")
+    return [found[source] for source in sorted(found)]
+
+
+def _of(fleet: Fleet, pattern: str) -> Iterator[Log]:
+    storage = fleet.settings.storage
+    url = pattern
+    if protocol_of(pattern) == "memory":
+        raise ImucaldError(f"{pattern}: memory lives in one process, logs are read by others")
+    if protocol_of(pattern) in LOCAL:
+        url = str(fleet.folder / bare_path(pattern))
+    if url.lower().endswith(LISTS) and not any(c in url for c in "*?["):
+        for address in _listed(url, storage):
+            yield from _of(fleet, address)
+        return
+    system = file_system(url, storage)
+    try:
+        entries = system.glob(url, detail=True)
+    except Exception as error:  # each storage has errors of its own
+        raise ImucaldError(f"{pattern}: cannot be listed: {type(error).__name__}: {error}") from None
+    for name, entry in entries.items():
+        if entry.get("type") != "directory":
+            yield _log(str(name), entry, protocol_of(url))
+
+
+def _listed(url: str, storage: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Addresses of a list: one a line, or the column `log` (else the first) of a CSV file."""
+    try:
+        text = file_system(url, storage).cat_file(url).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ImucaldError(f"{url}: cannot be read: {error}") from None
+    rows = [row for row in csv.reader(io.StringIO(text)) if row and not row[0].startswith("#")]
+    if url.lower().endswith(".csv") and rows and "log" in rows[0]:
+        column = rows[0].index("log")
+        return [row[column] for row in rows[1:] if len(row) > column]
+    return [row[0].strip() for row in rows]
+
+
+def _log(name: str, entry: Mapping[str, Any], protocol: str) -> Log:
+    changed = _unix(entry.get("mtime") or entry.get("LastModified") or entry.get("last_modified"))
+    size = int(entry.get("size") or 0)
+    tag = entry.get("ETag") or entry.get("etag") or entry.get("md5Hash") or entry.get("CRC")
+    fingerprint = f"{size}-{tag}" if tag else f"{size}-{0.0 if changed is None else changed:.6f}"
+    source = name if protocol in LOCAL else f"{protocol}://{name.removeprefix(f'{protocol}://')}"
+    return Log(source, size, fingerprint.replace('"', ""), changed)
+
+
+def _unix(value: object) -> float | None:
+    if isinstance(value, datetime):
+        return (value if value.tzinfo else value.replace(tzinfo=UTC)).timestamp()
+    return float(value) if isinstance(value, int | float) else None
+
+
+def is_since(log: Log, day: str | None, since: str) -> bool:
+    """Whether a log is of a day (ISO) or later: by its address, else by its last change."""
+    if day is None and log.changed is not None:
+        day = datetime.fromtimestamp(log.changed, UTC).date().isoformat()
+    return day is None or day >= since
+
+
+def shown(source: str) -> str:
+    """The last part of an address, for messages."""
+    return Path(source).name

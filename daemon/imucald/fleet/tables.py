@@ -1,0 +1,136 @@
+"""Tables as Parquet: written as parts while a run goes on, as one sorted file when it ends.
+
+`drives/drives.parquet` is the finished table, `drives/part-00000007.parquet` what flush 7 of a run
+brought. All tables of a flush have its number; `sources` is written last and says that it is whole.
+Rows are known by their keys and a later one counts, so whatever is written twice does no harm.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from imucald.core.errors import ImucaldError
+from imucald.fleet.columns import ORDER, TABLES, VERSION, Column
+from imucald.fleet.store import Store
+
+TYPES: Mapping[str, pa.DataType] = {
+    "text": pa.string(),
+    "time": pa.timestamp("us", "UTC"),
+    "float": pa.float64(),
+    "float32": pa.float32(),
+    "integer": pa.int64(),
+    "short": pa.int16(),
+    "int8": pa.int8(),
+    "flag": pa.bool_(),
+}
+ROW_GROUP = 100_000
+LEVEL = 3
+"""Of zstd."""
+PART = "part-"
+
+
+def schema_of(table: str, columns: Sequence[Column]) -> pa.Schema:
+    """Arrow schema: units in the fields' metadata, and once more in the file's keys."""
+    fields = [
+        pa.field(
+            c.name,
+            TYPES[c.kind],
+            metadata={"unit": c.unit, "description": c.meaning} if c.unit else {"description": c.meaning},
+        )
+        for c in columns
+    ]
+    units = {c.name: c.unit for c in columns if c.unit}
+    about = {"table": table, "version": VERSION, "units": units}
+    keys = {"imucald": json.dumps(about), "PANDAS_ATTRS": json.dumps({"units": units})}
+    return pa.schema(fields, metadata=keys)
+
+
+def table_of(
+    name: str, rows: Sequence[Mapping[str, Any]], columns: Sequence[Column] | None = None
+) -> pa.Table:
+    """Rows as a table with all its columns; times are UNIX seconds in the rows."""
+    columns = TABLES[name] if columns is None else columns
+    schema = schema_of(name, columns)
+    arrays = []
+    for column, field in zip(columns, schema, strict=True):
+        values = [row.get(column.name) for row in rows]
+        if column.kind == "time":
+            values = [None if v is None else round(v * 1e6) for v in values]
+            arrays.append(pa.array(values, pa.int64()).cast(field.type))
+        else:
+            arrays.append(pa.array(values, field.type))
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def as_parquet(table: pa.Table) -> bytes:
+    """The bytes of a file; the same table gives the same bytes."""
+    sink = io.BytesIO()
+    pq.write_table(
+        table, sink, compression="zstd", compression_level=LEVEL, row_group_size=ROW_GROUP
+    )
+    return sink.getvalue()
+
+
+def main_file(table: str) -> str:
+    """The name of the finished table."""
+    return f"{table}/{table.rpartition('/')[2]}.parquet"
+
+
+def parts(store: Store, table: str) -> list[tuple[int, str]]:
+    """Number and name of the files of a table, oldest first; 0 is the finished table."""
+    found = []
+    for name in store.names(table, ".parquet"):
+        stem = name.rpartition("/")[2].removesuffix(".parquet")
+        if name == main_file(table):
+            found.append((0, name))
+        elif stem.startswith(PART) and stem.removeprefix(PART).isdigit():
+            found.append((int(stem.removeprefix(PART)), name))
+    return sorted(found)
+
+
+def write_part(store: Store, table: str, number: int, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write what a flush brought."""
+    if rows:
+        data = as_parquet(table_of(table, rows))
+        store.write(f"{table}/{PART}{number:08d}.parquet", data)
+
+
+def read_file(store: Store, name: str, columns: Sequence[Column]) -> pa.Table:
+    """One file with all columns of today: those that an older version lacks are null."""
+    try:
+        found = pq.read_table(pa.BufferReader(store.read(name)))
+    except pa.ArrowInvalid as error:
+        raise ImucaldError(f"{store.url}/{name}: is no Parquet file: {error}") from None
+    schema = schema_of(name.partition("/")[0], columns)
+    arrays = [
+        found.column(f.name).cast(f.type)
+        if f.name in found.column_names
+        else pa.nulls(len(found), f.type)
+        for f in schema
+    ]
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def read_with_parts(store: Store, table: str) -> tuple[pa.Table, list[int]]:
+    """All files of a table one after the other, and for each row the number of its flush."""
+    columns = TABLES[table]
+    found, numbers = [], []
+    for number, name in parts(store, table):
+        one = read_file(store, name, columns)
+        found.append(one)
+        numbers += [number] * len(one)
+    empty = schema_of(table, columns).empty_table()
+    return pa.concat_tables([empty, *found]), numbers
+
+
+def finished(table: str, rows: pa.Table) -> pa.Table:
+    """Sorted as a finished table is."""
+    order = [(key, "ascending") for key in ORDER[table]]
+    return rows.take(pc.sort_indices(rows, sort_keys=order))

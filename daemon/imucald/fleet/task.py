@@ -1,0 +1,84 @@
+"""What goes to a worker for one log, and what comes back: plain data, as JSON between processes."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import msgspec
+
+FAILURES: Final = (
+    "unreadable",  # no regular file, or no log at all
+    "no_frames",  # a log, but without a usable frame of this configuration
+    "config",  # the configuration or a database is wrong
+    "storage",  # the log could not be fetched
+    "timeout",  # took longer than the time limit
+    "memory",  # wanted more than the memory limit
+    "crashed",  # its process died
+    "bug",  # an error that imucald does not raise on purpose
+)
+"""How the evaluation of a log can fail. Its row in `failures` has one of these as `kind`."""
+
+ONCE_MORE: Final = frozenset({"timeout", "memory", "crashed"})
+"""Tried a second time, alone: a busy machine may have been the reason, not the log."""
+
+OK: Final = "ok"
+
+
+class Limits(msgspec.Struct, frozen=True):
+    """What one log may take."""
+
+    memory_bytes: int = 2**30
+    """Beside the program itself."""
+    time_s: float = 900.0
+    """By the wall clock."""
+
+
+class Task(msgspec.Struct, frozen=True):
+    """One log to evaluate.
+
+    source: its fsspec URL. bundle: name of the configuration, see `bundle.py`. function: what is
+    called in the child, as "module:name". signals: URL below which corrected signals are written.
+    storage: options of the file systems by protocol; secrets come from the environment.
+    """
+
+    source: str
+    bundle: str
+    code: str = ""
+    vehicle: str = ""
+    date: str | None = None
+    bytes: int = 0
+    limits: Limits = Limits()
+    function: str = "imucald.fleet.evaluation:evaluate"
+    signals: str | None = None
+    storage: dict[str, dict[str, Any]] = {}
+
+
+class Cost(msgspec.Struct, frozen=True):
+    """What an attempt took; differs from run to run, so it stands in a table of its own."""
+
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    peak_memory_bytes: int = 0
+    worker: str = ""
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """The end of one attempt; kind is "ok" or one of `FAILURES`.
+
+    log_key: SHA-256 of the log's content (16 hex digits), where it was read to the end. drive: the
+    row of `drives` without what the driver adds. message, traceback: for people.
+    """
+
+    kind: str
+    message: str = ""
+    log_key: str | None = None
+    exit_code: int | None = None
+    traceback: str = ""
+    drive: dict[str, Any] | None = None
+    events: list[dict[str, Any]] = []
+    cost: Cost = Cost()
+
+
+def encoded(value: Task | Outcome) -> bytes:
+    """A task or outcome as JSON."""
+    return msgspec.json.encode(value)

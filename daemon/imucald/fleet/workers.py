@@ -1,0 +1,141 @@
+"""Who evaluates logs: this machine, any `concurrent.futures.Executor`, or a Dask cluster.
+
+A task never raises, hangs or kills its worker: it runs in a child process of its own and its end is
+an `Outcome`. So all of them behave alike, and blame is exact.
+"""
+
+from __future__ import annotations
+
+import queue
+import socket
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from typing import Any, Protocol
+
+import msgspec
+
+from imucald.fleet.bundle import Bundle, unpack
+from imucald.fleet.children import template_for
+from imucald.fleet.task import Outcome, Task
+
+DEATHS = "its worker died, several times, while it was evaluated or waited"
+
+
+def run_one_log(task: Task) -> Outcome:
+    """Evaluate one log in a child of this process; its end, whatever it was."""
+    outcome = template_for(task.function).run(task)
+    cost = msgspec.structs.replace(outcome.cost, worker=socket.gethostname())
+    return msgspec.structs.replace(outcome, cost=cost)
+
+
+class Workers(Protocol):
+    """Takes tasks and gives their outcomes, in any order."""
+
+    slots: int
+    """Tasks that run at the same time, about: a cluster may grow and shrink."""
+
+    def submit(self, tasks: Sequence[Task]) -> None:
+        """Take tasks; returns at once."""
+        ...
+
+    def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
+        """Outcomes since the last call, waiting for the first at most `timeout` seconds.
+
+        None: the task was called back before it began.
+        """
+        ...
+
+    def call_back(self) -> None:
+        """Begin none of the tasks that wait; what runs is finished."""
+        ...
+
+    def close(self) -> None:
+        """Let go of everything."""
+        ...
+
+
+class AnyFuture(Protocol):
+    """What futures of the standard library and of Dask have in common."""
+
+    def add_done_callback(self, fn: Callable[[Any], object], /) -> object:
+        """Call `fn` with the future when it ends."""
+        ...
+
+    def cancel(self) -> object:
+        """Take it back, where it has not begun."""
+        ...
+
+
+class _Futures:
+    """Futures on their way, and those that ended."""
+
+    def __init__(self) -> None:
+        self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._tasks: dict[int, tuple[Any, Task]] = {}
+
+    def add(self, future: AnyFuture, task: Task) -> None:
+        self._tasks[id(future)] = future, task
+        future.add_done_callback(self._ended.put)
+
+    def ended(self, timeout: float) -> list[tuple[Any, Task]]:
+        found: list[tuple[Any, Task]] = []
+        try:
+            while True:
+                future = self._ended.get(timeout=0.0 if found else timeout)
+                known = self._tasks.pop(id(future), None)
+                if known is not None:
+                    found.append(known)
+        except queue.Empty:
+            return found
+
+    def cancel(self) -> None:
+        for future, _ in list(self._tasks.values()):
+            future.cancel()
+
+
+class ExecutorWorkers:
+    """Any `concurrent.futures.Executor`; the default is this machine."""
+
+    def __init__(self, executor: Executor, slots: int) -> None:
+        self.slots = slots
+        self._executor = executor
+        self._futures = _Futures()
+
+    @classmethod
+    def here(cls, slots: int, bundles: Mapping[str, Bundle]) -> ExecutorWorkers:
+        """Threads of this process, each of which waits for a child."""
+        unpack(bundles)
+        return cls(ThreadPoolExecutor(slots, thread_name_prefix="log"), slots)
+
+    def submit(self, tasks: Sequence[Task]) -> None:
+        """Take tasks."""
+        for task in tasks:
+            self._futures.add(self._executor.submit(run_one_log, task), task)
+
+    def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
+        """Outcomes since the last call."""
+        return [(task, _outcome(future)) for future, task in self._futures.ended(timeout)]
+
+    def call_back(self) -> None:
+        """Begin none of the tasks that wait."""
+        self._futures.cancel()
+
+    def close(self) -> None:
+        """Begin nothing more; does not wait."""
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _outcome(future: Any) -> Outcome | None:
+    try:
+        found: Outcome = future.result()
+    except CancelledError:
+        return None
+    except Exception as error:  # of the executor itself
+        return Outcome("crashed", f"{DEATHS}: {type(error).__name__}")
+    return found
+
+
+def unique_keys(count: int) -> list[str]:
+    """Keys of Dask tasks: never a path, which would be replaced by an equal key's result."""
+    return [f"imucald-log-{uuid.uuid4().hex}" for _ in range(count)]

@@ -1,0 +1,87 @@
+"""Which numbers a configuration's `signals` section asks for: key -> channel, quantity, axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from msgspec import Struct
+
+from imucald import config as cfg
+
+Place = tuple[str | int, ...]
+
+DIMENSIONS = {
+    "accel": "acceleration",
+    "gyro": "angular_rate",
+    "mag": "magnetic_field",
+    "speed": "speed",
+    "wheel_speeds": "speed",
+    "steering": "angle",
+    "yaw_rate": "angular_rate",
+    "lateral_accel": "acceleration",
+    "longitudinal_accel": "acceleration",
+    "reverse": "flag",
+    "brake": "flag",
+    "temperature": "temperature",
+    "heading": "angle",
+}
+_TRIADS = {"accelerometer": "accel", "gyroscope": "gyro", "magnetometer": "mag"}
+_SCALARS = {
+    "speed": "speed",
+    "steering_wheel_angle": "steering",
+    "yaw_rate": "yaw_rate",
+    "lateral_acceleration": "lateral_accel",
+    "longitudinal_acceleration": "longitudinal_accel",
+    "reverse": "reverse",
+    "brake": "brake",
+    "temperature": "temperature",
+    "heading": "heading",
+}
+_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+
+
+class Wanted(Struct, frozen=True):
+    """One number that the configuration asks for."""
+
+    channel: str
+    dimension: str
+    rank: int
+    slot: int
+    width: int
+    planar: bool
+    source: cfg.SourceSettings
+    place: Place
+
+
+def wanted_numbers(signals: cfg.Signals) -> Iterator[Wanted]:
+    """Every number that the configuration's `signals` section names."""
+    for key, channel in _TRIADS.items():
+        triads: Sequence[cfg.TriadSettings] | None = getattr(signals, key)
+        for rank, triad in enumerate(triads or ()):
+            place: Place = ("signals", key, rank)
+            yield from _axes(channel, DIMENSIONS[channel], rank, triad, place)
+    for sensor_index, sensor in enumerate(signals.parallel):
+        triad = cfg.TriadSettings(x=sensor.x, y=sensor.y, z=sensor.z)
+        place = ("signals", "parallel", sensor_index)
+        yield from _axes(f"parallel/{sensor.name}", sensor.kind, 0, triad, place)
+    for key, channel in _SCALARS.items():
+        sources: Sequence[cfg.SourceSettings] | None = getattr(signals, key)
+        for rank, source in enumerate(sources or ()):
+            place = ("signals", key, rank)
+            yield Wanted(channel, DIMENSIONS[channel], rank, 0, 1, False, source, place)
+    if signals.wheel_speeds is not None:
+        for slot, key in enumerate(_WHEELS):
+            source = getattr(signals.wheel_speeds, key)
+            place = ("signals", "wheel_speeds", key)
+            yield Wanted("wheel_speeds", "speed", 0, slot, 4, False, source, place)
+
+
+def _axes(
+    channel: str, dimension: str, rank: int, triad: cfg.TriadSettings, place: Place
+) -> Iterator[Wanted]:
+    planar = triad.z is None
+    for slot, axis in enumerate("xyz"):
+        source: cfg.SourceSettings | None = getattr(triad, axis)
+        if source is not None:
+            here = (*place, axis)
+            yield Wanted(channel, dimension, rank, slot, 3, planar, source, here)

@@ -1,0 +1,85 @@
+"""A sensor that says the same again and again is stuck, and must still be seen to be.
+
+Terms that change from sample to sample (the bias with the temperature, the force that a gyroscope
+feels) would make a stuck sensor move. So a sample that repeats the one before it gets its result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.model.section import Vector3
+from imucald.model_compensation.sample_chain import Stage, through
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+class HeldRepeats:
+    """Remembers the last raw sample of one sensor and what became of it.
+
+    Single samples and columns give the same. tolerance: means of equal samples differ by so much.
+    """
+
+    def __init__(self, tolerance: float = 0.0) -> None:
+        self._tolerance = tolerance
+        self._raw: tuple[float, ...] | None = None
+        self._result: Vector3 | None = None
+
+    def restart(self) -> None:
+        """Time jumped: the next sample repeats nothing."""
+        self._raw = None
+
+    def known(self, raw: Sequence[float]) -> bool:
+        """Whether a raw sample (3,) repeats the last one, whose result is `result`."""
+        if self._raw is None:
+            return False
+        if not self._tolerance:
+            return tuple(raw) == self._raw
+        return all(abs(a - b) <= self._tolerance for a, b in zip(raw, self._raw, strict=True))
+
+    @property
+    def result(self) -> Vector3 | None:
+        """What became of the last sample; None where it was refused."""
+        return self._result
+
+    def keep(self, raw: Sequence[float], result: Vector3 | None) -> Vector3 | None:
+        """Remember a raw sample and its result, which is returned."""
+        self._raw, self._result = tuple(raw), result
+        return result
+
+    def columns(self, raw: Array, values: Array, refused: Flags) -> tuple[Array, Flags]:
+        """Results (N, 3) and refusals (N,) of raw samples (N, 3), those of repeats replaced."""
+        n = len(raw)
+        if n == 0:
+            return values, refused
+        new = np.ones(n, dtype=bool)
+        new[1:] = (raw[1:] != raw[:-1]).any(axis=1)
+        new[0] = not self.known(raw[0].tolist())
+        # Row 0 of what follows is the last result of before.
+        first = np.maximum.accumulate(np.where(new, np.arange(1, n + 1), 0))
+        last = self._result
+        held = np.zeros(3) if last is None else np.array(last)
+        values = np.concatenate([held[None], values])[first]
+        refused = np.concatenate([[last is None], refused])[first]
+        x, y, z = values[-1].tolist()
+        self.keep(raw[-1].tolist(), None if refused[-1] else (x, y, z))
+        return values, refused
+
+
+class HeldStages:
+    """A stage: stages of a three-axis sensor, whose result a repeated sample gets again."""
+
+    def __init__(self, repeats: HeldRepeats, stages: Sequence[Stage]) -> None:
+        self._repeats, self._stages = repeats, tuple(stages)
+
+    def __call__(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
+        """One raw sample at t [s]; None where it, or the one that it repeats, is refused."""
+        repeats = self._repeats
+        if repeats.known(v):
+            return repeats.result
+        found = through(self._stages, t, v)
+        return repeats.keep(v, None if found is None else (found[0], found[1], found[2]))

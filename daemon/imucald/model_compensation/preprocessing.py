@@ -1,0 +1,109 @@
+"""All that a model file changes in one engine: samples, columns, ticks; and what it counts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.inputs.router import ColumnSamples, Routed, Sample
+from imucald.model.section import Vector3
+from imucald.model_compensation.sensors import SensorCorrection
+from imucald.model_compensation.tick_preprocessing import TickPreprocessing
+from imucald.model_compensation.vehicle import Corrected, VehicleCorrection
+
+Array = NDArray[np.float64]
+
+REFUSED = "out_of_range"
+"""Reason under which refused samples are counted."""
+
+
+@dataclass
+class PreprocessingChain:
+    """What a model knows, taken out on the way from router to output.
+
+    name: of the model file. estimate_key: names what an estimate of the mount rests on: equal keys,
+    equal estimates. vehicle, ticks: None where there is nothing to do. used: names of the terms
+    that are taken out. notes: what of the model is not used.
+    """
+
+    name: str
+    estimate_key: str
+    sensors: SensorCorrection
+    vehicle: VehicleCorrection | None
+    ticks: TickPreprocessing | None
+    used: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    def words(self) -> str:
+        """One line: which model, and what of it is taken out."""
+        return f"model {self.name}: takes out {', '.join(self.used) or 'nothing'}"
+
+    def summary(self) -> dict[str, Any]:
+        """The same as JSON has it."""
+        return {
+            "file": self.name,
+            "taken_out": list(self.used),
+            "not_used": list(self.notes),
+        }
+
+    def gap(self) -> None:
+        """Time jumped (the pipeline tells the ticks by itself)."""
+        self.sensors.gap()
+        if self.vehicle is not None:
+            self.vehicle.gap()
+
+    # one frame -----------------------------------------------------------------------------
+
+    def frame(
+        self, t: float, samples: list[Sample], rejected: Counter[str]
+    ) -> tuple[list[Sample], list[str]]:
+        """Samples of one frame less what is known; and the channels of which one was refused."""
+        if not samples:
+            return samples, []
+        out, refused = self.sensors.frame(t, samples)
+        if refused:
+            rejected[REFUSED] += len(refused)
+        return out, refused
+
+    def corrected(self, t: float, turned: dict[str, Vector3 | None]) -> dict[str, Vector3 | None]:
+        """Corrected samples of one frame, vehicle axes."""
+        return turned if self.vehicle is None else self.vehicle.frame(t, turned)
+
+    # columns -------------------------------------------------------------------------------
+
+    def columns(self, routed: Routed, t: Array, rejected: Counter[str]) -> Routed:
+        """Columns of samples less what is known; t: stream times of all rows [s]."""
+        order = {channel: series.row for channel, series in routed.samples.items()}
+        taken = self.sensors.columns(routed.samples, order)
+        if not taken:
+            return routed
+        samples = dict(routed.samples)
+        rows = dict(routed.rejected)
+        events = [routed.events]
+        for channel, one in taken.items():
+            series, good = routed.samples[channel], ~one.refused
+            if good.all():
+                samples[channel] = ColumnSamples(series.t, one.values, series.row)
+                continue
+            bad = series.row[one.refused]
+            rejected[REFUSED] += len(bad)
+            events.append(t[bad])
+            rows[channel] = np.sort(np.concatenate([rows.get(channel, bad[:0]), bad]))
+            samples[channel] = ColumnSamples(series.t[good], one.values[good], series.row[good])
+            if not good.any():
+                del samples[channel]
+        return Routed(samples, rows, np.sort(np.concatenate(events)))
+
+    def corrected_columns(
+        self, samples: Mapping[str, ColumnSamples], turned: Mapping[str, Array]
+    ) -> dict[str, Array]:
+        """Corrected samples (N, 3) by channel, vehicle axes."""
+        if self.vehicle is None:
+            return dict(turned)
+        columns = {c: Corrected(s.row, s.t, turned[c]) for c, s in samples.items()}
+        return self.vehicle.columns(columns)

@@ -1,0 +1,54 @@
+"""Signals of one number, and the four wheels: scale and offset taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.inputs.quantities import LIMITS
+from imucald.model_compensation.terms import ScalarTerms
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+class ScalarCompensator:
+    """Scale and offset of one number; limit: its largest plausible size in SI."""
+
+    def __init__(self, terms: ScalarTerms, limit: float) -> None:
+        self._offset, self._gain = terms.offset, 1.0 + terms.scale
+        self._low, self._high = terms.rail
+        self._limit = limit
+
+    def sample(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
+        """One sample; None where it is refused."""
+        x = (v[0] - self._offset) / self._gain
+        if self._low <= abs(v[0]) <= self._high or not -self._limit <= x <= self._limit:
+            return None
+        return (x,)
+
+    def columns(self, v: Array) -> tuple[Array, Flags]:
+        """Samples (N,) as `sample` has them, and which are refused."""
+        x = (v - self._offset) / self._gain
+        size = np.abs(v)
+        refused = ((self._low <= size) & (size <= self._high)) | ~(np.abs(x) <= self._limit)
+        return x, refused
+
+
+class WheelsCompensator:
+    """Scale of four wheel speeds [m/s]."""
+
+    def __init__(self, scales: Sequence[float]) -> None:
+        self._gains = [1.0 + scale for scale in scales]
+
+    def sample(self, t: float, v: Sequence[float]) -> Sequence[float] | None:
+        """One sample (4,); None where one of them cannot be."""
+        found = [x / gain for x, gain in zip(v, self._gains, strict=True)]
+        return found if all(abs(x) <= LIMITS["speed"] for x in found) else None
+
+    def columns(self, v: Array) -> tuple[Array, Flags]:
+        """Samples (N, 4) as `sample` has them, and which are refused (N,)."""
+        found = v / np.array(self._gains)
+        return found, ~(np.abs(found).max(axis=1, initial=0.0) <= LIMITS["speed"])

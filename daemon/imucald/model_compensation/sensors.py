@@ -1,0 +1,238 @@
+"""The terms that need no mount: every sample as its sensor should have given it.
+
+Samples of one frame are taken temperature first, then the accelerometer, then the gyroscope (whose
+g-sensitivity needs the force); of columns the same by their order. Scalar and column use may be
+mixed, and give the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.samples import Series
+from imucald.inputs.quantities import LIMITS
+from imucald.model.section import Vector3
+from imucald.model_compensation.held_repeats import HeldRepeats, HeldStages
+from imucald.model_compensation.sample_chain import Stage, through
+from imucald.model_compensation.scalars import ScalarCompensator, WheelsCompensator
+from imucald.model_compensation.smoothing import Smoothed
+from imucald.model_compensation.terms import ScalarTerms, Terms, TriadTerms
+from imucald.model_compensation.triads import TriadCompensator
+
+Array = NDArray[np.float64]
+Order = NDArray[np.int64] | NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+Sample = tuple[str, Sequence[float]]
+
+FELT_HZ = 5.0
+"""The force that the gyroscope feels, for its g-sensitivity: vibration is not to be carried over
+from one sensor to the other, whose samples are of other instants."""
+MIN_DEGC, MAX_DEGC = -60.0, 150.0
+"""A temperature beyond is none [degC]; the last one stands."""
+_FIRST = {"temperature": 0, "accel": 1, "gyro": 2, "wheel_speeds": 3}
+CHANNELS = (
+    "temperature", "accel", "gyro", "mag", "wheel_speeds",
+    "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel",
+)  # fmt: skip
+"""Those that a term may change."""
+_DIMENSION = {"accel": "acceleration", "gyro": "angular_rate", "mag": "magnetic_field"}
+_DIMENSION |= {"speed": "speed", "steering": "angle", "yaw_rate": "angular_rate"}
+_DIMENSION |= {"lateral_accel": "acceleration", "longitudinal_accel": "acceleration"}
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """A channel of columns after compensation: values as in `samples`, and which are refused."""
+
+    values: Array
+    refused: Flags
+
+
+class SensorCorrection:
+    """Takes what the model knows of each sensor out of its samples.
+
+    derived_speed: speed comes from the wheels and is to be made again of the corrected ones.
+    """
+
+    def __init__(self, terms: Terms, derived_speed: bool = False) -> None:
+        self._terms = terms
+        self._derived = derived_speed and any(terms.wheel_scales)
+        triads = {"accel": terms.accel, "gyro": terms.gyro, "mag": terms.mag}
+        self._sensitive = any(terms.g_sensitivity)
+        self._felt = Smoothed(FELT_HZ)
+        self._triads = {
+            channel: TriadCompensator(t, LIMITS[_DIMENSION[channel]])
+            for channel, t in triads.items()
+            if t != TriadTerms() or (channel == "gyro" and self._sensitive)
+        }
+        self._temperature_dependent = [t for t in self._triads.values() if t.follows_temperature]
+        self._scalars = {
+            channel: ScalarCompensator(s, LIMITS[_DIMENSION[channel]])
+            for channel, s in terms.scalars.items()
+            if s != ScalarTerms() and not (channel == "speed" and derived_speed)
+        }
+        self._wheels = WheelsCompensator(terms.wheel_scales) if any(terms.wheel_scales) else None
+        # terms that change from sample to sample
+        self._repeats = {c: HeldRepeats() for c, t in self._triads.items() if t.follows_temperature}
+        if self._sensitive:
+            self._repeats["gyro"] = HeldRepeats()
+        stages = {channel: self._stages(channel) for channel in CHANNELS}
+        self._chains = {channel: chain for channel, chain in stages.items() if chain}
+
+    def _stages(self, channel: str) -> list[Stage]:
+        """What is done to each sample of a channel, in order; empty: nothing."""
+        stages: list[Stage] = []
+        if channel in self._triads:
+            stages.append(self._triads[channel].sample)
+        if channel in self._scalars:
+            stages.append(self._scalars[channel].sample)
+        if channel == "gyro" and self._sensitive:
+            stages.append(self._less_felt)
+        if channel in self._repeats:
+            stages = [HeldStages(self._repeats[channel], stages)]
+        if channel == "accel" and self._sensitive:
+            stages.append(self._feel)
+        if channel == "temperature" and self._temperature_dependent:
+            stages.append(self._temperature)
+        if channel == "wheel_speeds" and self._wheels is not None:
+            stages.append(self._wheels.sample)
+        return stages
+
+    def gap(self) -> None:
+        """Time jumped: what is carried from sample to sample is forgotten (not the temperature)."""
+        self._felt.restart()
+        for repeats in self._repeats.values():
+            repeats.restart()
+
+    # one frame -----------------------------------------------------------------------------
+
+    def frame(self, t: float, samples: list[Sample]) -> tuple[list[Sample], list[str]]:
+        """Samples of one frame at stream time t [s]: those compensated, and channels refused."""
+        if len(samples) == 1:
+            channel, values = samples[0]
+            stages = self._chains.get(channel)
+            if stages is None:
+                return samples, []
+            found = through(stages, t, values)
+            return ([], [channel]) if found is None else ([(channel, found)], [])
+        out: list[Sample] = []
+        refused: list[str] = []
+        wheels: Sequence[float] | None = None
+        for channel, values in sorted(samples, key=_rank):
+            found = through(self._chains.get(channel, ()), t, values)
+            if channel == "wheel_speeds":
+                wheels = found
+            elif channel == "speed" and self._derived:
+                found = None if wheels is None else (middle(wheels),)
+            if found is None:
+                refused.append(channel)
+            else:
+                out.append((channel, found))
+        return out, refused
+
+    def _temperature(self, t: float, v: Sequence[float]) -> Sequence[float]:
+        degc = v[0]
+        if MIN_DEGC <= degc <= MAX_DEGC:
+            for triad in self._temperature_dependent:
+                triad.set_temperature(degc)
+        return v
+
+    def _feel(self, t: float, v: Sequence[float]) -> Sequence[float]:
+        x, y, z = v
+        self._felt.push(t, (x, y, z))
+        return v
+
+    def _less_felt(self, t: float, v: Sequence[float]) -> Sequence[float]:
+        a, b, c = self._felt.value
+        p, q, r = self._terms.g_sensitivity
+        return v[0] - p * a, v[1] - q * b, v[2] - r * c
+
+    # columns -------------------------------------------------------------------------------
+
+    def columns(
+        self, samples: Mapping[str, Series], order: Mapping[str, Order]
+    ) -> dict[str, Taken]:
+        """Columns of samples; of those channels that are changed.
+
+        order: by channel a number for each sample, never decreasing, that says which came first;
+        equal ones came in one frame.
+        """
+        temperatures = self._temperatures(samples, order)
+        out: dict[str, Taken] = {}
+        for channel, triad in self._triads.items():
+            if channel in samples:
+                before = _before(order[channel], temperatures[0])
+                values, refused = triad.columns(samples[channel].values, (before, temperatures[1]))
+                out[channel] = Taken(values, refused)
+        self._repeat("accel", samples, out)
+        if self._sensitive:
+            self._take_felt(samples, order, out)
+        self._repeat("gyro", samples, out)
+        for triad in self._temperature_dependent if len(temperatures[1]) else ():
+            triad.set_temperature(float(temperatures[1][-1]))
+        for channel, scalar in self._scalars.items():
+            if channel in samples:
+                out[channel] = Taken(*scalar.columns(samples[channel].values))
+        if "wheel_speeds" in samples and self._wheels is not None:
+            wheels = self._wheels.columns(samples["wheel_speeds"].values)
+            out["wheel_speeds"] = Taken(*wheels)
+            if self._derived and "speed" in samples:
+                ordered = np.sort(np.abs(wheels[0]), axis=1)
+                out["speed"] = Taken(0.5 * (ordered[:, 1] + ordered[:, 2]), wheels[1])
+        return out
+
+    def _repeat(self, channel: str, samples: Mapping[str, Series], out: dict[str, Taken]) -> None:
+        if channel in self._repeats and channel in samples:
+            taken, raw = out[channel], samples[channel].values
+            found = self._repeats[channel].columns(raw, taken.values, taken.refused)
+            out[channel] = Taken(*found)
+
+    def _temperatures(
+        self, samples: Mapping[str, Series], order: Mapping[str, Order]
+    ) -> tuple[Order, Array]:
+        """Order and temperatures [degC] that count."""
+        series = samples.get("temperature")
+        if series is None or not self._temperature_dependent:
+            return np.zeros(0), np.zeros(0)
+        good = (series.values >= MIN_DEGC) & (series.values <= MAX_DEGC)
+        return order["temperature"][good], series.values[good]
+
+    def _take_felt(
+        self, samples: Mapping[str, Series], order: Mapping[str, Order], out: dict[str, Taken]
+    ) -> None:
+        """Force that the gyroscope felt at each of its samples, taken off."""
+        felt: list[Vector3] = [self._felt.value]
+        before: Order = np.zeros(0)
+        accel = samples.get("accel")
+        if accel is not None:
+            taken = out.get("accel")
+            good = np.ones(len(accel.t), bool) if taken is None else ~taken.refused
+            values = accel.values if taken is None else taken.values
+            for t, v in zip(accel.t[good].tolist(), values[good].tolist(), strict=True):
+                felt.append(self._felt.push(t, v))
+            before = order["accel"][good]
+        if "gyro" in samples:
+            force = np.array(felt)[_before(order["gyro"], before)]
+            gyro = out["gyro"]
+            taken_off = np.array(self._terms.g_sensitivity) * force
+            out["gyro"] = Taken(gyro.values - taken_off, gyro.refused)
+
+
+def _rank(sample: Sample) -> int:
+    return _FIRST.get(sample[0], 9)
+
+
+def _before(order: Order, others: Order) -> NDArray[np.int64]:
+    """How many of the others had come when each came; those of the same frame had."""
+    return np.searchsorted(others, order, side="right").astype(np.int64)
+
+
+def middle(wheels: Sequence[float]) -> float:
+    """Mean of the middle two of four wheel speeds [m/s]."""
+    _, b, c, _ = sorted(abs(v) for v in wheels)
+    return 0.5 * (b + c)

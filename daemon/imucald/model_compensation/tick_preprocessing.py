@@ -1,0 +1,98 @@
+"""The estimator's ticks with what the model knows: signals of one time, on a stiff suspension.
+
+A body that rolls more in left turns than in right ones, or squats more than it dives, turns the
+mean of what the mount is found from. The mount in force is good enough to place its lean; before
+there is one, ticks stay as they are. The lever arm is left in: the estimator takes it off by
+itself, with rates from before and after, which here are still to come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from imucald.core.rotations import times, transposed_times
+from imucald.model_compensation.held_repeats import HeldRepeats
+from imucald.model_compensation.suspension import SuspensionFilter
+from imucald.model_compensation.time_alignment import TimeAlignment
+from imucald.model_compensation.vehicle import less_suspension_rate, on_road
+from imucald.motion import ticks as tk
+from imucald.motion.stuck import SAME
+from imucald.motion.ticks import TICK_S
+from imucald.mount.estimate import Correction
+
+_FORCES = slice(tk.ACCEL.x, tk.ACCEL.z + 1)
+_RATES = slice(tk.GYRO.x, tk.GYRO.z + 1)
+_SENSORS = ((tk.ACCEL.n, _FORCES), (tk.GYRO.n, _RATES))
+
+
+class TickPreprocessing:
+    """Takes rows of ticks, gives those that the estimator is to see.
+
+    suspension: of the body, at ten a second; None: it is stiff.
+    """
+
+    def __init__(
+        self, time_alignment: TimeAlignment | None, suspension: SuspensionFilter | None
+    ) -> None:
+        self._time_alignment = time_alignment
+        self._suspension = suspension
+        self._taken: tuple[float, float] | None = None
+        self._repeats = tuple(HeldRepeats(SAME) for _ in _SENSORS)
+
+    def gap(self) -> None:
+        """Time jumped: nothing before is joined with what follows."""
+        if self._time_alignment is not None:
+            self._time_alignment.gap()
+        if self._suspension is not None:
+            self._suspension.restart()
+        self._taken = None
+        for repeats in self._repeats:
+            repeats.restart()
+
+    def row(self, row: Sequence[float], correction: Correction | None) -> Sequence[float]:
+        """Return the row of a tick as the estimator is to see it.
+
+        correction: the mount in force during the tick.
+        """
+        if self._time_alignment is not None:
+            row = self._time_alignment.row(row)
+        if self._suspension is None:
+            return row
+        return self._repeated(row, self._upright(self._suspension, row, correction))
+
+    def _upright(
+        self, suspension: SuspensionFilter, row: Sequence[float], correction: Correction | None
+    ) -> Sequence[float]:
+        """Force and rate of a tick as if the body were stiff.
+
+        The rate loses what the lean has changed by since it was last taken off, so that both stay
+        at one also over a hole in the force, in which the gyroscope sees the body lean.
+        """
+        if correction is None:
+            suspension.restart()
+            self._taken = None
+            return row
+        out = list(row)
+        if row[tk.ACCEL.n]:
+            force = times(correction, row[_FORCES])
+            lean = suspension.push(row[tk.T], force[0], force[1])
+            out[_FORCES] = transposed_times(correction, on_road(lean, *force))
+        roll, pitch = suspension.attitude[:2]
+        if row[tk.GYRO.n]:
+            before = self._taken or (roll, pitch)
+            change = (roll - before[0]) / TICK_S, (pitch - before[1]) / TICK_S
+            lean = roll, pitch, *change
+            rate = less_suspension_rate(lean, *times(correction, row[_RATES]))
+            out[_RATES] = transposed_times(correction, on_road(lean, *rate))
+        self._taken = (roll, pitch) if row[tk.GYRO.n] else None
+        return out
+
+    def _repeated(self, row: Sequence[float], upright: Sequence[float]) -> Sequence[float]:
+        """A sensor that repeats itself goes on doing so: a stuck one must be seen to be."""
+        out = list(upright)
+        for (count, axes), repeats in zip(_SENSORS, self._repeats, strict=True):
+            if row[count]:
+                x, y, z = upright[axes]
+                known = repeats.known(row[axes])
+                out[axes] = (repeats.result if known else repeats.keep(row[axes], (x, y, z))) or ()
+        return out

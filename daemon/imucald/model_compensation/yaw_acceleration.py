@@ -1,0 +1,50 @@
+"""How fast the turning about the vertical changes: a derivative without the noise of one.
+
+Second-order observer of (rate, its derivative) with both poles damped by 0.7. Sought on simulated
+drives: with a corner of 3 to 5 Hz what is left of dr/dt times a lever arm of 1.5 m is least, 0.035
+of 0.11 m/s^2 rms; lower corners lag behind the driver, higher ones pass the gyroscope's noise.
+The body's pitching and rolling on a rough road is faster than any causal filter of such noise can
+follow: taking it out made the force worse at every corner, so its acceleration is left in.
+"""
+
+from __future__ import annotations
+
+import math
+
+CORNER_HZ = 4.0
+DAMPING = 0.7
+GAP_S = 0.5
+"""After such a hole it begins anew [s]."""
+
+
+class YawAcceleration:
+    """Takes yaw rates [rad/s], gives their derivative; backward Euler, stable for any time step."""
+
+    def __init__(self) -> None:
+        omega = 2.0 * math.pi * CORNER_HZ
+        self._square = omega * omega
+        self._drag = 2.0 * DAMPING * omega
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget: time jumped, or the axes did."""
+        self._t = -math.inf
+        self._rate = 0.0
+        self.value = 0.0
+        """[rad/s^2]"""
+
+    def push(self, t: float, rate: float) -> float:
+        """Take a rate at t [s]; return its derivative. NaN makes it begin anew."""
+        if math.isnan(rate):
+            self.restart()
+            return 0.0
+        dt = t - self._t
+        self._t = t
+        if not dt <= GAP_S:
+            self._rate, self.value = rate, 0.0
+            return 0.0
+        pull = dt * self._square
+        gain = dt * (pull + self._drag)
+        self._rate = (self._rate + dt * self.value + gain * rate) / (1.0 + gain)
+        self.value += pull * (rate - self._rate)
+        return self.value

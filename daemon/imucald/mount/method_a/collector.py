@@ -1,0 +1,103 @@
+"""Straight intervals of variable speed, collected into manoeuvres: a braking, an acceleration."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from imucald.core.rotations import Matrix3, Vector
+from imucald.motion.speed import SpeedInterval
+from imucald.mount.method_a.manoeuvres import Manoeuvre, ManoeuvreBook
+from imucald.mount.method_a.settings import PublishedSettings
+
+MANOEUVRES_KEPT = 150
+"""Manoeuvres that are kept (about an hour of city); the oldest goes first."""
+MAX_MANOEUVRE_S = 8.0
+"""A longer one counts as several [s]."""
+MIN_MANOEUVRE_S = 1.0
+"""A shorter one is a bump [s]."""
+MANOEUVRE_HOLE = 1.5
+"""Time without an accepted interval that ends a manoeuvre [s]."""
+
+
+class ManoeuvreCollector:
+    """Keeps the open manoeuvre, and the books of those that are over."""
+
+    def __init__(self, settings: PublishedSettings) -> None:
+        self._settings = settings
+        self.signed = ManoeuvreBook(MANOEUVRES_KEPT)
+        """Speed says which way is forward."""
+        self.unsigned = ManoeuvreBook(MANOEUVRES_KEPT)
+        self.gear_known = False
+        """Whether something says when the vehicle is in reverse."""
+        self._open: Manoeuvre | None = None
+
+    def drop(self) -> None:
+        """Time jumped: the open manoeuvre is not continued, and not kept."""
+        self._open = None
+
+    def take(self, interval: SpeedInterval, f: Vector, along: float, lateral: float) -> bool:
+        """Take an interval with speed; True where a manoeuvre has ended and is kept.
+
+        f: force less offset, sensor axes; along, lateral: dv/dt and v r likewise [m/s^2].
+        """
+        s, m = self._settings, self._open
+        straight = s.calibration.straight
+        slowest = straight.min_speed if self.gear_known else s.min_speed_unknown_gear
+        if (
+            abs(interval.speed) < slowest
+            or max(abs(along), abs(interval.dvdt)) < straight.min_speed_change
+        ):
+            return False
+        ended = False
+        if (
+            m is not None
+            and m.peak * interval.dvdt < 0.0
+            and abs(interval.dvdt) >= straight.min_speed_change
+        ):
+            ended = self.end()  # from braking to accelerating: another manoeuvre
+        m, too_old = self._manoeuvre(interval, signed=True)
+        weight = (
+            1.0 if s.wander_speed <= 0.0 else 1.0 / (1.0 + abs(interval.speed) / s.wander_speed)
+        )
+        m.add(interval, f, along, lateral, weight)
+        if abs(interval.dvdt) > abs(m.peak):
+            m.peak = interval.dvdt
+        return ended or too_old
+
+    def take_unsigned(
+        self, interval: SpeedInterval, f: Vector, R_level_from_sensor: Matrix3
+    ) -> bool:
+        """The same without speed: the size of the level force says what is a manoeuvre."""
+        x, y, _ = (R_level_from_sensor @ np.array(f)).tolist()
+        size = math.hypot(x, y)
+        if size < self._settings.calibration.straight.min_speed_change:
+            return False
+        m, ended = self._manoeuvre(interval, signed=False)
+        m.add(interval, f, 0.0, 0.0, 1.0)
+        m.peak = max(m.peak, size)
+        return ended
+
+    def _manoeuvre(self, interval: SpeedInterval, signed: bool) -> tuple[Manoeuvre, bool]:
+        """The open manoeuvre if the interval belongs to it, else a new one; whether one ended."""
+        m, ended = self._open, False
+        if m is not None and (
+            m.signed != signed
+            or m.seconds >= MAX_MANOEUVRE_S
+            or interval.t0 - m.stop > MANOEUVRE_HOLE
+        ):
+            ended = self.end()
+        if self._open is None:
+            self._open = Manoeuvre(interval.t0, signed)
+        return self._open, ended
+
+    def end(self) -> bool:
+        """End the open manoeuvre; True where it was one, and is kept."""
+        m, self._open = self._open, None
+        if m is None or abs(m.peak) < self._settings.calibration.straight.manoeuvre_peak:
+            return False
+        if m.seconds < MIN_MANOEUVRE_S:
+            return False
+        (self.signed if m.signed else self.unsigned).add(m)
+        return True

@@ -1,0 +1,78 @@
+"""What an estimate says to people: one convention for "±", how the sensor sits, what is missing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from imucald.core.angles import DEG_PER_RAD
+from imucald.core.orientation_words import leaning_words, sits_words, steep_words
+from imucald.mount.contradictions import WORDS
+from imucald.mount.estimate import MountEstimate
+
+SD_95 = 2.0
+"""Half of a 95 % interval in standard deviations, everywhere that people read "±"."""
+CONVENTION = "± is 95 % (two standard deviations)"
+AXES = "turns about the vehicle's x, y and z axis"
+ABOUT = f"{CONVENTION}, {AXES}"
+"""Stands once on each screen that shows a mount."""
+EVIDENCE_KINDS = {
+    "turn": "turns",
+    "dvdt": "acceleration",
+    "axis": "axis of turning",
+    "gravity": "gravity",
+    "before": "earlier drives",
+}
+"""What the last part of an evidence's name means."""
+UNKNOWN_STD_DEG = math.degrees(1.0)
+"""An angle with a larger standard deviation is as good as unknown [deg]."""
+
+
+def half_width(std_deg: float | None) -> float | None:
+    """Half of the 95 % interval [deg] of a standard deviation [deg]; None: not known."""
+    if std_deg is None or not std_deg < UNKNOWN_STD_DEG:
+        return None
+    return SD_95 * std_deg
+
+
+def plus_minus(std_deg: float | None, digits: int = 2, unit: str = "°") -> str:
+    """A standard deviation [deg] as people read it, "±0.71°"; "-" where nothing is known."""
+    half = half_width(std_deg)
+    return "-" if half is None else f"±{half:.{digits}f}{unit}"
+
+
+def how_it_sits(estimate: MountEstimate) -> str | None:
+    """Where the sensor's axes point, in words; None before there is any estimate."""
+    R, std = estimate.R_vehicle_from_sensor, estimate.std
+    if R is None or std is None:
+        return None
+    known = half_width(std[2] * DEG_PER_RAD) is not None
+    return sits_words(R) if known else leaning_words(R)
+
+
+def steep_note(estimate: MountEstimate) -> str | None:
+    """What must stand beside the angles of a steep mount; None where it is not steep."""
+    angles, quaternion = estimate.angles, estimate.quaternion
+    if angles is None or quaternion is None:
+        return None
+    return steep_words(angles[1], quaternion)
+
+
+def reasons(waiting_for: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    """Names and reason, angles with the same reason together: ("roll, pitch", "a standstill")."""
+    for text in dict.fromkeys(waiting_for.values()):
+        yield ", ".join(name for name, one in waiting_for.items() if one == text), text
+
+
+def is_trouble(text: str) -> bool:
+    """Whether a reason is one that more driving does not mend."""
+    return text.startswith("the mount ") or any(words in text for words in WORDS.values())
+
+
+def reasons_line(waiting_for: Mapping[str, str]) -> str:
+    """The same in one line: "waiting for roll, pitch: a standstill; yaw: more driving"."""
+    found = list(reasons(waiting_for))
+    waits = [f"{names}: {text}" for names, text in found if not is_trouble(text)]
+    troubles = [text for _, text in found if is_trouble(text)]
+    parts = ([f"waiting for {'; '.join(waits)}"] if waits else []) + troubles
+    return "; ".join(parts)

@@ -1,0 +1,85 @@
+"""The 25 degree limit: gravity, through the mount, points further off the vertical than any road.
+
+Looked at in blocks while learning (`is_off_vertical`), and tick by tick for a mount that is only
+served (`PlumbLine`). There a few seconds tell while the vehicle stands; while it drives, or where
+nobody knows, it takes half a minute, over which no vehicle keeps up the 0.5 g that would look the
+same.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.rotations import Matrix3
+from imucald.core.samples import GRAVITY
+from imucald.motion.standstill import ZERO_SPEED
+from imucald.motion.ticks import ACCEL, SPEED, TickRow
+from imucald.mount.estimate import Correction
+from imucald.mount.large_change import LEAST_TICKS
+from imucald.mount.signal_blocks import SignalBlock
+
+Array = NDArray[np.float64]
+
+MAX_OFF_VERTICAL = math.radians(25.0)
+"""The steepest street has 35 % (19.3 deg, Baldwin Street); the rest is what a mount, levelled on
+one slope, may still be off."""
+
+STANDING_TICKS = 32
+DRIVING_TICKS = 256
+_COS = math.cos(MAX_OFF_VERTICAL)
+
+
+def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
+    """Whether gravity, through R, points further from the vertical than any road does.
+
+    Both ways, as it comes and with the motion taken out, so that neither hard driving nor a wrong
+    speed or turn rate is taken for it.
+    """
+    use = p.ok_force
+    if np.count_nonzero(use) < LEAST_TICKS:
+        return False
+    mean = R @ p.force[use].mean(axis=0)
+    motion = np.array([float(p.accel[use].mean()), float(turn[use].mean()), 0.0])
+    if not mean.any() or float(np.linalg.norm(mean)) < 0.5 * GRAVITY:
+        return False
+    return all(
+        math.atan2(math.hypot(f[0], f[1]), f[2]) > MAX_OFF_VERTICAL for f in (mean, mean - motion)
+    )
+
+
+class PlumbLine:
+    """Sums of the force since the vehicle stands, or over half a minute."""
+
+    def __init__(self) -> None:
+        self._standing = False
+        self._clear()
+        self.is_off = False
+        """Whether gravity stood off the vertical when it was last known."""
+
+    def _clear(self) -> None:
+        self._n, self._x, self._y, self._z = 0, 0.0, 0.0, 0.0
+
+    def step(self, tick: TickRow, correction: Correction | None) -> None:
+        """Take a tick and the rotation that holds for it."""
+        if tick[SPEED.n]:
+            standing = abs(tick[SPEED.mean]) < ZERO_SPEED
+            if standing is not self._standing:
+                self._standing = standing
+                self._clear()
+        if not tick[ACCEL.n] or correction is None:
+            return
+        self._n += 1
+        self._x += tick[ACCEL.x]
+        self._y += tick[ACCEL.y]
+        self._z += tick[ACCEL.z]
+        if self._n < (STANDING_TICKS if self._standing else DRIVING_TICKS):
+            return
+        x, y, z = self._x, self._y, self._z
+        size = math.sqrt(x * x + y * y + z * z)
+        up = correction[6] * x + correction[7] * y + correction[8] * z
+        if math.isfinite(size) and size > 0.0:
+            self.is_off = up < _COS * size
+        self._clear()

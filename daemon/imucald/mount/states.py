@@ -1,0 +1,107 @@
+"""States of the full estimator with their hysteresis, and what each angle still waits for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from imucald.mount.estimate import Missing, MountState
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.hysteresis import GOOD, Level, best_level
+from imucald.mount.manoeuvres import HARD_ACCEL
+
+SLACK = 1.4
+"""A state that was reached is left only beyond its limit times this."""
+NEEDED = 3
+"""Launches or brakings before yaw can be usable."""
+
+
+@dataclass(frozen=True)
+class MountKnowledge:
+    """What the states are judged by; standard deviations in rad, roll without the crown."""
+
+    gravity: bool = False
+    std: tuple[float, float, float] = (math.inf, math.inf, math.inf)
+    straight: int = 0
+    lefts: int = 0
+    rights: int = 0
+    stops: int = 0
+    begun: bool = True
+    accelerometer: bool = True
+    speed: bool = True
+    frozen: bool = False
+
+
+def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
+    """Return the state that the knowledge gives, with hysteresis against the one before."""
+    if not known.gravity:
+        return MountState.WAITING
+    roll, pitch, yaw = known.std
+    limits = s.limits
+    enough = known.straight >= NEEDED or before in GOOD
+    levels = (
+        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough),
+        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, enough),
+    )
+    return best_level(levels, before, yaw, max(roll, pitch), SLACK) or MountState.LEVELLED
+
+
+def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[str, Missing]]:
+    """One reason per angle, in words and as a code; no entry where nothing is missing."""
+    if not known.accelerometer:
+        text = (
+            ("the accelerometer" if known.begun else "the first 6 s of samples"),
+            Missing.ACCELEROMETER,
+        )
+        return {"roll": text, "pitch": text, "yaw": text}
+    if known.frozen:
+        text = "signals that can be trusted: learning is frozen", Missing.LEARNING_FROZEN
+        return {"roll": text, "pitch": text, "yaw": text}
+    out: dict[str, tuple[str, Missing]] = {}
+    if not known.gravity:
+        text = "a standstill, or driving", Missing.STANDSTILL
+        out = {"roll": text, "pitch": text}
+    if known.std[2] > s.limits.fine_yaw or known.straight < NEEDED:
+        out["yaw"] = _yaw_reason(known, s)
+    if "roll" in out:
+        return out
+    if known.std[0] > s.limits.fine_tilt:
+        out["roll"] = _roll_reason(known)
+    if known.std[1] > s.limits.fine_tilt:
+        out["pitch"] = _pitch_reason(known)
+    return out
+
+
+def _hard() -> str:
+    return f"acceleration or braking above {HARD_ACCEL:g} m/s2"
+
+
+def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missing]:
+    if not known.speed:
+        if known.std[2] > math.radians(100.0):
+            return "speed, or acceleration from rest or braking", Missing.SPEED
+        return "more straight acceleration and braking (speed is absent or too rare)", Missing.SPEED
+    if known.straight < NEEDED:
+        text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
+        return text, Missing.ACCELERATION
+    if known.std[2] > s.limits.usable_yaw:
+        return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
+    return "more driving", Missing.MORE_DRIVING
+
+
+def _roll_reason(known: MountKnowledge) -> tuple[str, Missing]:
+    if known.lefts == 0 and known.rights == 0:
+        return "turns (none yet)", Missing.TURNS
+    if known.lefts == 0:
+        return "left turns (none yet)", Missing.LEFT_TURN
+    if known.rights == 0:
+        return "right turns (none yet)", Missing.RIGHT_TURN
+    seen = f"{known.lefts} left, {known.rights} right seen"
+    return f"more turns ({seen})", Missing.TURNS
+
+
+def _pitch_reason(known: MountKnowledge) -> tuple[str, Missing]:
+    if known.straight < NEEDED:
+        text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
+        return text, Missing.ACCELERATION
+    return "more driving: slope averages out", Missing.MORE_DRIVING

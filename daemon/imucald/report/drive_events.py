@@ -1,0 +1,68 @@
+"""What happened during a drive, as a list: changes of state, moves of the sensor, faults, holes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from imucald.mount.contradictions import WORDS
+from imucald.mount.mount_words import reasons_line
+
+STATE_WORDS: Mapping[str, str] = {
+    "waiting": "nothing is known yet",
+    "levelled": "the tilt is known roughly; nothing is sent as available",
+    "usable": "corrected frames are sent as usable",
+    "fine": "every angle is as certain as its target",
+    "suspect": "new evidence contradicts the mount, or signals contradict one another",
+    "recalibrating": "the mount is found anew",
+    "restored": "the mount of an earlier drive serves",
+}
+
+
+@dataclass(frozen=True)
+class Event:
+    """t: stream time [s]. kind: state, moved, fault, sensor or gap. text: for people."""
+
+    t: float
+    kind: str
+    text: str
+
+
+def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Iterator[Event]:
+    """Changes of state; states: time [s], state and what it waits for, one after another."""
+    before = None
+    for t, state, waiting_for in states:
+        if state != before:
+            waiting = reasons_line(waiting_for)
+            text = f"{state}: {STATE_WORDS.get(state, '')}"
+            yield Event(t, "state", text + (f"; {waiting}" if waiting else ""))
+        before = state
+
+
+def told_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> Iterator[Event]:
+    """What a result (or a daemon's status) tells of moved sensors, faults and sensor health."""
+    details = result.get("details", {})
+    for shift in details.get("shifts", ()):
+        text = f"the sensor was moved: {shift['angle']} by {shift['size_deg']:+.1f} deg"
+        yield Event(float(shift["t"]), "moved", text)
+    for fault in details.get("faults", ()):
+        yield Event(float(fault["t"]), "fault", _fault_words(str(fault["fault"])))
+    for one in result.get("signal_health", {}).get("events", ()):
+        axes = f" ({', '.join(one['axes'])})" if one.get("axes") else ""
+        text = f"{one['sensor']} {one['fault']}{axes}"
+        if one.get("until_s") is not None:
+            text += f", for {one['until_s'] - one['since_s']:.0f} s"
+        yield Event(float(one["since_s"]), "sensor", text)
+    for t in gaps:
+        yield Event(t, "gap", "time jumped, or nothing came for more than 10 s")
+
+
+def _fault_words(name: str) -> str:
+    known = {fault.value: words for fault, words in WORDS.items()}
+    return known.get(name, name.replace("_", " "))
+
+
+def in_order(events: Iterable[Event]) -> list[Event]:
+    """Events by time; at the same time as they came."""
+    return sorted(events, key=lambda event: event.t)

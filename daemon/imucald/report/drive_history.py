@@ -1,0 +1,231 @@
+"""What a replay leaves behind for its page: samples, corrected frames and snapshots, by time.
+
+The inputs are decoded a second time, by a router of its own, so that the replay itself is the same
+with and without a page. What is called corrected is read back from the frames that were given out:
+it is what a control unit would have got.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.columns import FrameColumns
+from imucald.config import LoadedConfig
+from imucald.core.samples import Samples, Series
+from imucald.inputs.router import Routed
+from imucald.inputs.wiring import compile_router
+from imucald.motion.ticks import TICK_RATE
+from imucald.mount.estimate import MountEstimate
+from imucald.runtime.engine import Engine
+from imucald.runtime.output.output_message import NOT_AVAILABLE_SIGNED, output_database
+from imucald.runtime.pipeline import Snapshot
+from imucald.runtime.timebase import TimeBase
+
+Array = NDArray[np.float64]
+
+CORRECTED = {
+    "accel": ("IMUCALD_Acceleration", "AccelX"),
+    "gyro": ("IMUCALD_AngularRate", "RateX"),
+}
+"""Message and first signal; all three have the same scale."""
+_TO_SI = {"accel": 1.0, "gyro": np.pi / 180.0}
+WINDOW_TICKS = 5
+"""Forces and the change of speed are compared as means over half a second: shorter, the steps of a
+speed signal decide; longer, manoeuvres are lost."""
+HOLE_S = 2.5
+"""Across a longer hole nothing is interpolated: the slowest OBD-II speed comes once a second."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A snapshot of the estimate; t in stream time [s]."""
+
+    t: float
+    estimate: MountEstimate
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Means over half a second, in vehicle axes where not said otherwise; (N,) and (N, 3), SI.
+
+    raw: the accelerometer in its own axes. corrected: as given out; NaN where not available.
+    dvdt, turn: change of speed, and speed times yaw rate; NaN where not known.
+    """
+
+    t: Array
+    raw: Array
+    corrected: Array
+    speed: Array
+    dvdt: Array
+    turn: Array
+
+
+@dataclass
+class DriveHistory:
+    """Takes what passes during a replay (see the verbs), and gives it in order afterwards."""
+
+    loaded: LoadedConfig
+    moments: list[Moment] = field(default_factory=list)
+    gaps: list[float] = field(default_factory=list)
+    """Stream times at which time jumped [s]."""
+
+    def __post_init__(self) -> None:
+        self._router = compile_router(self.loaded)
+        self._timebase = TimeBase()
+        self._parts: dict[str, list[Series]] = {}
+        self._rejected: dict[str, list[Array]] = {}
+        self._corrected: dict[str, list[Series]] = {}
+        self._stamps = self._times = np.zeros(0)
+
+    # while the replay runs -------------------------------------------------------------------
+
+    def take(self, chunk: FrameColumns) -> None:
+        """Take a chunk of frames, before the engine gets it."""
+        times = []
+        for segment in self._timebase.segments(chunk.t):
+            if segment.gap:
+                self.gaps.append(float(segment.t[0]))
+            frames = chunk.take(slice(segment.start, segment.stop))
+            self._keep(self._router.columns(segment.t, frames), segment.t)
+            times.append(segment.t)
+        order = np.argsort(chunk.t, kind="stable")
+        self._stamps, self._times = chunk.t[order], np.concatenate(times)[order]
+
+    def _keep(self, routed: Routed, t: Array) -> None:
+        for channel, series in routed.samples.items():
+            self._parts.setdefault(channel, []).append(Series(series.t, series.values))
+        for channel, rows in routed.rejected.items():
+            self._rejected.setdefault(channel, []).append(t[rows])
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Take a snapshot of the estimate."""
+        self.moments.append(Moment(snapshot.t, snapshot.estimate))
+
+    def sink(self, engine: Engine) -> Callable[[FrameColumns], None]:
+        """Return what takes the frames that the engine gives out."""
+        nothing = np.zeros((0, 3)), np.zeros(0, np.uint8)
+        ids = {
+            engine.output.corrected_columns(channel, *nothing)[0]: channel
+            for channel in CORRECTED
+            if channel in engine.output.triads
+        }
+
+        def take(frames: FrameColumns) -> None:
+            for can_id, channel in ids.items():
+                rows = frames.can_id == can_id
+                if rows.any():
+                    values = _decoded(channel, frames.data[rows])
+                    t = self._stream_times(frames.t[rows])
+                    self._corrected.setdefault(channel, []).append(Series(t, values))
+
+        return take
+
+    def _stream_times(self, stamps: Array) -> Array:
+        rows = np.searchsorted(self._stamps, stamps).clip(max=len(self._stamps) - 1)
+        return np.asarray(self._times[rows])
+
+    # afterwards ------------------------------------------------------------------------------
+
+    @property
+    def samples(self) -> Samples:
+        """All good samples by channel, SI."""
+        return {channel: joined(parts) for channel, parts in sorted(self._parts.items())}
+
+    @property
+    def rejected(self) -> Mapping[str, Array]:
+        """Times of rejected samples [s], by channel."""
+        return {c: np.concatenate(parts) for c, parts in sorted(self._rejected.items())}
+
+    @property
+    def duration_s(self) -> float:
+        """Stream time of the last frame of ours [s]."""
+        return self._timebase.now
+
+    def motion(self) -> Motion:
+        """Return forces beside the vehicle's motion."""
+        samples = self.samples
+        n = max(int(self.duration_s * TICK_RATE) + 1, WINDOW_TICKS + 1)
+        edges = np.arange(n + 1) / TICK_RATE
+        corrected = {c: joined(parts) for c, parts in self._corrected.items()}
+        wide = np.full((n, 3), np.nan)
+        means = {
+            name: _tick_means(series, edges) if series is not None else wide
+            for name, series in (
+                ("raw", samples.get("accel")),
+                ("corrected", corrected.get("accel")),
+                ("rate", corrected.get("gyro")),
+            )
+        }
+        speed = _signed_speed(samples, edges)
+        if "yaw_rate" in samples:
+            yaw_rate = _tick_means(samples["yaw_rate"], edges)[:, 0]
+        else:
+            yaw_rate = means["rate"][:, 2]
+        middle = 0.5 * (speed[1:] + speed[:-1])
+        seconds = WINDOW_TICKS / TICK_RATE
+        return Motion(
+            0.5 * (edges[WINDOW_TICKS:] + edges[:-WINDOW_TICKS]),
+            _window(means["raw"]),
+            _window(means["corrected"]),
+            _window(middle),
+            (speed[WINDOW_TICKS:] - speed[:-WINDOW_TICKS]) / seconds,
+            _window(middle * yaw_rate),
+        )
+
+
+def joined(parts: Sequence[Series]) -> Series:
+    """Pieces of one channel as one series."""
+    return Series(np.concatenate([p.t for p in parts]), np.concatenate([p.values for p in parts]))
+
+
+def _decoded(channel: str, data: NDArray[np.uint8]) -> Array:
+    """Corrected values (N, 3) in SI of payloads (N, 8); NaN where not available."""
+    raw = np.ascontiguousarray(data[:, :6]).view("<i2").astype(np.float64)
+    message, signal = CORRECTED[channel]
+    scale = output_database().message(message).signal(signal).scale
+    raw[raw == NOT_AVAILABLE_SIGNED] = np.nan
+    return np.asarray(raw * scale * _TO_SI[channel])
+
+
+def _tick_means(series: Series, edges: Array) -> Array:
+    """Means of the samples in each tick, (n, width); NaN where there is none."""
+    values = series.values if series.values.ndim == 2 else series.values[:, None]
+    n = len(edges) - 1
+    tick = np.clip((series.t * TICK_RATE).astype(np.int64), 0, n - 1)
+    count = np.bincount(tick, minlength=n).astype(np.float64)
+    count[count == 0.0] = np.nan
+    columns = [np.bincount(tick, values[:, i], n) / count for i in range(values.shape[1])]
+    return np.stack(columns, axis=1)
+
+
+def _signed_speed(samples: Samples, edges: Array) -> Array:
+    """Speed at the edges of ticks, negative in reverse; NaN where none is near."""
+    series = samples.get("speed")
+    if series is None and "wheel_speeds" in samples:
+        wheels = samples["wheel_speeds"]
+        series = Series(wheels.t, wheels.values.mean(axis=1))
+    if series is None or not len(series.t):
+        return np.full(len(edges), np.nan)
+    speed = np.interp(edges, series.t, series.values)
+    after = np.searchsorted(series.t, edges).clip(1, max(len(series.t) - 1, 1))
+    if len(series.t) > 1:
+        hole = series.t[after] - series.t[after - 1] > HOLE_S
+        outside = (edges < series.t[0] - HOLE_S) | (edges > series.t[-1] + HOLE_S)
+        speed[hole | outside] = np.nan
+    reverse = samples.get("reverse")
+    if reverse is not None and len(reverse.t):
+        rows = np.maximum(np.searchsorted(reverse.t, edges, side="right") - 1, 0)
+        speed *= 1.0 - 2.0 * reverse.values[rows].ravel()
+    return np.asarray(speed)
+
+
+def _window(x: Array) -> Array:
+    """Means over `WINDOW_TICKS` ticks; NaN where one of them is."""
+    wide = x if x.ndim == 2 else x[:, None]
+    pieces = np.lib.stride_tricks.sliding_window_view(wide, WINDOW_TICKS, axis=0)
+    means = np.asarray(pieces.mean(axis=-1))
+    return means if x.ndim == 2 else means[:, 0]

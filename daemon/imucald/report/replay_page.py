@@ -1,0 +1,163 @@
+"""A replayed drive as one HTML page that needs nothing beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from imucald.core.angles import DEG_PER_RAD
+from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.mount.mount_words import (
+    ABOUT,
+    EVIDENCE_KINDS,
+    half_width,
+    plus_minus,
+    reasons_line,
+)
+from imucald.report.drawing import STYLE, view_drawings
+from imucald.report.drive_events import STATE_WORDS, Event, in_order, state_changes, told_events
+from imucald.report.drive_history import DriveHistory, Motion
+from imucald.report.page import About, environment, require_libraries
+from imucald.report.wording import duration
+
+SHOWN_PROBLEMS = 20
+
+
+def replay_page(
+    history: DriveHistory, result: Mapping[str, Any], problems: Sequence[str], about: About
+) -> str:
+    """Return the page as HTML text; result: as in docs/json.md, problems: bad lines of the log.
+
+    Raises ImucaldError where a library is missing.
+    """
+    require_libraries()
+    from imucald.report import replay_plots as draw  # noqa: PLC0415 - loads matplotlib
+
+    motion = history.motion()
+    events = [
+        draw.Numbered(i, event) for i, event in enumerate(drive_events(history, result), start=1)
+    ]
+    last = history.moments[-1].estimate if history.moments else None
+    rows = np.isfinite(motion.corrected[:, 0])
+    evidence = {a: draw.evidence_picture(history, a) for a in ANGLES}
+    return (
+        environment()
+        .get_template("replay.html")
+        .render(
+            about=about,
+            duration=duration(result["duration_s"]),
+            result=result,
+            headline=_headline(result),
+            meaning=STATE_WORDS.get(result["state"], ""),
+            waiting=reasons_line(result["waiting_for"]),
+            drawing_style=STYLE,
+            views=view_drawings(_rotation(last)),
+            mount=_mount_rows(result["mount"]),
+            quaternion=_quaternion(result["mount"]),
+            convention=ABOUT,
+            mount_picture=draw.mount_picture(history, events) if history.moments else "",
+            events=[(e.number, clock(e.event.t), e.event.kind, e.event.text) for e in events],
+            stretch=draw.stretch_picture(motion) if rows.any() else "",
+            scatters=[draw.scatter_picture(motion, axis) for axis in (0, 1)] if rows.any() else [],
+            fits=_fits(motion),
+            maps=[draw.residual_map(motion, axis) for axis in (0, 1)] if rows.any() else [],
+            evidence={angle: svg for angle, svg in evidence.items() if svg},
+            sources=_sources(result["details"]),
+            arrivals=draw.arrivals_picture(history),
+            gaps=[clock(t) for t in history.gaps],
+            rejected=sorted(result["frames"]["rejected"].items(), key=lambda row: -row[1]),
+            problems=problems[:SHOWN_PROBLEMS],
+        )
+    )
+
+
+def drive_events(history: DriveHistory, result: Mapping[str, Any]) -> list[Event]:
+    """What happened, by time."""
+    states = ((m.t, m.estimate.state.name.lower(), m.estimate.waiting_for) for m in history.moments)
+    return in_order([*state_changes(states), *told_events(result, history.gaps)])
+
+
+def clock(seconds: float) -> str:
+    """`4:02`, with hours where there are any."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def _headline(result: Mapping[str, Any]) -> str:
+    reached = [
+        f"{name} after {clock(result[key])}"
+        for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
+        if result[key] is not None
+    ]
+    state = f"{result['state'][:1].upper()}{result['state'][1:]} at the end"
+    return f"{state}: {', '.join(reached) or 'never usable'}"
+
+
+def _rotation(estimate: MountEstimate | None) -> Any:
+    """The mount, where its heading is known: a drawing may not show a heading that is not."""
+    if estimate is None or estimate.std is None:
+        return None
+    known = half_width(estimate.std[2] * DEG_PER_RAD) is not None
+    return estimate.R_vehicle_from_sensor if known else None
+
+
+def _mount_rows(mount: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+    rows = []
+    for angle, axis in zip(ANGLES, "xyz", strict=True):
+        std = mount["std_deg"][axis]
+        value = mount[f"{angle}_deg"] if half_width(std) is not None else None
+        targets = mount.get("target_std_deg")
+        target = "" if targets is None else (
+            f"usable below {plus_minus(targets['usable'][axis])}, "
+            f"fine below {plus_minus(targets['fine'][axis])}"
+        )  # fmt: skip
+        rows.append((angle, "-" if value is None else f"{value:+.2f}°", plus_minus(std), target))
+    return rows
+
+
+def _quaternion(mount: Mapping[str, Any]) -> str:
+    numbers = mount["quaternion_wxyz"]
+    return "" if numbers is None else " ".join(f"{q:+.4f}" for q in numbers)
+
+
+def _fits(motion: Motion) -> list[dict[str, str]]:
+    """How raw and corrected forces go with the motion: slope, and rms of the difference."""
+    found = []
+    for axis, (way, what, truth) in enumerate(
+        (("forward", "dv/dt", motion.dvdt), ("left", "speed times yaw rate", motion.turn))
+    ):
+        known = np.isfinite(truth) & np.isfinite(motion.corrected[:, axis])
+        if known.sum() < 10 or float(np.std(truth[known])) == 0.0:
+            continue
+        row = {"way": way, "what": what}
+        for name, values in (("raw", motion.raw), ("corrected", motion.corrected)):
+            x, y = truth[known], values[known, axis]
+            row[f"{name}_slope"] = _number(float(np.cov(x, y)[0, 1] / np.var(x, ddof=1)))
+            row[f"{name}_rms"] = _number(float(np.sqrt(np.mean((y - x) ** 2))))
+            row[f"{name}_mean"] = _number(float(np.mean(y - x)))
+        found.append(row)
+    return found
+
+
+def _number(x: float) -> str:
+    return f"{x:.2f}" if math.isfinite(x) else "-"
+
+
+def _sources(details: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, str]]]]:
+    """Each source of evidence with its own 95 % interval and its share in each angle."""
+    shares = details.get("evidence_share") or {}
+    rows = []
+    for name, std in (details.get("evidence_std_deg") or {}).items():
+        parts = [
+            (angle, f"{100.0 * of[name]:.0f} %")
+            for angle, of in shares.items()
+            if of.get(name, 0.0) >= 0.005
+        ]
+        kind = EVIDENCE_KINDS.get(name.rpartition("_")[2], "")
+        title = name.replace("_", " ")
+        rows.append((title if not kind else f"{title} ({kind})", plus_minus(std), parts))
+    return rows

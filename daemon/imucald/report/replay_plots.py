@@ -1,0 +1,360 @@
+"""Pictures of one replayed drive as SVG that follows the page's light or dark colours."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.ticker import FuncFormatter, MaxNLocator, MultipleLocator
+from numpy.typing import NDArray
+
+from imucald.core.angles import DEG_PER_RAD
+from imucald.core.rotations import vector_from_rotation
+from imucald.mount.estimate import ANGLES, MountState
+from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95
+from imucald.report.drive_events import Event
+from imucald.report.drive_history import DriveHistory, Moment, Motion
+from imucald.report.svg_figures import drawn
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+INK, SOFT, GRID, RAW, OURS, TRUTH, BAD = (f"#0a0b{i:02x}" for i in range(1, 8))
+STATE_COLOURS = {state: f"#0a0c{int(state):02x}" for state in MountState}
+"""Stand in for the page's colours while a figure is drawn; see `_themed`."""
+THEME: Mapping[str, str] = {
+    INK: "--ink", SOFT: "--soft", GRID: "--grid", RAW: "--raw", OURS: "--ours",
+    TRUTH: "--truth", BAD: "--bad",
+    **{colour: f"--{state.name.lower()}" for state, colour in STATE_COLOURS.items()},
+}  # fmt: skip
+STYLE: dict[Any, Any] = {
+    "axes.edgecolor": SOFT, "axes.labelcolor": INK, "xtick.color": SOFT, "ytick.color": SOFT,
+    "text.color": INK, "grid.color": GRID, "figure.facecolor": "none", "axes.facecolor": "none",
+    "savefig.facecolor": "none", "hatch.color": SOFT, "axes.titlesize": 9.0,
+}  # fmt: skip
+KIND_COLOURS = dict(
+    zip(
+        EVIDENCE_KINDS.values(),
+        ("#e69f00", "#0072b2", "#56b4e9", "#009e73", "#cc79a7"),
+        strict=True,
+    )
+)
+OTHER_KIND = "#999999"
+DIVERGING = LinearSegmentedColormap.from_list("imucald", ["#2b6cb0", "#f4f4f4", "#c0561a"])
+"""Blue below, vermilion above: told apart with any colour blindness."""
+
+NAME_SPACE = re.compile(r' xmlns(:xlink)?="[^"]*"')
+WIDE, MAP = (9.6, 5.2), (4.7, 3.5)
+STRETCH_S = 60.0
+TIME_BINS = 240
+SPEED_BINS, TURN_BINS = 14, 12
+CELL_ROWS = 5
+"""A cell of a map needs so many rows: two and a half seconds."""
+LARGEST_DEG = 30.0
+TICKS = 9
+DOTS = 700
+"""In a picture of points: more only make the page heavy."""
+LABEL_SHARE = 0.02
+"""Numbers closer together than this share of the picture would cover one another."""
+NICE_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200)
+"""Steps of a time axis [s]."""
+MAX_MARKS = 12
+"""Numbered events in a picture."""
+
+
+@dataclass(frozen=True)
+class Numbered:
+    """An event with the number that it has in pictures and table."""
+
+    number: int
+    event: Event
+
+
+def mount_picture(history: DriveHistory, events: Sequence[Numbered]) -> str:
+    """The mount against time: each axis, turned from where it ends, with its 95 % interval."""
+    known = [m for m in history.moments if m.estimate.R_vehicle_from_sensor is not None]
+
+    def draw(figure: Figure) -> None:
+        parts = figure.subplots(
+            4, 1, sharex=True, gridspec_kw={"height_ratios": [0.22, 1.0, 1.0, 1.0]}
+        )
+        _draw_states(parts[0], history, events)
+        for axes, axis in zip(parts[1:], range(3), strict=True):
+            _draw_angle(axes, known, axis, events)
+        _time_axis(parts[-1], history.duration_s)
+
+    return _themed(drawn(draw, WIDE, STYLE))
+
+
+def _draw_states(axes: Axes, history: DriveHistory, events: Sequence[Numbered]) -> None:
+    """A strip in the colours of the states, the numbers of the events above it."""
+    for state, start, stop in _stretches(history):
+        axes.axvspan(start, stop, color=STATE_COLOURS[state], lw=0)
+        if stop - start > 0.07 * history.duration_s:
+            axes.text(0.5 * (start + stop), 0.5, state.name.lower(), ha="center", va="center",
+                      fontsize=8, color=INK)  # fmt: skip
+    for t, numbers in _labels(events[:MAX_MARKS], history.duration_s):
+        axes.text(t, 1.12, numbers, ha="center", va="bottom", fontsize=8)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_axis_off()
+
+
+def _labels(events: Sequence[Numbered], duration: float) -> list[tuple[float, str]]:
+    """Where the numbers of events stand; those of events close together as one, "4-6"."""
+    found: list[list[Numbered]] = []
+    for mark in events:
+        if found and mark.event.t - found[-1][0].event.t < LABEL_SHARE * duration:
+            found[-1].append(mark)
+        else:
+            found.append([mark])
+    return [
+        (g[0].event.t, str(g[0].number) if len(g) == 1 else f"{g[0].number}-{g[-1].number}")
+        for g in found
+    ]
+
+
+def _stretches(history: DriveHistory) -> list[tuple[MountState, float, float]]:
+    """States with their begin and end [s]."""
+    found: list[tuple[MountState, float, float]] = []
+    before = 0.0
+    for moment in history.moments:
+        state = moment.estimate.state
+        if found and found[-1][0] is state:
+            found[-1] = (state, found[-1][1], moment.t)
+        else:
+            found.append((state, before, moment.t))
+        before = moment.t
+    return found
+
+
+def _draw_angle(
+    axes: Axes, moments: Sequence[Moment], axis: int, events: Sequence[Numbered]
+) -> None:
+    rows = [(m.t, *_off_the_end(m, moments[-1], axis)) for m in moments]
+    table = np.array(rows).reshape(len(rows), 3)
+    t, off, half = table.T
+    known = half < SD_95 * DEG_PER_RAD
+    off, half = np.where(known, off, np.nan), np.where(known, half, np.nan)
+    size = _size(off, half)
+    axes.fill_between(t, off - half, off + half, color=OURS, alpha=0.22, lw=0)
+    axes.plot(t, off, color=OURS, lw=1.4)
+    axes.axhline(0.0, color=SOFT, lw=0.6)
+    targets = moments[-1].estimate.targets if moments else None
+    if targets is not None:
+        fine = SD_95 * targets.fine[axis] * DEG_PER_RAD
+        for edge in (-fine, fine):
+            axes.axhline(edge, color=TRUTH, lw=0.9, ls=(0, (4, 3)))
+    for mark in events[:MAX_MARKS]:
+        axes.axvline(mark.event.t, color=SOFT, lw=0.7, ls=(0, (1, 2)))
+    axes.set_ylim(-size, size)
+    axes.set_ylabel(f"{ANGLES[axis]}, about {'xyz'[axis]} [deg]")
+    axes.yaxis.set_major_locator(MaxNLocator(5))
+
+
+def _off_the_end(moment: Moment, last: Moment, axis: int) -> tuple[float, float]:
+    """How far an estimate is turned from the last one about a vehicle axis, and ± 95 % [deg]."""
+    R, end = moment.estimate.R_vehicle_from_sensor, last.estimate.R_vehicle_from_sensor
+    std = moment.estimate.std
+    if R is None or end is None or std is None:
+        return np.nan, np.inf
+    return float(vector_from_rotation(R @ end.T)[axis]) * DEG_PER_RAD, SD_95 * std[
+        axis
+    ] * DEG_PER_RAD
+
+
+def _size(off: Array, half: Array) -> float:
+    """Half height [deg] of a picture: all of the last three quarters, the first as it fits."""
+    late = slice(len(off) // 4, None)
+    edge = np.abs(off[late]) + half[late]
+    if not np.isfinite(edge).any():
+        return LARGEST_DEG
+    return float(min(max(1.15 * np.nanmax(edge), 1.5 * half[-1]), LARGEST_DEG))
+
+
+def stretch_picture(motion: Motion) -> str:
+    """Corrected against raw, and against what the vehicle's motion says, for one minute."""
+    rows = telling_rows(motion)
+
+    def draw(figure: Figure) -> None:
+        parts = figure.subplots(2, 1, sharex=True)
+        names = (("forward", "dv/dt", motion.dvdt), ("left", "speed times yaw rate", motion.turn))
+        for i, (axes, (way, what, truth)) in enumerate(zip(parts, names, strict=True)):
+            t = motion.t[rows]
+            axes.plot(t, motion.raw[rows, i], color=RAW, lw=1.0, label=f"sensor {'xy'[i]}, as sent")
+            axes.plot(t, truth[rows], color=TRUTH, lw=1.6, ls=(0, (5, 2)), label=what)
+            axes.plot(t, motion.corrected[rows, i], color=OURS, lw=1.4, label="corrected")
+            axes.set_ylabel(f"{way} [m/s²]")
+            axes.margins(x=0.005)
+            _legend(axes)
+        parts[-1].xaxis.set_major_formatter(FuncFormatter(_clock))
+        parts[-1].set_xlabel("time [min:s]")
+
+    return _themed(drawn(draw, (9.6, 4.4), STYLE))
+
+
+def telling_rows(motion: Motion) -> slice:
+    """The minute with most braking, accelerating and turning in which there is a correction."""
+    known = np.isfinite(motion.corrected[:, 0])
+    worth = np.nan_to_num(motion.dvdt) ** 2 + np.nan_to_num(motion.turn) ** 2
+    sums = np.concatenate([[0.0], np.cumsum(np.where(known, worth + 1e-9, 0.0))])
+    stop = np.searchsorted(motion.t, motion.t + STRETCH_S, side="right")
+    first = int(np.argmax(sums[stop] - sums[:-1]))
+    return slice(first, int(stop[first]))
+
+
+def scatter_picture(motion: Motion, axis: int) -> str:
+    """Corrected and raw force against what the motion says; axis: 0 forward, 1 left."""
+    truth, what = ((motion.dvdt, "dv/dt"), (motion.turn, "speed times yaw rate"))[axis]
+    known = np.isfinite(truth) & np.isfinite(motion.corrected[:, axis])
+    rows = np.flatnonzero(known)[:: max(int(known.sum()) // DOTS, 1)]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        x = truth[rows]
+        for values, colour, name in (
+            (motion.raw, RAW, "sensor, as sent"),
+            (motion.corrected, OURS, "corrected"),
+        ):
+            axes.plot(
+                x, values[rows, axis], "o", ms=2.2, mew=0, alpha=0.5, color=colour, label=name
+            )
+        if len(x):
+            ends = np.array([x.min(), x.max()])
+            axes.plot(ends, ends, color=TRUTH, lw=1.2, ls=(0, (5, 2)), label="equal")
+        axes.set_xlabel(f"{what} [m/s²]")
+        axes.set_ylabel(f"force {('forward', 'left')[axis]} [m/s²]")
+        _legend(axes)
+
+    return _themed(drawn(draw, MAP, STYLE))
+
+
+def residual_map(motion: Motion, axis: int) -> str:
+    """Mean of corrected force less motion over speed and lateral acceleration."""
+    truth = (motion.dvdt, motion.turn)[axis]
+    left = motion.corrected[:, axis] - truth
+    known = np.isfinite(left) & np.isfinite(motion.speed) & np.isfinite(motion.turn)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        axes.set_xlabel("speed [km/h]")
+        axes.set_ylabel("lateral acceleration [m/s²]")
+        if known.sum() < CELL_ROWS:
+            axes.text(0.5, 0.5, "not enough", transform=axes.transAxes, ha="center")
+            return
+        x, y, z = 3.6 * motion.speed[known], motion.turn[known], left[known]
+        reach = max(float(np.percentile(np.abs(y), 99.5)), 0.5)
+        cells = (
+            np.linspace(min(float(x.min()), 0.0), max(float(x.max()), 1.0), SPEED_BINS + 1),
+            np.linspace(-reach, reach, TURN_BINS + 1),
+        )
+        count, _, _ = np.histogram2d(x, y, cells)
+        total, _, _ = np.histogram2d(x, y, cells, weights=z)
+        mean = np.where(count >= CELL_ROWS, total / np.maximum(count, 1), np.nan)
+        top = max(float(np.nanpercentile(np.abs(mean), 95)), 0.05) if np.isfinite(mean).any() else 1
+        drawn_map = axes.pcolormesh(*cells, mean.T, cmap=DIVERGING, vmin=-top, vmax=top, lw=0)
+        bar = figure.colorbar(drawn_map, ax=axes, extend="both")
+        bar.outline.set_visible(False)  # type: ignore[operator]
+        axes.grid(visible=False)
+
+    return _themed(drawn(draw, MAP, STYLE))
+
+
+def arrivals_picture(history: DriveHistory) -> str:
+    """What came when: rate of each signal by time, holes and rejections."""
+    samples, rejected = history.samples, history.rejected
+    channels = sorted(set(samples) | set(rejected))
+    duration = max(history.duration_s, 1.0)
+    edges = np.linspace(0.0, duration, TIME_BINS + 1)
+    middle, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        for i, channel in enumerate(reversed(channels)):
+            t = samples[channel].t if channel in samples else np.zeros(0)
+            count, _ = np.histogram(t, edges)
+            usual = float(np.median(count[count > 0])) if count.any() else 1.0
+            height = 0.8 * np.minimum(count / usual, 1.15)
+            axes.fill_between(middle, i, i + height, color=OURS, alpha=0.75, lw=0, step="mid")
+            axes.text(duration * 1.01, i + 0.3, f"{len(t) / duration:.4g}/s", fontsize=8)
+            if channel in rejected:
+                bad, _ = np.histogram(rejected[channel], edges)
+                axes.fill_between(middle, i, i + 0.8 * (bad > 0), color=BAD, lw=0, step="mid")
+        axes.set_yticks(np.arange(len(channels)) + 0.4, list(reversed(channels)))
+        axes.set_xlim(0.0, duration + width)
+        axes.set_ylim(-0.1, len(channels))
+        axes.grid(visible=False)
+        axes.spines["left"].set_visible(False)
+        axes.tick_params(axis="y", length=0)
+        _time_axis(axes, duration)
+
+    return _themed(drawn(draw, (9.6, 0.6 + 0.3 * max(len(channels), 2)), STYLE))
+
+
+def evidence_picture(history: DriveHistory, angle: str) -> str | None:
+    """Shares of the kinds of evidence in an angle, by time; None where none are told."""
+    rows = []
+    for moment in history.moments:
+        shares = moment.estimate.details.get("evidence_share")
+        if isinstance(shares, Mapping) and isinstance(shares.get(angle), Mapping):
+            rows.append((moment.t, grouped(shares[angle])))
+    if not rows:
+        return None
+    kinds = sorted({kind for _, shares in rows for kind in shares})
+    t = np.array([moment for moment, _ in rows])
+    parts = np.array([[shares.get(kind, 0.0) for kind in kinds] for _, shares in rows]).T
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        colours = [KIND_COLOURS.get(kind, OTHER_KIND) for kind in kinds]
+        axes.stackplot(t, 100.0 * parts, labels=kinds, colors=colours, lw=0)
+        axes.set_ylim(0.0, 100.0)
+        axes.set_ylabel(f"{angle} [%]")
+        axes.margins(x=0.0)
+        _time_axis(axes, history.duration_s)
+        handles, labels = axes.get_legend_handles_labels()
+        axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3,
+                    borderaxespad=0.1, handlelength=1.0, columnspacing=1.0)  # fmt: skip
+
+    return _themed(drawn(draw, (4.7, 2.6), STYLE))
+
+
+def grouped(shares: Mapping[str, float]) -> dict[str, float]:
+    """Shares by kind of evidence: what the last part of a source's name says."""
+    found: dict[str, float] = {}
+    for source, share in shares.items():
+        kind = EVIDENCE_KINDS.get(source.rpartition("_")[2], source)
+        found[kind] = found.get(kind, 0.0) + float(share)
+    return found
+
+
+def _time_axis(axes: Axes, duration: float) -> None:
+    axes.set_xlim(0.0, duration)
+    axes.xaxis.set_major_formatter(FuncFormatter(_clock))
+    step = next((s for s in NICE_S if duration <= TICKS * s), NICE_S[-1])
+    axes.xaxis.set_major_locator(MultipleLocator(step))
+    axes.set_xlabel("time [min:s]")
+
+
+def _clock(seconds: float, _: object) -> str:
+    whole = round(abs(seconds))
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
+def _legend(axes: Axes) -> None:
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.1,
+                handlelength=1.8, columnspacing=1.2)  # fmt: skip
+
+
+def _themed(svg: str) -> str:
+    """Let the page say the colours, as it knows light from dark; HTML needs no name space."""
+    svg = NAME_SPACE.sub("", svg)
+    for colour, name in THEME.items():
+        svg = svg.replace(colour, f"var({name})")
+    return svg
