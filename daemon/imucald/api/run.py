@@ -62,7 +62,7 @@ class Watcher(Protocol):
         ...
 
 
-class Run:
+class ReplayRun:
     """Logs that are the pieces of one recording, on their way through an engine of their own.
 
     sink: takes the frames that would be sent. speed: 1 is real time, None as fast as it goes.

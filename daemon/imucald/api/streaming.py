@@ -11,7 +11,7 @@ from imucald.api.configuration import Configuration, PathLike
 from imucald.api.drive import DriveResult, drive_plain
 from imucald.api.files.written import chosen, format_of, write_parts
 from imucald.api.logs import LogSource, pieces
-from imucald.api.run import Progress, Run, require_frames
+from imucald.api.run import Progress, ReplayRun, require_frames
 from imucald.api.table_access import TableAccess
 from imucald.core.errors import ImucaldError
 
@@ -38,7 +38,7 @@ class DrivePart(TableAccess):
 class DriveStream:
     """A replay on its way: iterate over its parts once, then ask for its `result`."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: ReplayRun) -> None:
         self._run = run
         self._begun = False
         self._result: DriveResult | None = None
@@ -96,7 +96,7 @@ def stream(
     The samples are those of `replay`; arguments and errors are the same. log: one, or a list of
     the pieces of one recording in their order.
     """
-    return DriveStream(Run(config, pieces(log), True, progress, strict))
+    return DriveStream(ReplayRun(config, pieces(log), True, progress, strict))
 
 
 def _part(tables: dict[str, Columns]) -> DrivePart:

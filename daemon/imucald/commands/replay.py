@@ -160,14 +160,14 @@ def _replayed(
     page: ReplayReport | None = None,
 ) -> tuple[DriveResult, list[Path]]:
     """Replay one recording; return what came of it, and the files that were written."""
-    from imucald.api.run import Run
+    from imucald.api.run import ReplayRun
     from imucald.api.streaming import DriveStream
     from imucald.commands.terminal import progress_bar
     from imucald.core.errors import LogError
 
     with progress_bar("replay", options.quiet) as progress:
         signals, strict, speed = path is not None, options.strict, options.speed
-        run = Run(config, logs, signals, progress, strict, sink, speed, page)
+        run = ReplayRun(config, logs, signals, progress, strict, sink, speed, page)
         stream = DriveStream(run)
         written: list[Path] = []
         try:
