@@ -15,8 +15,8 @@ from imucald.api.run import Progress, ReplayRun, require_frames
 from imucald.api.table_access import TableAccess
 from imucald.core.errors import ImucaldError
 
-PART_ROWS = 250_000
-"""Rows, of all tables together, that make a part (some 10 MiB)."""
+PART_ROWS = 150_000
+"""Rows, of all tables together, that make a part (some 6 MiB)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

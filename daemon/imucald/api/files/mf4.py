@@ -38,9 +38,7 @@ class Mf4Tables:
             self._mdf.extend(self._groups[name], [(array, None) for array in arrays])
             return
         signals = [
-            self._asammdf.Signal(
-                array, arrays[0], name=c.name, unit=_unit(c), encoding=ENCODING, raw=True
-            )
+            self._asammdf.Signal(array, arrays[0], name=c.name, unit=_unit(c), encoding=ENCODING)
             for c, array in zip(rows.columns[1:], arrays[1:], strict=True)
         ]
         comment = f"{name}; axes: {axes_of(name)}"
