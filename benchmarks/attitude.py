@@ -29,8 +29,8 @@ from benchmarks.attitude_methods import (
     rms_degrees,
 )
 from benchmarks.measured import DATA, EXAMPLES, verdict
+from benchmarks.six_positions import find_rests, six_parameters
 from imucald.attitude.filter import AttitudeFilter
-from imucald.attitude.sensor_check import find_rests, six_parameters
 from imucald.config import load_config
 from imucald.config.attitude import AttitudeSettings, FilterSettings
 from imucald.core.samples import GRAVITY

@@ -25,11 +25,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.corrected_drive import corrected_drive, corrected_with
 from benchmarks.measured import ROOT
+from benchmarks.truth_error import drive_errors
 from imucald.config.vehicle import VehicleSettings
 from imucald.model_compensation import ModelCompensation, compensation_from_model
-from imucald.model_compensation.trial import corrected_drive, corrected_with
-from imucald.model_compensation.truth_error import drive_errors
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
 

@@ -139,6 +139,7 @@ signals:
   yaw_rate:
     - MUX.YAW
     - {signal: GYR.GZ}
+  parallel: [{name: flat, kind: angular_rate, x: GYR.GX, y: GYR.GY, id: 0x700}]
 messages:
   ACC_XY: {cycle_time: 0.02}
 output: {status_rate: 10, checksum: xor}

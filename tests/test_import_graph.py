@@ -29,10 +29,12 @@ ONLY = {
 
 IO_ROOMS = {"can", "commands", "inputs", "runtime", "service", "uds"}
 NEVER = {
-    "api": {"commands", "service", "uds"},
+    "api": {"commands", "fleet", "service", "uds"},
     "attitude": IO_ROOMS,
     "config_check": {"api", "commands"},
     "diagnosis": {"api", "commands"},
+    "discovery": {"api", "commands", "service", "uds"},
+    "fleet": {"commands", "service", "uds"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
     "runtime": {"api", "commands", "service"},
@@ -44,7 +46,8 @@ NEVER = {
 """Rooms that never reach these rooms, directly or through others."""
 
 LAZY_LIBRARIES = {
-    "asammdf", "can", "isotp", "jinja2", "matplotlib", "rich", "scipy", "subprocess", "yaml",
+    "aiohttp", "asammdf", "can", "difflib", "isotp", "jinja2", "matplotlib", "rich", "scipy",
+    "subprocess", "yaml",
 }  # fmt: skip
 """Large libraries, which a function may import when it needs them."""
 
@@ -52,18 +55,27 @@ LAZY_ROOMS = {"commands"}
 """A command loads what it needs when it runs: `--help` and other commands do without."""
 
 LAZY_MODULES: Mapping[str, str] = {
+    "api.drive._repr_html_: api.html": "2 ms: pages of notebooks",
+    "api.drive.write: api.files.written": "2 ms: few write tables",
+    "api.streaming.write: api.files.written": "2 ms: few write tables",
     "can.link.link._new_port: can.link.adapter": "python-can: SocketCAN does without",
     "can.logs.python_can_logs._open: can.python_can": "python-can: candump does without",
     "config.root.json_schema: config.schema": "only `imucald schema` needs it",
     "core.yaml_lines.read_yaml: core.yaml_parser": "10 ms, 0.9 MiB: a kept file needs no parser",
+    "fleet.evaluation._replayed: fleet.signals": "loads pyarrow, for corrected signals only",
+    "fleet.page._drawing: fleet.pictures": "loads matplotlib",
     "report.page._breakable: markupsafe": "comes with jinja2, an extra",
     "report.page._pictures: report.plots": "loads matplotlib",
+    "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
     "runtime.estimators.estimator_for: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it alone",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "4 ms, 0.3 MiB",
     "runtime.session._consumers: runtime.consumers": "7 ms, 0.6 MiB: few switch one on",
     "runtime.session.open_compensation: model_compensation": "11 ms, 3.9 MiB: few have one",
-    "service.service._new_uds: service.uds_on_bus": "14 ms, 4.7 MiB: few have UDS",
+    "runtime.estimators.published_settings: mount.method_a.settings": "with it",
+    "service.service._new_uds: service.attempt_store": "with the next",
+    "service.service._new_uds: service.dtc_store": "with the next",
+    "service.service._new_uds: service.uds_on_bus": "16 ms, 4.9 MiB: few have UDS",
 }
 """Modules of ours that a function may import, with what a start without them saves: the daemon is
 ready within 0.3 s and takes less than 50 MiB, with those parts only that its configuration uses.

@@ -318,6 +318,7 @@ def test_a_sound_drive_is_right_and_a_turned_reference_is_not(base):
     assert misleading(rows(base, turned, found)).sum() == pytest.approx(sound.good.sum())
 
 
+@pytest.mark.slow
 def test_a_measured_log_in_the_judges_frames_gives_what_its_own_frames_give():
     log = measured("second_world/01_none")
     if log is None:

@@ -2,7 +2,8 @@
 
     python -m benchmarks.diagnosis [--only PART ...] [--draws N] [--seconds S] [--write]
 
-Outcomes are kept in a file and not made again: a run that is stopped goes on where it was.
+Outcomes are kept in a file and not made again while the diagnosis is the same: a run that is
+stopped goes on where it was.
 --seconds ends a part's run after so much processor time; what was not reached is said.
 """
 
@@ -12,12 +13,13 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from benchmarks.diagnosis import judged
-from benchmarks.diagnosis.cases import PARTS, Case, cases
+from benchmarks.diagnosis.cases import FIRST_SEED, PARTS, Case, cases
+from benchmarks.diagnosis.measured_logs import STATE
 from benchmarks.measured import FOLDER, ROOT
 
 PAGE = ROOT / "docs" / "diagnosis-accuracy.md"
@@ -31,23 +33,30 @@ def main() -> int:
     )
     parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS), metavar="PART")
     parser.add_argument("--draws", type=int, default=1)
+    parser.add_argument("--first-draw", type=int, default=0, help="draws before it are not made")
+    parser.add_argument("--first-seed", type=int, default=FIRST_SEED, help="of the generator")
+    parser.add_argument("--levels", type=int, nargs="+", help="sizes (0 to 3); default: all")
+    parser.add_argument("--effects", nargs="+", help="default: all")
+    parser.add_argument("--logs", nargs="+", help="measured logs; default: all")
     parser.add_argument("--seconds", type=float, default=3600.0)
     parser.add_argument("--results", type=Path, default=RESULTS)
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     options.results.parent.mkdir(parents=True, exist_ok=True)
     known = _known(options.results)
+    draws = range(options.first_draw, options.first_draw + options.draws)
+    asked = {p: list(_chosen(cases(p, draws, options.first_seed), options)) for p in PARTS}
     missed = {}
     with options.results.open("a", encoding="utf-8") as file:
         for part in options.only:
-            wanted = list(cases(part, options.draws))
+            wanted = asked[part]
             until = time.process_time() + options.seconds
             for case in wanted:
                 if case.key in known or time.process_time() > until:
                     continue
                 known[case.key] = _one(case, file)
             missed[part] = sum(case.key not in known for case in wanted)
-    lines = [known[c.key] for p in PARTS for c in cases(p, options.draws) if c.key in known]
+    lines = [known[c.key] for p in PARTS for c in asked[p] if c.key in known]
     text = "\n".join(_report(lines, missed))
     print(text)
     if options.write:
@@ -57,11 +66,23 @@ def main() -> int:
     return 0
 
 
+def _chosen(some: Iterable[Case], options: argparse.Namespace) -> Iterator[Case]:
+    """Those of the sizes, effects and logs that were asked for."""
+    for case in some:
+        is_asked = (
+            (options.levels is None or case.level in options.levels)
+            and (options.effects is None or case.effect in options.effects)
+            and (options.logs is None or case.log in options.logs)
+        )
+        if is_asked or case.part == "nulls":
+            yield case
+
+
 def _known(path: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
     lines = map(json.loads, path.read_text(encoding="utf-8").splitlines())
-    return {line["key"]: line for line in lines}
+    return {line["key"]: line for line in lines if line.get("state") == STATE}
 
 
 def _one(case: Case, file: Any) -> dict[str, Any]:

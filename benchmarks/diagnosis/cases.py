@@ -41,20 +41,18 @@ class Case:
         )
 
 
-def cases(part: str, draws: int) -> Iterator[Case]:
+def cases(part: str, draws: range, first_seed: int = FIRST_SEED) -> Iterator[Case]:
     """Cases of a part, in the order of the run: every log and effect early."""
     if part == "nulls":
         for pieces, log in product((2, 3), filter(is_there, LOGS)):
             yield from (Case(part, log, "", 0, 0, pieces, i) for i in range(pieces))
     elif part == "measured":
         logs = [log for log in LOGS if is_there(log)]
-        for draw, level, effect, (i, log) in product(
-            range(draws), (1, 2, 0, 3), EFFECTS, enumerate(logs)
-        ):
+        for draw, level, effect, (i, log) in product(draws, (1, 2, 0, 3), EFFECTS, enumerate(logs)):
             # Halves take turns, so that both are model and test.
             yield Case(part, log, effect, level, draw, 2, (i + level + draw) % 2)
     elif part == "outside":
-        for draw, effect in product(range(draws), OUTSIDE):
+        for draw, effect in product(draws, OUTSIDE):
             yield from (Case(part, log, effect, 1, draw, 2, draw % 2)
                             for log in filter(is_there, LOGS))  # fmt: skip
     elif part == "second_world":
@@ -63,14 +61,14 @@ def cases(part: str, draws: int) -> Iterator[Case]:
             for path in sorted(p for p in folder.iterdir() if p.is_dir()):
                 yield Case(part, path.name, path.name.partition("_")[2])
     else:
-        yield from _generated(part, draws)
+        yield from _generated(part, draws, first_seed)
 
 
-def _generated(part: str, draws: int) -> Iterator[Case]:
-    seed = FIRST_SEED + 10_000 * PARTS.index(part)
+def _generated(part: str, draws: range, first_seed: int) -> Iterator[Case]:
     names = {"generated": CAUSES, "generated_nulls": ("",) * 10,
              "generated_outside": GENERATED_OUTSIDE}[part]  # fmt: skip
-    for draw in range(draws):
+    for draw in draws:
+        seed = first_seed + 10_000 * PARTS.index(part) + 100 * draw
         for level in (1, 2) if part == "generated" else (1,):
             for effect in names:
                 yield Case(part, str(seed), effect, level, draw)

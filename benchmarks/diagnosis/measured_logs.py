@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+import imucald.diagnosis
 from benchmarks.measured import DATA, EXAMPLES
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import angles_from_rotation
@@ -20,6 +23,10 @@ from imucald.diagnosis.recording import Recording, read_samples
 from imucald.model.model import VehicleModel
 from imucald.runtime.session import open_config
 
+STATE = hashlib.sha256(
+    b"".join(p.read_bytes() for p in sorted(Path(imucald.diagnosis.__file__).parent.glob("*.py")))
+).hexdigest()[:12]
+"""Of the diagnosis' own code: what another state of it gave is made again."""
 MOST_EXTENSIONS = 3
 BUILT_ON = ("kingston_2008", "css_canmod_164", "vehsense_2018_08_04")
 """Looked at while the method was made."""

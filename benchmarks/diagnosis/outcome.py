@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnosis.cases import MINUTES, Case
-from benchmarks.diagnosis.measured_logs import extended, read_log
+from benchmarks.diagnosis.measured_logs import STATE, extended, read_log
 from benchmarks.diagnosis.outside_effects import OUTSIDE
 from benchmarks.diagnosis.real_effects import EFFECTS, with_effect
 from benchmarks.measured import DATA, FOLDER
@@ -49,7 +49,8 @@ def outcome(case: Case) -> dict[str, Any]:
         d = diagnose([samples], model)
     except EstimateError as error:
         return {"key": case.key, "part": case.part, "log": case.log, "effect": case.effect,
-                "level": case.level, "right": list(right), "refused": str(error)}  # fmt: skip
+                "level": case.level, "right": list(right), "refused": str(error),
+                "state": STATE}  # fmt: skip
     seconds = time.process_time() - began
     hours = d.duration_s / 3600.0
     result = {
@@ -64,7 +65,7 @@ def outcome(case: Case) -> dict[str, Any]:
     }  # fmt: skip
     if case.part in {"measured", "nulls"} and d.causes:
         result["file"] = _file_alone(d, samples)
-    return result
+    return {**result, "state": STATE}
 
 
 def _prepared(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
@@ -91,7 +92,9 @@ def _measured(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
     rng = np.random.default_rng(seed)
     R = mount_of(model)
     if case.part == "outside":
-        put, size, _ = OUTSIDE[case.effect]
+        put, size, needs = OUTSIDE[case.effect]
+        if needs not in samples:
+            return {}, model, ("unknown",), None
         changed = dict(samples)
         put(changed, size, rng, R)
         return changed, model, ("unknown",), None
@@ -107,7 +110,7 @@ def _measured(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
 def _model(case: Case) -> VehicleModel:
     """Kept on the disk, by the code that made it."""
     FOLDER.mkdir(exist_ok=True)
-    path = FOLDER / f"diagnosis-model-{case.log}-{case.piece}of{case.pieces}.pkl"
+    path = FOLDER / f"diagnosis-{STATE}-{case.log}-{case.piece}of{case.pieces}.pkl"
     if path.exists():
         model: VehicleModel = pickle.loads(path.read_bytes())
         return model

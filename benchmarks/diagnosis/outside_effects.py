@@ -85,11 +85,11 @@ def _glitches(s: Drive, size: float, rng: np.random.Generator, R: Array) -> floa
 
 
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
-    "shaking": (_shaking, 0.3, "m/s²"),
-    "swing": (_swing, 0.4, "m/s²"),
-    "gusts": (_gusts, 0.4, "m/s²"),
-    "hysteresis": (_hysteresis, 0.2, "m/s²"),
-    "dead_zone": (_dead_zone, 0.035, "rad/s"),
-    "glitches": (_glitches, 0.2, "rad/s"),
+    "shaking": (_shaking, 0.3, "accel"),
+    "swing": (_swing, 0.4, "accel"),
+    "gusts": (_gusts, 0.4, "accel"),
+    "hysteresis": (_hysteresis, 0.2, "accel"),
+    "dead_zone": (_dead_zone, 0.035, "gyro"),
+    "glitches": (_glitches, 0.2, "gyro"),
 }
-"""Effect, medium size, unit."""
+"""Effect, medium size [SI], signal that it is put into."""

@@ -23,8 +23,8 @@ from benchmarks.init.obfuscated import write_bus
 from benchmarks.measured import DATA, EXAMPLES, FOLDER, verdict
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
-from imucald.check import Check
-from imucald.discovery import Recording, as_yaml, discover
+from imucald.config_check import Check
+from imucald.discovery import GatheredFrames, as_yaml, discover
 from imucald.discovery.candidates import candidates_of, messages_in
 from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine, open_config
@@ -123,7 +123,7 @@ def main() -> int:
 def _run(case: Case) -> tuple[Verdict, str, str]:
     folder = FOLDER / "init"
     folder.mkdir(parents=True, exist_ok=True)
-    recording = Recording.of(LogReader([case.log]))
+    recording = GatheredFrames.of(LogReader([case.log]))
     path = os.path.relpath(case.database, folder)
     database = load_database([case.database])
     proposal = discover({path: database}, recording)
@@ -147,7 +147,7 @@ def _run(case: Case) -> tuple[Verdict, str, str]:
 
 def _quantities(case: Case, signals: Mapping[str, Any]) -> Quantities:
     path = FOLDER / "init" / f"also-{case.name}.yaml"
-    axes = {a: "X.Y" for a in "xyz"}
+    axes: dict[str, str] = {}
     whole = {"database": str(case.database), "signals": {**signals}}
     if "accelerometer" not in signals:
         hand = quantities_of(case.right)[0]["accelerometer"]

@@ -14,7 +14,8 @@ from imucald import config as cfg
 from imucald.config import LoadedConfig, load_config
 from imucald.discovery.proposal import Proposal
 from imucald.inputs.units import find_unit
-from imucald.inputs.wiring import DIMENSIONS, load_databases, wanted_numbers
+from imucald.inputs.wanted_numbers import DIMENSIONS, wanted_numbers
+from imucald.inputs.wiring import load_databases
 
 CHANNELS = {
     "accel": "accelerometer",
@@ -30,7 +31,7 @@ SAME_FACTOR = 1e-3
 
 @dataclass(frozen=True)
 class Number:
-    """One configured number: where it comes from, SI value of one, sign included; flag's meaning."""
+    """One configured number: its source, SI value of one with sign, meaning of a flag."""
 
     source: str
     factor: float
@@ -101,7 +102,7 @@ def _number(loaded: LoadedConfig, channel: str, source: cfg.SourceSettings) -> N
 def _on(source: cfg.SourceSettings, top: int) -> str:
     """A flag's meaning as text; a single bit that is not zero is one."""
     if source.above is not None:
-        return f"above"
+        return "above"
     if source.equals is not None:
         values = source.equals if isinstance(source.equals, tuple) else (source.equals,)
         return "=" + ",".join(f"{v:g}" for v in values)

@@ -210,9 +210,7 @@ class ObfuscatedBus:
         self, m: DrawnMessage, bits: int, unit: str, scale: float, offset: float, signed: bool
     ) -> str:
         """Put a signal at the first place that is free; return its name."""
-        at = next(
-            b for b in range(8 * m.size - bits + 1) if not m.used & set(range(b, b + bits))
-        )
+        at = next(b for b in range(8 * m.size - bits + 1) if not m.used & set(range(b, b + bits)))
         return self._put(m, at, bits, unit, scale, offset, signed)
 
     def _byte(self, m: DrawnMessage) -> str:

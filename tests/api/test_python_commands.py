@@ -70,7 +70,8 @@ def test_a_check_of_another_bus_finds_errors(tmp_path):
     other.write_text("".join(f"({1.6e9 + i / 10:.6f}) can0 7F0#00\n" for i in range(50)))
     found = imucald.check(config(), other)
     assert not found.usable
-    assert any(f["level"] == "error" and f["quantity"] == "accelerometer" for f in found.findings)
+    assert found.findings[0]["level"] == "error"
+    assert "is it the right bus" in found.findings[0]["text"]
     assert "<td>error</td>" in found._repr_html_()
 
 

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from imucald.attitude.right_forward_up import (
     rfu_from_vehicle,
-    rfu_rotation,
     vehicle_angles,
     vehicle_from_rfu,
 )
@@ -64,8 +63,7 @@ def test_products_and_matrices_are_scipys(a, b, v):
 @given(ANGLE, st.floats(-1.5, 1.5), st.floats(0.0, 6.28))
 def test_angles_are_those_of_the_vehicle_in_iso_8855(roll, pitch, heading):
     """Truth by the project's own Z-Y-X angles of R_earth_from_vehicle, yaw being -heading."""
-    q = rfu_rotation(roll, pitch, heading)
-    C = np.array(rows_from_quaternion(q)).reshape(3, 3)
+    C = Rotation.from_euler("ZXY", [-heading, -pitch, roll]).as_matrix()
     text = np.array([rfu_from_vehicle(*axis) for axis in np.eye(3)]).T
     # earth axes of the project: x north, y west, z up; of the text: east, north, up
     earth = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -73,7 +71,7 @@ def test_angles_are_those_of_the_vehicle_in_iso_8855(roll, pitch, heading):
     assert rotation_from_angles(roll, pitch, -heading) == pytest.approx(
         R_earth_from_vehicle, abs=1e-9
     )
-    found = vehicle_angles(rows_from_quaternion(q))
+    found = vehicle_angles(tuple(C.ravel().tolist()))
     assert found[:2] == pytest.approx(angles_from_rotation(R_earth_from_vehicle)[:2], abs=1e-9)
     assert math.remainder(found[2] - heading, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.six_positions import find_rests, six_parameters
 from scipy.spatial.transform import Rotation
 
-from imucald.attitude.sensor_check import find_rests, rest_errors, six_parameters
+from imucald.attitude.sensor_check import rest_errors
 from imucald.core.errors import EstimateError
 
 G = 9.80665

@@ -54,7 +54,7 @@ def probed(path: Path, memory: int) -> tuple[str, int, int]:
     return said, int(own), int(parsers)
 
 
-@pytest.mark.parametrize("megabytes", [5, 20])
+@pytest.mark.parametrize("megabytes", [5, pytest.param(20, marks=pytest.mark.slow)])
 def test_megabytes_of_comment_are_refused_within_what_the_unit_allows(megabytes, tmp_path):
     path = tmp_path / "talk.dbc"
     path.write_text(HEAD + COMMENT.format("word " * (megabytes * 200_000)))
@@ -65,6 +65,7 @@ def test_megabytes_of_comment_are_refused_within_what_the_unit_allows(megabytes,
     assert own + parsers < UNIT_MEMORY / 2**20
 
 
+@pytest.mark.slow
 def test_a_vehicles_whole_database_is_read_within_what_the_unit_allows(tmp_path):
     path = tmp_path / "car.dbc"
     path.write_text(ordinary(5000))

@@ -332,6 +332,96 @@ def test_log_and_bus_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> 
     assert "not both" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "more",
+    [
+        "output: {ids: {acceleration: 0x200}}",  # an input
+        "attitude: {enabled: true, filter: {heading: signal}}",
+        "travel_direction: {enabled: true}",
+        "diagnostics: {enabled: true, request_id: 0x640}",
+        "diagnostics: {enabled: true, security: {key_function: 'nowhere:at_all'}}",
+        "model: missing.yaml",
+        "calibration: {estimator: published, straight: {recognise_by: [steering]}}",
+    ],
+)
+def test_what_run_refuses_check_refuses_with_the_same_words(
+    more: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    signals = {a: f"IMU_Accel.Accel{a.upper()}" for a in "xyz"}
+    text = f"database: {ROOT / 'dbc' / 'imucald_example.dbc'}\nsignals: {{accelerometer: "
+    text += "{" + ", ".join(f"{a}: {s}" for a, s in signals.items()) + "}}\n" + more + "\n"
+    config = tmp_path / "car.yaml"
+    config.write_text(text)
+    log = tmp_path / "drive.log"
+    log.write_text("(1600000000.000000) can0 200#0000000000000000\n")
+    arguments = ["--config", str(config)]
+    bus = ["--interface", "virtual", "--channel", "refused", "--seconds", "0.1"]
+    assert cli.main(["run", *arguments, *bus]) == 78
+    refused = capsys.readouterr().err
+    assert cli.main(["check", *arguments, str(log)]) == 1
+    assert f"{config}" in refused
+    told_by_check = capsys.readouterr().err.removeprefix("imucald: ").strip()
+    assert told_by_check
+    assert told_by_check in refused
+
+
+def test_warnings_are_counted_in_the_last_line_and_strict_fails_on_them(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "drive.log"
+    with CandumpWriter(log) as writer:
+        for chunk in frames:
+            writer.write_columns(chunk.take(chunk.can_id != 0x1A0))  # the speed
+    arguments = ["check", "--config", str(EXAMPLE), str(log)]
+    assert cli.main(arguments) == 0
+    last = capsys.readouterr().out.strip().splitlines()[-1]
+    assert "can be used, with 2 warnings" in last
+    assert cli.main([*arguments, "--strict"]) == 1
+    assert "--strict" in capsys.readouterr().out.strip().splitlines()[-1]
+
+
+def test_strict_passes_where_there_is_no_warning(
+    frames: Frames, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "drive.log"
+    with CandumpWriter(log) as writer:
+        for chunk in frames:
+            writer.write_columns(chunk)
+    assert cli.main(["check", "--strict", "--config", str(EXAMPLE), str(log)]) == 0
+    assert "no warnings" in capsys.readouterr().out.strip().splitlines()[-1]
+
+
+def test_a_silent_bus_says_what_to_look_at_and_nothing_else(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    arguments = ["check", "--config", str(EXAMPLE), "--seconds", "0.2", "--json"]
+    assert cli.main([*arguments, "--interface", "virtual", "--channel", "silent"]) == 1
+    (finding,) = json.loads(capsys.readouterr().out)["findings"]
+    assert finding["level"] == "error"
+    assert "no frame at all" in finding["text"]
+    assert "bit rate" in finding["text"]
+
+
+def test_a_bus_of_another_vehicle_is_one_error_with_its_ids(frames: Frames) -> None:
+    others = [chunk.take(chunk.can_id == 0x1E0) for chunk in frames]
+    for chunk in others:
+        chunk.can_id[:] = 0x7A1
+    report = checked(others)
+    (finding,) = report["findings"]
+    assert finding["level"] == "error"
+    assert "0x7A1 on can0" in finding["text"]
+
+
+def test_what_could_not_be_judged_is_listed(frames: Frames) -> None:
+    (text,) = (t for t in told_all(checked(frames), "note") if "units and ranges" in t)
+    assert "temperature" in text
+
+
+def told_all(report: dict[str, Any], level: str) -> list[str]:
+    """Texts of all findings of a level."""
+    return [f["text"] for f in report["findings"] if f["level"] == level]
+
+
 # real drives -----------------------------------------------------------------------------------
 
 

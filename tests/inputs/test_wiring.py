@@ -125,6 +125,29 @@ def test_a_planar_accelerometer_takes_no_raw_sources(tmp_path):
     assert "must be in one message" in mistake(text, tmp_path)
 
 
+LEVEL = "database: bus.dbc\nsignals:\n  accelerometer: {x: ACC_XY.BX, y: ACC_XY.BY}\n"
+
+
+RAW = "{raw: {id: 0x111, value: 'data[0]'}, unit: g}"
+
+
+@pytest.mark.parametrize("axes", ["x: PAR.PX, y: ACC.AY", f"x: {RAW}, y: {RAW}"])
+def test_a_parallel_sensor_of_two_axes_must_come_in_one_message(axes: str, tmp_path):
+    sensor = f"{{name: b, kind: acceleration, id: 0x700, {axes}}}"
+    assert "must be in one message" in mistake(f"{LEVEL}  parallel: [{sensor}]\n", tmp_path)
+
+
+def test_a_parallel_sensor_of_two_axes_beside_a_leaning_one_is_refused(tmp_path):
+    """Claims 1 to 5 take a level sensor; claim 6 levels, and needs the third axis."""
+    sensor = "  parallel: [{name: b, kind: angular_rate, x: GYR.GX, y: GYR.GY, id: 0x700}]\n"
+    found = mistake(f"{HEAD}{sensor}", tmp_path)
+    assert "signals.parallel[0]" in found
+    assert "cannot be levelled" in found
+    level = "calibration: {estimator: published, method_a: {level: false}}\n"
+    compile_router(load(f"{HEAD}{sensor}{level}", tmp_path))
+    compile_router(load(f"{LEVEL}{sensor}", tmp_path))
+
+
 def test_two_parallel_sensors_of_one_name_are_refused(tmp_path):
     sensor = "{name: a, kind: acceleration, x: PAR.PX, y: PAR.PY, z: PAR.PZ, id: 0x%X}"
     text = f"{HEAD}  parallel: [{sensor % 0x700}, {sensor % 0x701}]\n"

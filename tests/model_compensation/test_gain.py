@@ -10,10 +10,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks.corrected_drive import CorrectedDrive, corrected_drive, corrected_with
+from benchmarks.truth_error import DriveErrors, drive_errors, true_signals
 
 from imucald.model_compensation import ModelCompensation, compensation_from_model
-from imucald.model_compensation.trial import CorrectedDrive, corrected_drive, corrected_with
-from imucald.model_compensation.truth_error import DriveErrors, drive_errors, true_signals
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
 from mount_settings import full
 

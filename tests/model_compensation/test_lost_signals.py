@@ -4,11 +4,11 @@ import functools
 
 import numpy as np
 import pytest
+from benchmarks.corrected_drive import corrected_drive
 
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.samples import Samples, Series
 from imucald.model_compensation import compensation_from_model
-from imucald.model_compensation.trial import corrected_drive
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
 MINUTES = 15.0

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.corrected_drive import CorrectedDrive, corrected_drive
 
 from imucald.config import load_config
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.recording import read_samples
 from imucald.model_compensation import compensation_from_model
-from imucald.model_compensation.trial import CorrectedDrive, corrected_drive
 from imucald.runtime.estimators import full_settings
 
 ROOT = Path(__file__).parents[2]

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from benchmarks.corrected_drive import corrected_drive
 
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.samples import Series
 from imucald.model_compensation import compensation_from_model
-from imucald.model_compensation.trial import corrected_drive
 from imucald.simulation import random_model, simulate
 
 SEED, MINUTES = 47, 5.0

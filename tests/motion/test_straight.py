@@ -7,28 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from imucald.core.errors import EstimateError
 from imucald.core.samples import Series
 from imucald.motion.straight import (
     MAX_HOLD_TICKS,
     YawRateSource,
     angles_agree,
-    steering_is_small,
-    windows_agree,
     yaw_rate_from_steering,
-    yaw_rate_is_small,
     yaw_rate_with_understeer,
 )
 from imucald.motion.ticks import ticks_from_samples
 
 DEG = math.radians(1.0)
-
-
-def test_small_steering_and_yaw_rate_are_straight_either_way() -> None:
-    x = np.array([-3.0, -2.0, 0.0, 2.0, 3.0]) * DEG
-    expected = [False, True, True, True, False]
-    assert steering_is_small(x, 2.0 * DEG).tolist() == expected
-    assert yaw_rate_is_small(x, 2.0 * DEG).tolist() == expected
 
 
 @pytest.mark.slow
@@ -49,14 +38,6 @@ def test_angles_agree_wherever_on_the_circle_the_arc_lies(
 
 def test_no_angle_agrees_with_nothing() -> None:
     assert not angles_agree([], 1.0)
-
-
-def test_windows_agree_marks_every_sample_of_an_agreeing_window() -> None:
-    angles = np.radians([0, 2, 4, 90, 179, -179, 180])
-    got = windows_agree(angles, 3, np.radians(5))
-    assert got.tolist() == [True, True, True, False, True, True, True]
-    with pytest.raises(EstimateError):
-        windows_agree(angles, 1, 0.1)
 
 
 def test_yaw_rate_from_steering_is_the_kinematic_single_track() -> None:

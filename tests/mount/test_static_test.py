@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 
 from imucald.config.calibration import StaticTestSettings
-from imucald.core.errors import EstimateError
 from imucald.core.samples import Series
 from imucald.motion.ticks import ACCEL, ticks_from_samples
 from imucald.mount.method_a.static_test import (
     CONFIRM_TICKS,
     StandstillDetector,
-    is_static,
-    static_windows,
 )
 
 G = 9.80665
@@ -31,27 +28,25 @@ def windows(detector: StandstillDetector, rows: list[list[float]], stopped: bool
     return [w for row in rows if (w := detector.step(row, stopped)) is not None]
 
 
-def test_static_when_every_axis_stays_within_its_threshold() -> None:
-    a = np.array([[0.0, 0.0, 9.8], [0.1, 0.2, 9.9]])
-    assert is_static(a, [0.1, 0.2, 0.11])
-    for axis in range(3):
-        thresholds = [0.2, 0.3, 0.2]
-        thresholds[axis] = 0.05
-        assert not is_static(a, thresholds), "each axis is judged by its own threshold"
+@pytest.mark.parametrize("duration", [0.1, 0.2])
+def test_each_axis_is_judged_by_its_own_threshold(duration: float) -> None:
+    """0.1, 0.2 and 0.1 apart; a window of a single tick is judged as one of several is."""
+    t = np.arange(20) * duration / 20.0
+    a = np.zeros((20, 3))
+    a[7], a[13] = (0.0, 0.0, 9.75), (0.125, 0.25, 9.875)
+    a[:, 2] = np.where(a[:, 2] == 0.0, 9.75, a[:, 2])
 
+    def is_static(*threshold: float) -> bool:
+        settings = StaticTestSettings(samples=20, duration=duration, threshold=threshold)
+        detector = StandstillDetector(settings)
+        ticks = ticks_from_samples({"accel": Series(t, a)}, 0, round(duration * 10))
+        windows(detector, ticks.tolist(), None)
+        return detector.still
 
-def test_static_test_rejects_what_is_no_sample_array() -> None:
-    with pytest.raises(EstimateError):
-        is_static(np.zeros((0, 3)), [1, 1, 1])
-    with pytest.raises(EstimateError):
-        is_static(np.zeros(3), [1, 1, 1])
-
-
-def test_windows_of_a_preset_number_of_samples_are_judged_apart() -> None:
-    a = np.zeros((25, 3))
-    a[12, 1] = 1.0
-    assert static_windows(a, 10, [0.5, 0.5, 0.5]).tolist() == [True, False]
-    assert static_windows(a, 10, [0.5, 1.0, 0.5]).tolist() == [True, True]
+    assert is_static(0.125, 0.25, 0.125)
+    assert not is_static(0.1, 0.25, 0.125)
+    assert not is_static(0.125, 0.2, 0.125)
+    assert not is_static(0.125, 0.25, 0.1)
 
 
 def test_standstill_is_found_after_the_window_and_its_mean_is_right() -> None:

@@ -198,6 +198,7 @@ def test_b3_the_zero_error_is_that_of_now(with_speed: bool) -> None:
     assert attitude.estimate().bias == pytest.approx((0.02,) * 3, abs=3e-4)
 
 
+@pytest.mark.slow
 def test_kingston_b_alone_is_the_claims_b() -> None:
     """All samples of the van: the same angles, and the same figures against its INS."""
     samples = recording("kingston_2008")

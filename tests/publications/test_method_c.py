@@ -13,13 +13,12 @@ from imucald.attitude.kalman import NineStateFilter
 from imucald.attitude.measurements import heading_difference, tilt
 from imucald.attitude.propagation import Propagator
 from imucald.attitude.right_forward_up import (
-    rfu_rotation,
     vehicle_angles,
     vehicle_from_rfu,
 )
 from imucald.attitude.sensor_check import rest_errors
 from imucald.config.attitude import FilterSettings
-from imucald.core.rotations import levelling_rotation, rows_from_quaternion, times
+from imucald.core.rotations import levelling_rotation, times
 from publications import method_c as text
 from publications.on_the_van import NAME, rms_off, tilted
 from publications.recordings import recording
@@ -58,8 +57,6 @@ def test_1_and_2_system_errors_at_rest() -> None:
 def test_3_and_14_the_matrix_and_its_angles() -> None:
     for p, r, y in attitudes(200):
         C = text.attitude_matrix(p, r, y)
-        ours = np.array(rows_from_quaternion(rfu_rotation(r, -p, y))).reshape(3, 3)
-        assert ours == pytest.approx(C, abs=1e-12)
         roll, pitch, heading = vehicle_angles(matrix(C))
         pg, rg, yg = text.angles_of_matrix(C)
         assert apart(-pitch, pg) < 1e-9
@@ -89,7 +86,7 @@ def test_5_to_7_the_matrix_carried_along(dt: float) -> None:
 
 def interval_of(gravity: tuple[float, float, float]) -> Interval:
     nothing = (0.0, 0.0, 0.0)
-    return Interval(gravity, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, nothing, 0.0, 0.0, 0.1, 0.1)
+    return Interval(gravity, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, nothing, 0.0, 0.0, 0.1, 0.1)
 
 
 def test_13_and_18_measurements_to_first_order() -> None:
@@ -192,6 +189,7 @@ def test_c2_noise_is_that_of_each_axis() -> None:
     assert ours.P[0:3, 0:3] == pytest.approx(expected, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_kingston_the_literal_filter_is_good_and_ours_is_better() -> None:
     """C on B's corrected samples, each sample a period; errors against the INS after a minute."""
     roll, pitch = rms_off(*tilted(recording(NAME), with_filter=True))

@@ -224,6 +224,7 @@ def test_d2_a_compass_that_counts_the_other_way_says_so_and_is_understood() -> N
 # Measured ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_ped_ethz_every_step_is_the_texts() -> None:
     """867 cycles: headings, choice and turns of a chain of its own on the package's cycles."""
     samples = recording("ped_ethz")

@@ -12,7 +12,16 @@ import pytest
 from crccheck.crc import Crc8SaeJ1850
 from scipy.spatial.transform import Rotation
 
-from engine_bus import RICH, ScriptedEstimator, Sender, engine_of, load
+from engine_bus import (
+    CONFIGS,
+    RICH,
+    ScriptedEstimator,
+    Sender,
+    columns_of,
+    engine_of,
+    frames_of,
+    load,
+)
 from imucald.can.columns import CAN_EFF_FLAG
 from imucald.mount.estimate import Missing, MountEstimate, MountState
 from imucald.runtime.output.output_frames import Health, OutputFrames, output_database
@@ -97,6 +106,32 @@ def test_a_parallel_sensor_goes_out_under_its_own_29_bit_id(loaded, out_dbc):
     assert len(rows) == 100
     expected = rotation_at(5) @ [1.0, 2.0, 3.0]
     assert [rows[55][f"Accel{a}"] for a in "XYZ"] == pytest.approx(expected, abs=0.00101)
+
+
+class TurnedEstimator(ScriptedEstimator):
+    """Sure of one angle about the vertical."""
+
+    correction = tuple(Rotation.from_euler("z", 2.1).as_matrix().ravel().tolist())
+    state = MountState.FINE
+
+
+def test_a_level_parallel_sensor_of_two_axes_is_turned_and_has_no_z(tmp_path, out_dbc):
+    """Claim 5 of method A: L'x = Lx cos - Ly sin, L'y = Lx sin + Ly cos."""
+    loaded = load(CONFIGS["planar"], tmp_path)
+    L = np.random.default_rng(5).integers(-90, 90, (50, 2))
+    sender = Sender(loaded)
+    frames = [sender.frame(0.01 * k, "GYR", GX=x, GY=y, GZ=5.0) for k, (x, y) in enumerate(L)]
+    engine = engine_of(loaded, TurnedEstimator())
+    live = [one for frame in frames for one in engine.frame(*frame)]
+    assert frames_of(engine_of(loaded, TurnedEstimator()).columns(columns_of(frames))) == live
+    sent = decoded(out_dbc, "IMUCALD_AngularRate", live, 0x700)
+    assert [row["RateZ"] for row in sent] == [None] * 50
+    assert {row["Quality"] for row in sent} == {3}
+    x, y = L.T
+    c, s = math.cos(2.1), math.sin(2.1)
+    step = out_dbc.get_message_by_name("IMUCALD_AngularRate").get_signal_by_name("RateX").scale
+    assert [row["RateX"] for row in sent] == pytest.approx(x * c - y * s, abs=0.51 * step)
+    assert [row["RateY"] for row in sent] == pytest.approx(x * s + y * c, abs=0.51 * step)
 
 
 def test_every_frame_is_protected_as_an_independent_crc_says(loaded):

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 
+import shuttle
+from imucald.can.link.link import Frame
+from imucald.service.service import Service, ServiceOptions
+from imucald.service.start_count import StartCount, start_count_file
 from paths import ROOT
 
 UNIT = ROOT / "systemd" / "imucald@.service"
-DATE = '#!/bin/sh\ncat "$CLOCK"\n'
 SLEEP = '#!/bin/sh\necho $(( $(cat "$CLOCK") + $1 )) > "$CLOCK"\n'
 
 
 class Starts:
-    """Runs the unit's command line with a clock that only sleeping and `run_for` move [s]."""
+    """Runs the unit's command line with a clock that only sleeping and `live` move [s]."""
 
     def __init__(self, folder: Path) -> None:
         line = re.search(r"^ExecStart=/bin/sh -c '(.*?)' imucald ", UNIT.read_text(), re.M | re.S)
@@ -25,26 +28,30 @@ class Starts:
         # as systemd.service(5) joins and unescapes a line
         self.script = line[1].replace("\\\n", " ").replace("$$", "$").replace("%%", "%")
         self.clock, self.file = folder / "clock", folder / "starts"
-        programs = folder / "bin"
+        programs = folder / "bin"  # nothing else is found: the shell starts nothing but a pause
         programs.mkdir()
-        for name, text in (("date", DATE), ("sleep", SLEEP)):
-            (programs / name).write_text(text)
-            (programs / name).chmod(0o755)
+        (programs / "sleep").write_text(SLEEP.replace("cat", shutil.which("cat") or "cat"))
+        (programs / "sleep").chmod(0o755)
         self.environment = {
-            "PATH": f"{programs}:{os.environ['PATH']}",
+            "PATH": str(programs),
             "CLOCK": str(self.clock),
             "RUNTIME_DIRECTORY": str(folder),
         }
-        self.run_for(1_600_000_000)
+        self.clock.write_text("0")
 
-    def run_for(self, seconds: int) -> None:
-        now = int(self.clock.read_text()) if self.clock.exists() else 0
-        self.clock.write_text(str(now + seconds))
+    def live(self, seconds: int) -> None:
+        """The daemon lives for so long, and does with the count what it does."""
+        self.clock.write_text(str(int(self.clock.read_text()) + seconds))
+        count = StartCount(start_count_file(self.environment))
+        for uptime in range(seconds + 1):
+            count.update(uptime)
 
     def start(self) -> int:
         """Start once; return when [s]."""
+        true = shutil.which("true")
+        assert true is not None
         subprocess.run(
-            ["/bin/sh", "-c", self.script, "imucald", "true"], env=self.environment, check=True
+            ["/bin/sh", "-c", self.script, "imucald", true], env=self.environment, check=True
         )
         return int(self.clock.read_text())
 
@@ -63,7 +70,7 @@ def test_whatever_the_loop_there_are_ten_starts_a_minute_at_most(starts, lives):
     times = []
     for _ in range(25):
         times.append(starts.start())
-        starts.run_for(lives)
+        starts.live(lives)
     assert most_in_a_minute(times) <= 10
     assert times[-1] - times[-2] <= 30 + lives, "it is tried for ever"
 
@@ -72,26 +79,51 @@ def test_the_first_restarts_are_at_once_and_again_after_a_minute_of_life(starts)
     for _ in range(3):
         times = [starts.start() for _ in range(5)]
         assert times[-1] == times[0]
-        starts.run_for(61)
+        starts.live(60)
 
 
 @pytest.mark.parametrize(
-    "content", ["", "x y\n", "3\n", "9 9 9\n", "-1 -1\n", "08 09\n", "7\n7\n", "1e3 $(reboot)\n"]
+    "content", ["", "x y\n", "3\n", "9 9\n", "-1\n", "08\n", "11\n", "7\n7\n", "1e3 $(reboot)\n"]
 )
 def test_a_damaged_count_stops_no_start(starts, content):
     starts.file.write_text(content)
     starts.start()
-    number, last = map(int, starts.file.read_text().split())
-    assert 0 <= number <= 10
-    assert last == int(starts.clock.read_text())
+    assert 0 <= int(starts.file.read_text()) <= 10
 
 
-def test_a_clock_that_is_set_back_does_not_let_a_loop_run(starts):
-    times = []
-    for i in range(20):
-        before = int(starts.clock.read_text())
-        times.append(starts.start() - before)
-        if i == 8:
-            starts.run_for(-3600)
-    assert times[:5] == [0] * 5
-    assert times[-5:] == [30] * 5
+def test_only_a_daemon_that_has_lived_for_a_minute_ends_the_count(starts):
+    starts.start()
+    starts.live(59)
+    assert starts.file.exists()
+    starts.live(60)
+    assert not starts.file.exists()
+
+
+def test_without_a_unit_there_is_no_count(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "starts").touch()
+    StartCount(start_count_file({})).update(100.0)
+    assert (tmp_path / "starts").exists()
+
+
+@pytest.mark.parametrize(("seconds", "is_kept"), [(50, True), (70, False)])
+def test_the_service_ends_the_count_while_it_runs(tmp_path, seconds, is_kept):
+    count = tmp_path / "starts"
+    count.write_text("3\n")
+    now = [100.0]
+    options = ServiceOptions(
+        shuttle.write(tmp_path, cycles=1),
+        interface="virtual",
+        channel="count",
+        start_count=start_count_file({"RUNTIME_DIRECTORY": str(tmp_path)}),
+    )
+    service = Service(options, clock=lambda: now[0])
+
+    def a_silent_second(_: float) -> list[Frame]:
+        now[0] += 1.0
+        return []
+
+    service.link.receive = a_silent_second
+    service.run(seconds)
+    service.close()
+    assert count.exists() == is_kept

@@ -169,11 +169,6 @@ def test_it_stops_within_a_second_with_its_state_saved(outcome):
     assert found["state"] == "restored"
 
 
-@pytest.mark.xfail(
-    reason="known shortfall: back 0.96 s after a new interface in the median, 1.05 to 1.26 s at "
-    "most on a busy host; the pause before a start and more modules cost what was spare",
-    strict=False,
-)
 def test_it_comes_and_goes_with_its_interface(outcome):
     found = scene(outcome, "interface_lost")
     assert max(found["down"]) < RESUME_S

@@ -183,6 +183,7 @@ HOSTILE = [
 ]
 
 
+@pytest.mark.slow
 def test_a_flood_of_hostile_frames_neither_delays_the_sensor_nor_fills_the_memory(bench):
     bench.play(1.0)
     # what the virtual bus keeps for us is not of interest: these are read and thrown away

@@ -11,8 +11,6 @@ from typing import Any
 
 from imucald.api.columns import Columns
 from imucald.api.configuration import PathLike
-from imucald.api.files.written import chosen, write_parts
-from imucald.api.html import drive_html
 from imucald.api.mount import MountResult
 from imucald.api.plots import DrivePlots
 from imucald.api.table_access import TableAccess
@@ -69,6 +67,8 @@ class DriveResult(TableAccess):
         cannot be written; nothing is left behind then.
         """
         tables = {name: table.columns for name, table in self.tables.items()}
+        from imucald.api.files.written import chosen, write_parts  # noqa: PLC0415
+
         there = chosen(tables, quantities)
         return write_parts(Path(path), there, [self.tables], lambda: drive_plain(self))
 
@@ -83,6 +83,8 @@ class DriveResult(TableAccess):
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
+        from imucald.api.html import drive_html  # noqa: PLC0415
+
         return drive_html(self.logs, self.mount, self.summary, tuple(self.tables))
 
     def __repr__(self) -> str:

@@ -22,7 +22,7 @@ from imucald.api.columns import (
 )
 from imucald.core.angles import DEG_PER_RAD
 from imucald.motion.ticks import TICK_RATE
-from imucald.mount.estimate import ANGLES
+from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.segment_samples import SegmentSamples
@@ -48,6 +48,8 @@ class Recorder:
         self._states: list[str] = []
         self._rows: list[list[float]] = []
         self._blocks: list[Array] = []
+        self._known: MountEstimate | None = None
+        self._figures: list[float] = []
         self._events: list[tuple[float, str, str, int, float]] = []
         self.events_left_out = 0
         self._state = "waiting"
@@ -65,8 +67,11 @@ class Recorder:
         """Take an estimate; whole seconds are kept."""
         self._take_changes(snapshot)
         if (snapshot.k + 1) % round(TICK_RATE) == 0:
+            estimate = snapshot.estimate
+            if estimate is not self._known:
+                self._known, self._figures = estimate, _history_figures(estimate)
             self._states.append(self._state)
-            self._rows.append(_history_row(snapshot))
+            self._rows.append([snapshot.t, float(snapshot.usable), *self._figures])
             if len(self._rows) == BLOCK_ROWS:
                 self._blocks.append(np.array(self._rows))
                 self._rows = []
@@ -83,7 +88,7 @@ class Recorder:
         self._last_stamp = float(np.max(stamps))
         if not self._signals:
             return
-        for channel, one in found.corrected.items():
+        for channel, one in found.corrected().items():
             self._put(channel, one.t, stamps[one.row], [one.values, one.quality])
         for channel, series in found.as_sensed.items():
             self._put(f"{RAW}{channel}", series.t, stamps[series.row], [series.values])
@@ -154,8 +159,8 @@ class Recorder:
         return microseconds(t + offsets[of])
 
 
-def _history_row(snapshot: Snapshot) -> list[float]:
-    e = snapshot.estimate
+def _history_figures(e: MountEstimate) -> list[float]:
+    """A row of the history from its angles on."""
     nothing = (math.nan,)
     angles = nothing * 3 if e.angles is None else [a * DEG_PER_RAD for a in e.angles]
     quaternion = nothing * 4 if e.quaternion is None else e.quaternion
@@ -163,7 +168,7 @@ def _history_row(snapshot: Snapshot) -> list[float]:
     if e.covariance is not None:
         flat = e.covariance.ravel().tolist()
         covariance = [flat[i] * DEG_PER_RAD**2 for i in _UPPER]
-    return [snapshot.t, float(snapshot.usable), *angles, *quaternion, *covariance]
+    return [*angles, *quaternion, *covariance]
 
 
 def _gap_text(before: float, stamp: float) -> str:

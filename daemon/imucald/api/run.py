@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -24,12 +24,15 @@ from imucald.api.drive import DriveResult, drive_result
 from imucald.api.logs import LogSource, opened
 from imucald.api.mount import MountResult
 from imucald.api.recorder import Recorder, microseconds
+from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_reader import LogReader
-from imucald.core.errors import LogError
+from imucald.core.errors import NoFramesError
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.replay import Replay, Sink
 from imucald.runtime.session import make_engine
+
+_T = TypeVar("_T")
 
 Progress = Callable[[int, int | None], None]
 """Called now and then with bytes read, and bytes in all (None where nobody knows)."""
@@ -39,34 +42,52 @@ _KINDS = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "ma
 UNUSED = "the log has no usable frame of this configuration; 'imucald check' tells more"
 
 
+def _both(first: Callable[[_T], None], second: Callable[[_T], None]) -> Callable[[_T], None]:
+    def both(what: _T) -> None:
+        first(what)
+        second(what)
+
+    return both
+
+
 def require_frames(drive: DriveResult) -> DriveResult:
-    """The drive as it is; raises LogError where its logs held no frame at all."""
+    """The drive as it is; raises NoFramesError where its logs held no frame at all."""
     if drive.frames["read"] == 0:
-        raise LogError(f"{', '.join(drive.logs)}: holds no CAN frame")
+        raise NoFramesError(f"{', '.join(drive.logs)}: holds no CAN frame")
     return drive
 
 
 class Watcher(Protocol):
-    """Sees what passes in a run, beside it."""
+    """Sees what passes during a run, such as whoever draws a page of it."""
 
-    def snapshot(self, snapshot: Snapshot) -> None:
+    def take(self, chunk: FrameColumns, /) -> None:
+        """Take frames of the logs, before the engine gets them."""
+
+    def snapshot(self, snapshot: Snapshot, /) -> None:
         """Take a snapshot of the estimate."""
-        ...
 
-    def reader(self, *arguments: Any) -> LogReader:
-        """Return a reader that it watches; arguments as for `LogReader`."""
-        ...
+    def sink(self, engine: Engine, /) -> Sink:
+        """Return what takes the frames that would be sent."""
 
-    def sink(self, engine: Engine, other: Sink | None) -> Sink:
-        """Return what takes the frames that are given out, and hands them on to the other."""
-        ...
+
+class _WatchedReader(LogReader):
+    """A reader whose chunks a watcher sees before the engine does."""
+
+    def __init__(self, watcher: Watcher, *arguments: Any) -> None:
+        super().__init__(*arguments)
+        self._watcher = watcher
+
+    def __iter__(self) -> Iterator[FrameColumns]:
+        for chunk in super().__iter__():
+            self._watcher.take(chunk)
+            yield chunk
 
 
 class ReplayRun:
     """Logs that are the pieces of one recording, on their way through an engine of their own.
 
     sink: takes the frames that would be sent. speed: 1 is real time, None as fast as it goes.
-    watcher: sees what passes.
+    watcher: sees all that passes.
     Raises ConfigError.
     """
 
@@ -85,21 +106,23 @@ class ReplayRun:
         self.logs = tuple(str(source) for source in sources)
         self._signals = signals
         self._recorder = Recorder(signals)
-        self._watcher = watcher
-        self.engine = make_engine(config.loaded, self._snapshot, on_samples=self._recorder.samples)
-        new_reader = LogReader if watcher is None else watcher.reader
-        self._reader = new_reader(sources, self.engine.router.matches, strict, progress)
-        if watcher is not None:
-            sink = watcher.sink(self.engine, sink)
+        snapshot = self._recorder.snapshot
+        self.engine = make_engine(
+            config.loaded,
+            snapshot if watcher is None else _both(snapshot, watcher.snapshot),
+            on_samples=self._recorder.samples,
+        )
+        reading = sources, self.engine.router.matches, strict, progress
+        if watcher is None:
+            self._reader = LogReader(*reading)
+        else:
+            self._reader = _WatchedReader(watcher, *reading)
+            seen = watcher.sink(self.engine)
+            sink = seen if sink is None else _both(seen, sink)
         self._replay = Replay(self.engine, self._reader, sink, speed)
         self._kinds = {
             f"parallel/{p.name}": _KINDS[p.kind] for p in config.loaded.config.signals.parallel
         }
-
-    def _snapshot(self, snapshot: Snapshot) -> None:
-        self._recorder.snapshot(snapshot)
-        if self._watcher is not None:
-            self._watcher.snapshot(snapshot)
 
     def chunks(self) -> Iterator[None]:
         """Go on by a chunk of frames each; the first bad line raises LogError where strict."""

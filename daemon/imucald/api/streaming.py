@@ -9,7 +9,6 @@ from pathlib import Path
 from imucald.api.columns import Columns
 from imucald.api.configuration import Configuration, PathLike
 from imucald.api.drive import DriveResult, drive_plain
-from imucald.api.files.written import chosen, format_of, write_parts
 from imucald.api.logs import LogSource, pieces
 from imucald.api.run import Progress, ReplayRun, require_frames
 from imucald.api.table_access import TableAccess
@@ -73,6 +72,8 @@ class DriveStream:
 
     def write(self, path: PathLike, quantities: Sequence[str] | str | None = None) -> list[Path]:
         """Write the whole drive in bounded memory; the rest is as for `DriveResult.write`."""
+        from imucald.api.files.written import chosen, format_of, write_parts  # noqa: PLC0415
+
         format_of(Path(path))
         tables = chosen(self._run.table_columns(), quantities)
 

@@ -25,9 +25,9 @@ class Interval(NamedTuple):
     """Gravity in P over an interval, and what its uncertainty depends on.
 
     up: mean specific force less motion, frame P [m/s^2]. t0, t1 [s]. speed: mean [m/s] or NaN.
-    forward_acceleration, lateral_acceleration: of the vehicle [m/s^2]. force_variance: of
-    one sample about the mean [(m/s^2)^2], all axes. n: samples. rate: mean of the raw
-    gyroscope [rad/s]; rate_variance: of one sample, all axes. angle: turned [rad].
+    forward_acceleration: of the vehicle [m/s^2]. force_variance: of one sample about the mean
+    [(m/s^2)^2], all axes. n: samples. rate: mean of the raw gyroscope [rad/s]; rate_variance: of
+    one sample, all axes. angle: turned [rad].
     sigma_forward, sigma_lateral: standard deviation of `up` along the body's axes [m/s^2].
     """
 
@@ -36,7 +36,6 @@ class Interval(NamedTuple):
     t1: float
     speed: float
     forward_acceleration: float
-    lateral_acceleration: float
     force_variance: float
     n: float
     rate: Vector
@@ -102,7 +101,6 @@ def interval(
         b.t,
         0.5 * (v0 + v1),
         forward,
-        lateral,
         force_variance,
         n,
         (rx, ry, rz),

@@ -34,7 +34,6 @@ STATES = 9
 YAW_STD_MAX = math.pi
 """A free heading is unknown; its variance stops growing here [rad], long before it could spoil
 the numbers."""
-START_HEADING_STD = math.pi
 _EYE = np.eye(STATES)
 
 
@@ -62,7 +61,6 @@ class NineStateFilter:
         self.P: Array = np.zeros((STATES, STATES))
         self.widened = 0
         """Measurements whose noise had to be widened by the gate."""
-        self.updates = 0
 
     def start(self, tilt_std: float, heading_std: float, gyro_std: PerAxis) -> None:
         """Begin anew; standard deviations in rad and rad/s."""
@@ -122,7 +120,6 @@ class NineStateFilter:
         if gated and innovation * innovation > limit * (expected + variance):
             variance = innovation * innovation / limit - expected
             self.widened += 1
-        self.updates += 1
         K = Ph / (expected + variance)
         A = _EYE - np.outer(K, h)
         P = A @ P @ A.T + np.outer(K, K) * variance

@@ -80,7 +80,6 @@ class Propagator:
         self._t_before = -math.inf
         self.rate: Vector = (0.0, 0.0, 0.0)
         """Newest angular rate, free of bias [rad/s]."""
-        self.raw_rate: Vector = (0.0, 0.0, 0.0)
         self._pending: deque[tuple[float, Vector]] = deque(maxlen=MAX_PENDING)
         self._history: deque[IntegralSnapshot] = deque(maxlen=MAX_HISTORY)
         self._force: Vector = (0.0, 0.0, 0.0)  # newest, in P
@@ -112,7 +111,7 @@ class Propagator:
             self.C = rows_from_quaternion(self.q)
             self._angle += math.sqrt(rx * rx + ry * ry + rz * rz)
         self.t = t
-        self.rate, self.raw_rate = rate, raw
+        self.rate = rate
         self._turns += 1.0
         x, y, z = self._rate_sum
         self._rate_sum = (x + raw[0], y + raw[1], z + raw[2])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from imucald.core.rotations import IDENTITY, Quaternion, Rows, Vector, quaternion_turned
+from imucald.core.rotations import Rows, Vector
 
 TWO_PI = 2.0 * math.pi
 
@@ -36,15 +36,6 @@ def vehicle_angles(C_nav_from_body: Rows) -> Vector:
     roll = math.atan2(-C_nav_from_body[6], C_nav_from_body[8])
     heading = math.atan2(C_nav_from_body[1], C_nav_from_body[4])
     return roll, pitch, heading % TWO_PI
-
-
-def rfu_rotation(roll: float, pitch: float, heading: float) -> Quaternion:
-    """Quaternion of C_nav_from_body for ISO 8855 roll and pitch and heading from north [rad]."""
-    turned = quaternion_turned(IDENTITY, 0.0, 0.0, -heading)
-    nodded = quaternion_turned(
-        turned, -pitch, 0.0, 0.0
-    )  # about the right axis, nose up is positive
-    return quaternion_turned(nodded, 0.0, roll, 0.0)
 
 
 def wrapped(angle: float) -> float:

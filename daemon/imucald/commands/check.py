@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import time
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import LOG_HELP, add_bus, add_config
 
 if TYPE_CHECKING:
-    from imucald.can.link.link import Frame
     from imucald.config import LoadedConfig
     from imucald.config_check import Check
 
@@ -22,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `check`."""
     parser.epilog = (
         "Without LOG it listens on the configuration's bus; it never sends. Exit status: 0 when "
-        "the configuration can be used, 1 when something necessary is missing or wrong."
+        "the configuration can be used, 1 when something necessary is missing or wrong, and with "
+        "--strict when there are warnings too."
     )
     parser.add_argument(
         "logs",
@@ -39,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help=f"how long to listen without LOG (default: {LISTEN_S:g})",
     )
+    parser.add_argument("--strict", action="store_true", help="fail on warnings too")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -48,8 +48,8 @@ def run(options: argparse.Namespace) -> int:
     from imucald.api.configuration import Configuration
     from imucald.commands.files import check_files
     from imucald.commands.terminal import progress_bar
-    from imucald.config_check import Check
     from imucald.core.errors import ConfigError
+    from imucald.service.start_check import check_start
 
     if options.logs and (options.interface or options.channel):
         raise ConfigError("either LOG or --interface and --channel: not both")
@@ -59,16 +59,18 @@ def run(options: argparse.Namespace) -> int:
     config = Configuration.load(options.config, options.database)
     for text in config.warnings:
         print(f"imucald: warning: {text}", file=sys.stderr)
+    check_start(config.loaded)
     if options.logs:
         with progress_bar("check") as progress:
             found = check(config, options.logs, progress=progress)
         for text in found.problems:
             print(f"imucald: {text}", file=sys.stderr)
     else:
-        checker = Check(config.loaded)
+        checker = _for_a_bus(config.loaded, options)
         _listen(checker, config.loaded, options)
         found = check_report(checker)
     report = found.to_dict()
+    passed = report["usable"] and not (options.strict and report["warnings"])
     if options.json:
         json.dump(report, sys.stdout, indent=2, allow_nan=False, ensure_ascii=False)
         print()
@@ -77,30 +79,28 @@ def run(options: argparse.Namespace) -> int:
         from imucald.commands.terminal import plain_where_needed
 
         plain_where_needed()
-        print_report(report)
-    return 0 if report["usable"] else 1
+        print_report(report, options.strict)
+    return 0 if passed else 1
+
+
+def _for_a_bus(loaded: LoadedConfig, options: argparse.Namespace) -> Check:
+    from imucald.config_check import Check
+
+    interface = options.interface or loaded.config.bus.interface
+    channel = options.channel or loaded.config.bus.channel
+    remedy = "the plug, the ignition and the bit rate ('bus: bitrate:')"
+    if interface == "socketcan":
+        remedy = (
+            f"the plug, the ignition and the bit rate: ip -details -statistics link show {channel}"
+        )
+    text = f"listened {options.seconds:g} s on {channel}: no frame at all. Look at {remedy}"
+    return Check(loaded, text)
 
 
 def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> None:
-    from imucald.commands.terminal import countdown
+    from imucald.commands.listening import listen
     from imucald.config_check import EVERY_FRAME
     from imucald.service.live import open_link
 
     link = open_link(loaded, EVERY_FRAME, frozenset(), options.interface, options.channel)
-    with link, countdown(f"listening on {link.channel}", options.seconds) as tick:
-        began = time.monotonic()
-        waiting: list[Frame] = []
-        while (passed := time.monotonic() - began) < options.seconds:
-            waiting += link.receive(min(0.1, options.seconds - passed))
-            if len(waiting) >= 10_000:
-                _feed(check, waiting, link.channel)
-                waiting = []
-            tick(passed)
-        _feed(check, waiting, link.channel)
-
-
-def _feed(check: Check, frames: list[Frame], channel: str) -> None:
-    if frames:
-        from imucald.config_check import columns_of
-
-        check.feed(columns_of(frames, channel))
+    listen(link, options.seconds, check.feed)

@@ -16,7 +16,7 @@ LONG_NAME = 18
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "cyan", "ok": "green"}
 
 
-def print_report(report: Mapping[str, Any]) -> None:
+def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
     """Print messages, quantities, findings and output ids."""
     console = plain_console()
     frames = report["frames"]
@@ -33,10 +33,23 @@ def print_report(report: Mapping[str, Any]) -> None:
     console.print()
     ids = ", ".join(f"{row['id']} {row['frame']}" for row in report["output"])
     console.print(f"imucald would send: {ids}")
-    if report["usable"]:
-        console.print(Text("This configuration can be used.", style="bold green"))
-    else:
-        console.print(Text("This configuration cannot be used yet.", style="bold red"))
+    console.print(_verdict(report, strict))
+
+
+def _verdict(report: Mapping[str, Any], strict: bool) -> Text:
+    """The last line: whether it can be used, and how many warnings there are."""
+    warnings = report["warnings"]
+    counted = f"{warnings} warning{'s' if warnings != 1 else ''}"
+    if not report["usable"]:
+        besides = f" ({counted} besides)" if warnings else ""
+        return Text(f"This configuration cannot be used yet{besides}.", style="bold red")
+    if not warnings:
+        return Text("This configuration can be used: no warnings.", style="bold green")
+    if strict:
+        return Text(
+            f"This configuration has {counted}, and --strict allows none.", style="bold red"
+        )
+    return Text(f"This configuration can be used, with {counted}: see above.", style="bold yellow")
 
 
 def _messages(rows: list[dict[str, Any]]) -> Table:

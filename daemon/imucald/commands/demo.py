@@ -9,11 +9,15 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
+from imucald.commands.monitor import add_web_argument
 from imucald.core.errors import ConfigError
 
 DEFAULT_MINUTES = 6.0
 """A drive that brings every angle to rest, and some fifteen seconds of waiting."""
 QUICK_MINUTES = 2.5
+LIVE_MINUTES = 30.0
+FASTEST = 20.0
+"""Times real time: more than a busy machine keeps up with."""
 MAX_MINUTES = 120.0
 """Two hours of driving: some minutes of waiting."""
 
@@ -40,6 +44,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--quick", action="store_true", help=f"a drive of {QUICK_MINUTES:g} minutes only"
+    )
+    parser.add_argument(
+        "--live",
+        action="store_true",
+        help="in real time: a simulated bus, the real daemon, and the monitor beside it",
+    )
+    add_web_argument(parser)
+    parser.add_argument(
+        "--interface",
+        default="virtual",
+        help="with --live: python-can interface of the bus, such as udp_multicast, which other "
+        "programs can join (default: virtual)",
+    )
+    parser.add_argument("--channel", help="with --live: its channel")
+    parser.add_argument(
+        "--speed", type=float, default=1.0, metavar="X", help="with --live: X times real time"
     )
     parser.add_argument(
         "--svg", type=Path, metavar="FILE", help="write the last picture and the result as SVG"
@@ -73,6 +93,14 @@ def run(options: argparse.Namespace) -> int:
         )
     )
     began = time.monotonic()
+    if options.live:
+        from imucald.commands.demo_live import run_live
+
+        if not 0.1 <= options.speed <= FASTEST:
+            raise ConfigError(f"--speed must be between 0.1 and {FASTEST:g}")
+        drive = simulate(model, options.seed, options.minutes or LIVE_MINUTES)
+        run_live(drive, options.interface, options.channel, options.speed, options.web)
+        return 0
     drive = simulate(model, options.seed, minutes)
     view = LiveView(options.seed) if sys.stdout.isatty() else PlainView(options.seed)
     picture = Picture()

@@ -93,7 +93,7 @@ class LiveView:
     """A picture that moves."""
 
     def __init__(self, seed: int) -> None:
-        self._live = Live(console=plain_console(), auto_refresh=False)
+        self._live = Live(console=plain_console(), auto_refresh=False, transient=True)
         self._picture = Picture()
         self._began = time.monotonic()
         self._drawn = -math.inf

@@ -48,7 +48,9 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--logs", metavar="GLOB|LIST", help="in place of the file's logs")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, metavar="N", help="processes here (default: cores)")
-    where.add_argument("--scheduler", metavar="URL", help="Dask: tcp://HOST:PORT or tls://HOST:PORT")
+    where.add_argument(
+        "--scheduler", metavar="URL", help="Dask: tcp://HOST:PORT or tls://HOST:PORT"
+    )
     for part in ("ca", "cert", "key"):
         parser.add_argument(f"--tls-{part}", metavar="FILE", help="PEM file for tls://")
     parser.add_argument("--memory", default="1GiB", metavar="SIZE", help="of a log (1GiB)")

@@ -26,10 +26,11 @@ def status(options: argparse.Namespace) -> int:
     """Say what is there, what failed and why, and whether a run goes on."""
     from collections import Counter
 
+    from rich.table import Table
+
     from imucald.commands.terminal import plain_console
     from imucald.fleet.compaction import read_tables
     from imucald.fleet.lease import holder_of
-    from rich.table import Table
 
     store = _store(options)
     tables = read_tables(store, ("sources", "failures", "drives", "costs"))
@@ -92,5 +93,31 @@ def why(options: argparse.Namespace) -> int:
             console.print(f"{name}:")
             for column, value in row.items():
                 if value is not None:
-                    console.print(f"  {column}: {value}")
+                    console.print(f"  {column}: {value}", soft_wrap=True)
+    return 0
+
+
+def analyse(options: argparse.Namespace) -> int:
+    """Read all drives together, write `analysis/`, and say the most important of it."""
+    from imucald.commands.fleet_view import print_analysis
+    from imucald.fleet.analysis.analyse import GROUPS
+    from imucald.fleet.lease import Lease
+    from imucald.fleet.reading import analyse_fleet
+
+    store = _store(options)
+    with Lease(store):
+        tables = analyse_fleet(store, tuple(options.group) or GROUPS)
+    print_analysis(tables)
+    return 0
+
+
+def report(options: argparse.Namespace) -> int:
+    """Write the page."""
+    from imucald.commands.files import check_files, write_text
+    from imucald.fleet.page import fleet_page
+
+    check_files((), (options.html,))
+    store = _store(options)
+    write_text(options.html, fleet_page(store))
+    print(f"{options.html}: written")
     return 0

@@ -7,14 +7,14 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from imucald.core.errors import ConfigError, ImucaldError
 
 if TYPE_CHECKING:
-    from imucald.fleet.driver import Counts, Run
+    from imucald.fleet.driver import Counts, FleetRun
     from imucald.fleet.fleet_file import Fleet
     from imucald.fleet.plan import Plan
     from imucald.fleet.workers import Workers
@@ -35,15 +35,17 @@ def retry(options: argparse.Namespace) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate what is not evaluated yet."""
-    from imucald.fleet.driver import Run
+    from imucald.fleet.driver import FleetRun
     from imucald.fleet.fleet_file import load_fleet
     from imucald.fleet.lease import Lease
     from imucald.fleet.listing import list_logs
     from imucald.fleet.plan import Options, planned
     from imucald.fleet.store import Store
-    from imucald.fleet.task import Limits
+    from imucald.fleet.task import LogLimits
 
-    limits = Limits(_bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit))
+    limits = LogLimits(
+        _bytes("--memory", options.memory), _seconds("--time-limit", options.time_limit)
+    )
     if options.since is not None and not re.fullmatch(r"\d{4}-\d\d-\d\d", options.since):
         raise ConfigError(f"--since {options.since}: the form is YYYY-MM-DD")
     fleet = load_fleet(options.fleet, {"logs": options.logs} if options.logs else None)
@@ -59,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
         print(_said(plan), file=sys.stderr)
         workers = _workers(options, fleet)
         with _progress(options.quiet) as tell:
-            work = Run(fleet, store, workers, plan, tell)
+            work = FleetRun(fleet, store, workers, plan, tell)
             try:
                 with _stopped_by_signals(work):
                     whole = work.go(lease)
@@ -113,7 +115,7 @@ def _said(plan: Plan) -> str:
 
 
 @contextmanager
-def _stopped_by_signals(work: Run) -> Iterator[None]:
+def _stopped_by_signals(work: FleetRun) -> Iterator[None]:
     """Ctrl-C and SIGTERM: begin nothing more, finish what runs; a second one breaks off."""
 
     def stop(number: int, frame: object) -> None:
@@ -143,7 +145,7 @@ def _line(counts: Counts) -> str:
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator[object]:
+def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
     """Yield what is told how far the run is: a line on a terminal, else one a minute."""
     import time
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,9 +13,9 @@ from imucald.commands.options import LOG_HELP
 
 if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
-    from imucald.can.link.link import Frame
-    from imucald.discovery import Recording
+    from imucald.discovery import GatheredFrames
 
+SOCKETCAN = "socketcan"
 LISTEN_S = 120.0
 """A drive round the block: a stop, a start, some bends."""
 
@@ -38,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", default="-", metavar="FILE", help="write here (default: standard output)"
     )
-    parser.add_argument("--interface", help="listen on a bus: python-can interface or a name as can0")
+    parser.add_argument(
+        "--interface", help="listen on a bus: python-can interface or a name as can0"
+    )
     parser.add_argument("--channel", help="its channel")
     parser.add_argument(
         "--seconds",
@@ -54,13 +56,13 @@ def run(options: argparse.Namespace) -> int:
     from imucald.can.dbc.database import load_database
     from imucald.commands.files import STANDARD, check_files, write_text
     from imucald.core.errors import ConfigError
-    from imucald.discovery import Recording, as_yaml, discover
+    from imucald.discovery import GatheredFrames, as_yaml, discover
 
     if options.logs and (options.interface or options.channel):
         raise ConfigError("either LOG or --interface and --channel: not both")
     if not options.seconds > 0:
         raise ConfigError("--seconds must be positive")
-    if not options.database and not options.logs and not options.interface:
+    if not options.database and not (options.logs or options.interface or options.channel):
         raise ConfigError("say what there is: --database FILE, a LOG, or --interface can0")
     out = None if options.out == STANDARD else options.out
     check_files((*options.database, *options.logs), (out,))
@@ -70,10 +72,10 @@ def run(options: argparse.Namespace) -> int:
     }
     if options.logs:
         recording = _read(options.logs)
-    elif options.interface:
-        recording = _listen(options)
+    elif options.interface or options.channel:
+        recording = _listen(options, databases)
     else:
-        recording = Recording()
+        recording = GatheredFrames()
     proposal = discover(databases, recording)
     write_text(options.out, as_yaml(proposal, list(databases)))
     if out:
@@ -86,21 +88,29 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _read(logs: list[str]) -> Recording:
+def _read(logs: list[str]) -> GatheredFrames:
     from imucald.can.logs.log_reader import LogReader
     from imucald.commands.terminal import progress_bar
-    from imucald.discovery import Recording
+    from imucald.discovery import GatheredFrames
 
     with progress_bar("init") as progress:
         reader = LogReader(logs, None, False, progress)
-        recording = Recording.of(reader)
+        recording = GatheredFrames.of(reader)
     for text in reader.problems:
         print(f"imucald: {text}", file=sys.stderr)
     return recording
 
 
-def _listen(options: argparse.Namespace) -> Recording:
-    raise NotImplementedError
+def _listen(options: argparse.Namespace, databases: Mapping[str, Database]) -> GatheredFrames:
+    from imucald.can.link.link import Link
+    from imucald.commands.listening import listen
+    from imucald.config_check import EVERY_FRAME
+    from imucald.discovery import GatheredFrames
 
-
-__all__ = ["time"]
+    interface, channel = options.interface, options.channel
+    if interface is None or channel is None:  # one name alone is an interface of the kernel
+        interface, channel = SOCKETCAN, interface or channel
+    fd = any(m.is_fd for d in databases.values() for m in d.messages.values())
+    recording = GatheredFrames()
+    listen(Link(interface, channel, receive=EVERY_FRAME, fd=fd), options.seconds, recording.add)
+    return recording

@@ -1,4 +1,4 @@
-"""`imucald monitor`: watch a running daemon on a terminal."""
+"""`imucald monitor`: watch a running daemon on a terminal, or in a browser."""
 
 from __future__ import annotations
 
@@ -6,44 +6,88 @@ import argparse
 import contextlib
 import json
 import time
+from pathlib import Path
 
 from imucald.commands.status import add_socket_argument, find_socket
 
 PERIOD_S = 0.5
 """The picture is made anew so often [s]."""
+WEB_PORT = 8130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `monitor`."""
     add_socket_argument(parser)
     parser.add_argument("--seconds", type=float, metavar="S", help="stop by itself after this time")
+    add_web_argument(parser)
+
+
+def add_web_argument(parser: argparse.ArgumentParser) -> None:
+    """The page instead of the terminal; `demo --live` has it too."""
+    parser.add_argument(
+        "--web",
+        type=int,
+        nargs="?",
+        const=WEB_PORT,
+        metavar="PORT",
+        help=f"show it on a page of this machine instead, http://127.0.0.1:{WEB_PORT} "
+        "(needs pip install 'imucald[live]')",
+    )
 
 
 def run(options: argparse.Namespace) -> int:
     """Show the status until Ctrl-C; a daemon that goes away is waited for."""
-    from rich.console import Group
+    from imucald.service.status import ask
+
+    path = find_socket(options.socket, options.channel)
+    json.loads(ask(path, "status"))  # nobody there at the start is an error
+    seconds = float("inf") if options.seconds is None else options.seconds
+    watch(path, seconds, options.web)
+    return 0
+
+
+def watch(path: Path, seconds: float, web: int | None, note: str = "") -> None:
+    """Show what the daemon behind a socket says until Ctrl-C, or for so many seconds.
+
+    web: on this port of 127.0.0.1 instead of the terminal. note: shown below.
+    """
+    if web is not None:
+        from imucald.commands.monitor_web import serve
+
+        serve(path, web, seconds, note)
+    else:
+        _watch_on_terminal(path, seconds, note)
+
+
+def _watch_on_terminal(path: Path, seconds: float, note: str) -> None:
     from rich.live import Live
     from rich.text import Text
 
-    from imucald.commands.status_view import picture
+    from imucald.commands.live_events import LiveEvents
+    from imucald.commands.monitor_view import monitor_picture
     from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.core.errors import LinkError
     from imucald.service.status import ask
 
     plain_where_needed()
-    path = find_socket(options.socket, options.channel)
-    status = json.loads(ask(path, "status"))  # nobody there at the start is an error
-    end = time.monotonic() + (options.seconds or float("inf"))
+    end = time.monotonic() + seconds
     console = plain_console()
-    foot = Text(f"{path}   Ctrl-C ends", style="dim")
-    view = Live(console=console, auto_refresh=False, screen=console.is_terminal)
+    events = LiveEvents()
+    foot = Text(f"{note or path}   Ctrl-C ends", style="dim")
+    view = Live(
+        console=console, auto_refresh=False, screen=console.is_terminal, vertical_overflow="crop"
+    )
+    status = None
     with contextlib.suppress(KeyboardInterrupt), view as live:
         while time.monotonic() < end:
+            trouble = Text("")
             try:
                 status = json.loads(ask(path, "status"))
-                note = Text("")
+                events.update(status, time.time())
             except (LinkError, ValueError) as error:
-                note = Text(f"no answer: {error}", style="bold red")
-            live.update(Group(picture(status), note, foot), refresh=True)
+                trouble = Text(f"no answer: {error}", style="bold red")
+            if status is not None:
+                below = Text.assemble(trouble, "\n" if trouble else "", foot)
+                picture = monitor_picture(status, events.events, console, below)
+                live.update(picture, refresh=True)
             time.sleep(PERIOD_S)
-    return 0

@@ -60,7 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help="write a page about the drive here (needs pip install 'imucald[report]')",
+        help="write a page about the drive here, of several drives one in a folder each (needs "
+        "pip install 'imucald[report]')",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     parser.add_argument(
@@ -96,19 +97,15 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
     from imucald.commands.files import STANDARD, write_text
     from imucald.runtime.summary import as_json
 
-    page = None
-    if options.report:
-        from imucald.commands.replay_report import ReplayReport
-
-        page = ReplayReport(config.loaded, options)
     with _sink(options, config) as sink:
+        page = _page(options, config, logs, options.report)
         drive, written = _replayed(options, config, logs, options.write, sink, page)
     _print_problems(options, drive)
     if options.json:
         write_text(options.json, as_json(drive.to_dict()))
     require_frames(drive)
     if page is not None:
-        page.write(drive.summary, drive.problems)
+        page.write(drive.to_dict(), drive.problems)
     if STANDARD not in (options.json, options.out) and not options.quiet:
         from imucald.commands.terminal import print_summary
 
@@ -127,11 +124,15 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     from imucald.runtime.summary import as_json
 
     drives, written, failed = [], list[Path](), False
-    for log, path in zip(logs, _paths(options.write, logs), strict=True):
+    places = zip(_paths(options.write, logs), _folders(options.report, logs), strict=True)
+    for log, (path, folder) in zip(logs, places, strict=True):
         try:
-            drive, files = _replayed(options, config, [log], path, None)
+            page = _page(options, config, [log], folder)
+            drive, files = _replayed(options, config, [log], path, None, page)
             _print_problems(options, drive)
             require_frames(drive)
+            if page is not None:
+                page.write(drive.to_dict(), drive.problems)
         except LogError as error:
             if options.strict:
                 raise
@@ -157,7 +158,7 @@ def _replayed(
     logs: Sequence[str],
     path: Path | None,
     sink: Sink | None,
-    page: ReplayReport | None = None,
+    page: ReplayReport | None,
 ) -> tuple[DriveResult, list[Path]]:
     """Replay one recording; return what came of it, and the files that were written."""
     from imucald.api.run import ReplayRun
@@ -166,8 +167,9 @@ def _replayed(
     from imucald.core.errors import LogError
 
     with progress_bar("replay", options.quiet) as progress:
+        watcher = None if page is None else page.history
         signals, strict, speed = path is not None, options.strict, options.speed
-        run = ReplayRun(config, logs, signals, progress, strict, sink, speed, page)
+        run = ReplayRun(config, logs, signals, progress, strict, sink, speed, watcher)
         stream = DriveStream(run)
         written: list[Path] = []
         try:
@@ -193,6 +195,31 @@ def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
     if path is None:
         return [None] * len(logs)
     return [path.with_name(f"{path.stem}.{n}{path.suffix}") for n in names_apart(logs)]
+
+
+def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
+    """The folder of each drive's page, in the one that was named."""
+    from imucald.api.drives import names_apart
+    from imucald.core.errors import ImucaldError
+
+    if folder is None:
+        return [None] * len(logs)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ImucaldError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    return [folder / name for name in names_apart(logs)]
+
+
+def _page(
+    options: argparse.Namespace, config: Configuration, logs: Sequence[str], folder: Path | None
+) -> ReplayReport | None:
+    """What gathers a page about the drive; None where none is wanted."""
+    if folder is None:
+        return None
+    from imucald.commands.replay_report import ReplayReport
+
+    return ReplayReport(config.loaded, options, logs, folder)
 
 
 def _print_problems(options: argparse.Namespace, drive: DriveResult) -> None:

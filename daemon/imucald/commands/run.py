@@ -46,6 +46,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.runtime.summary import as_json
     from imucald.service.journal import ERROR, Journal
     from imucald.service.service import Service, ServiceOptions
+    from imucald.service.start_count import start_count_file
     from imucald.service.status import default_socket
 
     fill_standard_files()
@@ -63,6 +64,7 @@ def run(options: argparse.Namespace) -> int:
         status_socket=options.status_socket or default_socket(options.channel or "bus"),
         socket_needed=options.status_socket is not None,
         save_period=options.save_every,
+        start_count=start_count_file(os.environ),
     )
     try:
         service = Service(settings, journal)

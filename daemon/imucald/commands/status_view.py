@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from rich.console import Group
@@ -10,6 +10,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from imucald.commands.live_events import FLAGS
 from imucald.commands.mount_view import mount_parts
 from imucald.mount.mount_words import EVIDENCE_KINDS
 
@@ -21,18 +22,6 @@ STYLES = {
     "recalibrating": "red",
 }
 QUALITIES = ("not available", "restored", "usable", "fine", "suspect")
-FLAGS = {
-    "accelerometer_missing": "no accelerometer",
-    "gyroscope_missing": "no gyroscope",
-    "speed_missing": "no speed",
-    "accelerometer_faulty": "accelerometer faulty",
-    "gyroscope_faulty": "gyroscope faulty",
-    "magnetometer_faulty": "magnetometer faulty",
-    "input_rejected": "inputs rejected",
-    "frames_lost": "frames lost",
-    "id_conflict": "another node sends our ids",
-    "send_failed": "frames not sent",
-}
 EVIDENCE = {
     "launches_and_brakings": "launches and brakings",
     "manoeuvres": "manoeuvres",
@@ -67,35 +56,42 @@ def headline(status: Mapping[str, Any]) -> Text:
     return text
 
 
-def facts(status: Mapping[str, Any]) -> Table:
-    """Return signals, evidence, frames, alarms, losses, saved state and process."""
+def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
+    """Return signals, evidence, frames, alarms, losses, saved state and process.
+
+    wanted: these rows only; all where there are none.
+    """
     grid = Table.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column(overflow="fold")
-    link, frames, saved = status["link"], status["frames"], status["saved_state"]
+    for name, value in _rows(status).items():
+        if not wanted or name in wanted:
+            grid.add_row(name, value)
+    return grid
+
+
+def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
+    link, frames, process = status["link"], status["frames"], status["process"]
     rates = [f"{c} {row['rate_hz']:.4g}/s" for c, row in status["signals"].items()]
-    grid.add_row("signals", ", ".join(rates) or "none yet")
-    grid.add_row("evidence", _evidence(status["details"]))
-    grid.add_row("weights", _weights(status["details"]))
-    grid.add_row("gates", _gates(status["details"]))
-    grid.add_row("frames", f"{frames['used']} used, {status['frames_given_out']} given out")
     alarms = [text for flag, text in FLAGS.items() if status["health"][flag]]
-    grid.add_row("now", Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""))
-    grid.add_row("sensors", _sensors(status["signal_health"]))
-    errors = sum(link["send_errors"].values())
-    grid.add_row(
-        "losses",
-        f"{link['lost']} lost, {errors} not sent, {link['conflicts']} in conflict, "
-        f"{link['went_down']} times down, {link['reopened']} times reopened",
-    )
     rejected = [f"{reason} {n}" for reason, n in frames["rejected"].items()]
-    grid.add_row("rejected", ", ".join(rejected) or "none")
-    grid.add_row("saved", _saved(saved))
-    process = status["process"]
     rss = "?" if process["rss_bytes"] is None else f"{process['rss_bytes'] / 2**20:.0f} MiB"
     share = 100.0 * process["cpu_s"] / max(status["uptime_s"], 1.0)
-    grid.add_row("process", f"pid {process['pid']}, {rss}, {share:.1f} % of a core since the start")
-    return grid
+    return {
+        "signals": ", ".join(rates) or "none yet",
+        "evidence": _evidence(status["details"]),
+        "weights": _weights(status["details"]),
+        "gates": _gates(status["details"]),
+        "frames": f"{frames['used']} used, {status['frames_given_out']} given out",
+        "now": Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""),
+        "sensors": _sensors(status["signal_health"]),
+        "losses": f"{link['lost']} lost, {sum(link['send_errors'].values())} not sent, "
+        f"{link['conflicts']} in conflict, {link['went_down']} times down, "
+        f"{link['reopened']} times reopened",
+        "rejected": ", ".join(rejected) or "none",
+        "saved": _saved(status["saved_state"]),
+        "process": f"pid {process['pid']}, {rss}, {share:.1f} % of a core since the start",
+    }
 
 
 def _sensors(health: Mapping[str, Any]) -> Text:

@@ -126,8 +126,8 @@ class CalibrationSettings(Settings, frozen=True):
     """"published" is method A alone; "full" fuses all the evidence there is."""
     accelerometer_bias: Positive = 0.0981
     """Standard deviation of the accelerometer's zero error [m/s^2]: 10 mg, of a unit whose offset
-    was set at the end of its line. Bare consumer parts state 20 mg (LSM6DSO, BMI270) to 40 mg
-    (BMI160, LSM6DSL) typical after soldering: such a sensor wants 0.2 to 0.4."""
+    was set at the end of its line (assumption). Bare consumer parts state 20 to 50 mg typical (50 x
+    and y, 80 z: MPU-6050, PS-MPU-6000A-00 rev. 3.4): such a sensor wants 0.2 to 0.5."""
     accelerometer_range: Positive | None = None
     """Full scale [m/s^2]; nothing is learnt close to it."""
     cross_axis: Annotated[float, Meta(ge=0, le=0.05)] = 0.0

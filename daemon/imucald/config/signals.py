@@ -104,15 +104,18 @@ class Wheels(Settings, frozen=True):
 
 
 class ParallelSensor(Settings, frozen=True):
-    """Another sensor whose axes are parallel to the accelerometer's; gets the same correction."""
+    """Another sensor whose axes are parallel to the accelerometer's; gets the same correction.
+
+    Without z it is a level sensor of two axes: only beside an accelerometer that counts as level.
+    """
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$(?!\n)")]
     kind: Literal["acceleration", "angular_rate", "magnetic_field"]
     x: SourceSettings
     y: SourceSettings
-    z: SourceSettings
     id: CanId
     """Identifier of the frame with its corrected values."""
+    z: SourceSettings | None = None
 
 
 class Signals(Settings, frozen=True):

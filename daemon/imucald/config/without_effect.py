@@ -62,9 +62,19 @@ def idle_keys(config: Keys, is_given: Callable[[Place], bool]) -> Iterator[tuple
                 yield place, f"has no effect {why}"
 
 
+LEANING = (
+    "z is missing: a sensor of two axes cannot be levelled, only one that is level can be turned "
+    "(an accelerometer of two axes, or estimator: published with method_a: {level: false})"
+)
+
+
 def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
     """Places of keys of method A that no sample can ever meet, each with what they need."""
     calibration, signals = config.calibration, config.signals
+    if not _is_level(config):
+        for i, sensor in enumerate(signals.parallel):
+            if sensor.z is None:
+                yield ("signals", "parallel", i), LEANING
     if calibration.estimator != "published":
         return
     has_speed = signals.speed is not None or signals.wheel_speeds is not None
@@ -85,6 +95,14 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
         yield ("calibration", "target_angle", "sign_from"), text
 
 
+def _is_level(config: Keys) -> bool:
+    """Whether the accelerometer, and what is parallel to it, counts as level."""
+    calibration = config.calibration
+    published = calibration.estimator == "published"
+    planar = config.signals.accelerometer[0].z is None
+    return planar or (published and not calibration.method_a.level)
+
+
 def _calibration(config: Keys) -> Iterator[Rule]:
     calibration = config.calibration
     at = "calibration"
@@ -102,7 +120,7 @@ def _calibration(config: Keys) -> Iterator[Rule]:
     yield (at, "target_angle", "remove_offset_after"), letter, why
     planar = config.signals.accelerometer[0].z is None
     yield (at, "method_a", "level"), planar, "with an accelerometer of two axes"
-    flat = planar or not calibration.method_a.level
+    flat = _is_level(config)
     yield (at, "static", "average_stops"), flat and not letter, "without levelling"
     named = calibration.straight.recognisers
     for key, recogniser in (

@@ -18,35 +18,40 @@ from imucald.can.columns import (
 )
 from imucald.can.link.link import Frame
 from imucald.config import LoadedConfig
-from imucald.config_check.decoding import Decoding
+from imucald.config_check.decoding import Decoding, counts_text
 from imucald.config_check.finding import Finding
 from imucald.config_check.health import health_findings
 from imucald.config_check.judgement import judge
 from imucald.config_check.motion import Motion, TickMeans
+from imucald.config_check.not_judged import not_judged
 from imucald.config_check.source import id_text, message_row, quantity_row, sources
 from imucald.config_check.statistics import Probe
 from imucald.inputs.wiring import compile_router
 from imucald.motion.sample_health import SampleHealth
 from imucald.motion.ticks import tick_index
 from imucald.runtime.output.output_frames import OutputFrames
-from imucald.runtime.session import open_compensation
+from imucald.runtime.session import make_engine, open_compensation
 from imucald.runtime.timebase import TimeBase
 
 EVERY_FRAME = (IdMatch(0, 0), IdMatch(CAN_EFF_FLAG, 0))
 """Lets every identifier through, 11 and 29 bits."""
 MAX_IDS = 20_000
 """Identifiers that are counted one by one; a vehicle has hundreds, a fuzzed bus any number."""
+MAX_TEXT = 80
 _OUTPUTS = ("acceleration", "angular_rate", "magnetic_field", "mount", "mount_deviation", "health")
 
 
 class Check:
     """Takes frames; reports at the end what they were.
 
-    Raises ConfigError where the configuration cannot be wired.
+    Raises ConfigError where the configuration cannot be used: whatever `run` refuses.
     """
 
-    def __init__(self, loaded: LoadedConfig) -> None:
+    def __init__(self, loaded: LoadedConfig, silence: str = "the log holds no frame") -> None:
+        """silence: what to say, with the remedy, when no frame comes at all."""
+        make_engine(loaded)  # for its errors
         self.loaded = loaded
+        self.silence = silence
         self.router = compile_router(loaded)
         self.compensation = open_compensation(loaded)
         self.probes = [Probe(route) for route in self.router.routes]
@@ -92,6 +97,33 @@ class Check:
 
     def findings(self) -> list[Finding]:
         """Every finding, the worst first."""
+        found = self._nothing() or self._found()
+        return sorted(found, key=lambda f: ("error", "warning", "note", "ok").index(f.level))
+
+    def _nothing(self) -> list[Finding]:
+        """Where nothing of ours came, one error says what to look at, and no warning besides."""
+        if not self.frames_read:
+            bad = (
+                f"; lines that cannot be used: {counts_text(self.bad_lines)}"
+                if self.bad_lines
+                else ""
+            )
+            return [Finding("error", "bus", self.silence + bad)]
+        if any(probe.frames for probe in self.probes):
+            return []
+        ids = ", ".join(dict.fromkeys(f"{id_text(i)} on {channel}" for channel, i in self.ids))
+        text = (
+            f"none of the {len(self.probes)} configured messages came, but {len(self.ids)} other "
+            f"ids ({_shortened(ids)}): is it the right bus ('channel:'), and its database?"
+        )
+        return [Finding("error", "bus", text)]
+
+    @property
+    def frames_read(self) -> int:
+        """All frames, ours or not."""
+        return sum(self.ids.values()) + self._uncounted
+
+    def _found(self) -> list[Finding]:
         decoding = Decoding(
             self.loaded,
             self.probes,
@@ -114,7 +146,8 @@ class Check:
         ]
         wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
         found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]
-        return sorted(found, key=lambda f: ("error", "warning", "note", "ok").index(f.level))
+        rows = list(sources(self.loaded, self.probes))
+        return [*found, *not_judged(rows, found)]
 
     def report(self) -> dict[str, Any]:
         """Everything, as docs/json.md describes it."""
@@ -126,13 +159,14 @@ class Check:
         unknown = {key: n for key, n in self.ids.items() if key not in matched}
         return {
             "usable": not any(f.level == "error" for f in findings),
+            "warnings": sum(f.level == "warning" for f in findings),
             "duration_s": round(self.duration, 3),
             "messages": [message_row(self.loaded, probe) for probe in self.probes],
             "quantities": [quantity_row(source) for source in sources(self.loaded, self.probes)],
             "findings": [finding.as_dict() for finding in findings],
             "output": self._output_ids(),
             "frames": {
-                "read": sum(self.ids.values()) + self._uncounted,
+                "read": self.frames_read,
                 "used": self.router.used,
                 "rejected": dict(sorted(rejected.items())),
                 "other_ids": len(unknown),
@@ -152,6 +186,10 @@ class Check:
         for (_, can_id), n in self.ids.items():
             seen[can_id & CAN_EFF_MASK] += n
         return [{"frame": n, "id": id_text(i), "seen": seen[i]} for n, i in ids.items()]
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= MAX_TEXT else text[:MAX_TEXT].rpartition(",")[0] + ", ..."
 
 
 def columns_of(frames: Sequence[Frame], channel: str) -> FrameColumns:

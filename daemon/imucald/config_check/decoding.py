@@ -69,7 +69,7 @@ class Decoding:
                 continue
             bad = probe.rejected.total()
             if bad > MIN_REJECTED_SHARE * probe.frames:
-                reasons = _counts_text(probe.rejected)
+                reasons = counts_text(probe.rejected)
                 text = f"{bad} of {probe.frames} frames of {probe.name} are rejected ({reasons})"
                 yield Finding("warning", quantity, text + _remedy(probe.rejected))
 
@@ -89,7 +89,7 @@ class Decoding:
             statistics = source.statistics
             good, bad = statistics.si.count, statistics.rejected.total()
             if bad > MIN_REJECTED_SHARE * (good + bad):
-                reasons = _counts_text(statistics.rejected)
+                reasons = counts_text(statistics.rejected)
                 text = f"{bad} of {good + bad} values of {source.name} are rejected ({reasons})"
                 yield Finding("warning", source.quantity, text + _remedy(statistics.rejected))
             sensor = source.wanted.channel in ("accel", "gyro")
@@ -106,7 +106,7 @@ class Decoding:
                 text = f"{probe.name} comes every {1e3 * seen:.3g} ms, stated are {1e3 * stated:g}"
                 yield Finding("note", "", text)
         if self.bad_lines:
-            text = f"lines that cannot be used: {_counts_text(self.bad_lines)}"
+            text = f"lines that cannot be used: {counts_text(self.bad_lines)}"
             yield Finding("warning", "log", text)
         if self.steps:
             text = f"jumps of the time stamps: {self.steps}; holes, or a clock that was set"
@@ -159,5 +159,6 @@ def _remedy(reasons: Counter[str]) -> str:
     return _REMEDIES.get(reasons.most_common(1)[0][0], "")
 
 
-def _counts_text(reasons: Counter[str]) -> str:
+def counts_text(reasons: Counter[str]) -> str:
+    """Reasons with their numbers, the most frequent first."""
     return ", ".join(f"{reason} {n}" for reason, n in reasons.most_common())

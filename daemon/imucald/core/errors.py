@@ -38,6 +38,10 @@ class LogError(ImucaldError):
     """A recorded log cannot be opened or read, or has a bad line and strict reading was asked."""
 
 
+class NoFramesError(LogError):
+    """A log that can be read, but holds no CAN frame."""
+
+
 class LinkError(ImucaldError):
     """A CAN interface cannot be opened or has gone in a way that cannot be healed."""
 

@@ -7,7 +7,6 @@ is a mistake (see `typed`).
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -109,6 +108,8 @@ def _of_fields(value: dict[Any, Any], model: type[Struct], place: Place) -> Iter
 
 
 def _unknown(key: str, allowed: list[str]) -> str:
+    import difflib  # noqa: PLC0415 - for a mistake only
+
     close = difflib.get_close_matches(key, allowed, n=1)
     hint = f"did you mean '{close[0]}'?" if close else "allowed: " + ", ".join(sorted(allowed))
     return f"unknown key; {hint}"

@@ -50,6 +50,26 @@ def times_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[
     return np.stack(out, axis=1)
 
 
+def times_level(m: Rows, v: Sequence[float]) -> Vector:
+    """x and y of a level sensor of two axes, turned about the vertical as m turns its x axis.
+
+    m: R_vehicle_from_sensor, whose z axes are the same up to the crown of a road. z stays unknown
+    (NaN). Claim 5 of method A (application CN 201610826380).
+    """
+    c, s = m[0], m[3]
+    size = math.sqrt(c * c + s * s)
+    x, y = v[0], v[1]
+    return (c * x - s * y) / size, (s * x + c * y) / size, math.nan
+
+
+def times_level_columns(rows: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same for (N, 9) or (1, 9) and (N, 3), to the same bits."""
+    c, s, x, y = rows[:, 0], rows[:, 3], v[:, 0], v[:, 1]
+    size = np.sqrt(c * c + s * s)
+    out = (c * x - s * y) / size, (s * x + c * y) / size, np.full(len(v), np.nan)
+    return np.stack(out, axis=1)
+
+
 def matrix_times(R: Matrix3, v: Vector) -> Vector:
     """Matrix (3, 3) times vector, as plain numbers."""
     x, y, z = (float(c) for c in R @ np.array(v))

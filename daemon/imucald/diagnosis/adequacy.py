@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.diagnosis.blocks import TILTED
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.result import GOES_AGAINST, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
@@ -44,7 +43,8 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
     """Signals that move against what is predicted: a wrong sign in the configuration."""
     found = []
     f = max(forwards, key=lambda f: f.blocks)
-    measured, residual, masks = f.measured(), f.residuals({}).of, f.usable()
+    measured, masks = f.measured(), f.usable()
+    residual = f.level(f.residuals({}), masks)
     for name in ("accel_x", "accel_y", "gyro_z", "yaw_rate", "lateral_accel"):
         if name not in residual or name not in masks:
             continue
@@ -78,14 +78,10 @@ def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spec
     parts: dict[str, list[Spectra]] = {}
     for f in forwards:
         masks, found = f.usable(), f.residuals(changes)
-        tilt = f.tilts(found, masks)
+        leveled = f.level(found, masks)
         v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values)).reshape(f.blocks, f.rows)
-        for name, y in found.of.items():
-            left = y.copy()
-            if name in TILTED:
-                first, second = found.tilt[name]
-                left -= tilt[:, :1] * first + tilt[:, 1:] * second
-            left = np.where(masks[name], left, 0.0)
+        for name, y in leveled.items():
+            left = np.where(masks[name], y, 0.0)
             z = np.fft.rfft((left - left.mean(axis=1, keepdims=True)) * np.hanning(f.rows), axis=1)
             good = (masks[name].mean(axis=1) > 0.6) & ((v > DRIVING_MPS).mean(axis=1) > 0.5)
             loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))

@@ -20,7 +20,7 @@ from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.faults import Fault, find_faults, spoilt
 from imucald.diagnosis.gain import gain_of
-from imucald.diagnosis.model_file import extended, tolerance, with_delay_rate, with_shifts
+from imucald.diagnosis.model_file import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import Diagnosis, FoundCause
 from imucald.diagnosis.score import Hypothesis, Problem, estimate, quantile
@@ -101,7 +101,7 @@ def diagnose(
         signals=signals,
         gain=gain,
         duration_s=float(sum(d.duration_s for d in parts)),
-        likely=tuple(outcome.told_trial(state, t, {}) for t in state.likely),
+        likely=tuple(outcome.told_trial(state, t, {}, "likely") for t in state.likely),
         candidates=outcome.told_rest_of(state),
         structure=structure,
         notes=tuple(_notes(parts, problem.table, late)),
@@ -147,7 +147,7 @@ def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | No
     if rest is None:
         return state
     if not _is_off(rest, model):
-        state.bounds = rest.bounds()
+        state.bounds = rest.bounds(model)
         return state
     half = rest.quantile * rest.se
     state.at_rest = {k: float(x) for k, x in zip(GYRO_BIAS, rest.rate, strict=True)}
@@ -157,8 +157,14 @@ def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | No
 
 
 def _is_off(rest: Rest, model: VehicleModel) -> bool:
-    tau = np.array([tolerance(model, key) for key in GYRO_BIAS])
-    return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > tau))
+    return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > rest.honest(model)))
+
+
+def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:
+    """What stops say of the zero, less what a found sensitivity to the force makes of one g."""
+    R = mount_of(model)
+    net = R @ (np.array(state.model.gyro.bias) - np.array(state.stated.gyro.bias))
+    return replace(rest, rate=net)
 
 
 def _refuse_short(table: Table) -> None:
@@ -174,8 +180,8 @@ def _told(
     """All causes that are certain: direct evidence, shift, fit."""
     estimates = final_estimates(state)
     told = [outcome.told_trial(state, t, estimates) for t in state.named]
-    if rest is not None and state.at_rest:
-        told.append(outcome.told_rest(rest, model))
+    if rest is not None and state.at_rest and _is_off(at := _zero_of(rest, state, model), model):
+        told.append(outcome.told_rest(at, model))
     if state.shift is not None and state.table is not None:
         told.append(outcome.told_shift(state.shift, state.table))
     for part in faults:

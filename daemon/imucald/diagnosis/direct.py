@@ -13,7 +13,7 @@ from scipy.stats import t as student
 
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import DEG
-from imucald.diagnosis.model_file import mounts, sensor_of
+from imucald.diagnosis.model_file import mounts, sensor_of, tolerance
 from imucald.diagnosis.signals import Array, DriveSignals
 from imucald.model.model import VehicleModel
 
@@ -33,13 +33,29 @@ class Rest:
     se: Array
     quantile: float
     stops: int
+    kelvin: float = 0.0
+    """Temperature of the stops less that at which the file's zero holds, mean [K]."""
     per_kelvin: Array | None = None
     per_kelvin_se: Array | None = None
     """Slope of the stops over the temperature; None where it hardly changes."""
 
-    def bounds(self) -> dict[str, tuple[float, float]]:
-        """Boxes for the fit."""
+    def honest(self, model: VehicleModel) -> Array:
+        """(3,) what an honest file may be off at these stops: its zero, and its slope over the
+        temperature times how far these stops are from where the zero holds."""
+        return np.array(
+            [
+                tolerance(model, f"gyro.bias.{axis}")
+                + tolerance(model, f"gyro.bias_temperature.{axis}") * abs(self.kelvin)
+                for axis in "xyz"
+            ]
+        )
+
+    def bounds(self, model: VehicleModel) -> dict[str, tuple[float, float]]:
+        """Boxes for the fit: of the zero where it is stated."""
         half = self.quantile * self.se
+        half = half + np.array(
+            [tolerance(model, f"gyro.bias_temperature.{axis}") for axis in "xyz"]
+        ) * abs(self.kelvin)
         return {
             f"gyro.bias.{axis}": (float(x - h), float(x + h))
             for axis, x, h in zip("xyz", self.rate, half, strict=True)
@@ -67,11 +83,11 @@ def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int)
     table, n = np.array(rates), len(rates)
     mean = table.mean(axis=0)
     if n < FEW_STOPS:
-        return Rest(mean, np.full(3, LEAST_SE), 3.0, n)
+        return Rest(mean, np.full(3, LEAST_SE), 3.0, n, float(np.mean(warmth)))
     se = np.maximum(np.std(table, axis=0, ddof=1) / np.sqrt(n), FINEST_SE)
     q = float(student.ppf(1.0 - CHANCE / (2.0 * max(questions, 1)), n - 1))
     slope, slope_se = _slope(np.array(warmth), table)
-    return Rest(mean, se, min(q, 10.0), n, slope, slope_se)
+    return Rest(mean, se, min(q, 10.0), n, float(np.mean(warmth)), slope, slope_se)
 
 
 LEAST_KELVIN = 4.0

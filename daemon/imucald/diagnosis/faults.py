@@ -169,7 +169,8 @@ def _stuck(
     length = t[last] - t[first]
     speed = np.interp(0.5 * (t[first] + t[last]), *moving)
     least = STUCK_S if name in QUICK else STUCK_SLOW_S
-    usual = float(np.quantile(length, 0.99)) if len(length) > 20 else 0.0
+    driving = length[speed > MOVING_MPS]
+    usual = float(np.quantile(driving, 0.99)) if len(driving) > 20 else 0.0
     long = (length > max(least, STUCK_RUNS * usual)) & (speed > MOVING_MPS)
     spans = [(float(t[a]), float(t[b])) for a, b in zip(first[long], last[long], strict=True)]
     if name not in QUICK:
@@ -226,7 +227,7 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     clock = _cycle(t)
     if clock is None:
         return
-    cycle, se, steps = clock
+    cycle, se, steps, is_steady = clock
     sent = int(steps.sum()) + 1
     lost = sent - len(t)
     stated = float(message.loss)
@@ -240,8 +241,10 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
         )  # fmt: skip
     ppm = 1e6 * (cycle * message.rate_hz - 1.0)
     off = ppm - message.clock_drift_ppm
-    if name in ("accel", "gyro", "speed", "steering", "yaw_rate") and (
-        CLOCK_PPM + 5.0 * 1e6 * se < abs(off) < CLOCK_UNKNOWN_PPM
+    if (
+        is_steady
+        and name in ("accel", "gyro", "speed", "steering", "yaw_rate")
+        and (CLOCK_PPM + 5.0 * 1e6 * se < abs(off) < CLOCK_UNKNOWN_PPM)
     ):
         yield Fault(
             "clock_drift", name, {f"{name}.clock_drift_ppm": (ppm, 1e6 * se, "ppm")},
@@ -250,8 +253,9 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
         )  # fmt: skip
 
 
-def _cycle(t: Array) -> tuple[float, float, Array] | None:
-    """Cycle time [s], its relative deviation, cycles between frames; None without a clear one."""
+def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:
+    """Cycle time [s], its relative deviation, cycles between frames, whether stamps keep to it over
+    the drive (a logger's clock that wanders still shows what is lost); None without a clear one."""
     steps = np.diff(t)
     if len(steps) < 50:
         return None
@@ -269,10 +273,9 @@ def _cycle(t: Array) -> tuple[float, float, Array] | None:
             return None
         cycle = slope
     left = at - at.mean() - cycle * centred
-    if np.std(left) > WANDER_S + 0.3 * cycle:
-        return None
+    is_steady = bool(np.std(left) <= WANDER_S + 0.3 * cycle)
     # Stamps wander slowly: halves of the drive are compared, not samples.
     half = len(count) // 2
     ends = [np.polyfit(count[s], at[s], 1)[0] for s in (slice(0, half), slice(half, None))]
     se = max(abs(ends[1] - ends[0]) / 2.0, float(np.std(left) / np.sqrt(centred @ centred)))
-    return cycle, se / cycle, np.round(steps / cycle)
+    return cycle, se / cycle, np.round(steps / cycle), is_steady

@@ -78,6 +78,13 @@ class Forward(Reader):
                 tilt[b] = np.linalg.lstsq(A, y, rcond=None)[0]
         return tilt
 
+    def level(self, found: Residuals, masks: Mapping[str, Mask]) -> dict[str, Array]:
+        """Residuals (B, n) with the tilt of each block taken off."""
+        tilt, made = self.tilts(found, masks), dict(found.of)
+        for name, (first, second) in found.tilt.items():
+            made[name] = made[name] - tilt[:, :1] * first - tilt[:, 1:] * second
+        return made
+
     def yaw_rate(self) -> Array:
         """(N,) yaw rate of the vehicle that the equations use [rad/s]."""
         return np.asarray(VehicleMotion(self, {}, False).r)

@@ -26,6 +26,11 @@ RELAXATION_S = 0.03
 SMOOTH_STEPS = 5
 """Angular acceleration is the slope over so many steps: it is mostly noise above 1 Hz."""
 SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
+TRANSITION_S = 2.0
+"""Superelevation is built up over two seconds of travel at least (AASHTO, A Policy on Geometric
+Design of Highways and Streets)."""
+TRANSITION = np.hanning(round(TRANSITION_S / STEP_S) + 1)
+TRANSITION /= TRANSITION.sum()
 
 
 class VehicleMotion:
@@ -177,10 +182,19 @@ class VehicleMotion:
         dive = s.dive_gradient * float(s.squat_dive) + c.get("suspension.dive_gradient", 0.0)
         nose_up = squat * np.maximum(along, 0.0) + dive * np.minimum(along, 0.0)
         rate = self.rate if self.measured is None else self.measured
-        found["gyro_x"] = rate[:, 0] - np.gradient(roll * across, STEP_S)
+        leaning = roll * self._later(across, s.roll_damping, s.roll_frequency_hz)
+        # A curve's road leans inward with its curvature, which a transition curve spreads out.
+        leaning -= c.get("_road.superelevation", 0.0) * np.convolve(across, TRANSITION, "same")
+        nose_up = self._later(nose_up, s.pitch_damping, s.pitch_frequency_hz)
+        found["gyro_x"] = rate[:, 0] - np.gradient(leaning, STEP_S)
         found["gyro_y"] = rate[:, 1] + np.gradient(nose_up, STEP_S)
         if self.f.drive.has("yaw_rate"):
             found["gyro_z"] = self.r - self.f.scalar("yaw_rate", self.changes)
+
+    def _later(self, x: Array, damping: float, hz: float) -> Array:
+        """The body follows as a damped spring: late by 2 zeta / omega well below its own motion."""
+        t = self.f.t
+        return np.asarray(np.interp(t - damping / (np.pi * hz), t, x))
 
     def _slow(self, x: Array) -> Array:
         return np.asarray(np.convolve(x, SMOOTHER, "same"))

@@ -15,6 +15,7 @@ from imucald.diagnosis.model_file import value
 from imucald.diagnosis.result import (
     NOT_PLAUSIBLE,
     Candidate,
+    Certainty,
     Estimated,
     FoundCause,
     Outcome,
@@ -33,11 +34,17 @@ DEG = 180.0 / math.pi
 
 
 def told_trial(
-    state: State, trial: Trial, estimates: Mapping[str, tuple[float, float, float]]
+    state: State,
+    trial: Trial,
+    estimates: Mapping[str, tuple[float, float, float]],
+    certainty: Certainty = "certain",
 ) -> FoundCause:
     """A cause that the fit named, or that is likely."""
     h, parameters = trial.hypothesis, {}
+    moved = set(state.changes)
     for i, key in enumerate(h.keys):
+        if certainty == "certain" and h.is_plain and moved & set(h.keys) and key not in moved:
+            continue
         x = float(trial.estimate.value[i])
         change = state.changes.get(key, x) if h.pattern is None else x
         change, se, _ = estimates.get(key, (change, float(trial.estimate.se[i]), 0.0))
@@ -51,7 +58,7 @@ def told_trial(
         h.name, parameters, _signals(state.table, h.keys),
         {"held_out_nats": trial.shown, "sigma": sd, "quantile": trial.estimate.quantile},
         BY_NAME[h.name].sentence,
-        "certain" if trial.named else "likely",
+        certainty,
         tuple(_against(state, trial)),
     )  # fmt: skip
 

@@ -115,7 +115,8 @@ class Problem:
             # The direction takes the place of its kin in the box.
             kin = {n for d in h.directions for n in d if _family(n) == _family(h.keys[0])}
             index = self.table.index(sorted(kin))
-            low[index], high[index] = -SILENT * high[index], SILENT * high[index]
+            silent = SILENT * (high - low)[index]
+            low[index], high[index] = -silent, silent
         m = np.ones(len(gram)) if h.pattern is None else h.pattern
         cross = (gram @ D) * m[:, None, None]
         own = (D.T @ gram @ D) * (m * m)[:, None, None]
@@ -226,8 +227,13 @@ def quantile(blocks: int, questions: int) -> float:
     return float(student.ppf(1.0 - ERROR_RATE / (2.0 * max(questions, 1)), max(blocks - 1, 1)))
 
 
-def estimate(problem: Problem, h: Hypothesis, questions: int) -> Estimate:
-    """Value and deviation of a hypothesis' parameters, the others free within their box."""
+def estimate(
+    problem: Problem, h: Hypothesis, questions: int, null: Problem | None = None
+) -> Estimate:
+    """Value and deviation of a hypothesis' parameters, the others free within their box.
+
+    null: the same with the box of honest files, where the model has moved out of it already.
+    """
     gram, low, high = problem.widened(h)
     own = problem.own(h)
     total = gram.sum(axis=0)
@@ -247,11 +253,13 @@ def estimate(problem: Problem, h: Hypothesis, questions: int) -> Estimate:
     se = np.sqrt(np.maximum(np.max(spread, axis=0), 0.0))
     wander, share = _wander(gram, prior, x, own)
     se = np.sqrt(se**2 + wander**2 * share)
-    pull = _pull(problem, h, x, own, wander**2 * share)
+    pull = _pull(problem, h, x, own, wander**2 * share, null or problem)
     return Estimate(x[own], se, quantile(B, questions), pull, wander)
 
 
-def _pull(problem: Problem, h: Hypothesis, x: Array, own: Sequence[int], more: Array) -> float:
+def _pull(
+    problem: Problem, h: Hypothesis, x: Array, own: Sequence[int], more: Array, null_of: Problem
+) -> float:
     """Profile likelihood with the others in their box, so that none counts beyond its tolerance.
 
     The rise of the loss is divided by how much the blocks scatter more than the weights say
@@ -261,7 +269,7 @@ def _pull(problem: Problem, h: Hypothesis, x: Array, own: Sequence[int], more: A
     total = gram.sum(axis=0)
     H, c = total[1:, 1:], total[1:, 0]
     base = problem.table.gram.sum(axis=0)
-    null = box_fit(base[1:, 1:], base[1:, 0], problem.low, problem.high)
+    null = box_fit(base[1:, 1:], base[1:, 0], null_of.low, null_of.high)
     rise = (c @ x - 0.5 * x @ H @ x) - (base[1:, 0] @ null - 0.5 * null @ base[1:, 1:] @ null)
     width = high - low
     inside = np.flatnonzero((x > low + 1e-6 * width) & (x < high - 1e-6 * width))

@@ -49,6 +49,8 @@ class Trial:
     """Nats that it takes, shared out over the questions asked."""
     single: float
     """Quantile of one question asked alone."""
+    reach: Array
+    """(k,) smallest departure that takes anything that moves with it beyond its tolerance."""
 
     @property
     def outside(self) -> bool:
@@ -82,7 +84,9 @@ class Trial:
     @property
     def could_be(self) -> bool:
         """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
-        return self.shown > LIKELY_NATS and self._beyond and self.is_testable
+        e = self.estimate
+        far = (np.abs(e.value) > self.reach + e.se)[: self.hypothesis.lead or None]
+        return self.shown > LIKELY_NATS and bool(np.any(far)) and self.is_testable
 
     @property
     def named(self) -> bool:
@@ -96,9 +100,13 @@ def hypotheses(table: Table, model: VehicleModel, skip: Sequence[str]) -> list[H
     for cause in CAUSES:
         if cause.drift and f"{cause.name}!" in skip:
             continue
-        for keys in (*cause.variants, *([cause.together] if cause.together else [])):
-            if not all(key in table.keys for key in keys):
+        for whole in (*cause.variants, *([cause.together] if cause.together else [])):
+            if not all(key in table.keys for key in whole):
                 continue
+            # What follows its leading parameters may be free already: only these are asked of.
+            keys = whole[: cause.lead] + tuple(
+                k for k in whole[cause.lead :] if not cause.lead or k not in skip
+            )
             if (set(keys) & set(skip) and not cause.drift) or not any(
                 _shows(table, key) for key in keys
             ):
@@ -145,14 +153,30 @@ def _ramp(table: Table) -> Array:
     return made
 
 
-def tried(problem: Problem, h: Hypothesis, base: Array, questions: int) -> Trial:
-    """Free a hypothesis and score it."""
+def tried(
+    problem: Problem, h: Hypothesis, base: Array, questions: int, null: Problem | None = None
+) -> Trial:
+    """Free a hypothesis and score it. base: (B,) held-out losses of the box of honest files; null:
+    that box, where the model has moved out of it already."""
     gain = base - held_out(problem, h)
     index = problem.table.index(h.keys)
     t = problem.table
-    return Trial(h, estimate(problem, h, questions), gain, without_best(gain),
+    return Trial(h, estimate(problem, h, questions, null), gain, without_best(gain),
                  t.tolerance[index], t.plausible[index], math.log(questions / ERROR_RATE),
-                 float(student.ppf(1.0 - 0.5 * LIKELY, t.blocks - 1)))  # fmt: skip
+                 float(student.ppf(1.0 - 0.5 * LIKELY, t.blocks - 1)), _reach(t, h))  # fmt: skip
+
+
+def _reach(table: Table, h: Hypothesis) -> Array:
+    """A gain of 1 % that moves a zero by 1 % of one g is beyond where that zero may be."""
+    own = table.tolerance[table.index(h.keys)]
+    if not h.directions:
+        return np.asarray(own)
+    return np.array(
+        [
+            min(table.tolerance[table.keys.index(k)] / abs(x) for k, x in d.items() if x)
+            for d in h.directions
+        ]
+    )
 
 
 def questions(trials: Sequence[Trial]) -> Mapping[str, Trial]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from imucald.discovery.discover import discover
 from imucald.discovery.proposal import Proposal
-from imucald.discovery.recording import Recording
+from imucald.discovery.recording import GatheredFrames
 from imucald.discovery.written import as_yaml
 
-__all__ = ["Proposal", "Recording", "as_yaml", "discover"]
+__all__ = ["GatheredFrames", "Proposal", "as_yaml", "discover"]

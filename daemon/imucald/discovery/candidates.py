@@ -35,7 +35,7 @@ _NO_UNIT = frozenset({"", "-", "1", "none", "unit", "raw", "bit", "bits", "unitl
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class SeenSignal:
     """One signal. x, smooth: (n,) on ticks of 0.1 s in the signal's unit, NaN where unknown.
 
     cycle: median time between frames [s]. levels: number of different values, FEW_LEVELS + 1 for
@@ -123,7 +123,9 @@ def messages_in(
         if not parts:
             continue
         first = parts[0].channel
-        parts = [p for p in parts if p.channel == first and p.data.shape[1] == parts[0].data.shape[1]]
+        parts = [
+            p for p in parts if p.channel == first and p.data.shape[1] == parts[0].data.shape[1]
+        ]
         t = np.concatenate([p.t for p in parts])
         order = np.argsort(t, kind="stable")
         yield MessageTraffic(
@@ -135,7 +137,7 @@ def messages_in(
         )
 
 
-def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[Candidate]:
+def candidates_of(one: MessageTraffic, ticks: int) -> Iterator[SeenSignal]:
     """Every signal of a message that can be decoded and came often enough."""
     names = []
     for name in one.message.signals:
@@ -164,7 +166,7 @@ def _candidate(
     values: Array,
     good: NDArray[np.bool_],
     ticks: int,
-) -> Candidate | None:
+) -> SeenSignal | None:
     signal = one.message.signal(name)
     named = list(no_values(signal.choices))
     if isinstance(signal.invalid_raw, int):
@@ -180,9 +182,9 @@ def _candidate(
     rows = np.flatnonzero(count)
     means = np.bincount(index, values, minlength=ticks)[rows] / count[rows]
     x = bridged(ticks, rows, means)
-    levels = np.unique(values[: 200_000])
+    levels = np.unique(values[:200_000])
     few = len(levels) <= FEW_LEVELS
-    return Candidate(
+    return SeenSignal(
         message=one.message,
         signal=signal,
         channel=one.channel,
@@ -225,7 +227,23 @@ def _unavailable(signal: Signal, raw: NDArray[np.generic]) -> tuple[int, ...]:
     return tuple(found)
 
 
-def obd_speeds(traffic: Sequence[Traffic], ticks: int) -> Iterator[Candidate]:
+def silent_candidates(database: Database) -> Iterator[SeenSignal]:
+    """Every signal of a database without a recording: its name and unit are all there is."""
+    nothing = np.full(1, np.nan)
+    for message in database.messages.values():
+        for signal in message.signals.values() if not message.unsupported else ():
+            low, high = (
+                raw * signal.scale + signal.offset
+                for raw in ((0.0, 1.0) if signal.is_float else raw_limits(signal))
+            )
+            cycle = message.cycle_time or 1.0
+            levels = (low, high) if signal.length == 1 else ()
+            yield SeenSignal(
+                message, signal, "", nothing, nothing, cycle, levels, None, (), low, high
+            )
+
+
+def obd_speeds(traffic: Sequence[Traffic], ticks: int) -> Iterator[SeenSignal]:
     """Answers to OBD-II requests for the vehicle's speed (SAE J1979: mode 01, PID 0x0D, km/h)."""
     several = len({one.channel for one in traffic}) > 1
     for one in traffic:

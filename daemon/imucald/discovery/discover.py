@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
+
+from msgspec.structs import asdict
 
 from imucald.can.dbc.database import Database
+from imucald.config.network import OutputIds
+from imucald.discovery.by_names import by_names
 from imucald.discovery.candidates import (
-    Candidate,
     MessageTraffic,
+    SeenSignal,
     candidates_of,
     messages_in,
     obd_speeds,
+    silent_candidates,
 )
 from imucald.discovery.flags import find_brake, find_reverse, find_temperature
 from imucald.discovery.proposal import Choice, Proposal
 from imucald.discovery.protection_search import find_protection
-from imucald.discovery.recording import Recording, Traffic
+from imucald.discovery.raw_fields import raw_fields
+from imucald.discovery.raw_search import raw_choices
+from imucald.discovery.recording import GatheredFrames, Traffic
+from imucald.discovery.reference import KnownMotion
 from imucald.discovery.scalars import find_heading
 from imucald.discovery.sensors import Sensors
 from imucald.discovery.turning import Turning
 from imucald.motion.ticks import TICK_RATE
 
 
-def discover(databases: Mapping[str, Database], recording: Recording) -> Proposal:
+def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Proposal:
     """Propose a configuration. databases: by the path that the configuration will name."""
     traffic = recording.traffic()
     ticks = int(recording.seconds * TICK_RATE) + 1
@@ -37,18 +45,61 @@ def discover(databases: Mapping[str, Database], recording: Recording) -> Proposa
             messages.setdefault(one.message.name, one)
     proposal.channels = channels
     candidates = [c for one in messages.values() for c in candidates_of(one, ticks)]
+    if not recording.frames:
+        candidates = [c for d in databases.values() for c in silent_candidates(d)]
     candidates += obd_speeds(traffic, ticks)
-    proposal.choices = choices_from(candidates, proposal)
+    proposal.choices, reference = choices_from(candidates, proposal)
+    wanted = {"speed", "steering_wheel_angle"} - {c.quantity for c in proposal.choices}
+    if wanted:
+        known = {one.can_id for one in traffic if _is_described(databases, one)}
+        proposal.choices += raw_choices(list(raw_fields(traffic, known, ticks)), reference, wanted)
     for name in used_messages(proposal.choices):
         if name in messages:
             found = find_protection(messages[name])
             if found is not None:
                 proposal.protections.append(found)
+    taken = {one.can_id for one in traffic}
+    taken |= {m.can_id for d in databases.values() for m in d.messages.values()}
+    proposal.output_ids = free_output_ids(taken)
+    proposal.notes = list(_notes(recording, candidates, databases))
     return proposal
 
 
-def choices_from(candidates: Sequence[Candidate], proposal: Proposal) -> list[Choice]:
-    """Every quantity that the candidates hold."""
+def _notes(
+    recording: GatheredFrames, candidates: Sequence[SeenSignal], databases: Mapping[str, Database]
+) -> Iterator[str]:
+    """What the head of the file says about the recording."""
+    if not recording.frames:
+        yield "No recording was looked at: names and units alone speak, and all of it is unsure."
+        return
+    names = {c.message.name for c in candidates}
+    known = sum(bool(m.signals) for d in databases.values() for m in d.messages.values())
+    yield (
+        f"Looked at: {recording.frames} frames in {recording.seconds:.0f} s, {len(names)} of "
+        f"{known} messages of the database, {len(candidates)} signals."
+    )
+    if recording.is_full:
+        yield "The recording is longer; its beginning was looked at."
+    if not names and databases:
+        yield "None of the database's messages is on this bus: is it this vehicle's database?"
+
+
+def free_output_ids(taken: Set[int]) -> dict[str, int]:
+    """The ids to be sent, moved where one of the usual ones is on the bus; empty where none is."""
+    usual = asdict(OutputIds())
+    if not taken & set(usual.values()):
+        return {}
+    first, count = min(usual.values()), len(usual)
+    for base in (*range(first, 0x7F0 - count, 0x10), *range(0x100, first, 0x10)):
+        if not taken & set(range(base, base + count)):
+            return {name: base + i - first for name, i in usual.items()}
+    return {}
+
+
+def choices_from(
+    candidates: Sequence[SeenSignal], proposal: Proposal
+) -> tuple[list[Choice], KnownMotion]:
+    """Every quantity that the candidates hold, and the motion that they were held against."""
     sensors = Sensors(candidates)
     turning = Turning(sensors)
     reference = sensors.reference
@@ -62,7 +113,9 @@ def choices_from(candidates: Sequence[Candidate], proposal: Proposal) -> list[Ch
         find_heading(reference, free),
     ]
     proposal.vehicle += turning.vehicle
-    return [c for c in found if c is not None]
+    chosen = [c for c in found if c is not None]
+    unused = [c for c in candidates if c.path not in sensors.taken]
+    return chosen + list(by_names(unused, {c.quantity for c in chosen})), reference
 
 
 def used_messages(choices: Sequence[Choice]) -> list[str]:
@@ -74,6 +127,15 @@ def used_messages(choices: Sequence[Choice]) -> list[str]:
         if source.signal
     )
     return list(dict.fromkeys(names))
+
+
+def _is_described(databases: Mapping[str, Database], one: Traffic) -> bool:
+    """Whether a database has a message with signals of this identifier."""
+    return any(
+        message.signals and not message.unsupported and message.can_id == one.can_id
+        for database in databases.values()
+        for message in database.messages.values()
+    )
 
 
 def _channel_of(database: Database, traffic: Sequence[Traffic]) -> str | None:

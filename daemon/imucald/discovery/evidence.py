@@ -84,6 +84,15 @@ def believed_z(comparisons: int) -> float:
     return NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM / max(comparisons, 1))
 
 
+def is_better(a: Relation, b: Relation) -> bool:
+    """Whether one relation is stronger than another beyond chance (Fisher's z, z = 2)."""
+    if a.independent <= 4.0 or b.independent <= 4.0:
+        return a.z > b.z
+    spread = math.sqrt(1.0 / (a.independent - 3.0) + 1.0 / (b.independent - 3.0))
+    first, second = (math.atanh(min(abs(r.correlation), 1.0 - 1e-12)) for r in (a, b))
+    return first - second > 2.0 * spread
+
+
 def relation(reference: Array, signal: Array) -> Relation:
     """Compare two (n,) signals where both are known."""
     rows = np.isfinite(reference) & np.isfinite(signal)

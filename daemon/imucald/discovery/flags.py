@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from imucald.can.dbc.message import Signal
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import MANY, believed_z, relation
 from imucald.discovery.names import hint, same_family
 from imucald.discovery.proposal import Alternative, Choice, source_of
-from imucald.discovery.reference import Reference
+from imucald.discovery.reference import KnownMotion
 from imucald.discovery.scalars import MAX_ALTERNATIVES
 
 REVERSE_SPEED = 7.0
@@ -29,7 +31,7 @@ CLEAR_MATTHEWS = 0.6
 _REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
 
 
-def find_reverse(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:
+def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
     """A switch or a lever's place at which the change of speed shows the wrong way round."""
     found = sorted(_reversing(reference, candidates), key=lambda f: -f.z)
     sure = [f for f in found if f.z >= believed_z(MANY)]
@@ -55,13 +57,13 @@ def find_reverse(reference: Reference, candidates: Sequence[Candidate]) -> Choic
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    candidate: Candidate
+    candidate: SeenSignal
     level: float
     correlation: float
     z: float
 
 
-def _reversing(reference: Reference, candidates: Sequence[Candidate]) -> list[_Level]:
+def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list[_Level]:
     speed, triad = reference.speed, reference.accelerometer
     if speed is None or triad is None or speed.forward is None or not speed.is_believed:
         return []
@@ -93,14 +95,16 @@ def _names_reverse(signal: Signal) -> float | None:
     return None
 
 
-def _reverse_by_name(candidates: Sequence[Candidate]) -> Choice | None:
+def _reverse_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
     why = "the vehicle does not reverse here long enough to see it: the name alone speaks for it"
     options = []
     for c in candidates:
         value = _names_reverse(c.signal)
         if value is not None:
             options.append((0, c, source_of(c, equals=(value,)), "its value table names reverse"))
-        elif hint("reverse", c) in ("reverse", "ruecklicht", "rueckwaerts") and c.signal.length <= 2:
+        elif (
+            hint("reverse", c) in ("reverse", "ruecklicht", "rueckwaerts") and c.signal.length <= 2
+        ):
             options.append((1, c, source_of(c, equals=(1.0,)), f"named {c.signal.name}"))
     options.sort(key=lambda o: o[0])
     if not options:
@@ -109,7 +113,7 @@ def _reverse_by_name(candidates: Sequence[Candidate]) -> Choice | None:
     return Choice("reverse", {"": options[0][2]}, options[0][3], why, others)
 
 
-def find_brake(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:
+def find_brake(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
     """A switch (or a pressure) that is on when the vehicle slows down more than by itself."""
     if reference.speed is None:
         return None
@@ -146,7 +150,7 @@ def find_brake(reference: Reference, candidates: Sequence[Candidate]) -> Choice 
     return Choice("brake", {"": chosen}, text, doubt, others[:MAX_ALTERNATIVES])
 
 
-def _switches(c: Candidate) -> list[tuple[Array, dict[str, object]]]:
+def _switches(c: SeenSignal) -> list[tuple[Array, dict[str, Any]]]:
     """Ways to read a signal as on or off, with their settings."""
     if c.held is not None:
         if len(c.levels) == 2:
@@ -162,13 +166,13 @@ def _switches(c: Candidate) -> list[tuple[Array, dict[str, object]]]:
     return [(on, {"above": threshold})]
 
 
-def _matthews(a: Array, b: Array) -> float:
+def _matthews(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
     if not len(a) or not 0 < np.count_nonzero(a) < len(a):
         return 0.0
     return float(np.corrcoef(a.astype(float), b.astype(float))[0, 1])
 
 
-def _brake_by_name(candidates: Sequence[Candidate]) -> Choice | None:
+def _brake_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
     named = [c for c in candidates if hint("brake", c) and not c.is_constant]
     if not named:
         return None
@@ -179,14 +183,16 @@ def _brake_by_name(candidates: Sequence[Candidate]) -> Choice | None:
     return Choice("brake", {"": source_of(best, **settings)}, f"named {best.signal.name}", why)
 
 
-def find_temperature(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:
+def find_temperature(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
     """A temperature whose message belongs to the sensor's."""
     usable = [c for c in candidates if c.states("temperature")]
     triad = reference.accelerometer
     if not usable or triad is None:
         return None
     own = triad.messages[0]
-    usable.sort(key=lambda c: (c.message.name not in triad.messages, not same_family(c.message.name, own)))
+    usable.sort(
+        key=lambda c: (c.message.name not in triad.messages, not same_family(c.message.name, own))
+    )
     best = usable[0]
     near = best.message.name in triad.messages or same_family(best.message.name, own)
     doubt = "" if near else "a temperature, but nothing says that it is the sensor's"

@@ -17,7 +17,7 @@ import numpy as np
 from imucald.config_check.motion import SMOOTH, shifted, smooth
 from imucald.discovery.candidates import Array
 from imucald.discovery.evidence import BELIEVED_NATS, Relation, relation
-from imucald.discovery.reference import Reference
+from imucald.discovery.reference import KnownMotion
 from imucald.discovery.triads import Triad
 from imucald.motion.ticks import TICK_RATE
 
@@ -74,22 +74,21 @@ def signed(gyro: Array, order: Order) -> Array:
     return gyro[:, list(order[0])] * np.array(order[1], np.float64)
 
 
-def fit_gyroscope(gyro: Triad, reference: Reference, tried: list[Order]) -> GyroFit | None:
+def fit_gyroscope(gyro: Triad, reference: KnownMotion, tried: list[Order]) -> GyroFit | None:
     """Hold a gyroscope's axes against the accelerometer; None where there is nothing to hold."""
-    accelerometer, up = reference.accelerometer, reference.up
-    if accelerometer is None or up is None:
+    if reference.accelerometer is None or reference.up is None:
         return None
-    rates = gyro.ticks
     orders = every_order()
     turning = _turning(gyro.smooth, reference, orders)
-    carried, carried_relation = _carried(rates, accelerometer, reference, orders)
-    nats = {o: turning.get(o, (0.0, Relation()))[0] + carried.get(o, 0.0) for o in orders}
+    carried = _carried(gyro.ticks, reference.accelerometer, reference, orders)
+    nothing = 0.0, Relation()
+    nats = {o: turning.get(o, nothing)[0] + carried.get(o, nothing)[0] for o in orders}
     best = max(tried, key=lambda o: nats[o])
-    return GyroFit(best, nats, turning.get(best, (0.0, Relation()))[1], carried_relation(best))
+    return GyroFit(best, nats, turning.get(best, nothing)[1], carried.get(best, nothing)[1])
 
 
 def _turning(
-    gyro: Array, reference: Reference, orders: list[Order]
+    gyro: Array, reference: KnownMotion, orders: list[Order]
 ) -> dict[Order, tuple[float, Relation]]:
     """Log likelihood of each order from turns."""
     if reference.lateral is None or reference.speed is None or reference.up is None:
@@ -104,59 +103,70 @@ def _turning(
     return found
 
 
-def _carried(gyro: Array, accelerometer: Triad, reference: Reference, orders: list[Order]):  # type: ignore[no-untyped-def]
-    """Log likelihood of each order from gravity's movement through the axes."""
+def _carried(
+    gyro: Array, accelerometer: Triad, reference: KnownMotion, orders: list[Order]
+) -> dict[Order, tuple[float, Relation]]:
+    """The same from gravity's movement through the axes, in windows of a second."""
     force = accelerometer.smooth
-    gravity = np.broadcast_to(np.nanmean(force, axis=0), force.shape)
-    direction = force / np.linalg.norm(force, axis=1, keepdims=True)
-    if np.linalg.norm(np.nanmean(direction, axis=0)) < STEADY_UP:
-        gravity = force
+    gravity = _gravity(force)
     target = shifted(force, WINDOW) - force
-    nuisance = []
-    if reference.speed is not None:
-        nuisance.append(_windowed(reference.speed.change))
-        if reference.turn is not None:
-            nuisance.append(_windowed(reference.speed.speed * reference.turn))
-    terms = np.empty((3, 3), object)
-    for i in range(3):
-        for p in range(3):
-            unit = np.eye(3)[p]
-            turned = -np.cross(unit, gravity) * gyro[:, [i]]
-            terms[i, p] = _integrated(turned)
-    rows = np.isfinite(target).all(axis=1)
-    for extra in nuisance:
-        rows &= np.isfinite(extra)
-    for term in terms.flat:
+    moved = _accelerations(reference)
+    # the change if gyroscope axis i were the accelerometer's axis p
+    terms = {
+        (i, p): _integrated(-np.cross(np.eye(3)[p], gravity) * gyro[:, [i]])
+        for i in range(3)
+        for p in range(3)
+    }
+    rows = np.isfinite(target).all(axis=1) & np.isfinite(moved).all(axis=1)
+    for term in terms.values():
         rows &= np.isfinite(term).all(axis=1)
     count = int(np.count_nonzero(rows))
     if count < 20 * (WINDOW + SMOOTH):
-        return {}, lambda order: Relation()
-    known = np.column_stack([np.ones(count), *(extra[rows] for extra in nuisance)])
-    basis = np.linalg.qr(known)[0]
+        return {}
+    basis = np.linalg.qr(np.column_stack([np.ones(count), moved[rows]]))[0]
+    target, *left = (x[rows] - basis @ (basis.T @ x[rows]) for x in (target, *terms.values()))
+    parts = dict(zip(terms, left, strict=True))
+    independent = 2.0 * count / (WINDOW + SMOOTH)  # two level axes in each window
+    return {order: _held_against(target, _in_order(parts, order), independent) for order in orders}
 
-    def left_over(x: Array) -> Array:
-        y = x[rows]
-        return np.asarray(y - basis @ (basis.T @ y))
 
-    goal = left_over(target)
-    parts = {(i, p): left_over(terms[i, p]) for i in range(3) for p in range(3)}
-    independent = count / (WINDOW + SMOOTH) * 2.0
-    total = float((goal * goal).sum())
-    projected = {k: float((goal * v).sum()) for k, v in parts.items()}
-    gram = {(a, b): float((parts[a] * parts[b]).sum()) for a in parts for b in parts}
-    nats, relations = {}, {}
-    for order in orders:
-        keys = [((axis, p), sign) for p, (axis, sign) in enumerate(zip(*order, strict=True))]
-        dot = sum(sign * projected[k] for k, sign in keys)
-        size = sum(s * z * gram[k, q] for k, s in keys for q, z in keys)
-        part = max(dot, 0.0) ** 2 / (size * total) if size > 0.0 and total > 0.0 else 0.0
-        part = min(part, 1.0 - 1e-12)
-        nats[order] = -0.5 * independent * math.log1p(-part)
-        low = dot / size if size > 0.0 else 0.0
-        root = math.copysign(math.sqrt(dot * dot / (size * total)), dot) if size * total else 0.0
-        high = total / dot if dot > 0.0 else 0.0
-        relations[order] = Relation(root, independent, max(low, 0.0), high)
-    return nats, relations.__getitem__
+def _gravity(force: Array) -> Array:
+    """Gravity in sensor axes (n, 3): one direction in a vehicle, the force itself in a hand."""
+    direction = force / np.linalg.norm(force, axis=1, keepdims=True)
+    if np.linalg.norm(np.nanmean(direction, axis=0)) < STEADY_UP:
+        return force
+    return np.broadcast_to(np.nanmean(force, axis=0), force.shape)
+
+
+def _accelerations(reference: KnownMotion) -> Array:
+    """Windowed changes (n, k) of the accelerations that go with speed; k is 0 without a speed."""
+    known = []
+    if reference.speed is not None:
+        known.append(_windowed(reference.speed.change))
+        if reference.turn is not None:
+            known.append(_windowed(reference.speed.speed * reference.turn))
+    if not known:
+        return np.zeros((len(reference.accelerometer.ticks) if reference.accelerometer else 0, 0))
+    return np.column_stack(known)
+
+
+def _in_order(parts: dict[tuple[int, int], Array], order: Order) -> Array:
+    """Change of gravity (m, 3) with the gyroscope's axes in an order."""
+    return np.asarray(
+        sum(sign * parts[axis, p] for p, (axis, sign) in enumerate(zip(*order, strict=True)))
+    )
+
+
+def _held_against(target: Array, predicted: Array, independent: float) -> tuple[float, Relation]:
+    """Log likelihood of a prediction whose scale is free but positive, and the relation."""
+    dot, size = float((target * predicted).sum()), float((predicted * predicted).sum())
+    total = float((target * target).sum())
+    if not (size > 0.0 and total > 0.0):
+        return 0.0, Relation()
+    root = max(min(dot / math.sqrt(size * total), 1.0 - 1e-9), 1e-9 - 1.0)
+    nats = -0.5 * independent * math.log1p(-(max(root, 0.0) ** 2))
+    high = total / dot if dot > 0.0 else 0.0
+    return nats, Relation(root, independent, max(dot / size, 0.0), high)
 
 
 def _windowed(x: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from imucald.discovery.candidates import Candidate, words
+from imucald.discovery.candidates import SeenSignal, words
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _FRONT, _REAR = ("f", "v", "front", "vorn", "vorne", "vorder", "av"), (
@@ -22,7 +22,7 @@ _CORNERS = {
 _AXIS = re.compile(r"^(.*?)([xyzXYZ])(.*)$")
 
 
-def axes_by_name(candidates: Sequence[Candidate]) -> tuple[int, int, int] | None:
+def axes_by_name(candidates: Sequence[SeenSignal]) -> tuple[int, int, int] | None:
     """Which of three signals are x, y and z, where their names differ in that letter alone."""
     names = [c.signal.name for c in candidates]
     for place in range(min(map(len, names))):
@@ -61,7 +61,7 @@ _HINTS = {
 }
 
 
-def hint(quantity: str, candidate: Candidate) -> str | None:
+def hint(quantity: str, candidate: SeenSignal) -> str | None:
     """The word of a signal's name that speaks for a quantity."""
     known = _HINTS.get(quantity, ())
     parts = words(candidate.signal.name)

@@ -6,12 +6,12 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import Relation, UnitChoice, relation
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import (
-    Reference,
+    KnownMotion,
     SpeedFit,
     change_of,
     speed_candidates,
@@ -29,7 +29,7 @@ WRONG_SCALE = 2.0
 class Planar:
     """What was found: the two-axis accelerometer and the speed, with the motion they show."""
 
-    reference: Reference
+    reference: KnownMotion
     accelerometer: Choice
     speed: Choice | None
     taken: set[str]
@@ -39,14 +39,14 @@ class Planar:
 class _Pair:
     """A signal that follows another one."""
 
-    first: Candidate
-    second: Candidate
+    first: SeenSignal
+    second: SeenSignal
     relation: Relation
     unit: UnitChoice
 
 
 def find_planar(
-    candidates: Sequence[Candidate], wheels: Sequence[Candidate] | None, taken: set[str]
+    candidates: Sequence[SeenSignal], wheels: Sequence[SeenSignal] | None, taken: set[str]
 ) -> Planar | None:
     """Two accelerations that follow the change of speed, and speed times a yaw rate."""
     accelerations = [c for c in candidates if c.states("acceleration") and not c.is_constant]
@@ -59,7 +59,7 @@ def find_planar(
     unit = stated_unit(best.first, "speed")
     assert unit is not None, "only speeds that state their unit were tried"
     fit = SpeedFit(best.first, unit, best.relation)
-    reference = Reference(speed=fit)
+    reference = KnownMotion(speed=fit)
     across = _across(fit.moving, candidates, [c for c in accelerations if c is not best.second])
     if across is None:
         return None
@@ -99,7 +99,7 @@ def _speed_choice(best: _Pair, others: list[_Pair]) -> Choice:
     )  # fmt: skip
 
 
-def _along(speeds: list[Candidate], accelerations: list[Candidate]) -> list[_Pair]:
+def _along(speeds: list[SeenSignal], accelerations: list[SeenSignal]) -> list[_Pair]:
     """Speeds with the acceleration that follows their changes, the clearest first."""
     pairs = []
     for v in speeds:
@@ -114,7 +114,9 @@ def _along(speeds: list[Candidate], accelerations: list[Candidate]) -> list[_Pai
     return sorted(pairs, key=lambda p: -p.relation.explained)
 
 
-def _across(v: Array, candidates: Sequence[Candidate], accelerations: list[Candidate]) -> _Pair | None:
+def _across(
+    v: Array, candidates: Sequence[SeenSignal], accelerations: list[SeenSignal]
+) -> _Pair | None:
     """The yaw rate and the acceleration that is speed times it; None where there are none."""
     rates = [(c, stated_unit(c, "angular_rate")) for c in candidates if not c.is_constant]
     pairs = []
@@ -134,7 +136,7 @@ def _is_clear(found: Relation, comparisons: int) -> bool:
 
 
 def _sides(
-    v: Array, candidates: Sequence[Candidate], wheels: Sequence[Candidate] | None, yaw: Candidate
+    v: Array, candidates: Sequence[SeenSignal], wheels: Sequence[SeenSignal] | None, yaw: SeenSignal
 ) -> tuple[int, str]:
     """Sign that makes a yaw rate positive to the left, and what tells it."""
     if wheels:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from imucald.discovery.candidates import Candidate
+from imucald.discovery.candidates import SeenSignal
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,8 @@ class Proposal:
     channels: Mapping[str, str] = field(default_factory=dict)
     """Channel of each database by its path, where the recording has several."""
     notes: list[str] = field(default_factory=list)
+    output_ids: Mapping[str, int] = field(default_factory=dict)
+    """Ids of the frames that are sent, where the usual ones are taken on this bus."""
 
     def choice(self, quantity: str) -> Choice | None:
         """The choice of a quantity, None where there is none."""
@@ -99,7 +101,7 @@ class Proposal:
 
 
 def source_of(
-    candidate: Candidate, unit: str | None = None, sign: int = 1, **others: Any
+    candidate: SeenSignal, unit: str | None = None, sign: int = 1, **others: Any
 ) -> Proposed:
     """A source of a candidate; `unit` only where the database does not state it."""
     if candidate.raw is not None:

@@ -7,6 +7,7 @@ id adds to it is one number for all frames of a message (of a counter value, whe
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -38,6 +39,8 @@ COUNTS = 0.9
 COUNTER_BITS = range(2, 17)
 ID_BYTES = (0, 2, 4, 1)
 """Bytes of the identifier that go into a checksum first, the usual numbers first."""
+
+_NAMES = re.compile(r"crc|check|chk|cks|pruef|bcc", re.IGNORECASE)
 
 Columns = NDArray[np.uint8]
 
@@ -97,12 +100,15 @@ def _counter(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] |
                 text = f"goes on by one in {_percent(share)} of {len(values)} frames"
                 if best is None or share > best[0]:
                     best = share, settings, text
-                break
     return None if best is None else best[1:]
 
 
 def _checksum_in_signal(one: MessageTraffic, data: Columns) -> tuple[dict[str, Any], str] | None:
-    for name, signal in one.message.signals.items():
+    # every byte is the XOR of all others: the last is the one that is likely to be meant
+    for name, signal in sorted(
+        one.message.signals.items(),
+        key=lambda item: (not _NAMES.search(item[0]), -field_of(item[1]).first_bit),
+    ):
         if signal.length != 8 or signal.is_float:
             continue
         field = field_of(signal)
@@ -161,8 +167,9 @@ def _profile_1(size: int, offset: int, data: Columns) -> Found:
     if counter is None:
         return None
     places = (bit, bit + 8, bit + 12)
-    added = _added(e2e_profile_1(size, 0, "low", *places), data)
-    ids = {_added_by(e2e_profile_1(size, i, "low", *places)): i for i in range(256)}
+    without = e2e_profile_1(size, 0, "low", *places)
+    added = _added(without, data)
+    ids = {_difference(e2e_profile_1(size, i, "low", *places), without): i for i in range(256)}
     words = "; other ids and modes give the same checksum: the maker's data sheet names the id"
     common = _common(added)
     if common in ids:
@@ -187,8 +194,9 @@ def _profile_2(size: int, offset: int, data: Columns) -> Found:
     counter = _header_counter(2, bit, data)
     if counter is None:
         return None
-    added = _added(e2e_profile_2(size, [0] * 16, bit), data)
-    ids = {_added_by(e2e_profile_2(size, [i] * 16, bit)): i for i in range(256)}
+    without = e2e_profile_2(size, [0] * 16, bit)
+    added = _added(without, data)
+    ids = {_difference(e2e_profile_2(size, [i] * 16, bit), without): i for i in range(256)}
     commons = [_common(added[counter == value]) for value in range(16)]
     if not all(c in ids for c in commons):
         return None
@@ -200,12 +208,13 @@ def _profile_5(size: int, offset: int, data: Columns) -> Found:
     bit = 8 * offset
     if _header_counter(5, bit, data) is None:
         return None
-    common = _common(_added(e2e_profile_5(size, 0, bit), data))
+    without = e2e_profile_5(size, 0, bit)
+    common = _common(_added(without, data))
     if common is None:
         return None
     made = np.zeros(1, np.uint16)
     for power in range(16):  # what an id adds is the sum of what its bits add
-        one = _added_by(e2e_profile_5(size, 1 << power, bit))
+        one = _difference(e2e_profile_5(size, 1 << power, bit), without)
         made = np.concatenate([made, made ^ np.uint16(one)])
     fitting = np.flatnonzero(made == common)
     if len(fitting) != 1:
@@ -233,15 +242,9 @@ def _added(spec: ChecksumSpec, data: Columns) -> NDArray[np.uint16]:
     return np.asarray(stored ^ Checksum(spec).compute_columns(data))
 
 
-def _added_by(spec: ChecksumSpec) -> int:
-    """What a spec's id adds to the checksum of any frame."""
+def _difference(spec: ChecksumSpec, without: ChecksumSpec) -> int:
+    """What an id adds to the checksum of any frame."""
     zero = bytes(spec.size)
-    without = {
-        1: lambda: e2e_profile_1(spec.size, 0, "low", 8 * spec.position, 8 * spec.position + 8,
-                                 8 * spec.position + 12),
-        2: lambda: e2e_profile_2(spec.size, [0] * 16, 8 * spec.position),
-        5: lambda: e2e_profile_5(spec.size, 0, 8 * spec.position),
-    }[5 if spec.width == 2 else 2 if spec.suffixes != (b"",) else 1]()  # fmt: skip
     return Checksum(spec).compute(zero) ^ Checksum(without).compute(zero)
 
 

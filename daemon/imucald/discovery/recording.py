@@ -31,7 +31,7 @@ class Traffic:
         return len(self.t)
 
 
-class Recording:
+class GatheredFrames:
     """Gathers frames, then gives them by channel and identifier."""
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Recording:
         """Whether frames came that were not looked at."""
 
     @classmethod
-    def of(cls, chunks: Iterable[FrameColumns]) -> Recording:
+    def of(cls, chunks: Iterable[FrameColumns]) -> GatheredFrames:
         """Gather as many chunks as there is room for."""
         recording = cls()
         for chunk in chunks:
@@ -89,7 +89,5 @@ class Recording:
         for rows in np.split(order, edges):
             name = whole.channels[int(whole.channel[rows[0]])]
             can_id = int(whole.can_id[rows[0]])
-            found.append(
-                Traffic(name, can_id, whole.t[rows], whole.data[rows], whole.length[rows])
-            )
+            found.append(Traffic(name, can_id, whole.t[rows], whole.data[rows], whole.length[rows]))
         return found

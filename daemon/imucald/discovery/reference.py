@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.config_check.motion import SMOOTH, shifted
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import (
     COMMON_UNITS,
     Relation,
@@ -39,7 +39,7 @@ LEAST_SPEED_BITS = 7
 class SpeedFit:
     """A speed against the accelerometer. delay [ticks]; relation of the accelerometer to it."""
 
-    candidate: Candidate
+    candidate: SeenSignal
     unit: UnitChoice
     relation: Relation
     delay: int = 0
@@ -68,7 +68,7 @@ class SpeedFit:
 
 
 @dataclass(eq=False)
-class Reference:
+class KnownMotion:
     """The vehicle's motion as far as it is known; arrays (n,) in SI.
 
     lateral: acceleration to the left as the accelerometer shows it. turn: yaw rate, left positive.
@@ -120,7 +120,7 @@ def direction_up(accelerometer: Triad) -> Array:
     return np.asarray(mean / np.linalg.norm(mean))
 
 
-def speed_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
+def speed_candidates(candidates: Sequence[SeenSignal]) -> list[SeenSignal]:
     """Signals whose unit allows a speed and that move as one may."""
     return [
         c
@@ -132,8 +132,27 @@ def speed_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
     ]
 
 
-def speed_against_accelerometer(c: Candidate, triad: Triad, up: Array) -> SpeedFit | None:
-    """How the changes of a speed show in a level plane of the accelerometer; None: not at all."""
+def speed_against_accelerometer(c: SeenSignal, triad: Triad, up: Array) -> SpeedFit | None:
+    """How the changes of a speed show in the accelerometer, and in which unit; None: not at all."""
+    found = response(c, triad, up)
+    if found is None:
+        return None
+    shown, delay, forward = found
+    low, high = shown.low / GAIN_TOLERANCE, shown.high * GAIN_TOLERANCE
+    unit = choose_unit(c.unit, "speed", low, high)
+    if unit is None:
+        unit = stated_unit(c, "speed")
+        if unit is None:
+            return None
+        shown = Relation()  # a stated unit that contradicts the data: not believed
+    return SpeedFit(c, unit, shown, delay, forward)
+
+
+def response(c: SeenSignal, triad: Triad, up: Array) -> tuple[Relation, int, Array] | None:
+    """Acceleration in a level plane [m/s^2] for one of a speed's unit per second.
+
+    Returns the relation, the delay of the speed [ticks], and forward (3,); None: hardly any.
+    """
     level = level_axes(up)
     accel = triad.smooth @ level.T
     change = change_of(c.smooth)
@@ -153,26 +172,17 @@ def speed_against_accelerometer(c: Candidate, triad: Triad, up: Array) -> SpeedF
     size = float(np.linalg.norm(along))
     if not size > 0.0:
         return None
-    forward = (along / size) @ level
-    found = relation(moved, accel @ (along / size))
-    low, high = found.low / GAIN_TOLERANCE, found.high * GAIN_TOLERANCE
-    unit = choose_unit(c.unit, "speed", low, high)
-    if unit is None:
-        unit = stated_unit(c, "speed")
-        if unit is None:
-            return None
-        found = Relation()  # a stated unit that contradicts the data: not believed
-    return SpeedFit(c, unit, found, at, forward)
+    return relation(moved, accel @ (along / size)), at, (along / size) @ level
 
 
-def stated_unit(c: Candidate, dimension: str) -> UnitChoice | None:
+def stated_unit(c: SeenSignal, dimension: str) -> UnitChoice | None:
     """A candidate's own unit, where it is one of the dimension."""
     factor = factor_of(c.unit, dimension) if c.states(dimension) else None
     return None if factor is None else UnitChoice(c.unit, factor, True)
 
 
 def unit_for(
-    c: Candidate, dimension: str, found: Relation, tolerance: float = GAIN_TOLERANCE
+    c: SeenSignal, dimension: str, found: Relation, tolerance: float = GAIN_TOLERANCE
 ) -> UnitChoice | None:
     """The unit in which a signal is its SI reference, give or take a tolerance."""
     if not found.low > 0.0:
@@ -207,13 +217,3 @@ def _least_squares(known: Array, accel: Array) -> Array:
     rows = np.isfinite(known) & np.isfinite(accel).all(axis=1)
     x = known[rows] - known[rows].mean()
     return np.asarray((accel[rows] - accel[rows].mean(axis=0)).T @ x / (x @ x))
-
-
-def is_better(a: Relation, b: Relation) -> bool:
-    """Whether one relation is stronger than another beyond chance (Fisher's z, z = 2)."""
-    if a.independent <= 4.0 or b.independent <= 4.0:
-        return a.z > b.z
-    spread = (1.0 / (a.independent - 3.0) + 1.0 / (b.independent - 3.0)) ** 0.5
-    za = np.arctanh(min(abs(a.correlation), 1.0 - 1e-12))
-    zb = np.arctanh(min(abs(b.correlation), 1.0 - 1e-12))
-    return float(za - zb) > 2.0 * spread

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.config_check.motion import shifted
-from imucald.discovery.candidates import Array, Candidate
-from imucald.discovery.evidence import Relation, UnitChoice, choose_unit, relation
+from imucald.discovery.candidates import Array, SeenSignal
+from imucald.discovery.evidence import Relation, UnitChoice, choose_unit, is_better, relation
 from imucald.discovery.names import hint
 from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import (
-    Reference,
-    is_better,
+    KnownMotion,
     stated_unit,
     unit_for,
 )
@@ -26,8 +25,8 @@ SAME_MOTION = 0.5
 """Part of the variance that a signal and its reference share, from which they are the same thing
 and not one the cause of the other: more than half."""
 STEERING_METRES = (15.0, 130.0)
-"""Wheelbase times steering ratio: from a small car's quick rack (2.4 m x 12, understeer allowed for)
-to a lorry's (6 m x 20) [m]."""
+"""Wheelbase times steering ratio [m]: half of a small car's quick rack (2.4 m x 12) to a lorry's
+(6 m x 20)."""
 RELATED = 0.25
 """The same where the stated unit fits too: half the amplitude is the reference's."""
 MAX_ALTERNATIVES = 3
@@ -37,7 +36,7 @@ MAX_ALTERNATIVES = 3
 class Match:
     """A candidate held against a reference."""
 
-    candidate: Candidate
+    candidate: SeenSignal
     relation: Relation
     unit: UnitChoice | None
 
@@ -50,14 +49,14 @@ class Quantity:
     dimension: str
     words: str
     """What its reference is, for the evidence."""
-    unit: Callable[[Candidate, Relation], UnitChoice | None]
+    unit: Callable[[SeenSignal, Relation], UnitChoice | None]
 
 
-def _by_gain(dimension: str) -> Callable[[Candidate, Relation], UnitChoice | None]:
+def _by_gain(dimension: str) -> Callable[[SeenSignal, Relation], UnitChoice | None]:
     return lambda c, found: unit_for(c, dimension, found)
 
 
-def _steering_unit(c: Candidate, found: Relation) -> UnitChoice | None:
+def _steering_unit(c: SeenSignal, found: Relation) -> UnitChoice | None:
     """The angle's unit in which wheelbase times ratio is a vehicle's."""
     if not found.low > 0.0:
         return None
@@ -77,7 +76,7 @@ STEERING = Quantity("steering_wheel_angle", "angle", "the curvature", _steering_
 
 
 def find_scalar(
-    quantity: Quantity, reference: Array | None, candidates: Sequence[Candidate], sides: str
+    quantity: Quantity, reference: Array | None, candidates: Sequence[SeenSignal], sides: str
 ) -> Choice | None:
     """The signal that follows a reference best, with its unit and sign; None where none does.
 
@@ -131,7 +130,9 @@ def _doubt(best: Match, others: list[Match], quantity: Quantity, sides: str) -> 
     if not best.unit.is_sure:
         return f"the database states no unit; {', '.join(best.unit.others)} would fit too"
     if not best.candidate.states(quantity.dimension):
-        rivals = [m for m in others if m.unit is not None and not is_better(best.relation, m.relation)]
+        rivals = [
+            m for m in others if m.unit is not None and not is_better(best.relation, m.relation)
+        ]
         if rivals:
             return f"{rivals[0].candidate.path} follows as well, and no unit is stated"
         if best.relation.explained < 0.8:
@@ -142,17 +143,17 @@ def _doubt(best: Match, others: list[Match], quantity: Quantity, sides: str) -> 
 
 
 def by_unit_and_name(
-    name: str, dimension: str, candidates: Sequence[Candidate], why: str = ""
+    name: str, dimension: str, candidates: Sequence[SeenSignal], why: str = ""
 ) -> Choice | None:
     """What unit and name alone suggest; never sure."""
     named = [c for c in candidates if c.states(dimension) and hint(name, c)]
     if not named:
         return None
     named.sort(key=lambda c: c.cycle)
-    why = why or "the recording shows no motion to hold it against: unit and name alone speak for it"
-    others = [
-        Alternative({"": source_of(c)}, "the same") for c in named[1 : 1 + MAX_ALTERNATIVES]
-    ]
+    why = (
+        why or "the recording shows no motion to hold it against: unit and name alone speak for it"
+    )
+    others = [Alternative({"": source_of(c)}, "the same") for c in named[1 : 1 + MAX_ALTERNATIVES]]
     return Choice(name, {"": source_of(named[0])}, f"named {hint(name, named[0])!r}", why, others)
 
 
@@ -170,7 +171,7 @@ def _gain_words(quantity: Quantity, match: Match) -> str:
     return f", gain {size:.2f} in {match.unit.name} ({stated})"
 
 
-def find_heading(reference: Reference, candidates: Sequence[Candidate]) -> Choice | None:
+def find_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
     """An angle of a whole turn whose change is the yaw rate, clockwise."""
     usable = [c for c in candidates if c.states("angle") and not c.is_constant]
     wide = []
@@ -178,7 +179,7 @@ def find_heading(reference: Reference, candidates: Sequence[Candidate]) -> Choic
         unit = stated_unit(c, "angle")
         if unit is not None and (c.largest - c.least) * unit.factor > np.pi:
             wide.append((c, unit))
-    best: tuple[Candidate, Relation] | None = None
+    best: tuple[SeenSignal, Relation] | None = None
     if reference.turn is not None:
         for c, unit in wide:
             turned = shifted(c.x, 10) - c.x
@@ -197,4 +198,3 @@ def find_heading(reference: Reference, candidates: Sequence[Candidate]) -> Choic
     if found.sign < 0:
         evidence = evidence.replace("clockwise", "counter-clockwise")
     return Choice("heading", {"": source_of(candidate, None, found.sign)}, evidence)
-

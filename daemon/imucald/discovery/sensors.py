@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import Relation, choose_unit
 from imucald.discovery.gyro_axes import (
     AS_IT_IS,
@@ -21,13 +22,19 @@ from imucald.discovery.planar import find_planar
 from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
 from imucald.discovery.reference import (
     GAIN_TOLERANCE,
-    Reference,
+    KnownMotion,
     SpeedFit,
     direction_up,
-    is_better,
     speed_against_accelerometer,
     speed_candidates,
     stated_unit,
+)
+from imucald.discovery.speeds import (
+    NEAR_WHEELS,
+    apart_from,
+    best_first,
+    speed_doubt,
+    wheel_mean,
 )
 from imucald.discovery.triads import (
     EARTH_FIELD,
@@ -48,9 +55,9 @@ REST_RATE = 5.0
 class Sensors:
     """The sensor to calibrate and the speed. `reference`: the motion; `taken`: signals in use."""
 
-    def __init__(self, candidates: Sequence[Candidate]) -> None:
+    def __init__(self, candidates: Sequence[SeenSignal]) -> None:
         self.candidates = candidates
-        self.reference = Reference()
+        self.reference = KnownMotion()
         self.wheels = next(iter(wheel_sets(candidates)), None)
         self.taken: set[str] = {c.path for c in self.wheels or ()}
         self._found: list[Choice | None] = []
@@ -74,7 +81,7 @@ class Sensors:
         tried = stated or triads[:MAX_TRIADS]
         best = max(tried, key=self._speed_for) if len(tried) > 1 else tried[0]
         self._speed_for(best)
-        reference = Reference(best, direction_up(best))
+        reference = KnownMotion(best, direction_up(best))
         self.reference = reference
         self.taken |= {m.path for m in best.members}
         accelerometer = _accelerometer_choice(best, [t for t in triads if t is not best])
@@ -104,24 +111,22 @@ class Sensors:
         """The speed whose changes the accelerometer shows best; wheels stand in for it."""
         wheels = {c.path for c in self.wheels or ()}
         believed = [f for f in self._speeds if f.is_believed]
-        own = _best_first([f for f in believed if f.candidate.path not in wheels])
-        rolling = _best_first([f for f in believed if f.candidate.path in wheels])
-        if own and rolling and not own[0].unit.is_stated and rolling[0].unit.is_stated:
-            own = [f for f in own if _same_speed(f, rolling[0])]
+        rolling = best_first([f for f in believed if f.candidate.path in wheels], None)
+        mean = wheel_mean(self.wheels)
+        own = best_first([f for f in believed if f.candidate.path not in wheels], mean)
         if not own:
             self.reference.speed = rolling[0] if rolling else None
             return None if rolling else self._speed_by_unit(wheels)
         best = own[0]
         self.reference.speed = best
         self.taken.add(best.candidate.path)
-        doubt = ""
-        if not best.unit.is_sure:
-            doubt = f"the database states no unit; {', '.join(best.unit.others)} would fit too"
-        elif not best.unit.is_stated and best.relation.explained < 0.5:
-            doubt = "the database states no unit, and half of the accelerations are not explained"
         others = [Alternative({"": _speed_source(f)}, _speed_words(f)) for f in own[1:]]
+        words, doubt = _speed_words(best), speed_doubt(own, mean)
+        apart = None if mean is None else apart_from(best, mean)
+        if apart is not None and apart < NEAR_WHEELS:
+            words += f"; that of the wheels within {100 * apart:.1f} %"
         chosen = {"": _speed_source(best)}
-        return Choice("speed", chosen, _speed_words(best), doubt, others[:MAX_ALTERNATIVES])
+        return Choice("speed", chosen, words, doubt, others[:MAX_ALTERNATIVES])
 
     def _speed_by_unit(self, wheels: set[str]) -> Choice | None:
         """A speed that no accelerometer confirms: by its unit, and by its name among several."""
@@ -148,13 +153,15 @@ class Sensors:
     # gyroscope -------------------------------------------------------------------------------
 
     def _choose_gyroscope(
-        self, reference: Reference
+        self, reference: KnownMotion
     ) -> tuple[Choice | None, GyroFit | None, tuple[tuple[int, int, int], tuple[int, int, int]]]:
         found = []
         for triad in gyroscopes(self.candidates):
             if {m.path for m in triad.members} & self.taken:
                 continue
-            tried = [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
+            tried = (
+                [AS_IT_IS, ((0, 1, 2), (-1, -1, -1))] if triad.names_axes else right_handed_orders()
+            )
             fit = fit_gyroscope(triad, reference, tried)
             if fit is not None and (triad.unit.is_stated or fit.is_believed):
                 found.append((triad, fit))
@@ -193,31 +200,6 @@ class Sensors:
         return Choice("magnetometer", _axes(best, best.unit.name), text, doubt)
 
 
-def _best_first(fits: list[SpeedFit]) -> list[SpeedFit]:
-    """Stated units first, then what explains most; of what differs by chance the faster cycle."""
-    fits = sorted(fits, key=lambda f: (not f.unit.is_stated, -f.relation.explained))
-    if not fits:
-        return fits
-    first = fits[0]
-    equal = [
-        f
-        for f in fits
-        if f.unit.is_stated == first.unit.is_stated and not is_better(first.relation, f.relation)
-    ]
-    equal.sort(key=lambda f: (hint("speed", f.candidate) is None, f.candidate.cycle))
-    return equal + [f for f in fits if f not in equal]
-
-
-def _same_speed(a: SpeedFit, b: SpeedFit) -> bool:
-    """Whether two speeds are in a constant ratio near one."""
-    one, other = a.speed, b.speed
-    fast = np.nan_to_num(np.minimum(np.abs(one), np.abs(other))) > 1.0
-    if np.count_nonzero(fast) < 50:
-        return False
-    ratio = one[fast] / other[fast]
-    return 0.85 < float(np.median(ratio)) < 1.2 and float(np.std(ratio)) < 0.1
-
-
 def _speed_source(fit: SpeedFit) -> Proposed:
     return source_of(fit.candidate, fit.unit.name)
 
@@ -225,14 +207,18 @@ def _speed_source(fit: SpeedFit) -> Proposed:
 def _speed_words(fit: SpeedFit) -> str:
     r = fit.relation
     gain = r.gain / fit.unit.factor
-    late = f", {0.1 * abs(fit.delay):.1f} s {'late' if fit.delay > 0 else 'early'}" if fit.delay else ""
+    late = (
+        f", {0.1 * abs(fit.delay):.1f} s {'late' if fit.delay > 0 else 'early'}"
+        if fit.delay
+        else ""
+    )
     return (
         f"its changes show in the accelerometer (correlation {r.correlation:.2f}, "
         f"gain {gain:.2f} in {fit.unit.name}{late})"
     )
 
 
-def _standing(reference: Reference) -> Array | None:
+def _standing(reference: KnownMotion) -> NDArray[np.bool_] | None:
     if reference.speed is None:
         return None
     rows = np.nan_to_num(np.abs(reference.speed.speed), nan=np.inf) < 0.3
@@ -301,7 +287,11 @@ def _gyroscope_choice(
         words.append(f"gravity moves as it turns (correlation {fit.carried.correlation:.2f})")
     if sign < 0:
         words.append("it turns the other way than the accelerometer's axes")
-    words.append("axes as named" if triad.names_axes else f"axes by likelihood ({fit.ahead(cyclic):.0f} nats)")
+    words.append(
+        "axes as named"
+        if triad.names_axes
+        else f"axes by likelihood ({fit.ahead(cyclic):.0f} nats)"
+    )
     alternatives = [
         Alternative(_axes(t, t.unit.name, f.order[1][0]), "another gyroscope") for t, f in others
     ]
@@ -310,5 +300,3 @@ def _gyroscope_choice(
         alternatives[:MAX_ALTERNATIVES],
     )  # fmt: skip
     return choice, ((0, 1, 2), signs), ordered
-
-

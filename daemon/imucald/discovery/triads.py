@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imucald.core.samples import GRAVITY
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import COMMON_UNITS, UnitChoice, choose_unit, factor_of
 from imucald.discovery.names import axes_by_name
 
@@ -37,7 +37,7 @@ EARTH_FIELD = (22e-6, 67e-6)
 class Triad:
     """Three signals as x, y, z. names_axes: whether their names say which is which."""
 
-    members: tuple[Candidate, Candidate, Candidate]
+    members: tuple[SeenSignal, SeenSignal, SeenSignal]
     unit: UnitChoice
     names_axes: bool
     size: float = math.nan
@@ -65,7 +65,7 @@ class Triad:
         return replace(self, unit=unit)
 
 
-def accelerometers(candidates: Sequence[Candidate]) -> list[Triad]:
+def accelerometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
     """Every three signals that are 1 g in size, the likeliest first."""
     found: list[Triad] = []
     for three in _threes(candidates, "acceleration"):
@@ -82,7 +82,7 @@ def _accelerometer_rank(triad: Triad) -> tuple[bool, bool, bool, float]:
     return not stated, not triad.names_axes, len(triad.messages) > 1, triad.spread
 
 
-def _of_one_g(three: tuple[Candidate, ...]) -> Triad | None:
+def _of_one_g(three: tuple[SeenSignal, ...]) -> Triad | None:
     ordered, named = in_order(three)
     size = np.linalg.norm(np.column_stack([m.smooth for m in ordered]), axis=1)
     size = size[np.isfinite(size)]
@@ -101,7 +101,7 @@ def _of_one_g(three: tuple[Candidate, ...]) -> Triad | None:
     return None
 
 
-def gyroscopes(candidates: Sequence[Candidate]) -> list[Triad]:
+def gyroscopes(candidates: Sequence[SeenSignal]) -> list[Triad]:
     """Every three signals of one kind that may be angular rates; the unit is not judged yet."""
     found = []
     for three in _threes(candidates, "angular_rate"):
@@ -112,7 +112,7 @@ def gyroscopes(candidates: Sequence[Candidate]) -> list[Triad]:
     return found
 
 
-def magnetometers(candidates: Sequence[Candidate]) -> list[Triad]:
+def magnetometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
     """Every three signals that state a unit of the magnetic field, or whose names agree."""
     found = []
     for three in _threes(candidates, "magnetic_field"):
@@ -126,7 +126,7 @@ def magnetometers(candidates: Sequence[Candidate]) -> list[Triad]:
     return _without_overlap(found)
 
 
-def _stated_or_first(candidate: Candidate, dimension: str) -> UnitChoice:
+def _stated_or_first(candidate: SeenSignal, dimension: str) -> UnitChoice:
     factor = factor_of(candidate.unit, dimension) if not candidate.has_no_unit else None
     if factor is not None:
         return UnitChoice(candidate.unit, factor, True)
@@ -135,8 +135,8 @@ def _stated_or_first(candidate: Candidate, dimension: str) -> UnitChoice:
 
 
 def in_order(
-    three: tuple[Candidate, ...],
-) -> tuple[tuple[Candidate, Candidate, Candidate], bool]:
+    three: tuple[SeenSignal, ...],
+) -> tuple[tuple[SeenSignal, SeenSignal, SeenSignal], bool]:
     """Three signals as x, y, z: by their names, else by their places; and whether by names."""
     named = axes_by_name(three)
     if named is not None:
@@ -146,7 +146,7 @@ def in_order(
     return (a, b, c), False
 
 
-def _place(candidate: Candidate) -> tuple[int, int]:
+def _place(candidate: SeenSignal) -> tuple[int, int]:
     """Identifier, then bit from the payload's beginning."""
     signal = candidate.signal
     big = signal.byte_order == "big_endian"
@@ -155,42 +155,43 @@ def _place(candidate: Candidate) -> tuple[int, int]:
 
 
 def _threes(
-    candidates: Sequence[Candidate], dimension: str
-) -> Iterator[tuple[Candidate, Candidate, Candidate]]:
+    candidates: Sequence[SeenSignal], dimension: str
+) -> Iterator[tuple[SeenSignal, SeenSignal, SeenSignal]]:
     """Signals of one kind by threes: within messages, and one from each of three messages."""
     usable = [
         c
         for c in candidates
         if c.may_be(dimension) and c.signal.length >= MIN_BITS and not c.levels
     ]
-    groups: dict[object, list[Candidate]] = {}
+    groups: dict[object, list[SeenSignal]] = {}
     for c in usable:
         groups.setdefault((c.message.name, *_kind(c, dimension)), []).append(c)
     for group in groups.values():
         yield from _combinations(sorted(group, key=_place))
-    across: dict[object, list[Candidate]] = {}
+    across: dict[object, list[SeenSignal]] = {}
     for c in usable:
         if sum(other.message is c.message for other in usable) <= 2:
-            across.setdefault((round(4.0 * math.log(c.cycle + 1e-6)), *_kind(c, dimension)), []).append(c)
+            across.setdefault(
+                (round(4.0 * math.log(c.cycle + 1e-6)), *_kind(c, dimension)), []
+            ).append(c)
     for group in across.values():
         for three in _combinations(sorted(group, key=_place)):
             if len({c.message.name for c in three}) == 3 and len(group) <= MAX_TOGETHER:
                 yield three
 
 
-def _combinations(group: list[Candidate]) -> Iterator[tuple[Candidate, Candidate, Candidate]]:
+def _combinations(group: list[SeenSignal]) -> Iterator[tuple[SeenSignal, SeenSignal, SeenSignal]]:
     if len(group) <= MAX_TOGETHER:
         yield from itertools.combinations(group, 3)
     else:
         yield from zip(group, group[1:], group[2:], strict=False)
 
 
-def _kind(c: Candidate, dimension: str) -> tuple[object, ...]:
+def _kind(c: SeenSignal, dimension: str) -> tuple[object, ...]:
     """What the axes of one sensor have in common."""
     if c.states(dimension):
         return (c.unit,)
-    s = c.signal
-    return "", s.length, s.scale, s.offset, s.is_signed, s.byte_order
+    return "", c.signal.length, c.signal.scale
 
 
 def _without_overlap(found: list[Triad]) -> list[Triad]:

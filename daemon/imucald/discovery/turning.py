@@ -1,4 +1,4 @@
-"""What turns with what: yaw rate, steering, accelerations of the vehicle, wheels, its dimensions."""
+"""What turns with what: yaw rate, steering, accelerations, wheels, and the vehicle's measures."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import choose_unit, factor_of, relation
 from imucald.discovery.proposal import Choice
 from imucald.discovery.reference import stated_unit
@@ -32,7 +32,7 @@ class Turning:
         self.reference = sensors.reference
         self.vehicle: list[tuple[str, str, str]] = []
 
-    def choices(self, free: Sequence[Candidate]) -> Iterator[Choice | None]:
+    def choices(self, free: Sequence[SeenSignal]) -> Iterator[Choice | None]:
         """Wheels, steering, yaw rate and accelerations, in the order of the configuration."""
         reference = self.reference
         yaw_rate = self._yaw_rate(free)
@@ -48,7 +48,7 @@ class Turning:
         yield find_scalar(LATERAL, lateral, free, reference.sides_from)
         yield find_scalar(LONGITUDINAL, change, free, "speed")
 
-    def _yaw_rate(self, free: Sequence[Candidate]) -> Choice | None:
+    def _yaw_rate(self, free: Sequence[SeenSignal]) -> Choice | None:
         """Against the gyroscope; without one, speed times it must be the lateral acceleration."""
         reference = self.reference
         if reference.turn is None and reference.lateral is not None and reference.speed is not None:
@@ -83,7 +83,7 @@ class Turning:
             self.vehicle.append(("track", f"{track:.2f}", "right less left wheels over yaw rate"))
         return choice
 
-    def _note_steering(self, choice: Choice, free: Sequence[Candidate]) -> None:
+    def _note_steering(self, choice: Choice, free: Sequence[SeenSignal]) -> None:
         """Steering ratio for the wheelbase that is assumed: only their product can be seen."""
         source = choice.sources[""]
         candidate = next(c for c in free if c.path == source.signal)
@@ -93,12 +93,14 @@ class Turning:
             return
         metres = _turning_metres(candidate.smooth * factor * source.sign, curvature, speed.speed)
         if metres is not None:
-            text = f"wheelbase times ratio is {metres:.1f} m by the data; this is it for {WHEELBASE} m"
+            text = (
+                f"wheelbase times ratio is {metres:.1f} m by the data; this is it for {WHEELBASE} m"
+            )
             self.vehicle.append(("steering_ratio", f"{metres / WHEELBASE:.1f}", text))
 
 
 def _turn_of(
-    choice: Choice | None, free: Sequence[Candidate], otherwise: Array
+    choice: Choice | None, free: Sequence[SeenSignal], otherwise: Array
 ) -> tuple[Array, str]:
     """The yaw rate that was found, else what the accelerometer shows of it."""
     if choice is not None and choice.is_sure:
@@ -121,5 +123,3 @@ def _turning_metres(angle: Array, curvature: Array, speed: Array) -> float | Non
     left = angle[rows] - known @ solution
     good = float(left.var()) < 0.2 * float(angle[rows].var()) and 15.0 < solution[0] < 130.0
     return float(solution[0]) if good else None
-
-

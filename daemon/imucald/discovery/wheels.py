@@ -3,34 +3,38 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from imucald.discovery.candidates import Array, Candidate
+from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import Relation, UnitChoice, relation
 from imucald.discovery.names import WHEELS, wheel_by_name
 from imucald.discovery.proposal import Choice, Proposed, source_of
-from imucald.discovery.reference import Reference, moving
+from imucald.discovery.reference import KnownMotion, moving
 
 SAME_SPEED = 0.1
 """Part by which the wheels of one vehicle may differ on average: tyres of other sizes make 3 %."""
 SIDE_BY_SIDE = 0.98
 """Correlation of wheel speeds in a drive: they differ in bends and by slip only."""
 MIN_BITS = 7
+HALF_SQUARE = (1.5, 12.0)
+"""Half the square of a wheelbase [m^2]: 2 m to 5 m, some of it hidden by side-slip."""
 MANY = 24
 """Signals of one kind beyond which only messages with four of them are looked at."""
 
+_Ends = Callable[[int, int], Relation]
 
-def wheel_sets(candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, ...]]:
+
+def wheel_sets(candidates: Sequence[SeenSignal]) -> Iterator[tuple[SeenSignal, ...]]:
     """Every four signals of one kind that move like the wheels of one vehicle."""
-    kinds: dict[object, list[Candidate]] = {}
+    kinds: dict[object, list[SeenSignal]] = {}
     for c in candidates:
         if c.may_be("speed") and not c.is_constant and not c.levels and c.signal.length >= MIN_BITS:
             s = c.signal
             kinds.setdefault((c.unit, s.length, s.scale, s.offset, s.byte_order), []).append(c)
     for kind in kinds.values():
-        by_message: dict[str, list[Candidate]] = {}
+        by_message: dict[str, list[SeenSignal]] = {}
         for c in kind:
             by_message.setdefault(c.message.name, []).append(c)
         fours = [m for m in by_message.values() if len(m) == 4]
@@ -44,7 +48,7 @@ def wheel_sets(candidates: Sequence[Candidate]) -> Iterator[tuple[Candidate, ...
                 yield tuple(four)
 
 
-def _roll_together(four: Sequence[Candidate]) -> bool:
+def _roll_together(four: Sequence[SeenSignal]) -> bool:
     table = np.column_stack([c.smooth for c in four])
     table = table[np.isfinite(table).all(axis=1)]
     if len(table) < 100 or not (table.std(axis=0) > 0.0).all():
@@ -56,7 +60,7 @@ def _roll_together(four: Sequence[Candidate]) -> bool:
 
 
 def find_wheels(
-    four: Sequence[Candidate], unit: UnitChoice, doubt: str, reference: Reference
+    four: Sequence[SeenSignal], unit: UnitChoice, doubt: str, reference: KnownMotion
 ) -> tuple[Choice, float | None]:
     """Which signal is which wheel, and the track [m] that they show; by name where names say it.
 
@@ -64,7 +68,7 @@ def find_wheels(
     """
     named = [wheel_by_name(c.signal.name) for c in four]
     by_name = sorted(n or "" for n in named) == sorted(WHEELS)
-    sides, ends = _turning(four, unit, reference)
+    sides, further = _turning(four, unit, reference)
     if by_name:
         order = [named.index(w) for w in WHEELS]
         track = _track(four, order, unit, reference)
@@ -74,13 +78,13 @@ def find_wheels(
             if track.sign < 0:
                 doubt = "by the data left and right are exchanged"
         return _choice(four, order, unit, text, doubt), _metres(track)
-    order, text, unsure = _by_turns(four, sides, ends)
+    order, text, unsure = _by_turns(four, sides, further)
     track = _track(four, order, unit, reference)
     return _choice(four, order, unit, text, doubt or unsure), _metres(track)
 
 
 def _choice(
-    four: Sequence[Candidate], order: Sequence[int], unit: UnitChoice, text: str, doubt: str
+    four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, text: str, doubt: str
 ) -> Choice:
     sources: dict[str, Proposed] = {
         wheel: source_of(four[i], unit.name) for wheel, i in zip(WHEELS, order, strict=True)
@@ -89,39 +93,45 @@ def _choice(
 
 
 def _turning(
-    four: Sequence[Candidate], unit: UnitChoice, reference: Reference
-) -> tuple[list[Relation], list[Relation]]:
-    """Of each wheel against their mean: with the yaw rate, and with the curvature's square."""
+    four: Sequence[SeenSignal], unit: UnitChoice, reference: KnownMotion
+) -> tuple[list[Relation], _Ends]:
+    """Of each wheel, how it goes with the curvature; of two, which is further out in bends."""
     if reference.turn is None:
-        return [Relation()] * 4, [Relation()] * 4
+        return [Relation()] * 4, lambda _a, _b: Relation()
     table = np.column_stack([c.smooth for c in four]) * unit.factor
-    mean = table.mean(axis=1)
-    v = moving(mean)
-    bend = (reference.turn / v) ** 2
-    sides = [relation(reference.turn / v, table[:, i] / v) for i in range(4)]
-    ends = [relation(bend, _less_turn(table[:, i] / v - 1.0, reference.turn / v)) for i in range(4)]
-    return sides, ends
+    v = moving(table.mean(axis=1))
+    curvature = reference.turn / v
+    sides = [relation(curvature, table[:, i] / v) for i in range(4)]
+    drive = np.zeros(len(v)) if reference.speed is None else reference.speed.change
+    known = np.column_stack([np.ones(len(v)), curvature, drive, v])
+
+    def further(a: int, b: int) -> Relation:
+        """The first wheel's speed less the second's, against the curvature's square."""
+        return relation(_rest(curvature**2, known), _rest((table[:, a] - table[:, b]) / v, known))
+
+    return sides, further
 
 
-def _less_turn(part: Array, curvature: Array) -> Array:
-    """What is left of a wheel's relative speed when its side is taken out."""
-    rows = np.isfinite(part) & np.isfinite(curvature)
-    if not rows.any() or not (curvature[rows] ** 2).sum() > 0.0:
-        return part
-    slope = float(curvature[rows] @ part[rows] / (curvature[rows] @ curvature[rows]))
-    return np.asarray(part - slope * curvature)
+def _rest(x: Array, known: Array) -> Array:
+    """What (n, k) known signals leave of x: side, slip with acceleration, size of the tyre."""
+    rows = np.isfinite(x) & np.isfinite(known).all(axis=1)
+    left = np.full(len(x), np.nan)
+    if rows.any():
+        solution, *_ = np.linalg.lstsq(known[rows], x[rows], rcond=None)
+        left[rows] = x[rows] - known[rows] @ solution
+    return left
 
 
 def _by_turns(
-    four: Sequence[Candidate], sides: list[Relation], ends: list[Relation]
+    four: Sequence[SeenSignal], sides: list[Relation], further: _Ends
 ) -> tuple[list[int], str, str]:
     """Order front left, front right, rear left, rear right; evidence; doubt."""
     right = [i for i in range(4) if sides[i].sign > 0]
     left = [i for i in range(4) if i not in right]
     if len(right) != 2 or not all(s.is_believed for s in sides):
         return [0, 1, 2, 3], "in the order of their places", "which is which wheel is not known"
-    front_left, rear_left, sure_left = _front_first(left, ends)
-    front_right, rear_right, sure_right = _front_first(right, ends)
+    front_left, rear_left, sure_left = _front_first(left, further)
+    front_right, rear_right, sure_right = _front_first(right, further)
     same_rows = (front_left < rear_left) == (front_right < rear_right)
     text = "left and right by the yaw rate"
     order = [front_left, front_right, rear_left, rear_right]
@@ -133,17 +143,20 @@ def _by_turns(
     return order, text, "which are the front ones is taken from their places"
 
 
-def _front_first(pair: list[int], ends: list[Relation]) -> tuple[int, int, bool]:
-    """The wheel that goes further in bends first, and whether that is sure."""
+def _front_first(pair: list[int], further: _Ends) -> tuple[int, int, bool]:
+    """The wheel that goes further in bends first, and whether that is sure.
+
+    A front wheel's way is longer by half the square of wheelbase times curvature.
+    """
     a, b = pair
-    first, second = ends[a], ends[b]
-    za, zb = first.sign * first.z, second.sign * second.z
-    front, rear = (a, b) if za > zb else (b, a)
-    return front, rear, abs(za - zb) > 4.0
+    found = further(a, b)
+    low, high = HALF_SQUARE
+    sure = found.is_believed_of(2) and low < found.low < high
+    return (b, a, sure) if found.sign < 0 else (a, b, sure)
 
 
 def _track(
-    four: Sequence[Candidate], order: Sequence[int], unit: UnitChoice, reference: Reference
+    four: Sequence[SeenSignal], order: Sequence[int], unit: UnitChoice, reference: KnownMotion
 ) -> Relation | None:
     """Right less left against the yaw rate, over speed: its gain is the track."""
     if reference.turn is None:

@@ -28,7 +28,7 @@ def as_yaml(proposal: Proposal, databases: Sequence[str]) -> str:
 
 
 def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
-    yield "# Proposed by 'imucald init'. Read it through: beside each line stands what speaks for it."
+    yield "# Proposed by 'imucald init'. Read it through: above each entry stands its evidence."
     yield "# 'unsure' marks what the recording does not decide. Every key: docs/configuration.md"
     for note in proposal.notes:
         yield from _comment(note, "")
@@ -37,7 +37,7 @@ def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     yield ""
     yield "vehicle:"
     yield "  id: my-car"
-    yield "  driving_side: unknown # left or right: crowned roads lean to the kerb, as mount roll does"
+    yield "  driving_side: unknown # say left or right: a crowned road reads as mount roll"
     for key, value, evidence in proposal.vehicle:
         yield f"  {key}: {value} # {evidence}"
     yield ""
@@ -56,6 +56,12 @@ def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
             yield f"  {_flow(found.message)}:"
             for key, value in found.settings.items():
                 yield f"    {key}: {_flow(value)} # {found.evidence[key]}"
+    if proposal.output_ids:
+        yield ""
+        yield "output:"
+        yield "  ids: # the usual ones are on this bus, or in its database"
+        for name, can_id in proposal.output_ids.items():
+            yield f"    {name}: 0x{can_id:03X}"
 
 
 def _databases(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
@@ -63,14 +69,18 @@ def _databases(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     for path in databases:
         channel = proposal.channels.get(path)
         entries.append(path if channel is None else {"path": path, "channel": channel})
-    yield f"database: {_flow(entries[0] if len(entries) == 1 else entries)}"
+    if entries:
+        yield f"database: {_flow(entries[0] if len(entries) == 1 else entries)}"
+    else:
+        yield "# database: car.dbc # required; an empty .dbc does where every source is raw"
 
 
 def _choice(choice: Choice) -> Iterator[str]:
     yield from _comment(choice.evidence, "  ")
     if choice.doubt:
         yield from _comment(f"unsure: {choice.doubt}", "  ")
-    yield from _sources(choice.quantity, choice.sources, "  ")
+    if choice.sources:
+        yield from _sources(choice.quantity, choice.sources, "  ")
     for other in choice.alternatives:
         yield from _alternative(choice.quantity, other)
 
@@ -78,7 +88,7 @@ def _choice(choice: Choice) -> Iterator[str]:
 def _alternative(quantity: str, other: Alternative) -> Iterator[str]:
     """One commented line, however long: it is to be put in a line's place."""
     flat: Any = {key: one.settings() for key, one in other.sources.items()}
-    value = flat[""] if "" in flat else flat
+    value = flat.get("", flat)
     yield f"  # unsure: {quantity}: {_flow(value)} # {other.text}"
 
 

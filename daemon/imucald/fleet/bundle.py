@@ -7,6 +7,7 @@ and its model file; its name is their hash, so that it also says what a drive wa
 from __future__ import annotations
 
 import atexit
+import dataclasses
 import hashlib
 import os
 import shutil
@@ -19,7 +20,7 @@ from pathlib import Path
 import msgspec
 
 from imucald import __version__
-from imucald.config import LoadedConfig
+from imucald.api.configuration import Configuration
 from imucald.core.errors import ConfigError
 from imucald.runtime.session import make_engine, open_config
 
@@ -98,15 +99,18 @@ def _write(bundle: Bundle, folder: Path) -> None:
         (folder / "model.yaml").write_bytes(bundle.model)
 
 
-def load_bundle(name: str) -> LoadedConfig:
+def load_bundle(name: str) -> Configuration:
     """The configuration of a bundle that was unpacked. Raises ConfigError where there is none."""
     folder = Path(os.environ.get(FOLDER_VARIABLE, "/nowhere")) / name
     if not folder.is_dir():
         raise ConfigError(f"this worker has no configuration {name}: it joined another run")
     databases = sorted(folder.glob("database-*"), key=lambda p: int(p.name.rpartition("-")[2]))
-    loaded = open_config(folder / "config.yaml", [next(place.iterdir()) for place in databases])
+    found = [next(place.iterdir()) for place in databases]
+    config = Configuration.load(folder / "config.yaml", found)
     model = folder / "model.yaml"
-    return loaded.with_model(model) if model.is_file() else loaded
+    if not model.is_file():
+        return config
+    return dataclasses.replace(config, loaded=config.loaded.with_model(model))
 
 
 @cache

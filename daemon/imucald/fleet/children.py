@@ -9,11 +9,12 @@ import subprocess
 import sys
 import threading
 from contextlib import suppress
+from typing import ClassVar
 
 import msgspec
 
 from imucald.core.errors import ImucaldError
-from imucald.fleet.own_process import ONE_THREAD
+from imucald.fleet.own_process import FOR_CHILDREN
 from imucald.fleet.task import Outcome, Task, encoded
 
 STARTING_S = 120.0
@@ -63,11 +64,18 @@ class Template:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", __package__ + ".template", str(theirs.fileno()), self._function],
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    __package__ + ".template",
+                    str(theirs.fileno()),
+                    self._function,
+                ],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,  # Ctrl-C is for the driver: what runs is finished
-                env={**os.environ, **ONE_THREAD},
+                env={**os.environ, **FOR_CHILDREN},
             )
         ours.settimeout(STARTING_S)
         if ours.recv(1) != b"r":
@@ -103,7 +111,7 @@ class _Templates:
     """One template per function in this process."""
 
     lock = threading.Lock()
-    of: dict[str, Template] = {}
+    of: ClassVar[dict[str, Template]] = {}
 
 
 def template_for(function: str) -> Template:

@@ -60,7 +60,9 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
             run_key="hash of configuration, databases, model file and version",
         ),
         *_VEHICLE,
-        *texts(sources="addresses of the log, a JSON list", date="day: of the log, or by the rules"),
+        *texts(
+            sources="addresses of the log, a JSON list", date="day: of the log, or by the rules"
+        ),
         Column("start", "time", "", "first frame, UTC; null where the log has no absolute time"),
         Column("end", "time", "", "last frame of ours, UTC"),
         *floats("s", "from the first frame of ours to the last", "duration_s"),
@@ -69,7 +71,9 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         *floats("s", "from the log's first frame", "first_usable_s", "first_fine_s"),
         *_MOUNT,
         *_COVARIANCE,
-        *floats("deg", "the road crown's part in cov_xx, common to a driving side", "crown_std_deg"),
+        *floats(
+            "deg", "the road crown's part in cov_xx, common to a driving side", "crown_std_deg"
+        ),
         *texts(
             driving_side="left, right or unknown",
             waiting_roll="what is still missing, in words",
@@ -86,10 +90,9 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
     "events": (
         *texts(log_key="the drive", vehicle="as in drives"),
         Column("time", "time", "", "UTC; null where the log has no absolute time"),
-        *floats("s", "from the first frame of ours", "t_s"),
-        *texts(kind="shift, sensor or fault", name="which", axes="of the sensor, where told"),
+        *floats("s", "from the log's first frame", "t_s"),
+        *texts(kind="state, shift, contradiction, segment or sensor fault", text="for people"),
         *floats("deg", "turn about the vehicle's axes", "d_x_deg", "d_y_deg", "d_z_deg"),
-        *floats("s", "end of what lasted; null: to the end", "until_s"),
         Column("schema_version", "short", "", "version of this table"),
     ),
     "failures": (
@@ -132,18 +135,9 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
 }
 """Tables that `fleet run` writes. Those of `fleet analyse` stand in `analysis_columns`."""
 
-KEYS: Final = {
-    "drives": ("log_key",),
-    "events": ("log_key", "kind", "name", "t_s", "axes"),
-    "failures": ("source",),
-    "sources": ("source",),
-    "costs": ("source", "attempt", "finished"),
-}
-"""By which a row is known: of two alike, the later one counts."""
-
 ORDER: Final = {
     "drives": ("vehicle", "start", "date", "log_key"),
-    "events": ("vehicle", "log_key", "t_s", "kind", "name", "axes"),
+    "events": ("vehicle", "log_key", "t_s", "kind", "text"),
     "failures": ("source",),
     "sources": ("source",),
     "costs": ("finished", "source", "attempt"),

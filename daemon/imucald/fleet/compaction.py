@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pyarrow as pa
@@ -16,20 +16,28 @@ from imucald.fleet.task import OK
 
 def read_tables(store: Store, names: Sequence[str] = tuple(TABLES)) -> dict[str, pa.Table]:
     """The tables as they are now, parts of a run that goes on or was broken off included."""
+    return dict(_tables(store, names))
+
+
+def _tables(store: Store, names: Sequence[str]) -> Iterator[tuple[str, pa.Table]]:
+    """One table after the other: together they may be larger than what a driver may take."""
     sources, numbers = read_with_parts(store, "sources")
     last = _last(sources.column("source").to_pylist(), numbers)
     sources = sources.take(pa.array(last, pa.int64()))
-    found = {"sources": finished("sources", sources)}
+    if "sources" in names:
+        yield "sources", finished("sources", sources)
     if "failures" in names:
-        found["failures"] = finished("failures", _failures(store, sources))
+        yield "failures", finished("failures", _failures(store, sources))
     if "drives" in names or "events" in names:
         drives, of_drive = _drives(store, sources)
-        found["drives"] = finished("drives", drives)
+        if "drives" in names:
+            yield "drives", finished("drives", drives)
+        del drives, sources
         if "events" in names:
-            found["events"] = finished("events", _events(store, of_drive))
+            yield "events", finished("events", _events(store, of_drive))
+        del of_drive
     if "costs" in names:
-        found["costs"] = finished("costs", read_with_parts(store, "costs")[0])
-    return {name: found[name] for name in names}
+        yield "costs", finished("costs", read_with_parts(store, "costs")[0])
 
 
 def compact(store: Store) -> None:
@@ -37,8 +45,10 @@ def compact(store: Store) -> None:
     old = {name: [file for n, file in parts(store, name) if n > 0] for name in TABLES}
     if not any(old.values()):
         return
-    for name, table in read_tables(store).items():
+    for name, table in _tables(store, tuple(TABLES)):
         store.write(main_file(name), as_parquet(table))
+        del table
+        pa.default_memory_pool().release_unused()
     # drives first, sources last: broken off between, what is left still says the same
     for name in ("drives", "events", "failures", "costs", "sources"):
         for file in old[name]:
@@ -99,4 +109,7 @@ def _events(store: Store, of_drive: dict[str, tuple[int, str | None]]) -> pa.Tab
     keys = rows.column("log_key").to_pylist()
     came = {key: number for key, (number, _) in of_drive.items()}
     kept = np.array([came.get(k) == n for k, n in zip(keys, numbers, strict=True)], dtype=bool)
-    return rows.filter(pa.array(kept))
+    rows = rows.filter(pa.array(kept))
+    vehicles = [of_drive[key][1] for key in rows.column("log_key").to_pylist()]
+    place = rows.column_names.index("vehicle")
+    return rows.set_column(place, rows.schema.field("vehicle"), pa.array(vehicles, pa.string()))

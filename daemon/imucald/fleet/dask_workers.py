@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import platform
+import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+import scipy
 from distributed import Client, Worker, WorkerPlugin
 from distributed.security import Security
 
@@ -16,11 +19,13 @@ from imucald.core.errors import ImucaldError
 from imucald.fleet.bundle import Bundle, code_hash, unpack
 from imucald.fleet.children import close_templates
 from imucald.fleet.task import Outcome, Task
-from imucald.fleet.workers import DEATHS, _Futures, run_one_log, unique_keys
+from imucald.fleet.workers import DEATHS, Futures, run_one_log, unique_keys
 
 CONNECTING_S = 30.0
 WORKERS_S = 60.0
 """How long is waited for the first worker."""
+TRIES, AGAIN_S = 5, 1.0
+"""To prepare the workers of a cluster that changes."""
 PLUGIN = "imucald-fleet"
 
 
@@ -34,12 +39,16 @@ class TlsFiles:
 
     def security(self) -> Security:
         """As Dask wants them; nothing goes unencrypted."""
-        return Security(
+        return Security(  # type: ignore[no-untyped-call]
             tls_ca_file=self.ca,
             tls_client_cert=self.certificate,
             tls_client_key=self.key,
             require_encryption=True,
         )
+
+
+_client: Any = Client
+"""Dask's client has no types."""
 
 
 class BundlePlugin(WorkerPlugin):
@@ -58,9 +67,6 @@ class BundlePlugin(WorkerPlugin):
 
 def about_worker() -> dict[str, str]:
     """What must be alike on driver and workers for the same rows."""
-    import numpy as np  # noqa: PLC0415 - on the worker
-    import scipy  # noqa: PLC0415
-
     return {
         "imucald": __version__,
         "code of imucald": code_hash(),
@@ -78,17 +84,30 @@ class DaskWorkers:
     ) -> None:
         if address.startswith("tls://") and tls is None:
             raise ImucaldError(f"{address}: needs --tls-ca, --tls-cert and --tls-key")
-        self._futures = _Futures()
+        self._futures = Futures()
         security = None if tls is None else tls.security()
         try:
-            self._client = Client(address, security=security, timeout=CONNECTING_S)
+            self._client: Any = _client(address, security=security, timeout=CONNECTING_S)
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             raise ImucaldError(f"{address}: no Dask scheduler answers: {error}") from None
         try:
-            self._prepare(address, bundles)
+            self._prepared(address, bundles)
         except BaseException:
             self._client.close()
             raise
+
+    def _prepared(self, address: str, bundles: Mapping[str, Bundle]) -> None:
+        """Prepare; a worker that goes away in the middle of it is no reason to give up."""
+        for left in reversed(range(TRIES)):
+            try:
+                self._prepare(address, bundles)
+            except OSError as error:  # Dask's CommClosedError is one
+                if left == 0:
+                    text = f"{address}: workers come and go, none can be prepared: {error}"
+                    raise ImucaldError(text) from None
+                time.sleep(AGAIN_S)
+            else:
+                return
 
     def _prepare(self, address: str, bundles: Mapping[str, Bundle]) -> None:
         try:
@@ -98,6 +117,8 @@ class DaskWorkers:
         mine = about_worker()
         try:
             answers: dict[str, Any] = self._client.run(about_worker)
+        except OSError:
+            raise
         except Exception as error:
             raise ImucaldError(
                 f"{address}: its workers lack this imucald ({type(error).__name__}: {error}); "
@@ -115,7 +136,8 @@ class DaskWorkers:
     @property
     def slots(self) -> int:
         """Threads of all workers there are now."""
-        return max(1, sum(self._client.nthreads().values()))
+        threads: dict[str, int] = self._client.nthreads()
+        return max(1, sum(threads.values()))
 
     def submit(self, tasks: Sequence[Task]) -> None:
         """Take tasks."""

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from imucald.api.columns import Columns
+from imucald.api.drive import DriveResult
 from imucald.config import Config
 from imucald.fleet.columns import AXES, PAIRS
+from imucald.fleet.fleet_file import Fleet
+from imucald.fleet.task import Task
 
 EARLIEST = 946_684_800.0
 """1 January 2000 as UNIX time [s]: a logger that is before it has no clock."""
@@ -20,46 +23,64 @@ LATEST = 4_102_444_800.0
 """1 January 2100."""
 
 
-def drive_row(
-    result: Mapping[str, Any],
-    covariance_deg2: NDArray[np.float64] | None,
-    config: Config,
-    start: float | None,
-) -> dict[str, Any]:
-    """The row of a drive without what names it: times as UNIX time [s].
-
-    result: as `imucald replay --json` has it. covariance_deg2: (3, 3), rotation vector about the
-    vehicle's axes. start: time stamp of the log's first frame [s].
-    """
-    mount, details = result["mount"], result["details"]
-    known = start is not None and EARLIEST < start < LATEST
+def drive_row(drive: DriveResult, config: Config) -> dict[str, Any]:
+    """The row of a drive without what names it: times as UNIX time [s]."""
+    result = drive.to_dict()
+    mount = result["mount"]
+    start, end = known_times(drive)
     quaternion = mount["quaternion_wxyz"] or (None,) * 4
     crown = math.degrees(config.vehicle.crown_std)
     row: dict[str, Any] = {
-        "start": start if known else None,
-        "end": start + result["duration_s"] if known and start is not None else None,
-        "duration_s": result["duration_s"],
-        "distance_m": details.get("distance"),
-        "state": result["state"],
-        "first_usable_s": result["first_usable_s"],
-        "first_fine_s": result["first_fine_s"],
+        "start": start,
+        "end": end,
+        "duration_s": drive.duration_s,
+        "distance_m": result["details"].get("distance"),
+        "state": drive.state,
+        "first_usable_s": drive.first_usable_s,
+        "first_fine_s": drive.first_fine_s,
         **dict(zip(("q_w", "q_x", "q_y", "q_z"), quaternion, strict=True)),
         **{f"{angle}_deg": mount[f"{angle}_deg"] for angle in ("roll", "pitch", "yaw")},
         "crown_std_deg": crown,
         "driving_side": config.vehicle.driving_side,
-        **{f"waiting_{a}": result["waiting_for"].get(a) for a in ("roll", "pitch", "yaw")},
+        **{f"waiting_{a}": drive.waiting_for.get(a) for a in ("roll", "pitch", "yaw")},
         "causes": json.dumps(sorted(set(_causes(result)))),
-        "frames_read": result["frames"]["read"],
-        "frames_used": result["frames"]["used"],
-        "rejected": json.dumps(result["frames"]["rejected"], sort_keys=True),
+        "frames_read": drive.frames["read"],
+        "frames_used": drive.frames["used"],
+        "rejected": json.dumps(drive.frames["rejected"], sort_keys=True),
         "rate_accel_hz": result["signals"].get("accel", {}).get("rate_hz"),
     }
-    if covariance_deg2 is not None and np.isfinite(covariance_deg2).all():
-        row["crown_std_deg"] = min(crown, math.sqrt(max(float(covariance_deg2[0, 0]), 0.0)))
+    if drive.mount is not None and np.isfinite(drive.mount.covariance_deg2).all():
+        covariance = drive.mount.covariance_deg2
+        row["crown_std_deg"] = min(crown, math.sqrt(max(float(covariance[0, 0]), 0.0)))
         for pair in PAIRS:
             i, j = (AXES.index(axis) for axis in pair)
-            row[f"cov_{pair}_deg2"] = round(float(covariance_deg2[i, j]), 9)
+            row[f"cov_{pair}_deg2"] = round(float(covariance[i, j]), 9)
     return row
+
+
+def drive_values(
+    fleet: Fleet, task: Task, log_key: str | None, drive: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The row with what names it: by the rules of the fleet, on the day of the drive."""
+    day = day_of(drive["start"]) or task.date
+    facts = fleet.facts(task.vehicle, day)
+    return {
+        **drive,
+        "log_key": log_key,
+        "vehicle": task.vehicle,
+        "vehicle_type": fleet.named(task.source)[2] or facts.get("type"),
+        **{name: facts.get(name) for name in ("sensor_serial", "sensor_batch", "firmware")},
+        "sources": json.dumps([task.source], ensure_ascii=False),
+        "date": day,
+    }
+
+
+def known_times(drive: DriveResult) -> tuple[float | None, float | None]:
+    """First and last frame in use as UNIX time [s]; None of a logger without a clock."""
+    if drive.start_us is None or drive.end_us is None:
+        return None, None
+    start, end = drive.start_us / 1e6, drive.end_us / 1e6
+    return (start, end) if EARLIEST < start < LATEST else (None, None)
 
 
 REJECTED_SHARE = 0.001
@@ -88,35 +109,13 @@ def day_of(start: float | None) -> str | None:
     return None if start is None else datetime.fromtimestamp(start, UTC).date().isoformat()
 
 
-def event_rows(result: Mapping[str, Any], start: float | None) -> list[dict[str, Any]]:
-    """The rows of `events` of a drive, without what names it, in order of time."""
-    zero = start if start is not None and EARLIEST < start < LATEST else None
-    rows = [*_shifts(result["details"]), *_sensor_faults(result["signal_health"]["events"])]
-    for fault in result["details"].get("faults", ()):
-        rows.append({"t_s": fault["t"], "kind": "fault", "name": fault["fault"], "axes": ""})
-    for row in rows:
-        row["time"] = None if zero is None else zero + row["t_s"]
-    return sorted(rows, key=lambda row: (row["t_s"], row["kind"], row["name"], row["axes"]))
-
-
-def _shifts(details: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    for shift in details.get("shifts", ()):
-        axis = AXES[("roll", "pitch", "yaw").index(shift["angle"])]
-        yield {
-            "t_s": shift["t"],
-            "kind": "shift",
-            "name": shift["angle"],
-            "axes": axis,
-            f"d_{axis}_deg": shift["size_deg"],
-        }
-
-
-def _sensor_faults(events: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any]]:
-    for event in events:
-        yield {
-            "t_s": event["since_s"],
-            "until_s": event["until_s"],
-            "kind": "sensor",
-            "name": f"{event['sensor']} {event['fault']}",
-            "axes": "".join(event["axes"]),
-        }
+def event_rows(events: Columns, has_clock: bool) -> list[dict[str, Any]]:
+    """The rows of `events` of a drive, without what names it; NaN becomes null."""
+    names = [column.name for column in events.columns]
+    rows = []
+    for values in zip(*(array.tolist() for array in events.arrays), strict=True):
+        row: dict[str, Any] = dict(zip(names, values, strict=True))
+        row = {name: None if value != value else value for name, value in row.items()}  # noqa: PLR0124
+        row["time"] = row["time"] / 1e6 if has_clock else None
+        rows.append(row)
+    return rows

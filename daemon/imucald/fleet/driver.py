@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -13,22 +12,22 @@ import msgspec
 from imucald.core.errors import ImucaldError
 from imucald.fleet.columns import row_of
 from imucald.fleet.compaction import compact
-from imucald.fleet.drive_row import day_of
+from imucald.fleet.drive_row import drive_values
 from imucald.fleet.fleet_file import Fleet
 from imucald.fleet.lease import Lease
 from imucald.fleet.listing import Log
-from imucald.fleet.plan import Plan
+from imucald.fleet.plan import SAMPLE, Plan
 from imucald.fleet.store import Store
 from imucald.fleet.tables import parts, write_part
-from imucald.fleet.task import OK, ONCE_MORE, Outcome, Task
+from imucald.fleet.task import OK, ONCE_MORE, OTHER_CODE, Outcome, Task
 from imucald.fleet.workers import Workers
 
 AHEAD = 2
-"""Tasks handed out for each that can run: enough that no worker waits, few to wait for at an end."""
+"""Tasks handed out for each that can run: no worker waits, few are waited for at an end."""
 FLUSH_ROWS = 500
 FLUSH_S = 60.0
 LOOK_S = 0.5
-ALL_ALIKE = 20
+ALL_ALIKE = SAMPLE
 """When so many logs come first and all fail for one reason, the run is wrong, not the logs."""
 TRIES = 2
 
@@ -59,7 +58,7 @@ class AllFailedError(ImucaldError):
     """The first logs all failed for one reason."""
 
 
-class Run:
+class FleetRun:
     """One run into one folder; `go` does it. Not used twice."""
 
     def __init__(
@@ -68,7 +67,7 @@ class Run:
         store: Store,
         workers: Workers,
         plan: Plan,
-        tell: Callable[[Counts], None] = lambda counts: None,
+        tell: Callable[[Counts], None] = lambda _: None,
     ) -> None:
         self._fleet, self._store, self._workers, self._tell = fleet, store, workers, tell
         self._logs: dict[str, Log] = {task.source: log for task, log in plan.tasks}
@@ -86,9 +85,11 @@ class Run:
         self.counts.stopping = True
 
     def go(self, lease: Lease) -> bool:
-        """Evaluate all; whether none is left. Raises AllFailedError, and ImucaldError of storage."""
+        """Evaluate all; whether none is left. Raises AllFailedError, ImucaldError of storage."""
         self._store.tidy()
-        self._number = max((n for name in self._rows for n, _ in parts(self._store, name)), default=0)
+        self._number = max(
+            (n for name in self._rows for n, _ in parts(self._store, name)), default=0
+        )
         try:
             self._rounds(lease, self._waiting, max(1, AHEAD * self._workers.slots))
             self._rounds(lease, self._again, 1)  # alone: nothing else can be the reason
@@ -121,6 +122,11 @@ class Run:
             self._tell(self.counts)
 
     def _take(self, task: Task, outcome: Outcome) -> None:
+        if outcome.kind == OTHER_CODE:
+            raise ImucaldError(
+                f"{outcome.cost.worker}: joined with another imucald than the driver's; install "
+                "the same there, the run goes on with the same command"
+            )
         self._attempts[task.source] += 1
         attempt = self._attempts[task.source]
         cost = msgspec.structs.asdict(outcome.cost)
@@ -145,20 +151,8 @@ class Run:
             self._take_failure(task, outcome, attempt)
 
     def _take_drive(self, task: Task, outcome: Outcome, drive: dict[str, Any]) -> None:
-        day = day_of(drive["start"]) or task.date
-        facts = self._fleet.facts(task.vehicle, day)
-        named_type = self._fleet.named(task.source)[2]
         twice = any(row["log_key"] == outcome.log_key for row in self._rows["drives"])
-        self._add(
-            "drives",
-            task,
-            **drive,
-            log_key=outcome.log_key,
-            vehicle_type=named_type or facts.get("type"),
-            **{name: facts.get(name) for name in ("sensor_serial", "sensor_batch", "firmware")},
-            sources=json.dumps([task.source], ensure_ascii=False),
-            date=day,
-        )
+        self._add("drives", task, **drive_values(self._fleet, task, outcome.log_key, drive))
         if not twice:
             for event in outcome.events:
                 self._add("events", task, **event, log_key=outcome.log_key)

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
-from imucald.can.logs.log_reader import LogReader
-from imucald.config import LoadedConfig
-from imucald.core.errors import ConfigError, DatabaseError, LogError
+from imucald.api.configuration import Configuration
+from imucald.api.replaying import replay
+from imucald.core.errors import ConfigError, DatabaseError, LogError, NoFramesError
 from imucald.fleet.bundle import code_hash, load_bundle
-from imucald.fleet.drive_row import drive_row, event_rows
+from imucald.fleet.drive_row import drive_row, event_rows, known_times
 from imucald.fleet.fetch import NoRegularFileError, StorageError, local_copy
-from imucald.fleet.task import OK, Outcome, Task
-from imucald.runtime.replay import Replay
-from imucald.runtime.session import make_engine
+from imucald.fleet.task import OK, OTHER_CODE, Outcome, Task
+
+NOT_OURS = "the log has no usable frame of this configuration; 'imucald check' tells more"
 
 
 def evaluate(task: Task) -> Outcome:
@@ -24,11 +22,11 @@ def evaluate(task: Task) -> Outcome:
     other drives, the order or the machine.
     """
     if task.code and task.code != code_hash():
-        return Outcome("config", "this worker has other code of imucald than the driver")
+        return Outcome(OTHER_CODE)
     try:
-        loaded = load_bundle(task.bundle)
-        with local_copy(task.source, task.storage) as (path, key, size):
-            return _replayed(task, loaded, path, key, size)
+        config = load_bundle(task.bundle)
+        with local_copy(task.source, task.storage) as (path, key):
+            return _replayed(task, config, path, key)
     except StorageError as error:
         return Outcome("storage", str(error))
     except NoRegularFileError as error:
@@ -37,19 +35,27 @@ def evaluate(task: Task) -> Outcome:
         return Outcome("config", str(error))
 
 
-def _replayed(task: Task, loaded: LoadedConfig, path: Path, key: str, size: int) -> Outcome:
-    engine = make_engine(loaded)
-    reader = LogReader([path], engine.router.matches)
+def _replayed(task: Task, config: Configuration, path: Path, key: str) -> Outcome:
     try:
-        result = Replay(engine, reader).run()
+        drive = replay(config, path, signals=task.signals is not None)
+    except NoFramesError as error:
+        return Outcome("no_frames", _named(error, path, task), key)
     except LogError as error:
-        return Outcome("unreadable", str(error).replace(str(path), task.source), key)
-    if reader.frames_read == 0:
-        return Outcome("no_frames", f"{task.source}: holds no CAN frame", key)
-    if engine.router.used == 0:
-        text = "the log has no usable frame of this configuration; 'imucald check' tells more"
-        return Outcome("no_frames", f"{task.source}: {text}", key)
-    covariance = engine.pipeline.estimator.estimate().covariance
-    in_deg2 = None if covariance is None else np.degrees(np.degrees(covariance))
-    row = drive_row(result, in_deg2, loaded.config, reader.first_stamp)
-    return Outcome(OK, log_key=key, drive=row, events=event_rows(result, reader.first_stamp))
+        return Outcome("unreadable", _named(error, path, task), key)
+    if drive.frames["used"] == 0:
+        return Outcome("no_frames", f"{task.source}: {NOT_OURS}", key)
+    start, _ = known_times(drive)
+    if task.signals is not None:
+        from imucald.fleet.signals import write_signals  # noqa: PLC0415 - loads pyarrow: 0.2 s
+
+        write_signals(drive, task, key, start)
+    events = event_rows(drive.tables["events"], start is not None)
+    return Outcome(OK, log_key=key, drive=drive_row(drive, config.loaded.config), events=events)
+
+
+def _named(error: LogError, path: Path, task: Task) -> str:
+    """The error with the log's address in place of that of a copy."""
+    return str(error).replace(str(path), task.source)
+
+
+code_hash()  # once in the template: its copies know it

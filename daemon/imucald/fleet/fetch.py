@@ -54,23 +54,21 @@ def file_system(url: str, storage: Mapping[str, Mapping[str, Any]]) -> fsspec.Ab
 
 
 @contextlib.contextmanager
-def local_copy(
-    url: str, storage: Mapping[str, Mapping[str, Any]]
-) -> Iterator[tuple[Path, str, int]]:
-    """Yield path, key (hash of the content) and size in bytes of a log.
+def local_copy(url: str, storage: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[Path, str]]:
+    """Yield path and key (hash of the content) of a log.
 
     Raises NoRegularFileError and StorageError.
     """
     if protocol_of(url) in LOCAL:
         path = Path(bare_path(url))
-        yield path, *_hashed(path)
+        yield path, _hashed(path)
         return
     with tempfile.TemporaryDirectory(prefix="imucald-log-") as folder:
         path = Path(folder) / url.rpartition("/")[2]
-        yield path, *_downloaded(url, storage, path)
+        yield path, _downloaded(url, storage, path)
 
 
-def _hashed(path: Path) -> tuple[str, int]:
+def _hashed(path: Path) -> str:
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise NoRegularFileError(f"{path}: is a pipe, a device or a folder, no regular file")
@@ -81,7 +79,7 @@ def _hashed(path: Path) -> tuple[str, int]:
         raise StorageError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def _hash(source: IO[bytes], target: IO[bytes] | None) -> tuple[str, int]:
+def _hash(source: IO[bytes], target: IO[bytes] | None) -> str:
     digest, size = hashlib.sha256(), 0
     while block := source.read(BLOCK):
         digest.update(block)
@@ -90,10 +88,10 @@ def _hash(source: IO[bytes], target: IO[bytes] | None) -> tuple[str, int]:
             target.write(block)
             if size > MAX_BYTES:
                 raise OSError(f"is longer than {MAX_BYTES} bytes")
-    return digest.hexdigest()[:KEY_DIGITS], size
+    return digest.hexdigest()[:KEY_DIGITS]
 
 
-def _downloaded(url: str, storage: Mapping[str, Mapping[str, Any]], path: Path) -> tuple[str, int]:
+def _downloaded(url: str, storage: Mapping[str, Mapping[str, Any]], path: Path) -> str:
     system = file_system(url, storage)
     for left in reversed(range(TRIES)):
         try:

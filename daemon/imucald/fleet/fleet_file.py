@@ -92,9 +92,7 @@ class Fleet:
         found: dict[str, list[VehicleFacts]] = {}
         for row in rows:
             values = {name: row[name] for name in COLUMNS if row.get(name)}
-            facts = VehicleFacts(
-                row["vehicle"], values, row.get("from") or "", row.get("to") or ""
-            )
+            facts = VehicleFacts(row["vehicle"], values, row.get("from") or "", row.get("to") or "")
             found.setdefault(facts.vehicle, []).append(facts)
         return found
 

@@ -96,7 +96,7 @@ def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tupl
 
 
 def _reaped(child: int) -> tuple[int, float, int] | None:
-    """Return exit status, processor time [s] and peak memory [bytes]; None where it does not die."""
+    """Exit status, processor time [s] and peak memory [bytes]; None where it does not die."""
     until = time.monotonic() + DYING_S
     while time.monotonic() < until:
         pid, status, usage = os.wait4(child, os.WNOHANG)

@@ -51,7 +51,9 @@ def _of(fleet: Fleet, pattern: str) -> Iterator[Log]:
     try:
         entries = system.glob(url, detail=True)
     except Exception as error:  # each storage has errors of its own
-        raise ImucaldError(f"{pattern}: cannot be listed: {type(error).__name__}: {error}") from None
+        raise ImucaldError(
+            f"{pattern}: cannot be listed: {type(error).__name__}: {error}"
+        ) from None
     for name, entry in entries.items():
         if entry.get("type") != "directory":
             yield _log(str(name), entry, protocol_of(url))

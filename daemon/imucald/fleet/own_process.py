@@ -10,10 +10,13 @@ import signal
 PR_SET_PDEATHSIG = 1
 """linux/prctl.h"""
 
-ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "ARROW_NUM_THREADS"), "1"
-)
-"""For the environment of a child: the logs are what runs in parallel."""
+FOR_CHILDREN = {
+    "OMP_NUM_THREADS": "1",  # the logs are what runs in parallel
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",  # the others map a GiB at once, which the limit counts
+}
+"""For the environment of children."""
 
 _libc = ctypes.CDLL(None, use_errno=True)
 

@@ -12,15 +12,17 @@ from imucald.fleet.compaction import read_tables
 from imucald.fleet.fleet_file import Fleet
 from imucald.fleet.listing import Log, is_since
 from imucald.fleet.store import Store
-from imucald.fleet.task import OK, Limits, Task
+from imucald.fleet.task import OK, LogLimits, Task
 
+SAMPLE = 20
+"""Logs from whose ends alone a run that is wrong as a whole is known (`driver.ALL_ALIKE`)."""
 Redo = Literal["nothing", "failed", "config", "all"]
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True):
     """How a run is done; the defaults are those of the command line."""
 
-    limits: Limits = Limits()
+    limits: LogLimits = LogLimits()
     redo: Redo = "nothing"
     since: str | None = None
     limit: int | None = None
@@ -54,42 +56,52 @@ class Plan(msgspec.Struct):
 def known_sources(store: Store) -> dict[str, Known]:
     """What the tables say of each address."""
     table = read_tables(store, ("sources",))["sources"]
-    columns = [
-        table.column(n).to_pylist() for n in ("source", "fingerprint", "run_key", "outcome")
-    ]
+    columns = [table.column(n).to_pylist() for n in ("source", "fingerprint", "run_key", "outcome")]
     return {s: Known(f, r, o) for s, f, r, o in zip(*columns, strict=True)}
 
 
 def planned(fleet: Fleet, store: Store, logs: Iterable[Log], options: Options) -> Plan:
-    """Compare what there is with what is known; the largest logs come first."""
+    """Compare what there is with what is known; after a sample the largest logs come first."""
     known = known_sources(store)
     plan = Plan([], 0)
     for log in logs:
-        vehicle, day, vehicle_type = fleet.named(log.source)
-        if options.since is not None and not is_since(log, day, options.since):
+        task = task_of(fleet, log.source, log.bytes, options, store.url)
+        if options.since is not None and not is_since(log, task.date, options.since):
             continue
         plan.listed += 1
-        vehicle_type = vehicle_type or fleet.facts(vehicle, day).get("type")
-        bundle = fleet.bundle(vehicle_type).name
-        if _is_done(known.get(log.source), log, bundle, options.redo, plan):
-            continue
-        task = Task(
-            log.source,
-            bundle,
-            code_hash(),
-            vehicle,
-            day,
-            log.bytes,
-            options.limits,
-            options.function,
-            f"{store.url}/signals" if options.signals else None,
-            fleet.settings.storage,
-        )
-        plan.tasks.append((task, log))
+        if not _is_done(known.get(log.source), log, task.bundle, options.redo, plan):
+            plan.tasks.append((task, log))
     plan.tasks.sort(key=lambda pair: (-pair[1].bytes, pair[1].source))
+    _sample_first(plan.tasks)
     if options.limit is not None:
         del plan.tasks[options.limit :]
     return plan
+
+
+def task_of(fleet: Fleet, source: str, size: int, options: Options, out: str = "") -> Task:
+    """The task of a log: its vehicle and configuration by the rules of the fleet."""
+    vehicle, day, vehicle_type = fleet.named(source)
+    vehicle_type = vehicle_type or fleet.facts(vehicle, day).get("type")
+    return Task(
+        source,
+        fleet.bundle(vehicle_type).name,
+        code_hash(),
+        vehicle,
+        day,
+        size,
+        options.limits,
+        options.function,
+        out if options.signals else None,
+        fleet.settings.storage,
+    )
+
+
+def _sample_first(tasks: list[tuple[Task, Log]]) -> None:
+    """Put some of all sizes before the others: when these all fail alike, so will the rest."""
+    step = len(tasks) // SAMPLE
+    if step > 1:
+        chosen = range(0, step * SAMPLE, step)
+        tasks[:] = [tasks[i] for i in chosen] + [t for i, t in enumerate(tasks) if i not in chosen]
 
 
 def _is_done(before: Known | None, log: Log, bundle: str, redo: Redo, plan: Plan) -> bool:

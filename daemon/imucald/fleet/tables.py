@@ -42,7 +42,9 @@ def schema_of(table: str, columns: Sequence[Column]) -> pa.Schema:
         pa.field(
             c.name,
             TYPES[c.kind],
-            metadata={"unit": c.unit, "description": c.meaning} if c.unit else {"description": c.meaning},
+            metadata={"unit": c.unit, "description": c.meaning}
+            if c.unit
+            else {"description": c.meaning},
         )
         for c in columns
     ]

@@ -22,9 +22,11 @@ ONCE_MORE: Final = frozenset({"timeout", "memory", "crashed"})
 """Tried a second time, alone: a busy machine may have been the reason, not the log."""
 
 OK: Final = "ok"
+OTHER_CODE: Final = "other_code"
+"""A worker that joined later has another imucald: the run ends, no log is to blame."""
 
 
-class Limits(msgspec.Struct, frozen=True):
+class LogLimits(msgspec.Struct, frozen=True):
     """What one log may take."""
 
     memory_bytes: int = 2**30
@@ -37,7 +39,7 @@ class Task(msgspec.Struct, frozen=True):
     """One log to evaluate.
 
     source: its fsspec URL. bundle: name of the configuration, see `bundle.py`. function: what is
-    called in the child, as "module:name". signals: URL below which corrected signals are written.
+    called in the child, as "module:name". signals: URL of the folder that corrected signals go to.
     storage: options of the file systems by protocol; secrets come from the environment.
     """
 
@@ -47,7 +49,7 @@ class Task(msgspec.Struct, frozen=True):
     vehicle: str = ""
     date: str | None = None
     bytes: int = 0
-    limits: Limits = Limits()
+    limits: LogLimits = LogLimits()
     function: str = "imucald.fleet.evaluation:evaluate"
     signals: str | None = None
     storage: dict[str, dict[str, Any]] = {}

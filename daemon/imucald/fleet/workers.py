@@ -32,8 +32,10 @@ def run_one_log(task: Task) -> Outcome:
 class Workers(Protocol):
     """Takes tasks and gives their outcomes, in any order."""
 
-    slots: int
-    """Tasks that run at the same time, about: a cluster may grow and shrink."""
+    @property
+    def slots(self) -> int:
+        """Tasks that run at the same time, about: a cluster may grow and shrink."""
+        ...
 
     def submit(self, tasks: Sequence[Task]) -> None:
         """Take tasks; returns at once."""
@@ -67,7 +69,7 @@ class AnyFuture(Protocol):
         ...
 
 
-class _Futures:
+class Futures:
     """Futures on their way, and those that ended."""
 
     def __init__(self) -> None:
@@ -75,10 +77,12 @@ class _Futures:
         self._tasks: dict[int, tuple[Any, Task]] = {}
 
     def add(self, future: AnyFuture, task: Task) -> None:
+        """Wait for a task's future."""
         self._tasks[id(future)] = future, task
         future.add_done_callback(self._ended.put)
 
     def ended(self, timeout: float) -> list[tuple[Any, Task]]:
+        """Those that ended since the last call, waiting for the first at most so long [s]."""
         found: list[tuple[Any, Task]] = []
         try:
             while True:
@@ -90,6 +94,7 @@ class _Futures:
             return found
 
     def cancel(self) -> None:
+        """Take back what has not begun."""
         for future, _ in list(self._tasks.values()):
             future.cancel()
 
@@ -100,7 +105,7 @@ class ExecutorWorkers:
     def __init__(self, executor: Executor, slots: int) -> None:
         self.slots = slots
         self._executor = executor
-        self._futures = _Futures()
+        self._futures = Futures()
 
     @classmethod
     def here(cls, slots: int, bundles: Mapping[str, Bundle]) -> ExecutorWorkers:

@@ -56,7 +56,7 @@ class RateGuard:
     def judge(self, t: float, reason: str) -> str:
         """Why a frame at stream time t [s] is rejected; reason: what its route says, "" if good."""
         if t >= self._ends:
-            self._enter(math.floor(t))
+            self._enter(int(t))
         if reason:
             if reason not in _DAMAGED:
                 self._seen += 1

@@ -102,7 +102,7 @@ class Router:
     @property
     def measured_axes(self) -> dict[str, int]:
         """How many axes of each channel come from signals: a planar accelerometer has two."""
-        return {tap.channel: 2 if tap.planar else _width(tap.channel) for tap in self._taps()}
+        return {t.channel: _width(t.channel) - (t.third is not None) for t in self._taps()}
 
     def cycles(self, channel: str) -> list[float | None]:
         """Stated cycles [s] of the routes that carry a channel."""

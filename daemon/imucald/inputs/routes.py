@@ -51,8 +51,8 @@ class Tap(Struct, frozen=True):
     """What a route gives to one channel.
 
     slots: positions in the channel's values, in the order of components. complete: they are all
-    of them. planar: the third is filled with `PLANAR_Z`. rank: 0 is the preferred source.
-    statuses: all must say that the values can be used.
+    of them. third: what the third axis of a sensor of two is taken as; None: it has three. rank: 0
+    is the preferred source. statuses: all must say that the values can be used.
     """
 
     channel: str
@@ -60,7 +60,7 @@ class Tap(Struct, frozen=True):
     components: tuple[Component, ...]
     slots: tuple[int, ...]
     complete: bool
-    planar: bool = False
+    third: float | None = None
     statuses: tuple[Status, ...] = ()
 
     def scalar(self, raw: Raw, physical: Physical) -> tuple[Sequence[float], int]:
@@ -77,15 +77,15 @@ class Tap(Struct, frozen=True):
         for status in self.statuses:
             if physical[status.index] not in status.values:
                 return (), STATUS
-        if self.planar:
-            values.append(PLANAR_Z)
+        if self.third is not None:
+            values.append(self.third)
         return values, 0
 
     def array(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
         """Values (N,) or (N, k) in SI and codes (N,); the first fault of a row counts."""
         n = len(columns[self.components[0].index][1])
         codes = np.zeros(n, dtype=np.int8)
-        values = np.empty((n, len(self.components) + self.planar))
+        values = np.empty((n, len(self.components) + (self.third is not None)))
         for i, component in enumerate(self.components):
             raw, physical, present = columns[component.index]
             values[:, i], found = component.conversion.array(raw, physical)
@@ -99,8 +99,8 @@ class Tap(Struct, frozen=True):
             if present is not None:
                 good &= present
             codes[(codes == 0) & ~good] = STATUS
-        if self.planar:
-            values[:, -1] = PLANAR_Z
+        if self.third is not None:
+            values[:, -1] = self.third
         return (values[:, 0] if values.shape[1] == 1 else values), codes
 
 

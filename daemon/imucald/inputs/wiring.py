@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -21,11 +22,21 @@ from imucald.inputs.expression import Expression
 from imucald.inputs.protection_settings import checker_for
 from imucald.inputs.quantities import Conversion
 from imucald.inputs.router import Router
-from imucald.inputs.routes import Component, MessageRoute, RawRoute, SignalRoute, Status, Tap
+from imucald.inputs.routes import (
+    PLANAR_Z,
+    Component,
+    MessageRoute,
+    RawRoute,
+    SignalRoute,
+    Status,
+    Tap,
+)
 from imucald.inputs.units import Unit, find_unit, unit_names
 from imucald.inputs.value_table import no_values
 from imucald.inputs.wanted_numbers import Place, Wanted, wanted_numbers
 
+PLANAR_AXES = 2
+SPLIT_PLANAR = "x and y of a sensor without z must be in one message"
 _SENSORS = ("accel", "gyro")
 """Channels whose end-of-range values mean a saturated sensor."""
 
@@ -191,6 +202,8 @@ def _rails(signal: Signal | None, source: cfg.SourceSettings) -> tuple[float, fl
 
 
 def _raw_route(loaded: LoadedConfig, wanted: Wanted, raw: cfg.RawSource) -> RawRoute:
+    if wanted.planar:
+        raise loaded.error(wanted.place, SPLIT_PLANAR)
     try:
         when = Expression(raw.when) if raw.when is not None else None
         value = Expression(raw.value)
@@ -237,9 +250,16 @@ def _taps(group: _MessageSignals) -> Iterator[Tap]:
             tuple(Component(index, conversion) for _, index, conversion in members),
             tuple(w.slot for w, _, _ in members),
             complete,
-            first.planar and complete,
+            _third(first) if complete else None,
             tuple(dict.fromkeys(group.statuses.get((channel, rank), ()))),
         )
+
+
+def _third(wanted: Wanted) -> float | None:
+    """The axis that a sensor of two lacks: of the accelerometer gravity, of others not known."""
+    if not wanted.planar:
+        return None
+    return PLANAR_Z if wanted.channel == "accel" else math.nan
 
 
 def _refuse_unknown_messages(
@@ -272,7 +292,7 @@ def _refuse_unknown_checksums(loaded: LoadedConfig) -> None:
 def _refuse_split_planar(loaded: LoadedConfig, groups: Iterable[_MessageSignals]) -> None:
     for group in groups:
         planar = [w for w, _, _ in group.wanted if w.planar]
-        if len(planar) % 2:
-            raise loaded.error(
-                planar[0].place, "x and y of an accelerometer without z must be in one message"
-            )
+        count = Counter((w.channel, w.rank) for w in planar)
+        for wanted in planar:
+            if count[wanted.channel, wanted.rank] < PLANAR_AXES:
+                raise loaded.error(wanted.place, SPLIT_PLANAR)

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from imucald.core import compact_car
 from imucald.model.section import (
     ZERO,
     Fraction,
@@ -34,15 +35,15 @@ class Chassis(Section, frozen=True):
 
     mass_kg: Positive = 1450.0
     yaw_inertia_kgm2: Positive = 2300.0
-    wheelbase_m: Positive = 2.68
+    wheelbase_m: Positive = compact_car.WHEELBASE
     cg_to_front_m: Positive = 1.20
-    track_m: Positive = 1.53
-    steering_ratio: Positive = 15.5
+    track_m: Positive = compact_car.TRACK
+    steering_ratio: Positive = compact_car.STEERING_RATIO
     """Steering-wheel angle over road-wheel angle."""
     rear_cornering_stiffness_npr: Positive = 110e3
     """Lateral force over slip angle of the rear axle [N/rad]."""
-    understeer_gradient: float = 0.0025
-    """K in delta = L/R + K * a_y [rad/(m/s^2)]; 0.0025 is 1.4 deg/g."""
+    understeer_gradient: float = compact_car.UNDERSTEER
+    """K in delta = L/R + K * a_y [rad/(m/s^2)]."""
     friction: Annotated[float, Meta(ge=0.15)] = 0.95
     """Tyre force saturates at friction times axle load."""
     tyre_saturation: bool = True

@@ -8,9 +8,10 @@ replay many at once; both go through `hop_rows`, so they give the same bits.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.motion.ticks import TICK_S
@@ -26,8 +27,7 @@ SIDES = 2
 """Of each axis the upper and the lower extreme are watched."""
 
 
-@dataclass
-class Carry:
+class Carry(Struct):
     """What the next hop has to know of those before; arrays by axis.
 
     last: the last sample, NaN before the first. run: how many samples in a row have been equal to
@@ -53,8 +53,7 @@ class Carry:
         self.run[:] = 0
 
 
-@dataclass(frozen=True)
-class HopRows:
+class HopRows(Struct, frozen=True, dict=True):
     """Figures of H hops: count (H,), the others (H, axes), of extremes (H, 2, axes).
 
     mean: of the samples. level: mean size of the change from sample to sample. step: smallest
@@ -76,6 +75,12 @@ class HopRows:
     samples: Array
     edges: Index
     before: Array
+
+    @cached_property
+    def plain(self) -> list[tuple[list[list[float]], list[list[int]], list[float]]]:
+        """Of each hop top, on_top (2, axes) and step (axes), as plain numbers."""
+        columns = (self.top.tolist(), self.on_top.tolist(), self.step.tolist())
+        return list(zip(*columns, strict=True))
 
 
 def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:

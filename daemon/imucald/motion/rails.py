@@ -7,9 +7,9 @@ again, and stays. What is played twice to the last bit, such as a recording in a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.motion.hops import SIDES, HopRows
@@ -39,8 +39,7 @@ REMEMBERED = 64
 MOST_SAMPLES = 512
 
 
-@dataclass(slots=True)
-class _Pile:
+class _Pile(Struct):
     """What speaks for a value as a rail.
 
     rate: -log of the chance that a sample equals the one before, as it was known before [nats].
@@ -56,8 +55,7 @@ class _Pile:
     seen: set[bytes] = field(default_factory=set)
 
 
-@dataclass(slots=True)
-class _Top:
+class _Top(Struct):
     """A value that nothing has gone beyond since hop `born`.
 
     on: samples on it, below: one and two steps below, as far as they are tops of their hops.
@@ -101,8 +99,9 @@ class Rail:
 
         runs: of the axis. recent: (TAIL_HOPS, 2, axes), tops of the last hops of driving.
         """
-        value = float(rows.top[h, self._side, self._axis])
-        if self.found and value > self._rail + 0.5 * float(rows.step[h, self._axis]):
+        tops, on_top, steps = rows.plain[h]
+        value, step = tops[self._side][self._axis], steps[self._axis]
+        if self.found and value > self._rail + 0.5 * step:
             self.found = False
         if value > self.value:
             self.surprise, self.value = 0.0, math.inf
@@ -110,7 +109,7 @@ class Rail:
             while self._tops and self._tops[-1].value < value:
                 self._tops.pop()
         else:
-            top = self._reached(value, rows, h, hop)
+            top = self._reached(value, on_top[self._side][self._axis], step, hop)
             if top.pile is not None or top.born < hop or top.on >= LONG_STAY:
                 if top.pile is None:
                     top.pile = _Pile(runs.rate())
@@ -139,10 +138,12 @@ class Rail:
         """The value for which most speaks is a rail."""
         self.found, self._rail = True, self.value
 
-    def _reached(self, value: float, rows: HopRows, h: int, hop: int) -> _Top:
-        """A value as the latest top; those that it goes beyond are no longer watched."""
-        tops, step = self._tops, float(rows.step[h, self._axis])
-        on, below = int(rows.on_top[h, self._side, self._axis]), [0, 0]
+    def _reached(self, value: float, on: int, step: float, hop: int) -> _Top:
+        """A value as the latest top; those that it goes beyond are no longer watched.
+
+        on: samples of the hop on it.
+        """
+        tops, below = self._tops, [0, 0]
         while tops and tops[-1].value < value:
             old = tops.pop()
             steps = _steps(value - old.value, step)
@@ -236,12 +237,14 @@ class Rails:
             self._hops += 1
         found = ""
         for name, (high, low), judge in zip("xyz", self._rails, stuck, strict=False):
-            for rail in (high, low):
-                rail.step(rows, h, hop, judge.moving, self._recent)
-            both = high.surprise + low.surprise > BOTH_ENDS
-            for rail in (high, low):
-                if not rail.found and (rail.surprise > SURPRISE or (both and rail.surprise > 0.0)):
-                    rail.on_rail()
+            high.step(rows, h, hop, judge.moving, self._recent)
+            low.step(rows, h, hop, judge.moving, self._recent)
+            if high.surprise > 0.0 or low.surprise > 0.0:
+                both = high.surprise + low.surprise > BOTH_ENDS
+                for rail in (high, low):
+                    is_sure = rail.surprise > SURPRISE or (both and rail.surprise > 0.0)
+                    if is_sure and not rail.found:
+                        rail.on_rail()
             if high.found or low.found:
                 found += name
         self.found = found

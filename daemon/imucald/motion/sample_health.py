@@ -28,6 +28,7 @@ from imucald.motion.sensor_judges import (
     unlike_gravity,
 )
 from imucald.motion.signal_health import SignalFault
+from imucald.motion.single_hop import single_hop
 from imucald.motion.standstill import ROLLING_SPEED
 from imucald.motion.ticks import TICK_RATE
 
@@ -101,6 +102,8 @@ class _Sensor:
     def rows(self, hops: int, more: _More | None) -> HopRows | None:
         """The figures of so many hops from what is pending, which are in the first, and more."""
         pending, self.pending = self.pending, []
+        if more is None and hops == 1 and pending:
+            return single_hop(pending, self.carry)
         values, hop = more if more is not None else (np.zeros((0, 3)), np.zeros(0, np.int64))
         if pending:
             values = np.concatenate([np.array(pending), values])

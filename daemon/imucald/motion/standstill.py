@@ -59,7 +59,7 @@ TIMES_NOISE = 4.0
 
 MAX_GYRO_BIAS = 0.1
 """Full estimator: 5.7 deg/s. Beyond [rad/s] the floor turns: a speed stuck at zero is no rest.
-Zero-rate offsets of consumer gyroscopes reach 3 deg/s (BMI160) to 10 deg/s (older ones)."""
+Zero-rate offsets of consumer gyroscopes are some deg/s (BMI160: 3 deg/s)."""
 MAX_ZERO_OFFSET = math.radians(5.0)
 """Method A, where the mean is taken tick by tick [rad/s]: a turntable or a ferry, not an offset."""
 MAX_TERMINAL_BIAS = math.radians(1.5)

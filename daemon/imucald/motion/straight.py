@@ -12,7 +12,6 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from imucald.core.errors import EstimateError
 from imucald.motion.standstill import MAX_ZERO_OFFSET
 from imucald.motion.ticks import GYRO, STEERING, YAW_RATE, TickRow
 
@@ -23,18 +22,6 @@ MAX_HOLD_TICKS = 10
 """Ticks for which a slow signal's last value stands for the present one."""
 
 
-def steering_is_small(steering: ArrayLike, limit: float) -> NDArray[np.bool_]:
-    """Recogniser 1: |steering-wheel angle| (N,) [rad] at most limit [rad]."""
-    result: NDArray[np.bool_] = np.abs(np.asarray(steering, dtype=float)) <= limit
-    return result
-
-
-def yaw_rate_is_small(yaw_rate: ArrayLike, limit: float) -> NDArray[np.bool_]:
-    """Recogniser 2: |yaw rate| (N,) [rad/s] at most limit [rad/s]."""
-    result: NDArray[np.bool_] = np.abs(np.asarray(yaw_rate, dtype=float)) <= limit
-    return result
-
-
 def angles_agree(angles: ArrayLike, spread: float) -> bool:
     """Whether angles (N,) [rad] lie in an arc of `spread` [rad], wherever on the circle it is."""
     a = np.sort(np.mod(np.asarray(angles, dtype=float), 2.0 * math.pi))
@@ -42,22 +29,6 @@ def angles_agree(angles: ArrayLike, spread: float) -> bool:
         return len(a) == 1
     widest_hole = max(float(np.max(np.diff(a))), float(a[0] + 2.0 * math.pi - a[-1]))
     return 2.0 * math.pi - widest_hole <= spread
-
-
-def windows_agree(angles: ArrayLike, window: int, spread: float) -> NDArray[np.bool_]:
-    """Recogniser 3: angles from successive samples of a preset window agree within a range.
-
-    angles: (N,) [rad]; window: samples; spread: range [rad]. Returns (N,): a sample is straight
-    when it lies in at least one window that agrees.
-    """
-    if window < 2:
-        raise EstimateError(f"the consistency test needs a window of two or more, got {window}")
-    a = np.asarray(angles, dtype=float)
-    straight = np.zeros(len(a), dtype=bool)
-    for start in range(len(a) - window + 1):
-        if angles_agree(a[start : start + window], spread):
-            straight[start : start + window] = True
-    return straight
 
 
 def yaw_rate_from_steering(

@@ -14,9 +14,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.mount.road_segments import AngleEvidence
@@ -41,8 +41,7 @@ SILENT = frozenset({"pitch_gravity", "pitch_axis"})
 `shift`)."""
 
 
-@dataclass(frozen=True)
-class Creep:
+class Creep(Struct, frozen=True):
     """Roll, pitch, yaw (3,). level: beyond the constant [rad], zero where no walk is believed.
 
     variance: what the walks add [rad^2]. probability: that the mount creeps. rate: [rad/segment].

@@ -6,6 +6,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -84,21 +85,21 @@ class MountEstimate:
     faults: tuple[str, ...] = ()
     targets: Targets | None = None
 
-    @property
+    @cached_property
     def angles(self) -> tuple[float, float, float] | None:
         """Roll, pitch, yaw [rad], or None."""
         if self.R_vehicle_from_sensor is None:
             return None
         return angles_from_rotation(self.R_vehicle_from_sensor)
 
-    @property
+    @cached_property
     def quaternion(self) -> tuple[float, float, float, float] | None:
         """Unit quaternion (w, x, y, z), or None."""
         if self.R_vehicle_from_sensor is None:
             return None
         return quaternion_from_rotation(self.R_vehicle_from_sensor)
 
-    @property
+    @cached_property
     def std(self) -> tuple[float, float, float] | None:
         """Standard deviations [rad] of the rotation-vector error about vehicle x, y, z."""
         if self.covariance is None:

@@ -103,6 +103,7 @@ class FullEstimator:
         self._failures = 0
         self._failed_for = 0
         self._known = MountKnowledge(begun=False, accelerometer=False)
+        self._estimate: MountEstimate | None = None
 
     @property
     def correction(self) -> Correction | None:
@@ -119,8 +120,10 @@ class FullEstimator:
         self._served.step()
         if self._refit is not None:
             self._go_on_refitting(self._refit)
+            self._estimate = None
         if self._signals.push(tick):
             self._take_block(self._signals.block())
+            self._estimate = None
 
     def gap(self) -> None:
         """Time jumped: signals before it are not joined with those after it."""
@@ -130,6 +133,7 @@ class FullEstimator:
         self._solver.gap()
         self._refit = None
         self._kept.clear()
+        self._estimate = None
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -407,19 +411,26 @@ class FullEstimator:
         for solver in self._solvers():
             solver.join(kept)
         self._solver.fit()
+        self._estimate = None
 
     def drop_information(self) -> None:
         """Go on with this drive's evidence alone."""
         for solver in self._solvers():
             solver.past_drives = None
         self._solver.fit()
+        self._estimate = None
 
     def _solvers(self) -> list[MountSolver]:
         refit = self._refit
         return [self._solver] if refit is None else [self._solver, refit.fresh]
 
     def estimate(self) -> MountEstimate:
-        """Return the present state of knowledge."""
+        """Return the present state of knowledge; the same one until something has been learnt."""
+        if self._estimate is None:
+            self._estimate = self._knowledge()
+        return self._estimate
+
+    def _knowledge(self) -> MountEstimate:
         reasons = waiting_for(self._known, self._settings)
         words = {name: text for name, (text, _) in reasons.items()}
         codes = {name: code for name, (_, code) in reasons.items()}

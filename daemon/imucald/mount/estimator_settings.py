@@ -13,13 +13,13 @@ from typing import ClassVar, NamedTuple
 
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.vehicle import VehicleSettings
+from imucald.core.compact_car import UNDERSTEER
 from imucald.mount.estimate import Targets
 from imucald.mount.priors import (
     ACCEL_SCALE_STD,
     GYRO_MISALIGNMENT_STD,
     SLOPE_LENGTH,
     SLOPE_STD,
-    UNDERSTEER,
 )
 
 

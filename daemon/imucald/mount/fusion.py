@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.mount.road_segments import AngleEvidence
@@ -18,16 +18,14 @@ at most this; where one carries nearly all, another's dissent says more of that 
 AXES = ("roll", "pitch", "yaw")
 
 
-@dataclass(frozen=True)
-class CommonError:
+class CommonError(Struct, frozen=True):
     """An error that several sources share: its standard deviation [rad] and each one's sign."""
 
     std: float
     signs: Mapping[str, float]
 
 
-@dataclass(frozen=True)
-class Fused:
+class Fused(Struct, frozen=True):
     """e (3,) [rad], its variances (3,), and which share of each angle each source carried."""
 
     error: Array
@@ -75,8 +73,7 @@ def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
     return found
 
 
-@dataclass(frozen=True)
-class _Layout:
+class _Layout(Struct, frozen=True):
     """Where the sources of all angles stand in stacked matrices; an angle of one is left out.
 
     An angle with fewer sources than another gets some that tell nothing (is_there 0).

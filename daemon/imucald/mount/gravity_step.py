@@ -11,9 +11,8 @@ large d is without any step is learnt from the drive itself, for every age and a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
@@ -43,8 +42,7 @@ MIN_SIZE = 0.15
 """A step is at least that large [m/s^2]: 0.9 deg."""
 
 
-@dataclass(frozen=True)
-class GravityStep:
+class GravityStep(Struct, frozen=True):
     """A step found: axis (0 roll, 1 pitch), size [rad], in spreads, blocks ago."""
 
     axis: int

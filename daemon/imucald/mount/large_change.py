@@ -13,9 +13,9 @@ and is learnt.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, vector_from_rotation
@@ -65,8 +65,7 @@ STANDING_TICKS = 12
 """Ticks of standing that its tilt is known from."""
 
 
-@dataclass(frozen=True)
-class LargeChange:
+class LargeChange(Struct, frozen=True):
     """axis: 0 roll, 1 pitch, 2 yaw. size [rad], in standard deviations, blocks since."""
 
     axis: int
@@ -114,11 +113,9 @@ class LargeChangeDetector:
             return
         force = p.force[use] @ R.T
         a, v = p.accel[use], turn[use]
-        x, y, z = (
-            float((force[:, 0] - gains[0] * a).mean()),
-            float((force[:, 1] - gains[1] * v).mean()),
-            float(force[:, 2].mean()),
-        )
+        x, y, z = (force.sum(axis=0) / len(force)).tolist()
+        x -= gains[0] * float(a.sum()) / len(a)
+        y -= gains[1] * float(v.sum()) / len(v)
         yaw, power = _direction(force, a, v, np.abs(v) < MAX_RATE * np.abs(p.speed[use]))
         metres = float(np.abs(p.speed[use]).sum()) * TICK_S
         known = 1.0 / (FORCE_NOISE2 / power + YAW_NOISE**2) if power > LEAST_MOTION else 0.0
@@ -163,15 +160,17 @@ class LargeChangeDetector:
     ) -> LargeChange | None:
         n = len(e)
         best: LargeChange | None = None
-        tries = np.arange(2, min(MOST_AFTER, n - LEAST_BEFORE[axis]) + 1)
-        if not len(tries):
+        most = min(MOST_AFTER, n - LEAST_BEFORE[axis])  # blocks after the change, from two on
+        if most < 2:
             return None
-        weights, sums = np.cumsum(w[::-1]), np.cumsum((w * e)[::-1])
-        new_w, new_e = weights[tries - 1], sums[tries - 1]
+        weights, sums = w[::-1].cumsum(), (w * e)[::-1].cumsum()
+        new_w, new_e = weights[1:most], sums[1:most]
         old_w, old_e = weights[-1] - new_w, sums[-1] - new_e
         sizes = new_e / new_w - old_e / old_w
+        if max(sizes.max(), -sizes.min()) < MIN_SIZE[axis]:
+            return None
         for j in np.flatnonzero(np.abs(sizes) >= MIN_SIZE[axis]).tolist():
-            after, size = int(tries[j]), float(sizes[j])
+            after, size = j + 2, float(sizes[j])
             k = n - after
             wa, wb = float(new_w[j]), float(old_w[j])
             old = float(old_e[j]) / wb
@@ -231,6 +230,7 @@ def _direction(force: Array, a: Array, v: Array, use: NDArray[np.bool_]) -> tupl
     """By how much the force's answer is turned from a and v (n,) [rad], and their power."""
     if np.count_nonzero(use) < LEAST_TICKS:
         return 0.0, 0.0
-    a, v, f = a[use] - a[use].mean(), v[use] - v[use].mean(), force[use] - force[use].mean(axis=0)
+    a, v, f = a[use], v[use], force[use]
+    a, v, f = a - a.sum() / len(a), v - v.sum() / len(v), f - f.sum(axis=0) / len(f)
     turned = math.atan2(float(v @ f[:, 0] - a @ f[:, 1]), float(a @ f[:, 0] + v @ f[:, 1]))
     return turned, float(a @ a + v @ v)

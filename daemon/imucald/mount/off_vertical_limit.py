@@ -39,14 +39,16 @@ def is_off_vertical(p: SignalBlock, R: Matrix3, turn: Array) -> bool:
     speed or turn rate is taken for it.
     """
     use = p.ok_force
-    if np.count_nonzero(use) < LEAST_TICKS:
+    n = int(np.count_nonzero(use))
+    if n < LEAST_TICKS:
         return False
-    mean = R @ p.force[use].mean(axis=0)
-    motion = np.array([float(p.accel[use].mean()), float(turn[use].mean()), 0.0])
-    if not mean.any() or float(np.linalg.norm(mean)) < 0.5 * GRAVITY:
+    x, y, z = (R @ (p.force[use].sum(axis=0) / n)).tolist()
+    if not math.hypot(x, y, z) >= 0.5 * GRAVITY:
         return False
+    ahead, across = float(p.accel[use].sum()) / n, float(turn[use].sum()) / n
     return all(
-        math.atan2(math.hypot(f[0], f[1]), f[2]) > MAX_OFF_VERTICAL for f in (mean, mean - motion)
+        math.atan2(math.hypot(*level), z) > MAX_OFF_VERTICAL
+        for level in ((x, y), (x - ahead, y - across))
     )
 
 

@@ -8,27 +8,30 @@ What a user can set (accelerometer bias, crown, cross-axis error) has its reason
 
 from __future__ import annotations
 
-# The sensor. "Typical" values of MEMS data sheets are one standard deviation (Bosch Sensortec).
+# The sensor. What was read in a data sheet is named with it; the rest is called an assumption.
+# MPU-6050: PS-MPU-6000A-00 rev. 3.4, 6.2. A maker's "typical" is taken for one standard deviation
+# (Bosch Sensortec's forum says so of its own).
 
 ACCEL_SCALE_STD = 0.003
-"""Scale error per axis (part). Data sheets state 0.4 % (BMI270) to 1 % (LSM6DSO) typical of bare
-parts; a unit that was set at the end of its line is taken to be a little better. Half of it turns
-into a tilt (`common_errors`): 0.08 deg."""
+"""Scale error per axis (part). Assumption: bare parts state up to 3 % (MPU-6050, initial
+calibration tolerance), today's about 1 %, and a unit that was set at the end of its line is
+better. Half of it turns into a tilt (`common_errors`): 0.08 deg."""
 CROSS_AXIS = ((0.001, 0.4), (0.005, 0.2), (0.01, 0.2), (0.02, 0.12), (0.04, 0.08))
-"""Cross-axis error (part, rms) where none is configured, with probabilities. Data sheets of bare
-parts state 1 % (ADXL345, BMI160) to 2 % (MPU-6050). Two of five units are taken to have been set at
-the end of their lines, to a tenth of that; as many to be as stated or half; and one of five to be
-soldered, glued and bent to twice or four times as much. How far sources contradict one another
+"""Cross-axis error (part, rms) where none is configured, with probabilities. The data
+sheet of a bare part states 2 % (MPU-6050), others 1 %. The shares are assumptions: two of five
+units were set at the end of their lines, to a tenth of 1 %; as many are as stated or half; and one
+of five is soldered, glued and bent to twice or four times as much. How far sources contradict one another
 then tells more (`fusion.ProbableScale`)."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
-Calibrated units state 0.05 deg from axis to axis (ADIS16470), bare parts 1 % of cross-axis."""
+A calibrated unit states that from axis to axis (ADIS16475 data sheet, features); of a bare part it
+is an assumption."""
 BIAS_DRIFT_STD = 0.04
-"""The zero error moves by that much while the sensor warms up [m/s^2], 4 mg: 0.1 mg/K typical
-(LSM6DSO; others state up to ten times that) times 40 K from a cold start."""
+"""The zero error moves by that much while the sensor warms up [m/s^2], 4 mg. Assumption:
+0.1 mg/K times 40 K from a cold start; an older part states 35 mg over 0 to 70 degC (MPU-6050)."""
 BIAS_FLOOR_STD = 0.002
 """What wandering leaves in the direction of gravity over a drive [rad]: 2 mg, a half of the above
-that no mean over the drive follows."""
+that no mean over the drive follows (assumption)."""
 
 # The road.
 
@@ -43,9 +46,6 @@ long (AASHTO, sag and crest curves for 2 to 4 % of change)."""
 
 # The vehicle.
 
-UNDERSTEER = 0.0025
-"""K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]: 1.4 deg/g, a passenger car
-(Gillespie, Fundamentals of Vehicle Dynamics, ch. 6: some 1 to 4 deg/g)."""
 PITCHING_STD = 0.0014
 """Pitch that squat and dive leave in dv/dt [rad]. Their gradients differ, as anti-dive and
 anti-squat geometry do, by some tenths of their size of 1 to 2 deg/g (0.002 to 0.004 rad/(m/s^2));

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.errors import EstimateError
@@ -34,8 +35,7 @@ DIGITS = 6
 ROTATION_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True)
-class SavedSource:
+class SavedSource(Struct, frozen=True):
     """One kind of evidence about one angle.
 
     value: [rad] about `SavedInformation.R`. variance: of it, without the accelerometer's bias,

@@ -18,9 +18,9 @@ of the change is independent evidence, and is added.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -78,8 +78,7 @@ NO_STEPS: Array = np.zeros((len(SPANS), 2, 2))
 """No step in gravity; see `largest_change`."""
 
 
-@dataclass(frozen=True)
-class AngleFit:
+class AngleFit(Struct, frozen=True):
     """The fit of an angle together with its source's nuisance, segment by segment.
 
     left (G,): scores of the angle that the fit leaves over. rows (G, 1 + k): information of the
@@ -93,8 +92,7 @@ class AngleFit:
     value: float
 
 
-@dataclass(frozen=True)
-class ScoreSeries:
+class ScoreSeries(Struct, frozen=True):
     """Evidence about one angle from one source, segment by segment: scores and informations (G,).
 
     kind: the source, of those in `UNEVEN_STD`. fit: where the angle was fitted together with
@@ -139,8 +137,7 @@ class ScoreSeries:
         return AngleFit(self.score - n * mean, n[:, None], np.array([[1.0 / total]]), mean)
 
 
-@dataclass(frozen=True)
-class Shift:
+class Shift(Struct, frozen=True):
     """The largest change found: axis, size [rad], in standard deviations, segments ago.
 
     deviations: the root of twice the log of the ratio of likelihoods, signed; of one normal

@@ -49,7 +49,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Motion:
+class DriveMotion:
     """Means over half a second, in vehicle axes where not said otherwise; (N,) and (N, 3), SI.
 
     raw: the accelerometer in its own axes. corrected: as given out; NaN where not available.
@@ -145,7 +145,7 @@ class DriveHistory:
         """Stream time of the last frame of ours [s]."""
         return self._timebase.now
 
-    def motion(self) -> Motion:
+    def motion(self) -> DriveMotion:
         """Return forces beside the vehicle's motion."""
         samples = self.samples
         n = max(int(self.duration_s * TICK_RATE) + 1, WINDOW_TICKS + 1)
@@ -167,7 +167,7 @@ class DriveHistory:
             yaw_rate = means["rate"][:, 2]
         middle = 0.5 * (speed[1:] + speed[:-1])
         seconds = WINDOW_TICKS / TICK_RATE
-        return Motion(
+        return DriveMotion(
             0.5 * (edges[WINDOW_TICKS:] + edges[:-WINDOW_TICKS]),
             _window(means["raw"]),
             _window(means["corrected"]),

@@ -226,5 +226,9 @@ def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _address(draw: Callable[[SignalPicture], str], p: SignalPicture) -> str:
+    return address_of(draw(p))
+
+
+def address_of(svg: str) -> str:
     """A picture as an address that holds the whole of it."""
-    return "data:image/svg+xml;base64," + base64.b64encode(draw(p).encode()).decode()
+    return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()

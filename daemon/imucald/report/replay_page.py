@@ -19,7 +19,7 @@ from imucald.mount.mount_words import (
 )
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.report.drive_events import STATE_WORDS, Event, in_order, state_changes, told_events
-from imucald.report.drive_history import DriveHistory, Motion
+from imucald.report.drive_history import DriveHistory, DriveMotion
 from imucald.report.page import About, environment, require_libraries
 from imucald.report.wording import duration
 
@@ -124,7 +124,7 @@ def _quaternion(mount: Mapping[str, Any]) -> str:
     return "" if numbers is None else " ".join(f"{q:+.4f}" for q in numbers)
 
 
-def _fits(motion: Motion) -> list[dict[str, str]]:
+def _fits(motion: DriveMotion) -> list[dict[str, str]]:
     """How raw and corrected forces go with the motion: slope, and rms of the difference."""
     found = []
     for axis, (way, what, truth) in enumerate(

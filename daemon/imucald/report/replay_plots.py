@@ -17,7 +17,7 @@ from imucald.core.rotations import vector_from_rotation
 from imucald.mount.estimate import ANGLES, MountState
 from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95
 from imucald.report.drive_events import Event
-from imucald.report.drive_history import DriveHistory, Moment, Motion
+from imucald.report.drive_history import DriveHistory, DriveMotion, Moment
 from imucald.report.svg_figures import drawn
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def _size(off: Array, half: Array) -> float:
     return float(min(max(1.15 * np.nanmax(edge), 1.5 * half[-1]), LARGEST_DEG))
 
 
-def stretch_picture(motion: Motion) -> str:
+def stretch_picture(motion: DriveMotion) -> str:
     """Corrected against raw, and against what the vehicle's motion says, for one minute."""
     rows = telling_rows(motion)
 
@@ -199,7 +199,7 @@ def stretch_picture(motion: Motion) -> str:
     return _themed(drawn(draw, (9.6, 4.4), STYLE))
 
 
-def telling_rows(motion: Motion) -> slice:
+def telling_rows(motion: DriveMotion) -> slice:
     """The minute with most braking, accelerating and turning in which there is a correction."""
     known = np.isfinite(motion.corrected[:, 0])
     worth = np.nan_to_num(motion.dvdt) ** 2 + np.nan_to_num(motion.turn) ** 2
@@ -209,7 +209,7 @@ def telling_rows(motion: Motion) -> slice:
     return slice(first, int(stop[first]))
 
 
-def scatter_picture(motion: Motion, axis: int) -> str:
+def scatter_picture(motion: DriveMotion, axis: int) -> str:
     """Corrected and raw force against what the motion says; axis: 0 forward, 1 left."""
     truth, what = ((motion.dvdt, "dv/dt"), (motion.turn, "speed times yaw rate"))[axis]
     known = np.isfinite(truth) & np.isfinite(motion.corrected[:, axis])
@@ -235,7 +235,7 @@ def scatter_picture(motion: Motion, axis: int) -> str:
     return _themed(drawn(draw, MAP, STYLE))
 
 
-def residual_map(motion: Motion, axis: int) -> str:
+def residual_map(motion: DriveMotion, axis: int) -> str:
     """Mean of corrected force less motion over speed and lateral acceleration."""
     truth = (motion.dvdt, motion.turn)[axis]
     left = motion.corrected[:, axis] - truth
@@ -260,7 +260,7 @@ def residual_map(motion: Motion, axis: int) -> str:
         top = max(float(np.nanpercentile(np.abs(mean), 95)), 0.05) if np.isfinite(mean).any() else 1
         drawn_map = axes.pcolormesh(*cells, mean.T, cmap=DIVERGING, vmin=-top, vmax=top, lw=0)
         bar = figure.colorbar(drawn_map, ax=axes, extend="both")
-        bar.outline.set_visible(False)  # type: ignore[operator]
+        bar.outline.set_visible(False)
         axes.grid(visible=False)
 
     return _themed(drawn(draw, MAP, STYLE))

@@ -49,7 +49,7 @@ def drawn(
     style: Mapping[str, Any] | None = None,
 ) -> str:
     """Return what `draw` puts on a figure of that size [in] as SVG text."""
-    with mpl.rc_context({**STYLE, **(style or {})}), warnings.catch_warnings():
+    with mpl.rc_context(STYLE | dict(style or {})), warnings.catch_warnings():
         # Letters of other scripts are missing in the font of the layout, not in the reader's.
         warnings.filterwarnings("ignore", message="Glyph .* missing")
         figure = Figure(figsize=size, layout="constrained")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.core.errors import EstimateError
-from imucald.core.rotations import times, times_columns
+from imucald.core.rotations import times, times_columns, times_level, times_level_columns
 from imucald.inputs.rate_guard import Spaced, guarded_cycle
 from imucald.inputs.router import Routed, Router, Sample
 from imucald.motion.sample_health import Faults, SampleHealth
@@ -119,36 +120,56 @@ class Engine:
         if k > self.pipeline.k or gap:
             out += self._advance(k, gap)
         samples, rejected = self.router.frame(t, can_id, data)
+        pipeline = self.pipeline
+        health = pipeline.health
         for channel, values in samples:
-            self.pipeline.health.add(channel, values)
+            health.add(channel, values)
         if self.preprocessing is not None:
             samples, refused = self.preprocessing.frame(t, samples, self.router.rejected)
             rejected += refused
         for channel in rejected:
-            self.pipeline.reject(channel)
+            pipeline.reject(channel)
         self._count_rejections(k)
-        self._feed_consumers(t, samples)
-        pipeline = self.pipeline
-        correction = pipeline.correction
-        turned: dict[str, Turned] = {}
+        if self.consumers:
+            self._feed_consumers(t, samples)
+        correction, triads = pipeline.correction, self.output.triads
         for channel, values in samples:
             pipeline.add(t, channel, values)
             if channel in self._watched:
                 self._watched[channel] = k
-            if channel in self.output.triads:
-                turned[channel] = None if correction is None else times(correction, values)
-        if self.preprocessing is not None and turned:
-            turned = self.preprocessing.corrected(t, turned)
-        faults = pipeline.health.faults
-        for channel in self.output.triads:
-            if channel in turned:
-                fit = self.output.sensor_of[channel] not in faults
-                sent = turned[channel] if fit else None
-                out.append(self.output.corrected(channel, sent, pipeline.quality))
-        for channel in self.output.triads:
+        turned = self._turned(t, samples, correction)
+        if turned:
+            out += self._corrected_frames(turned)
+        for channel in triads if rejected else ():
             if channel in rejected and channel not in turned and self._spaced[channel].passes(t):
                 out.append(self.output.corrected(channel, None, 0))
         self.sent += len(out)
+        return out
+
+    def _turned(
+        self, t: float, samples: Sequence[Sample], correction: Correction | None
+    ) -> dict[str, Turned]:
+        """Samples of one frame in vehicle axes, by channel; None where there is no correction."""
+        triads, planar = self.output.triads, self.output.planar
+        turned: dict[str, Turned] = {}
+        for channel, values in samples:
+            if channel in triads:
+                turned[channel] = None if correction is None else times(correction, values)
+        if self.preprocessing is not None and turned:
+            turned = self.preprocessing.corrected(t, turned)
+        if planar and correction is not None:
+            turned |= {c: times_level(correction, v) for c, v in samples if c in planar}
+        return turned
+
+    def _corrected_frames(self, turned: Mapping[str, Turned]) -> list[OutFrame]:
+        """Frames of corrected samples; *not available* where a sensor is not fit to be used."""
+        output, faults, quality = self.output, self.pipeline.health.faults, self.pipeline.quality
+        out: list[OutFrame] = []
+        for channel in output.triads:
+            if channel in turned:
+                is_faulty = faults and output.sensor_of[channel] in faults
+                sent = None if is_faulty else turned[channel]
+                out.append(output.corrected(channel, sent, quality))
         return out
 
     def idle(self, elapsed: float) -> list[OutFrame]:
@@ -186,8 +207,6 @@ class Engine:
         return out
 
     def _feed_consumers(self, t: float, samples: Sequence[Sample]) -> None:
-        if not self.consumers:
-            return
         correction = self.pipeline.correction
         for channel, values in in_order(samples):
             for consumer in self.consumers:
@@ -241,18 +260,22 @@ class Engine:
             return None
         return merged(parts, frames)
 
+    def _after_gap(self, segment: TimeSegment, keep: bool) -> Iterator[OutPart]:
+        """Nothing is known of the time before the segment."""
+        base, first = segment.start, self.pipeline.k
+        snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
+        if self.preprocessing is not None:
+            self.preprocessing.gap()
+        yield from self._status_parts(snapshots, lambda _: base, np.zeros(0), None, keep)
+        out = self._consumer_ticks(first, self.pipeline.k, snapshots)
+        yield from self._frame_parts(out, base)
+        for consumer in self.consumers:
+            consumer.gap()
+
     def _segment(self, segment: TimeSegment, frames: FrameColumns, keep: bool) -> Iterator[OutPart]:
         base = segment.start
         if segment.gap:
-            first = self.pipeline.k
-            snapshots = self.pipeline.gap(tick_index(float(segment.t[0])))
-            if self.preprocessing is not None:
-                self.preprocessing.gap()
-            yield from self._status_parts(snapshots, lambda _: base, np.zeros(0), None, keep)
-            out = self._consumer_ticks(first, self.pipeline.k, snapshots)
-            yield from self._frame_parts(out, base)
-            for consumer in self.consumers:
-                consumer.gap()
+            yield from self._after_gap(segment, keep)
         whole = base == 0 and segment.stop == len(frames)
         chunk = frames if whole else frames.take(slice(base, segment.stop))
         routed = self.router.columns(segment.t, chunk)
@@ -286,13 +309,11 @@ class Engine:
         if self.consumers:
             yield from self._consumer_parts(routed, corrections, snapshots, ticks, base)
         lost = self._lost_rows(routed, segment.t)
-        corrected: dict[str, CorrectedSamples] = {}
-        if keep or self._on_samples is not None:
-            corrected = self._corrected(routed, corrections, ticks)
+        corrected = cache(lambda: self._corrected(routed, corrections, ticks))
         if self._on_samples is not None:
             self._on_samples(SegmentSamples(segment, chunk.t, watched, corrected))
         if keep:
-            yield from self._corrected_parts(corrected, base, lost)
+            yield from self._corrected_parts(corrected(), base, lost)
         else:
             self.sent += sum(corrected_count(routed, c) + len(lost[c]) for c in lost)
 
@@ -349,6 +370,9 @@ class Engine:
         }
         if self.preprocessing is not None:
             turned = self.preprocessing.corrected_columns(found, turned)
+        for channel in self.output.planar & found.keys():
+            rotations = corrections.rotations[tick[channel]]
+            turned[channel] = times_level_columns(rotations, found[channel].values)
         corrected: dict[str, CorrectedSamples] = {}
         for channel, series in found.items():
             values, quality = turned[channel], corrections.quality[tick[channel]]
@@ -369,9 +393,7 @@ class Engine:
         base: int,
     ) -> Iterator[OutPart]:
         """Consumers take samples one by one here too; their frames stand as status frames do."""
-        rotations: list[Correction | None] = [
-            None if row[0] != row[0] else tuple(row) for row in corrections.rotations.tolist()
-        ]
+        rotations = corrections.corrections
         k = first = corrections.first
         due = {snapshot.k: snapshot for snapshot in snapshots}
 

@@ -10,10 +10,10 @@ from imucald.config import Config
 from imucald.mount.estimate import MountEstimator
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.mount.method_a.settings import PublishedSettings
 
 if TYPE_CHECKING:
     from imucald.model_compensation import ModelCompensation
+    from imucald.mount.method_a.settings import PublishedSettings
 
 CONFIGURED_DELAY_STD = 0.03
 """How well a configured delay is taken to be known [s]."""
@@ -43,6 +43,8 @@ def estimator_for(
 
 def published_settings(config: Config) -> PublishedSettings:
     """Settings of method A."""
+    from imucald.mount.method_a.settings import PublishedSettings  # noqa: PLC0415 - few use it
+
     signals = config.signals
     return PublishedSettings(
         config.calibration,

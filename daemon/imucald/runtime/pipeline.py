@@ -8,10 +8,11 @@ whole columns (`run`); both give the same corrections to the last bit.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.core.samples import Samples, Series
@@ -40,8 +41,7 @@ _QUALITY = {
 }
 
 
-@dataclass(frozen=True)
-class Snapshot:
+class Snapshot(Struct, frozen=True):
     """The estimate at the end of tick k."""
 
     k: int
@@ -57,18 +57,28 @@ class Snapshot:
         return (self.k + 1) / TICK_RATE
 
 
-@dataclass(frozen=True)
-class TickCorrections:
-    """The corrections in force during ticks `first`, `first` + 1, ...
+class TickCorrections(Struct, frozen=True, dict=True):
+    """The corrections in force during ticks `first`, `first` + 1, ..., and their qualities.
 
-    rotations: (n, 9), rows of R_vehicle_from_sensor, NaN where not usable; quality: (n,).
+    As arrays they are made when they are first looked at: not every replay does.
     unfit: by channel the ticks (n,) in which its sensor is not fit to be used; absent: always fit.
     """
 
     first: int
-    rotations: NDArray[np.float64]
-    quality: NDArray[np.uint8]
+    corrections: Sequence[Correction | None]
+    qualities: Sequence[Quality]
     unfit: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+
+    @cached_property
+    def rotations(self) -> NDArray[np.float64]:
+        """(n, 9), rows of R_vehicle_from_sensor; NaN where not usable."""
+        nothing = (np.nan,) * 9
+        return np.array([nothing if row is None else row for row in self.corrections])
+
+    @cached_property
+    def quality(self) -> NDArray[np.uint8]:
+        """(n,) of the ticks."""
+        return np.array(self.qualities, dtype=np.uint8)
 
 
 class TickPreprocessor(Protocol):
@@ -185,11 +195,7 @@ class Pipeline:
                 rows.append(self.correction)
                 quality.append(self.quality)
             self._add_tick(samples, rejected, last)
-        nothing = (np.nan,) * 9
-        rotations = np.array([nothing if row is None else row for row in rows])
-        unfit = _unfit_ticks(faults, first, last)
-        found = TickCorrections(first, rotations, np.array(quality, dtype=np.uint8), unfit)
-        return found, snapshots
+        return TickCorrections(first, rows, quality, _unfit_ticks(faults, first, last)), snapshots
 
     def _add_tick(
         self, samples: Samples, rejected: Mapping[str, NDArray[np.float64]], k: int

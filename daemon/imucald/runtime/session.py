@@ -66,7 +66,9 @@ def make_engine(
     def new_estimator() -> MountEstimator:
         return estimator_for(config, compensation, stated)
 
-    rates = [f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate"]
+    rates = [
+        f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate" and p.z
+    ]
     derived = config.signals.speed is None
     return Engine(
         router,

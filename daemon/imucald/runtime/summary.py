@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, MountEstimate
@@ -16,8 +16,7 @@ from imucald.mount.mount_words import how_it_sits, steep_note
 from imucald.runtime.engine import Engine
 
 
-@dataclass(frozen=True)
-class RunCounts:
+class RunCounts(Struct, frozen=True):
     """Frames of a run: read at all, and rejected by reason."""
 
     read: int

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.motion.ticks import TICK_RATE
@@ -25,8 +25,7 @@ FORWARD_STEP = 10.0
 have been before, one newer than `BACKWARD_STEP` is a step."""
 
 
-@dataclass(frozen=True)
-class TimeSegment:
+class TimeSegment(Struct, frozen=True):
     """Rows [start, stop) of a chunk with their stream times; `gap`: a new segment begins here."""
 
     start: int

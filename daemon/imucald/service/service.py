@@ -24,9 +24,7 @@ from imucald.runtime.engine import Engine, LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
 from imucald.runtime.summary import RunCounts, summary
-from imucald.service.attempt_store import AttemptStore
 from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
-from imucald.service.dtc_store import DtcStore
 from imucald.service.figures import NOT_SAVED, process_figures, status_line
 from imucald.service.folder_lock import FolderLock
 from imucald.service.identity import state_key
@@ -35,10 +33,13 @@ from imucald.service.live import Daemon, open_link
 from imucald.service.notify import Notifier
 from imucald.service.prepared import Prepared
 from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
+from imucald.service.start_count import StartCount
 from imucald.service.state import StateStore, clear_unfinished
 from imucald.service.status import StatusServer
 
 if TYPE_CHECKING:
+    from imucald.service.attempt_store import AttemptStore
+    from imucald.service.dtc_store import DtcStore
     from imucald.service.uds_on_bus import BusUds
 
 CHORE_S = 0.1
@@ -54,7 +55,7 @@ class ServiceOptions:
     """What the command line says.
 
     state_folder, status_socket: None for none. socket_needed: without it nothing starts.
-    save_period: [s].
+    save_period: [s]. start_count: the unit's file (see `start_count`).
     """
 
     config: Path
@@ -65,6 +66,7 @@ class ServiceOptions:
     status_socket: Path | None = None
     socket_needed: bool = True
     save_period: float = SAVE_PERIOD_S
+    start_count: Path | None = None
 
 
 class Service:
@@ -91,6 +93,7 @@ class Service:
         self._rates: dict[str, float] = {}
         self._counted: dict[str, int] = {}
         self._counted_at = clock()
+        self._start_count = StartCount(options.start_count)
         self.loaded = open_config(options.config, options.databases)
         engine = self._new_engine(self.loaded)
         self._lock = self._locked_folder()
@@ -163,6 +166,8 @@ class Service:
         if not loaded.config.diagnostics.enabled:
             return None
         # imported only where it is wanted: it loads OpenSSL (3.6 MiB) for keys
+        from imucald.service.attempt_store import AttemptStore  # noqa: PLC0415
+        from imucald.service.dtc_store import DtcStore  # noqa: PLC0415
         from imucald.service.uds_on_bus import bus_uds_for  # noqa: PLC0415
 
         if self.dtc_store is None:
@@ -267,6 +272,7 @@ class Service:
             self._every_second(now)
 
     def _every_second(self, now: float) -> None:
+        self._start_count.update(now - self._began)
         estimate = self._estimate()
         if self.calibration_store is not None:
             self.calibration_store.update(self.engine.pipeline.estimator, self.engine.timebase.now)

@@ -7,6 +7,7 @@ Off by default. The loop hands in the frames of the request ids and sends what c
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import struct
 import time
 from collections.abc import Callable
@@ -163,15 +164,30 @@ def bus_uds_for(
     already. Raises ConfigError with the place of a mistake.
     """
     config = loaded.config.diagnostics
-    _check_identifiers(loaded, engine)
-    key_function = None
-    if config.security.key_function is not None:
-        key_function = _load_key_function(loaded, config.security.key_function)
+    key_function = checked_key_function(loaded, engine)
     try:
         return BusUds(service, config, key_function, clock, dtcs, keys)
     except ImportError:
-        text = "needs the package can-isotp: pip install 'imucald[diagnostics]'"
-        raise loaded.error(("diagnostics", "enabled"), text) from None
+        raise _lacks_isotp(loaded) from None
+
+
+def check_diagnostics(loaded: LoadedConfig, engine: Engine) -> None:
+    """Raise ConfigError where the diagnostics of a configuration cannot be had."""
+    checked_key_function(loaded, engine)
+    if importlib.util.find_spec("isotp") is None:
+        raise _lacks_isotp(loaded)
+
+
+def checked_key_function(loaded: LoadedConfig, engine: Engine) -> KeyFunction | None:
+    """The function that lets a tester in, once the identifiers are known to be free."""
+    _check_identifiers(loaded, engine)
+    name = loaded.config.diagnostics.security.key_function
+    return None if name is None else _load_key_function(loaded, name)
+
+
+def _lacks_isotp(loaded: LoadedConfig) -> ConfigError:
+    text = "needs the package can-isotp: pip install 'imucald[diagnostics]'"
+    return loaded.error(("diagnostics", "enabled"), text)
 
 
 def _check_identifiers(loaded: LoadedConfig, engine: Engine) -> None:

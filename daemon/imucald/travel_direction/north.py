@@ -147,9 +147,3 @@ class NorthFilter:
         low, high = DISTURBANCE_PARTS
         part = min(max(math.sqrt(self._variance) / DISTURBANCE, low), high)
         return part * math.sqrt(max(float(g @ self.P[3:5, 3:5] @ g), 0.0))
-
-    @property
-    def hard_iron(self) -> Vector:
-        """[T], terminal axes."""
-        x, y, z = (float(c) / MICRO for c in self.x[0:3])
-        return x, y, z

@@ -73,17 +73,24 @@ def field_of(signal: Signal) -> Field:
 
 def read_bits(data: bytes | bytearray, field: Field) -> int:
     """Unsigned integer in `field`; the frame must be long enough."""
-    size = field.end_byte
-    whole = int.from_bytes(data[:size], field.order)
-    return (whole >> field.shift(size)) & field.mask
+    # twice a frame: spelt out, which takes half as long as by the field's properties
+    first, length = field.first_bit, field.length
+    size = (first + length + 7) // 8
+    if field.byte_order == "big_endian":
+        return int.from_bytes(data[:size], "big") >> 8 * size - first - length & (1 << length) - 1
+    return int.from_bytes(data[:size], "little") >> first & (1 << length) - 1
 
 
 def write_bits(data: bytearray, field: Field, value: int) -> None:
     """Put the low bits of `value` into `field`; the frame must be long enough."""
-    size = field.end_byte
-    shift = field.shift(size)
-    whole = int.from_bytes(data[:size], field.order) & ~(field.mask << shift)
-    data[:size] = (whole | (value & field.mask) << shift).to_bytes(size, field.order)
+    first, length = field.first_bit, field.length
+    size, mask = (first + length + 7) // 8, (1 << length) - 1
+    order: Literal["little", "big"] = "little"
+    shift = first
+    if field.byte_order == "big_endian":
+        order, shift = "big", 8 * size - first - length
+    whole = int.from_bytes(data[:size], order) & ~(mask << shift)
+    data[:size] = (whole | (value & mask) << shift).to_bytes(size, order)
 
 
 def words_of(data: Columns, byte_order: ByteOrder) -> NDArray[np.uint64]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Literal
 
@@ -69,5 +68,7 @@ class Message(Struct, frozen=True, omit_defaults=True):
 
 def nearest(name: str, names: list[str]) -> str:
     """The names that may have been meant, in brackets; nothing where none is near."""
+    import difflib  # noqa: PLC0415 - for a mistake only
+
     near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
     return f" (nearest: {', '.join(near)})" if near else ""

@@ -17,6 +17,8 @@ damaged frame is one fault.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
@@ -218,7 +220,8 @@ class MessageChecker:
             self._missed = count - 1 - int(good[-1])
         else:
             self._missed += count
-        self._distrust_columns(codes)
+        if self._distrust or codes.any():
+            self._distrust_columns(codes)
         found = np.bincount(codes, minlength=len(REASONS)).tolist()
         self._counts = [a + b for a, b in zip(self._counts, found, strict=True)]
         return codes
@@ -248,10 +251,10 @@ class MessageChecker:
         codes = np.zeros(len(t), np.uint8)
         if counters is not None and self._counter is not None:
             counter, modulus = self._counter, self._counter.modulus
-            missed = np.diff(good, prepend=-1) - 1
+            missed = _differences(good, -1) - 1
             missed[0] += self._missed
-            first = counters[0] if self._last_counter is None else self._last_counter
-            step = np.diff(counters, prepend=first) % modulus
+            first = int(counters[0]) if self._last_counter is None else self._last_counter
+            step = _differences(counters, first) % modulus
             distance = np.where(step == 0, modulus, step)
             bad = distance > counter.max_jump + missed
             codes[bad] = JUMP
@@ -262,8 +265,8 @@ class MessageChecker:
                 codes[0] = lost[0] = OK
             self._last_counter = int(counters[-1])
         if self._timeout is not None:
-            last_t = t[0] if self._last_t is None else self._last_t
-            codes[np.diff(t, prepend=last_t) > self._timeout] = TIMEOUT
+            last_t = float(t[0]) if self._last_t is None else self._last_t
+            codes[_differences(t, last_t) > self._timeout] = TIMEOUT
         if counters is not None:
             self.lost += int(lost[codes == OK].sum())
         return codes
@@ -277,3 +280,11 @@ class MessageChecker:
         since = row - last_fault
         codes[(codes == OK) & (since <= recovery)] = UNTRUSTED
         self._distrust = max(0, recovery - int(since[-1]))
+
+
+def _differences(values: NDArray[Any], first: float) -> NDArray[Any]:
+    """Each value (N,) less the one before it, the first less `first`."""
+    out = np.empty_like(values)
+    out[0] = values[0] - first
+    np.subtract(values[1:], values[:-1], out=out[1:])
+    return out

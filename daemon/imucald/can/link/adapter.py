@@ -58,7 +58,8 @@ class Adapter:
         try:
             self._bus = can.Bus(interface=interface, channel=channel, **arguments)
         except (can.CanInterfaceNotImplementedError, ImportError, TypeError) as error:
-            raise LinkError(f"interface {interface!r}: {error}") from None
+            remedy = "; install the extra, pip install 'imucald[live]'" * ("msgpack" in str(error))
+            raise LinkError(f"interface {interface!r}: {error}{remedy}") from None
         except (can.CanError, ValueError) as error:
             raise OSError(f"interface {interface!r}, channel {channel!r}: {error}") from error
 

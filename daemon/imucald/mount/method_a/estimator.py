@@ -29,10 +29,10 @@ from imucald.mount.method_a.gate import (
     StraightGate,
     WanderingOffset,
 )
+from imucald.mount.method_a.levelling import rotation_about_up
 from imucald.mount.method_a.manoeuvres import CombinedAngle, combined, combined_axis
 from imucald.mount.method_a.settings import PublishedSettings
 from imucald.mount.method_a.sign import SignEvidence
-from imucald.mount.method_a.solver import rotation_about_up
 from imucald.mount.method_a.states import TiltAndAngle, judged, waiting_for
 from imucald.mount.method_a.tilt import TiltEstimator
 from imucald.mount.slewing import SlewedRotation

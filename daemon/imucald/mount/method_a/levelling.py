@@ -11,10 +11,8 @@ from collections import deque
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from imucald.core.errors import EstimateError
-from imucald.core.rotations import Vector, levelling_rotation
+from imucald.core.rotations import Matrix3, Vector
 from imucald.core.samples import GRAVITY
 
 PLACES_KEPT = 40
@@ -25,31 +23,14 @@ OUTLIER_SPREADS = 2.5
 """A place further than this many spreads from the mean (a ramp, a kerb) counts less."""
 
 
-def tilt_angles(static_force: ArrayLike) -> tuple[float, float, float]:
-    """Angles alpha, beta, gamma [rad] of the static components J (3,) (method A, step 2).
+def rotation_about_up(angle: float) -> Matrix3:
+    """Rz(lambda), levelled -> vehicle axes (steps 5 and 6); (3, 3).
 
-    *Reconstructed*: the publication's text lacks the formula; this is the usual tilt-sensing form,
-    alpha = atan2(Jx, hypot(Jy, Jz)), beta = atan2(Jy, hypot(Jx, Jz)),
-    gamma = atan2(hypot(Jx, Jy), Jz).
+    L'x = Lx cos(lambda) - Ly sin(lambda), L'y = Lx sin(lambda) + Ly cos(lambda). Lambda is not the
+    mount's Z-Y-X yaw angle, but the two are equal for a level sensor.
     """
-    x, y, z = (float(c) for c in np.asarray(static_force, dtype=float))
-    return (
-        math.atan2(x, math.hypot(y, z)),
-        math.atan2(y, math.hypot(x, z)),
-        math.atan2(math.hypot(x, y), z),
-    )
-
-
-def levelled(accel: ArrayLike, static_force: ArrayLike) -> NDArray[np.float64]:
-    """Turn samples (N, 3) by the tilt: R', with x and y in the horizontal plane (step 3).
-
-    The exact rotation that takes J (3,) to (0, 0, |J|).
-    """
-    J = np.asarray(static_force, dtype=float)
-    if J.shape != (3,) or not np.all(np.isfinite(J)) or float(J @ J) == 0.0:
-        raise EstimateError("levelling needs a static specific force of shape (3,) that is not 0")
-    result: NDArray[np.float64] = np.asarray(accel, dtype=float) @ levelling_rotation(J).T
-    return result
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 class Tilt(NamedTuple):

@@ -1,4 +1,4 @@
-"""Standstill: the static test of method A (step 1), on sample arrays and online on ticks.
+"""Standstill: the static test of method A (step 1), on ticks.
 
 As published, a preset number of accelerometer samples is static when on each axis max - min is at
 most that axis's threshold. Online two things are added: a known speed must be zero, and while it
@@ -9,11 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from imucald.config.calibration import StaticTestSettings
-from imucald.core.errors import EstimateError
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
 
 CONFIRM_TICKS = 5
@@ -21,27 +17,6 @@ CONFIRM_TICKS = 5
 reads zero when the vehicle has begun to move."""
 MAX_HOLE_TICKS = 10
 """Ticks without a sample that a run survives; a slow or jittering sensor leaves single holes."""
-
-
-def is_static(accel: ArrayLike, thresholds: ArrayLike) -> bool:
-    """Static test of method A, step 1: max - min of (N, 3) samples against (3,) thresholds."""
-    a = np.asarray(accel, dtype=float)
-    if a.ndim != 2 or a.shape[1] != 3 or len(a) == 0:
-        raise EstimateError(f"the static test needs samples of shape (N, 3), got {a.shape}")
-    spread = a.max(axis=0) - a.min(axis=0)
-    return bool(np.all(spread <= np.asarray(thresholds, dtype=float)))
-
-
-def static_windows(accel: ArrayLike, count: int, thresholds: ArrayLike) -> NDArray[np.bool_]:
-    """Test each successive window of `count` samples; accel (N, 3) -> (N // count,) bool."""
-    a = np.asarray(accel, dtype=float)
-    if count < 1:
-        raise EstimateError(f"the static test needs at least one sample, got {count}")
-    n = len(a) // count
-    windows = a[: n * count].reshape(n, count, 3)
-    spread = windows.max(axis=1) - windows.min(axis=1)
-    result: NDArray[np.bool_] = np.all(spread <= np.asarray(thresholds, dtype=float), axis=1)
-    return result
 
 
 class StaticWindow(NamedTuple):
@@ -96,7 +71,9 @@ class StandstillDetector:
             return None
         if not self._within(tick, stopped):
             self.restart()
-            self._within(tick, stopped)
+            if not self._within(tick, stopped):
+                self.restart()
+                return None
         self._x += n * tick[ACCEL.x]
         self._y += n * tick[ACCEL.y]
         self._z += n * tick[ACCEL.z]

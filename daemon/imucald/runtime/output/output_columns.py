@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
 from imucald.inputs.router import Routed
 
 
-@dataclass(frozen=True, eq=False)
-class OutPart:
+class OutPart(Struct, frozen=True, eq=False):
     """Frames to send with the input row they belong to and their rank within it.
 
     Status frames have rank 0: they stand before the corrected frames of the row that brought them

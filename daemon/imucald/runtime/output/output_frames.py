@@ -91,7 +91,8 @@ class Health:
 class OutputFrames:
     """Encodes everything that imucald sends for one configuration.
 
-    triads: the channels that get a corrected frame, in the order they are sent in. sensor_of: the
+    triads: the channels that get a corrected frame, in the order they are sent in. planar: those
+    that are parallel sensors of two axes; their z is not available. sensor_of: the
     channel of the sensor whose health they follow: a parallel sensor's is the main one of its kind.
     attitude, travel: frames of methods B and C, and of D, where they are configured.
     """
@@ -107,6 +108,7 @@ class OutputFrames:
         for sensor in signals.parallel:
             kinds[f"parallel/{sensor.name}"] = (sensor.kind, sensor.id)
         self.triads = tuple(kinds)
+        self.planar = frozenset(f"parallel/{s.name}" for s in signals.parallel if s.z is None)
         self.sensor_of = {channel: _MAIN[kind] for channel, (kind, _) in kinds.items()}
         self._checksum = output.checksum
         self._corrected = {c: self._triad(kind, can_id) for c, (kind, can_id) in kinds.items()}
@@ -177,10 +179,11 @@ class OutputFrames:
         """Frame of one corrected sample in SI (None: not available)."""
         message = self._corrected[channel]
         if values is None:
-            return message.frame((None, None, None, 0))
+            return message.not_available()
         factor = self._factors[channel]
         x, y, z = values
-        return message.frame((x * factor, y * factor, z * factor, quality))
+        up = None if channel in self.planar else z * factor
+        return message.frame((x * factor, y * factor, up, quality))
 
     def corrected_columns(
         self, channel: str, values: NDArray[np.float64], quality: NDArray[np.uint8]

@@ -79,6 +79,15 @@ class OutputMessage:
         """Compile now, so that the first frame is as quick as the others."""
         _ = self._plan, self._protector
 
+    @cached_property
+    def _nothing(self) -> bytes:
+        """The payload, not protected yet, that has nothing to say, in state or quality 0."""
+        return self._plan.encode([*(None for _ in self._signals[1:]), 0])
+
+    def not_available(self) -> OutFrame:
+        """Frame in which no value is available; its last signal, state or quality, is 0."""
+        return self.can_id, self._protector.protect(self._nothing)
+
     def frame(self, values: Sequence[float | None]) -> OutFrame:
         """Frame of one set of values, in the message's units; None is not available."""
         return self.can_id, self._protector.protect(self._plan.encode(values))

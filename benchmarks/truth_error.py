@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.corrected_drive import CorrectedDrive
 from imucald.core.rotations import vector_from_rotation
 from imucald.core.samples import Series
-from imucald.model_compensation.trial import CorrectedDrive
 from imucald.model_compensation.vehicle import less_suspension_rate, on_road
 
 if TYPE_CHECKING:

@@ -1,0 +1,92 @@
+"""What happened while a daemon was watched, from one status after another."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from imucald.mount.mount_words import reasons_line
+from imucald.report.drive_events import STATE_WORDS, told_events
+
+KEPT = 200
+FLAGS = {
+    "accelerometer_missing": "no accelerometer",
+    "gyroscope_missing": "no gyroscope",
+    "speed_missing": "no speed",
+    "accelerometer_faulty": "accelerometer faulty",
+    "gyroscope_faulty": "gyroscope faulty",
+    "magnetometer_faulty": "magnetometer faulty",
+    "input_rejected": "inputs rejected",
+    "frames_lost": "frames lost",
+    "id_conflict": "another node sends our ids",
+    "send_failed": "frames not sent",
+}
+"""Alarms of the health frame, in words."""
+
+
+@dataclass(frozen=True)
+class LiveEvent:
+    """at: wall clock [s]. kind: state, moved, fault, sensor, bus or alarm. text: for people."""
+
+    at: float
+    kind: str
+    text: str
+
+    @property
+    def clock(self) -> str:
+        """Time of day."""
+        return time.strftime("%H:%M:%S", time.localtime(self.at))
+
+
+class LiveEvents:
+    """Gathers events; oldest first in `events`.
+
+    What the daemon tells of earlier times is placed by its own clock, so a monitor that is started
+    late shows it too.
+    """
+
+    def __init__(self) -> None:
+        self.events: deque[LiveEvent] = deque(maxlen=KEPT)
+        self._state: str | None = None
+        self._link: str | None = None
+        self._alarms: frozenset[str] = frozenset()
+        self._told: set[tuple[float, str, str]] = set()
+
+    def update(self, status: Mapping[str, Any], now: float) -> None:
+        """Take a status at wall clock `now` [s]."""
+        began = now - float(status["duration_s"])
+        first = self._state is None
+        found = []
+        for event in told_events(status):
+            key = event.t, event.kind, event.text.partition(",")[0]
+            if key not in self._told:
+                self._told.add(key)
+                found.append(LiveEvent(began + event.t, event.kind, event.text))
+        if first:
+            found += [
+                LiveEvent(began + status[f"first_{name}_s"], "state", f"{name} for the first time")
+                for name in ("usable", "fine")
+                if status[f"first_{name}_s"] is not None
+            ]
+        self.events.extend(sorted(found, key=lambda event: event.at))
+        self._changes(status, now)
+
+    def _changes(self, status: Mapping[str, Any], now: float) -> None:
+        state, link = str(status["state"]), str(status["link"]["state"])
+        if state != self._state:
+            waiting = reasons_line(status["waiting_for"])
+            text = f"{state}: {STATE_WORDS.get(state, '')}" + (f"; {waiting}" if waiting else "")
+            self.events.append(LiveEvent(now, "state", text))
+        if self._link is not None and link != self._link:
+            self.events.append(LiveEvent(now, "bus", f"{status['link']['channel']} is {link}"))
+        alarms = frozenset(flag for flag in FLAGS if status["health"].get(flag))
+        if self._state is None and not status["signals"]:
+            alarms = frozenset()  # nothing has come yet: that is no news
+        for flag in sorted(alarms - self._alarms):
+            self.events.append(LiveEvent(now, "alarm", FLAGS[flag]))
+        for flag in sorted(self._alarms - alarms):
+            self.events.append(LiveEvent(now, "alarm", f"{FLAGS[flag]}: over"))
+        self._state, self._link, self._alarms = state, link, alarms

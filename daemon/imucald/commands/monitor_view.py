@@ -1,0 +1,116 @@
+"""The picture of `imucald monitor`: bars of the intervals, inputs, events, at any width."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from imucald.commands.live_events import LiveEvent
+from imucald.commands.mount_view import mount_parts
+from imucald.commands.status_view import facts, headline
+
+BESIDE = 120
+"""Columns from which inputs and events stand side by side."""
+BESIDE_INPUTS = 50
+LEAST_EVENTS = 3
+TABLE_COLUMNS = 47
+"""Columns of the mount table without its bars."""
+LONGEST_BAR, SHORTEST_BAR = 48, 12
+FACTS = ("now", "losses", "rejected", "process")
+KIND_STYLES = {
+    "alarm": "red",
+    "fault": "red",
+    "moved": "bold red",
+    "bus": "yellow",
+    "state": "cyan",
+}
+
+
+def monitor_picture(
+    status: Mapping[str, Any], events: Sequence[LiveEvent], console: Console, foot: Text
+) -> Group:
+    """Return the picture for a terminal: the newest events fill what is left of its height."""
+    width, height = console.size
+    bar = min(max(width - TABLE_COLUMNS, SHORTEST_BAR), LONGEST_BAR)
+    mount = Group(*mount_parts(status["mount"], status["waiting_for"], bar))
+    top: list[RenderableType] = [headline(status), Padding(mount, (1, 0))]
+    inputs: RenderableType = inputs_table(status)
+    below: list[RenderableType] = [Padding(facts(status, FACTS), (1, 0, 0, 0)), foot]
+    if width >= BESIDE:
+        left = height - _lines(console, *top, *below)
+        rows = max(left, _lines(console, inputs))
+        shown = _fitting(console, events, rows, width - BESIDE_INPUTS)
+        grid = Table.grid(padding=(0, 4))
+        grid.add_column(width=BESIDE_INPUTS - 4)
+        grid.add_column(ratio=1)
+        grid.add_row(inputs, events_table(shown))
+        return Group(*top, grid, *below)
+    left = height - _lines(console, *top, inputs, *below) - 1
+    if left < LEAST_EVENTS:  # a low terminal: what comes in as one line, and no figures
+        inputs = Text(_short(status))
+        below = [foot]
+        left = height - _lines(console, *top, inputs, *below) - 1
+    shown = _fitting(console, events, max(left, LEAST_EVENTS), width)
+    return Group(*top, inputs, Padding(events_table(shown), (1, 0, 0, 0)), *below)
+
+
+def _lines(console: Console, *parts: RenderableType) -> int:
+    return sum(len(console.render_lines(part)) for part in parts)
+
+
+def _fitting(
+    console: Console, events: Sequence[LiveEvent], rows: int, width: int
+) -> list[LiveEvent]:
+    """The newest events whose table has at most so many rows."""
+    options = console.options.update(width=width)
+    shown = list(events)[-rows:]
+    while shown and len(console.render_lines(events_table(shown), options)) > rows:
+        del shown[0]
+    return shown
+
+
+def _short(status: Mapping[str, Any]) -> str:
+    rows = status["signals"].items()
+    return "inputs  " + (", ".join(f"{c} {row['rate_hz'] or 0:.4g}/s" for c, row in rows) or "none")
+
+
+def inputs_table(status: Mapping[str, Any]) -> Table:
+    """What comes in: rate, samples so far, health."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("input")
+    table.add_column("rate", justify="right")
+    table.add_column("samples", justify="right")
+    table.add_column("health")
+    for channel, row in status["signals"].items():
+        words, style = input_health(status, channel, row["rate_hz"])
+        rate = "-" if row["rate_hz"] is None else f"{row['rate_hz']:.4g}/s"
+        table.add_row(channel, rate, str(row["samples"]), Text(words, style=style))
+    if not status["signals"]:
+        table.add_row("nothing yet", "", "", "")
+    return table
+
+
+def input_health(status: Mapping[str, Any], channel: str, rate: float | None) -> tuple[str, str]:
+    """How an input is, in words and as a style."""
+    faults = status["signal_health"]["sensors"].get(channel)
+    if faults:
+        words = ", ".join(f"{fault} ({', '.join(axes)})" for fault, axes in faults.items())
+        return words, "bold red"
+    if not rate:
+        return "silent", "red"
+    return ("sound" if faults is not None else "comes"), "green"
+
+
+def events_table(events: Sequence[LiveEvent]) -> Table:
+    """Events by time of day."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("time", style="dim", no_wrap=True)
+    table.add_column("event", overflow="fold")
+    for event in events:
+        table.add_row(event.clock, Text(event.text, style=KIND_STYLES.get(event.kind, "")))
+    return table

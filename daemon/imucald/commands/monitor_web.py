@@ -1,0 +1,258 @@
+"""`imucald monitor --web`: the monitor as one page, served to this machine only.
+
+The server asks the daemon's status socket once a second, keeps a history for the chart, and answers
+GET requests on 127.0.0.1. It takes no orders. A page of another site cannot read it: the host
+name that the browser asked for must be this machine's (against DNS rebinding), and nothing allows
+other origins.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from imucald.commands.live_events import LiveEvents
+from imucald.commands.monitor_view import input_health
+from imucald.core.angles import DEG_PER_RAD
+from imucald.core.errors import ImucaldError, LinkError
+from imucald.core.rotations import Matrix3, rows_from_quaternion, vector_from_rotation
+from imucald.mount.estimate import ANGLES
+from imucald.mount.mount_words import ABOUT, SD_95, half_width, is_trouble, reasons
+from imucald.report.drawing import STYLE, view_drawings
+from imucald.service.status import ask
+
+if TYPE_CHECKING:
+    from aiohttp import web
+
+ADDRESS = "127.0.0.1"
+PERIOD_S = 1.0
+HISTORY = 3600
+"""Seconds that the chart goes back: an hour."""
+POINTS = 400
+"""Of them so many are drawn."""
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; connect-src 'self'; "
+    "style-src 'unsafe-inline'; script-src 'self'; img-src data:",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+
+
+@dataclass(frozen=True)
+class _Point:
+    """One second: wall clock [s], the mount's quaternion, half intervals about x, y, z [deg]."""
+
+    t: float
+    quaternion: Sequence[float] | None
+    halves: tuple[float | None, ...]
+
+
+class LiveState:
+    """What the page shows: the newest status, the history, the events."""
+
+    def __init__(self, note: str = "") -> None:
+        self._note = note
+        self._status: dict[str, Any] | None = None
+        self._trouble = ""
+        self._events = LiveEvents()
+        self._history: deque[_Point] = deque(maxlen=HISTORY)
+
+    def update(self, status: dict[str, Any], now: float) -> None:
+        """Take a status at wall clock `now` [s]."""
+        self._status, self._trouble = status, ""
+        self._events.update(status, now)
+        mount = status["mount"]
+        halves = tuple(half_width(mount["std_deg"][axis]) for axis in "xyz")
+        self._history.append(_Point(now, mount["quaternion_wxyz"], halves))
+
+    def fail(self, text: str) -> None:
+        """The daemon did not answer."""
+        self._trouble = text
+
+    def page(self) -> dict[str, Any]:
+        """Everything that the page needs, as JSON can carry it."""
+        status = self._status
+        if status is None:
+            return {"trouble": self._trouble or "no answer yet"}
+        mount = status["mount"]
+        return {
+            "trouble": self._trouble,
+            "note": self._note,
+            "state": status["state"],
+            "version": status["version"],
+            "channel": status["link"]["channel"],
+            "link": status["link"]["state"],
+            "vehicle": status["vehicle"],
+            "uptime_s": status["uptime_s"],
+            "first_usable_s": status["first_usable_s"],
+            "first_fine_s": status["first_fine_s"],
+            "sits": mount.get("sits"),
+            "steep": mount.get("steep"),
+            "convention": ABOUT,
+            "mount": [_angle(mount, n, a) for n, a in zip(ANGLES, "xyz", strict=True)],
+            "reasons": [
+                {"who": who, "text": text, "trouble": is_trouble(text)}
+                for who, text in reasons(status["waiting_for"])
+            ],
+            "inputs": [_input(status, c, row) for c, row in status["signals"].items()],
+            "rejected": status["frames"]["rejected"],
+            "frames": {
+                "used": status["frames"]["used"], "given_out": status["frames_given_out"],
+                "lost": status["link"]["lost"], "conflicts": status["link"]["conflicts"],
+                "not_sent": sum(status["link"]["send_errors"].values()),
+            },
+            "events": [
+                {"at": e.clock, "t": e.at, "kind": e.kind, "text": e.text}
+                for e in self._events.events
+            ],
+            "views": view_drawings(_rotation(mount)),
+            "drawing_style": STYLE,
+            "history": _history(self._history),
+        }  # fmt: skip
+
+
+def _history(points: Sequence[_Point]) -> dict[str, Any]:
+    """How each estimate is turned from the newest about the vehicle's axes, and its interval.
+
+    In degrees, so that the chart is true near 90 deg of pitch too; null where not known.
+    """
+    shown = list(points)[:: -(-len(points) // POINTS) or 1]
+    if points and shown[-1] is not points[-1]:
+        shown.append(points[-1])
+    end = points[-1].quaternion if points else None
+    off = [_turned(p.quaternion, end) for p in shown]
+    return {
+        "t": [round(p.t, 1) for p in shown],
+        **{
+            name: {
+                "off": [o[i] for o in off],
+                "half": [p.halves[i] for p in shown],
+            }
+            for i, name in enumerate(ANGLES)
+        },
+    }
+
+
+def _turned(q: Sequence[float] | None, end: Sequence[float] | None) -> Sequence[float | None]:
+    """The rotation vector [deg] from the mount `end` to the mount `q`."""
+    if q is None or end is None:
+        return None, None, None
+    turned = vector_from_rotation(_matrix(q) @ _matrix(end).T)
+    return [round(float(x) * DEG_PER_RAD, 4) for x in turned]
+
+
+def _matrix(quaternion: Sequence[float]) -> Matrix3:
+    w, x, y, z = quaternion
+    return np.array(rows_from_quaternion((w, x, y, z))).reshape(3, 3)
+
+
+def _angle(mount: Mapping[str, Any], name: str, axis: str) -> dict[str, Any]:
+    half, targets = half_width(mount["std_deg"][axis]), mount.get("target_std_deg")
+    goals = {} if targets is None else {goal: SD_95 * of[axis] for goal, of in targets.items()}
+    value = mount[f"{name}_deg"] if half is not None else None
+    return {"name": name, "value": value, "half": half, "targets": goals}
+
+
+def _input(status: Mapping[str, Any], channel: str, row: Mapping[str, Any]) -> dict[str, Any]:
+    words, style = input_health(status, channel, row["rate_hz"])
+    return {
+        "name": channel,
+        "rate": row["rate_hz"],
+        "samples": row["samples"],
+        "health": words,
+        "good": style == "green",
+    }
+
+
+def _rotation(mount: Mapping[str, Any]) -> Matrix3 | None:
+    q = mount["quaternion_wxyz"]
+    if q is None or half_width(mount["std_deg"]["z"]) is None:
+        return None
+    return _matrix(q)
+
+
+def serve(path: Path, port: int, seconds: float, note: str) -> None:
+    """Serve the page until Ctrl-C, or for so many seconds. Raises ImucaldError."""
+    try:
+        import aiohttp  # noqa: F401 - an extra: without it there is a remedy to be told
+    except ImportError:
+        text = "--web needs aiohttp: install the extra, pip install 'imucald[live]'"
+        raise ImucaldError(text) from None
+    with contextlib.suppress(KeyboardInterrupt):
+        asyncio.run(_serve(path, port, seconds, LiveState(note)))
+
+
+async def _serve(path: Path, port: int, seconds: float, state: LiveState) -> None:
+    from aiohttp import web
+
+    runner = web.AppRunner(application(state), access_log=None)
+    await runner.setup()
+    try:
+        try:
+            await web.TCPSite(runner, ADDRESS, port).start()
+        except OSError as error:
+            reason = error.strerror or error
+            text = f"{ADDRESS}:{port} cannot be opened: {reason}; --web takes another port"
+            raise ImucaldError(text) from None
+        _, real_port = runner.addresses[0][:2]
+        print(f"http://{ADDRESS}:{real_port}   Ctrl-C ends", flush=True)
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            await _ask(path, state)
+            await asyncio.sleep(PERIOD_S)
+    finally:
+        await runner.cleanup()
+
+
+async def _ask(path: Path, state: LiveState) -> None:
+    try:
+        status = json.loads(await asyncio.to_thread(ask, path, "status"))
+        state.update(status, time.time())
+    except (LinkError, ValueError) as error:
+        state.fail(str(error))
+
+
+def application(state: LiveState) -> web.Application:
+    """Return the server: `/`, `/monitor.js`, `/live`; nothing else, and only to read."""
+    from aiohttp import web
+
+    pages = resources.files("imucald.report") / "templates"
+
+    @web.middleware
+    async def guarded(
+        request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
+        host = request.host.rpartition(":")[0] or request.host
+        if host not in (ADDRESS, "localhost"):
+            raise web.HTTPForbidden(text="this page is for this machine only\n")
+        response = await handler(request)
+        response.headers.update(HEADERS)
+        return response
+
+    async def page(_: web.Request) -> web.Response:
+        text = (pages / "monitor.html").read_text("utf-8")
+        return web.Response(text=text, content_type="text/html")
+
+    async def script(_: web.Request) -> web.Response:
+        text = (pages / "monitor.js").read_text("utf-8")
+        return web.Response(text=text, content_type="text/javascript")
+
+    async def live(_: web.Request) -> web.Response:
+        return web.json_response(state.page())
+
+    app = web.Application(middlewares=[guarded])
+    app.router.add_get("/", page)
+    app.router.add_get("/monitor.js", script)
+    app.router.add_get("/live", live)
+    return app

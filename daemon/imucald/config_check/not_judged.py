@@ -1,0 +1,27 @@
+"""Configured quantities of which a recording shows nothing but their range, for `imucald check`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+from imucald.config_check.finding import Finding
+from imucald.config_check.source import SI_UNITS, QuantitySource
+
+_FLAG = SI_UNITS["flag"]
+
+
+def not_judged(rows: Sequence[QuantitySource], found: Iterable[Finding]) -> Iterator[Finding]:
+    """One note for all quantities that came and that no finding speaks of."""
+    judged = {f.quantity.partition(".")[0] for f in found}
+    left: dict[str, str] = {}
+    for row in rows:
+        name = row.quantity.partition(".")[0]
+        values = row.statistics.si
+        if name not in judged and values.count:
+            is_flag = row.statistics.conversion.unit.dimension == "flag"
+            same = values.least == values.largest
+            word = (" (never on)", " (always on)")[values.least > 0.5] if is_flag and same else ""
+            left.setdefault(name, name + word)
+    if left:
+        text = f"not checked, but for units and ranges: {', '.join(left.values())}"
+        yield Finding("note", "check", text)

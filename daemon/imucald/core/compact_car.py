@@ -1,0 +1,15 @@
+"""The compact passenger car that is assumed where nothing is known about the vehicle.
+
+Assumptions of the size of cars of the C segment (wheelbase 2.6 to 2.7 m, track about 1.5 m,
+steering ratio 14 to 17). The defaults of `vehicle:` and those of the model file are these.
+"""
+
+WHEELBASE = 2.68
+"""[m]"""
+TRACK = 1.53
+"""[m]"""
+STEERING_RATIO = 15.5
+"""Steering-wheel angle over road-wheel angle."""
+UNDERSTEER = 0.0025
+"""K in r = v * delta / (n * L * (1 + K v^2 / L)) [rad/(m/s^2)]: 1.4 deg/g, a passenger car
+(Gillespie, Fundamentals of Vehicle Dynamics, ch. 6: some 1 to 4 deg/g)."""

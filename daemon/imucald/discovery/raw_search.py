@@ -1,0 +1,188 @@
+"""A speed and a steering angle among bytes that no database describes.
+
+Speeds are fields that are one another but for a factor: wheels, transmission, display. The steering
+angle is what goes with the difference of two wheels over their speed, the curvature. Where an
+accelerometer is known it gives the speed's scale. Nothing here is sure: all of it is offered only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from imucald.discovery.candidates import Array, SeenSignal
+from imucald.discovery.evidence import Relation, relation
+from imucald.discovery.proposal import Alternative, Choice, Proposed
+from imucald.discovery.reference import KnownMotion, response
+from imucald.discovery.scalars import SAME_MOTION
+
+ROLL_TOGETHER = 0.995
+"""Correlation of two speeds of one vehicle."""
+NO_OFFSET = 0.02
+"""Part of its range that a speed may be off zero where another one is zero."""
+USUAL_KMH = (0.01, 1.0 / 64.0, 0.05625, 0.1, 1.0 / 256.0, 0.05, 0.02, 1.0)
+"""Scales that makers use for a speed [km/h]."""
+TOP_SPEED = (8.0, 250.0)
+"""What a drive's highest speed may be [km/h]."""
+TRACK, STEERING_METRES = 1.55, 40.0
+"""A passenger car's [m]: for a scale that is right within a third."""
+MAX_OFFERS = 3
+
+
+def raw_choices(
+    fields: Sequence[SeenSignal], reference: KnownMotion, wanted: set[str]
+) -> list[Choice]:
+    """Offers of `speed` and `steering_wheel_angle`, as far as they are wanted; none is active."""
+    found = []
+    if "speed" in wanted:
+        choice = _speed(fields, reference)
+        if choice is not None:
+            found.append(choice)
+    if "steering_wheel_angle" in wanted:
+        choice = _steering(fields, reference)
+        if choice is not None:
+            found.append(choice)
+    return found
+
+
+def _offer(quantity: str, offers: list[tuple[Proposed, str]], why: str) -> Choice | None:
+    if not offers:
+        return None
+    others = [Alternative({"": source}, text) for source, text in offers[:MAX_OFFERS]]
+    return Choice(quantity, {}, "no database describes it; bytes that behave like it", why, others)
+
+
+def _speed(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | None:
+    triad, up = reference.accelerometer, reference.up
+    if triad is not None and up is not None:
+        fits = []
+        for c in fields:
+            one = response(c, triad, up)
+            if one is not None and one[0].is_believed and one[0].explained >= SAME_MOTION:
+                fits.append((one[0], c))
+        fits.sort(key=lambda f: -f[0].explained)
+        return _offer(
+            "speed",
+            [
+                (_scaled(c, "km/h", _usual(3.6 * r.gain, USUAL_KMH)),
+                 f"its changes show in the accelerometer (correlation {r.correlation:.2f})")
+                for r, c in fits
+            ],
+            "bytes by their motion alone",
+        )  # fmt: skip
+    groups = speed_groups(fields)
+    if not groups:
+        return None
+    best = groups[0]
+    return _offer(
+        "speed",
+        [
+            (
+                _scaled(c, "km/h", _plausible_scale(c)),
+                f"{len(best)} fields are this but for a factor",
+            )
+            for c in best
+        ],
+        "the scale is a guess: hold the highest speed against what you drove",
+    )
+
+
+def speed_groups(fields: Sequence[SeenSignal]) -> list[list[SeenSignal]]:
+    """Fields that are one another but for a factor, and zero together; the largest group first."""
+    rolling = [c for c in fields if _rests_at_its_least(c)]
+    left, groups = list(rolling), []
+    while left:
+        first = left.pop(0)
+        group = [first, *(c for c in left if _is_same_but_for_a_factor(first, c))]
+        left = [c for c in left if c not in group]
+        if len(group) > 1:
+            groups.append(group)
+    # a speed is sent in more than one message, or by four wheels; the most members win
+    return sorted(groups, key=lambda g: (-len({c.message.name for c in g}) - len(g), g[0].cycle))
+
+
+def _rests_at_its_least(c: SeenSignal) -> bool:
+    """Whether a field never goes far below its first percent: an angle goes both ways."""
+    known = c.x[np.isfinite(c.x)]
+    return bool(len(known)) and c.least <= 0.1 * c.largest
+
+
+def _is_same_but_for_a_factor(a: SeenSignal, b: SeenSignal) -> bool:
+    rows = np.isfinite(a.smooth) & np.isfinite(b.smooth)
+    if np.count_nonzero(rows) < 100:
+        return False
+    x, y = a.smooth[rows], b.smooth[rows]
+    if not (x.std() > 0.0 and y.std() > 0.0) or np.corrcoef(x, y)[0, 1] < ROLL_TOGETHER:
+        return False
+    slope, offset = np.polyfit(x, y, 1)
+    return bool(slope > 0.0 and abs(offset) < NO_OFFSET * b.largest)
+
+
+def _plausible_scale(c: SeenSignal) -> float:
+    low, high = TOP_SPEED
+    return next((s for s in USUAL_KMH if low < s * c.largest < high), USUAL_KMH[0])
+
+
+def _usual(scale: float, usual: Sequence[float]) -> float:
+    """The usual scale within a fifth, else two digits of the found one."""
+    nearest = min(usual, key=lambda u: abs(np.log(u / scale)))
+    return nearest if 0.8 < nearest / scale < 1.25 else float(f"{scale:.2g}")
+
+
+def _scaled(c: SeenSignal, unit: str, scale: float, offset: float = 0.0) -> Proposed:
+    assert c.raw is not None, "only raw fields are offered"
+    value = str(c.raw["value"])
+    if scale != 1.0:
+        value = f"({value}) * {scale:.6g}"
+    if offset:
+        value += f" {'-' if offset < 0.0 else '+'} {abs(offset):.6g}"
+    return Proposed(raw={**c.raw, "value": value}, unit=unit, channel=c.own_channel)
+
+
+def _steering(fields: Sequence[SeenSignal], reference: KnownMotion) -> Choice | None:
+    curvature, what = reference.curvature, "the curvature"
+    used: set[str] = set()
+    if curvature is None:
+        curvature, used = _curvature_of_wheels(fields)
+        what = "the difference of two wheels over their speed"
+    if curvature is None:
+        return None
+    fits: list[tuple[Relation, SeenSignal]] = []
+    for c in fields:
+        found = relation(curvature, c.smooth)
+        if c.path not in used and found.is_believed and found.explained >= SAME_MOTION:
+            fits.append((found, c))
+    fits.sort(key=lambda f: -f[0].explained)
+    offers = []
+    for found, c in fits:
+        rows = np.isfinite(curvature) & np.isfinite(c.smooth)
+        straight = float(np.polyfit(curvature[rows], c.smooth[rows], 1)[1])
+        scale = _usual(
+            float(np.degrees(STEERING_METRES)) / found.gain, (0.1, 0.01, 0.05, 1 / 16, 0.5, 1.0)
+        )
+        source = _scaled(c, "deg", scale, -round(scale * straight, 1))
+        if found.sign < 0:
+            source = replace(source, sign=-1)
+        offers.append((source, f"goes with {what} (correlation {found.correlation:+.2f})"))
+    return _offer(
+        "steering_wheel_angle", offers,
+        "scale and zero are guesses for a passenger car; to the left it must grow",
+    )  # fmt: skip
+
+
+def _curvature_of_wheels(fields: Sequence[SeenSignal]) -> tuple[Array | None, set[str]]:
+    """Curvature [1/m] from two neighbouring wheels of a message; without left and right known."""
+    for group in speed_groups(fields):
+        by_message: dict[str, list[SeenSignal]] = {}
+        for c in group:
+            by_message.setdefault(c.message.name, []).append(c)
+        for wheels in by_message.values():
+            if len(wheels) < 2:
+                continue
+            left, right = wheels[0].smooth, wheels[1].smooth
+            mean = 0.5 * (left + right)
+            fast = np.where(mean > 0.15 * np.nanmax(mean), mean, np.nan)
+            return (right - left) / fast / TRACK, {c.path for c in group}
+    return None, set()

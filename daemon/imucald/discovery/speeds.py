@@ -1,0 +1,98 @@
+"""Which of several speeds is the vehicle's.
+
+A speedometer may show up to a tenth and 4 km/h more (UN Regulation 39), and its changes show in the
+accelerometer as well as the true ones do. The wheels tell them apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from imucald.discovery.candidates import Array, SeenSignal
+from imucald.discovery.evidence import choose_unit, is_better, relation
+from imucald.discovery.names import hint
+from imucald.discovery.reference import SpeedFit, stated_unit
+from imucald.discovery.scalars import SAME_MOTION
+
+NEAR_WHEELS = 0.04
+"""Part by which a speed may differ from the mean of the wheels: worn and wrong tyres, slip."""
+ONE_UNIT = 0.2
+"""The same within which it is in the wheels' unit."""
+
+
+def wheel_mean(wheels: Sequence[SeenSignal] | None) -> Array | None:
+    """(n,) mean speed of the wheels [m/s]; None where they state no unit."""
+    unit = stated_unit(wheels[0], "speed") if wheels else None
+    if unit is None or wheels is None:
+        return None
+    return np.asarray(np.column_stack([c.smooth for c in wheels]).mean(axis=1) * unit.factor)
+
+
+def apart_from(fit: SpeedFit, mean: Array) -> float:
+    """How far a speed is from the wheels', as a part of it (rms)."""
+    own = np.abs(fit.candidate.smooth * fit.unit.factor)
+    rows = np.isfinite(own) & np.isfinite(mean)
+    if np.count_nonzero(rows) < 50 or not mean[rows].any():
+        return np.inf
+    return float(np.sqrt(((own - mean)[rows] ** 2).mean() / (mean[rows] ** 2).mean()))
+
+
+def best_first(fits: list[SpeedFit], mean: Array | None) -> list[SpeedFit]:
+    """Those near the wheels first, then stated units, then what explains most.
+
+    Of what differs by chance the one that is named so, then the faster. Signals without a unit are
+    kept only where they share most of the motion.
+    """
+    fits = [f if mean is None else _in_wheels_unit(f, mean) for f in fits]
+    fits = [f for f in fits if f.unit.is_stated or f.relation.explained >= SAME_MOTION]
+
+    def rank(f: SpeedFit) -> tuple[bool, bool]:
+        return mean is not None and apart_from(f, mean) > NEAR_WHEELS, not f.unit.is_stated
+
+    fits = sorted(fits, key=lambda f: (*rank(f), -f.relation.explained))
+    if not fits:
+        return fits
+    first = fits[0]
+    equal = [
+        f for f in fits if rank(f) == rank(first) and not is_better(first.relation, f.relation)
+    ]
+    equal.sort(key=lambda f: (hint("speed", f.candidate) is None, f.candidate.cycle))
+    return equal + [f for f in fits if f not in equal]
+
+
+def _in_wheels_unit(fit: SpeedFit, mean: Array) -> SpeedFit:
+    """A speed without a unit in the one that makes it the wheels' speed."""
+    if fit.unit.is_stated:
+        return fit
+    found = relation(mean, fit.candidate.smooth)
+    if not found.low > 0.0:
+        return fit
+    low, high = (1.0 - ONE_UNIT) / found.gain, (1.0 + ONE_UNIT) / found.gain
+    unit = choose_unit("", "speed", low, high)
+    if unit is None:
+        return fit
+    as_wheels = replace(fit, unit=replace(unit, others=()))
+    return as_wheels if apart_from(as_wheels, mean) < ONE_UNIT else fit
+
+
+def speed_doubt(fits: list[SpeedFit], mean: Array | None) -> str:
+    """Why the first of some speeds is not sure; empty where it is."""
+    best = fits[0]
+    if not best.unit.is_sure:
+        return f"the database states no unit; {', '.join(best.unit.others)} would fit too"
+    if mean is not None:
+        apart = apart_from(best, mean)
+        if apart > ONE_UNIT:
+            return "the wheels say another speed"
+        return "" if best.unit.is_stated or apart < NEAR_WHEELS else "no unit is stated"
+    if not best.unit.is_stated and best.relation.explained < 0.5:
+        return "the database states no unit, and half of the accelerations are not explained"
+    own = np.abs(best.candidate.smooth * best.unit.factor)
+    for other in fits[1:]:
+        apart = apart_from(other, own)
+        if NEAR_WHEELS < apart < 2.0 * ONE_UNIT and not is_better(best.relation, other.relation):
+            return f"{other.candidate.path} is {100 * apart:.0f} % off it and fits as well"
+    return ""

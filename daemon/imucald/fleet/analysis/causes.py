@@ -1,0 +1,115 @@
+"""Faults over many vehicles, and drives that never became usable: counted by type."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import betabinom, binom, false_discovery_control
+
+MAX_Q = 0.05
+FEW_VEHICLES = 3
+"""A cause in fewer vehicles is not called a matter of design, however small their type is."""
+FIGURES = re.compile(r"\s*\([^)]*\)|\d+(\.\d+)?")
+UNKNOWN = "unknown"
+
+
+def cause_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Each cause of each type: how many vehicles have it, the shrunk rate, and the verdict.
+
+    A cause is "design" when more vehicles of the type have it than the rate among all other
+    vehicles explains (binomial tail, Benjamini-Hochberg over all), else "single vehicles". The
+    rate is shrunk to that of the fleet by a beta prior fitted to the types (empirical Bayes).
+    """
+    kind_of: dict[str, str] = {}
+    having: dict[str, set[str]] = defaultdict(set)
+    rows = zip(columns["vehicle"], columns["vehicle_type"], columns["causes"], strict=True)
+    for vehicle, kind, causes in rows:
+        kind_of[str(vehicle)] = str(kind or UNKNOWN)
+        for cause in json.loads(causes or "[]"):
+            having[cause].add(str(vehicle))
+    size = Counter(kind_of.values())
+    found = [
+        _counted(cause, kind, n, vehicles, kind_of, size)
+        for cause, vehicles in sorted(having.items())
+        for kind, n in sorted(Counter(kind_of[v] for v in vehicles).items())
+    ]
+    if found:
+        q = false_discovery_control([row["p"] for row in found])
+        for row, value in zip(found, q, strict=True):
+            row["q"] = float(value)
+            many = row["vehicles_with"] >= FEW_VEHICLES and row["q"] <= MAX_Q
+            row["verdict"] = "design" if many else "single vehicles"
+    return found
+
+
+def _counted(
+    cause: str,
+    kind: str,
+    n: int,
+    vehicles: set[str],
+    kind_of: Mapping[str, str],
+    size: Counter[str],
+) -> dict[str, Any]:
+    others = len(kind_of) - size[kind]
+    elsewhere = len(vehicles) - n
+    # half a vehicle more than was seen: a rate of nothing would make any single fault a design
+    background = (elsewhere + 0.5) / (others + 1.0)
+    by_kind = Counter(kind_of[v] for v in vehicles)
+    a, b = _beta_prior([by_kind[k] for k in sorted(size)], [size[k] for k in sorted(size)])
+    return {
+        "vehicle_type": kind,
+        "cause": cause,
+        "vehicles_with": n,
+        "vehicles": size[kind],
+        "rate": n / size[kind],
+        "rate_shrunk": (n + a) / (size[kind] + a + b),
+        "rate_elsewhere": elsewhere / others if others else None,
+        "p": float(binom.sf(n - 1, size[kind], background)),
+    }
+
+
+def _beta_prior(counts: Sequence[int], sizes: Sequence[int]) -> tuple[float, float]:
+    """Beta prior with the mean rate of all types, and the strength that makes them most likely."""
+    rate = (sum(counts) + 0.5) / (sum(sizes) + 1.0)
+    strengths = np.geomspace(1.0, 1000.0, 40)
+    likely = [betabinom.logpmf(counts, sizes, s * rate, s * (1.0 - rate)).sum() for s in strengths]
+    best = float(strengths[int(np.argmax(likely))])
+    return best * rate, best * (1.0 - rate)
+
+
+def never_usable_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Drives that never became usable, by type and by what the first open angle waited for."""
+    drives: Counter[tuple[str, str]] = Counter()
+    vehicles: dict[tuple[str, str], set[str]] = defaultdict(set)
+    total: Counter[str] = Counter()
+    names = (
+        "vehicle",
+        "vehicle_type",
+        "first_usable_s",
+        "waiting_roll",
+        "waiting_pitch",
+        "waiting_yaw",
+    )
+    for vehicle, kind, usable, *waiting in zip(*(columns[n] for n in names), strict=True):
+        kind_name = str(kind or UNKNOWN)
+        total[kind_name] += 1
+        if usable is None:
+            text = next((w for w in waiting if w), "not told")
+            reason = re.sub(r"\s+", " ", FIGURES.sub("", text)).strip()
+            drives[kind_name, reason] += 1
+            vehicles[kind_name, reason].add(str(vehicle))
+    return [
+        {
+            "vehicle_type": kind,
+            "reason": reason,
+            "drives": n,
+            "vehicles": len(vehicles[kind, reason]),
+            "share": n / total[kind],
+        }
+        for (kind, reason), n in sorted(drives.items(), key=lambda item: (-item[1], item[0]))
+    ]

@@ -1,0 +1,183 @@
+"""Remounts between drives, over all vehicles, with the false-discovery rate held."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+from scipy.stats import false_discovery_control
+
+from imucald.fleet.analysis.components import VarianceComponent, between_drives, robust_variance
+from imucald.fleet.analysis.known_drives import KnownDrives, between
+from imucald.fleet.analysis.segments import candidates, means
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+MAX_Q = 0.05
+"""Of what is told as found, such a share is false in expectation (Benjamini and Hochberg 1995)."""
+ROUNDS = 3
+OWN_FREEDOM = 20
+"""A type with fewer differences between drives has the D of all types together."""
+FREEDOMS = (5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
+"""Tails of the null distribution that are tried. A few hundred pairs of drives cannot tell a t
+distribution of 30 freedoms from a normal one, but thresholds of p = 0.002 feel the difference: so
+normal tails are never taken for granted. Chosen on simulated fleets (seeds from 1000) by
+`python -m benchmarks.fleet --only statistics`."""
+
+
+@dataclass(frozen=True)
+class Remounts:
+    """Candidates: index of the first drive after, turn (k, 3) [deg], covariance, p, q; and found.
+
+    D: (kinds, 3) variance between drives [deg^2], components by type and axis. scale: by how much
+    variances are larger than stated (1: as stated). segment: (n,) of each drive,
+    ascending over all vehicles.
+    """
+
+    drive: Index
+    turn: Array
+    covariance: Array
+    p: Array
+    q: Array
+    D: Array
+    components: list[list[VarianceComponent]]
+    scale: float
+    segment: Index
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Which candidates are remounts."""
+        return self.q <= MAX_Q
+
+
+def find_remounts(drives: KnownDrives) -> Remounts:
+    """Look for remounts in all vehicles; D is learnt on the way from what is none."""
+    e = between(drives.rotation, drives.rotation[drives.first[drives.vehicle]])
+    D = np.tile(_first_D(e, drives), (len(drives.kinds), 1))
+    components: list[list[VarianceComponent]] = []
+    found, null = None, Null()
+    for _ in range(ROUNDS):
+        found = _cuts(e, drives, D, null)
+        null = _null(e, drives, D, found.drive[found.found])
+        components = _components(e, drives, found.segment)
+        D = np.array([[axis.value for axis in kind] for kind in components]).reshape(-1, 3)
+    assert found is not None
+    return replace(found, D=D, components=components)
+
+
+def _pairs(drives: KnownDrives) -> Index:
+    """Index of each drive that follows another of its vehicle."""
+    return np.flatnonzero(np.diff(drives.vehicle, prepend=-1) == 0).astype(np.int64)
+
+
+def _first_D(e: Array, drives: KnownDrives) -> Array:
+    """D by the median of what drives in turn differ by, which remounts do not move much."""
+    after = _pairs(drives)
+    squares = (e[after] - e[after - 1]) ** 2
+    P = np.diagonal(drives.P, axis1=1, axis2=2)
+    known = P[after] + P[after - 1]
+    return np.array([robust_variance(squares[:, a] / 2, known[:, a] / 2) for a in range(3)])
+
+
+def weights(drives: KnownDrives, D: Array, scale: float = 1.0) -> Array:
+    """Inverse covariances (n, 3, 3) of single drives about their vehicle's mount [1/deg^2]."""
+    V = drives.P + D[drives.kind[drives.vehicle]][:, :, None] * np.eye(3)
+    return np.asarray(np.linalg.inv(scale * V))
+
+
+@dataclass(frozen=True)
+class Null:
+    """What squares of differences of two single drives are without a remount: an empirical null.
+
+    square / (3 * scale) is of an F distribution with 3 and `freedom` freedoms: claimed deviations
+    hold on the whole and have heavier tails than normal.
+    """
+
+    scale: float = 1.0
+    freedom: float = 1000.0
+
+    @property
+    def widening(self) -> float:
+        """By how much variances are larger than stated; never below 1."""
+        return max(1.0, self.scale * self.freedom / (self.freedom - 2.0))
+
+    def p(self, squares: Array, before: Index, after: Index) -> Array:
+        """p of squares of differences of means of so many drives.
+
+        A mean is nearer to normal than one drive: its fourth cumulant goes with 1 / n^3.
+        """
+        a, b = 1.0 / before, 1.0 / after
+        share = (a**3 + b**3) / (a + b) ** 2 / 0.5
+        freedom = 4.0 + (self.freedom - 4.0) / share
+        return np.asarray(f_distribution.sf(squares * freedom / (freedom - 2.0) / 3.0, 3, freedom))
+
+
+def _null(e: Array, drives: KnownDrives, D: Array, cuts: Index) -> Null:
+    """The null that makes differences of drives in turn most likely, found remounts left out."""
+    after = np.setdiff1d(_pairs(drives), cuts)
+    if len(after) < OWN_FREEDOM:
+        return Null()
+    V = np.linalg.inv(weights(drives, D))
+    d = e[after] - e[after - 1]
+    squares = np.einsum(
+        "ni,ni->n", d, np.linalg.solve(V[after] + V[after - 1], d[:, :, None])[..., 0]
+    )
+    best, found = -np.inf, Null()
+    for freedom in FREEDOMS:
+        for scale in np.geomspace(0.4, 4.0, 24):
+            x = squares / (3.0 * scale)
+            likely = float(f_distribution.logpdf(np.maximum(x, 1e-9), 3, freedom).sum())
+            likely -= len(x) * np.log(scale)
+            if likely > best:
+                best, found = likely, Null(float(scale), freedom)
+    return found
+
+
+def _cuts(e: Array, drives: KnownDrives, D: Array, null: Null) -> Remounts:
+    W = weights(drives, D, null.widening)
+    bounds = [*drives.first.tolist(), len(drives)]
+    cuts = [
+        start + cut
+        for start, stop in pairwise(bounds)
+        for cut in candidates(e[start:stop], W[start:stop])
+    ]
+    drive = np.array(cuts, dtype=np.int64)
+    segment = _segments(drives, drive)
+    mean, covariance = means(e, W, segment)
+    after = segment[drive]
+    turn = mean[after] - mean[after - 1]
+    spread = covariance[after] + covariance[after - 1]
+    squares = np.einsum("ki,ki->k", turn, np.linalg.solve(spread, turn[:, :, None])[..., 0])
+    count = np.bincount(segment)
+    p = null.p(squares, count[after - 1], count[after])
+    # each pair of drives in turn is a hypothesis: those that are no candidates have p = 1
+    padded = np.ones(max(len(_pairs(drives)), len(p)))
+    padded[: len(p)] = p
+    q = false_discovery_control(padded)[: len(p)] if len(padded) else p
+    segment = _segments(drives, drive[q <= MAX_Q])
+    return Remounts(drive, turn, spread, p, q, D, [], null.widening, segment)
+
+
+def _segments(drives: KnownDrives, cuts: Index) -> Index:
+    """Segment of each drive, ascending: a new one at each vehicle and each cut."""
+    begins = np.zeros(len(drives), dtype=np.int64)
+    begins[drives.first] = 1
+    begins[cuts] = 1
+    return np.asarray(np.cumsum(begins) - 1, dtype=np.int64)
+
+
+def _components(e: Array, drives: KnownDrives, segment: Index) -> list[list[VarianceComponent]]:
+    """D by type and axis; of all types together where a type shows too little."""
+    kind = drives.kind[drives.vehicle]
+    P = np.diagonal(drives.P, axis1=1, axis2=2)
+    pooled = [between_drives(e[:, a], P[:, a], segment) for a in range(3)]
+    found = []
+    for k in range(len(drives.kinds)):
+        mine = kind == k
+        own = [between_drives(e[mine, a], P[mine, a], segment[mine]) for a in range(3)]
+        found.append(own if own[0].freedom >= OWN_FREEDOM else pooled)
+    return found

@@ -1,0 +1,75 @@
+"""A vehicle's drives in segments between which its sensor was moved.
+
+Optimal partitioning (Jackson et al., IEEE Signal Processing Letters 12, 2005): the partition whose
+chi-square plus a penalty for each cut is least. Cuts are candidates only; which of them are
+remounts is decided over all vehicles together (`remounts`).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+CANDIDATE_P = 0.05
+"""A vehicle without a remount gets a candidate so often."""
+
+
+def candidates(e: Array, W: Array) -> list[int]:
+    """Cuts (index of the first drive after each) of one vehicle.
+
+    e: (n, 3) rotation vectors [deg]. W: (n, 3, 3) inverse covariances of single drives [1/deg^2].
+    """
+    n = len(e)
+    if n < 2:
+        return []
+    penalty = _penalty(n)
+    We = np.einsum("nij,nj->ni", W, e)
+    sums = (
+        _from_zero(W),
+        _from_zero(We),
+        _from_zero(np.einsum("ni,ni->n", e, We)),
+    )
+    best = np.zeros(n + 1)
+    best[0] = -penalty
+    before = np.zeros(n + 1, dtype=np.int64)
+    for end in range(1, n + 1):
+        total = best[:end] + _costs(sums, end) + penalty
+        before[end] = int(np.argmin(total))
+        best[end] = total[before[end]]
+    cuts = []
+    place = int(before[n])
+    while place > 0:
+        cuts.append(place)
+        place = int(before[place])
+    return cuts[::-1]
+
+
+@cache
+def _penalty(n: int) -> float:
+    """Chi-square that the best of the n - 1 cuts of a vehicle without a remount seldom reaches."""
+    return float(chi2.isf(CANDIDATE_P / (n - 1), 3))
+
+
+def _from_zero(values: Array) -> Array:
+    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+
+
+def _costs(sums: tuple[Array, Array, Array], end: int) -> Array:
+    """Chi-square about the mean of the drives a ... end - 1, for each a (end,)."""
+    W, We, eWe = (s[end] - s[:end] for s in sums)
+    mean = np.linalg.solve(W, We[:, :, None])[:, :, 0]
+    return np.asarray(eWe - np.einsum("ni,ni->n", We, mean))
+
+
+def means(e: Array, W: Array, segment: Index) -> tuple[Array, Array]:
+    """Weighted means (k, 3) and their covariances (k, 3, 3) of segments 0 ... k - 1, ascending."""
+    starts = np.flatnonzero(np.diff(segment, prepend=-1))
+    We = np.einsum("nij,nj->ni", W, e)
+    covariance = np.linalg.inv(np.add.reduceat(W, starts, axis=0))
+    return np.einsum("kij,kj->ki", covariance, np.add.reduceat(We, starts, axis=0)), covariance

@@ -1,0 +1,111 @@
+"""The columns of the tables that `fleet analyse` writes."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from imucald.fleet.columns import Column, floats, texts
+
+
+def _xyz(unit: str, meaning: str, form: str) -> tuple[Column, ...]:
+    """Three columns, about the vehicle's axes; form has {} for the axis."""
+    return floats(unit, meaning, *(form.format(axis) for axis in "xyz"))
+
+
+_QUATERNION = ("q_w", "q_x", "q_y", "q_z")
+_ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
+_MOUNT = (
+    *floats("", "mount as a unit quaternion, R_vehicle_from_sensor", *_QUATERNION),
+    *floats("deg", "mount as intrinsic Z-Y-X angles", *_ANGLES),
+    *_xyz("deg", "half of its 95 % interval, crown included", "ci95_{}_deg"),
+)
+_TEST = (
+    *floats("", "chance of so much without a cause", "p"),
+    *floats("", "share of false ones among all with a q so small", "q"),
+)
+
+ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
+    "analysis/types": (
+        *texts(vehicle_type="model of the vehicle"),
+        Column("vehicles", "integer", "", "with a known mount"),
+        Column("drives", "integer", "", "with a known mount"),
+        *_MOUNT,
+        *_xyz("deg", "spread from vehicle to vehicle (T)", "tau_{}_deg"),
+        *_xyz("deg", "lower end of its 95 % interval", "tau_low_{}_deg"),
+        *_xyz("deg", "upper end", "tau_high_{}_deg"),
+        *_xyz("deg", "spread from drive to drive (D)", "drive_{}_deg"),
+        *_xyz("deg", "lower end of its 95 % interval", "drive_low_{}_deg"),
+        *_xyz("deg", "upper end", "drive_high_{}_deg"),
+        *floats("deg", "of the road crown, common to all, in the roll intervals", "crown_std_deg"),
+    ),
+    "analysis/vehicles": (
+        *texts(
+            vehicle="name",
+            vehicle_type="as in drives",
+            sensor_serial="as in drives",
+            sensor_batch="as in drives",
+            firmware="as in drives",
+        ),
+        Column("drives", "integer", "", "with a known mount"),
+        Column("drives_unknown", "integer", "", "whose mount is not known"),
+        Column("segments", "integer", "", "between remounts"),
+        *_MOUNT,
+        *floats("", "the same shrunk to the type", *(f"shrunk_{name}" for name in _QUATERNION)),
+        *floats("deg", "the same shrunk to the type", *(f"shrunk_{name}" for name in _ANGLES)),
+        *_xyz("deg", "half of its 95 % interval, crown included", "shrunk_ci95_{}_deg"),
+        *_xyz("", "of the vehicle's own data; 1: not shrunk", "weight_{}"),
+        *_xyz("deg", "first segment beside its type, found batches taken out", "d_{}_deg"),
+        *_TEST,
+        Column("outlier", "flag", "", "stands out from its type"),
+    ),
+    "analysis/segments": (
+        *texts(vehicle="name"),
+        Column("segment", "integer", "", "0 is the first"),
+        Column("start", "time", "", "of its first drive"),
+        Column("end", "time", "", "of its last drive"),
+        *texts(first_log_key="its first drive", last_log_key="its last drive"),
+        Column("drives", "integer", "", "of the segment"),
+        *_MOUNT,
+    ),
+    "analysis/remounts": (
+        *texts(
+            vehicle="name", before_log_key="last drive before", after_log_key="first drive after"
+        ),
+        Column("before", "time", "", "end of the last drive before"),
+        Column("after", "time", "", "start of the first drive after"),
+        *_xyz("deg", "turn about the vehicle's axes", "d_{}_deg"),
+        *floats("deg", "its angle", "size_deg"),
+        *_TEST,
+        Column("found", "flag", "", "q is at most 5 %"),
+    ),
+    "analysis/groups": (
+        *texts(column="column of drives", name="the batch"),
+        Column("vehicles", "integer", "", "of the batch"),
+        Column("types", "integer", "", "in which it is beside other batches"),
+        *_xyz("deg", "beside other vehicles of its types", "d_{}_deg"),
+        *_xyz("deg", "half of its 95 % interval; the crown cancels", "ci95_{}_deg"),
+        *_TEST,
+        *texts(verdict="bad, ok, or too few"),
+    ),
+    "analysis/outliers": (
+        *texts(vehicle="name", vehicle_type="as in drives", sensor_batch="as in drives"),
+        *_xyz("deg", "first segment beside its type, found batches taken out", "d_{}_deg"),
+        *floats("deg", "its angle", "size_deg"),
+        *_TEST,
+    ),
+    "analysis/causes": (
+        *texts(vehicle_type="model of the vehicle", cause="fault, as in drives"),
+        Column("vehicles_with", "integer", "", "vehicles that have it"),
+        Column("vehicles", "integer", "", "of the type"),
+        *floats("", "share of vehicles", "rate", "rate_shrunk", "rate_elsewhere"),
+        *_TEST,
+        *texts(verdict="design or single vehicles"),
+    ),
+    "analysis/never_usable": (
+        *texts(vehicle_type="model of the vehicle", reason="what the first open angle waits for"),
+        Column("drives", "integer", "", "that never became usable"),
+        Column("vehicles", "integer", "", "that have such drives"),
+        *floats("", "of the type's drives", "share"),
+    ),
+}
+"""Each is written anew, as a whole, by every analysis."""

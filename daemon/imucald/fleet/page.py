@@ -1,0 +1,120 @@
+"""A fleet's analysis as one HTML page that needs nothing beside it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from types import ModuleType
+from typing import Any
+
+import pyarrow.compute as pc
+
+from imucald import __version__
+from imucald.fleet.compaction import read_tables
+from imucald.fleet.reading import read_analysis
+from imucald.fleet.store import Store
+from imucald.report.page import address_of, environment, require_libraries
+
+MAX_ROWS = 60
+"""Of a table; the files have all."""
+MAX_HISTORIES = 6
+"""Vehicles whose drives are pictured."""
+MAX_PICTURED = 4000
+"""Vehicles in one picture: beyond, every so many-th that does not stand out."""
+PICTURES = ("vehicles", "types", "groups", "never")
+Rows = list[dict[str, Any]]
+
+
+def fleet_page(store: Store) -> str:
+    """The page as text. Raises ImucaldError where there is no analysis, or a library is missing."""
+    require_libraries()
+    analysis = {
+        name.rpartition("/")[2]: table.to_pylist() for name, table in read_analysis(store).items()
+    }
+    tables = read_tables(store, ("drives", "failures", "sources"))
+    drives, failures = tables["drives"], tables["failures"]
+    found = [r for r in analysis["remounts"] if r["found"]]
+    bad = [g for g in analysis["groups"] if g["verdict"] == "bad"]
+    design = [c for c in analysis["causes"] if c["verdict"] == "design"]
+    hours = (pc.sum(drives.column("duration_s")).as_py() or 0.0) / 3600.0
+    return environment().get_template("fleet.html").render(
+        place=store.url,
+        made=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, imucald {__version__}",
+        headline=_headline(found, analysis["outliers"], bad, design),
+        figures=[
+            ("Vehicles", f"{len(analysis['vehicles'])}", f"of {len(analysis['types'])} types"),
+            ("Drives", f"{len(drives)}", f"{hours:.0f} h of driving"),
+            ("Moved sensors", f"{len(found)}", "between drives, at most 5 % of them false"),
+            ("Stand out from their type", f"{len(analysis['outliers'])}", "vehicles"),
+            ("Bad batches", f"{len(bad)}", f"of {len(analysis['groups'])}"),
+            ("Failed logs", f"{len(failures)}", f"of {tables['sources'].num_rows}"),
+        ],
+        types=analysis["types"][:MAX_ROWS],
+        remounts=sorted(found, key=lambda r: r["q"])[:MAX_ROWS],
+        outliers=sorted(analysis["outliers"], key=lambda r: r["q"])[:MAX_ROWS],
+        groups=sorted(analysis["groups"], key=_by_p)[:MAX_ROWS],
+        causes=sorted(analysis["causes"], key=lambda c: c["q"])[:MAX_ROWS],
+        never=analysis["never_usable"][:MAX_ROWS],
+        failures=_failures(failures.to_pylist()),
+        pictures=_pictures(analysis),
+        histories=_histories(found, drives),
+        more=max(0, len(found) - MAX_ROWS),
+    )  # fmt: skip
+
+
+def _by_p(group: dict[str, Any]) -> float:
+    return 2.0 if group["p"] is None else float(group["p"])
+
+
+def _headline(found: Rows, outliers: Rows, bad: Rows, design: Rows) -> str:
+    counted = [
+        (len(bad), "bad batch", "bad batches"),
+        (len(design), "fault of many vehicles", "faults of many vehicles"),
+        (len(outliers), "vehicle that stands out", "vehicles that stand out"),
+        (len(found), "sensor moved between drives", "sensors moved between drives"),
+    ]
+    parts = [f"{n} {one if n == 1 else many}" for n, one, many in counted if n]
+    return ", ".join(parts) if parts else "Nothing stands out"
+
+
+def _failures(failures: Rows) -> Rows:
+    count = Counter(row["kind"] for row in failures)
+    example = {row["kind"]: row["message"] for row in reversed(failures)}
+    return [{"kind": k, "logs": n, "example": example[k]} for k, n in count.most_common()]
+
+
+def _drawing() -> ModuleType:
+    from imucald.fleet import pictures  # noqa: PLC0415 - loads matplotlib
+
+    return pictures
+
+
+def _pictures(analysis: dict[str, Rows]) -> dict[str, str]:
+    draw, found = _drawing(), dict[str, str]()
+    vehicles = analysis["vehicles"]
+    if vehicles:
+        step = -(-len(vehicles) // MAX_PICTURED)
+        shown = [v for i, v in enumerate(vehicles) if i % step == 0 or v["outlier"]]
+        found["vehicles"] = draw.vehicles_picture(shown)
+        found["types"] = draw.types_picture(analysis["types"])
+    if any(g["p"] is not None for g in analysis["groups"]):
+        found["groups"] = draw.groups_picture(analysis["groups"])
+    if analysis["never_usable"]:
+        found["never"] = draw.reasons_picture(analysis["never_usable"])
+    return {name: address_of(found[name]) if name in found else "" for name in PICTURES}
+
+
+def _histories(found: Sequence[dict[str, Any]], drives: Any) -> Rows:
+    """The drives of the vehicles whose sensors were moved furthest."""
+    cuts: dict[str, list[str]] = {}
+    for row in sorted(found, key=lambda r: -r["size_deg"]):
+        cuts.setdefault(row["vehicle"], []).append(row["after_log_key"])
+    rows = []
+    for vehicle, keys in list(cuts.items())[:MAX_HISTORIES]:
+        mine = drives.filter(pc.equal(drives.column("vehicle"), vehicle)).to_pylist()
+        mine = [d for d in mine if d["state"] in ("usable", "fine") and d["q_w"] is not None]
+        rows.append(
+            {"vehicle": vehicle, "picture": address_of(_drawing().history_picture(mine, keys))}
+        )
+    return rows

@@ -1,0 +1,56 @@
+"""Analysis of a fleet's folder: reads `drives`, writes the tables under `analysis/`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from imucald.core.errors import ImucaldError
+from imucald.fleet.analysis.analyse import GROUPS, analysed
+from imucald.fleet.analysis_columns import ANALYSIS
+from imucald.fleet.columns import TABLES
+from imucald.fleet.compaction import read_tables
+from imucald.fleet.store import Store
+from imucald.fleet.tables import as_parquet, main_file, read_file, table_of
+
+NEEDED = (
+    *("log_key", "vehicle", "vehicle_type", "sensor_serial", "sensor_batch", "firmware"),
+    *("start", "end", "state", "first_usable_s", "q_w", "q_x", "q_y", "q_z"),
+    *(f"cov_{pair}_deg2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
+    *("crown_std_deg", "driving_side", "waiting_roll", "waiting_pitch", "waiting_yaw", "causes"),
+)
+"""Columns of `drives` that the analysis reads."""
+
+
+def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
+    """Write all tables of the analysis anew; return them. Raises ImucaldError."""
+    wrong = [g for g in groups if g not in {c.name for c in TABLES["drives"] if c.kind == "text"}]
+    if wrong:
+        raise ImucaldError(f"--group {wrong[0]}: drives has no such column of texts")
+    drives = read_tables(store, ("drives",))["drives"]
+    rows = analysed(plain_columns(drives, (*NEEDED, *groups)), groups)
+    tables = {name: table_of(name, rows[name], ANALYSIS[name]) for name in ANALYSIS}
+    for name, table in tables.items():
+        store.write(main_file(name), as_parquet(table))
+    return tables
+
+
+def plain_columns(table: pa.Table, names: Sequence[str]) -> dict[str, list[Any]]:
+    """Columns as lists; times as UNIX time [s]."""
+    found = {}
+    for name in names:
+        column = table.column(name)
+        if pa.types.is_timestamp(column.type):
+            column = pc.divide(column.cast(pa.int64()).cast(pa.float64()), 1e6)
+        found[name] = column.to_pylist()
+    return found
+
+
+def read_analysis(store: Store) -> dict[str, pa.Table]:
+    """The tables of the last analysis. Raises ImucaldError where there is none."""
+    if not store.exists(main_file("analysis/vehicles")):
+        raise ImucaldError(f"{store.url}: is not analysed yet ('imucald fleet analyse')")
+    return {name: read_file(store, main_file(name), ANALYSIS[name]) for name in ANALYSIS}

@@ -1,0 +1,40 @@
+"""Corrected signals of one drive, written by whoever evaluated it: a file for each sensor."""
+
+from __future__ import annotations
+
+from urllib.parse import quote
+
+import pyarrow as pa
+
+from imucald.api.columns import EVENTS, HISTORY, RAW, Columns, TableColumn
+from imucald.api.drive import DriveResult
+from imucald.api.interchange import to_arrow
+from imucald.fleet.drive_row import day_of
+from imucald.fleet.store import Store
+from imucald.fleet.tables import as_parquet
+from imucald.fleet.task import Task
+
+UNKNOWN_DAY = "unknown"
+
+
+def write_signals(drive: DriveResult, task: Task, key: str, start: float | None) -> None:
+    """Write signals/NAME/vehicle=V/date=D/KEY.parquet; the same log gives the same files."""
+    store = Store(task.signals or "", task.storage)
+    vehicle = quote(task.vehicle, safe="")
+    day = day_of(start) or task.date or UNKNOWN_DAY
+    for name, table in drive.tables.items():
+        if name not in (EVENTS, HISTORY) and not name.startswith(RAW):
+            place = f"signals/{name.replace('/', '_')}/vehicle={vehicle}/date={day}/{key}.parquet"
+            about = {"table": f"signals/{name}", "log_key": key}
+            store.write(place, as_parquet(_single(to_arrow(table, about), table)))
+
+
+def _single(table: pa.Table, columns: Columns) -> pa.Table:
+    """Measured numbers in single precision: 24 bits are more than any sensor gives."""
+    fields = [_narrowed(f, c) for f, c in zip(table.schema, columns.columns, strict=True)]
+    return table.cast(pa.schema(fields, metadata=table.schema.metadata))
+
+
+def _narrowed(field: pa.Field, column: TableColumn) -> pa.Field:
+    measured = column.kind == "float" and column.name != "t_s"
+    return field.with_type(pa.float32()) if measured else field

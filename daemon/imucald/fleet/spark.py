@@ -1,0 +1,99 @@
+"""The rows of `drives` in Spark: for who has a Spark cluster and no Dask.
+
+    fleet = imucald.fleet.spark.SparkFleet.load("fleet.yaml")
+    rows = paths.repartition(200).mapInPandas(fleet.map_frame, schema=fleet.schema)
+
+The same function in the same kind of child process gives the same rows. Spark writes them as it
+likes: resume, keys and the order of rows are its own matter.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from imucald.api.interchange import library
+from imucald.fleet.bundle import unpack
+from imucald.fleet.columns import TABLES, Column, row_of
+from imucald.fleet.drive_row import drive_values
+from imucald.fleet.fleet_file import Fleet, load_fleet
+from imucald.fleet.plan import Options, task_of
+from imucald.fleet.task import LogLimits
+from imucald.fleet.workers import run_one_log
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+DDL: Mapping[str, str] = {
+    "text": "STRING",
+    "time": "TIMESTAMP",
+    "float": "DOUBLE",
+    "integer": "BIGINT",
+    "short": "SMALLINT",
+    "flag": "BOOLEAN",
+}
+DTYPES: Mapping[str, str] = {
+    "text": "object",
+    "float": "float64",
+    "integer": "Int64",
+    "short": "Int16",
+    "flag": "boolean",
+}
+MORE = (
+    Column("source", "text", "", "address of the log"),
+    Column("outcome", "text", "", "ok, or the kind of failure"),
+    Column("message", "text", "", "of a failure, for people"),
+)
+"""Beside those of `drives`: every log has a row."""
+COLUMNS = (*TABLES["drives"], *MORE)
+
+
+@dataclass(frozen=True)
+class SparkFleet:
+    """A fleet file, as it travels to Spark's workers."""
+
+    fleet: Fleet
+    options: Options
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], limits: LogLimits | None = None) -> SparkFleet:
+        """Read fleet.yaml (its `logs` are not looked at). Raises ConfigError."""
+        return cls(load_fleet(Path(path)), Options(limits=limits or LogLimits()))
+
+    @property
+    def schema(self) -> str:
+        """What `map_frame` gives, as Spark's DDL."""
+        return ", ".join(f"`{column.name}` {DDL[column.kind]}" for column in COLUMNS)
+
+    def map_frame(self, frames: Iterator[pd.DataFrame]) -> Iterator[pd.DataFrame]:
+        """For `mapInPandas`: frames with a column `source`; a row for each log."""
+        unpack(self.fleet.bundles)
+        for frame in frames:
+            yield _frame([self._row(str(source)) for source in frame["source"]])
+
+    def _row(self, source: str) -> dict[str, Any]:
+        task = task_of(self.fleet, source, 0, self.options)
+        outcome = run_one_log(task)
+        values: dict[str, Any] = {"vehicle": task.vehicle}
+        if outcome.drive is not None:
+            values = drive_values(self.fleet, task, outcome.log_key, outcome.drive)
+        row = row_of("drives", {**values, "run_key": task.bundle, "log_key": outcome.log_key})
+        return {**row, "source": source, "outcome": outcome.kind, "message": outcome.message}
+
+
+def _frame(rows: list[dict[str, Any]]) -> pd.DataFrame:
+    pandas = library("pandas", "pandas")
+    columns = {}
+    for column in COLUMNS:
+        values = [row[column.name] for row in rows]
+        if column.kind == "time":
+            whole = [None if v is None else round(v * 1e6) for v in values]
+            columns[column.name] = pandas.to_datetime(
+                pandas.Series(whole, dtype="Int64"), unit="us", utc=True
+            )
+        else:
+            columns[column.name] = pandas.Series(values, dtype=DTYPES[column.kind])
+    return pandas.DataFrame(columns)

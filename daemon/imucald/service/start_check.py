@@ -1,0 +1,14 @@
+"""What keeps `imucald run` from starting, asked without a bus."""
+
+from __future__ import annotations
+
+from imucald.config import LoadedConfig
+from imucald.runtime.session import make_engine
+from imucald.service.uds_on_bus import check_diagnostics
+
+
+def check_start(loaded: LoadedConfig) -> None:
+    """Raise the ConfigError that `run` would end with, if there is one."""
+    engine = make_engine(loaded)
+    if loaded.config.diagnostics.enabled:
+        check_diagnostics(loaded, engine)

@@ -1,0 +1,34 @@
+"""The unit's count of starts that followed one another: over once the daemon has lived.
+
+The unit (`systemd/imucald@.service`) counts in this file before each start and slows a loop down by
+it; that needs no clock, which would cost it a process, because this module ends the count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+LONG_ENOUGH_S = 60.0
+"""Whoever lived so long is in no loop: its next restart is at once again."""
+
+
+def start_count_file(environment: Mapping[str, str]) -> Path | None:
+    """The unit's file; None without a unit."""
+    folder = environment.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    return Path(folder) / "starts" if folder else None
+
+
+class StartCount:
+    """Ends the count in a file (None: there is none) after `LONG_ENOUGH_S`."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+
+    def update(self, uptime: float) -> None:
+        """uptime: of this process [s]."""
+        if self._path is not None and uptime >= LONG_ENOUGH_S:
+            with suppress(OSError):  # then a restart waits for a while
+                self._path.unlink(missing_ok=True)
+            self._path = None

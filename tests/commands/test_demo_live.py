@@ -1,0 +1,37 @@
+"""`imucald demo --live`: a simulated bus, the real daemon and the monitor, in one process."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from imucald import cli
+
+
+@pytest.mark.slow
+def test_a_short_drive_passes_through_daemon_and_monitor(capsys):
+    arguments = ["--minutes", "0.8", "--speed", "8", "--mount", "-5,3,30", "--seed", "2"]
+    assert cli.main(["demo", "--live", *arguments]) == 0
+    text = capsys.readouterr().out
+    accel = re.search(r"accel +[\d.]+/s +(\d+) +sound", text)
+    assert accel is not None, text
+    assert 0.7 * 4800 < int(accel[1]) <= 4800
+    assert "0 in conflict" in text
+    assert "levelled" in text
+    assert (
+        "The truth: roll -5.00°, pitch +3.00°, yaw +30.00°; x points forward, 30 deg left" in text
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--speed", "0"], "--speed"),
+        (["--speed", "2", "--interface", "udp_multicast"], "--speed needs the virtual bus"),
+        (["--interface", "nonsense"], "nonsense"),
+    ],
+)
+def test_what_cannot_be_is_told(arguments, words, capsys):
+    assert cli.main(["demo", "--live", "--minutes", "0.1", *arguments]) == 1
+    assert words in capsys.readouterr().err

@@ -1,0 +1,287 @@
+"""`status` and `monitor` on terminals of several sizes, and the page of `monitor --web`."""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+import io
+import itertools
+import json
+import shutil
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from rich.text import Text
+
+from imucald.commands.live_events import LiveEvents
+from imucald.commands.monitor_view import monitor_picture
+from imucald.commands.status_view import picture
+from imucald.service.journal import Journal
+from imucald.service.service import Service, ServiceOptions
+from simulated_bus import CONFIG
+
+REASON = "acceleration or braking above 1 m/s2 (2 of 3 seen), and then a little more of it"
+NUMBERS = itertools.count()
+
+
+@pytest.fixture(scope="module")
+def silent():
+    """The status of a daemon that has heard nothing."""
+    options = ServiceOptions(config=CONFIG, interface="virtual", channel=f"mon-{next(NUMBERS)}")
+    service = Service(options, Journal(io.StringIO()))
+    try:
+        return json.loads(json.dumps(service.status()))
+    finally:
+        service.close()
+
+
+@pytest.fixture
+def status(silent):
+    """The status of one that is usable."""
+    found = copy.deepcopy(silent)
+    found |= {"state": "usable", "quality": 2, "first_usable_s": 76.8, "duration_s": 100.0}
+    found["mount"] = {
+        "roll_deg": 14.4, "pitch_deg": 28.6, "yaw_deg": -10.6,
+        "quaternion_wxyz": [0.9546, 0.1431, 0.2331, -0.1182],
+        "std_deg": {"x": 0.5, "y": 0.3, "z": 0.35},
+        "sits": "x points forward, 29 deg down; y points left; z points up, 26 deg forward",
+        "steep": None,
+        "target_std_deg": {"usable": {"x": 2.0, "y": 2.0, "z": 1.0},
+                           "fine": {"x": 0.8, "y": 0.7, "z": 0.3}},
+    }  # fmt: skip
+    found["waiting_for"] = {"roll": REASON, "pitch": REASON, "yaw": "more driving"}
+    found["signals"] = {"accel": {"samples": 10, "rate_hz": 100.0},
+                        "speed": {"samples": 5, "rate_hz": 0.0}}  # fmt: skip
+    found["signal_health"] = {"sensors": {"accel": {"stuck": "y"}}, "events": []}
+    found["health"] = dict.fromkeys(found["health"], False)
+    return found
+
+
+def drawn(part, width: int, height: int = 40) -> list[str]:
+    console = Console(width=width, height=height, file=io.StringIO(), force_terminal=False)
+    made = part(console) if callable(part) else part
+    console.print(made)
+    return console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+
+
+def events_of(*statuses) -> LiveEvents:
+    events = LiveEvents()
+    for second, one in enumerate(statuses):
+        events.update(one, 1.6e9 + second)
+    return events
+
+
+@pytest.mark.parametrize("width", [80, 100, 140])
+def test_no_reason_is_cut_at_any_width(status, width):
+    events = events_of(status)
+    for lines in (
+        drawn(lambda c: monitor_picture(status, events.events, c, Text("foot")), width, 50),
+        drawn(picture(status), width),
+    ):
+        assert max(map(len, lines)) <= width
+        assert " ".join(" ".join(lines).split()).count(REASON) >= 1
+        assert "…" not in "".join(lines)
+
+
+def test_now_and_target_stand_side_by_side_with_one_convention(status):
+    text = "\n".join(drawn(picture(status), 100))
+    row = next(line for line in text.splitlines() if line.startswith("yaw"))
+    assert row.split() == ["yaw", "-10.60°", "±0.70°", "fine", "below", "±0.60°"]
+    assert text.count("± is 95 %") == 1
+    assert "waiting for  roll, pitch: " in text
+    assert status["mount"]["sits"] in " ".join(text.split())
+
+
+def test_a_bar_is_longer_for_a_wider_interval_and_marks_the_target(status):
+    lines = drawn(lambda c: monitor_picture(status, [], c, Text("")), 120)
+    rows = {line.split()[0]: line for line in lines if line.startswith(("roll", "pitch", "yaw"))}
+    filled = {name: row.rindex("━") for name, row in rows.items()}
+    assert filled["roll"] > filled["yaw"] > filled["pitch"]
+    assert all(row.count("┃") == 1 for row in rows.values())
+    inside = {name: row.rindex("━") < row.index("┃") for name, row in rows.items()}
+    assert inside == {"roll": True, "pitch": True, "yaw": False}
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (80, 40), (140, 40)])
+def test_the_picture_fits_the_terminal_with_its_newest_event_and_foot(status, width, height):
+    events = LiveEvents()
+    other = copy.deepcopy(status) | {"state": "suspect"}
+    for second in range(30):
+        events.update(status if second % 2 else other, 1.6e9 + second)
+    lines = drawn(
+        lambda c: monitor_picture(status, events.events, c, Text("the foot")), width, height
+    )
+    assert len(lines) <= height
+    assert lines[-1].strip() == "the foot"
+    assert events.events[-1].clock in "\n".join(lines)
+
+
+def test_inputs_say_what_is_wrong_with_them(status):
+    text = "\n".join(drawn(lambda c: monitor_picture(status, [], c, Text("")), 120, 50))
+    accel = next(line for line in text.splitlines() if line.startswith("accel"))
+    speed = next(line for line in text.splitlines() if line.startswith("speed"))
+    assert "100/s" in accel
+    assert "stuck (y)" in accel
+    assert "silent" in speed
+
+
+def test_an_older_daemon_without_the_new_keys_is_shown(status):
+    for key in ("sits", "steep", "target_std_deg"):
+        del status["mount"][key]
+    text = "\n".join(drawn(picture(status), 80))
+    assert "±0.70°" in text
+    assert "below" not in text
+
+
+def test_events_are_told_once_with_the_time_of_day(silent, status):
+    down = copy.deepcopy(status)
+    down["link"]["state"] = "down"
+    down["health"]["speed_missing"] = True
+    down["details"] = {"shifts": [{"t": 40.0, "angle": "yaw", "size_deg": 5.0}]}
+    events = events_of(silent, status, status, down, down, status)
+    kinds = [(event.kind, event.text.partition(":")[0]) for event in events.events]
+    assert kinds == [
+        ("state", "waiting"),
+        ("state", "usable"),
+        ("moved", "the sensor was moved"),
+        ("bus", f"{status['link']['channel']} is down"),
+        ("alarm", "no speed"),
+        ("bus", f"{status['link']['channel']} is up"),
+        ("alarm", "no speed"),
+    ]
+    moved = events.events[2]
+    assert moved.at == 1.6e9 + 3 - 100.0 + 40.0
+    assert moved.clock == time.strftime("%H:%M:%S", time.localtime(moved.at))
+
+
+# the page --------------------------------------------------------------------------------------
+
+
+def asked(status, *requests):
+    """Status, headers and text of the answers to (method, path, host)."""
+    pytest.importorskip("aiohttp")
+    from aiohttp.test_utils import TestClient, TestServer
+
+    from imucald.commands.monitor_web import LiveState, application
+
+    state = LiveState("a note")
+    for second in range(5):
+        state.update(status, 1.6e9 + second)
+
+    async def ask():
+        found = []
+        async with TestClient(TestServer(application(state))) as client:
+            for method, path, host in requests:
+                headers = {"Host": host} if host else {}
+                answer = await client.request(method, path, headers=headers)
+                found.append((answer.status, answer.headers, await answer.text()))
+        return found
+
+    return asyncio.run(ask())
+
+
+def test_the_page_shows_what_the_terminal_does(status):
+    (page, _, text), (script, _, js), (live, headers, data) = asked(
+        status, ("GET", "/", None), ("GET", "/monitor.js", None), ("GET", "/live", None)
+    )
+    assert (page, script, live) == (200, 200, 200)
+    assert "http" not in text
+    assert "http" not in js
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    found = json.loads(data)
+    yaw = found["mount"][2]
+    assert (yaw["half"], yaw["targets"]["fine"]) == (0.7, 0.6)
+    assert found["sits"] == status["mount"]["sits"]
+    assert [i["health"] for i in found["inputs"]] == ["stuck (y)", "silent"]
+    assert len(found["views"]) == 3
+    assert len(found["history"]["t"]) == 5
+    assert found["history"]["yaw"]["off"][-1] == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "host", "code"),
+    [
+        ("POST", "/live", None, 405),
+        ("DELETE", "/", None, 405),
+        ("GET", "/etc/passwd", None, 404),
+        ("GET", "/../pyproject.toml", None, 404),
+        ("GET", "/live", "attacker.example", 403),
+        ("GET", "/live", "127.0.0.1.attacker.example:80", 403),
+    ],
+)
+def test_nothing_else_is_served_and_nobody_else_may_ask(status, method, path, host, code):
+    ((found, _, text),) = asked(status, (method, path, host))
+    assert found == code
+    assert "mount" not in text
+
+
+def test_a_long_history_stays_small_and_ends_with_now(status):
+    from imucald.commands.monitor_web import HISTORY, POINTS, LiveState
+
+    state = LiveState()
+    for second in range(HISTORY + 50):
+        state.update(status, 1.6e9 + second)
+    found = state.page()["history"]
+    assert len(found["t"]) <= POINTS + 1
+    assert found["t"][-1] == 1.6e9 + HISTORY + 49
+
+
+def test_a_daemon_that_went_away_is_told(status):
+    from imucald.commands.monitor_web import LiveState
+
+    state = LiveState()
+    assert state.page() == {"trouble": "no answer yet"}
+    state.update(status, 1.6e9)
+    state.fail("no socket")
+    assert state.page()["trouble"] == "no socket"
+    assert state.page()["state"] == "usable"
+
+
+@pytest.mark.slow
+def test_a_real_browser_draws_the_page(status, tmp_path: Path):
+    """Chromium runs the script under the page's own policy, and finds mount, chart and drawing."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("no chromium here")
+    pytest.importorskip("aiohttp")
+    from aiohttp import web
+
+    from imucald.commands.monitor_web import LiveState, application
+
+    state = LiveState()
+    for second in range(20):
+        state.update(status, 1.6e9 + second)
+    ready, ports, loop = threading.Event(), [], asyncio.new_event_loop()
+
+    async def begin():
+        runner = web.AppRunner(application(state))
+        await runner.setup()
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        ports.append(runner.addresses[0][1])
+        ready.set()
+
+    def serve():
+        asyncio.set_event_loop(loop)
+        loop.create_task(begin())
+        loop.run_forever()
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    assert ready.wait(10.0)
+    command = [browser, "--headless", "--no-sandbox", "--disable-gpu",
+               f"--user-data-dir={tmp_path}", "--virtual-time-budget=3000", "--dump-dom",
+               f"http://127.0.0.1:{ports[0]}/"]  # fmt: skip
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    finally:
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join(5.0)
+    assert '<span id="state" class="usable">usable</span>' in done.stdout
+    assert status["mount"]["sits"] in done.stdout
+    assert "fine below ±0.60°" in done.stdout
+    assert done.stdout.count('class="sits"') == 3
+    assert done.stdout.count('class="line"') == 3

@@ -1,0 +1,205 @@
+"""`imucald fleet` as a person uses it."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from fleet_files import CONFIG, environment, make_fleet, tables_of, whole_log
+
+from imucald.cli import main
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return whole_log(tmp_path_factory.mktemp("log") / "whole.log")
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory, log: Path) -> Path:
+    """A fleet that was evaluated and analysed, one log of which failed."""
+    folder = tmp_path_factory.mktemp("fleet")
+    path = make_fleet(folder, log, 6, seconds=100.0)
+    (folder / "logs" / "car-0" / "empty.log").write_text("")
+    out = str(folder / "out")
+    command = ["fleet", "run", "--fleet", str(path), "--out", out, "--signals", "corrected"]
+    assert main([*command, "--workers", "2"]) == 3, "some logs failed"
+    assert main(["fleet", "analyse", "--out", out]) == 0
+    return folder / "out"
+
+
+def test_every_reader_sees_the_same_table(done: Path) -> None:
+    duckdb, pl, pd = (pytest.importorskip(n) for n in ("duckdb", "polars", "pandas"))
+    for table in ("drives", "events", "failures", "analysis/vehicles", "analysis/types"):
+        folder = done / table
+        rows = pq.read_table(folder).to_pylist()
+        name = str(next(folder.iterdir()))
+        of_duckdb = duckdb.sql(
+            f"SET TimeZone='UTC'; SELECT * FROM '{folder}/*.parquet'"
+        ).to_arrow_table()
+        assert _plain(of_duckdb.to_pylist()) == _plain(rows)
+        assert _plain(pl.read_parquet(name).to_dicts()) == _plain(rows)
+        frame = pd.read_parquet(name)
+        assert list(frame.columns) == list(rows[0])
+        assert len(frame) == len(rows)
+        assert frame.attrs["units"] == {
+            c: u for c, u in frame.attrs["units"].items() if c in frame.columns
+        }
+
+
+def _plain(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    """Values that libraries give as their own kinds of the same."""
+    return [{k: str(v)[:19] if hasattr(v, "year") else v for k, v in row.items()} for row in rows]
+
+
+def test_signals_are_found_by_vehicle_and_day(done: Path) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    query = (
+        f"SELECT vehicle, count(*) n, max(abs(accel_z_mps2)) z FROM "
+        f"read_parquet('{done}/signals/accel/**/*.parquet', hive_partitioning=true) "
+        "WHERE quality > 0 GROUP BY vehicle ORDER BY vehicle"
+    )
+    rows = duckdb.sql(query).fetchall()
+    assert rows, "100 s of a city are enough for some to become usable"
+    assert all(vehicle.startswith("car-") and n > 100 and 8.0 < z < 25.0 for vehicle, n, z in rows)
+    files = list((done / "signals").rglob("*.parquet"))
+    assert len(files) == 12
+    keys = set(pq.read_table(done / "drives").column("log_key").to_pylist())
+    assert {file.stem for file in files} == keys
+    assert not any("_work" in str(p) for p in (done / "signals").rglob("*"))
+
+
+def test_status_and_why_tell_what_the_tables_hold(
+    done: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fleet", "status", "--out", str(done)]) == 0
+    text = capsys.readouterr().out
+    assert "7 logs" in text
+    assert "6 drives of 3 vehicles" in text
+    assert "no_frames" in text
+    assert main(["fleet", "why", "--out", str(done), "empty"]) == 0
+    assert "holds no CAN frame" in capsys.readouterr().out
+    key = pq.read_table(done / "drives").column("log_key").to_pylist()[0]
+    assert main(["fleet", "why", "--out", str(done), key]) == 0
+    assert key in capsys.readouterr().out
+    assert main(["fleet", "why", "--out", str(done), "car"]) == 1
+    assert "7 logs have that" in capsys.readouterr().err
+
+
+def test_the_report_is_one_page_that_loads_nothing(done: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    page = tmp_path / "page.html"
+    assert main(["fleet", "report", "--out", str(done), "--html", str(page)]) == 0
+    text = page.read_text()
+    assert not re.search(r"""(src|href)=["'](?!data:|\#)""", text)
+    assert not re.search(r"url\((?!data:)|@import|<script", text)
+    assert text.count("data:image/svg+xml") >= 2
+    assert "holds no CAN frame" in text
+
+
+def test_a_folder_without_a_run_or_analysis_says_what_to_do(
+    tmp_path: Path, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for action in ("status", "analyse"):
+        assert main(["fleet", action, "--out", str(tmp_path)]) == 1
+        assert "imucald fleet run" in capsys.readouterr().err
+    path = make_fleet(tmp_path, log, 1)
+    assert (
+        main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    )
+    assert (
+        main(["fleet", "report", "--out", str(tmp_path / "out"), "--html", str(tmp_path / "x")])
+        == 1
+    )
+    assert "imucald fleet analyse" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("config: car.yaml\n", "logs"),
+        ("logs: x\nconfig: nothing.yaml\n", "nothing.yaml"),
+        (f"logs: x\nconfig: {CONFIG}\n", "no log is at x"),
+        (
+            f"logs: x\nconfig: {CONFIG}\npath: '(x'\n",
+            "fleet.yaml:3: path: is no regular expression",
+        ),
+        (f"logs: x\nconfig: {CONFIG}\npath: x\n", "(?P<vehicle>"),
+        (f"logs: x\nconfig: {CONFIG}\nvehicles: no.csv\n", "fleet.yaml:3: vehicles"),
+        (f"logs: x\nconfig: {CONFIG}\nfrobnicate: 1\n", "frobnicate"),
+        (f"logs: memory://x/*\nconfig: {CONFIG}\n", "memory lives in one process"),
+    ],
+)
+def test_a_wrong_fleet_file_is_told_before_any_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: str
+) -> None:
+    path = tmp_path / "fleet.yaml"
+    path.write_text(text)
+    assert main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "out")]) == 1
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out" / "sources").exists()
+
+
+def test_logs_come_from_any_file_system_that_fsspec_knows(tmp_path: Path, log: Path) -> None:
+    """A zip archive stands for object stores: nothing there is a path of this machine."""
+    path = make_fleet(tmp_path, log, 3)
+    assert (
+        main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "a"), "--quiet"]) == 0
+    )
+    with zipfile.ZipFile(tmp_path / "logs.zip", "w") as archive:
+        for file in sorted((tmp_path / "logs").rglob("*.log")):
+            archive.write(file, file.relative_to(tmp_path))
+    path.write_text(
+        f"logs: 'zip://logs/**/*.log'\nconfig: {CONFIG}\nstorage: {{zip: {{fo: {tmp_path}/logs.zip}}}}\n"
+    )
+    assert (
+        main(["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "b"), "--quiet"]) == 0
+    )
+    a, b = (pq.read_table(tmp_path / name / "drives").to_pylist() for name in "ab")
+    for one, other in zip(a, b, strict=True):
+        assert other.pop("sources").startswith('["zip://logs/car-')
+        one.pop("sources")
+        assert one == other
+
+
+def test_a_list_of_logs_and_a_dry_run(
+    tmp_path: Path, log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = make_fleet(tmp_path, log, 4)
+    names = sorted(str(p) for p in (tmp_path / "logs").rglob("*.log"))
+    (tmp_path / "some.txt").write_text("\n".join(names[:2]))
+    command = ["fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "out")]
+    assert main([*command, "--logs", "some.txt", "--dry-run"]) == 0
+    assert "2 logs, 0 known, 2 to evaluate" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_finishes_what_runs_and_says_how_to_go_on(tmp_path: Path, log: Path) -> None:
+    path = make_fleet(tmp_path, log, 30, seconds=120.0)
+    command = [sys.executable, "-m", "imucald", "fleet", "run", "--fleet", str(path)]
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    subprocess.run([*command, "--out", str(whole)], env=environment(), check=True, timeout=120)
+    run = subprocess.Popen(
+        [*command, "--out", str(out)], env=environment(), stderr=subprocess.PIPE, text=True
+    )
+    time.sleep(3.0)
+    os.kill(run.pid, signal.SIGINT)
+    _, text = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "finishing what runs" in text
+    assert "The same command goes on" in text
+    rows = pq.read_table(out / "drives").num_rows
+    assert 0 < rows < 30
+    assert not (out / "_lease.json").exists()
+    assert pq.read_table(out / "failures").num_rows == 0, "no log is blamed for the end"
+    subprocess.run([*command, "--out", str(out)], env=environment(), check=True, timeout=120)
+    assert tables_of(out) == tables_of(whole)

@@ -1,0 +1,98 @@
+"""One convention for "±", and reasons that are said once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from imucald.config.vehicle import VehicleSettings
+from imucald.mount.contradictions import WORDS
+from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.mount_words import (
+    half_width,
+    how_it_sits,
+    plus_minus,
+    reasons_line,
+    steep_note,
+)
+from imucald.runtime.summary import mount_dict
+from imucald.service.figures import status_line
+
+DEG = math.radians(1.0)
+
+
+def estimate(angles=(0.0, 0.0, 0.0), std=(0.5, 0.4, 0.3), state=MountState.USABLE, **more):
+    R = Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_matrix()
+    return MountEstimate(state, R, np.diag((np.array(std) * DEG) ** 2), **more)
+
+
+def test_an_interval_of_95_percent_is_two_deviations_and_holds_as_often():
+    rng = np.random.default_rng(2)
+    inside = np.abs(rng.normal(0.0, 0.7, 200_000)) <= half_width(0.7)
+    assert inside.mean() == pytest.approx(0.9545, abs=0.002)
+    assert plus_minus(0.355) == "±0.71°"
+    assert plus_minus(0.355, 1, unit="") == "±0.7"
+    assert plus_minus(None) == plus_minus(90.0) == plus_minus(math.inf) == "-"
+
+
+def test_roll_has_the_roads_crown_in_interval_and_target():
+    settings = EstimatorSettings(vehicle=VehicleSettings(driving_side="right"))
+    x, y, z = settings.targets.fine
+    assert (y, z) == (settings.limits.fine_tilt, settings.limits.fine_yaw)
+    assert math.degrees(x) == pytest.approx(math.hypot(0.7, math.degrees(0.0065)), rel=1e-3)
+
+
+def test_the_json_has_words_targets_and_the_deviations_as_before():
+    found = mount_dict(estimate(targets=EstimatorSettings().targets))
+    assert found["sits"] == "x points forward; y points left; z points up"
+    assert found["steep"] is None
+    assert found["std_deg"] == {"x": 0.5, "y": 0.4, "z": 0.3}
+    assert found["target_std_deg"]["fine"]["z"] == pytest.approx(0.3)
+    assert found["target_std_deg"]["usable"]["y"] == pytest.approx(2.0)
+    assert mount_dict(MountEstimate(MountState.WAITING))["sits"] is None
+
+
+def test_a_heading_that_is_not_known_is_not_said():
+    words = how_it_sits(estimate((0, 20, 50), std=(1.0, 1.0, 104.0)))
+    assert words is not None
+    assert "which way is forward is not known yet" in words
+    assert "left" not in words
+
+
+def test_only_a_steep_mount_has_the_note():
+    assert steep_note(estimate((0, 69, 0))) is None
+    for pitch in (71, -88):
+        note = steep_note(estimate((10, pitch, 20)))
+        assert note is not None
+        assert "quaternion" in note
+
+
+def test_equal_reasons_are_said_once_and_troubles_apart():
+    waiting = {"roll": "a standstill", "pitch": "a standstill", "yaw": "more driving"}
+    assert reasons_line(waiting) == "waiting for roll, pitch: a standstill; yaw: more driving"
+    trouble = next(iter(WORDS.values()))
+    assert reasons_line(dict.fromkeys(("roll", "pitch", "yaw"), trouble)) == trouble
+    assert reasons_line({}) == ""
+
+
+def test_the_line_for_systemd_has_now_target_and_words():
+    line = status_line(
+        estimate(
+            (5, 0, -10.6),
+            (0.5, 0.4, 0.35),
+            targets=EstimatorSettings().targets,
+            waiting_for={"yaw": "more driving"},
+        ),
+        "up",
+    )
+    assert line.startswith("usable; roll +5.00 ±1.00°; ")
+    assert "yaw -10.60 ±0.70° (fine below ±0.60°)" in line
+    assert "pitch -0.00 ±0.80°;" in line or "pitch +0.00 ±0.80°;" in line
+    assert "± 95 %" in line
+    assert "x points forward, 11 deg right" in line
+    assert line.endswith("waiting for yaw: more driving")
+    assert status_line(MountEstimate(MountState.WAITING), "down") == "bus down; waiting"

@@ -1,0 +1,162 @@
+"""The page about a replayed drive: whole, offline, and true to what was sent."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+
+import cantools.database
+import numpy as np
+import pytest
+
+from html_page import Page
+from imucald import cli
+from imucald.can.logs.log_reader import LogReader
+from imucald.report.drive_events import in_order, state_changes, told_events
+from imucald.report.drive_history import DriveHistory
+from imucald.runtime.replay import Replay
+from imucald.runtime.session import make_engine
+from imucald.simulation import random_model, simulate
+from imucald.traffic.can_log import EPOCH_S, write_log
+from imucald.traffic.drive_encoder import BusEncoder
+from paths import ROOT
+from simulated_bus import CONFIG, loaded
+
+SHIFT_S, SHIFT_DEG = 240.0, 4.0
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory):
+    """A drive whose sensor is turned on the way, and its log."""
+    shift = {"t_s": SHIFT_S, "roll_deg": 0.0, "pitch_deg": SHIFT_DEG, "yaw_deg": 0.0}
+    model = random_model(3, standing_first=True).with_changes({"mount.shifts": [shift]})
+    drive = simulate(model, 3, 8.0)
+    log = tmp_path_factory.mktemp("page") / "drive.log"
+    write_log(drive, log, BusEncoder(loaded()))
+    return drive, log
+
+
+@pytest.fixture(scope="module")
+def page(moved, tmp_path_factory):
+    """The page's text, and the result beside it."""
+    folder = tmp_path_factory.mktemp("report")
+    result = folder / "result.json"
+    arguments = ["replay", "--config", str(CONFIG), str(moved[1]), "--json", str(result)]
+    assert cli.main([*arguments, "--quiet", "--report", str(folder / "drive")]) == 0
+    assert cli.main([*arguments[:-1], str(folder / "plain.json"), "--quiet"]) == 0
+    assert (folder / "plain.json").read_text() == result.read_text()
+    return (folder / "drive" / "index.html").read_text(), json.loads(result.read_text())
+
+
+@pytest.mark.slow
+def test_the_page_is_whole_and_needs_no_network(page):
+    text, _ = page
+    assert "http" not in text
+    assert "<script" not in text
+    for attribute in ("src=", "@import", "url(http"):
+        assert attribute not in text
+    parsed = Page(text)
+    assert sum(tag == "svg" for tag, _ in parsed.tags) >= 11
+    assert len(text) < 2_000_000
+    undefined = set(re.findall(r"var\((--[\w-]+)\)", text)) - set(re.findall(r"(--[\w-]+):", text))
+    assert not undefined
+
+
+@pytest.mark.slow
+def test_the_page_says_how_the_sensor_sits_and_what_happened(page):
+    text, result = page
+    words = " ".join(Page(text).texts)
+    assert result["mount"]["sits"] in words
+    assert "the sensor was moved: pitch by" in words
+    for state in ("levelled", "usable", "suspect", "recalibrating"):
+        assert re.search(rf"\b{state}: ", words), state
+    for axis, angle in zip("xyz", ("roll", "pitch", "yaw"), strict=True):
+        assert f"{result['mount'][f'{angle}_deg']:+.2f}°" in words
+        assert f"±{2 * result['mount']['std_deg'][axis]:.2f}°" in words
+
+
+@pytest.mark.slow
+def test_the_corrected_force_is_what_a_control_unit_would_have_decoded(moved, tmp_path):
+    drive, log = moved
+    config = loaded()
+    engine, history = make_engine(config), DriveHistory(config)
+    reader = LogReader([log], engine.router.matches)
+    sent, take = [], history.sink(engine)
+
+    def sink(frames):
+        take(frames)
+        rows = frames.can_id == 0x640
+        sent.extend(zip(frames.t[rows], frames.data[rows].tolist(), strict=True))
+
+    class Watched:
+        first_stamp, frames_read, rejected = None, 0, {}
+
+        def __iter__(self):
+            for chunk in reader:
+                history.take(chunk)
+                yield chunk
+
+    Replay(engine, Watched(), sink).run()  # type: ignore[arg-type]
+    motion = history.motion()
+    message = cantools.database.load_file(ROOT / "dbc" / "imucald_out.dbc")
+    layout = message.get_message_by_frame_id(0x640)
+    checked = 0
+    for i in range(100, len(motion.t), 500):
+        first, last = motion.t[i] - 0.25, motion.t[i] + 0.25
+        rows = [d for t, d in sent if first <= round(t - sent[0][0], 6) < last]
+        values = [layout.decode(bytes(d), decode_choices=False) for d in rows]
+        if not values or any(v["AccelX"] < -65.0 for v in values):
+            continue
+        mean = np.mean([v["AccelX"] for v in values])
+        assert motion.corrected[i, 0] == pytest.approx(mean, abs=0.05)
+        checked += 1
+    assert checked >= 3
+    truth = drive.truth
+    known = np.isfinite(motion.dvdt)
+    real = np.interp(motion.t[known], truth.t, truth.acceleration)
+    assert np.sqrt(np.mean((motion.dvdt[known] - real) ** 2)) < 0.25
+    assert np.corrcoef(motion.dvdt[known], real)[0, 1] > 0.95
+
+
+def test_changes_of_state_and_what_is_told_come_in_order():
+    states = [(1.0, "waiting", {}), (2.0, "waiting", {}), (7.0, "usable", {"yaw": "more driving"})]
+    result = {
+        "details": {
+            "shifts": [{"t": 5.0, "angle": "pitch", "size_deg": -3.2}],
+            "faults": [{"t": 3.0, "fault": "speed_unit"}],
+        },
+        "signal_health": {
+            "events": [{"sensor": "gyro", "fault": "stuck", "axes": "y", "since_s": 4.0,
+                        "until_s": 6.5}]
+        },
+    }  # fmt: skip
+    events = in_order([*state_changes(states), *told_events(result, [6.0])])
+    assert [e.kind for e in events] == ["state", "fault", "sensor", "moved", "gap", "state"]
+    texts = [e.text for e in events]
+    assert texts[1] == "the speed's unit is wrong"
+    assert texts[2] == "gyro stuck (y), for 2 s"
+    assert texts[3] == "the sensor was moved: pitch by -3.2 deg"
+    assert texts[-1].endswith("waiting for yaw: more driving")
+
+
+def test_a_log_without_a_usable_drive_has_a_page_too(tmp_path):
+    log = tmp_path / "short.log"
+    log.write_text(f"({EPOCH_S:.6f}) can0 200#0000000000000000\n(broken\n")
+    folder = tmp_path / "report"
+    cli.main(["replay", "--config", str(CONFIG), str(log), "--quiet", "--report", str(folder)])
+    words = " ".join(Page((folder / "index.html").read_text()).texts)
+    assert "Nothing is known yet" in words
+    assert "never usable" in words
+    assert not math.isnan(len(words))
+
+
+def test_a_place_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):
+    taken = tmp_path / "taken"
+    taken.write_text("")
+    log = tmp_path / "a.log"
+    log.write_text(f"({EPOCH_S:.6f}) can0 200#00\n")
+    for place in (taken, tmp_path / "no" / "where"):
+        arguments = ["replay", "--config", str(CONFIG), str(log), "--report", str(place)]
+        assert cli.main(arguments) == 1
+        assert str(place) in capsys.readouterr().err
