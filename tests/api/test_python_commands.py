@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import io
 import json
+import pickle
 import struct
 from pathlib import Path
 
@@ -61,6 +62,7 @@ def test_a_check_is_that_of_the_command_line(capsys):
         json.loads(printed(capsys, "check", "--json", "--config", CONFIG, log())) == found.to_dict()
     )
     assert found.usable
+    assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
     assert len(repr(found).splitlines()) <= 5
     assert {finding["level"] for finding in found.findings} <= {"error", "warning", "note", "ok"}
 
@@ -111,6 +113,7 @@ def test_a_walk_is_that_of_the_command_line_and_finds_the_way(a_walk, tmp_path):
     course = np.interp(late["t_s"], truth.t, np.degrees(truth.course))
     error = (late["heading_deg"] - course + 180.0) % 360.0 - 180.0
     assert np.abs(error).median() < 15.0
+    assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
     assert found.arrow("steps").schema.field("heading_deg").metadata == {b"unit": b"deg"}
     assert len(repr(found).splitlines()) <= 5
 
@@ -137,6 +140,7 @@ def test_a_diagnosis_is_that_of_the_command_line(monkeypatch, tmp_path):
     )
     assert json.loads(out.read_text()) == json.loads(json.dumps(found.to_dict()))
     assert found.verdict == "found"
+    assert pickle.loads(pickle.dumps(found)).model_text() == found.model_text()
     assert len(found.causes) == 2
     assert found.model_text().startswith("# VehicleModel file written by imucald diagnose")
     assert found.write_model(tmp_path / "model.yaml").read_text() == found.model_text()

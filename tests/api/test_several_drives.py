@@ -42,6 +42,9 @@ def test_several_logs_are_several_drives(tmp_path):
         "d.log",
         "e.log",
     ]
+    assert "was moved" in found._repr_html_()
+    assert len(repr(found).splitlines()) <= 5
+    assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
     joined = imucald.replay(loaded, names[:2], joined=True, signals=False)
     assert joined.to_dict()["frames"]["read"] == sum(d.frames["read"] for d in found.drives[:2])
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.api.drive import DriveResult
 from imucald.api.html import angle_text, html_table
 from imucald.api.interchange import library
+from imucald.mount.mount_words import CONVENTION
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +63,8 @@ class DriveSet:
             angles = [angle_text(row[f"{a}_deg"], row[f"std_{x}_deg"]) for a, x in _WITH_AXES]
             rows.append([row["log"], f"{row['duration_s']:.1f}", row["state"], *angles])
         table = html_table(("log", "s", "state", *ANGLES), rows)
-        return table + html_table(("notes",), [[note] for note in self.notes])
+        notes = [[note] for note in self.notes]
+        return f"{table}<p>{CONVENTION}</p>{html_table(('notes',), notes)}"
 
 
 _WITH_AXES = tuple(zip(ANGLES, "xyz", strict=True))
