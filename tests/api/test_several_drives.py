@@ -9,6 +9,7 @@ from replayed_drive import config
 
 import imucald
 import shuttle
+from imucald.api.drives import names_apart
 
 
 def test_several_logs_are_several_drives(tmp_path):
@@ -37,18 +38,21 @@ def test_several_logs_are_several_drives(tmp_path):
     assert "c.log" in moved[0]
     frame = found.to_pandas()
     assert len(frame) == 5
-    assert list(frame["log"].str.rpartition("/")[2]) == [
-        "a.log",
-        "b.log",
-        "c.log",
-        "d.log",
-        "e.log",
-    ]
+    assert list(frame["log"]) == [str(name) for name in names]
     assert "was moved" in found._repr_html_()
     assert len(repr(found).splitlines()) <= 5
     assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
     joined = imucald.replay(loaded, names[:2], joined=True, signals=False)
     assert joined.to_dict()["frames"]["read"] == sum(d.frames["read"] for d in found.drives[:2])
+
+
+@pytest.mark.parametrize(("logs", "names"), [
+    (["a/1.log", "a/2.log.gz", "2026.11.22.blf"], ["1", "2", "2026.11.22"]),
+    (["mon/can.log.gz", "tue/can.log.gz", "x.log"], ["mon-can", "tue-can", "x"]),
+    (["can.log", "can.log", "-"], ["can", "can-2", "-"]),
+])  # fmt: skip
+def test_files_of_several_drives_are_called_after_their_logs(logs, names):
+    assert names_apart(logs) == names
 
 
 def test_a_folder_is_no_log_and_an_empty_one_holds_none(tmp_path):

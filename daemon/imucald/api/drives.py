@@ -92,12 +92,14 @@ def _row(drive: DriveResult) -> dict[str, Any]:
 
 
 def names_apart(logs: Sequence[str]) -> list[str]:
-    """A short name for each log, of its file's; made different where two are the same."""
+    """A short name for each log: its file's, with its folder's where two files are called alike."""
+    stems = [PurePath(PurePath(log).name.removesuffix(".gz")).stem or "drive" for log in logs]
     found: list[str] = []
-    for log in logs:
-        word = stem = PurePath(log).name.partition(".")[0] or "drive"
+    for log, stem in zip(logs, stems, strict=True):
+        folder = PurePath(log).parent.name
+        word = name = f"{folder}-{stem}" if stems.count(stem) > 1 and folder else stem
         number = 2
         while word in found:
-            word, number = f"{stem}-{number}", number + 1
+            word, number = f"{name}-{number}", number + 1
         found.append(word)
     return found
