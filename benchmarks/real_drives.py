@@ -26,7 +26,7 @@ from imucald.can.logs.log_reader import LogReader
 from imucald.config import LoadedConfig
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.core.samples import Series
-from imucald.inputs.router import Routed
+from imucald.inputs.column_samples import Routed
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimate
 from imucald.runtime.replay import Replay

@@ -19,6 +19,9 @@ from imucald.config import Config, json_schema, load_config, parse_config
 from imucald.config.base import Settings
 from imucald.config_check import Check
 from imucald.core.errors import ConfigError
+from imucald.core.typed import typed
+from imucald.core.yaml_lines import read_yaml
+from imucald.fleet.fleet_file import FleetSettings
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountState
 from imucald.runtime.estimators import full_settings
@@ -201,6 +204,10 @@ def test_the_readme_configuration_works_on_the_example_bus() -> None:
 def test_configurations_in_the_documentation_are_valid() -> None:
     for page in PAGES:
         for text in blocks(page, "yaml"):
+            if text.startswith("# fleet.yaml"):
+                data, marks = read_yaml(text, page.name)
+                assert typed(data, FleetSettings, marks, page.name, "fleet file").logs
+                continue
             loaded = parse_config(text, page)
             with pytest.raises(ConfigError, match=r"car\.dbc"):  # which nobody has
                 compile_router(loaded)
@@ -307,10 +314,17 @@ def test_commands_and_options_in_the_documentation_exist() -> None:
                 assert name not in ("check", "replay", "run", "simulate", "demo", "schema")
                 continue
             seen.add(name)
-            options = {o for a in parsers[name]._actions for o in a.option_strings}
+            options = _options(parsers[name])
             for option in re.findall(r"--[a-z-]+", rest):
                 assert option in options, f"{page.name}: imucald {name} {option}"
     assert seen >= {"check", "replay", "run", "simulate", "demo", "schema"}
+
+
+def _options(parser: Any) -> set[str]:
+    """Options of a command and of its actions."""
+    found = {o for a in parser._actions for o in a.option_strings}
+    inner = parser._subparsers._group_actions if parser._subparsers else []
+    return found.union(*(_options(p) for group in inner for p in group.choices.values()))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

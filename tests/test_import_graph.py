@@ -35,6 +35,7 @@ NEVER = {
     "diagnosis": {"api", "commands"},
     "discovery": {"api", "commands", "service", "uds"},
     "fleet": {"commands", "service", "uds"},
+    "model_compensation": {"commands", "runtime", "service"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
     "runtime": {"api", "commands", "service"},
@@ -46,8 +47,8 @@ NEVER = {
 """Rooms that never reach these rooms, directly or through others."""
 
 LAZY_LIBRARIES = {
-    "aiohttp", "asammdf", "can", "difflib", "isotp", "jinja2", "matplotlib", "rich", "scipy",
-    "subprocess", "yaml",
+    "aiohttp", "asammdf", "can", "difflib", "dpkt", "isotp", "jinja2", "matplotlib", "rich",
+    "scipy", "subprocess", "yaml", "zstandard",
 }  # fmt: skip
 """Large libraries, which a function may import when it needs them."""
 
@@ -58,7 +59,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "api.drive._repr_html_: api.html": "2 ms: pages of notebooks",
     "api.drive.write: api.files.written": "2 ms: few write tables",
     "api.streaming.write: api.files.written": "2 ms: few write tables",
-    "can.link.link._new_port: can.link.adapter": "python-can: SocketCAN does without",
+    "can.link.port.open_port: can.link.adapter": "python-can: SocketCAN does without",
     "can.logs.python_can_logs._open: can.python_can": "python-can: candump does without",
     "config.root.json_schema: config.schema": "only `imucald schema` needs it",
     "core.yaml_lines.read_yaml: core.yaml_parser": "10 ms, 0.9 MiB: a kept file needs no parser",

@@ -108,6 +108,8 @@ def _report(lines: list[dict[str, Any]], missed: dict[str, int]) -> Iterator[str
     yield ""
     yield "### Effects outside the catalogue, in measured logs"
     yield ""
+    yield from judged.outside(by_part["outside"], by_part["nulls"])
+    yield ""
     yield from judged.drives([x for x in by_part["outside"] if "refused" not in x])
     yield ""
     yield "### Drives of an independent simulator (`second_world`)"

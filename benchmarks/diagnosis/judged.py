@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from benchmarks.diagnosis.measured_logs import BUILT_ON
+from benchmarks.diagnosis.measured_logs import BUILT_ON, KNOWN
 from benchmarks.diagnosis.real_effects import EFFECTS
 
 Line = Mapping[str, Any]
@@ -18,17 +18,22 @@ def names_of(line: Line) -> set[str]:
 
 
 def is_right(line: Line) -> bool:
-    """The cause was named, alone or in a set; `unknown` where that is right."""
+    """The cause was named, alone or in a set. Where nothing of the catalogue is right: structure is
+    told, and no name that is not true of the log as it is."""
     if "unknown" in line["right"]:
-        return line["verdict"] == "unknown" and not line["said"]
+        seen = line["verdict"] == "unknown" or bool(line["left"])
+        return seen and not wrong_names(line)
+    if not line["right"]:
+        return not wrong_names(line)
     return bool(set(line["right"]) & names_of(line))
 
 
-def wrong_names(line: Line, known: set[str]) -> list[str]:
-    """Names that are neither hidden nor in the log as it is, nor in a set with what is hidden."""
-    right = set(line["right"])
+def wrong_names(line: Line) -> list[str]:
+    """Names that are neither hidden nor true of the log as it is, nor in a set with either."""
+    known = set(KNOWN.get(line["log"], ()))
+    right = set(line["right"]) | known
     alike = {n for g in line["sets"] if right & set(g) for n in g}
-    return [n for n in line["said"] if n not in right | alike | known]
+    return [n for n in line["said"] if n not in right | alike]
 
 
 def _row(*cells: object) -> str:
@@ -37,8 +42,8 @@ def _row(*cells: object) -> str:
 
 def nulls(lines: Sequence[Line]) -> Iterator[str]:
     """Measured pieces against the model that the other pieces gave."""
-    yield _row("log", "pieces", "nothing", "named", "left over")
-    yield _row(*["---"] * 5)
+    yield _row("log", "pieces", "nothing", "named", "not known to be true", "left over")
+    yield _row(*["---"] * 6)
     for log in dict.fromkeys(x["log"] for x in lines):
         own = [x for x in lines if x["log"] == log and "refused" not in x]
         refused = sum("refused" in x for x in lines if x["log"] == log)
@@ -47,15 +52,12 @@ def nulls(lines: Sequence[Line]) -> Iterator[str]:
         count = f"{len(own)}" + (f" ({refused} refused: too short)" if refused else "")
         quiet = sum(x["verdict"] == "nothing" for x in own)
         mark = "" if log in BUILT_ON else " (held back)"
-        yield _row(log + mark, count, quiet, ", ".join(said) or "-", ", ".join(left) or "-")
+        wrong = ", ".join(n for x in own for n in wrong_names(x)) or "-"
+        yield _row(log + mark, count, quiet, ", ".join(said) or "-", wrong, ", ".join(left) or "-")
 
 
 def hidden(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
     """Effects hidden in measured logs, by effect and size."""
-    known: dict[str, set[str]] = {}
-    for x in null_lines:
-        if "refused" not in x:
-            known.setdefault(x["log"], set()).update(x["said"])
     lines = [x for x in lines if "refused" not in x]
     yield _row("effect", *(f"size {i + 1}" for i in range(4)), "wrong names", "in 15 min and more")
     yield _row(*["---"] * 7)
@@ -72,12 +74,9 @@ def hidden(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
                 cells.append(f"{size / effect.per:g} {effect.unit}: {found}/{len(some)}")
             else:
                 cells.append("-")
-        bad = [n for x in own for n in wrong_names(x, known.get(x["log"], set()))]
-        wrong += sum(bool(wrong_names(x, known.get(x["log"], set()))) for x in own)
-        single += sum(
-            len(x["said"]) == 1 and not x["sets"]
-            and bool(wrong_names(x, known.get(x["log"], set()))) for x in own
-        )  # fmt: skip
+        bad = [n for x in own for n in wrong_names(x)]
+        wrong += sum(bool(wrong_names(x)) for x in own)
+        single += sum(len(x["said"]) == 1 and not x["sets"] and bool(wrong_names(x)) for x in own)
         long = [x for x in own if x["minutes"] >= LONG_MIN]
         by_level = [
             f"{sum(is_right(x) for x in long if x['level'] == i)}/"
@@ -85,7 +84,7 @@ def hidden(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
         ]  # fmt: skip
         shown = ", ".join(f"{n} x{bad.count(n)}" for n in sorted(set(bad))) or "-"
         yield _row(name, *cells, shown, " ".join(by_level))
-    held, sized = intervals(lines)
+    held, sized = intervals(lines, null_lines)
     total = len(lines)
     yield ""
     yield (
@@ -95,18 +94,40 @@ def hidden(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
     )
 
 
-def intervals(lines: Sequence[Line]) -> tuple[int, int]:
-    """How many intervals of named parameters hold what was put in."""
+def intervals(lines: Sequence[Line], null_lines: Sequence[Line]) -> tuple[int, int]:
+    """How many intervals of named parameters hold what was put in, on top of what is named in the
+    same piece as it is."""
+    own = {(x["log"], _piece(x)): x["values"] for x in null_lines if "refused" not in x}
     held = sized = 0
     for x in lines:
         truth = x.get("truth") or {}
-        got = x["values"].get(truth.get("key") or "")
+        key = truth.get("key") or ""
+        got = x["values"].get(key)
         if got is None:
             continue
         value, se, q = got
+        base, base_se, _ = own.get((x["log"], _piece(x)), {}).get(key, (0.0, 0.0, 0.0))
         sized += 1
-        held += abs(value - truth["value"]) <= q * se
+        held += abs(value - base - truth["value"]) <= q * (se**2 + base_se**2) ** 0.5
     return held, sized
+
+
+def _piece(line: Line) -> str:
+    return str(line["key"].rpartition("/")[2])
+
+
+def outside(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
+    """How many effects that the catalogue lacks are seen, in logs that are not `unknown` anyway."""
+    already = {(x["log"], _piece(x)) for x in null_lines if x.get("verdict") == "unknown"}
+    fair = [x for x in lines if "refused" not in x and (x["log"], _piece(x)) not in already]
+    wrong = sum(bool(wrong_names(x)) for x in fair)
+    for effect in dict.fromkeys(x["effect"] for x in fair):
+        own = [x for x in fair if x["effect"] == effect]
+        yield f"- {effect}: seen in {sum(map(is_right, own))} of {len(own)}."
+    yield (
+        f"- In all {sum(map(is_right, fair))} of {len(fair)}, with a wrong name in {wrong}; pieces "
+        f"that are `unknown` as they are ({len(already)}) are left out."
+    )
 
 
 def drives(lines: Sequence[Line]) -> Iterator[str]:
@@ -114,7 +135,7 @@ def drives(lines: Sequence[Line]) -> Iterator[str]:
     yield _row("drive", "hidden", "verdict", "named", "alike", "likely", "left over", "right")
     yield _row(*["---"] * 8)
     for x in lines:
-        good = is_right(x) if x["right"] else not x["said"]
+        good = is_right(x)
         sets = "; ".join(" = ".join(g) for g in x["sets"])
         yield _row(
             x["log"], x["effect"] or "-", x["verdict"], ", ".join(x["said"]) or "-", sets or "-",
@@ -127,8 +148,8 @@ def summary(part: str, lines: Sequence[Line]) -> str:
     lines = [x for x in lines if "refused" not in x]
     if not lines:
         return f"{part}: nothing to tell"
-    good = [x for x in lines if (is_right(x) if x["right"] else not x["said"])]
-    invented = sum(bool(wrong_names(x, set())) for x in lines)
+    good = [x for x in lines if is_right(x)]
+    invented = sum(bool(wrong_names(x)) for x in lines)
     return f"{part}: {len(good)} of {len(lines)} right; names that are not there in {invented}"
 
 
@@ -138,12 +159,10 @@ def calibration(lines: Sequence[Line]) -> Iterator[str]:
     yield _row(*["---"] * 5)
     for part in dict.fromkeys(x["part"] for x in lines):
         own = [x for x in lines if x["part"] == part and "refused" not in x]
-        base = {n for x in lines if x["part"] == "nulls" for n in x.get("said", [])}
-        taken = base if part in {"measured", "outside"} else set()
-        sure = [(n, x) for x in own for n in x["said"] if n not in taken or n in x["right"]]
-        bad = sum(n in wrong_names(x, taken) for n, x in sure)
-        likely = [(n, x) for x in own for n in x["likely"] if n not in taken]
-        good = sum(n in x["right"] for n, x in likely)
+        sure = [(n, x) for x in own for n in x["said"]]
+        bad = sum(n in wrong_names(x) for n, x in sure)
+        likely = [(n, x) for x in own for n in x["likely"]]
+        good = sum(n in {*x["right"], *KNOWN.get(x["log"], ())} for n, x in likely)
         yield _row(part, len(sure), len(sure) - bad, len(likely), good)
 
 

@@ -1,12 +1,13 @@
 """Figures of `imucald fleet` beside its bars.
 
-    python -m benchmarks.fleet [--only statistics|throughput|scale] [--fleets 60] [--copies 5]
+    python -m benchmarks.fleet [--only PART] [--fleets 60] [--copies 5]
 
 Statistics and throughput are measured apart. *Statistics*: rows of simulated fleets with errors as
 docs/mount-accuracy.md has them, no logs (200 vehicles of 5 types, 5 drives each, 4 % of pairs of
 drives with a remount of 2 deg between, 1 bad batch of 10, 3 outliers of 2 deg); seeds from 50000,
 while what was chosen was chosen on seeds from 1000. *Throughput*: simulated logs of 10 min through
-the command line, two poison logs among them. *Scale*: 100,000 rows through driver and analysis.
+the command line, two poison logs among them. *Scale*: 100,000 rows
+through driver and analysis. *End to end*: a small fleet of simulated logs with known mounts.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import tempfile
 
 import numpy as np
 
+from benchmarks.fleet.end_to_end import DRIVES, MINUTES, MOVED, ODD, VEHICLES, end_to_end
 from benchmarks.fleet.simulated_fleet import Design
 from benchmarks.fleet.statistics import AXES, Scores, run
 from benchmarks.fleet.throughput import throughput
@@ -24,7 +26,7 @@ from benchmarks.measured import run as run_process
 
 SEED = 50_000
 LOWEST, HIGHEST = 0.90, 0.98
-PARTS = ("statistics", "throughput", "scale")
+PARTS = ("statistics", "throughput", "scale", "end_to_end")
 
 
 def main() -> int:
@@ -40,6 +42,8 @@ def main() -> int:
         _throughput(options.copies, options.rounds)
     if options.only in (None, "scale"):
         _scale()
+    if options.only in (None, "end_to_end"):
+        _end_to_end()
     return 0
 
 
@@ -115,6 +119,23 @@ def _scale() -> None:
                 for line in run_process([*module, *arguments]).output.splitlines():
                     print(f"  {line}")
     print("bars: memory of the driver 500 MiB, analyse 60 s")
+
+
+def _end_to_end() -> None:
+    found = end_to_end()
+    print(f"{VEHICLES} vehicles x {DRIVES} simulated logs of {MINUTES} min, {found.drives} known")
+    moved = [f"car-{v:02}/{d}.log" for v, d in MOVED.items()]
+    print(f"  sensors moved by 3 deg before {', '.join(moved)}; found: {', '.join(found.remounts)}")
+    print(f"  3 deg beside its type: car-{ODD:02}; found: {', '.join(found.outliers)}")
+    for name, held in found.held.items():
+        share = ", ".join(
+            f"{a} {100 * h:.0f}" for a, h in zip(AXES, np.mean(held, axis=0), strict=True)
+        )
+        error = np.array(found.error[name])
+        print(
+            f"  {name}: 95 % intervals hold {share} %; error median {np.median(error):.2f}, "
+            f"90th percentile {np.quantile(error, 0.9):.2f} deg"
+        )
 
 
 if __name__ == "__main__":

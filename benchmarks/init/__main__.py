@@ -1,6 +1,6 @@
 """How much of a configuration `imucald init` finds, and whether it calibrates as the right one.
 
-    python -m benchmarks.init [--part measured|second_world|obfuscated] [--unseen] [--only NAME]
+    python -m benchmarks.init [--part measured|second_world|renamed|obfuscated] [--unseen]
 
 Of every quantity of the hand-written configuration: right with sign and unit, or not; then the
 state that `replay` reaches with either. Drives and seeds of `UNSEEN` were named before `init` was
@@ -20,15 +20,19 @@ from typing import Any
 
 from benchmarks.init.judge import Quantities, Verdict, judge, quantities_of
 from benchmarks.init.obfuscated import write_bus
+from benchmarks.init.renamed import renamed
 from benchmarks.measured import DATA, EXAMPLES, FOLDER, verdict
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
+from imucald.config import load_config
 from imucald.config_check import Check
 from imucald.discovery import GatheredFrames, as_yaml, discover
 from imucald.discovery.candidates import candidates_of, messages_in
 from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine, open_config
 
+PARTS = ("measured", "second_world", "renamed", "obfuscated")
+"""Renamed: the first two with names that tell nothing."""
 MEASURED = ("wrx_sti", "css_canmod_164", "kingston_2008", "vehsense_2018_08_04")
 SECOND_WORLD = ("01", "04", "09", "14")
 SEEDS = tuple(range(1, 11))
@@ -40,7 +44,9 @@ UNSEEN_SECOND_WORLD = ("02", "03", "05", "06", "07", "08", "10", "11", "12", "13
 UNSEEN_SEEDS = tuple(range(101, 111))
 FOUND_BAR = 0.9
 MINUTES = 10.0
-STATES = ("none", "waiting", "levelled", "suspect", "recalibrating", "usable", "fine")
+WORTH = {"none": 0, "waiting": 1, "levelled": 2, "suspect": 2, "recalibrating": 2, "restored": 3,
+         "usable": 3, "fine": 4}  # fmt: skip
+"""States by what is sent in them."""
 
 ALSO: Mapping[str, Mapping[str, Any]] = {
     "second_world": {
@@ -77,23 +83,29 @@ class Case:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--part", choices=("measured", "second_world", "obfuscated"))
+    parser.add_argument("--part", choices=PARTS)
     parser.add_argument("--unseen", action="store_true", help="the drives kept for the end")
     parser.add_argument("--only", help="a case by its name")
+    parser.add_argument("--seeds", help="other obfuscated buses, as 11-40")
+    parser.add_argument("--no-replay", action="store_true", help="judge the proposal alone")
     options = parser.parse_args()
     total = Verdict()
     worse = 0
     print(f"{'case':28} found sure/unsure  wrong: marked, unmarked; missing   by hand -> proposed")
-    for case in _cases(options.part, options.unseen):
+    seeds: tuple[int, ...] = UNSEEN_SEEDS if options.unseen else SEEDS
+    if options.seeds:
+        first, last = map(int, options.seeds.split("-"))
+        seeds = tuple(range(first, last + 1))
+    for case in _cases("obfuscated" if options.seeds else options.part, options.unseen, seeds):
         if options.only not in (None, case.name):
             continue
         if not case.log.exists():
             print(f"{case.name}: absent ({case.log}), not measured")
             continue
-        one, by_hand, proposed = _run(case)
+        one, by_hand, proposed = _run(case, not options.no_replay)
         for name in ("right", "unsure_right", "unsure_wrong", "wrong", "missing", "beyond"):
             getattr(total, name).extend(f"{case.name}: {q}" for q in getattr(one, name))
-        worse += STATES.index(proposed) < STATES.index(by_hand)
+        worse += WORTH[proposed] < WORTH[by_hand]
         words = ", ".join(
             f"{kind} {', '.join(names)}"
             for kind, names in (
@@ -120,13 +132,15 @@ def main() -> int:
     return 0 if part >= FOUND_BAR and not total.wrong and not worse else 1
 
 
-def _run(case: Case) -> tuple[Verdict, str, str]:
+def _run(case: Case, replays: bool) -> tuple[Verdict, str, str]:
     folder = FOLDER / "init"
     folder.mkdir(parents=True, exist_ok=True)
     recording = GatheredFrames.of(LogReader([case.log]))
     path = os.path.relpath(case.database, folder)
     database = load_database([case.database])
     proposal = discover({path: database}, recording)
+    # the one thing that nobody can see in a recording, and that the user fills in
+    proposal.driving_side = load_config(case.right).config.vehicle.driving_side
     out = folder / f"{case.name}.yaml"
     out.write_text(as_yaml(proposal, [path]))
     also = {name: _quantities(case, signals) for name, signals in case.also.items()}
@@ -142,6 +156,8 @@ def _run(case: Case) -> tuple[Verdict, str, str]:
         if any("." in n.source and n.source not in moving for n in numbers.values())
     )
     one = judge(proposal, out, case.right, also, case.are_named, unseen)
+    if not replays:
+        return one, "none", "none"
     return one, _state(case.right, case.log), _state(out, case.log)
 
 
@@ -171,7 +187,17 @@ def _state(config: Path, log: Path) -> str:
     return str(summary["state"])
 
 
-def _cases(part: str | None, unseen: bool) -> Iterator[Case]:
+def _renamed(case: Case) -> Case:
+    """A case without the names; axes are known up to a rotation then."""
+    folder = FOLDER / "init" / f"renamed-{case.name}"
+    database, right, paths = renamed(case.database, case.right, folder)
+    also = json.dumps(case.also)
+    for old, new in paths.items():
+        also = also.replace(f'"{old}"', f'"{new}"')
+    return Case(f"renamed {case.name}", case.log, database, right, json.loads(also), False)
+
+
+def _cases(part: str | None, unseen: bool, seeds: tuple[int, ...]) -> Iterator[Case]:
     if part in (None, "measured"):
         for name in UNSEEN_MEASURED if unseen else MEASURED:
             folder = DATA / name
@@ -194,8 +220,12 @@ def _cases(part: str | None, unseen: bool) -> Iterator[Case]:
                     folder.name, folder / "can.log.gz", world / "oem.dbc", folder / "car.yaml",
                     ALSO["second_world"],
                 )  # fmt: skip
+    if part in (None, "renamed"):
+        for case in (*_cases("measured", unseen, ()), *_cases("second_world", unseen, ())):
+            if case.log.exists():
+                yield _renamed(case)
     if part in (None, "obfuscated"):
-        for seed in UNSEEN_SEEDS if unseen else SEEDS:
+        for seed in seeds:
             folder = FOLDER / "init" / f"seed{seed}"
             database, log, config = write_bus(seed, folder, MINUTES)
             yield Case(f"obfuscated {seed}", log, database, config, are_named=False)

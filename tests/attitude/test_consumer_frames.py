@@ -123,15 +123,20 @@ def out_dbc():
 
 
 def car_frames(bus, seconds=60.0, rate=25.0):
-    """Standing on a slope of 6 %, then driving up it, straight; sensor axes by MOUNT."""
+    """Standing on a slope of 6 %, then driving up it, straight; sensor axes by MOUNT.
+
+    With a sensor's noise: values that never change while it drives are those of a dead sensor.
+    """
     slope = math.atan(0.06)
+    rng = np.random.default_rng(3)
     frames = []
     for k in range(round(seconds * rate)):
         t = k / rate
         a = 2.0 if 20.0 < t < 28.0 else 0.0
         v = 2.0 * min(max(t - 20.0, 0.0), 8.0)
         force = MOUNT.T @ [a + G * math.sin(slope), 0.0, G * math.cos(slope)]
-        rate_deg = MOUNT.T @ [0.2, -0.3, 0.1]
+        force = force + 0.006 * rng.standard_normal(3)
+        rate_deg = MOUNT.T @ [0.2, -0.3, 0.1] + 0.01 * rng.standard_normal(3)
         if k % 5 == 0:
             frames.append((t, *raw(bus.get_message_by_name("SPD"), v)))
         frames.append((t, *raw(bus.get_message_by_name("GYR"), *rate_deg)))

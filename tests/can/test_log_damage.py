@@ -275,7 +275,7 @@ def test_damage_inside_a_compressed_file_is_told(tmp_path: Path) -> None:
 )
 def test_what_only_begins_like_gzip_is_an_error(tmp_path: Path, stored: bytes) -> None:
     (tmp_path / "a.log.gz").write_bytes(stored)
-    with pytest.raises(LogError, match=r"a\.log\.gz: cannot be read: "):
+    with pytest.raises(LogError, match=r"a\.log\.gz: (cannot be read: |not a log)"):
         list(LogReader([tmp_path / "a.log.gz"]))
 
 

@@ -204,12 +204,12 @@ def test_messages_that_cannot_have_been_frames_are_rejected(
         def __exit__(self, *details: object) -> None:
             pass
 
-    monkeypatch.setattr(python_can_logs, "_open", lambda _: Reader([good, *wrong, good]))
-    (tmp_path / "a.blf").touch()
-    reader = LogReader([tmp_path / "a.blf"])
+    monkeypatch.setattr(python_can_logs, "_open", lambda *_: Reader([good, *wrong, good]))
+    (tmp_path / "a.trc").touch()
+    reader = LogReader([tmp_path / "a.trc"])
     assert len(frames_of(*reader)) == 2
     assert reader.rejected == {"bad_timestamp": 1, "bad_id": 1, "too_long": 1, "bad_length": 1}
-    assert reader.problems[0] == f"{tmp_path / 'a.blf'}: message 2: bad timestamp"
+    assert reader.problems[0] == f"{tmp_path / 'a.trc'}: message 2: bad timestamp"
 
 
 ONE_FRAME_LOGS = """
@@ -218,6 +218,10 @@ from imucald.can.columns import FrameColumns
 
 class FORMAT:
     endings = (".one",)
+
+    @staticmethod
+    def begins(head):
+        return head.startswith(b"ONE")
 
     def __init__(self, filters, channels, statistics):
         self.filters, self.channels, self.statistics = filters, channels, statistics
@@ -245,3 +249,6 @@ def test_a_new_format_is_one_file_in_the_folder_of_logs(tmp_path, monkeypatch):
     assert (columns.t.tolist(), columns.data.tolist()) == ([1.5], [list(range(8))])
     assert reader.frames_read == 1
     assert list(LogReader([path], [IdMatch(0x124, 0x7FF)])) == []
+    other = tmp_path / "a.log"
+    other.write_bytes(b"ONE45678")
+    assert [c.data.tobytes() for c in LogReader([other])] == [b"ONE45678"]

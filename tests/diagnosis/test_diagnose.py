@@ -12,7 +12,7 @@ from hidden import Effect, hidden_drive
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Series
 from imucald.diagnosis.diagnose import diagnose
-from imucald.diagnosis.result import GOES_AGAINST, Diagnosis
+from imucald.diagnosis.result import GOES_AGAINST, TOO_MUCH, Diagnosis
 from imucald.model.model import model_from_mapping
 
 MINUTES = 15.0
@@ -158,3 +158,28 @@ def test_several_drives_are_one_vehicle():
     d = diagnose([first.samples, dict(first.samples)], base)
     assert d.duration_s == pytest.approx(2 * diagnosed().duration_s, rel=0.01)
     assert np.isfinite(second.t[-1])
+
+
+def test_gusts_on_the_sensor_alone_are_unknown_and_no_fit_is_believed():
+    made = drive("steering_offset")
+    samples, rng = dict(made.samples), np.random.default_rng(3)
+    t = samples["accel"].t
+    seconds = np.arange(int(t[-1]) + 2)
+    push = np.interp(t, seconds, rng.normal(0.0, 0.5, len(seconds)))
+    sideways = made.R_vehicle_from_sensor[1]
+    samples["accel"] = Series(t, samples["accel"].values + push[:, None] * sideways)
+    d = diagnose([samples], model_from_mapping(dict(made.model), "b"))
+    assert d.verdict == "unknown"
+    assert TOO_MUCH in {s.kind for s in d.structure}
+    assert not d.causes
+    assert not d.recommended
+    assert d.model_after == d.model_before
+    assert "steering_offset" in {c.name for c in d.likely}
+    assert {c.certainty for c in d.likely} == {"likely"}
+
+
+def test_a_sensitivity_to_the_force_is_no_zero_error_besides():
+    """At rest it reads one g as a rate: that is the same cause, told once."""
+    d = diagnosed("g_sensitivity")
+    assert "g_sensitivity" in names(d)
+    assert "gyro_bias" not in {c.name for c in d.causes}

@@ -121,3 +121,28 @@ def test_who_is_asked_for_each_value_has_no_clock():
     t = np.cumsum(rng.normal(0.42, 0.03, 700))
     samples["speed"] = Series(t, np.round(40.0 + 10.0 * np.sin(t / 11.0)) / 3.6)
     assert causes(samples) == {}
+
+
+def test_a_speed_that_sticks_is_found_also_after_a_long_stop():
+    """The usual length of a stretch without change is that of driving, not of standing."""
+    samples = drive()
+    t, v = samples["speed"].t, samples["speed"].values.copy()
+    v[t < 100.0] = 0.0
+    inside = (t > 200.0) & (t < 230.0)
+    v[inside] = v[np.flatnonzero(inside)[0]]
+    samples["speed"] = Series(t, v)
+    found = causes(samples)
+    assert list(found) == ["stuck_signal:speed"]
+    assert found["stuck_signal:speed"].values["_speed.stuck_s"][0] == pytest.approx(30.0, abs=1.0)
+
+
+def test_a_clock_that_wanders_still_shows_what_is_lost():
+    """A logger's stamps walk by 60 ms to and fro: no cycle to be told, but whole cycles between."""
+    samples = drive()
+    t = samples["accel"].t
+    kept = np.random.default_rng(5).random(len(t)) > 0.02
+    wandering = t + 0.06 * np.sin(t / 20.0)
+    samples["accel"] = Series(wandering[kept], samples["accel"].values[kept])
+    found = causes(samples)
+    assert list(found) == ["dropouts:accel"]
+    assert found["dropouts:accel"].values["accel.loss"][0] == pytest.approx(0.02, abs=0.003)

@@ -11,7 +11,7 @@ from hidden import Effect, hidden_drive
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import Series
 from imucald.diagnosis.blocks import table_of
-from imucald.diagnosis.direct import gravity_at_rest, rest_of
+from imucald.diagnosis.direct import Rest, gravity_at_rest, rest_of
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.model_file import extended, mount_of, value, with_delay_rate, with_shifts
 from imucald.diagnosis.signals import Channel, drive_of, duplicates
@@ -204,3 +204,17 @@ def test_a_turn_and_a_shift_are_rotations_about_the_vehicles_axes():
     assert after == pytest.approx(rotation_from_vector(turn) @ mount_of(model), abs=1e-9)
     shifted = with_shifts(model, [(100.0, turn)])
     assert shifted.mount.shifts[0].t_s == 100.0
+
+
+def test_stops_allow_for_what_the_temperature_may_do():
+    """0.07 deg/s at 20 K from where the zero is stated is no error of an honest file; at 0 K it
+    is."""
+    _, model = world()
+    rate = np.radians([0.07, 0.0, 0.0])
+    se = np.full(3, 1e-5)
+    cold, warm = Rest(rate, se, 3.0, 9, 0.0), Rest(rate, se, 3.0, 9, 20.0)
+    assert np.any(np.abs(cold.rate) > cold.honest(model))
+    assert np.all(np.abs(warm.rate) < warm.honest(model))
+    low, high = warm.bounds(model)["gyro.bias.x"]
+    assert low < rate[0] < high
+    assert high - low > np.radians(2 * 20 * 0.01)

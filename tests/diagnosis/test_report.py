@@ -10,6 +10,7 @@ import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from functools import cache
+from math import radians
 
 import made_diagnosis as made
 import numpy as np
@@ -25,8 +26,9 @@ from imucald.diagnosis.result import (
     SignalGain,
     Structure,
 )
+from imucald.report import numbers, titles
 from imucald.report import wording as words
-from imucald.report.decimation import envelope, log_bins, telling_stretch, trend
+from imucald.report.decimation import clearest_segment, envelope, log_bins, trend
 from imucald.report.model_changes import as_diff, model_changes, value_text
 from imucald.report.page import About, report_page, require_libraries
 
@@ -263,8 +265,8 @@ def test_words_need_neither_library():
     code = (
         "import sys; sys.modules['jinja2'] = sys.modules['matplotlib'] = None;"
         "import imucald.commands.diagnose_view, imucald.report.model_changes as changes;"
-        "from imucald.commands.diagnose_view import words;"
-        "print(words.cause_title('dropouts'), changes.value_text([1.5, None]))"
+        "from imucald.commands.diagnose_view import titles;"
+        "print(titles.cause_title('dropouts'), changes.value_text([1.5, None]))"
     )
     process = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False
@@ -284,7 +286,7 @@ def test_words_need_neither_library():
     (math.nan, 1.0, "-"),
 ])  # fmt: skip
 def test_values_are_rounded_by_their_deviation(value, std, text):
-    assert words.with_spread(value, std) == text
+    assert numbers.with_spread(value, std) == text
 
 
 @pytest.mark.parametrize(("key", "text"), [
@@ -298,24 +300,24 @@ def test_values_are_rounded_by_their_deviation(value, std, text):
     ("_speed.doubled", "speed doubled"),
 ])  # fmt: skip
 def test_parameters_have_names_that_people_use(key, text):
-    assert words.key_title(key) == text
+    assert titles.key_title(key) == text
 
 
 @pytest.mark.parametrize(("key", "p", "text"), [
-    ("gyro.bias.z", Estimated(0.5 / words.DEG, 0.02 / words.DEG, "rad/s"), "0.500 ± 0.040 deg/s"),
+    ("gyro.bias.z", Estimated(radians(0.5), radians(0.02), "rad/s"), "0.500 ± 0.040 deg/s"),
     ("chassis.steering_ratio", Estimated(16.42, 0.31, "1"), "16.42 ± 0.62"),
     ("speed.scale", Estimated(0.031, 0.004, "1"), "3.10 ± 0.80 %"),
     ("speed.delay_rate", Estimated(1.74e-4, 9e-6, "1"), "174 ± 18 ppm"),
     ("mount.lever_arm_m.0", Estimated(1.5, 0.1, "m"), "1.50 ± 0.20 m"),
 ])  # fmt: skip
 def test_values_are_in_units_that_people_use(key, p, text):
-    assert words.for_people(key, p)[0] == text
+    assert numbers.for_people(key, p)[0] == text
 
 
 def test_a_cause_that_nobody_has_named_yet_has_a_title():
-    assert words.cause_title("trailer_sway") == "trailer sway"
-    assert words.signal_title("accel_z") == "accelerometer up"
-    assert words.signal_title("brake_torque") == "brake torque"
+    assert titles.cause_title("trailer_sway") == "trailer sway"
+    assert titles.signal_title("accel_z") == "accelerometer up"
+    assert titles.signal_title("brake_torque") == "brake torque"
 
 
 def test_a_sure_cause_beside_an_ambiguous_one_is_told():
@@ -344,7 +346,7 @@ def test_a_gain_that_is_not_known_is_told_so():
 
 def test_names_in_texts_are_those_that_people_use():
     text = "accel_bias or body_roll: drive; not my_accel_bias"
-    said = words.with_titles(text, ["accel_bias", "body_roll"])
+    said = titles.with_titles(text, ["accel_bias", "body_roll"])
     assert said == "accelerometer bias or body roll: drive; not my_accel_bias"
 
 
@@ -419,12 +421,12 @@ def test_a_spectrum_keeps_its_level_in_logarithmic_bins():
     assert mean * middle == pytest.approx(np.ones(len(middle)), rel=0.01)
 
 
-def test_the_telling_stretch_is_where_the_residual_falls():
+def test_the_clearest_segment_is_where_the_residual_falls():
     t = np.arange(5000) / 10.0
     before = np.ones(5000)
     after = np.ones(5000)
     after[3000:3400] = 0.0
-    rows = telling_stretch(t, before, after, 30.0)
+    rows = clearest_segment(t, before, after, 30.0)
     assert rows.start >= 3000
     assert rows.stop <= 3402
     assert rows.stop - rows.start == pytest.approx(300, abs=2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from imucald import cli
 from imucald.can.columns import FrameColumns
 from imucald.can.dbc.database import load_database, load_database_text
 from imucald.can.logs.log_reader import LogReader
-from imucald.config import load_config
+from imucald.can.python_can import can
+from imucald.config import load_config, parse_config
 from imucald.discovery import GatheredFrames, Proposal, as_yaml, discover
 from imucald.discovery.candidates import candidates_of, messages_in, silent_candidates
 from imucald.discovery.discover import free_output_ids
@@ -154,6 +156,69 @@ def test_all_ones_that_are_jumped_to_are_not_available():
     (signal,) = candidates_of(one, 200)
     assert signal.unavailable == (0xFFFF,)
     assert signal.largest < 5001
+
+
+def random_frames(seed: int, kind: str) -> FrameColumns:
+    """Frames of the example bus with random bytes, random walks or the same bytes always."""
+    rng = np.random.default_rng(seed)
+    ids = [m.can_id for m in load_database([EXAMPLE]).messages.values()]
+    n = 30_000
+    can_id = rng.choice(ids, n).astype(np.uint32)
+    data = rng.integers(0, 256, (n, 8), dtype=np.uint8)
+    if kind == "constant":
+        data[:] = data[0]
+    if kind == "walks":
+        for one in ids:
+            rows = np.flatnonzero(can_id == one)
+            steps = rng.standard_normal((len(rows), 4)) * rng.choice([3, 30, 300])
+            walk = np.cumsum(steps, axis=0) + rng.integers(0, 65536, 4)
+            data[rows] = walk.astype(np.int64).astype("<u2").view(np.uint8)
+    length = rng.integers(0, 9, n) if seed % 2 else np.full(n, 8)
+    t = np.sort(rng.uniform(0.0, 150.0, n))
+    return FrameColumns(t, can_id, length.astype(np.uint8), data, np.zeros(n, np.uint8), ("can0",))
+
+
+@pytest.mark.parametrize("kind", ["random", "walks", "constant"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_signals_without_meaning_prove_nothing(seed, kind):
+    frames = GatheredFrames.of([random_frames(seed, kind)])
+    proposal = discover({"car.dbc": load_database([EXAMPLE])}, frames)
+    assert not [c.quantity for c in proposal.choices if c.is_sure]
+    parse_config(as_yaml(proposal, ["car.dbc"]))
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_a_few_frames_are_survived(count):
+    frames = GatheredFrames.of([random_frames(3, "random").take(slice(0, count))])
+    assert discover({"car.dbc": load_database([EXAMPLE])}, frames).notes
+
+
+def test_the_command_listens_on_a_bus_and_never_sends(tmp_path, drive):
+    (chunk, *_) = LogReader([drive])
+    stop = threading.Event()
+    heard = []
+
+    def car() -> None:
+        with can.Bus(interface="virtual", channel="init-live") as bus:
+            for i in range(len(chunk)):
+                if stop.wait(0.0005):
+                    break
+                data = chunk.data[i, : chunk.length[i]].tobytes()
+                bus.send(can.Message(float(chunk.t[i]), int(chunk.can_id[i]), False, data=data))
+            while (message := bus.recv(0.0)) is not None:
+                heard.append(message)
+
+    thread = threading.Thread(target=car)
+    thread.start()
+    out = tmp_path / "car.yaml"
+    try:
+        arguments = ["--interface", "virtual", "--channel", "init-live", "--seconds", "1"]
+        assert cli.main(["init", "--database", str(EXAMPLE), *arguments, "--out", str(out)]) == 0
+    finally:
+        stop.set()
+        thread.join()
+    assert "messages of the database" in out.read_text()
+    assert heard == []
 
 
 @pytest.mark.parametrize(

@@ -98,6 +98,10 @@ class Cluster:
         victim.wait()
         self._add_worker()
 
+    def kill_the_scheduler(self) -> None:
+        self._scheduler.kill()
+        self._scheduler.wait()
+
     def __exit__(self, *_: object) -> None:
         for process in (*self.workers, self._scheduler):
             process.kill()

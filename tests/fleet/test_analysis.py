@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from imucald.fleet.analysis.analyse import analysed
 from imucald.fleet.analysis.components import between_drives, between_vehicles
@@ -27,7 +28,7 @@ def columns_of(
     spread: float = 0.3,
     seed: int = 1,
     centre: Rotation | None = None,
-    offset: Callable[[int, int], tuple[float, float, float]] = lambda v, d: (0.0, 0.0, 0.0),
+    offset: Callable[[int, int], tuple[float, float, float]] = lambda *_: (0.0, 0.0, 0.0),
     crown: float = 0.0,
     **more: Callable[[int, int], object],
 ) -> dict[str, list[Any]]:
@@ -62,7 +63,7 @@ def found(tables: Rows, name: str) -> list[dict[str, Any]]:
 
 
 def test_a_fleet_without_faults_shows_none() -> None:
-    tables = analysed(columns_of(sensor_batch=lambda v, d: f"B{v % 4}"))
+    tables = analysed(columns_of(sensor_batch=lambda v, _: f"B{v % 4}"))
     assert found(tables, "remounts") == []
     assert tables["analysis/outliers"] == []
     assert {row["verdict"] for row in tables["analysis/groups"]} == {"ok"}
@@ -104,7 +105,7 @@ def test_a_bad_batch_is_found_and_is_no_heap_of_outliers() -> None:
     def offset(v: int, d: int) -> tuple[float, float, float]:
         return (0.0, 1.5, 0.0) if v % 8 == 3 else (0.0, 0.0, 0.0)
 
-    columns = columns_of(80, offset=offset, sensor_batch=lambda v, d: f"B{v % 8}")
+    columns = columns_of(80, offset=offset, sensor_batch=lambda v, _: f"B{v % 8}")
     tables = analysed(columns)
     bad = [row for row in tables["analysis/groups"] if row["verdict"] == "bad"]
     assert [row["name"] for row in bad] == ["B3"]
@@ -115,7 +116,7 @@ def test_a_bad_batch_is_found_and_is_no_heap_of_outliers() -> None:
 
 
 def test_a_small_batch_is_not_judged() -> None:
-    tables = analysed(columns_of(40, sensor_batch=lambda v, d: "few" if v < 4 else "many"))
+    tables = analysed(columns_of(40, sensor_batch=lambda v, _: "few" if v < 4 else "many"))
     verdicts = {row["name"]: row["verdict"] for row in tables["analysis/groups"]}
     assert verdicts == {"few": "too few", "many": "ok"}
 
@@ -173,8 +174,8 @@ def test_a_fault_of_many_vehicles_of_a_type_is_design_and_of_one_is_not() -> Non
     columns = columns_of(
         90,
         2,
-        vehicle_type=lambda v, d: f"type-{v % 3}",
-        causes=lambda v, d: json.dumps(
+        vehicle_type=lambda v, _: f"type-{v % 3}",
+        causes=lambda v, _: json.dumps(
             ["accel stuck"] * (v % 3 == 1 and v < 30) + ["gyro saturated"] * (v == 5)
         ),
     )
@@ -227,14 +228,12 @@ def test_cuts_are_where_the_partition_is_best_of_all() -> None:
     """Against trying every partition of a short history."""
     rng = np.random.default_rng(8)
     n = 9
+    penalty = chi2.isf(0.05 / (n - 1), 3)
     for _ in range(20):
         e = rng.normal(0.0, 1.0, (n, 3)) + np.where(
             np.arange(n)[:, None] >= rng.integers(2, 8), 3, 0
         )
         W = np.eye(3)[None] * rng.uniform(0.5, 2.0, (n, 1, 1))
-        from scipy.stats import chi2
-
-        penalty = chi2.isf(0.05 / (n - 1), 3)
 
         def cost(cuts: list[int], e: Any = e, W: Any = W) -> float:
             total = penalty * len(cuts)

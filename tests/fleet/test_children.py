@@ -137,7 +137,8 @@ def test_children_end_with_their_worker(tmp_path: Path, bundle: str) -> None:
     code = (
         "from imucald.fleet.task import LogLimits, Task\n"
         "from imucald.fleet.workers import run_one_log\n"
-        f"run_one_log(Task({str(log)!r}, '-', limits=LogLimits(time_s=300.0), function={FUNCTION!r}))"
+        f"limits = LogLimits(time_s=300.0)\n"
+        f"run_one_log(Task({str(log)!r}, '-', limits=limits, function={FUNCTION!r}))"
     )
     worker = subprocess.Popen([sys.executable, "-c", code], env=environment())
     told = log.with_suffix(".pid")

@@ -316,3 +316,17 @@ def test_vehicles_come_from_path_and_list(tmp_path: Path) -> None:
         ("car-1", "coupe", "s3", "B1"),
         ("car-2", None, None, None),
     ]
+
+
+def test_drives_of_a_logger_without_a_clock_are_in_the_order_of_their_addresses(
+    tmp_path: Path,
+) -> None:
+    def no_clock(task: Task, tried: int) -> Outcome | None:
+        outcome = good(task)
+        assert outcome.drive is not None
+        return Outcome("ok", log_key=outcome.log_key, drive=outcome.drive | {"start": None})
+
+    fleet = load_fleet(make_logs(tmp_path, ["d", "x", "x", "cccc", "y", "y", "a", "z", "z"]))
+    go(fleet, tmp_path / "out", no_clock)
+    rows = pq.read_table(tmp_path / "out" / "drives").to_pylist()
+    assert [r["log_key"] for r in rows if r["vehicle"] == "car-0"] == ["key-d", "key-cccc", "key-a"]

@@ -135,6 +135,22 @@ def test_workers_killed_at_random_times_cost_time_only(
 
 
 @pytest.mark.slow
+def test_a_scheduler_that_dies_ends_the_run_which_goes_on_anywhere(
+    fleet: Path, calm: dict[str, bytes], tmp_path: Path
+) -> None:
+    with Cluster(tmp_path, tls_files(tmp_path)) as short_lived:
+        driver = start(fleet, tmp_path / "out", short_lived.address, *short_lived.tls)
+        assert driver.stdout is not None
+        assert driver.stdout.readline().strip() == "leased"
+        time.sleep(3.0)
+        short_lived.kill_the_scheduler()
+        driver.communicate(timeout=120)
+    assert driver.returncode in (0, 1), "done before, or told"
+    finish(fleet, tmp_path / "out")
+    assert tables_of(tmp_path / "out") == calm
+
+
+@pytest.mark.slow
 def test_a_scheduler_is_not_talked_to_without_its_certificates(
     fleet: Path, cluster: Cluster, tmp_path: Path
 ) -> None:

@@ -86,13 +86,12 @@ def turned(mount: StoredMount, degrees: tuple[float, float, float]) -> StoredMou
 def test_it_says_what_the_estimate_said():
     """Fused by itself, without what changes between drives, it gives the mount it came from."""
     settings = driven()._settings
-    found = driven().estimate().details["cross_axis_std"]
-    assert isinstance(found, float)
+    scales = driven()._solver._cross_axis
+    assert sum(p for _, p in scales) == pytest.approx(1.0)
     sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
-    sharing.scale2 = found * found
     kept = evidence()
     pieces = {n: AngleEvidence(p.value, p.variance + p.bias, 1.0) for n, p in kept.sources.items()}
-    fused = fuse(pieces, sharing, CommonCovariance(common_errors(settings)))
+    fused = fuse(pieces, sharing, scales)
     assert np.abs(fused.error).max() < 1e-9
     crown = loaded().config.vehicle.crown_spread_percent / 100.0
     claimed = np.diag(stored().covariance) - [crown**2, 0.0, 0.0]

@@ -121,6 +121,23 @@ def test_live_and_by_columns_the_same_frames_come(frozen: str, tmp_path) -> None
     assert live.health() == columns.health()
 
 
+@pytest.mark.parametrize("frozen", ["accel", "gyro"])
+def test_the_attitude_is_not_available_while_a_sensor_of_it_is_faulty(frozen, tmp_path) -> None:
+    loaded = load(CONFIG + "attitude: {enabled: true, rate: 10}\n", tmp_path)
+    live, columns = engine_of(loaded, Fine()), engine_of(loaded, Fine())
+    frames = traffic(frozen)
+    out = [x for frame in frames for x in live.frame(*frame)]
+    assert frames_of(columns.columns(columns_of(frames))) == out
+    can_id = loaded.config.output.ids.attitude
+    plan = compile_decode(output_database().message("IMUCALD_Attitude"), ["Roll", "State"])
+    rows = [plan.decode(data) for sent_id, data in out if sent_id == can_id]
+    state = np.array([row[1] for row in rows])
+    t = 0.1 * np.arange(len(state))
+    assert (state[(t > 10.0) & (t < START)] > 0.0).all()
+    assert (state[(t > START + 2.2) & (t < STOP + 9.0)] == 0.0).all()
+    assert (state[t > STOP + 13.0] > 0.0).all()
+
+
 def test_a_flood_of_invalid_frames_is_answered_once_a_cycle(tmp_path) -> None:
     loaded = load(CONFIG, tmp_path)
     live, columns = engine_of(loaded, Fine()), engine_of(loaded, Fine())

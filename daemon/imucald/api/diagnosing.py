@@ -19,7 +19,8 @@ from imucald.diagnosis.recording import Recording, read_samples
 from imucald.diagnosis.result import Diagnosis
 from imucald.model.model import VehicleModel, load_model
 from imucald.report.model_changes import model_changes, value_text
-from imucald.report.wording import duration, verdict
+from imucald.report.numbers import duration
+from imucald.report.wording import verdict
 
 FEW_REJECTED = 1e-4
 """Share of frames that may be rejected without a word: a damaged line or two."""

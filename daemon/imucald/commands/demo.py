@@ -69,13 +69,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Drive, show, compare; 0 when the estimate became usable."""
     from imucald.commands.demo_drive import Demonstration
-    from imucald.commands.demo_view import (
-        LiveView,
-        Picture,
-        PlainView,
-        print_result,
-        write_svg,
-    )
+    from imucald.commands.demo_picture import Picture
+    from imucald.commands.demo_result import print_result, write_svg
+    from imucald.commands.demo_view import LiveView, PlainView
     from imucald.commands.simulate import chosen_model
     from imucald.commands.terminal import plain_where_needed
     from imucald.simulation.drive import simulate

@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=300.0,
         metavar="S",
-        help="processor time after which what was found so far is told (default: %(default).0f s)",
+        help="processor time after which the search ends, with what it found (%(default).0f s)",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     parser.add_argument("--quiet", action="store_true", help="no progress, no summary")

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from imucald.commands.terminal import plain_console, plain_where_needed
+from imucald.report import numbers, titles
 from imucald.report import wording as words
 
 if TYPE_CHECKING:
@@ -73,36 +74,36 @@ def _print_cause(console: Console, cause: FoundCause) -> None:
     from rich.text import Text
 
     console.print()
-    title = f"{cause.certainty}: {words.cause_title(cause.name)}"
-    console.print(Text.assemble((title, "bold"), f". {words.typographic(cause.text)}"))
+    title = f"{cause.certainty}: {titles.cause_title(cause.name)}"
+    console.print(Text.assemble((title, "bold"), f". {numbers.typographic(cause.text)}"))
     table = _table()
     table.add_column("parameter", overflow="fold")
     table.add_column("value ± 95 %", justify="right")
-    table.add_column("the file said", justify="right")
+    table.add_column("model file", justify="right")
     table.add_column("in the model file", overflow="fold")
     for key, p in cause.parameters.items():
-        shown, stated = words.for_people(key, p)
-        table.add_row(f"  {words.key_title(key)}", shown, stated, f"{key}: {words.in_file(p)}")
+        shown, stated = numbers.for_people(key, p)
+        table.add_row(f"  {titles.key_title(key)}", shown, stated, f"{key}: {numbers.in_file(p)}")
     console.print(table)
     if cause.signals:
-        signals = words.in_series([words.signal_title(s) for s in cause.signals])
+        signals = words.in_series([titles.signal_title(s) for s in cause.signals])
         console.print(Padding(f"seen in {signals}", INDENT))
     if words.evidence(cause):
         console.print(Padding(words.evidence(cause), INDENT))
     for text in cause.against:
-        console.print(Padding(f"against it: {words.typographic(text)}", INDENT))
+        console.print(Padding(f"against it: {numbers.typographic(text)}", INDENT))
 
 
 def _print_open(console: Console, diagnosis: Diagnosis) -> None:
-    """What cannot be told apart, and what is left."""
+    """What these drives cannot distinguish, and what is left."""
     if diagnosis.look_alikes or diagnosis.to_separate:
         console.print()
     for group in diagnosis.look_alikes:
-        titles = [words.cause_title(name) for name in group]
-        console.print(f"not to be told apart: {words.in_series(titles, 'or')}")
+        alike = [titles.cause_title(name) for name in group]
+        console.print(f"cannot be distinguished: {words.in_series(alike, 'or')}")
     if diagnosis.to_separate:
         names = [name for group in diagnosis.look_alikes for name in group]
-        console.print(f"to tell them apart: {words.with_titles(diagnosis.to_separate, names)}")
+        console.print(f"to distinguish them: {titles.with_titles(diagnosis.to_separate, names)}")
     if not diagnosis.structure:
         return
     console.print()
@@ -111,8 +112,8 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
     for title in ("signal", "what", "size", "where"):
         table.add_column(title, overflow="fold", justify="right" if title == "size" else "left")
     for s in diagnosis.structure[:SHOWN_STRUCTURE]:
-        signal = words.signal_title(s.signal)
-        table.add_row(f"  {signal}", s.kind, words.number(s.size, 2), words.typographic(s.text))
+        signal = titles.signal_title(s.signal)
+        table.add_row(f"  {signal}", s.kind, numbers.number(s.size, 2), numbers.typographic(s.text))
     console.print(table)
 
 
@@ -124,10 +125,10 @@ def _print_signals(console: Console, diagnosis: Diagnosis) -> None:
     table.add_column("unit")
     table.add_column("what is left", overflow="fold")
     for name, s in diagnosis.signals.items():
-        numbers = [words.number(x) for x in (s.rms_before, s.rms_after, s.noise_floor)]
-        numbers.insert(2, words.less(s))
-        left = words.typographic(s.left)
-        table.add_row(words.signal_title(name), *numbers, words.unit_text(s.unit), left)
+        cells = [numbers.number(x) for x in (s.rms_before, s.rms_after, s.noise_floor)]
+        cells.insert(2, words.less(s))
+        left = numbers.typographic(s.left)
+        table.add_row(titles.signal_title(name), *cells, numbers.unit_text(s.unit), left)
     console.print(table)
 
 
@@ -135,7 +136,7 @@ def _print_candidates(console: Console, diagnosis: Diagnosis) -> None:
     open_ones = [c for c in diagnosis.candidates if c.outcome != "within tolerance"]
     ordered = sorted(open_ones, key=lambda c: -c.nats)
     for c in ordered[:SHOWN_CANDIDATES]:
-        console.print(f"not named: {words.cause_title(c.name)}, {words.outcome(c)}")
+        console.print(f"not named: {titles.cause_title(c.name)}, {words.outcome(c)}")
     rest = len(diagnosis.candidates) - min(len(ordered), SHOWN_CANDIDATES)
     if rest > 0:
         console.print(f"{rest} more were not named; report and JSON have them")

@@ -1,4 +1,4 @@
-"""The files that commands read and write: mistakes are told before the work, not after it."""
+"""The files that commands read and write: mistakes are reported before the work, not after it."""
 
 from __future__ import annotations
 

@@ -28,7 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         sub.add_argument("--out", required=True, metavar="URL", help="folder of the tables")
         if name in ("run", "retry"):
             _add_run(sub)
-        elif name == "why":
+            continue
+        sub.add_argument(
+            "--fleet", type=Path, metavar="FILE", help="fleet.yaml, for its options of storage"
+        )
+        if name == "why":
             sub.add_argument("log", metavar="LOG", help="its address, a part of it, or its log_key")
         elif name == "analyse":
             sub.add_argument(

@@ -13,10 +13,12 @@ if TYPE_CHECKING:
 
 
 def _store(options: argparse.Namespace) -> Store:
+    from imucald.fleet.fleet_file import read_settings
     from imucald.fleet.store import Store
     from imucald.fleet.tables import parts
 
-    store = Store(options.out)
+    storage = read_settings(options.fleet)[0].storage if options.fleet else None
+    store = Store(options.out, storage)
     if not parts(store, "sources"):
         raise ImucaldError(f"{store.url}: no run has written here ('imucald fleet run')")
     return store

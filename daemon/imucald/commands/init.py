@@ -39,6 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", default="-", metavar="FILE", help="write here (default: standard output)"
     )
     parser.add_argument(
+        "--driving-side",
+        choices=("left", "right", "unknown"),
+        default="unknown",
+        help="side of the road: no recording tells it, and roads lean to it",
+    )
+    parser.add_argument(
         "--interface", help="listen on a bus: python-can interface or a name as can0"
     )
     parser.add_argument("--channel", help="its channel")
@@ -77,6 +83,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         recording = GatheredFrames()
     proposal = discover(databases, recording)
+    proposal.driving_side = options.driving_side
     write_text(options.out, as_yaml(proposal, list(databases)))
     if out:
         unsure = sum(not choice.is_sure for choice in proposal.choices)

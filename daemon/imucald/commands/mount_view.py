@@ -76,12 +76,20 @@ def interval_bar(std_deg: float | None, target: float | None, width: int) -> Tex
     """A 95 % interval as a bar on a log scale, with a mark where the target is."""
     half = half_width(std_deg)
     filled = width if half is None else _place(half, width)
-    good = half is not None and target is not None and half < SD_95 * target
-    text = Text(BAR * filled + REST * (width - filled), style="green" if good else "cyan")
+    if target is None:
+        return _bar(filled, width, "cyan")
+    at = min(_place(SD_95 * target, width), width - 2)
+    good = half is not None and half < SD_95 * target
+    # the mark hides one place: the bar ends before it or goes on behind it, as the interval does
+    text = _bar(
+        min(filled, at) if good else max(filled, at + 2), width, "green" if good else "cyan"
+    )
+    return text[:at] + Text(MARK, style="bold") + text[at + 1 :]
+
+
+def _bar(filled: int, width: int, style: str) -> Text:
+    text = Text(BAR * filled + REST * (width - filled), style=style)
     text.stylize("dim", filled)
-    if target is not None:
-        at = min(_place(SD_95 * target, width), width - 1)
-        text = text[:at] + Text(MARK, style="bold") + text[at + 1 :]
     return text
 
 

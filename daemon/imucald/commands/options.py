@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-LOG_HELP = "candump log (.log, .gz, '-' for standard input), or .asc .blf .trc .csv .mf4"
+LOG_HELP = (
+    "candump output in any form ('-' for standard input), ASC, BLF, TRC, MF4, CSV of SavvyCAN or "
+    "python-can, PCAP; may be compressed (gz, xz, bz2, zst). Best: candump -l can0"
+)
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:

@@ -101,8 +101,8 @@ def _sensors(health: Mapping[str, Any]) -> Text:
         for channel, faults in health["sensors"].items()
         for fault, axes in faults.items()
     ]
-    told = len(health["events"])
-    before = f"; {told} faults so far" if told else ""
+    count = len(health["events"])
+    before = f"; {count} faults so far" if count else ""
     return Text((", ".join(faulty) or "all sound") + before, style="bold red" if faulty else "")
 
 

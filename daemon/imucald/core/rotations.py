@@ -101,8 +101,11 @@ def angles_from_rotation(R_vehicle_from_sensor: ArrayLike) -> tuple[float, float
 
 def skew(v: ArrayLike) -> Matrix3:
     """Cross-product matrix: ``skew(a) @ b == cross(a, b)``; (3,) -> (3, 3)."""
-    x, y, z = np.asarray(v, dtype=float)
+    x, y, z = np.asarray(v, dtype=float).tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+_EYE = np.eye(3)
 
 
 def rotation_from_vector(v: ArrayLike) -> Matrix3:
@@ -111,10 +114,10 @@ def rotation_from_vector(v: ArrayLike) -> Matrix3:
     angle = float(np.sqrt(w @ w))
     K = skew(w)
     if angle < 1e-8:
-        return np.eye(3) + K + 0.5 * (K @ K)
+        return np.asarray(_EYE + K + 0.5 * (K @ K))
     sin_over = math.sin(angle) / angle
     versine_over = 2.0 * (math.sin(0.5 * angle) / angle) ** 2
-    result: Matrix3 = np.eye(3) + sin_over * K + versine_over * (K @ K)
+    result: Matrix3 = _EYE + sin_over * K + versine_over * (K @ K)
     return result
 
 
@@ -130,24 +133,25 @@ def vector_from_rotation(R: ArrayLike) -> NDArray[np.float64]:
 
 def quaternion_from_rotation(R: ArrayLike) -> Quaternion:
     """Return unit quaternion (w, x, y, z) with w >= 0 of a rotation (3, 3) (Shepperd's method)."""
-    M = np.asarray(R, dtype=float)
+    # plain numbers: a third of the time that elements of an array take
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(R, dtype=float).tolist()
     candidates = [
-        1.0 + M[0, 0] + M[1, 1] + M[2, 2],
-        1.0 + M[0, 0] - M[1, 1] - M[2, 2],
-        1.0 - M[0, 0] + M[1, 1] - M[2, 2],
-        1.0 - M[0, 0] - M[1, 1] + M[2, 2],
+        1.0 + xx + yy + zz,
+        1.0 + xx - yy - zz,
+        1.0 - xx + yy - zz,
+        1.0 - xx - yy + zz,
     ]
-    k = int(np.argmax(candidates))
+    k = candidates.index(max(candidates))
     s = 2.0 * math.sqrt(max(candidates[k], 0.0))
     if k == 0:
-        q = (s / 4, (M[2, 1] - M[1, 2]) / s, (M[0, 2] - M[2, 0]) / s, (M[1, 0] - M[0, 1]) / s)
+        q = (s / 4, (zy - yz) / s, (xz - zx) / s, (yx - xy) / s)
     elif k == 1:
-        q = ((M[2, 1] - M[1, 2]) / s, s / 4, (M[0, 1] + M[1, 0]) / s, (M[0, 2] + M[2, 0]) / s)
+        q = ((zy - yz) / s, s / 4, (xy + yx) / s, (xz + zx) / s)
     elif k == 2:
-        q = ((M[0, 2] - M[2, 0]) / s, (M[0, 1] + M[1, 0]) / s, s / 4, (M[1, 2] + M[2, 1]) / s)
+        q = ((xz - zx) / s, (xy + yx) / s, s / 4, (yz + zy) / s)
     else:
-        q = ((M[1, 0] - M[0, 1]) / s, (M[0, 2] + M[2, 0]) / s, (M[1, 2] + M[2, 1]) / s, s / 4)
-    w, x, y, z = (float(c) for c in q)
+        q = ((yx - xy) / s, (xz + zx) / s, (yz + zy) / s, s / 4)
+    w, x, y, z = q
     sign = -1.0 if w < 0.0 else 1.0
     norm = sign * math.sqrt(w * w + x * x + y * y + z * z)
     return w / norm, x / norm, y / norm, z / norm

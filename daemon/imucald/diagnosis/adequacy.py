@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.result import GOES_AGAINST, Structure
+from imucald.diagnosis.result import GOES_AGAINST, TOO_MUCH, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
 from imucald.diagnosis.search import State
 from imucald.diagnosis.signals import STEP_S
@@ -31,6 +31,10 @@ what superelevation and the tyres' lag leave in an independent simulator."""
 BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
 PAIRS = (("accel_y", "yaw_rate"),)
 """Equations without a sensor in common, where gyroscope and yaw rate are both there."""
+MOST_LEFT_MPS2 = 0.1
+"""Sideways, after a fit of everything within its tolerance: three measured cars leave 0.02 to 0.05
+(gravity, turning and slip taken off), so twice that is no rigidly mounted sensor in a car that is
+driven by its wheels alone."""
 HUMP, HUMP_BINS = 4.0, 3
 """A hump is so many times the spectrum 0.2 Hz to both sides of it."""
 HUMPED = ("accel_y", "yaw_rate")
@@ -60,6 +64,23 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
             text = f"measured and predicted go against each other (correlation {r:.2f})"
             found.append(Structure(name, GOES_AGAINST, abs(r), text))
     return found
+
+
+def too_much(problem: Problem) -> list[Structure]:
+    """More left of the sideways force than any measured car leaves: a cause is missing, and what a
+    fit says while it is missing is not to be believed."""
+    name = "accel_y"
+    if not {name, "gyro_x"} <= set(problem.table.plain):
+        return []
+    left = problem.table.rms(name, fitted(problem))
+    if left <= MOST_LEFT_MPS2:
+        return []
+    text = (
+        f"{left:.2g} m/s^2 is left of the sideways force whatever is fitted, where measured cars "
+        f"leave less than {MOST_LEFT_MPS2 / 2.0:.2g}: the sensor is not fixed to the vehicle, or "
+        "something acts on it that neither speed nor turning tells of"
+    )
+    return [Structure(name, TOO_MUCH, left / MOST_LEFT_MPS2, text)]
 
 
 def what_is_left(problem: Problem, state: State) -> list[Structure]:

@@ -177,7 +177,7 @@ CAUSES: tuple[Cause, ...] = (
           together=_keys("gyro.g_sensitivity", "012")),
     Cause("gyro_bias_temperature", (_keys("gyro.bias_temperature"),),
           "The gyroscope's zero moves with its temperature.", "stops after a cold start"),
-    Cause("mount_rotation", (("mount.turn.z",),),
+    Cause("mount_rotation", (("mount.turn.z",), ("mount.turn.x",), ("mount.turn.y",)),
           "The sensor sits turned against what the model file says.",
           "straight braking and slow tight turns"),
     Cause("lever_arm", (_keys("mount.lever_arm_m", "012"),),

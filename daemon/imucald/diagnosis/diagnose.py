@@ -15,14 +15,14 @@ import numpy as np
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
-from imucald.diagnosis.adequacy import goes_against, what_is_left
+from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.faults import Fault, find_faults, spoilt
 from imucald.diagnosis.gain import gain_of
 from imucald.diagnosis.model_file import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.pictures import pictures_of
-from imucald.diagnosis.result import Diagnosis, FoundCause
+from imucald.diagnosis.result import TOO_MUCH, Diagnosis, FoundCause, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, estimate, quantile
 from imucald.diagnosis.search import State, final_estimates, search, shift_steps
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
@@ -79,8 +79,10 @@ def diagnose(
     if not wrong:
         search(state, tick, late, GYRO_BIAS if rest else ())
     tell(0.8, "what is left")
+    left = tuple(wrong) or _left(state)
+    if any(s.kind == TOO_MUCH for s in left):
+        state.give_up()
     problem = state.evaluated()
-    structure = tuple(wrong) or (*outcome.implausible(state), *what_is_left(problem, state))
     told = _told(state, rest, faults, model)
     tell(0.88, "what the written file brings")
     written = _written(state, problem)
@@ -94,7 +96,7 @@ def diagnose(
     )
     tell(0.95, "pictures")
     return Diagnosis(
-        verdict=outcome.verdict_of(told, sets, structure),
+        verdict=outcome.verdict_of(told, sets, left),
         causes=tuple(sorted(told, key=lambda c: -c.evidence["held_out_nats"])),
         look_alikes=sets,
         to_separate=outcome.manoeuvres(sets),
@@ -103,7 +105,7 @@ def diagnose(
         duration_s=float(sum(d.duration_s for d in parts)),
         likely=tuple(outcome.told_trial(state, t, {}, "likely") for t in state.likely),
         candidates=outcome.told_rest_of(state),
-        structure=structure,
+        structure=left,
         notes=tuple(_notes(parts, problem.table, late)),
         pictures=pictures_of(forwards_before, state.forwards),
         model_before=model,
@@ -111,6 +113,12 @@ def diagnose(
         recommended=recommended,
         complete=not late.was,
     )
+
+
+def _left(state: State) -> tuple[Structure, ...]:
+    """What no cause explains."""
+    problem = state.evaluated()
+    return (*too_much(problem), *outcome.implausible(state), *what_is_left(problem, state))
 
 
 def _silent(share: float, text: str) -> None:

@@ -14,6 +14,7 @@ from imucald.diagnosis.faults import Fault
 from imucald.diagnosis.model_file import value
 from imucald.diagnosis.result import (
     NOT_PLAUSIBLE,
+    TOO_MUCH,
     Candidate,
     Certainty,
     Estimated,
@@ -229,7 +230,7 @@ def verdict_of(
     causes: Sequence[FoundCause], sets: Sequence[Sequence[str]], structure: Sequence[Structure]
 ) -> Verdict:
     """The four verdicts."""
-    if any(s.kind == NOT_PLAUSIBLE for s in structure):
+    if any(s.kind in (NOT_PLAUSIBLE, TOO_MUCH) for s in structure):
         return "unknown"
     if causes:
         return "ambiguous" if sets else "found"

@@ -15,7 +15,8 @@ from imucald.can.logs.log_reader import LogReader, Progress
 from imucald.config import LoadedConfig
 from imucald.core.errors import LogError
 from imucald.core.samples import CHANNEL_WIDTH, Samples, Series
-from imucald.inputs.router import Routed, Router
+from imucald.inputs.column_samples import Routed
+from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute, SignalRoute
 from imucald.inputs.wanted_numbers import wanted_numbers
 from imucald.inputs.wiring import compile_router

@@ -92,6 +92,8 @@ class Gain:
 
 GOES_AGAINST = "goes against the model"
 """Kind of structure where a signal moves against what is predicted."""
+TOO_MUCH = "too much is left"
+"""Kind where more is left than any measured car leaves: then no fit is believed."""
 NOT_PLAUSIBLE = "not plausible"
 """Kind where a cause explains the numbers, but cannot be: a cause is missing."""
 

@@ -89,6 +89,15 @@ class State:
             self._evaluated = self.model
         return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
 
+    def give_up(self) -> None:
+        """No fit is to be believed: what was named is no more than likely."""
+        self.likely = [*self.named, *self.likely]
+        self.named, self.shift = [], None
+        for key in self.held:
+            self.bounds.pop(key, None)
+        self.changes, self.held = {}, set()
+        self.apply({})
+
     def apply(self, changes: Changes) -> None:
         """Move the model by found departures."""
         for key, x in changes.items():

@@ -115,7 +115,13 @@ def choices_from(
     proposal.vehicle += turning.vehicle
     chosen = [c for c in found if c is not None]
     unused = [c for c in candidates if c.path not in sensors.taken]
-    return chosen + list(by_names(unused, {c.quantity for c in chosen})), reference
+    chosen += by_names(unused, {c.quantity for c in chosen})
+    rates = {c.path: 1.0 / c.cycle for c in candidates if c.cycle > 0.0 and c.x.size > 1}
+    for choice in chosen:
+        first = next(iter(choice.sources.values()), None)
+        if first is not None and first.signal in rates:
+            choice.evidence = f"{rates[first.signal]:.3g}/s; {choice.evidence}"
+    return chosen, reference
 
 
 def used_messages(choices: Sequence[Choice]) -> list[str]:

@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.dbc.message import Signal
+from imucald.config_check.motion import SMOOTH
 from imucald.discovery.candidates import Array, SeenSignal
-from imucald.discovery.evidence import MANY, believed_z, relation
+from imucald.discovery.evidence import BELIEVED_NATS
 from imucald.discovery.names import hint, same_family
 from imucald.discovery.proposal import Alternative, Choice, source_of
 from imucald.discovery.reference import KnownMotion
 from imucald.discovery.scalars import MAX_ALTERNATIVES
+from imucald.inputs.units import find_unit
 
 REVERSE_SPEED = 7.0
 """Nobody reverses faster [m/s]."""
@@ -26,6 +28,8 @@ BRAKING = 0.7
 """Deceleration that takes a brake [m/s^2]: drag and engine in gear stay below about 0.6."""
 COASTING = 0.3
 """Milder than this nobody brakes."""
+ENGINE_WARM = 75.0
+"""Coolant and oil become warmer: thermostats open at 80 to 95 [degC]."""
 CLEAR_MATTHEWS = 0.6
 """Matthews' correlation of a switch with braking, from which it is the brake."""
 _REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
@@ -33,17 +37,18 @@ _REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts
 
 def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
     """A switch or a lever's place at which the change of speed shows the wrong way round."""
-    found = sorted(_reversing(reference, candidates), key=lambda f: -f.z)
-    sure = [f for f in found if f.z >= believed_z(MANY)]
+    found = sorted(_reversing(reference, candidates), key=lambda f: -f.nats)
+    sure = [f for f in found if f.nats >= BELIEVED_NATS + math.log(len(found))]
     if sure:
         best = sure[0]
         named = hint("reverse", best.candidate) or _names_reverse(best.candidate.signal)
-        named_ones = [f for f in sure if hint("reverse", f.candidate) and f.z > 0.7 * best.z]
+        named_ones = [f for f in sure if hint("reverse", f.candidate)]
         if not named and named_ones:
             best = named_ones[0]
         text = (
             f"at {best.level:g} the accelerometer and the change of speed are opposite "
-            f"(correlation {best.correlation:+.2f}), and never above {REVERSE_SPEED:g} m/s"
+            f"(correlation {best.correlation:+.2f}, {best.nats:.0f} nats), and never above "
+            f"{REVERSE_SPEED:g} m/s"
         )
         others = [
             Alternative({"": source_of(f.candidate, equals=(f.level,))}, "the same")
@@ -57,34 +62,47 @@ def find_reverse(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Ch
 
 @dataclass(frozen=True, eq=False)
 class _Level:
+    """A value of a switch or lever; nats: of going backwards against forwards while it is held."""
+
     candidate: SeenSignal
     level: float
     correlation: float
-    z: float
+    nats: float
 
 
 def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list[_Level]:
-    speed, triad = reference.speed, reference.accelerometer
-    if speed is None or triad is None or speed.forward is None or not speed.is_believed:
+    """Every value that is held at low speed only, with its likelihood ratio.
+
+    Forwards the acceleration along the vehicle is the change of speed, backwards its opposite, but
+    for noise as large as in the whole drive (its slopes included). Of each stretch the mean is
+    taken out: an offset of the sensor, a slope.
+    """
+    speed, along = reference.speed, reference.along
+    if speed is None or along is None or not speed.relation.is_believed_of(1):
         return []
     v, change = np.abs(speed.speed), speed.change
-    along = triad.smooth @ speed.forward
-    offset = float(np.nanmedian(along - change))
-    moving = np.nan_to_num(v) > CREEP
+    known = np.isfinite(along) & np.isfinite(change) & (np.nan_to_num(v) > CREEP)
+    noise = float(np.var((along - change)[known])) if known.any() else 0.0
     found = []
     for c in candidates:
-        if c.held is None or c.is_constant:
+        if c.held is None or c.is_constant or not noise > 0.0:
             continue
         for level in c.levels:
-            at = (c.held == level) & moving
-            count = int(np.count_nonzero(at))
-            if count < MIN_REVERSE_TICKS or float(np.nanmax(v[at])) > REVERSE_SPEED:
+            at = (c.held == level) & known
+            if np.count_nonzero(at) < MIN_REVERSE_TICKS or float(v[at].max()) > REVERSE_SPEED:
                 continue
-            # An offset of the sensor must not make a relation; a slope makes little of one.
-            one = relation(np.where(at, change, np.nan), np.where(at, along - offset, np.nan))
-            if one.correlation < 0.0:
-                found.append(_Level(c, level, one.correlation, one.z))
+            a, b = _less_their_means(along, at), _less_their_means(change, at)
+            product, sizes = float(a @ b), float(a @ a) * float(b @ b)
+            correlation = product / math.sqrt(sizes) if sizes > 0.0 else 0.0
+            found.append(_Level(c, level, correlation, -2.0 * product / noise / SMOOTH))
     return found
+
+
+def _less_their_means(x: Array, at: NDArray[np.bool_]) -> Array:
+    """Values of the marked ticks, less the mean of each stretch of neighbours."""
+    rows = np.flatnonzero(at)
+    parts = np.split(x[rows], np.flatnonzero(np.diff(rows) > 1) + 1)
+    return np.concatenate([part - part.mean() for part in parts])
 
 
 def _names_reverse(signal: Signal) -> float | None:
@@ -183,6 +201,12 @@ def _brake_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
     return Choice("brake", {"": source_of(best, **settings)}, f"named {best.signal.name}", why)
 
 
+def _is_an_engine(c: SeenSignal) -> bool:
+    """Whether a temperature becomes an engine's; a sensor that hot is near its end (85 degC)."""
+    unit = find_unit(c.unit, "temperature")
+    return c.largest * unit.factor + unit.offset > ENGINE_WARM
+
+
 def find_temperature(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
     """A temperature whose message belongs to the sensor's."""
     usable = [c for c in candidates if c.states("temperature")]
@@ -191,7 +215,11 @@ def find_temperature(reference: KnownMotion, candidates: Sequence[SeenSignal]) -
         return None
     own = triad.messages[0]
     usable.sort(
-        key=lambda c: (c.message.name not in triad.messages, not same_family(c.message.name, own))
+        key=lambda c: (
+            c.message.name not in triad.messages,
+            not same_family(c.message.name, own),
+            _is_an_engine(c),
+        )
     )
     best = usable[0]
     near = best.message.name in triad.messages or same_family(best.message.name, own)

@@ -38,13 +38,15 @@ class GyroFit:
     """The likeliest order of a gyroscope's axes among `tried`, and what supports it.
 
     nats: log likelihood of each order, relative to none. turning: of the acceleration to the left
-    against speed times rate; carried: of gravity's change against the rates.
+    against speed times rate; carried: of gravity's change against the rates. is_contradicted:
+    whether gravity speaks clearly for another order than turns do.
     """
 
     order: Order
     nats: dict[Order, float]
     turning: Relation
     carried: Relation
+    is_contradicted: bool = False
 
     def ahead(self, orders: list[Order]) -> float:
         """Nats by which the order is ahead of the best other one of some orders."""
@@ -82,9 +84,17 @@ def fit_gyroscope(gyro: Triad, reference: KnownMotion, tried: list[Order]) -> Gy
     turning = _turning(gyro.smooth, reference, orders)
     carried = _carried(gyro.ticks, reference.accelerometer, reference, orders)
     nothing = 0.0, Relation()
-    nats = {o: turning.get(o, nothing)[0] + carried.get(o, nothing)[0] for o in orders}
-    best = max(tried, key=lambda o: nats[o])
-    return GyroFit(best, nats, turning.get(best, nothing)[1], carried.get(best, nothing)[1])
+    of_turns = {o: turning.get(o, nothing)[0] for o in orders}
+    of_gravity = {o: carried.get(o, nothing)[0] for o in orders}
+    nats = {o: of_turns[o] + of_gravity[o] for o in orders}
+    # turns are what the mount is found from: gravity decides among what they leave open
+    most = max(of_turns[o] for o in tried)
+    open_ones = [o for o in tried if of_turns[o] > most - BELIEVED_NATS]
+    best = max(open_ones, key=lambda o: nats[o])
+    contradicted = max(of_gravity[o] for o in tried) - of_gravity[best] >= BELIEVED_NATS
+    return GyroFit(
+        best, nats, turning.get(best, nothing)[1], carried.get(best, nothing)[1], contradicted
+    )
 
 
 def _turning(

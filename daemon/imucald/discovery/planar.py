@@ -67,6 +67,7 @@ def find_planar(
     assert yaw_unit is not None, "only rates that state their unit were tried"
     sign, why = _sides(fit.moving, candidates, wheels, across.first)
     reference.sides_from = why
+    reference.along = best.second.smooth * (best.unit.factor * best.relation.sign)
     reference.turn = sign * across.first.smooth * yaw_unit.factor
     reference.turn_from = across.first.path
     sources = {

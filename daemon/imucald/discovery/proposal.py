@@ -92,6 +92,7 @@ class Proposal:
     channels: Mapping[str, str] = field(default_factory=dict)
     """Channel of each database by its path, where the recording has several."""
     notes: list[str] = field(default_factory=list)
+    driving_side: str = "unknown"
     output_ids: Mapping[str, int] = field(default_factory=dict)
     """Ids of the frames that are sent, where the usual ones are taken on this bus."""
 

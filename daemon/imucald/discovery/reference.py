@@ -71,12 +71,14 @@ class SpeedFit:
 class KnownMotion:
     """The vehicle's motion as far as it is known; arrays (n,) in SI.
 
-    lateral: acceleration to the left as the accelerometer shows it. turn: yaw rate, left positive.
+    along, lateral: acceleration forward and to the left as the accelerometer shows it. turn: yaw
+    rate, left positive.
     """
 
     accelerometer: Triad | None = None
     up: Array | None = None
     speed: SpeedFit | None = None
+    along: Array | None = None
     lateral: Array | None = None
     turn: Array | None = None
     turn_from: str = ""
@@ -92,6 +94,7 @@ class KnownMotion:
         """Left from up and forward, once both are known."""
         if self.accelerometer is None or self.up is None or self.forward is None:
             return
+        self.along = self.accelerometer.smooth @ self.forward
         self.lateral = self.accelerometer.smooth @ np.cross(self.up, self.forward)
         self.sides_from = "the accelerometer's axes, taken as right-handed"
 

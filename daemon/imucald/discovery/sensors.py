@@ -8,20 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.discovery.candidates import SeenSignal
-from imucald.discovery.evidence import Relation, choose_unit
-from imucald.discovery.gyro_axes import (
-    AS_IT_IS,
-    GyroFit,
-    fit_gyroscope,
-    is_decided,
-    right_handed_orders,
-    signed,
-)
+from imucald.discovery.evidence import Relation
+from imucald.discovery.gyro_axes import AS_IT_IS, fit_gyroscope, right_handed_orders, signed
+from imucald.discovery.gyro_choice import axes_of, gyroscope_choice
 from imucald.discovery.names import hint
 from imucald.discovery.planar import find_planar
 from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
 from imucald.discovery.reference import (
-    GAIN_TOLERANCE,
     KnownMotion,
     SpeedFit,
     direction_up,
@@ -88,10 +81,10 @@ class Sensors:
         self._found.append(accelerometer)
         speed = self._choose_speed()
         reference.set_lateral()
-        gyro, fit, order = self._choose_gyroscope(reference)
+        gyro = self._choose_gyroscope(reference)
         if not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
             accelerometer.doubt = "three signals of 1 g, but no unit is stated and no motion shows"
-        self._found += [gyro, self._magnetometer(fit, order), speed]
+        self._found += [gyro, self._magnetometer(), speed]
 
     def _speed_for(self, triad: Triad) -> float:
         """How well the best speed explains a triad; the fits are kept."""
@@ -152,9 +145,7 @@ class Sensors:
 
     # gyroscope -------------------------------------------------------------------------------
 
-    def _choose_gyroscope(
-        self, reference: KnownMotion
-    ) -> tuple[Choice | None, GyroFit | None, tuple[tuple[int, int, int], tuple[int, int, int]]]:
+    def _choose_gyroscope(self, reference: KnownMotion) -> Choice | None:
         found = []
         for triad in gyroscopes(self.candidates):
             if {m.path for m in triad.members} & self.taken:
@@ -166,10 +157,10 @@ class Sensors:
             if fit is not None and (triad.unit.is_stated or fit.is_believed):
                 found.append((triad, fit))
         if not found:
-            return None, None, AS_IT_IS
+            return None
         found.sort(key=lambda f: (not f[0].unit.is_stated, -f[1].nats[f[1].order]))
         triad, fit = found[0]
-        choice, order, triad = _gyroscope_choice(triad, fit, found[1:])
+        choice, order, triad = gyroscope_choice(triad, fit, found[1:])
         self.taken |= {m.path for m in triad.members}
         if reference.up is not None:
             rate = signed(triad.smooth, order) @ reference.up
@@ -179,11 +170,9 @@ class Sensors:
             reference.turn, reference.turn_from = rate, "the gyroscope about up"
             if not reference.sides_from:
                 reference.sides_from = "the gyroscope, taken as right-handed"
-        return choice, fit, order
+        return choice
 
-    def _magnetometer(
-        self, fit: GyroFit | None, order: tuple[tuple[int, int, int], tuple[int, int, int]]
-    ) -> Choice | None:
+    def _magnetometer(self) -> Choice | None:
         found = [
             t
             for t in magnetometers(self.candidates)
@@ -194,10 +183,10 @@ class Sensors:
         best = found[0]
         self.taken |= {m.path for m in best.members}
         text = f"{1e6 * best.size:.0f} uT"
-        doubt = ""
+        doubt = "" if best.names_axes else "which axis is which is taken from their places"
         if not EARTH_FIELD[0] / 2.0 < best.size < EARTH_FIELD[1] * 2.0:
             doubt = "the earth's field has 22 to 67 uT"
-        return Choice("magnetometer", _axes(best, best.unit.name), text, doubt)
+        return Choice("magnetometer", axes_of(best, best.unit.name), text, doubt)
 
 
 def _speed_source(fit: SpeedFit) -> Proposed:
@@ -225,78 +214,18 @@ def _standing(reference: KnownMotion) -> NDArray[np.bool_] | None:
     return rows if np.count_nonzero(rows) > 20 else None
 
 
-def _axes(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
-    return {
-        axis: source_of(member, unit, sign)
-        for axis, member in zip("xyz", triad.members, strict=True)
-    }
-
-
 def _accelerometer_choice(best: Triad, others: list[Triad]) -> Choice:
     text = f"together {best.size:.2f} m/s2 +- {100 * best.spread:.1f} % at any mount: 1 g"
-    text += f" in {best.unit.name}" if not best.unit.is_stated else ""
+    if not best.unit.is_stated:
+        stated = best.members[0].unit
+        text += f" in {best.unit.name} (the database says {stated or 'no unit'})"
     text += "; axes as named" if best.names_axes else "; axes in the order of their places"
     doubt = "" if best.unit.is_sure else f"{', '.join(best.unit.others)} would fit as well"
     alternatives = [
-        Alternative(_axes(t, t.unit.name), f"{t.size:.2f} m/s2 +- {100 * t.spread:.1f} %")
+        Alternative(axes_of(t, t.unit.name), f"{t.size:.2f} m/s2 +- {100 * t.spread:.1f} %")
         for t in others
         if t.unit.is_stated
     ]
     return Choice(
-        "accelerometer", _axes(best, best.unit.name), text, doubt, alternatives[:MAX_ALTERNATIVES]
+        "accelerometer", axes_of(best, best.unit.name), text, doubt, alternatives[:MAX_ALTERNATIVES]
     )
-
-
-def _gyroscope_choice(
-    triad: Triad, fit: GyroFit, others: list[tuple[Triad, GyroFit]]
-) -> tuple[Choice, tuple[tuple[int, int, int], tuple[int, int, int]], Triad]:
-    """Choice, the order within the triad that it now has, and the triad in its unit and order."""
-    found = fit.turning if fit.turning.is_believed else fit.carried
-    unit, doubt = triad.unit, ""
-    if found.is_believed and found.low > 0.0:
-        size = triad.unit.factor  # the relation was taken in this unit
-        low, high = size * found.low / GAIN_TOLERANCE, size * found.high * GAIN_TOLERANCE
-        fitting = choose_unit(triad.members[0].unit, "angular_rate", low, high)
-        if fitting is None:
-            doubt = "its size fits no unit"
-        else:
-            unit = fitting
-    elif not unit.is_stated:
-        doubt = "the database states no unit"
-    else:
-        doubt = "no turn shows its unit and sign"
-    (axes, signs) = fit.order
-    members = tuple(triad.members[i] for i in axes)
-    assert len(members) == 3
-    sign = signs[0]
-    cyclic = right_handed_orders()
-    if not doubt and sign < 0 and not is_decided(fit, [o for o in cyclic if o[1] != signs]):
-        doubt = "the sign is not beyond doubt"
-    if not doubt and not triad.names_axes and not is_decided(fit, cyclic):
-        doubt = "which axis is which is not beyond doubt"
-    if not doubt and not fit.is_believed:
-        doubt = "neither turns nor slopes confirm it"
-    ordered = Triad(members, unit, triad.names_axes)
-    words = []
-    if fit.turning.is_believed:
-        words.append(
-            "speed times the rate about up is the acceleration to the left "
-            f"(correlation {fit.turning.correlation:.2f})"
-        )
-    if fit.carried.is_believed:
-        words.append(f"gravity moves as it turns (correlation {fit.carried.correlation:.2f})")
-    if sign < 0:
-        words.append("it turns the other way than the accelerometer's axes")
-    words.append(
-        "axes as named"
-        if triad.names_axes
-        else f"axes by likelihood ({fit.ahead(cyclic):.0f} nats)"
-    )
-    alternatives = [
-        Alternative(_axes(t, t.unit.name, f.order[1][0]), "another gyroscope") for t, f in others
-    ]
-    choice = Choice(
-        "gyroscope", _axes(ordered, unit.name, sign), "; ".join(words), doubt,
-        alternatives[:MAX_ALTERNATIVES],
-    )  # fmt: skip
-    return choice, ((0, 1, 2), signs), ordered

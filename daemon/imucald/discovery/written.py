@@ -37,7 +37,9 @@ def _lines(proposal: Proposal, databases: Sequence[str]) -> Iterator[str]:
     yield ""
     yield "vehicle:"
     yield "  id: my-car"
-    yield "  driving_side: unknown # say left or right: a crowned road reads as mount roll"
+    unknown = " # say left or right: a crowned road reads as mount roll"
+    side = proposal.driving_side
+    yield f"  driving_side: {side}{unknown if side == 'unknown' else ''}"
     for key, value, evidence in proposal.vehicle:
         yield f"  {key}: {value} # {evidence}"
     yield ""

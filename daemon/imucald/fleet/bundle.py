@@ -22,6 +22,7 @@ import msgspec
 from imucald import __version__
 from imucald.api.configuration import Configuration
 from imucald.core.errors import ConfigError
+from imucald.core.file_cache import keep_databases
 from imucald.runtime.session import make_engine, open_config
 
 KEY_DIGITS = 16
@@ -104,6 +105,7 @@ def load_bundle(name: str) -> Configuration:
     folder = Path(os.environ.get(FOLDER_VARIABLE, "/nowhere")) / name
     if not folder.is_dir():
         raise ConfigError(f"this worker has no configuration {name}: it joined another run")
+    keep_databases({"CACHE_DIRECTORY": str(folder.parent / "parsed")})  # by the first child
     databases = sorted(folder.glob("database-*"), key=lambda p: int(p.name.rpartition("-")[2]))
     found = [next(place.iterdir()) for place in databases]
     config = Configuration.load(folder / "config.yaml", found)

@@ -136,7 +136,7 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
 """Tables that `fleet run` writes. Those of `fleet analyse` stand in `analysis_columns`."""
 
 ORDER: Final = {
-    "drives": ("vehicle", "start", "date", "log_key"),
+    "drives": ("vehicle", "start", "date", "sources", "log_key"),
     "events": ("vehicle", "log_key", "t_s", "kind", "text"),
     "failures": ("source",),
     "sources": ("source",),

@@ -26,6 +26,8 @@ WORKERS_S = 60.0
 """How long is waited for the first worker."""
 TRIES, AGAIN_S = 5, 1.0
 """To prepare the workers of a cluster that changes."""
+GONE = ("closed", "closing", "failed", "connecting")
+"""States of a client that had a scheduler. It would wait for another one, which knows nothing."""
 PLUGIN = "imucald-fleet"
 
 
@@ -149,6 +151,10 @@ class DaskWorkers:
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
         """Outcomes since the last call; what they held on the cluster is let go."""
         found = []
+        if self._client.status in GONE:
+            raise ImucaldError(
+                "the Dask scheduler is gone; start it again, the run goes on with the same command"
+            )
         for future, task in self._futures.ended(timeout):
             found.append((task, _result(future)))
             future.release()

@@ -91,20 +91,22 @@ class FleetRun:
             (n for name in self._rows for n, _ in parts(self._store, name)), default=0
         )
         try:
-            self._rounds(lease, self._waiting, max(1, AHEAD * self._workers.slots))
-            self._rounds(lease, self._again, 1)  # alone: nothing else can be the reason
+            self._rounds(lease, self._waiting)
+            self._rounds(lease, self._again, alone=True)  # nothing else can be the reason
         finally:
             self._flush()
         compact(self._store)
         return not (self._waiting or self._again)
 
-    def _rounds(self, lease: Lease, waiting: deque[Task], at_once: int) -> None:
+    def _rounds(self, lease: Lease, waiting: deque[Task], alone: bool = False) -> None:
         called_back = False
         while self._running or (waiting and not self.counts.stopping):
             if self.counts.stopping and not called_back:
                 self._workers.call_back()
                 called_back = True
-            free = 0 if self.counts.stopping else at_once - self._running
+            free = 0
+            if waiting and not self.counts.stopping:
+                free = (1 if alone else AHEAD * self._workers.slots) - self._running
             tasks = [waiting.popleft() for _ in range(min(free, len(waiting)))]
             if tasks:
                 self._workers.submit(tasks)

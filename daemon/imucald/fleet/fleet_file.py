@@ -125,11 +125,19 @@ def iso_day(text: str | None) -> str | None:
 
 def load_fleet(path: Path, changes: Mapping[str, Any] | None = None) -> Fleet:
     """Read a fleet file; changes: keys that the command line gives. Raises ConfigError."""
+    settings, marks = read_settings(path, changes)
+    return Fleet(settings, path, marks)
+
+
+def read_settings(
+    path: Path, changes: Mapping[str, Any] | None = None
+) -> tuple[FleetSettings, Marks]:
+    """What the file says, without looking at what it names. Raises ConfigError."""
     data, marks = read_yaml_file(path, _WHOLE)
     if not isinstance(data, dict):
         raise ConfigError(f"{path}:1: a fleet file is a mapping with 'logs' and 'config'")
     data = data | dict(changes or {})
-    return Fleet(typed(data, FleetSettings, marks, str(path), _WHOLE), path, marks)
+    return typed(data, FleetSettings, marks, str(path), _WHOLE), marks
 
 
 def patterns(settings: FleetSettings) -> Sequence[str]:

@@ -7,6 +7,7 @@ any case. All of them die with whoever started them.
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import gc
 import importlib
@@ -64,6 +65,8 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
         asked.close()
         _become_child(task, keeper, answer, words)
     os.close(answer)
+    with contextlib.suppress(OSError):
+        os.setpgid(child, child)  # it does so too; whoever is first
     told, ended = _watch(child, answers, asked, began + task.limits.time_s)
     os.killpg(child, signal.SIGKILL)
     usage = _reaped(child)
@@ -136,7 +139,8 @@ def _stack(words: str) -> str:
 def _become_child(task: Task, keeper: int, answer: int, words: int) -> NoReturn:
     """Evaluate, answer, end; never return to the keeper's code."""
     try:
-        os.setpgid(0, 0)
+        with contextlib.suppress(OSError):
+            os.setpgid(0, 0)
         die_with(keeper)
         nothing = os.open(os.devnull, os.O_RDONLY)
         os.dup2(nothing, 0)

@@ -150,6 +150,7 @@ def reasons_picture(rows: Sequence[Row]) -> str:
 
     def draw(figure: Figure) -> None:
         ax = figure.add_subplot()
+        ax.set_axisbelow(True)
         ax.barh(range(len(items)), [n for _, n in items], color=AFTER, height=0.6)
         _labelled(ax, [reason for reason, _ in items])
         ax.set_xlabel("drives")

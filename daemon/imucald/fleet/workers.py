@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import msgspec
 
 from imucald.fleet.bundle import Bundle, unpack
-from imucald.fleet.children import template_for
+from imucald.fleet.children import close_templates, template_for
 from imucald.fleet.task import Outcome, Task
 
 DEATHS = "its worker died, several times, while it was evaluated or waited"
@@ -127,8 +127,9 @@ class ExecutorWorkers:
         self._futures.cancel()
 
     def close(self) -> None:
-        """Begin nothing more; does not wait."""
+        """Begin nothing more, end what still runs here: the interpreter waits for its threads."""
         self._executor.shutdown(wait=False, cancel_futures=True)
+        close_templates()
 
 
 def _outcome(future: Any) -> Outcome | None:

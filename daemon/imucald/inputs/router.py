@@ -7,19 +7,25 @@ A `Router` takes single frames (live) or columns of frames (replay) and gives sa
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
-from imucald.core.samples import CHANNEL_WIDTH, Series
+from imucald.inputs.column_samples import (
+    ColumnSamples,
+    Routed,
+    assembled,
+    guarded,
+    joined,
+    rows_of,
+    width_of,
+)
 from imucald.inputs.quantities import REASONS
 from imucald.inputs.routes import Physical, Raw, SignalRoute, Tap
 from imucald.inputs.source_selector import SourceSelector
-from imucald.inputs.triad_assembler import TapSamples, TriadAssembler, in_row_order
+from imucald.inputs.triad_assembler import TapSamples, TriadAssembler
 
 MAX_KNOWN_IDS = 4096
 """Identifiers remembered by the dispatcher; J1939 sources are few, an attacker's are many."""
@@ -27,25 +33,6 @@ MAX_KNOWN_IDS = 4096
 Sample = tuple[str, Sequence[float]]
 """Channel and values."""
 Rows = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class ColumnSamples(Series):
-    """A series that knows which row of the chunk each sample came from; row: (N,) int64."""
-
-    row: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
-
-
-class Routed(Struct, frozen=True, eq=False):
-    """What a chunk of frames came to.
-
-    samples: by channel. rejected: by channel, the rows whose sample was rejected, in order.
-    events: (M,) stream times of all rejections that were counted [s], in order.
-    """
-
-    samples: dict[str, ColumnSamples]
-    rejected: dict[str, Rows]
-    events: NDArray[np.float64]
 
 
 class Router:
@@ -76,7 +63,7 @@ class Router:
             ranks[tap.channel] = max(ranks.get(tap.channel, 0), tap.rank + 1)
         self._selectors = {c: SourceSelector(n) for c, n in ranks.items() if n > 1}
         self._assemblers: dict[tuple[str, int], TriadAssembler] = {
-            (tap.channel, tap.rank): TriadAssembler(_width(tap.channel))
+            (tap.channel, tap.rank): TriadAssembler(width_of(tap.channel))
             for tap in self._taps()
             if not tap.complete
         }
@@ -102,7 +89,7 @@ class Router:
     @property
     def measured_axes(self) -> dict[str, int]:
         """How many axes of each channel come from signals: a planar accelerometer has two."""
-        return {t.channel: _width(t.channel) - (t.third is not None) for t in self._taps()}
+        return {t.channel: width_of(t.channel) - (t.third is not None) for t in self._taps()}
 
     def cycles(self, channel: str) -> list[float | None]:
         """Stated cycles [s] of the routes that carry a channel."""
@@ -210,12 +197,12 @@ class Router:
         for selector in self._selectors.values():
             selector.begin_chunk()
         for route in self.routes:
-            rows = _rows_of(route.match, frames)
+            rows = rows_of(route.match, frames)
             if not len(rows):
                 continue
             chosen = frames if len(rows) == len(frames) else frames.take(rows)
             ok, reasons = route.check_columns(t[rows], chosen)
-            ok, reasons = _guarded(route, t[rows], ok, reasons)
+            ok, reasons = guarded(route, t[rows], ok, reasons)
             for reason, bad in reasons.items():
                 self.rejected[reason] += len(bad)
                 events.append(rows[bad])
@@ -226,8 +213,7 @@ class Router:
             used[rows] = True
             self._take_columns(route, t, rows, chosen, parts, refused, events)
         self.used += int(np.count_nonzero(used))
-        samples = {c: self._joined(c, found) for c, found in parts.items()}
-        self._assemble(parts, samples, refused)
+        samples = {c: self._joined(c, found, refused) for c, found in parts.items()}
         self._finish_columns(samples)
         return Routed(
             samples,
@@ -274,67 +260,13 @@ class Router:
                 part = part.take(keep)
             parts.setdefault(tap.channel, []).append(part)
 
-    def _joined(self, channel: str, found: list[TapSamples]) -> ColumnSamples:
-        """Whole samples of a channel, by preference; parts of triads are left to `_assemble`."""
-        whole = sorted((p for p in found if p.tap.complete), key=lambda p: p.tap.rank)
+    def _joined(
+        self, channel: str, found: list[TapSamples], refused: list[tuple[Tap, Rows]]
+    ) -> ColumnSamples:
         selector = self._selectors.get(channel)
-        if selector is not None and not any(not p.tap.complete for p in found):
-            by_rank: dict[int, TapSamples] = {}
-            for part in whole:
-                known = by_rank.get(part.tap.rank)
-                by_rank[part.tap.rank] = part if known is None else known.merged(part)
-            whole = [
-                part.take(selector.accept_columns(part.t, part.row, rank))
-                for rank, part in sorted(by_rank.items())
-            ]
-        if len(whole) == 1:
-            part = whole[0]
-            return ColumnSamples(part.t, part.values, part.row)
-        if not whole:
-            width = _width(channel)
-            empty = np.zeros((0, width) if width > 1 else 0)
-            return ColumnSamples(np.zeros(0), empty, np.zeros(0, np.int64))
-        merged = whole[0]
-        for part in whole[1:]:
-            merged = merged.merged(part)
-        return ColumnSamples(merged.t, merged.values, merged.row)
-
-    def _assemble(
-        self,
-        parts: Mapping[str, list[TapSamples]],
-        samples: dict[str, ColumnSamples],
-        refused: list[tuple[Tap, Rows]],
-    ) -> None:
-        """Channels with split triads: the same steps as for single frames, in row order."""
-        for channel, found in parts.items():
-            if all(p.tap.complete for p in found):
-                continue
-            selector = self._selectors.get(channel)
-            t_out: list[float] = []
-            rows_out: list[int] = []
-            values_out: list[Sequence[float]] = []
-            for row, tap, t, value, code in in_row_order(found):
-                values: Sequence[float] | None = value
-                if not tap.complete:
-                    values, bad = self._assemblers[channel, tap.rank].add(
-                        t, tap.slots, None if code else value
-                    )
-                    if bad:
-                        refused.append((tap, np.array([row], dtype=np.int64)))
-                    if values is None:
-                        continue
-                if selector is not None and not selector.accept_row(t, row, tap.rank):
-                    continue
-                t_out.append(t)
-                rows_out.append(row)
-                values_out.append(values or ())
-            width = _width(channel)
-            values_array = np.array(values_out).reshape(len(t_out), width)
-            samples[channel] = ColumnSamples(
-                np.array(t_out),
-                values_array if width > 1 else values_array[:, 0],
-                np.array(rows_out, dtype=np.int64),
-            )
+        if all(part.tap.complete for part in found):
+            return joined(found, selector)
+        return assembled(channel, found, selector, self._assemblers, refused)
 
     def _finish_columns(self, samples: dict[str, ColumnSamples]) -> None:
         for channel in [c for c, s in samples.items() if not len(s.t)]:
@@ -353,44 +285,3 @@ class Router:
             middle = 0.5 * (ordered[:, 1] + ordered[:, 2])
             samples["speed"] = ColumnSamples(wheels.t, middle, wheels.row)
             self.sample_counts["speed"] += len(middle)
-
-
-def _guarded(
-    route: SignalRoute,
-    t: NDArray[np.float64],
-    ok: NDArray[np.bool_],
-    reasons: Mapping[str, Rows],
-) -> tuple[NDArray[np.bool_], Mapping[str, Rows]]:
-    """What a route's check says of frames, and of what comes too often."""
-    ours = ok.copy()
-    for rows in reasons.values():
-        ours[rows] = True
-    if ours.all():
-        refused = route.guard.judge_columns(t, ok, reasons)
-    else:
-        at = np.flatnonzero(ours)
-        place = np.cumsum(ours) - 1
-        inside = {reason: place[rows] for reason, rows in reasons.items()}
-        refused = {
-            reason: at[rows]
-            for reason, rows in route.guard.judge_columns(t[ours], ok[ours], inside).items()
-        }
-    if not refused:
-        return ok, reasons
-    ok = ok.copy()
-    for rows in refused.values():
-        ok[rows] = False
-    return ok, {**reasons, **refused}
-
-
-def _rows_of(match: IdMatch, frames: FrameColumns) -> NDArray[np.int64]:
-    mask = np.uint32(match.full_mask)
-    hit = (frames.can_id & mask) == np.uint32(match.can_id & match.full_mask)
-    if match.channel is not None:
-        wanted = [i for i, name in enumerate(frames.channels) if name == match.channel]
-        hit &= np.isin(frames.channel, wanted)
-    return np.flatnonzero(hit)
-
-
-def _width(channel: str) -> int:
-    return CHANNEL_WIDTH.get(channel, 3)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.inputs.router import ColumnSamples, Routed, Sample
+from imucald.inputs.column_samples import ColumnSamples, Routed
+from imucald.inputs.router import Sample
 from imucald.model.section import Vector3
 from imucald.model_compensation.sensors import SensorCorrection
 from imucald.model_compensation.tick_preprocessing import TickPreprocessing

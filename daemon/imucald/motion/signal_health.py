@@ -54,6 +54,12 @@ HOLD_TICKS: Mapping[SignalFault, int] = {
 }
 """Ticks around a fault that are not learnt from either; in the order in which they are counted."""
 
+_LIMITED = [
+    (i, most, count) for count, part, most in MAX_TICK for i in range(part.start, part.stop)
+]
+_COLUMNS, _MOST, _COUNTS = (np.array(one) for one in zip(*_LIMITED, strict=True))
+"""Columns of a tick that have a largest size, those sizes, and the columns of their counts."""
+
 
 def spread_out(flags: Flags, ticks: int) -> Flags:
     """Flags widened by that many ticks to both sides."""
@@ -99,6 +105,9 @@ class SignalHealth:
 
     def drop_impossible(self, rows: Array) -> None:
         """Empty, in place, the sensors of new ticks that hold a number that cannot be, or none."""
+        sizes, counts = np.abs(rows[:, _COLUMNS]), rows[:, _COUNTS]
+        if ((sizes <= _MOST) | (counts == 0)).all():  # as nearly always
+            return
         for count, columns, largest in MAX_TICK:
             sound = np.abs(rows[:, columns]).max(axis=1) <= largest  # False for NaN
             bad = (rows[:, count] > 0) & ~sound

@@ -38,14 +38,16 @@ def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
     )
 
 
-def cross_axis_errors() -> tuple[CommonError, ...]:
-    """What cross-axis errors of an rms of one (part) make of each source.
+GRAVITY_SHARE = 0.2
+"""Of a cross-axis error gravity shows so much in the long run: there it is a bias, which turns tell
+from tilt (`gravity_observer`). Seen in simulated drives of 6 to 20 min with 4 %: 0.1 to 0.2."""
 
-    Gravity itself, across the sensor's axes, is a bias there, with what motion adds.
-    """
+
+def cross_axis_errors() -> tuple[CommonError, ...]:
+    """What cross-axis errors of an rms of one (part) make of each source."""
     whole = ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn")
     gravity = ("pitch_gravity", "roll_gravity")
     return (
         *(CommonError(1.0, {name: 1.0}) for name in whole),
-        *(CommonError(math.hypot(1.0, 0.5), {name: 1.0}) for name in gravity),
+        *(CommonError(GRAVITY_SHARE, {name: 1.0}) for name in gravity),
     )

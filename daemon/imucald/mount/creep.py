@@ -1,13 +1,15 @@
-"""Does the mount creep? A random walk beside a constant, with the evidence as weights.
+"""Does the mount creep? Walks and steady creep beside a constant, with the evidence as weights.
 
 A holder that gives, tape in the sun: the mount turns slowly all the time. A constant that is fitted
 to it is a mean over the drive, and grows ever surer of what is no longer true. So what the road
-segments leave over from the constant is also fitted by random walks of several sizes (local level
-model, Kalman filter; Durbin and Koopman, Time Series Analysis by State Space Methods, 2012, ch. 2).
-Each size has the probability that its likelihood and its prior give it; the constant keeps
-`P_CONSTANT` beforehand, so a drive without creep has to speak twenty times as well for a walk as
-for the constant before that is believed (in sound drives less than one in twenty does so; Markov's
-inequality on the likelihood ratio). The interval takes all sizes as probable as they are.
+segments leave over from the constant is also fitted by random walks of several sizes, and by a
+level that goes on at a rate, as materials do under a steady load (secondary creep; Ashby and Jones,
+Engineering Materials 1, ch. 20); local level and local linear trend, Kalman filter (Durbin and
+Koopman, Time Series Analysis by State Space Methods, 2012, ch. 2 and 3). Each has the probability
+that its likelihood and its prior give it; the constant keeps `P_CONSTANT` beforehand, so a drive
+without creep has to speak twenty times as well for the others before they are believed (in sound
+drives less than one in twenty does so; Markov's inequality on the likelihood ratio). What is served
+is the mean of all as probable as they are, and so is the interval.
 """
 
 from __future__ import annotations
@@ -24,27 +26,38 @@ from imucald.mount.shift import ScoreSeries
 
 Array = NDArray[np.float64]
 
-WALKS = np.radians([0.0, 0.03, 0.07, 0.15, 0.3, 0.6])
-"""Standard deviation of the walk from one road segment to the next [rad]. A steady creep of r a
-segment looks like a walk of that size: 4, 10, 20, 40 and 80 deg/h."""
-P_CONSTANT = 0.95
-"""Prior probability that the mount is tight; the walks share the rest."""
-P_CONSTANT_AGAIN = 0.5
+SIZES = np.radians([0.03, 0.07, 0.15, 0.3, 0.6])
+"""Standard deviations [rad/segment] of a walk from one road segment to the next, and of a steady
+rate: 4, 10, 20, 40 and 80 deg/h."""
+WALKS: Array = np.concatenate([[0.0], SIZES, 0.2 * SIZES])
+RATES: Array = np.concatenate([[0.0], 0.0 * SIZES, SIZES])
+"""Of each hypothesis: the constant, walks, and creep, whose rate wanders by a fifth a segment."""
+P_CONSTANT = 0.5
+"""Prior probability that the mount is tight; the others share the rest."""
+P_CONSTANT_AGAIN = 0.2
 """The same once a shift was found in the drive."""
-BELIEVED = 0.9
-"""Probability from which the recent level is served instead of the mean, and creep is told."""
+BELIEVED = 0.995
+"""Probability from which creep is told."""
 MOST = 20
 """Road segments are joined to so many at most."""
-FEWEST = 5
+FEWEST = 3
+LATE = 0.5
+"""What is told of a segment is a window's length in the middle, half a segment old, and is served
+until the next one ends."""
+PRIOR_SEGMENTS = 6.0
+"""The spread from segment to segment is taken as the source's own with that weight."""
+EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
+"""What these say hardly depends on the road (`UNEVEN_STD` in `shift`), so that a spread about the
+mean that is larger than from segment to segment is a drift. The lean of roads goes on."""
 SILENT = frozenset({"pitch_gravity", "pitch_axis"})
 """What these say of town and of motorway differs too much to tell creep from it (`UNEVEN_STD` in
 `shift`)."""
 
 
 class Creep(Struct, frozen=True):
-    """Roll, pitch, yaw (3,). level: beyond the constant [rad], zero where no walk is believed.
+    """Roll, pitch, yaw (3,). level: of now, beyond the constant [rad].
 
-    variance: what the walks add [rad^2]. probability: that the mount creeps. rate: [rad/segment].
+    variance: what creep adds [rad^2]. probability: that the mount creeps. rate: [rad/segment].
     moved: between the first and the last third of the drive [rad].
     """
 
@@ -58,7 +71,7 @@ class Creep(Struct, frozen=True):
 def creep(
     series: list[ScoreSeries], sources: Mapping[str, AngleEvidence], p_constant: float = P_CONSTANT
 ) -> Creep | None:
-    """Fit walks to what series leave over from the constants; None while there is too little.
+    """Fit walks and rates to what series leave over from constants; None: there is too little.
 
     sources: the same evidence, whose variances tell by how much informations are too large.
     """
@@ -70,8 +83,9 @@ def creep(
         fit, source = one.fitted(), sources.get(one.kind)
         if fit is None or source is None or one.kind in SILENT:
             continue
-        total = float(fit.rows[:, 0].sum())
-        times = max(source.variance * total, 1.0)
+        times = max(source.variance * float(fit.rows[:, 0].sum()), 1.0)
+        if one.kind in EVEN:
+            times = min(times, _scatter(fit.left, fit.rows[:, 0]))
         m = len(fit.left)
         left[one.axis, n - m :] += fit.left / times
         known[one.axis, n - m :] += fit.rows[:, 0] / times
@@ -84,38 +98,64 @@ def creep(
     weight = prior * np.exp(log - log.max(axis=1, keepdims=True))
     weight /= weight.sum(axis=1, keepdims=True)
     probability = 1.0 - weight[:, 0]
-    level = (weight * mean).sum(axis=1) / np.maximum(probability, 1e-12)
-    level = np.where(probability > BELIEVED, level, 0.0)
-    spread = weight * (variance + (mean - level[:, None]) ** 2)
-    extra = spread[:, 1:].sum(axis=1) + weight[:, 0] * level**2
+    level = (weight * mean).sum(axis=1)
+    extra = (weight * (variance + (mean - level[:, None]) ** 2)).sum(axis=1)
     rate, moved = _trend(left, known, each)
     return Creep(level, extra, probability, rate, moved)
 
 
+def _scatter(left: Array, known: Array) -> float:
+    """By how much informations are too large, from segments that lie two apart.
+
+    Windows reach over into the next segment; over two a drift hardly shows, while it widens the
+    spread about the mean, which is what a source's variance was made of.
+    """
+    near, far = known[2:], known[:-2]
+    both = (near > 0.0) & (far > 0.0)
+    near, far = near[both], far[both]
+    change = left[2:][both] / near - left[:-2][both] / far
+    squares = change * change / (1.0 / near + 1.0 / far)
+    apart = (PRIOR_SEGMENTS + float(squares.sum())) / (PRIOR_SEGMENTS + len(squares))
+    return max(apart, 1.0)
+
+
 def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:
-    """Log likelihoods, levels at the end and their variances beyond the constant's (3, walks)."""
+    """Log likelihoods, levels at the end and their variances beyond the constant's (3, K)."""
     total = np.maximum(known.sum(axis=1), 1e-12)[:, None]
-    walks2 = WALKS**2
-    # the level at the beginning is free: information filter from none, restricted likelihood
-    information = np.zeros((3, len(WALKS)))
-    mean = np.zeros((3, len(WALKS)))
-    n = left.shape[1]
-    before, surprise = np.empty((2, n, 3, len(WALKS)))
-    new = known.T[:, :, None]  # segments first
-    value = left.T[:, :, None] / np.maximum(new, 1e-12)
-    pull = np.maximum(new, 0.0)  # nothing new: the mean stays
-    for k in range(n):
-        if k:
-            information = information / (1.0 + information * (walks2 * each[k]))
-        before[k] = information
-        information = information + new[k]
-        surprise[k] = value[k] - mean
-        mean = mean + pull[k] / np.maximum(information, 1e-12) * surprise[k]
-    has = (before > 0.0) & (new > 0.0)
-    spread = np.where(has, 1.0 / np.maximum(before, 1e-12) + 1.0 / np.maximum(new, 1e-12), 1.0)
-    log = -0.5 * np.where(has, surprise**2 / spread + np.log(spread), 0.0).sum(axis=0)
-    variance = 1.0 / np.maximum(information, 1e-12)
-    return log, mean - mean[:, :1], np.maximum(variance - 1.0 / total, 0.0)
+    shape = len(known), len(WALKS)
+    log, level, rate = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    # covariance of level and rate; the level at the beginning is free (restricted likelihood)
+    p_ll, p_lr = np.zeros(shape), np.zeros(shape)
+    p_rr = np.tile(RATES**2, (len(known), 1))
+    begun = np.zeros((len(known), 1), dtype=bool)
+    for k in range(left.shape[1]):
+        step = 0.5 * float(each[k - 1] + each[k]) if k else 0.0  # from middle to middle
+        level, p_ll, p_lr = _gone_on(level, rate, p_ll, p_lr, p_rr, np.where(begun, step, 0.0))
+        new = known[:, k : k + 1]
+        noise = 1.0 / np.maximum(new, 1e-12)
+        value = left[:, k : k + 1] * noise
+        begins, goes_on = (new > 0.0) & ~begun, (new > 0.0) & begun
+        spread = p_ll + noise
+        gain_l, gain_r = (np.where(goes_on, p / spread, 0.0) for p in (p_ll, p_lr))
+        off = value - level
+        log -= np.where(goes_on, 0.5 * (off * off / spread + np.log(spread)), 0.0)
+        level = np.where(begins, value, level + gain_l * off)
+        rate = rate + gain_r * off
+        p_rr = p_rr - gain_r * p_lr
+        p_lr = p_lr - gain_l * p_lr
+        p_ll = np.where(begins, noise, p_ll - gain_l * p_ll)
+        begun = begun | begins
+    rest = np.where(begun, 0.5 * float(each[-1]) + LATE, 0.0)
+    level, p_ll, _ = _gone_on(level, rate, p_ll, p_lr, p_rr, rest)
+    return log, level - level[:, :1], np.maximum(p_ll - 1.0 / total, 0.0)
+
+
+def _gone_on(
+    level: Array, rate: Array, p_ll: Array, p_lr: Array, p_rr: Array, step: Array
+) -> tuple[Array, Array, Array]:
+    """Level, its variance and its covariance with the rate, so many segments on."""
+    ahead = p_ll + 2.0 * step * p_lr + step * step * p_rr + WALKS**2 * step
+    return level + step * rate, ahead, p_lr + step * p_rr
 
 
 def _trend(left: Array, known: Array, each: Array) -> tuple[Array, Array]:

@@ -33,15 +33,20 @@ class Fused(Struct, frozen=True):
     shares: dict[str, dict[str, float]]
 
 
+CERTAIN: Sequence[tuple[float, float]] = ((0.0, 1.0),)
+"""Scales and their probabilities where no error is as large as a scale says."""
+
+
 class CommonCovariance:
-    """Covariance that sources have with one another (and with themselves) from shared errors."""
+    """Covariance that sources have with one another (and with themselves) from shared errors.
+
+    scaled: errors that are as large as a scale says, which only `fuse` is told.
+    """
 
     def __init__(self, shared: Sequence[CommonError], scaled: Sequence[CommonError] = ()) -> None:
-        """scaled: errors as large as `scale` says (1 at first), which may change."""
         self._pairs = _pairs(shared)
         self._scaled = _pairs(scaled)
         self._of_names: dict[tuple[str, ...], tuple[Array, Array]] = {}
-        self.scale2 = 1.0
 
     def errors(self, names: Sequence[str]) -> tuple[Array, Array]:
         """Covariances of sources from shared errors, and from scaled ones at scale 1."""
@@ -56,11 +61,10 @@ class CommonCovariance:
         return found
 
     def covariance(self, sources: Mapping[str, AngleEvidence], names: Sequence[str]) -> Array:
-        """Covariance of the sources of those names, their own variances included."""
-        shared, scaled = self.errors(names)
-        known = shared.copy()
+        """Covariance of the sources of those names, their own variances included, at scale 0."""
+        known = self.errors(names)[0].copy()
         known.flat[:: len(names) + 1] += [sources[name].variance for name in names]
-        return known + self.scale2 * scaled if self._scaled else known
+        return known
 
 
 def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
@@ -73,111 +77,106 @@ def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
     return found
 
 
-class _Layout(Struct, frozen=True):
-    """Where the sources of all angles stand in stacked matrices; an angle of one is left out.
+class _Angle(Struct, frozen=True):
+    """Sources of one angle: values (n,), covariances at all scales and their inverses (K, n, n)."""
 
-    An angle with fewer sources than another gets some that tell nothing (is_there 0).
-    """
-
+    axis: int
     names: list[str]
-    angle: list[int]
-    place: list[int]
-    certain: Array  # (angles, n, n), without the sources' own variances
-    scaled: Array
-    is_there: Array  # (angles, 1, n)
+    values: Array
+    V: Array
+    inverse: Array
 
 
-class ProbableScale:
-    """Mean square of the scale of scaled errors, from how far sources contradict one another.
+def _angles(
+    sources: Mapping[str, AngleEvidence],
+    sharing: CommonCovariance,
+    scales: Sequence[tuple[float, float]],
+) -> list[_Angle]:
+    squares = np.array([scale * scale for scale, _ in scales])[:, None, None]
+    found = []
+    for i, axis in enumerate(AXES):
+        names = [name for name in sources if name.startswith(axis)]
+        if names:
+            values = np.array([sources[name].value for name in names])
+            V = sharing.covariance(sources, names) + squares * sharing.errors(names)[1]
+            found.append(_Angle(i, names, values, V, np.asarray(np.linalg.inv(V), np.float64)))
+    return found
+
+
+def weighed_scales(
+    angles: Sequence[_Angle],
+    candidates: Sequence[tuple[float, float]],
+    seen: Sequence[tuple[float, float]] = (),
+) -> list[tuple[float, float]]:
+    """Scales of the scaled errors with their probabilities, from how far sources contradict.
 
     candidates: scales and their prior probabilities. Each is weighed by the likelihood of the
     differences between the sources of an angle (of which the angle itself is free; restricted
     maximum likelihood, Patterson and Thompson, Biometrika 58, 1971), over all angles.
-    uneven: what sources differ by for other reasons [rad].
+    seen: further errors of scale one, seen by themselves, with what else is in them (std).
     """
+    scales, prior = np.array(candidates).T
+    log = np.log(prior)
+    for one in angles:
+        if len(one.names) < 2:
+            continue
+        column = one.inverse.sum(axis=2)
+        total = column.sum(axis=1)
+        left = one.values - ((column @ one.values) / total)[:, None]
+        log -= 0.5 * ((one.inverse @ left[:, :, None])[:, :, 0] * left).sum(axis=1)
+        log -= 0.5 * (np.linalg.slogdet(one.V)[1] + np.log(total))
+    for value, std in seen:
+        variance = scales * scales + std * std
+        log -= 0.5 * (value * value / variance + np.log(variance))
+    weight = np.exp(log - log.max())
+    return list(zip(scales.tolist(), (weight / weight.sum()).tolist(), strict=True))
 
-    def __init__(
-        self,
-        sharing: CommonCovariance,
-        candidates: Sequence[tuple[float, float]],
-        uneven: Mapping[str, float],
-    ) -> None:
-        scales, priors = np.array(candidates).T
-        self._squares, self._log = scales * scales, np.log(priors)
-        self._sharing, self._uneven = sharing, uneven
-        self._layouts: dict[tuple[str, ...], _Layout] = {}
 
-    def squared(self, sources: Mapping[str, AngleEvidence]) -> float:
-        """The mean square of the scale by these sources."""
-        keys = tuple(sources)
-        layout = self._layouts.get(keys)
-        if layout is None:
-            layout = self._layouts[keys] = self._layout(keys)
-        known, is_there = layout.certain.copy(), layout.is_there
-        values = np.zeros(is_there.shape)
-        found = [sources[name] for name in layout.names]
-        known[layout.angle, layout.place, layout.place] += [one.variance for one in found]
-        values[layout.angle, 0, layout.place] = [one.value for one in found]
-        V = known[:, None] + self._squares[:, None, None] * layout.scaled[:, None]
-        inverse = np.linalg.inv(V)
-        column = (inverse * is_there[:, :, None]).sum(axis=3) * is_there
-        total = column.sum(axis=2)
-        left = (values - ((column * values).sum(axis=2) / total)[:, :, None]) * is_there
-        misfit = ((inverse @ left[..., None])[..., 0] * left).sum(axis=2)
-        log = self._log - 0.5 * (misfit + np.linalg.slogdet(V)[1] + np.log(total)).sum(axis=0)
-        weight = np.exp(log - log.max())
-        return float(weight @ self._squares / weight.sum())
-
-    def _layout(self, names: Sequence[str]) -> _Layout:
-        groups = [[name for name in names if name.startswith(axis)] for axis in AXES]
-        groups = [group for group in groups if len(group) > 1]
-        size = max(map(len, groups), default=0)
-        certain, scaled = np.zeros((2, len(groups), size, size))
-        is_there = np.zeros((len(groups), 1, size))
-        for i, group in enumerate(groups):
-            n = len(group)
-            certain[i] = np.eye(size)
-            certain[i, :n, :n], scaled[i, :n, :n] = self._sharing.errors(group)
-            certain[i, range(n), range(n)] += [self._uneven.get(name, 0.0) ** 2 for name in group]
-            is_there[i, 0, :n] = 1.0
-        return _Layout(
-            [name for group in groups for name in group],
-            [i for i, group in enumerate(groups) for _ in group],
-            [place for group in groups for place in range(len(group))],
-            certain,
-            scaled,
-            is_there,
-        )
+def fuse_weighing(
+    sources: Mapping[str, AngleEvidence],
+    sharing: CommonCovariance,
+    candidates: Sequence[tuple[float, float]],
+    seen: Sequence[tuple[float, float]] = (),
+) -> tuple[Fused, list[tuple[float, float]]]:
+    """`fuse` with the scales that `weighed_scales` makes of the candidates, and these."""
+    angles = _angles(sources, sharing, candidates)
+    scales = weighed_scales(angles, candidates, seen)
+    return _fused(angles, scales), scales
 
 
 def fuse(
     sources: Mapping[str, AngleEvidence],
     sharing: CommonCovariance,
-    base: CommonCovariance | None = None,
+    scales: Sequence[tuple[float, float]] = CERTAIN,
 ) -> Fused:
     """Best linear unbiased mean per angle; a source's name begins with its angle.
 
     The weights are V^-1 1 / (1' V^-1 1), V being the sources' variances plus what they share; a
-    negative weight is not taken. base: what the weights are made of, where `sharing` holds errors
-    that are only probable: these widen the interval and move nothing.
+    negative weight is not taken. scales: of the scaled errors, with probabilities; the means of
+    all are averaged, and how far they lie apart is in the variance (Bayesian model averaging;
+    Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999).
     """
+    return _fused(_angles(sources, sharing, scales), scales)
+
+
+def _fused(angles: Sequence[_Angle], scales: Sequence[tuple[float, float]]) -> Fused:
     error, variance = np.zeros(3), np.full(3, np.inf)
     shares: dict[str, dict[str, float]] = {}
-    for i, axis in enumerate(AXES):
-        names = [name for name in sources if name.startswith(axis)]
-        if not names:
-            continue
-        V = sharing.covariance(sources, names)
-        certain = V if base is None else base.covariance(sources, names)
-        inverse, even = np.linalg.inv(np.array([V, certain]))
-        weight = np.maximum(even.sum(axis=1), 0.0)
-        weight /= weight.sum()
-        values = np.array([sources[name].value for name in names])
-        error[i] = weight @ values
-        left = values - error[i]
-        free = max(len(names) - 1, 1)
-        disagreement = min(max(float(left @ inverse @ left) / free, 1.0), MAX_WIDENED)
-        evenness = len(names) / free * (1.0 - float(weight @ weight))
-        variance[i] = float(weight @ V @ weight) * (1.0 + (disagreement - 1.0) * evenness)
-        shares[axis] = dict(zip(names, weight.tolist(), strict=True))
+    probability = np.array([p for _, p in scales])
+    for one in angles:
+        n = len(one.names)
+        weight = np.maximum(one.inverse.sum(axis=2), 0.0)
+        weight /= weight.sum(axis=1, keepdims=True)
+        each = weight @ one.values
+        left = one.values - each[:, None]
+        free = max(n - 1, 1)
+        chi2 = (left * (one.inverse @ left[:, :, None])[:, :, 0]).sum(axis=1)
+        disagreement = np.minimum(np.maximum(chi2 / free, 1.0), MAX_WIDENED)
+        evenness = n / free * (1.0 - (weight * weight).sum(axis=1))
+        own = (weight * (one.V @ weight[:, :, None])[:, :, 0]).sum(axis=1)
+        own *= 1.0 + (disagreement - 1.0) * evenness
+        mean = float(probability @ each)
+        error[one.axis] = mean
+        variance[one.axis] = probability @ (own + (each - mean) ** 2)
+        shares[AXES[one.axis]] = dict(zip(one.names, (probability @ weight).tolist(), strict=True))
     return Fused(error, variance, shares)

@@ -25,6 +25,7 @@ from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+_EYE = np.eye(3)
 
 PULL_S = 16.0
 """Time constant of the pull to the accelerometer [s]."""
@@ -143,7 +144,7 @@ class GravityObserver:
             self._follow_drift(p, states, force, bias, pull)
         lone: Array = p.force - GRAVITY * states[:, :, 0]
         if bias is not None:
-            lone -= (np.eye(3) - states[:, :, 1:4]) @ bias
+            lone -= (_EYE - states[:, :, 1:4]) @ bias
         return lone
 
     def _note_holes(self, ok_rate: Flags) -> None:
@@ -174,7 +175,7 @@ class GravityObserver:
             if not use.any():
                 return states
             first = int(np.argmax(use))
-            self._state = np.concatenate([force[first, :, None] / GRAVITY, np.eye(3)], axis=1)
+            self._state = np.concatenate([force[first, :, None] / GRAVITY, _EYE], axis=1)
         count = self._n + np.cumsum(use)
         gain = np.where(count > SETTLE_TICKS, pull, np.maximum(pull, 1.0 / np.maximum(count, 1)))
         gain = np.where(use, gain, 0.0)[:, None, None]
@@ -182,9 +183,9 @@ class GravityObserver:
         whole = np.empty((n, 3, 7))  # turn, then target
         whole[:, :, :3] = (1.0 - gain) * turn
         if first:
-            whole[:first, :, :3] = np.eye(3)  # nothing to turn yet
+            whole[:first, :, :3] = _EYE  # nothing to turn yet
         whole[:, :, 3] = (gain[:, 0] / GRAVITY) * force
-        whole[:, :, 4:] = gain * np.eye(3)
+        whole[:, :, 4:] = gain * _EYE
         carries = whole.reshape(-1, CARRY_TICKS, 3, 7)
         alone = carries[:, :, :, :3].copy()
         for j in range(1, CARRY_TICKS):
@@ -192,7 +193,7 @@ class GravityObserver:
             before[:, :, 3:] += carries[:, j, :, 3:]
             carries[:, j] = before
         starts = np.empty((len(carries), 1, 3, 7))
-        state = np.concatenate([self._state, np.eye(3)], axis=1)
+        state = np.concatenate([self._state, _EYE], axis=1)
         np.matmul(turn[0], state, out=states[0])
         for carry, end in enumerate(carries[:, -1]):
             starts[carry, 0] = state
@@ -244,7 +245,7 @@ class GravityObserver:
             return
         innovation = force - GRAVITY * states[:, :, 0]
         if bias is not None:
-            innovation = innovation - (np.eye(3) - states[:, :, 1:4]) @ bias
+            innovation = innovation - (_EYE - states[:, :, 1:4]) @ bias
         mean = np.clip(innovation.mean(axis=0), -FORCE_LARGE, FORCE_LARGE) / GRAVITY
         (ux, uy, uz), (mx, my, mz) = states[-1, :, 0].tolist(), mean.tolist()
         across = np.array([uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx])
@@ -254,7 +255,7 @@ class GravityObserver:
         use = p.learn & p.ok_speed & ~p.rest
         if not use.any() or self._n < 100:
             return
-        answer = np.eye(3) - states[:, :, 1:4]
+        answer = _EYE - states[:, :, 1:4]
         size = np.abs(answer).max(axis=(1, 2))
         if size.max() < 0.02:
             return
@@ -284,7 +285,7 @@ class GravityObserver:
     ) -> None:
         innovation = force - GRAVITY * states[:, :, 0]
         if bias is not None:
-            innovation = innovation - (np.eye(3) - states[:, :, 1:4]) @ bias
+            innovation = innovation - (_EYE - states[:, :, 1:4]) @ bias
         share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
         weight = (self._use & p.ok_rate) / (FORCE_NOISE * FORCE_NOISE + share2)
         size = np.sqrt((innovation * innovation).sum(axis=1))
@@ -293,7 +294,7 @@ class GravityObserver:
 
     def bias(self, prior_std: float) -> tuple[Array, Array]:
         """Accelerometer bias [m/s^2] (3,) and covariance (3, 3), sandwich over 40 s segments."""
-        prior = np.eye(3) / (prior_std * prior_std)
+        prior = _EYE / (prior_std * prior_std)
         if self._state is not None:
             # along the vertical it tilts nothing, and squat would pass for it
             up = self._state[:, 0]

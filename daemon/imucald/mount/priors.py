@@ -16,12 +16,12 @@ ACCEL_SCALE_STD = 0.003
 """Scale error per axis (part). Assumption: bare parts state up to 3 % (MPU-6050, initial
 calibration tolerance), today's about 1 %, and a unit that was set at the end of its line is
 better. Half of it turns into a tilt (`common_errors`): 0.08 deg."""
-CROSS_AXIS = ((0.001, 0.4), (0.005, 0.2), (0.01, 0.2), (0.02, 0.12), (0.04, 0.08))
+CROSS_AXIS = ((0.001, 0.2), (0.005, 0.2), (0.01, 0.3), (0.02, 0.2), (0.04, 0.1))
 """Cross-axis error (part, rms) where none is configured, with probabilities. The data
-sheet of a bare part states 2 % (MPU-6050), others 1 %. The shares are assumptions: two of five
-units were set at the end of their lines, to a tenth of 1 %; as many are as stated or half; and one
-of five is soldered, glued and bent to twice or four times as much. How far sources contradict one another
-then tells more (`fusion.ProbableScale`)."""
+sheet of a bare part states 2 % (MPU-6050), others 1 %: half of all units are taken to have that.
+The rest are assumptions: one in five was set at the end of its line, to a tenth of 1 %, another to
+a half; one in ten is soldered, glued and bent to four times as much. How far sources contradict one
+another, and the size of gravity, then tell more (`fusion.weighed_scales`)."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
 A calibrated unit states that from axis to axis (ADIS16475 data sheet, features); of a bare part it

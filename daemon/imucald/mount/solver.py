@@ -25,18 +25,23 @@ from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.evidence_spectra import MEASURED, RATE, SPEED_RATE, WINDOW, Measured, spectra
-from imucald.mount.fusion import CommonCovariance, Fused, ProbableScale, fuse
+from imucald.mount.fusion import CERTAIN, CommonCovariance, Fused, fuse, fuse_weighing
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.past_drives import PastDrives
 from imucald.mount.priors import BIAS_DRIFT_STD, CROSS_AXIS
 from imucald.mount.road_segments import AngleEvidence
-from imucald.mount.saved_information import SavedInformation, named_series, saved_sources, together
+from imucald.mount.saved_information import (
+    GRAVITY_KINDS,
+    SavedInformation,
+    named_series,
+    saved_sources,
+    together,
+)
 from imucald.mount.shift import (
     MIN_BEFORE,
     NO_STEPS,
     SPANS,
-    UNEVEN_STD,
     ScoreSeries,
     Shift,
     largest_change,
@@ -69,8 +74,6 @@ SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
 """Windows after which the delay is sought: first, and then every so many."""
-UNEVEN_TILT = {name: std for name, std in UNEVEN_STD.items() if not name.startswith("yaw")}
-"""What roads make sources of roll and pitch differ by, beside what the sensor does."""
 SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
@@ -99,13 +102,9 @@ class MountSolver:
         self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
         self.blocks = 0
-        self._certain = CommonCovariance(common_errors(settings))
         self._sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
-        self._cross_axis = ProbableScale(self._sharing, CROSS_AXIS, UNEVEN_TILT)
-        if settings.calibration.cross_axis > 0.0:
-            self._sharing.scale2 = 0.0  # configured: in the common errors
-        else:
-            self._sharing.scale2 = CROSS_AXIS[0][0] ** 2
+        self._is_configured = settings.calibration.cross_axis > 0.0  # then in the common errors
+        self._cross_axis = CERTAIN if self._is_configured else CROSS_AXIS
         self.past_drives: PastDrives | None = None
         self.creep: Creep | None = None
         self.p_constant = P_CONSTANT
@@ -261,13 +260,15 @@ class MountSolver:
                 source = sources["yaw_dvdt"]
                 sources["yaw_dvdt"] = replace(source, variance=source.variance + PRINCIPAL_STD**2)
             self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
-            if s.calibration.cross_axis == 0.0:
-                self._sharing.scale2 = self._cross_axis.squared(sources)
-            if self.past_drives is None:
-                fused = fuse(sources, self._sharing, self._certain)
+            if self._is_configured:
+                fused = fuse(sources, self._sharing, self._cross_axis)
             else:
+                size = float(np.linalg.norm(self.gravity.mean_force())) / GRAVITY - 1.0
+                seen = ((size, spread / GRAVITY),)
+                fused, self._cross_axis = fuse_weighing(sources, self._sharing, CROSS_AXIS, seen)
+            if self.past_drives is not None:
                 fused = self.past_drives.fused(
-                    sources, self.R, self._tilt_bias, math.sqrt(self._sharing.scale2)
+                    sources, self.R, self._tilt_bias, self._probable_cross_axis
                 )
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
             self.sources, self.fused = sources, fused
@@ -283,7 +284,11 @@ class MountSolver:
     @property
     def cross_axis_std(self) -> float:
         """Cross-axis error that is reckoned with (part): configured, or probable."""
-        return math.hypot(self._settings.calibration.cross_axis, math.sqrt(self._sharing.scale2))
+        return math.hypot(self._settings.calibration.cross_axis, self._probable_cross_axis)
+
+    @property
+    def _probable_cross_axis(self) -> float:
+        return math.sqrt(math.fsum(p * scale * scale for scale, p in self._cross_axis))
 
     def follow_creep(self) -> None:
         """See whether the mount creeps; once a road segment."""
@@ -292,7 +297,12 @@ class MountSolver:
         series = self.response.series
         if not self.response.without_speed:
             series = series + self._gravity_series(self.R, self.bias)
-        self.creep = creep(series, self.sources, self.p_constant)
+        sources = dict(self.sources)
+        for name, bias in zip(GRAVITY_KINDS, self._tilt_bias, strict=True):
+            if name in sources:  # the bias is the same in all segments
+                one = sources[name]
+                sources[name] = replace(one, variance=one.variance - bias)
+        self.creep = creep(series, sources, self.p_constant)
 
     @property
     def armed(self) -> bool:

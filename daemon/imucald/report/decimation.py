@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Envelope:
-    """Lowest, highest and mean value in equal stretches; (B,), nan where a stretch is empty."""
+    """Lowest, highest and mean value in equal segments; (B,), nan where a segment is empty."""
 
     t: Array
     low: Array
@@ -91,8 +91,8 @@ def log_bins(frequency: Array, density: Array, bins: int) -> tuple[Array, Array]
     return np.add.reduceat(f, first) / count, np.add.reduceat(s, first) / count
 
 
-def telling_stretch(t: Array, before: Array, after: Array, seconds: float) -> slice:
-    """Return the rows of the stretch in which the residual falls most (or is largest)."""
+def clearest_segment(t: Array, before: Array, after: Array, seconds: float) -> slice:
+    """Return the rows of the segment in which the residual falls most (or is largest)."""
     squares = np.nan_to_num(before) ** 2
     fall = squares - np.nan_to_num(after) ** 2
     worth = fall if fall.sum() > 0.0 else squares

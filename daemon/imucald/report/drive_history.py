@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from imucald.can.columns import FrameColumns
 from imucald.config import LoadedConfig
 from imucald.core.samples import Samples, Series
-from imucald.inputs.router import Routed
+from imucald.inputs.column_samples import Routed
 from imucald.inputs.wiring import compile_router
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate

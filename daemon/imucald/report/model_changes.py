@@ -9,7 +9,7 @@ from typing import Any
 from imucald.model.model import VehicleModel
 
 SHOWN_ITEMS = 8
-"""Longer lists (drop-outs, stretches) are told by their length: the full text has them."""
+"""Of longer lists (drop-outs) only the length is shown: the full text has them."""
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from imucald.core.errors import ImucaldError
 from imucald.diagnosis.result import Diagnosis, FoundCause, SignalPicture
+from imucald.report import numbers, titles
 from imucald.report import wording as words
 from imucald.report.model_changes import as_diff, model_changes
 
@@ -64,8 +65,8 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         figures=_key_figures(diagnosis),
         causes=[_card(cause) for cause in diagnosis.causes],
         likely=[_card(cause) for cause in diagnosis.likely],
-        to_separate=words.with_titles(diagnosis.to_separate, alike),
-        groups=[[words.cause_title(n) for n in g] for g in diagnosis.look_alikes[:MAX_ROWS]],
+        to_separate=titles.with_titles(diagnosis.to_separate, alike),
+        groups=[[titles.cause_title(n) for n in g] for g in diagnosis.look_alikes[:MAX_ROWS]],
         signals=_signal_rows(diagnosis),
         pictures=_pictures(diagnosis),
         unpictured=max(0, len(diagnosis.pictures) - MAX_PICTURED),
@@ -77,7 +78,7 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         model_text=diagnosis.model_after.to_yaml(),
         notes=diagnosis.notes[:MAX_ROWS],
         more_notes=max(0, len(diagnosis.notes) - MAX_ROWS),
-        duration=words.duration(diagnosis.duration_s),
+        duration=numbers.duration(diagnosis.duration_s),
     )
 
 
@@ -93,11 +94,11 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters |= {
-        "signal": words.signal_title,
-        "cause": words.cause_title,
-        "unit": words.unit_text,
-        "number": words.number,
-        "typographic": words.typographic,
+        "signal": titles.signal_title,
+        "cause": titles.cause_title,
+        "unit": numbers.unit_text,
+        "number": numbers.number,
+        "typographic": numbers.typographic,
         "breakable": _breakable,
     }
     return environment
@@ -123,39 +124,39 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
     rows = [(name, s) for name, s in diagnosis.signals.items() if s.rms_before > 0.0]
     if rows and diagnosis.causes:
         name, best = min(rows, key=lambda row: _size(row[1].rms_after / row[1].rms_before))
-        unit = words.unit_text(best.unit)
+        unit = numbers.unit_text(best.unit)
         figures.append((
             "Largest gain, on data not fitted",
             words.less(best),
-            f"{words.signal_title(name)}: {words.number(best.rms_before)} → "
-            f"{words.number(best.rms_after)} {unit}",
+            f"{titles.signal_title(name)}: {numbers.number(best.rms_before)} → "
+            f"{numbers.number(best.rms_after)} {unit}",
         ))  # fmt: skip
-        said = "use it" if diagnosis.recommended else "not recommended"
-        figures.append(("Extended model file", said, "by what it brings alone"))
-    figures.append(("Data", words.duration(diagnosis.duration_s), "diagnosed"))
+        advice = "use it" if diagnosis.recommended else "not recommended"
+        figures.append(("Extended model file", advice, "by what it brings alone"))
+    figures.append(("Data", numbers.duration(diagnosis.duration_s), "diagnosed"))
     return figures
 
 
 def _card(cause: FoundCause) -> dict[str, Any]:
     rows = []
     for key, p in list(cause.parameters.items())[:MAX_ROWS]:
-        shown, stated = words.for_people(key, p)
+        shown, stated = numbers.for_people(key, p)
         rows.append({
-            "title": words.key_title(key),
+            "title": titles.key_title(key),
             "key": key,
             "value": shown,
             "stated": stated,
-            "in_file": words.in_file(p),
+            "in_file": numbers.in_file(p),
         })  # fmt: skip
     return {
-        "title": words.cause_title(cause.name),
+        "title": titles.cause_title(cause.name),
         "name": cause.name,
         "certainty": cause.certainty,
-        "text": words.typographic(cause.text),
+        "text": numbers.typographic(cause.text),
         "rows": rows,
         "evidence": words.evidence(cause),
-        "against": [words.typographic(text) for text in cause.against],
-        "signals": [words.signal_title(name) for name in cause.signals],
+        "against": [numbers.typographic(text) for text in cause.against],
+        "signals": [titles.signal_title(name) for name in cause.signals],
     }
 
 
@@ -167,12 +168,12 @@ def _signal_rows(diagnosis: Diagnosis) -> list[dict[str, Any]]:
         rows.append({
             "name": name,
             "unit": s.unit,
-            "before": words.number(s.rms_before),
-            "after": words.number(s.rms_after),
-            "floor": words.number(s.noise_floor),
+            "before": numbers.number(s.rms_before),
+            "after": numbers.number(s.rms_after),
+            "floor": numbers.number(s.noise_floor),
             "less": words.less(s),
-            "slow": f"{words.number(s.slow_before)} → {words.number(s.slow_after)}",
-            "left": words.typographic(s.left),
+            "slow": f"{numbers.number(s.slow_before)} → {numbers.number(s.slow_after)}",
+            "left": numbers.typographic(s.left),
             "bar_before": _width(share * s.rms_before),
             "bar_after": _width(share * s.rms_after),
             "bar_floor": _width(share * s.noise_floor),
@@ -189,9 +190,9 @@ def _candidates(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     ordered = sorted(diagnosis.candidates, key=lambda c: -_size(c.nats))
     return [
         {
-            "title": words.cause_title(c.name),
+            "title": titles.cause_title(c.name),
             "outcome": c.outcome,
-            "text": words.typographic(c.text),
+            "text": numbers.typographic(c.text),
         }
         for c in ordered[:MAX_ROWS]
     ]
@@ -217,7 +218,7 @@ def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
             "touched": p.signal in touched,
             "extended": draw.is_extended(p),
             "time": _address(draw.time_picture, p),
-            "stretch": _address(draw.stretch_picture, p),
+            "segment": _address(draw.segment_picture, p),
             "of_driver": _address(draw.driver_picture, p),
             "spectrum": _address(draw.spectrum_picture, p),
         }

@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from imucald.diagnosis.result import SignalPicture
-from imucald.report.decimation import envelope, log_bins, telling_stretch, trend
+from imucald.report.decimation import clearest_segment, envelope, log_bins, trend
+from imucald.report.numbers import unit_text
 from imucald.report.svg_figures import drawn
-from imucald.report.wording import unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     Dashes = str | tuple[int, tuple[float, float]]
 
 BEFORE, AFTER, MEASURED, FLOOR = "#D55E00", "#0072B2", "#222222", "#6B6B6B"
-"""Vermilion, blue, near black, grey: told apart with any colour blindness (Okabe and Ito)."""
+"""Vermilion, blue, near black, grey: distinguishable with any colour blindness (Okabe and Ito)."""
 
 TIME_BINS = 420
 SPECTRUM_BINS = 160
 DRIVER_BINS = 24
 DRIVER_LEAST = 12
-STRETCH_S = 45.0
+SEGMENT_S = 45.0
 MINUTES_FROM_S = 300.0
 """Longer axes are in minutes."""
 DECADES = 6
@@ -42,12 +42,12 @@ EXTREME = 99.7
 
 
 def time_picture(p: SignalPicture) -> str:
-    """Residual before and after, against time: range and mean in short stretches."""
+    """Residual before and after, against time: range and mean in short segments."""
     return _picture(_draw_time, p, (9.6, 2.5))
 
 
-def stretch_picture(p: SignalPicture) -> str:
-    """Measured and predicted, in the stretch where the residual falls most."""
+def segment_picture(p: SignalPicture) -> str:
+    """Measured and predicted, in the segment where the residual falls most."""
     return _picture(_draw_stretch, p, (9.6, 2.5))
 
 
@@ -111,7 +111,7 @@ def _draw_time(axes: Axes, p: SignalPicture) -> None:
 
 def _draw_stretch(axes: Axes, p: SignalPicture) -> None:
     before, after = p.measured - p.predicted_before, p.measured - p.predicted_after
-    rows = telling_stretch(p.t, before, after, STRETCH_S)
+    rows = clearest_segment(p.t, before, after, SEGMENT_S)
     t = p.t[rows]
     axes.plot(t, p.measured[rows], color=MEASURED, lw=1.0, label="measured")
     known = np.isfinite(p.measured[rows])
@@ -195,7 +195,7 @@ def _power_text(x: float, _: object) -> str:
 
 
 def _clock_text(seconds: float, _: object) -> str:
-    """`23:06`, with tenths where the stretch is short."""
+    """`23:06`, with tenths where the segment is short."""
     sign, seconds = ("-" if seconds < 0 else ""), abs(round(seconds, 1))
     minutes, rest = divmod(seconds, 60.0)
     return (

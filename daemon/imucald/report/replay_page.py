@@ -20,8 +20,8 @@ from imucald.mount.mount_words import (
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.report.drive_events import STATE_WORDS, Event, in_order, state_changes, told_events
 from imucald.report.drive_history import DriveHistory, DriveMotion
+from imucald.report.numbers import duration
 from imucald.report.page import About, environment, require_libraries
-from imucald.report.wording import duration
 
 SHOWN_PROBLEMS = 20
 

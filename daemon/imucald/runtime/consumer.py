@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
-from imucald.inputs.router import ColumnSamples, Sample
+from imucald.inputs.column_samples import ColumnSamples
+from imucald.inputs.router import Sample
 from imucald.mount.estimate import Correction, MountEstimate
 from imucald.runtime.output.output_message import OutFrame
 
 ORDER = ("reverse", "speed", "heading", "gyro", "mag", "accel")
 """Samples of one frame are handed on in this order."""
+INERTIAL = frozenset(("accel", "gyro"))
+"""What a consumer carries on from one sample of these rests on all before."""
 _RANK = {channel: rank for rank, channel in enumerate(ORDER)}
 
 
@@ -69,6 +72,29 @@ class ChecksSensors(Protocol):
     def restore_check(self, saved: object) -> None:
         """Take what was saved, where it can be believed; it serves from the mount on."""
         ...
+
+
+def hand_on(
+    consumer: Consumer,
+    t: float,
+    channel: str,
+    values: Sequence[float],
+    correction: Correction | None,
+    unfit: Collection[str],
+) -> None:
+    """Hand a sample on to a consumer that wants it; unfit: channels of faulty sensors now.
+
+    Of a faulty sensor nothing is handed on. Where it is one that the consumer carries on from, it
+    begins anew when that is sound again, and has nothing to say until then.
+    """
+    if channel not in consumer.channels:
+        return
+    if not unfit:
+        consumer.sample(t, channel, values, correction)
+    elif not INERTIAL.isdisjoint(consumer.channels.intersection(unfit)):
+        consumer.gap()
+    elif channel not in unfit:
+        consumer.sample(t, channel, values, correction)
 
 
 def in_order(samples: Sequence[Sample]) -> Sequence[Sample]:

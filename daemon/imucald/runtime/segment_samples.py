@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from imucald.inputs.router import ColumnSamples
+from imucald.core.rotations import times_columns, times_level_columns
+from imucald.inputs.column_samples import ColumnSamples, Routed
+from imucald.runtime.output.output_frames import OutputFrames
+from imucald.runtime.pipeline import TickCorrections
 from imucald.runtime.timebase import TimeSegment
+
+if TYPE_CHECKING:
+    from imucald.model_compensation.preprocessing import PreprocessingChain
 
 
 class CorrectedSamples(Struct, frozen=True, eq=False):
@@ -37,3 +44,37 @@ class SegmentSamples(Struct, frozen=True, eq=False):
     stamps: NDArray[np.float64]
     as_sensed: Mapping[str, ColumnSamples]
     corrected: Callable[[], Mapping[str, CorrectedSamples]]
+
+
+def corrected_samples(
+    routed: Routed,
+    corrections: TickCorrections,
+    ticks: NDArray[np.int64],
+    output: OutputFrames,
+    preprocessing: PreprocessingChain | None,
+) -> dict[str, CorrectedSamples]:
+    """Corrected samples by channel; not a number where there is no correction.
+
+    ticks: (N,) of the segment's frames. preprocessing: what a model knows of corrected samples.
+    """
+    found = {c: routed.samples[c] for c in output.triads if c in routed.samples}
+    tick = {c: ticks[series.row] - corrections.first for c, series in found.items()}
+    turned = {
+        channel: times_columns(corrections.rotations[tick[channel]], series.values)
+        for channel, series in found.items()
+    }
+    if preprocessing is not None:
+        turned = preprocessing.corrected_columns(found, turned)
+    for channel in output.planar & found.keys():
+        rotations = corrections.rotations[tick[channel]]
+        turned[channel] = times_level_columns(rotations, found[channel].values)
+    corrected: dict[str, CorrectedSamples] = {}
+    for channel, series in found.items():
+        values, quality = turned[channel], corrections.quality[tick[channel]]
+        unfit = corrections.unfit.get(output.sensor_of[channel])
+        if unfit is not None:
+            faulty = unfit[tick[channel]]
+            values = np.where(faulty[:, None], np.nan, values)
+            quality = np.where(faulty, 0, quality).astype(np.uint8)
+        corrected[channel] = CorrectedSamples(series.t, values, series.row, quality)
+    return corrected

@@ -14,7 +14,8 @@ from typing import Protocol
 from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.link.link import Link, LinkEvent
 from imucald.config import LoadedConfig
-from imucald.runtime.engine import Engine, LinkHealth
+from imucald.runtime.engine import Engine
+from imucald.runtime.input_watch import LinkHealth
 from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.timebase import FORWARD_STEP
 

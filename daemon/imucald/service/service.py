@@ -6,26 +6,24 @@ systemd's watchdog hears comes from the loop that corrects frames and from nothi
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from imucald import __version__
 from imucald.can.link.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.core.errors import ImucaldError, LinkError
 from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.consumer import ChecksSensors
-from imucald.runtime.engine import Engine, LinkHealth
+from imucald.runtime.engine import Engine
+from imucald.runtime.input_watch import LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
-from imucald.runtime.summary import RunCounts, summary
 from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
-from imucald.service.figures import NOT_SAVED, process_figures, status_line
+from imucald.service.figures import status_line
 from imucald.service.folder_lock import FolderLock
 from imucald.service.identity import state_key
 from imucald.service.journal import ERROR, INFO, NOTICE, WARNING, Journal
@@ -33,6 +31,7 @@ from imucald.service.live import Daemon, open_link
 from imucald.service.notify import Notifier
 from imucald.service.prepared import Prepared
 from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
+from imucald.service.running_status import InputRates, run_result, running_status
 from imucald.service.start_count import StartCount
 from imucald.service.state import StateStore, clear_unfinished
 from imucald.service.status import StatusServer
@@ -90,9 +89,7 @@ class Service:
         self._check_wanted = False
         self._announced: object = None
         self._rejected = 0
-        self._rates: dict[str, float] = {}
-        self._counted: dict[str, int] = {}
-        self._counted_at = clock()
+        self._rates = InputRates(clock())
         self._start_count = StartCount(options.start_count)
         self.loaded = open_config(options.config, options.databases)
         engine = self._new_engine(self.loaded)
@@ -279,10 +276,7 @@ class Service:
         if self.dtc_store is not None:
             self.dtc_store.update()
         self.notifier.status(status_line(estimate, str(self.link.state)))
-        counts = self.engine.router.sample_counts
-        span = max(now - self._counted_at, 1e-9)
-        self._rates = {c: (n - self._counted.get(c, 0)) / span for c, n in counts.items()}
-        self._counted, self._counted_at = dict(counts), now
+        self._rates.update(self.engine.router.sample_counts, now)
         rejected = self.engine.router.rejected
         if (total := rejected.total()) > self._rejected:
             self._rejected = total
@@ -350,7 +344,8 @@ class Service:
         self.daemon.engine = engine
         self.uds = uds
         self.daemon.serve(uds)
-        self._counted, self._rejected = {}, 0
+        self._rates.restart()
+        self._rejected = 0
         if link is not self.link:
             self.link.close()
             self.link = self.daemon.link = link
@@ -455,11 +450,7 @@ class Service:
 
     def result(self) -> dict[str, Any]:
         """Summary of the run (see docs/json.md), with the link's counters."""
-        engine, counters = self.engine, self.link.counters
-        counts = RunCounts(counters.received, engine.router.used, engine.router.rejected)
-        found = summary(engine, counts, engine.timebase.now)
-        found["link"] = dataclasses.asdict(counters)
-        return found
+        return run_result(self.engine, self.link)
 
     def _uds_status(self) -> dict[str, Any] | None:
         if self.uds is None or self.dtc_store is None:
@@ -468,30 +459,17 @@ class Service:
 
     def status(self) -> dict[str, Any]:
         """What `imucald status` shows; keys in docs/service.md."""
-        found = self.result()
-        for channel, row in found["signals"].items():
-            row["rate_hz"] = round(self._rates.get(channel, 0.0), 3)
-        link = self.link
-        found["link"] |= {
-            "state": str(link.state),
-            "interface": link.interface,
-            "channel": link.channel,
-        }
-        store = self.calibration_store
-        found |= {
-            "version": __version__,
+        engine = self.engine
+        found = running_status(
+            engine, self.link, self._rates, self.calibration_store, self.journal.dropped
+        )
+        return found | {
             "config": str(self.options.config),
             "vehicle": self.loaded.config.vehicle.id,
-            "sensor": state_key(self.loaded, self.engine.router, self.engine.model_key).sensor,
+            "sensor": state_key(self.loaded, engine.router, engine.model_key).sensor,
             "uptime_s": round(self._clock() - self._began, 3),
-            "quality": self.engine.pipeline.quality,
-            "health": dataclasses.asdict(self.engine.health()),
-            "frames_given_out": self.engine.sent,
-            "saved_state": NOT_SAVED if store is None else store.status(),
             "diagnostics": self._uds_status(),
-            "process": process_figures() | {"log_lines_dropped": self.journal.dropped},
         }
-        return found
 
 
 def _checking(engine: Engine) -> list[ChecksSensors]:

@@ -16,7 +16,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from imucald.can.columns import CAN_ERR_FLAG, CLASSIC_BYTES, FD_BYTES, IdMatch
 from imucald.can.id_filter import FrameClass, LinkIdFilter
@@ -31,8 +31,9 @@ from imucald.can.link.link_events import (
     down_text,
     queue_full_text,
 )
-from imucald.can.link.outbox import Outbox, SendingPort
-from imucald.can.link.socketcan import CAN_ERR_BUSOFF, CAN_ERR_RESTARTED, Frame, SocketCan
+from imucald.can.link.outbox import Outbox
+from imucald.can.link.port import Port, open_port
+from imucald.can.link.socketcan import CAN_ERR_BUSOFF, CAN_ERR_RESTARTED, Frame
 from imucald.core.errors import LinkError
 
 __all__ = ["Frame", "Link", "LinkCounters", "LinkEvent", "LinkState"]
@@ -59,28 +60,6 @@ SEND_REASONS = {
     errno.EIO: "adapter",  # see adapter.py
 }
 """Why a frame was not sent; any other error means that the interface has gone."""
-
-
-class Port(SendingPort, Protocol):
-    """What `Link` needs of an open interface; failures are OSError."""
-
-    lost: int
-    receive_buffer: int
-
-    def fileno(self) -> int | None:
-        """Return a descriptor to wait on, if there is one."""
-
-    def close(self) -> None:
-        """Close it."""
-
-    def receive(self, timeout: float) -> list[Frame]:
-        """Wait for a frame, then take all that wait."""
-
-    def is_same_interface(self) -> bool:
-        """Whether what was opened is still there."""
-
-    def is_up(self) -> bool:
-        """Whether it is set up."""
 
 
 class Link:
@@ -280,12 +259,8 @@ class Link:
 
     def _new_port(self) -> Port:
         filters = self._id_filter.filters()
-        if self.interface == "socketcan":
-            return SocketCan(self.channel, filters, fd=self._fd, receive_buffer=self._buffer)
-        from imucald.can.link.adapter import Adapter  # noqa: PLC0415  (SocketCAN needs no python-can)
-
-        bus = (self.interface, self.channel)
-        return Adapter(*bus, filters, fd=self._fd, bitrate=self._bitrate, options=self._options)
+        bus = self.interface, self.channel
+        return open_port(*bus, filters, self._fd, self._bitrate, self._options, self._buffer)
 
     def _reopened(self) -> Port | None:
         """Open again when the pause since the last attempt is over."""

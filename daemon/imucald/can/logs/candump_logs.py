@@ -10,6 +10,7 @@ falls out anywhere goes to the strict reader of single lines (`candump_line`), w
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import ClassVar, Final
@@ -44,6 +45,8 @@ CHUNK_BLOCKS: Final = 8
 KEPT_BYTES: Final = 16 << 20
 """Freed memory that the C library may keep for reuse, above the arrays of one block (about 6 MiB
 with their copies)."""
+
+_LOG_LINE: Final = re.compile(rb"^\(\d{1,19}\.\d{1,19}\) {1,32}\S{1,32} [0-9A-Fa-f]{3,8}#", re.M)
 
 Place = tuple[str, int]
 """File name, number of lines before."""
@@ -167,6 +170,11 @@ class CandumpReader:
     """Reads files of candump text into columns."""
 
     endings: ClassVar[tuple[str, ...]] = (".log",)
+
+    @staticmethod
+    def begins(head: bytes) -> bool:
+        """Whether one of the first lines is `(seconds) channel id#...`."""
+        return _LOG_LINE.search(head) is not None
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
         self._statistics = statistics

@@ -1,4 +1,4 @@
-"""What every log format is: a reader of files with certain endings, and what it counts.
+"""What every log format is: a reader of files that begin in a certain way, and what it counts.
 
 A new format is a new file of this folder whose name ends with `_logs` and which has a `LogFormat`
 under the name FORMAT: `log_reader` finds it. One that python-can reads needs only its ending in
@@ -57,7 +57,13 @@ class LogFormat(Protocol):
     """A reader of one recording's files, which share filters, channels and statistics."""
 
     endings: ClassVar[tuple[str, ...]]
-    """Of file names, in small letters; ``.gz`` behind them does not count."""
+    """Of file names, in small letters; ``.gz`` and the like behind them do not count. They decide
+    where the first bytes do not."""
+
+    @staticmethod
+    def begins(head: bytes) -> bool:
+        """Whether a file with these first plain bytes (4 KiB, less where it is shorter) is one."""
+        ...
 
     def __init__(
         self, filters: IdFilters, channels: Channels, statistics: ReadStatistics

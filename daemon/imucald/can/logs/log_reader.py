@@ -1,9 +1,9 @@
 """Recorded logs, one after another, as columns of frames.
 
-Candump text (``.log`` or any other name, plain or gzip, "-" for standard input) is read by
-columns; ``.asc .blf .trc .csv .mf4 .db`` through python-can. Several files are read in the order
-given and as one recording: where a later file begins at an earlier time, so do its frames, and
-whoever makes stream time of it meets a discontinuity.
+A file's first bytes tell its format and its compression (gzip, xz, bzip2, Zstandard); its name
+counts where they do not. "-" is standard input. Several files are read in the order given and as
+one recording: where a later file begins at an earlier time, so do its frames, and whoever makes
+stream time of it meets a discontinuity.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import os
 import pkgutil
+import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -18,9 +19,12 @@ from typing import Final
 from imucald.can import logs
 from imucald.can.columns import CAN_EFF_FLAG, Channels, FrameColumns, IdMatch
 from imucald.can.id_filter import IdFilters
+from imucald.can.logs.candump_line import shown
 from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.can.logs.log_format import LogFormat, ReadStatistics
-from imucald.can.logs.text_blocks import STDIN, OpenLog
+from imucald.can.logs.text_blocks import STDIN, OpenLog, look_at
+from imucald.can.logs.unpacking import first_bytes, plain_ending
+from imucald.core.errors import LogError
 
 __all__ = ["CAN_EFF_FLAG", "CandumpWriter", "FrameColumns", "IdMatch", "LogReader"]
 
@@ -38,7 +42,15 @@ def find_formats() -> tuple[type[LogFormat], ...]:
 FORMATS: Final = find_formats()
 
 CANDUMP_ENDING: Final = ".log"
-"""A file whose ending no format names is read as candump text."""
+"""Of candump text, which an empty file is read as."""
+
+CSV_ENDING: Final = ".csv"
+
+_MAY_BE_CANDUMP: Final = re.compile(rb"^\(\d", re.MULTILINE)
+"""A line of a damaged candump log, of which no whole line is among the first."""
+
+HEAD_BYTES: Final = 4096
+"""First plain bytes by which a format is known."""
 
 Progress = Callable[[int, int | None], None]
 """Called with bytes read and bytes in all (None where standard input is among the files)."""
@@ -99,11 +111,10 @@ class LogReader:
         self._bytes_total = _total_bytes(self._paths)
         shared = IdFilters(self._keep), Channels(), self._statistics
         readers = [kind(*shared) for kind in FORMATS]
-        candump = next(r for r in readers if CANDUMP_ENDING in r.endings)
         for path in self._paths:
-            ending = _ending(path)
-            reader = next((r for r in readers if ending in r.endings), candump)
-            yield from reader.read(path, self._report)
+            head, handed = look_at(path)
+            reader = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
+            yield from reader.read(handed, self._report)
             self._bytes_before += _file_bytes(path)
             self._report(0)
 
@@ -112,10 +123,26 @@ class LogReader:
             self._progress(self._bytes_before + bytes_of_file, self._bytes_total)
 
 
-def _ending(path: Path | str | OpenLog) -> str:
-    """The ending of a file's name, before ``.gz``, in small letters."""
-    name = Path(str(path))
-    return Path(name.stem if name.suffix.lower() == ".gz" else name.name).suffix.lower()
+def _reader_for(readers: Sequence[LogFormat], head: bytes, path: Path | str | OpenLog) -> LogFormat:
+    """The reader of a file with these first plain bytes. Raises LogError where it is no log."""
+    found = next((r for r in readers if r.begins(head)), None)
+    if found is not None:
+        return found
+    ending = plain_ending(Path(str(path)))
+    if ending == CSV_ENDING and head:
+        first = shown(head.split(b"\n")[0].strip())
+        raise LogError(
+            f"{path}: its first line is {first!r}; known are the CSV of SavvyCAN (Time Stamp,ID,"
+            "Extended,...) and of python-can (timestamp,arbitration_id,...)"
+        )
+    by_name = next((r for r in readers if ending in r.endings), None)
+    candump = next(r for r in readers if CANDUMP_ENDING in r.endings)
+    if by_name in (None, candump) and head.strip() and not _MAY_BE_CANDUMP.search(head):
+        raise LogError(
+            f"{path}: not a log that is known here; it begins with {shown(head.lstrip())!r}; "
+            "record with: candump -l can0"
+        )
+    return by_name or candump
 
 
 def _file_bytes(path: Path | str | OpenLog) -> int:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, ClassVar, Final
-
-import numpy as np
 
 from imucald.can.columns import (
     CAN_EFF_FLAG,
@@ -20,18 +19,21 @@ from imucald.can.columns import (
     FrameColumns,
 )
 from imucald.can.id_filter import IdFilters
+from imucald.can.logs.blf_end import blf_end
+from imucald.can.logs.frame_batches import (
+    BATCH_FRAMES,
+    FrameBatches,
+    GatheredFrame,
+    columns_of_frames,
+)
 from imucald.can.logs.log_format import ReadStatistics
+from imucald.can.logs.mf4_end import mf4_end
 from imucald.can.logs.text_blocks import OpenLog
+from imucald.can.logs.unpacking import plain_ending, plain_file
 from imucald.core.errors import LogError
-
-BATCH_FRAMES: Final = 8192
-"""Frames of ours gathered before they are passed on."""
 
 PROGRESS_FRAMES: Final = 20_000
 """Frames between two reports of progress."""
-
-MAX_IDS: Final = 65_536
-"""Ids whose verdict is remembered; a log with more is damaged, and is forgotten now and then."""
 
 SPACED_FORMATS: Final = (".asc", ".trc")
 """Formats that write data bytes apart, two digits each."""
@@ -42,8 +44,17 @@ LAST_BYTES: Final = 1024
 MIN_TOKENS: Final = 6
 """Words of its lines before the first data byte."""
 
-Frame = tuple[float, int, bytes, int, bool]
-"""Time [s], id with flag, payload, channel index, CAN FD."""
+_BEGINNINGS: Final = {
+    ".blf": re.compile(rb"LOGG"),
+    ".mf4": re.compile(rb"MDF     |UnFinMF "),
+    ".db": re.compile(rb"SQLite format 3\0"),
+    ".asc": re.compile(rb"\s*(?://|date |base +(?:hex|dec)|Begin Triggerblock)", re.IGNORECASE),
+    ".trc": re.compile(rb"\s*;"),
+    ".csv": re.compile(rb"(?:\xef\xbb\xbf)?timestamp,arbitration_id,", re.IGNORECASE),
+}
+"""How files of each kind begin."""
+
+HEAD_BYTES: Final = 64
 
 
 class PythonCanReader:
@@ -51,11 +62,16 @@ class PythonCanReader:
 
     endings: ClassVar[tuple[str, ...]] = (".asc", ".blf", ".trc", ".csv", ".mf4", ".db")
 
+    @staticmethod
+    def begins(head: bytes) -> bool:
+        """Whether the first bytes are those of one of these formats."""
+        return any(begins.match(head) for begins in _BEGINNINGS.values())
+
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
-        self._filters = filters
         self._channels = channels
         self._statistics = statistics
-        self._verdicts: dict[tuple[int, int], bool] = {}
+        self._last: float | None = None
+        self._batches = FrameBatches(filters, channels, statistics)
 
     def read(
         self, path: Path | str | OpenLog, report: Callable[[int], None]
@@ -67,13 +83,26 @@ class PythonCanReader:
         """
         if isinstance(path, OpenLog):
             raise LogError(f"{path}: this format is read by its file's name only")
-        path = Path(path)
+        named = Path(path)
+        with plain_file(named) as (plain, damage):
+            yield from self._read(named, plain, report)
+        if damage:
+            self._statistics.reject("damaged_file", f"{named}: reading ends here: {damage}")
+
+    def _read(
+        self, path: Path, plain: Path, report: Callable[[int], None]
+    ) -> Iterator[FrameColumns]:
+        """Read the plain file that stands for one of a name."""
         before = self._statistics.frames_read
-        cut = _ends_in_half_a_byte(path)
-        batch: list[Frame] = []
+        kind = _kind(plain, path)
+        cut = _ends_in_half_a_byte(plain, kind)
+        end = blf_end(plain) if kind == ".blf" else None
+        if kind == ".mf4" and (why := mf4_end(plain)):
+            raise LogError(f"{path}: cannot be read: {why}")
+        batch: list[GatheredFrame] = []
         frame, counted = None, before
         try:
-            with _open(path) as reader:
+            with _open(plain, kind) as reader:
                 for number, message in enumerate(reader, 1):
                     counted = self._statistics.frames_read
                     frame = self._judge(message, path, number)
@@ -81,7 +110,7 @@ class PythonCanReader:
                         batch.append(frame)
                     # The last one stays here: it may have to be taken back.
                     if len(batch) > BATCH_FRAMES:
-                        yield _columns(batch[:-1], self._channels.names)
+                        yield columns_of_frames(batch[:-1], self._channels.names)
                         batch = batch[-1:]
                     if number % PROGRESS_FRAMES == 0:
                         report(_position(reader))
@@ -91,25 +120,36 @@ class PythonCanReader:
             raise
         # What python-can's readers raise on damaged files is not documented, and is anything.
         except Exception as error:
-            text = f"{path}: cannot be read: {error or type(error).__name__}"
+            text = f"{path}: cannot be read: {end or error or type(error).__name__}"
             if self._statistics.frames_read == before:
                 raise LogError(text) from error
-            read = self._statistics.frames_read - before
-            self._statistics.reject("unreadable", f"{text} (after {read} frames)")
+            self._statistics.reject("unreadable", f"{text} ({self._so_far(before)})")
+            end = None
+        if end:
+            self._statistics.reject("cut_file", f"{path}: {end}; {self._so_far(before)}")
         if batch:
-            yield _columns(batch, self._channels.names)
+            yield columns_of_frames(batch, self._channels.names)
 
-    def _take_back(self, batch: list[Frame], last: Frame | None, path: Path) -> None:
+    def _so_far(self, before: int) -> str:
+        """What was read of this file, for messages."""
+        first, last = self._statistics.first_stamp, self._last
+        seconds = "" if first is None or last is None else f", {last - first:.1f} s"
+        return f"{self._statistics.frames_read - before} frames were read{seconds}"
+
+    def _take_back(
+        self, batch: list[GatheredFrame], last: GatheredFrame | None, path: Path
+    ) -> None:
         """Reject the file's last frame."""
         if last is not None:
             batch.pop()
         self._statistics.frames_read -= 1
         self._statistics.reject("cut_line", f"{path}: the last line is cut")
 
-    def _judge(self, message: Any, path: Path, number: int) -> Frame | None:
+    def _judge(self, message: Any, path: Path, number: int) -> GatheredFrame | None:
         """Count one message; return it if it is a wanted data frame."""
         if math.isfinite(message.timestamp):
             self._statistics.stamp(message.timestamp)
+            self._last = message.timestamp
         if message.is_error_frame:
             self._statistics.ignore("error_frame")
             return None
@@ -126,42 +166,47 @@ class PythonCanReader:
             return None
         self._statistics.frames_read += 1
         can_id = message.arbitration_id | (CAN_EFF_FLAG if message.is_extended_id else 0)
-        if not self._wanted(index, can_id, channel):
+        if not self._batches.is_wanted(index, can_id, channel):
             return None
         return message.timestamp, can_id, bytes(message.data), index, bool(message.is_fd)
 
-    def _wanted(self, index: int, can_id: int, channel: str) -> bool:
-        key = index, can_id
-        if key not in self._verdicts:
-            if len(self._verdicts) == MAX_IDS:
-                self._verdicts.clear()
-            self._verdicts[key] = self._filters.of(channel).wanted(can_id)
-        return self._verdicts[key]
+
+def _kind(plain: Path, named: Path) -> str:
+    """The ending that a file's first bytes call for; its own where they call for none."""
+    with plain.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    found = next((ending for ending, begins in _BEGINNINGS.items() if begins.match(head)), None)
+    return found or plain_ending(named)
 
 
-def _open(path: Path) -> Any:
+def _open(path: Path, kind: str) -> Any:
     from imucald.can.python_can import can, with_mf4  # noqa: PLC0415 (costs 0.1 s)
 
-    if path.suffix.lower() != ".mf4":
-        return can.LogReader(path)
+    if kind != ".mf4":
+        readers = {
+            ".asc": can.ASCReader,
+            ".blf": can.BLFReader,
+            ".trc": can.TRCReader,
+            ".csv": can.CSVReader,
+            ".db": can.SqliteReader,
+        }
+        return readers[kind](path)
     try:
         return with_mf4()(path)
-    except ImportError as error:
-        raise LogError(f"{path}: reading MF4 needs the extra 'mf4' (asammdf)") from error
+    except ImportError:
+        text = "reading MF4 needs the package asammdf: pip install 'imucald[mf4]'"
+        raise LogError(f"{path}: {text}") from None
 
 
-def _ends_in_half_a_byte(path: Path) -> bool:
+def _ends_in_half_a_byte(path: Path, kind: str) -> bool:
     """Say whether a text log was cut within its last data byte: python-can's readers take the
-    digit that is left for the byte. Any other cut makes the data too short. Raises LogError.
+    digit that is left for the byte. Any other cut makes the data too short.
     """
-    try:
-        with path.open("rb") as file:
-            if path.suffix.lower() not in SPACED_FORMATS:
-                return False
-            file.seek(-min(LAST_BYTES, path.stat().st_size), os.SEEK_END)
-            last_line = file.read().rpartition(b"\n")[2]
-    except OSError as error:
-        raise LogError(f"{path}: cannot be opened: {error.strerror}") from error
+    if kind not in SPACED_FORMATS:
+        return False
+    with path.open("rb") as file:
+        file.seek(-min(LAST_BYTES, path.stat().st_size), os.SEEK_END)
+        last_line = file.read().rpartition(b"\n")[2]
     tokens = last_line.split()
     return len(tokens) > MIN_TOKENS and len(tokens[-1]) == 1 and last_line.endswith(tokens[-1])
 
@@ -195,22 +240,6 @@ def _position(reader: Any) -> int:
         return int(getattr(file, "buffer", file).tell())
     except (AttributeError, OSError, ValueError):
         return 0
-
-
-def _columns(batch: list[Frame], channels: tuple[str, ...]) -> FrameColumns:
-    t, can_id, data, channel, fd = zip(*batch, strict=True)
-    length = [len(payload) for payload in data]
-    width = CLASSIC_BYTES if max(length) <= CLASSIC_BYTES else FD_BYTES
-    text = b"".join(payload.ljust(width, b"\0") for payload in data)
-    return FrameColumns(
-        np.array(t, np.float64),
-        np.array(can_id, np.uint32),
-        np.array(length, np.uint8),
-        np.frombuffer(text, np.uint8).reshape(len(batch), width),
-        np.array(channel, np.uint8),
-        channels,
-        np.array(fd, np.bool_) if any(fd) else None,
-    )
 
 
 FORMAT = PythonCanReader

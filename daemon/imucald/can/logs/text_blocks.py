@@ -1,43 +1,33 @@
-"""A text file, plain or gzip, or standard input, as blocks of whole lines in bounded memory."""
+"""A text, plain or compressed, a file or standard input, as whole lines in bounded memory."""
 
 from __future__ import annotations
 
 import sys
-import zlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol, cast
+from typing import Final, cast
 
 import numpy as np
 
 from imucald.can.logs.ascii_columns import Bytes
+from imucald.can.logs.unpacking import (
+    DAMAGE,
+    MAGIC_BYTES,
+    ByteSource,
+    Unpacked,
+    packed_as,
+)
 from imucald.core.errors import LogError
 
 BLOCK_BYTES: Final = 1 << 20
 """Text read at once: the arrays made of it stay within a core's caches."""
 
-COMPRESSED_BYTES: Final = 1 << 18
-"""Compressed bytes read at once."""
-
-GZIP_MAGIC: Final = b"\x1f\x8b"
-_GZIP_FORMAT: Final = 31
-"""What zlib calls a gzip header with the largest window."""
-
 STDIN: Final = "-"
 
-
-class ByteSource(Protocol):
-    """Something open that gives bytes."""
-
-    def read(self, size: int, /) -> bytes | None:
-        """Read up to so many bytes."""
-        ...
-
-    def readinto(self, buffer: Any, /) -> int | None:
-        """Fill a buffer as far as bytes are there."""
-        ...
+LOOK_BYTES: Final = 1 << 14
+"""First bytes that are looked at to know a format."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +53,45 @@ def open_source(path: Path | str | OpenLog) -> AbstractContextManager[ByteSource
         raise LogError(f"{path}: cannot be opened: {error.strerror}") from error
 
 
+class _Looked:
+    """Something open whose first bytes were read already."""
+
+    def __init__(self, head: bytes, source: ByteSource) -> None:
+        self._head = head
+        self._source = source
+
+    def read(self, size: int, /) -> bytes | None:
+        """Read up to so many bytes."""
+        if not self._head:
+            return self._source.read(size)
+        given, self._head = self._head[:size], self._head[size:]
+        return given
+
+    def readinto(self, buffer: memoryview, /) -> int | None:
+        """Fill a buffer as far as bytes are there."""
+        if not self._head:
+            return self._source.readinto(buffer)
+        given = self.read(len(buffer)) or b""
+        buffer[: len(given)] = given
+        return len(given)
+
+
+def look_at(path: Path | str | OpenLog) -> tuple[bytes, Path | str | OpenLog]:
+    """The first bytes of a log as they are stored, and what is to be read in its place.
+
+    A pipe is asked once: what it holds is enough, and waiting for more might take for ever.
+    Raises LogError where it cannot be opened.
+    """
+    with open_source(path) as source:
+        try:
+            head = source.read(LOOK_BYTES) or b""
+        except OSError as error:
+            raise LogError(f"{path}: cannot be read: {error.strerror}") from error
+        if isinstance(path, OpenLog) or str(path) == STDIN:
+            return head, OpenLog(_Looked(head, source), str(path))
+        return head, path
+
+
 class _Plain:
     """Bytes as they are, after those already read to know the format."""
 
@@ -83,43 +112,6 @@ class _Plain:
         return count
 
 
-class _Inflated:
-    """Bytes of a gzip file of one or more members (the gzip module reads in small pieces)."""
-
-    def __init__(self, source: ByteSource, head: bytes) -> None:
-        self.bytes_read = len(head)
-        self._source = source
-        self._input = head
-        self._member = zlib.decompressobj(_GZIP_FORMAT)
-
-    def readinto(self, view: memoryview) -> int:
-        """Read what there is, up to the view's length; 0 at the end.
-
-        Raises EOFError where the file ends within a member, zlib.error where it is damaged.
-        """
-        while True:
-            if self._member.eof:
-                # Zeros behind a member are padding of tapes and disks, as for the gzip module.
-                self._input = self._member.unused_data.lstrip(b"\0") or self._more().lstrip(b"\0")
-                if not self._input:
-                    return 0
-                self._member = zlib.decompressobj(_GZIP_FORMAT)
-            elif not self._input:
-                self._input = self._more()
-                if not self._input:
-                    raise EOFError("the compressed file is cut")
-            text = self._member.decompress(self._input, len(view))
-            self._input = self._member.unconsumed_tail
-            if text:
-                view[: len(text)] = text
-                return len(text)
-
-    def _more(self) -> bytes:
-        data = self._source.read(COMPRESSED_BYTES) or b""
-        self.bytes_read += len(data)
-        return data
-
-
 class TextBlocks:
     """Iterate over the blocks of a text; afterwards `rest` and `damage` say how it ended."""
 
@@ -133,9 +125,11 @@ class TextBlocks:
         self._store = bytearray(BLOCK_BYTES + padding)
         self._view = memoryview(self._store)[:BLOCK_BYTES]
         self._filled = 0
-        head = source.read(1) or b""
-        head += source.read(1) or b""  # one by one: a pipe may give less than asked for
-        self._stream = (_Inflated if head == GZIP_MAGIC else _Plain)(source, head)
+        head = b""
+        while len(head) < MAGIC_BYTES and (more := source.read(MAGIC_BYTES - len(head))):
+            head += more  # a pipe may give less than asked for
+        member = packed_as(head)
+        self._stream = _Plain(source, head) if member is None else Unpacked(source, head, member)
 
     @property
     def bytes_read(self) -> int:
@@ -168,6 +162,6 @@ class TextBlocks:
                 if not count:
                     break
                 self._filled += count
-        except (OSError, EOFError, zlib.error) as error:
+        except DAMAGE as error:
             self.damage = str(error)
         return self._filled > before

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import betabinom, binom, false_discovery_control
 
-MAX_Q = 0.05
+from imucald.fleet.analysis.units import MAX_Q
+
 FEW_VEHICLES = 3
 """A cause in fewer vehicles is not called a matter of design, however small their type is."""
 FIGURES = re.compile(r"\s*\([^)]*\)|\d+(\.\d+)?")

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from imucald.fleet.analysis.known_drives import KnownDrives, between, turned
-from imucald.fleet.analysis.population import Population, Units, t_quantile
+from imucald.fleet.analysis.population import Population
 from imucald.fleet.analysis.remounts import Remounts, weights
 from imucald.fleet.analysis.segments import means
+from imucald.fleet.analysis.units import Units, t_quantile
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -13,12 +13,11 @@ from scipy.stats import false_discovery_control
 from imucald.fleet.analysis.components import VarianceComponent, between_drives, robust_variance
 from imucald.fleet.analysis.known_drives import KnownDrives, between
 from imucald.fleet.analysis.segments import candidates, means
+from imucald.fleet.analysis.units import MAX_Q
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-MAX_Q = 0.05
-"""Of what is told as found, such a share is false in expectation (Benjamini and Hochberg 1995)."""
 ROUNDS = 3
 OWN_FREEDOM = 20
 """A type with fewer differences between drives has the D of all types together."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
-from imucald.inputs.router import Routed
+from imucald.inputs.column_samples import Routed
+from imucald.runtime.output.output_frames import OutFrame, OutputFrames
+from imucald.runtime.segment_samples import CorrectedSamples
 
 
 class OutPart(Struct, frozen=True, eq=False):
@@ -27,6 +31,49 @@ def corrected_count(routed: Routed, channel: str) -> int:
     """Corrected frames that a channel comes to, without those that say *not available*."""
     series = routed.samples.get(channel)
     return 0 if series is None else len(series.row)
+
+
+def frames_part(out: Sequence[OutFrame], row: int) -> OutPart:
+    """Frames that come before those of a row's samples, in the order given."""
+    return OutPart(
+        np.full(len(out), row),
+        np.zeros(len(out), np.int64),  # one frame may close many ticks: as they come
+        np.array([can_id for can_id, _ in out], dtype=np.uint32),
+        np.frombuffer(b"".join(data for _, data in out), np.uint8).reshape(len(out), -1),
+    )
+
+
+def corrected_parts(
+    output: OutputFrames,
+    corrected: Mapping[str, CorrectedSamples],
+    lost: Mapping[str, NDArray[np.int64]],
+    base: int,
+) -> Iterator[OutPart]:
+    """Frames of a segment's corrected samples by channel, and those that say *not available*.
+
+    lost: by channel the rows that the latter belong to. base: the segment's first row.
+    """
+    for order, channel in enumerate(output.triads):
+        found = corrected.get(channel)
+        bad = lost[channel]
+        if found is None:
+            if not len(bad):
+                continue
+            row, turned = np.zeros(0, np.int64), np.zeros((0, 3))
+            quality = np.zeros(0, np.uint8)
+        else:
+            row, turned, quality = found.row, found.values, found.quality
+        if len(bad):
+            row = np.concatenate([row, bad])
+            by_row = np.argsort(row, kind="stable")
+            row = row[by_row]
+            turned = np.concatenate([turned, np.full((len(bad), 3), np.nan)])[by_row]
+            quality = np.concatenate([quality, np.zeros(len(bad), np.uint8)])[by_row]
+        can_id, data = output.corrected_columns(channel, turned, quality)
+        # not-available frames of a row come after its corrected ones, as one by one
+        missing = np.isin(row, bad)
+        rank = np.where(missing, len(output.triads), 0) + order + 1
+        yield OutPart(base + row, rank, np.full(len(row), can_id, np.uint32), data)
 
 
 def merged(parts: list[OutPart], frames: FrameColumns) -> FrameColumns:

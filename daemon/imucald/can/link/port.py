@@ -1,0 +1,49 @@
+"""What `Link` needs of an open interface, and how one is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from imucald.can.columns import IdMatch
+from imucald.can.link.outbox import SendingPort
+from imucald.can.link.socketcan import Frame, SocketCan
+
+
+class Port(SendingPort, Protocol):
+    """What `Link` needs of an open interface; failures are OSError."""
+
+    lost: int
+    receive_buffer: int
+
+    def fileno(self) -> int | None:
+        """Return a descriptor to wait on, if there is one."""
+
+    def close(self) -> None:
+        """Close it."""
+
+    def receive(self, timeout: float) -> list[Frame]:
+        """Wait for a frame, then take all that wait."""
+
+    def is_same_interface(self) -> bool:
+        """Whether what was opened is still there."""
+
+    def is_up(self) -> bool:
+        """Whether it is set up."""
+
+
+def open_port(
+    interface: str,
+    channel: str,
+    filters: Sequence[IdMatch],
+    fd: bool,
+    bitrate: int | None,
+    options: Mapping[str, Any] | None,
+    receive_buffer: int,
+) -> Port:
+    """Open an interface; parameters as of `Link`. Failures are OSError, or LinkError for ever."""
+    if interface == "socketcan":
+        return SocketCan(channel, filters, fd=fd, receive_buffer=receive_buffer)
+    from imucald.can.link.adapter import Adapter  # noqa: PLC0415  (SocketCAN needs no python-can)
+
+    return Adapter(interface, channel, filters, fd=fd, bitrate=bitrate, options=options)

@@ -1,0 +1,46 @@
+"""Whether a BLF file is whole: python-can's reader ends without a word where the file does.
+
+Layout: Vector's "Binary Logging Format", as python-can (can/io/blf.py) reads and writes it.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Final
+
+_FILE_HEADER: Final = struct.Struct("<4sLBBBBBBBBQQ")
+"""Signature, size of the header, application, version, ..., size of the file, size unpacked."""
+_OBJECT: Final = struct.Struct("<4sHHLL")
+"""Signature, size of the header, its version, size of the object, kind."""
+_SIGNATURE: Final = b"LOBJ"
+
+
+def blf_end(path: Path) -> str | None:
+    """Why a BLF file ends too soon; None where it is whole."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header = file.read(_FILE_HEADER.size)
+        if len(header) < _FILE_HEADER.size:
+            return "the file is cut within its header"
+        _, at, *_, stated, _ = _FILE_HEADER.unpack(header)
+        if at > size:
+            return "the file is cut within its header"
+        if stated > size:
+            return f"the file is cut: {size} of {stated} bytes are there"
+        while at < size:
+            file.seek(at)
+            begin = file.read(_OBJECT.size)
+            if len(begin) < _OBJECT.size:
+                break
+            signature, _, _, length, _ = _OBJECT.unpack(begin)
+            if signature != _SIGNATURE or length < _OBJECT.size:
+                return f"the file is damaged at byte {at}"
+            if at + length > size:
+                break
+            at += length + length % 4
+        else:
+            return None
+    if 0 <= size - at < 4:  # python-can may leave out the filling behind the last object
+        return None
+    return f"the file is cut: it ends within the block at byte {at}"

@@ -1,0 +1,79 @@
+"""Frames that come one by one, counted, filtered and gathered to columns."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns
+from imucald.can.id_filter import IdFilters
+from imucald.can.logs.log_format import ReadStatistics
+
+BATCH_FRAMES: Final = 8192
+"""Frames of ours gathered before they are passed on."""
+
+MAX_IDS: Final = 65_536
+"""Ids whose verdict is remembered; a log with more is damaged, and is forgotten now and then."""
+
+GatheredFrame = tuple[float, int, bytes, int, bool]
+"""Time [s], id with flag, payload, channel index, CAN FD."""
+
+
+class FrameBatches:
+    """Takes valid data frames; `columns` gives the wanted ones."""
+
+    def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
+        self._filters = filters
+        self._channels = channels
+        self._statistics = statistics
+        self._verdicts: dict[tuple[int, int], bool] = {}
+        self._batch: list[GatheredFrame] = []
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it is time to take the columns."""
+        return len(self._batch) >= BATCH_FRAMES
+
+    def add(self, t: float, can_id: int, data: bytes, channel: str, fd: bool) -> bool:
+        """Count a valid frame, keep it where it is wanted. False: there are too many channels."""
+        index = self._channels.index(channel)
+        if index is None:
+            return False
+        self._statistics.stamp(t)
+        self._statistics.frames_read += 1
+        if self.is_wanted(index, can_id, channel):
+            self._batch.append((t, can_id, data, index, fd))
+        return True
+
+    def is_wanted(self, index: int, can_id: int, channel: str) -> bool:
+        """Whether frames of an id on a channel are asked for."""
+        key = index, can_id
+        if key not in self._verdicts:
+            if len(self._verdicts) == MAX_IDS:
+                self._verdicts.clear()
+            self._verdicts[key] = self._filters.of(channel).wanted(can_id)
+        return self._verdicts[key]
+
+    def columns(self) -> FrameColumns:
+        """The frames gathered so far, which begin anew."""
+        batch, self._batch = self._batch, []
+        return columns_of_frames(batch, self._channels.names)
+
+
+def columns_of_frames(batch: list[GatheredFrame], channels: tuple[str, ...]) -> FrameColumns:
+    """Frames, perhaps none, as columns."""
+    t, can_id, data, channel, fd = zip(*batch, strict=True) if batch else ((),) * 5
+    length = [len(payload) for payload in data]
+    width = CLASSIC_BYTES if max(length, default=0) <= CLASSIC_BYTES else FD_BYTES
+    text = b"".join(payload.ljust(width, b"\0") for payload in data)
+    is_fd = np.array(fd, np.bool_)
+    return FrameColumns(
+        np.array(t, np.float64),
+        np.array(can_id, np.uint32),
+        np.array(length, np.uint8),
+        np.frombuffer(text, np.uint8).reshape(len(batch), width),
+        np.array(channel, np.uint8),
+        channels,
+        is_fd if is_fd.any() else None,
+    )

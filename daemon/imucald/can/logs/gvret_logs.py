@@ -1,0 +1,123 @@
+"""CSV of SavvyCAN and other programs that speak GVRET: the columns are known by their headings.
+
+    Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8
+    166064000,0000021A,false,Rx,0,8,FE,36,12,FE,69,05,07,AD,
+
+Time stamps are microseconds, ids and bytes hexadecimal; older files have no direction.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import ClassVar, Final
+
+from imucald.can.columns import (
+    CAN_EFF_FLAG,
+    CAN_EFF_MASK,
+    CAN_SFF_MASK,
+    CLASSIC_BYTES,
+    FD_BYTES,
+    Channels,
+    FrameColumns,
+)
+from imucald.can.id_filter import IdFilters
+from imucald.can.logs.candump_line import MAX_LINE_BYTES, shown
+from imucald.can.logs.frame_batches import FrameBatches
+from imucald.can.logs.log_format import ReadStatistics
+from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
+from imucald.core.errors import LogError
+
+MICRO: Final = 1e-6
+_HEADING: Final = re.compile(rb"(?:\xef\xbb\xbf)?\s*Time Stamp,ID,Extended,", re.IGNORECASE)
+_NEEDED: Final = ("time stamp", "id", "extended", "bus", "len")
+
+
+class GvretReader:
+    """Reads files of GVRET CSV into columns."""
+
+    endings: ClassVar[tuple[str, ...]] = ()
+
+    @staticmethod
+    def begins(head: bytes) -> bool:
+        """Whether the first line is SavvyCAN's."""
+        return _HEADING.match(head) is not None
+
+    def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
+        self._statistics = statistics
+        self._batches = FrameBatches(filters, channels, statistics)
+        self._places: dict[str, int] = {}
+
+    def read(
+        self, path: Path | str | OpenLog, report: Callable[[int], None]
+    ) -> Iterator[FrameColumns]:
+        """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
+        name, number = str(path), 0
+        self._places = {}
+        with open_source(path) as source:
+            blocks = TextBlocks(source, 0, MAX_LINE_BYTES)
+            for buf, size in blocks:
+                lines = buf[:size].tobytes().splitlines()
+                yield from self._lines(lines, name, number)
+                number += len(lines)
+                report(blocks.bytes_read)
+            if blocks.damage:
+                text = f"{name}:{number + 1}: reading ends here: {blocks.damage}"
+                self._statistics.reject("damaged_file", text)
+            elif blocks.rest:
+                yield from self._lines([blocks.rest], name, number, last=True)
+        yield self._batches.columns()
+
+    def _lines(
+        self, lines: list[bytes], name: str, before: int, last: bool = False
+    ) -> Iterator[FrameColumns]:
+        for number, line in enumerate(lines, before + 1):
+            if not self._places:
+                self._places = _places(line, name)
+                continue
+            reason = self._line(line)
+            if reason:
+                reason = "cut_line" if last else reason
+                text = f"{name}:{number}: {reason.replace('_', ' ')}: {shown(line)}"
+                self._statistics.reject(reason, text)
+            if self._batches.is_full:
+                yield self._batches.columns()
+
+    def _line(self, line: bytes) -> str:
+        """Take one line; the reason why it cannot be used, or nothing."""
+        words = line.strip().split(b",")
+        if words == [b""]:
+            return ""
+        at = self._places
+        try:
+            t = int(words[at["time stamp"]]) * MICRO
+            can_id = int(words[at["id"]], 16)
+            length = int(words[at["len"]])
+            bus = int(words[at["bus"]])
+            extended = words[at["extended"]].strip().lower() in (b"true", b"1")
+            data = bytes(int(w, 16) for w in words[at["d1"] : at["d1"] + length])
+        except (ValueError, IndexError):
+            return "bad_line"
+        if t < 0:
+            return "bad_timestamp"
+        if not 0 <= can_id <= (CAN_EFF_MASK if extended else CAN_SFF_MASK):
+            return "bad_id"
+        if len(data) != length or not 0 <= length <= FD_BYTES:
+            return "bad_length"
+        wire_id = can_id | (CAN_EFF_FLAG if extended else 0)
+        added = self._batches.add(t, wire_id, data, f"can{bus}", length > CLASSIC_BYTES)
+        return "" if added else "too_many_channels"
+
+
+def _places(line: bytes, name: str) -> dict[str, int]:
+    """Where each column stands. Raises LogError where one that is needed is missing."""
+    words = line.decode("utf-8-sig", "replace").strip().lower().split(",")
+    places = {word.strip(): i for i, word in enumerate(words)}
+    missing = [word for word in (*_NEEDED, "d1") if word not in places]
+    if missing:
+        raise LogError(f"{name}:1: the column {missing[0]!r} of SavvyCAN's CSV is missing")
+    return places
+
+
+FORMAT = GvretReader

@@ -1,0 +1,138 @@
+"""Captures of Wireshark and tcpdump (PCAP, PCAPNG) of a CAN interface, through dpkt.
+
+Link types: LINKTYPE_CAN_SOCKETCAN (one interface) and LINKTYPE_LINUX_SLL, SLL2 ("any"). The frame
+in them is Linux's struct canfd_frame with its id in network order (tcpdump.org/linktypes).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, ClassVar, Final
+
+from imucald.can.columns import (
+    CAN_EFF_FLAG,
+    CAN_EFF_MASK,
+    CAN_ERR_FLAG,
+    CAN_RTR_FLAG,
+    CAN_SFF_MASK,
+    CLASSIC_BYTES,
+    FD_BYTES,
+    Channels,
+    FrameColumns,
+)
+from imucald.can.id_filter import IdFilters
+from imucald.can.logs.frame_batches import FrameBatches
+from imucald.can.logs.log_format import ReadStatistics
+from imucald.can.logs.text_blocks import OpenLog
+from imucald.can.logs.unpacking import plain_file
+from imucald.core.errors import LogError
+
+_PCAPNG: Final = b"\x0a\x0d\x0d\x0a"
+_PCAP: Final = (
+    b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\xc3\xd4", b"\x4d\x3c\xb2\xa1", b"\xa1\xb2\x3c\x4d",
+)  # fmt: skip
+SOCKETCAN, SLL, SLL2 = 227, 113, 276
+_CAN_PROTOCOLS: Final = (0x000C, 0x000D)
+"""Classic CAN and CAN FD in a cooked capture (linux/if_ether.h)."""
+FD_MARK: Final = 0x04
+"""CANFD_FDF in the frame's flags."""
+
+
+class PcapReader:
+    """Reads captures into columns."""
+
+    endings: ClassVar[tuple[str, ...]] = (".pcap", ".pcapng")
+
+    @staticmethod
+    def begins(head: bytes) -> bool:
+        """Whether the first four bytes are those of a capture."""
+        return head[:4] == _PCAPNG or head[:4] in _PCAP
+
+    def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
+        self._statistics = statistics
+        self._batches = FrameBatches(filters, channels, statistics)
+
+    def read(
+        self, path: Path | str | OpenLog, report: Callable[[int], None]
+    ) -> Iterator[FrameColumns]:
+        """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
+        if isinstance(path, OpenLog):
+            raise LogError(f"{path}: this format is read by its file's name only")
+        with plain_file(Path(path)) as (plain, damage), plain.open("rb") as file:
+            yield from self._frames(file, str(path), report)
+            if damage:
+                self._statistics.reject("damaged_file", f"{path}: reading ends here: {damage}")
+        yield self._batches.columns()
+
+    def _frames(
+        self, file: BinaryIO, name: str, report: Callable[[int], None]
+    ) -> Iterator[FrameColumns]:
+        number = 0
+        try:
+            reader = _opened(file, name)
+            for number, (t, packet) in enumerate(reader, 1):
+                reason = self._packet(float(t), packet, reader.datalink())
+                if reason:
+                    self._statistics.reject(reason, f"{name}: packet {number}: {reason}")
+                if self._batches.is_full:
+                    report(file.tell())
+                    yield self._batches.columns()
+        except LogError:
+            raise
+        # dpkt's errors on damaged captures are its own, struct's and ValueError
+        except Exception as error:
+            text = f"{name}: cannot be read: {error or type(error).__name__}"
+            if not number:
+                raise LogError(text) from error
+            self._statistics.reject("cut_file", f"{name}: the file is cut after {number} packets")
+            return
+
+    def _packet(self, t: float, packet: bytes, link: int) -> str:
+        """Take one packet; the reason why it is no frame, or nothing."""
+        if link == SLL:
+            protocol, packet = int.from_bytes(packet[14:16], "big"), packet[16:]
+        elif link == SLL2:
+            protocol, packet = int.from_bytes(packet[0:2], "big"), packet[20:]
+        else:
+            protocol = _CAN_PROTOCOLS[0]
+        if protocol not in _CAN_PROTOCOLS:
+            self._statistics.ignore("other_protocol")
+            return ""
+        if len(packet) < 8:
+            return "bad_length"
+        word, length, marks = struct.unpack(">IBB", packet[:6])
+        if word & CAN_ERR_FLAG:
+            self._statistics.ignore("error_frame")
+            return ""
+        if word & CAN_RTR_FLAG:
+            self._statistics.ignore("remote_frame")
+            return ""
+        fd = bool(marks & FD_MARK) or protocol == _CAN_PROTOCOLS[1] or length > CLASSIC_BYTES
+        data = packet[8 : 8 + length]
+        if len(data) != length or length > FD_BYTES:
+            return "bad_length"
+        mask = CAN_EFF_MASK if word & CAN_EFF_FLAG else CAN_SFF_MASK
+        can_id = word & mask | word & CAN_EFF_FLAG
+        return "" if self._batches.add(t, can_id, data, "can0", fd) else "too_many_channels"
+
+
+def _opened(file: BinaryIO, name: str) -> Any:
+    try:
+        import dpkt  # noqa: PLC0415 - an extra
+    except ImportError:
+        text = "reading captures needs the package dpkt: pip install 'imucald[logs]'"
+        raise LogError(f"{name}: {text}") from None
+    magic = file.read(4)
+    file.seek(0)
+    reader = (dpkt.pcapng.Reader if magic == _PCAPNG else dpkt.pcap.Reader)(file)
+    if reader.datalink() not in (SOCKETCAN, SLL, SLL2):
+        raise LogError(
+            f"{name}: a capture of link type {reader.datalink()}, not of a CAN interface; "
+            "capture with: dumpcap -i can0"
+        )
+    return reader
+
+
+FORMAT = PcapReader

@@ -1,0 +1,222 @@
+"""Compressed logs (gzip, xz, bzip2, Zstandard): known by their first bytes, unpacked in pieces."""
+
+from __future__ import annotations
+
+import bz2
+import contextlib
+import lzma
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+from imucald.core.errors import LogError
+
+COMPRESSED_BYTES: Final = 1 << 18
+"""Compressed bytes read at once."""
+
+PLAIN_BYTES: Final = 1 << 20
+"""Bytes unpacked at once."""
+
+_GZIP_FORMAT: Final = 31
+"""What zlib calls a gzip header with the largest window."""
+
+DAMAGE: Final = (OSError, EOFError, zlib.error, lzma.LZMAError, ValueError)
+"""What damaged compressed data raise (bzip2: OSError; Zstandard: made a ValueError here)."""
+
+
+class ByteSource(Protocol):
+    """Something open that gives bytes."""
+
+    def read(self, size: int, /) -> bytes | None:
+        """Read up to so many bytes."""
+        ...
+
+    def readinto(self, buffer: Any, /) -> int | None:
+        """Fill a buffer as far as bytes are there."""
+        ...
+
+
+class Member(Protocol):
+    """What all decompressors have in common: one compressed piece of a file, of perhaps several."""
+
+    @property
+    def eof(self) -> bool:
+        """Whether it has ended."""
+
+    @property
+    def unused_data(self) -> bytes:
+        """Bytes behind its end."""
+
+    @property
+    def needs_input(self) -> bool:
+        """Whether nothing more comes without further bytes."""
+
+    def decompress(self, data: bytes, max_length: int, /) -> bytes:
+        """Take bytes, give at most so many."""
+
+
+class _Zlib:
+    """A gzip member in the shape of the other modules' decompressors."""
+
+    def __init__(self) -> None:
+        self._inner = zlib.decompressobj(_GZIP_FORMAT)
+
+    @property
+    def eof(self) -> bool:
+        return self._inner.eof
+
+    @property
+    def unused_data(self) -> bytes:
+        return self._inner.unused_data
+
+    @property
+    def needs_input(self) -> bool:
+        return not self._inner.unconsumed_tail
+
+    def decompress(self, data: bytes, max_length: int, /) -> bytes:
+        return self._inner.decompress(self._inner.unconsumed_tail + data, max_length)
+
+
+class _Zstd:
+    """A Zstandard frame in the same shape; one call gives what its input makes."""
+
+    def __init__(self) -> None:
+        try:
+            import zstandard  # noqa: PLC0415 - an extra
+        except ImportError:
+            text = "Zstandard (.zst): needs the package zstandard: pip install 'imucald[logs]'"
+            raise LogError(text) from None
+        self._error = zstandard.ZstdError
+        self._inner = zstandard.ZstdDecompressor().decompressobj()
+        self._made = b""
+
+    @property
+    def eof(self) -> bool:
+        return bool(self._inner.eof) and not self._made
+
+    @property
+    def unused_data(self) -> bytes:
+        return bytes(self._inner.unused_data)
+
+    @property
+    def needs_input(self) -> bool:
+        return not self._made
+
+    def decompress(self, data: bytes, max_length: int, /) -> bytes:
+        if data:
+            try:
+                self._made += self._inner.decompress(data)
+            except self._error as error:
+                raise ValueError(str(error)) from None
+        given, self._made = self._made[:max_length], self._made[max_length:]
+        return given
+
+
+_MEMBERS: Final[Mapping[bytes, Callable[[], Member]]] = {
+    b"\x1f\x8b": _Zlib,
+    b"\xfd7zXZ\0": lzma.LZMADecompressor,
+    b"BZh": bz2.BZ2Decompressor,
+    b"\x28\xb5\x2f\xfd": _Zstd,
+}
+MAGIC_BYTES: Final = max(map(len, _MEMBERS))
+"""First bytes by which compressed files are known."""
+_ZSTD_PIECE: Final = 1 << 11
+"""Zstandard gives all at once what its input makes: so little makes 64 MiB at most."""
+
+
+def packed_as(head: bytes) -> Callable[[], Member] | None:
+    """What unpacks a file that begins so; None where it is not compressed."""
+    return next((m for magic, m in _MEMBERS.items() if head.startswith(magic)), None)
+
+
+PACKED_ENDINGS: Final = (".gz", ".xz", ".bz2", ".zst")
+
+
+def plain_ending(path: Path) -> str:
+    """The ending of a file's name in small letters, without that of its compression."""
+    packed = path.suffix.lower() in PACKED_ENDINGS
+    return Path(path.stem if packed else path.name).suffix.lower()
+
+
+class Unpacked:
+    """Bytes of a compressed file of one or more members (the modules' files read small pieces)."""
+
+    def __init__(self, source: ByteSource, head: bytes, member: Callable[[], Member]) -> None:
+        self.bytes_read = len(head)
+        self._source = source
+        self._input = head
+        self._new = member
+        self._member = member()
+        self._at_once = _ZSTD_PIECE if isinstance(self._member, _Zstd) else COMPRESSED_BYTES
+
+    def readinto(self, view: memoryview) -> int:
+        """Read what there is, up to the view's length; 0 at the end.
+
+        Raises one of DAMAGE; EOFError where the file ends within a member.
+        """
+        while True:
+            if self._member.eof:
+                # Zeros behind a member are padding of tapes and disks, as for the gzip module.
+                self._input = self._member.unused_data.lstrip(b"\0") or self._more().lstrip(b"\0")
+                if not self._input:
+                    return 0
+                self._member = self._new()
+            elif self._member.needs_input and not self._input:
+                self._input = self._more()
+                if not self._input:
+                    raise EOFError("the compressed file is cut")
+            given, self._input = self._input, b""
+            text = self._member.decompress(given, len(view))
+            if text:
+                view[: len(text)] = text
+                return len(text)
+
+    def _more(self) -> bytes:
+        data = self._source.read(self._at_once) or b""
+        self.bytes_read += len(data)
+        return data
+
+
+def first_bytes(head: bytes, count: int) -> bytes:
+    """The first plain bytes of a file that begins so; nothing where that is damaged."""
+    member = packed_as(head)
+    if member is None:
+        return head[:count]
+    try:
+        return member().decompress(head, count)
+    except DAMAGE:
+        return b""
+
+
+@contextlib.contextmanager
+def plain_file(path: Path) -> Iterator[tuple[Path, str]]:
+    """A file, unpacked into a temporary one where it is compressed, and why it ends too soon.
+
+    Raises LogError where it cannot be opened.
+    """
+    try:
+        source = path.open("rb", buffering=0)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be opened: {error.strerror}") from error
+    with source:
+        head = source.read(MAGIC_BYTES) or b""
+        member = packed_as(head)
+        if member is None:
+            yield path, ""
+            return
+        with tempfile.NamedTemporaryFile(prefix="imucald-") as plain:
+            damage = _unpack(Unpacked(source, head, member), plain.file)
+            plain.flush()
+            yield Path(plain.name), damage
+
+
+def _unpack(stream: Unpacked, plain: Any) -> str:
+    view = memoryview(bytearray(PLAIN_BYTES))
+    try:
+        while count := stream.readinto(view):
+            plain.write(view[:count])
+    except DAMAGE as error:
+        return str(error)
+    return ""

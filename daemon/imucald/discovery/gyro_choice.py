@@ -1,0 +1,87 @@
+"""A gyroscope as it is proposed: unit, sign, which axis is which, and what is not beyond doubt."""
+
+from __future__ import annotations
+
+from imucald.discovery.evidence import UnitChoice, choose_unit
+from imucald.discovery.gyro_axes import GyroFit, Order, is_decided, right_handed_orders
+from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
+from imucald.discovery.reference import GAIN_TOLERANCE
+from imucald.discovery.triads import Triad
+
+MAX_ALTERNATIVES = 3
+
+
+def axes_of(triad: Triad, unit: str, sign: int = 1) -> dict[str, Proposed]:
+    """Sources of a triad by axis."""
+    return {
+        axis: source_of(member, unit, sign)
+        for axis, member in zip("xyz", triad.members, strict=True)
+    }
+
+
+def gyroscope_choice(
+    triad: Triad, fit: GyroFit, others: list[tuple[Triad, GyroFit]]
+) -> tuple[Choice, Order, Triad]:
+    """The choice, and the triad in its unit and order with the signs that are left to apply."""
+    unit, doubt = _unit(triad, fit)
+    places, signs = fit.order
+    x, y, z = (triad.members[i] for i in places)
+    ordered = Triad((x, y, z), unit, triad.names_axes)
+    choice = Choice(
+        "gyroscope",
+        axes_of(ordered, unit.name, signs[0]),
+        _evidence(triad, fit),
+        _contradiction(fit) or doubt or _open_question(triad, fit),
+        [Alternative(axes_of(t, t.unit.name, f.order[1][0]), "another one") for t, f in others][
+            :MAX_ALTERNATIVES
+        ],
+    )
+    return choice, ((0, 1, 2), signs), ordered
+
+
+def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
+    """The unit by what turns or gravity show, and why it is not sure."""
+    found = fit.turning if fit.turning.is_believed else fit.carried
+    unit = triad.unit
+    if found.is_believed and found.low > 0.0:
+        size = unit.factor  # the relation was taken in this unit
+        low, high = size * found.low / GAIN_TOLERANCE, size * found.high * GAIN_TOLERANCE
+        fitting = choose_unit(triad.members[0].unit, "angular_rate", low, high)
+        return (unit, "its size fits no unit") if fitting is None else (fitting, "")
+    if unit.is_stated:
+        return unit, "no turn shows its unit and sign"
+    return unit, "the database states no unit"
+
+
+def _contradiction(fit: GyroFit) -> str:
+    if fit.is_contradicted:
+        return "turns and the way in which gravity moves tell different signs or axes"
+    return ""
+
+
+def _open_question(triad: Triad, fit: GyroFit) -> str:
+    """What the likelihoods leave open; empty where nothing."""
+    orders, signs = right_handed_orders(), fit.order[1]
+    if not fit.is_believed:
+        return "neither turns nor slopes confirm it"
+    if signs[0] < 0 and not is_decided(fit, [o for o in orders if o[1] != signs]):
+        return "the sign is not beyond doubt"
+    if not triad.names_axes and not is_decided(fit, orders):
+        return "which axis is which is not beyond doubt"
+    return ""
+
+
+def _evidence(triad: Triad, fit: GyroFit) -> str:
+    words = []
+    if fit.turning.is_believed:
+        words.append(
+            "speed times the rate about up is the acceleration to the left "
+            f"(correlation {fit.turning.correlation:.2f})"
+        )
+    if fit.carried.is_believed:
+        words.append(f"gravity moves as it turns (correlation {fit.carried.correlation:.2f})")
+    if fit.order[1][0] < 0:
+        words.append("it turns the other way than the accelerometer's axes")
+    ahead = fit.ahead(right_handed_orders())
+    words.append("axes as named" if triad.names_axes else f"axes by likelihood ({ahead:.0f} nats)")
+    return "; ".join(words)

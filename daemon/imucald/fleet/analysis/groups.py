@@ -1,0 +1,148 @@
+"""Batches and firmware: vehicles of a group beside the other vehicles of their types."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+from scipy.stats import false_discovery_control
+
+from imucald.fleet.analysis.units import MAX_Q, Units, t_quantile, t_weights
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+Codes = Mapping[str, tuple[list[str], Index]]
+"""By column the names of its groups, and the index of each vehicle's (-1: not known)."""
+
+LEAST_GROUP = 5
+"""A batch with fewer vehicles is not judged."""
+
+
+@dataclass(frozen=True)
+class GroupEffect:
+    """How vehicles of a batch sit beside others of their types. p, q are NaN with too few."""
+
+    column: str
+    name: str
+    vehicles: int
+    kinds: int
+    effect: Array
+    covariance: Array
+    p: float
+    freedom: float
+    q: float = float("nan")
+    found: bool = False
+
+    @property
+    def half_width(self) -> Array:
+        """Half of the 95 % interval (3,) [deg]."""
+        return t_quantile(self.freedom) * np.sqrt(np.diagonal(self.covariance))
+
+
+def group_codes(values: Sequence[str | None]) -> tuple[list[str], Index]:
+    """Names of the groups, and the index of each vehicle's (-1: not known)."""
+    names = sorted({v for v in values if v is not None})
+    index = {name: i for i, name in enumerate(names)}
+    return names, np.array([-1 if v is None else index[v] for v in values], dtype=np.int64)
+
+
+def group_effects(units: Units, e: Array, T: Array, codes: Codes) -> list[GroupEffect]:
+    """Effects of all groups; those found are left out of what the others are compared with."""
+    wide = T[units.kind] + units.v
+    w = t_weights(e, wide)[:, None] / wide
+    left_out = np.zeros(len(units), dtype=bool)
+    found: dict[tuple[str, str], GroupEffect] = {}
+    while True:
+        sums = np.concatenate([w, w * e, w * w * wide, np.ones((len(units), 1))], axis=1)
+        effects = [
+            found.get((column, effect.name), effect)
+            for column, (names, index) in codes.items()
+            for effect in _effects(units, sums, ~left_out, column, names, index)
+        ]
+        effects = _with_q(effects)
+        fresh = [g for g in effects if g.found and (g.column, g.name) not in found]
+        if not fresh:
+            return effects
+        best = min(fresh, key=lambda g: g.p)
+        found[best.column, best.name] = best
+        names, index = codes[best.column]
+        left_out |= index == names.index(best.name)
+
+
+def _effects(
+    units: Units, sums: Array, used: Flags, column: str, names: Sequence[str], index: Index
+) -> list[GroupEffect]:
+    """Each group beside the other vehicles of its types: contrasts by type, put together.
+
+    sums: (n, 10), by vehicle its weights, weights times e, the variance of that, and one.
+    """
+    vehicles = np.bincount(index[index >= 0], minlength=len(names))
+    mine = used & (index >= 0)
+    pairs, pair = np.unique(index[mine] * units.kinds + units.kind[mine], return_inverse=True)
+    inside = _summed(sums[mine], pair, len(pairs))
+    group, kind = np.divmod(pairs, units.kinds)
+    outside = _summed(sums[used], units.kind[used], units.kinds)[kind] - inside
+    # a type that is of this batch as a whole: the two cannot be told apart
+    beside = outside[:, 9] > 0.5
+    inside, outside, group = inside[beside], outside[beside], group[beside]
+    (mean, variance), (of_others, their_variance) = _mean(inside), _mean(outside)
+    precision = 1.0 / (variance + their_variance)
+    total = _summed(precision, group, len(names))
+    weighted = _summed(precision * (mean - of_others), group, len(names))
+    kinds = np.bincount(group, minlength=len(names))
+    freedom = np.bincount(group, inside[:, 9] + outside[:, 9] - 2.0, len(names))
+    found = []
+    for i, name in enumerate(names):
+        judged = vehicles[i] >= LEAST_GROUP and kinds[i] > 0
+        effect = weighted[i] / total[i] if judged else np.full(3, np.nan)
+        covariance = np.diag(1.0 / total[i]) if judged else np.full((3, 3), np.nan)
+        p = _p_of(float((effect**2 * total[i]).sum()), freedom[i]) if judged else float("nan")
+        found.append(
+            GroupEffect(
+                column, name, int(vehicles[i]), int(kinds[i]), effect, covariance, p, freedom[i]
+            )
+        )
+    return found
+
+
+def _summed(values: Array, index: Index, length: int) -> Array:
+    total = np.zeros((length, values.shape[1]))
+    np.add.at(total, index, values)
+    return total
+
+
+def _mean(sums: Array) -> tuple[Array, Array]:
+    """Robust weighted means (n, 3) and their variances (n, 3)."""
+    weight = sums[:, 0:3]
+    return sums[:, 3:6] / weight, sums[:, 6:9] / weight**2
+
+
+def _p_of(square: float | Array, freedom: float) -> float:
+    """Chance of so large a square of three normal variables whose scale was learnt from data."""
+    return float(f_distribution.sf(square / 3.0, 3, max(freedom, 1)))
+
+
+def _with_q(effects: Sequence[GroupEffect]) -> list[GroupEffect]:
+    judged = [g for g in effects if np.isfinite(g.p)]
+    if not judged:
+        return list(effects)
+    q = dict(zip(map(id, judged), false_discovery_control([g.p for g in judged]), strict=True))
+    return [_judged(g, float(q.get(id(g), np.nan))) for g in effects]
+
+
+def _judged(g: GroupEffect, q: float) -> GroupEffect:
+    return replace(g, q=q, found=g.found or q <= MAX_Q)
+
+
+def group_offsets(units: Units, effects: Sequence[GroupEffect], codes: Codes) -> Array:
+    """What found groups turn each of their vehicles by (n, 3) [deg]."""
+    offset = np.zeros((len(units), 3))
+    for g in effects:
+        if g.found:
+            names, index = codes[g.column]
+            offset[index == names.index(g.name)] += g.effect
+    return offset

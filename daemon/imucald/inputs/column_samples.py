@@ -1,0 +1,134 @@
+"""Samples of a chunk of frames by channel: joined from several sources, and from split triads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.can.columns import FrameColumns, IdMatch
+from imucald.core.samples import CHANNEL_WIDTH, Series
+from imucald.inputs.routes import SignalRoute, Tap
+from imucald.inputs.source_selector import SourceSelector
+from imucald.inputs.triad_assembler import TapSamples, TriadAssembler, in_row_order
+
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnSamples(Series):
+    """A series that knows which row of the chunk each sample came from; row: (N,) int64."""
+
+    row: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+class Routed(Struct, frozen=True, eq=False):
+    """What a chunk of frames came to.
+
+    samples: by channel. rejected: by channel, the rows whose sample was rejected, in order.
+    events: (M,) stream times of all rejections that were counted [s], in order.
+    """
+
+    samples: dict[str, ColumnSamples]
+    rejected: dict[str, Rows]
+    events: NDArray[np.float64]
+
+
+def joined(found: list[TapSamples], selector: SourceSelector | None) -> ColumnSamples:
+    """Whole samples of a channel, by preference; parts of triads are for `assembled`."""
+    whole = sorted(found, key=lambda part: part.tap.rank)
+    if selector is not None:
+        by_rank: dict[int, TapSamples] = {}
+        for part in whole:
+            known = by_rank.get(part.tap.rank)
+            by_rank[part.tap.rank] = part if known is None else known.merged(part)
+        whole = [
+            part.take(selector.accept_columns(part.t, part.row, rank))
+            for rank, part in sorted(by_rank.items())
+        ]
+    merged = whole[0]
+    for part in whole[1:]:
+        merged = merged.merged(part)
+    return ColumnSamples(merged.t, merged.values, merged.row)
+
+
+def assembled(
+    channel: str,
+    found: list[TapSamples],
+    selector: SourceSelector | None,
+    assemblers: Mapping[tuple[str, int], TriadAssembler],
+    refused: list[tuple[Tap, Rows]],
+) -> ColumnSamples:
+    """A channel with split triads: the same steps as for single frames, in row order.
+
+    refused: takes the rows at which a triad fell apart.
+    """
+    t_out: list[float] = []
+    rows_out: list[int] = []
+    values_out: list[Sequence[float]] = []
+    for row, tap, t, value, code in in_row_order(found):
+        values: Sequence[float] | None = value
+        if not tap.complete:
+            values, bad = assemblers[channel, tap.rank].add(t, tap.slots, None if code else value)
+            if bad:
+                refused.append((tap, np.array([row], dtype=np.int64)))
+            if values is None:
+                continue
+        if selector is not None and not selector.accept_row(t, row, tap.rank):
+            continue
+        t_out.append(t)
+        rows_out.append(row)
+        values_out.append(values or ())
+    width = width_of(channel)
+    values_array = np.array(values_out).reshape(len(t_out), width)
+    return ColumnSamples(
+        np.array(t_out),
+        values_array if width > 1 else values_array[:, 0],
+        np.array(rows_out, dtype=np.int64),
+    )
+
+
+def guarded(
+    route: SignalRoute,
+    t: NDArray[np.float64],
+    ok: NDArray[np.bool_],
+    reasons: Mapping[str, Rows],
+) -> tuple[NDArray[np.bool_], Mapping[str, Rows]]:
+    """What a route's check says of frames, and of what comes too often."""
+    ours = ok.copy()
+    for rows in reasons.values():
+        ours[rows] = True
+    if ours.all():
+        refused = route.guard.judge_columns(t, ok, reasons)
+    else:
+        at = np.flatnonzero(ours)
+        place = np.cumsum(ours) - 1
+        inside = {reason: place[rows] for reason, rows in reasons.items()}
+        refused = {
+            reason: at[rows]
+            for reason, rows in route.guard.judge_columns(t[ours], ok[ours], inside).items()
+        }
+    if not refused:
+        return ok, reasons
+    ok = ok.copy()
+    for rows in refused.values():
+        ok[rows] = False
+    return ok, {**reasons, **refused}
+
+
+def rows_of(match: IdMatch, frames: FrameColumns) -> NDArray[np.int64]:
+    """Rows of the frames that match."""
+    mask = np.uint32(match.full_mask)
+    hit = (frames.can_id & mask) == np.uint32(match.can_id & match.full_mask)
+    if match.channel is not None:
+        wanted = [i for i, name in enumerate(frames.channels) if name == match.channel]
+        hit &= np.isin(frames.channel, wanted)
+    return np.flatnonzero(hit)
+
+
+def width_of(channel: str) -> int:
+    """Values that a sample of the channel has."""
+    return CHANNEL_WIDTH.get(channel, 3)

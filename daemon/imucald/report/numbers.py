@@ -1,0 +1,96 @@
+"""Numbers as people read them: significant digits, spread, units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from imucald.core.angles import DEG_PER_RAD
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.result import Estimated
+from imucald.mount.mount_words import SD_95
+
+HUMAN_UNITS: Mapping[str, tuple[float, str]] = {
+    "rad": (DEG_PER_RAD, "deg"),
+    "rad/s": (DEG_PER_RAD, "deg/s"),
+    "rad/s/K": (DEG_PER_RAD, "deg/s/K"),
+    "rad/(m/s^2)": (DEG_PER_RAD * GRAVITY, "deg/g"),
+    "(rad/s)/(m/s^2)": (DEG_PER_RAD * GRAVITY, "(deg/s)/g"),
+    "m/s^2": (1000.0 / GRAVITY, "mg"),
+    "m/s^2/K": (1000.0 / GRAVITY, "mg/K"),
+    "s": (1000.0, "ms"),
+    "1": (100.0, "%"),
+    "": (100.0, "%"),
+}
+"""Units in which people think, for those of the model file."""
+PLAIN_KEYS = ("chassis.steering_ratio",)
+"""Numbers without a unit that are no shares."""
+RATES = ("speed.delay_rate",)
+
+
+def number(x: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits, without powers of ten where it is short."""
+    if not math.isfinite(x):
+        return "-"
+    if x == 0.0:
+        return "0"
+    size = math.floor(math.log10(abs(x)))
+    if not -5 < size < 6:
+        return f"{x:.{digits - 1}e}"
+    return f"{x:.{max(0, digits - 1 - size)}f}"
+
+
+def with_spread(value: float, std: float) -> str:
+    """Return `value ± 95 %`, rounded to two digits of the interval's half width."""
+    if not math.isfinite(value):
+        return "-"
+    if not math.isfinite(std) or std <= 0.0:
+        return number(value, 4)
+    half = SD_95 * std
+    places = _places(half)
+    if places is None:
+        return f"{number(value, 3)} ± {number(half, 2)}"
+    return f"{value:.{places}f} ± {half:.{places}f}"
+
+
+def _places(half: float) -> int | None:
+    """Decimals that show two digits of it; None where that takes powers of ten."""
+    size = math.floor(math.log10(half)) if half > 0.0 else -99
+    return max(0, 1 - size) if -7 < size < 6 else None
+
+
+def for_people(key: str, p: Estimated) -> tuple[str, str]:
+    """Return value with spread, and what the file says, in the unit in which people think."""
+    factor, unit = HUMAN_UNITS.get(p.unit, (1.0, unit_text(p.unit)))
+    if key in PLAIN_KEYS:
+        factor, unit = 1.0, ""
+    elif key in RATES:
+        factor, unit = 1e6, "ppm"
+    shown = f"{with_spread(factor * p.value, factor * p.std)} {unit}".strip()
+    return shown, f"{number(factor * p.stated)} {unit}".strip()
+
+
+def in_file(p: Estimated) -> str:
+    """Return value with spread in the model file's own unit."""
+    return f"{with_spread(p.value, p.std)} {unit_text(p.unit)}".strip()
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit as it is printed: `m/s²` for `m/s^2`, nothing for the plain number."""
+    if unit == "1":
+        return ""
+    return unit.replace("^2", "²").replace("^3", "³").replace("*", "·")
+
+
+def typographic(text: str) -> str:
+    """Return a sentence with its signs as they are printed."""
+    return text.replace("+-", "±").replace("^2", "²").replace("^3", "³")
+
+
+def duration(seconds: float) -> str:
+    """Return a length of time: `45 s`, `31 min`, `2.3 h`."""
+    if not math.isfinite(seconds):
+        return "-"
+    if seconds < 100.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200.0 else f"{seconds / 3600:.1f} h"

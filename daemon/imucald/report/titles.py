@@ -1,0 +1,95 @@
+"""What people call causes, signals and parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+
+CAUSES: Mapping[str, str] = {
+    "accel_bias": "accelerometer bias",
+    "accel_scale": "accelerometer scale",
+    "accel_cross_axis": "accelerometer cross-axis",
+    "accel_bias_temperature": "accelerometer drift with temperature",
+    "accel_bias_drift": "accelerometer drift",
+    "gyro_bias": "gyroscope bias",
+    "gyro_scale": "gyroscope scale",
+    "gyro_bias_temperature": "gyroscope drift with temperature",
+    "g_sensitivity": "gyroscope g-sensitivity",
+    "squat_dive": "squat and dive",
+    "wheel_speed_scale": "speed scale (tyre radius)",
+    "wheels_against_speed": "wheel speeds against vehicle speed",
+    "yaw_rate_scale": "yaw-rate scale",
+    "yaw_rate_offset": "yaw-rate offset",
+    "steering_offset": "steering-angle offset",
+    "delay_rate": "clocks that run apart",
+    "dropouts": "drop-outs",
+    "duplicated_frames": "doubled frames",
+}
+"""Titles that are more than the name with blanks; a new cause needs none."""
+
+SIGNALS: Mapping[str, str] = {
+    "accel": "accelerometer",
+    "gyro": "gyroscope",
+    "yaw_rate": "vehicle yaw rate",
+    "lateral_accel": "vehicle lateral acceleration",
+    "longitudinal_accel": "vehicle longitudinal acceleration",
+    "speed": "speed beside the wheels",
+}
+PARTS: Mapping[str, str] = {
+    **SIGNALS, "speed": "speed", "steering": "steering", "mount": "mount", "chassis": "chassis",
+    "suspension": "suspension", "wheel_speeds": "wheel speeds",
+}  # fmt: skip
+AXES: Mapping[str, Mapping[str, str]] = {
+    "vector": {"x": "forward", "y": "left", "z": "up"},
+    "sensor": {"0": "sensor x", "1": "sensor y", "2": "sensor z"},
+    "turn": {"x": "roll", "y": "pitch", "z": "yaw"},
+    "lever_arm_m": {"0": "forward", "1": "left", "2": "up"},
+    "cross_axis": {"0": "y in x", "1": "z in x", "2": "x in y", "3": "z in y", "4": "x in z",
+                   "5": "y in z"},
+}  # fmt: skip
+QUANTITIES: Mapping[str, str] = {
+    "lever_arm_m": "lever arm", "delay_s": "age", "delay_rate": "growth of age",
+    "scale": "gain error", "offset": "offset", "turn": "turn", "bias": "zero error",
+    "full_scale": "rail", "loss": "lost frames", "stuck_s": "stuck for", "doubled": "doubled",
+    "clock_drift_ppm": "clock error", "steering_ratio": "steering ratio", "t_s": "time",
+}  # fmt: skip
+
+WORD = re.compile(r"\w+")
+
+
+def cause_title(name: str) -> str:
+    """Return what people call a cause."""
+    return CAUSES.get(name, name.replace("_", " "))
+
+
+def signal_title(name: str) -> str:
+    """Return what people call a signal, as `accelerometer x` for `accel_x`."""
+    if name in SIGNALS:
+        return SIGNALS[name]
+    sensor, _, axis = name.rpartition("_")
+    way = AXES["vector"].get(axis, axis)
+    return f"{SIGNALS[sensor]} {way}" if sensor in SIGNALS else name.replace("_", " ")
+
+
+def key_title(key: str) -> str:
+    """Return what people call a parameter: `lever arm, forward` for `mount.lever_arm_m.0`."""
+    part, _, rest = key.removeprefix("_").partition(".")
+    name, _, axis = rest.rpartition(".")
+    name = name or rest
+    quantity = QUANTITIES.get(name.rpartition(".")[2], name.rpartition(".")[2].replace("_", " "))
+    if not rest.endswith(f".{axis}") or axis == rest:
+        axis = ""
+    kind = name if name in AXES else "sensor" if axis.isdigit() else "vector"
+    way = AXES[kind].get(axis, axis.removesuffix("_deg").replace("_", " "))
+    title = (
+        quantity
+        if part in ("mount", "chassis", "suspension")
+        else (f"{PARTS.get(part, part.replace('_', ' '))} {quantity}")
+    )
+    return f"{title}, {way}" if way else title
+
+
+def with_titles(text: str, names: Iterable[str]) -> str:
+    """Return a text with the names of causes as people call them."""
+    known = set(names)
+    return WORD.sub(lambda found: cause_title(found[0]) if found[0] in known else found[0], text)

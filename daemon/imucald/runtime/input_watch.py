@@ -1,0 +1,107 @@
+"""Which inputs have come lately, and what was rejected: what the health frame says of them."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.inputs.column_samples import Routed
+from imucald.motion.sample_health import Faults
+from imucald.motion.ticks import TICK_RATE, tick_index
+from imucald.runtime.output.output_frames import Health
+
+MISSING_TICKS = 10
+"""An input that gave no sample for so many ticks is missing: one second."""
+_SENSORS = {"accel": "accelerometer_missing", "gyro": "gyroscope_missing", "speed": "speed_missing"}
+
+
+class LinkHealth(Struct, frozen=True):
+    """What only the bus link knows; all zero in replay."""
+
+    lost: int = 0
+    frames_lost: bool = False
+    id_conflict: bool = False
+    send_failed: bool = False
+
+
+class InputWatch:
+    """The ticks of the last samples and rejections of one engine; channels: those that can come.
+
+    last: by channel the tick of the last sample. rejected: frames and samples, so far.
+    """
+
+    def __init__(self, channels: Iterable[str]) -> None:
+        there = frozenset(channels)
+        self.last = {c: 0 for c in _SENSORS if c in there}
+        self.rejected = 0
+        self._rejections: deque[int] = deque()  # ticks of the last second's
+
+    def count_rejections(self, k: int, total: int) -> None:
+        """Take the number of rejections so far, in tick k."""
+        if total > self.rejected:
+            self._rejections.append(k)
+            self.rejected = total
+
+    def take_columns(
+        self, routed: Routed, events: NDArray[np.float64], last: int, total: int
+    ) -> None:
+        """Take a chunk's samples, the ticks (M,) of its rejections, its last tick, all so far."""
+        self.rejected = total
+        recent = sorted(set(events[events > last - 2 * MISSING_TICKS].tolist()))
+        self._rejections.extend(map(int, recent))
+        for channel in self.last:
+            if channel in routed.samples:
+                self.last[channel] = tick_index(float(routed.samples[channel].t[-1]))
+
+    def is_recent(self, k: int) -> bool:
+        """Whether anything was rejected in the second before the end of tick k."""
+        while self._rejections and self._rejections[0] <= k - MISSING_TICKS:
+            self._rejections.popleft()
+        return bool(self._rejections) and self._rejections[0] <= k
+
+    def last_until(self, k: int, routed: Routed | None) -> dict[str, int]:
+        """`last` as it is at the end of tick k, within a chunk that is not taken yet."""
+        return {channel: self._last_sample(channel, k, routed) for channel in self.last}
+
+    def _last_sample(self, channel: str, k: int, routed: Routed | None) -> int:
+        series = routed.samples.get(channel) if routed is not None else None
+        if series is None:
+            return self.last[channel]
+        n = int(np.searchsorted(np.floor(series.t * TICK_RATE), k, side="right"))
+        return tick_index(float(series.t[n - 1])) if n else self.last[channel]
+
+    def health(self, k: int, link: LinkHealth, faults: Mapping[str, Faults]) -> Health:
+        """What a health frame says at the end of tick k."""
+        return health_at(k, self.last, self.is_recent(k), self.rejected, link, faults)
+
+    def all_missing(self, link: LinkHealth, is_rejecting: bool = False) -> Health:
+        """The same before anything was heard, or while nothing is."""
+        never = dict.fromkeys(self.last, -MISSING_TICKS)
+        return health_at(0, never, is_rejecting, self.rejected, link, {})
+
+
+def health_at(
+    k: int,
+    last: Mapping[str, int],
+    is_rejecting: bool,
+    rejected: int,
+    link: LinkHealth,
+    faults: Mapping[str, Faults],
+) -> Health:
+    """What a health frame says at the end of tick k; last: by channel, tick of the last sample."""
+    return Health(
+        **{_SENSORS[c]: k - tick >= MISSING_TICKS for c, tick in last.items()},
+        accelerometer_faulty="accel" in faults,
+        gyroscope_faulty="gyro" in faults,
+        magnetometer_faulty="mag" in faults,
+        input_rejected=is_rejecting,
+        rejected=rejected,
+        frames_lost=link.frames_lost,
+        id_conflict=link.id_conflict,
+        send_failed=link.send_failed,
+        lost=link.lost,
+    )

@@ -1,0 +1,326 @@
+"""Whatever people have recorded is read, known by its first bytes; what cannot be used says why.
+
+tests/data/candump holds what candump (can-utils 2020.11) printed of the same frames in each of its
+forms, all at once on one virtual interface.
+"""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import io
+import lzma
+import struct
+from pathlib import Path
+
+import pytest
+
+from imucald import cli
+from imucald.can.logs.log_reader import CAN_EFF_FLAG, LogReader
+from imucald.can.python_can import can
+from imucald.core.errors import LogError
+from log_text import Frame, frames_of
+from paths import ROOT
+
+FORMS = ROOT / "tests" / "data" / "candump"
+WITH_STAMPS = ["ta", "td", "tz", "tA", "tax", "tza", "tac", "taccc", "taS", "tai"]
+WITHOUT_STAMPS = ["plain", "x", "ascii"]
+
+
+def log_file() -> list[Frame]:
+    """The frames as candump -L wrote them."""
+    return frames_of(*LogReader([FORMS / "L.txt"], strict=True))
+
+
+@pytest.mark.parametrize("form", WITH_STAMPS)
+def test_every_form_of_candump_gives_the_frames_of_its_log_file(form: str) -> None:
+    expected = log_file()
+    reader = LogReader([FORMS / f"{form}.txt"], strict=True)
+    found = frames_of(*reader)
+    assert [f._replace(t=0.0) for f in found] == [f._replace(t=0.0) for f in expected]
+    start = found[0].t - expected[0].t if form in ("td", "tz", "tza") else 0.0
+    assert [f.t - start for f in found] == pytest.approx([f.t for f in expected], abs=2e-6)
+    assert reader.ignored == {"remote_frame": 4}
+
+
+def test_several_interfaces_keep_their_names() -> None:
+    found = frames_of(*LogReader([FORMS / "taany.txt"]))
+    assert {f.channel for f in found} == {"vcan0", "vcan1"}
+
+
+@pytest.mark.parametrize("form", WITHOUT_STAMPS)
+def test_frames_without_time_stamps_are_refused_with_the_remedy(form: str) -> None:
+    with pytest.raises(LogError, match=r"no time stamps.*candump -l can0"):
+        list(LogReader([FORMS / f"{form}.txt"]))
+
+
+def test_frames_as_cansend_takes_them_are_refused_with_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "frames.txt"
+    path.write_text("123#DEADBEEF\n00000123#R\n200##111223344\n")
+    with pytest.raises(LogError, match="candump -l can0"):
+        list(LogReader([path]))
+
+
+def test_what_is_no_log_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "notes.log"
+    path.write_text("".join(f"line {i} of a diary\n" for i in range(100)))
+    config = str(ROOT / "config" / "imucald.yaml")
+    assert cli.main(["replay", "--config", config, str(path)]) == 1
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert "line 0 of a diary" in lines[0]
+    assert "candump -l can0" in lines[0]
+
+
+def test_damaged_lines_of_screen_output_are_counted_by_reason(tmp_path: Path) -> None:
+    good = (FORMS / "ta.txt").read_text().splitlines()
+    wrong = [
+        " (1795342254.398121)  vcan0  044   [5]  2A 36 6C 2B",
+        " (1795342254.398121)  vcan0  844   [1]  2A",
+        "  vcan0  044   [1]  2A",
+        "nonsense",
+        " (17953422:4.398121)  vcan0  044   [1]  2A",
+    ]
+    path = tmp_path / "a.log"
+    path.write_text("\n".join([*good, *wrong, *good, good[0][:45]]))
+    reader = LogReader([path])
+    assert len(frames_of(*reader)) == 2 * len(log_file())
+    assert reader.rejected == {
+        "bad_hex": 1, "bad_id": 1, "bad_timestamp": 2, "not_candump": 1, "cut_line": 1,
+    }  # fmt: skip
+    assert reader.problems[0].startswith(f"{path}:{len(good) + 1}: these are not 5 bytes")
+
+
+GVRET = """Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8
+166064000,0000021A,false,Rx,0,8,FE,36,12,FE,69,05,07,AD,
+166064500,00000200,false,Rx,1,2,01,02,
+166065000,18FEF1AA,true,Tx,0,0,
+"""
+OLD_GVRET = GVRET.replace(",Dir", "").replace(",Rx", "").replace(",Tx", "")
+
+
+@pytest.mark.parametrize("text", [GVRET, OLD_GVRET, GVRET.replace("\n", "\r\n"), "\ufeff" + GVRET])
+def test_csv_of_savvycan_is_read(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_text(text, encoding="utf-8", newline="")
+    found = frames_of(*LogReader([path], strict=True))
+    assert found == [
+        Frame(pytest.approx(166.064), 0x21A, bytes.fromhex("FE3612FE690507AD"), "can0", False),
+        Frame(pytest.approx(166.0645), 0x200, b"\x01\x02", "can1", False),
+        Frame(pytest.approx(166.065), CAN_EFF_FLAG | 0x18FEF1AA, b"", "can0", False),
+    ]
+
+
+def test_bad_lines_of_savvycan_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_text(
+        GVRET + "x,1,false,Rx,0,0,\n1,800,false,Rx,0,0,\n1,1,false,Rx,0,3,01,02,\n1,1,fal"
+    )
+    reader = LogReader([path])
+    assert len(frames_of(*reader)) == 3
+    assert reader.rejected == {"bad_line": 2, "bad_id": 1, "cut_line": 1}
+
+
+def test_an_unknown_csv_names_those_that_are_known(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_text("time;speed\n0.1;5\n")
+    with pytest.raises(LogError, match=r"time;speed.*SavvyCAN.*python-can"):
+        list(LogReader([path]))
+
+
+def packers() -> list[tuple[str, object]]:
+    zstandard = pytest.importorskip("zstandard")
+    return [
+        (".gz", gzip.compress), (".xz", lzma.compress), (".bz2", bz2.compress),
+        (".zst", zstandard.ZstdCompressor().compress),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", [".gz", ".xz", ".bz2", ".zst"])
+@pytest.mark.parametrize("form", ["L", "ta"])
+def test_compressed_logs_are_read_whatever_their_name(tmp_path: Path, kind: str, form: str) -> None:
+    pack = dict(packers())[kind]
+    text = (FORMS / f"{form}.txt").read_bytes()
+    for name in (f"a.log{kind}", "a.dat"):
+        path = tmp_path / name
+        path.write_bytes(pack(text) + pack(text))  # type: ignore[operator]
+        found = frames_of(*LogReader([path], strict=True))
+        assert [f.data for f in found] == [f.data for f in log_file()] * 2
+
+
+@pytest.mark.parametrize("kind", [".gz", ".xz", ".bz2", ".zst"])
+def test_a_cut_compressed_log_says_so_and_keeps_what_there_is(tmp_path: Path, kind: str) -> None:
+    lines = [f"({i / 1000 + 1e9:.6f}) can0 123#{i * 7919 % 2**32:08X}\n" for i in range(60_000)]
+    packed = dict(packers())[kind]("".join(lines).encode())  # type: ignore[operator]
+    path = tmp_path / f"a.log{kind}"
+    path.write_bytes(packed[: len(packed) * 3 // 4])
+    reader = LogReader([path])
+    assert len(frames_of(*reader)) > 10_000
+    assert reader.rejected["damaged_file"] == 1
+
+
+def messages(count: int = 400) -> list[can.Message]:
+    return [
+        can.Message(timestamp=1.7e9 + i / 50, arbitration_id=0x200 + i % 3, is_extended_id=False,
+                    data=struct.pack("<Q", i * 0x9E3779B97F4A7C15 % 2**64), channel=0)
+        for i in range(count)
+    ]  # fmt: skip
+
+
+def write(path: Path) -> None:
+    with can.Logger(path) as writer:
+        for one in messages():
+            writer.on_message_received(one)
+
+
+@pytest.mark.parametrize("name", ["a.blf", "a.asc", "a.trc", "a.csv", "a.db"])
+@pytest.mark.parametrize("other", ["b.log", "b.dat", "b.log.xz"])
+def test_a_wrong_ending_does_not_matter(tmp_path: Path, name: str, other: str) -> None:
+    write(tmp_path / name)
+    content = (tmp_path / name).read_bytes()
+    path = tmp_path / other
+    path.write_bytes(lzma.compress(content) if other.endswith("xz") else content)
+    found = frames_of(*LogReader([path], strict=True))
+    assert [f.data for f in found] == [bytes(m.data) for m in messages()]
+
+
+def test_a_blf_that_is_cut_says_where(tmp_path: Path) -> None:
+    path = tmp_path / "a.blf"
+    with can.BLFWriter(path, max_container_size=2048) as writer:
+        for one in messages():
+            writer.on_message_received(one)
+    whole = path.read_bytes()
+    assert len(frames_of(*LogReader([path], strict=True))) == 400
+    path.write_bytes(whole[: len(whole) // 2])
+    reader = LogReader([path])
+    found = frames_of(*reader)
+    assert 50 < len(found) < 350
+    assert reader.rejected == {"cut_file": 1}
+    (problem,) = reader.problems
+    assert f"{len(whole) // 2} of {len(whole)} bytes" in problem
+    assert f"{len(found)} frames were read, {found[-1].t - found[0].t:.1f} s" in problem
+    with pytest.raises(LogError, match="cut"):
+        list(LogReader([path], strict=True))
+
+
+def test_a_blf_that_was_never_closed_says_that_it_is_cut(tmp_path: Path) -> None:
+    """A logger that lost its power: the header states no size, the last block is not whole."""
+    path = tmp_path / "a.blf"
+    with can.BLFWriter(path, max_container_size=2048) as writer:
+        for one in messages():
+            writer.on_message_received(one)
+    whole = bytearray(path.read_bytes())
+    whole[16:32] = bytes(16)  # size of the file, size unpacked
+    path.write_bytes(whole[:-100])
+    reader = LogReader([path])
+    assert len(frames_of(*reader)) > 300
+    assert reader.rejected == {"cut_file": 1}
+    path.write_bytes(whole[:60])
+    with pytest.raises(LogError, match="cut"):
+        list(LogReader([path]))
+
+
+def test_an_mf4_that_is_cut_says_where(tmp_path: Path) -> None:
+    pytest.importorskip("asammdf")
+    from imucald.can.python_can import with_mf4
+
+    with_mf4()
+    from can.io.mf4 import MF4Writer
+
+    path = tmp_path / "a.mf4"
+    with MF4Writer(path) as writer:
+        for one in messages():
+            writer.on_message_received(one)
+    whole = path.read_bytes()
+    assert len(frames_of(*LogReader([path], strict=True))) == 400
+    for share in (0.99, 0.5, 0.05, 0.005):
+        path.write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(LogError, match=r"a\.mf4: cannot be read: the file is cut"):
+            list(LogReader([path]))
+
+
+def frame(can_id: int, data: bytes, marks: int = 0) -> bytes:
+    """A frame as linktype 227 has it (tcpdump.org/linktypes/LINKTYPE_CAN_SOCKETCAN.html)."""
+    return struct.pack(">IBBBB", can_id, len(data), marks, 0, 0) + data
+
+
+PACKETS = [
+    frame(0x123, b"\x01\x02\x03"),
+    frame(CAN_EFF_FLAG | 0x18FEF1AA, bytes(8)),
+    frame(0x40000123, b""),  # a remote frame
+    frame(0x20000004, bytes(8)),  # an error frame
+    frame(0x200, bytes(range(12)), marks=4),
+]
+IN_PACKETS = [
+    (0x123, b"\x01\x02\x03", False),
+    (CAN_EFF_FLAG | 0x18FEF1AA, bytes(8), False),
+    (0x200, bytes(range(12)), True),
+]
+
+
+def pcap(packets: list[bytes], link: int) -> bytes:
+    out = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, link)
+    for i, packet in enumerate(packets):
+        out += struct.pack("<IIII", 1_700_000_000, 1000 * i, len(packet), len(packet)) + packet
+    return out
+
+
+def block(kind: int, body: bytes) -> bytes:
+    body += bytes(-len(body) % 4)
+    return struct.pack("<II", kind, len(body) + 12) + body + struct.pack("<I", len(body) + 12)
+
+
+def pcapng(packets: list[bytes], link: int) -> bytes:
+    out = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
+    out += block(1, struct.pack("<HHI", link, 0, 65535))
+    for i, packet in enumerate(packets):
+        t = 1_700_000_000_000_000 + 1000 * i
+        head = struct.pack("<IIIII", 0, t >> 32, t & 0xFFFFFFFF, len(packet), len(packet))
+        out += block(6, head + packet)
+    return out
+
+
+def cooked(packet: bytes) -> bytes:
+    """LINKTYPE_LINUX_SLL: what "any" gives."""
+    return struct.pack(">HHH8sH", 0, 280, 0, bytes(8), 0x000C) + packet
+
+
+@pytest.mark.parametrize("make", [pcap, pcapng])
+@pytest.mark.parametrize("is_cooked", [False, True])
+@pytest.mark.parametrize("name", ["a.pcap", "a.pcapng", "a.log", "a.pcap.gz"])
+def test_captures_of_a_can_interface_are_read(tmp_path: Path, make, is_cooked, name) -> None:
+    pytest.importorskip("dpkt")
+    content = make([cooked(p) if is_cooked else p for p in PACKETS], 113 if is_cooked else 227)
+    path = tmp_path / name
+    path.write_bytes(gzip.compress(content) if name.endswith("gz") else content)
+    reader = LogReader([path], strict=True)
+    found = frames_of(*reader)
+    assert [(f.can_id, f.data, f.fd) for f in found] == IN_PACKETS
+    assert [f.t for f in found] == pytest.approx([1.7e9, 1.7e9 + 0.001, 1.7e9 + 0.004], abs=1e-6)
+    assert reader.ignored == {"remote_frame": 1, "error_frame": 1}
+
+
+@pytest.mark.parametrize("make", [pcap, pcapng])
+def test_a_cut_capture_says_so(tmp_path: Path, make) -> None:
+    pytest.importorskip("dpkt")
+    path = tmp_path / "a.pcap"
+    content = make(PACKETS[:2] * 50, 227)
+    for cut in (3, 10, 20, 30):
+        path.write_bytes(content[:-cut])
+        reader = LogReader([path])
+        assert len(frames_of(*reader)) in (98, 99)
+        assert sum(reader.rejected.values()) == 1, cut
+
+
+def test_a_capture_of_another_network_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("dpkt")
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap([b"\0" * 60], 1))
+    with pytest.raises(LogError, match="not of a CAN interface"):
+        list(LogReader([path]))
+
+
+def test_standard_input_is_known_by_its_first_bytes_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = lzma.compress((FORMS / "ta.txt").read_bytes())
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
+    assert [f.data for f in frames_of(*LogReader(["-"]))] == [f.data for f in log_file()]
