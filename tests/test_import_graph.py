@@ -67,6 +67,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "fleet.page._drawing: fleet.pictures": "loads matplotlib",
     "report.page._breakable: markupsafe": "comes with jinja2, an extra",
     "report.page._pictures: report.plots": "loads matplotlib",
+    "report.replay_page.replay_page: report.motion_plots": "loads matplotlib",
     "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
     "runtime.estimators.estimator_for: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it alone",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",

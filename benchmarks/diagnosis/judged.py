@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from benchmarks.diagnosis.measured_logs import BUILT_ON, KNOWN
+from benchmarks.diagnosis.measured_logs import KNOWN
 from benchmarks.diagnosis.real_effects import EFFECTS
 
 Line = Mapping[str, Any]
@@ -51,9 +51,8 @@ def nulls(lines: Sequence[Line]) -> Iterator[str]:
         left = sorted(k for x in own for k in x["left"])
         count = f"{len(own)}" + (f" ({refused} refused: too short)" if refused else "")
         quiet = sum(x["verdict"] == "nothing" for x in own)
-        mark = "" if log in BUILT_ON else " (held back)"
         wrong = ", ".join(n for x in own for n in wrong_names(x)) or "-"
-        yield _row(log + mark, count, quiet, ", ".join(said) or "-", wrong, ", ".join(left) or "-")
+        yield _row(log, count, quiet, ", ".join(said) or "-", wrong, ", ".join(left) or "-")
 
 
 def hidden(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:

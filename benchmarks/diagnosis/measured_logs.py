@@ -28,11 +28,9 @@ STATE = hashlib.sha256(
 ).hexdigest()[:12]
 """Of the diagnosis' own code: what another state of it gave is made again."""
 MOST_EXTENSIONS = 3
-BUILT_ON = ("kingston_2008", "css_canmod_164", "vehsense_2018_08_04")
-"""Looked at while the method was made."""
-HELD_BACK = ("vehsense_2017_10_25_1829", "vehsense_2017_10_23_2245", "quat_orient_21")
-"""Run once, at the end."""
-LOGS = (*BUILT_ON, *HELD_BACK)
+LOGS = ("kingston_2008", "css_canmod_164", "vehsense_2018_08_04", "vehsense_2017_10_25_1829",
+        "vehsense_2017_10_23_2245", "quat_orient_21")  # fmt: skip
+"""All were looked at while the method was made."""
 KNOWN: Mapping[str, tuple[str, ...]] = {
     "kingston_2008": ("signal_delay", "delay_rate"),
     "css_canmod_164": ("signal_delay",),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import io
+import json
 import lzma
 import struct
 from pathlib import Path
@@ -16,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from imucald import cli
-from imucald.can.logs.log_reader import CAN_EFF_FLAG, LogReader
+from imucald.can.logs.log_reader import CAN_EFF_FLAG, IdMatch, LogReader
 from imucald.can.python_can import can
 from imucald.core.errors import LogError
 from log_text import Frame, frames_of
@@ -49,16 +50,66 @@ def test_several_interfaces_keep_their_names() -> None:
 
 
 @pytest.mark.parametrize("form", WITHOUT_STAMPS)
-def test_frames_without_time_stamps_are_refused_with_the_remedy(form: str) -> None:
-    with pytest.raises(LogError, match=r"no time stamps.*candump -l can0"):
-        list(LogReader([FORMS / f"{form}.txt"]))
+def test_without_time_stamps_time_is_counted_from_a_message_of_known_cycle(form: str) -> None:
+    cycles = [(IdMatch(0x201, 0x7FF), 0.5), (IdMatch(0x044, 0x7FF), 0.01)]
+    reader = LogReader([FORMS / f"{form}.txt"], cycles=cycles)
+    found = frames_of(*reader)
+    expected = log_file()
+    assert [f._replace(t=0.0) for f in found] == [f._replace(t=0.0) for f in expected]
+    times = [f.t for f in found if f.can_id == 0x044]
+    assert times == pytest.approx([0.01, 0.02])
+    between = [f.t for f in found[1 : [f.can_id for f in found].index(0x044, 1)]]
+    assert between == sorted(between)
+    assert 0.01 < between[0] < between[-1] < 0.02
+    (note,) = reader.problems
+    assert "id 0x44, stated every 10 ms" in note
+    assert "candump -l can0" in note
+    with pytest.raises(LogError, match="no time stamps"):
+        list(LogReader([FORMS / f"{form}.txt"], strict=True, cycles=cycles))
 
 
-def test_frames_as_cansend_takes_them_are_refused_with_the_remedy(tmp_path: Path) -> None:
+@pytest.mark.parametrize("form", WITHOUT_STAMPS)
+def test_frames_that_nothing_gives_a_time_are_refused_with_the_remedy(form: str) -> None:
+    for cycles in ([], [(IdMatch(0x555, 0x7FF), 0.01)]):
+        with pytest.raises(LogError, match=r"no time stamps.*candump -l can0"):
+            list(LogReader([FORMS / f"{form}.txt"], cycles=cycles))
+
+
+def test_frames_as_cansend_takes_them_are_read_in_the_same_way(tmp_path: Path) -> None:
     path = tmp_path / "frames.txt"
-    path.write_text("123#DEADBEEF\n00000123#R\n200##111223344\n")
+    path.write_text("123#DEADBEEF\n00000123#R\n200##111223344\n123#00\nnonsense\n")
     with pytest.raises(LogError, match="candump -l can0"):
         list(LogReader([path]))
+    reader = LogReader([path], cycles=[(IdMatch(0x123, 0x7FF), 0.02)])
+    assert frames_of(*reader) == [
+        Frame(pytest.approx(0.02), 0x123, bytes.fromhex("DEADBEEF"), "can0", False),
+        Frame(pytest.approx(0.03), 0x200, bytes.fromhex("11223344"), "can0", True),
+        Frame(pytest.approx(0.04), 0x123, b"\0", "can0", False),
+    ]
+    assert reader.rejected == {"not_candump": 1}
+
+
+def test_a_plain_recording_of_a_drive_calibrates_nearly_as_well(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, plain = tmp_path / "drive.log", tmp_path / "plain.txt"
+    assert cli.main(["simulate", "--out", str(log), "--minutes", "6", "--seed", "3"]) == 0
+    with log.open() as source, plain.open("w") as out:
+        for line in source:
+            _, channel, frame = line.split()
+            can_id, _, data = frame.partition("#")
+            text = " ".join(data[i : i + 2] for i in range(0, len(data), 2))
+            out.write(f"  {channel}  {can_id}   [{len(data) // 2}]  {text}\n")
+    results = []
+    for name in (log, plain):
+        config = str(ROOT / "config" / "examples" / "simulated.yaml")
+        result = tmp_path / "result.json"
+        assert cli.main(["replay", "--config", config, str(name), "--json", str(result)]) == 0
+        results.append(json.loads(result.read_text()))
+    assert "time is counted" in capsys.readouterr().err
+    yaws = [r["mount"]["yaw_deg"] for r in results]
+    assert abs((yaws[1] - yaws[0] + 180.0) % 360.0 - 180.0) < 1.5
+    assert results[1]["duration_s"] == pytest.approx(results[0]["duration_s"], rel=0.02)
 
 
 def test_what_is_no_log_is_one_message(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

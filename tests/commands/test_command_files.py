@@ -106,7 +106,7 @@ def test_an_output_cut_by_an_error_is_named(told, log, tmp_path):
     assert f"{out} is not complete" in text
 
 
-@pytest.mark.parametrize("content", [b"", b"\0\xff binary \n" * 5, b"a,b,c\n1,2,3\n"])
+@pytest.mark.parametrize("content", [b"", b"\n\n", b"(1.000000) can0\n"])
 def test_a_log_without_any_frame_is_an_error_with_a_result(told, tmp_path, content):
     log, result = tmp_path / "none.log", tmp_path / "result.json"
     log.write_bytes(content)
@@ -114,6 +114,16 @@ def test_a_log_without_any_frame_is_an_error_with_a_result(told, tmp_path, conte
     assert status == 1
     assert f"{log}: holds no CAN frame" in text
     assert json.loads(result.read_text())["frames"]["read"] == 0
+
+
+@pytest.mark.parametrize("content", [b"\0\xff binary \n" * 5, b"a,b,c\n1,2,3\n"])
+def test_what_is_no_log_is_one_error_with_the_remedy(told, tmp_path, content):
+    log = tmp_path / "none.log"
+    log.write_bytes(content)
+    status, text = told(*replay(log))
+    assert status == 1
+    assert f"{log}: not a log that is known here" in text
+    assert text.count("\n") == 1
 
 
 def test_a_log_of_other_frames_is_said_to_be_one(told, tmp_path):

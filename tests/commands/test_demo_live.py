@@ -10,7 +10,9 @@ from imucald import cli
 
 
 @pytest.mark.slow
-def test_a_short_drive_passes_through_daemon_and_monitor(capsys):
+def test_a_short_drive_passes_through_daemon_and_monitor(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("LINES", "60")
     arguments = ["--minutes", "0.8", "--speed", "8", "--mount", "-5,3,30", "--seed", "2"]
     assert cli.main(["demo", "--live", *arguments]) == 0
     text = capsys.readouterr().out

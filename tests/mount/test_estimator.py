@@ -211,7 +211,7 @@ def test_without_speed_turning_tells_forward_from_backward():
     estimate = after(ticks).estimate()
     assert abs(error(estimate, drive())[2]) < 2.5
     assert within(estimate, drive())
-    assert estimate.waiting_for["yaw"].startswith("no speed")
+    assert "speed is absent" in estimate.waiting_for["yaw"]
 
 
 def test_without_speed_and_any_yaw_rate_there_is_no_yaw():
@@ -261,7 +261,7 @@ def test_frozen_learning_is_said():
     bad = rows(minutes=5.0).copy()
     bad[-200:, tk.ACCEL.bad] = 5.0
     estimate = after(bad).estimate()
-    assert estimate.waiting_for["yaw"].startswith("learning is frozen")
+    assert "learning is frozen" in estimate.waiting_for["yaw"]
 
 
 def test_a_stuck_accelerometer_is_not_learnt_from():

@@ -79,7 +79,7 @@ def test_a_contradiction_is_never_good_and_has_a_name(name):
 
 @pytest.mark.slow
 def test_a_sound_drive_has_no_fault_and_becomes_fine_only_when_changes_can_be_seen():
-    estimator, found = states(dict(drive(minutes=10.0).samples), minutes=10.0)
+    estimator, found = states(dict(drive(minutes=15.0).samples), minutes=15.0)
     assert estimator.faults == ()
     assert estimator.estimate().details["faults"] == []
     first = found.index(MountState.FINE) / 10.0

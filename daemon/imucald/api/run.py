@@ -112,7 +112,8 @@ class ReplayRun:
             snapshot if watcher is None else _both(snapshot, watcher.snapshot),
             on_samples=self._recorder.samples,
         )
-        reading = sources, self.engine.router.matches, strict, progress
+        router = self.engine.router
+        reading = sources, router.matches, strict, progress, router.stated_cycles
         if watcher is None:
             self._reader = LogReader(*reading)
         else:

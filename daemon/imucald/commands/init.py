@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
         os.path.relpath(path.resolve(), base): load_database([path]) for path in options.database
     }
     if options.logs:
-        recording = _read(options.logs)
+        recording = _read(options.logs, databases)
     elif options.interface or options.channel:
         recording = _listen(options, databases)
     else:
@@ -95,13 +95,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _read(logs: list[str]) -> GatheredFrames:
+def _read(logs: list[str], databases: Mapping[str, Database]) -> GatheredFrames:
     from imucald.can.logs.log_reader import LogReader
     from imucald.commands.terminal import progress_bar
     from imucald.discovery import GatheredFrames
+    from imucald.discovery.candidates import stated_cycles
 
     with progress_bar("init") as progress:
-        reader = LogReader(logs, None, False, progress)
+        reader = LogReader(logs, None, False, progress, list(stated_cycles(databases)))
         recording = GatheredFrames.of(reader)
     for text in reader.problems:
         print(f"imucald: {text}", file=sys.stderr)

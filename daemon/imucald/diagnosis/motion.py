@@ -27,8 +27,8 @@ SMOOTH_STEPS = 5
 """Angular acceleration is the slope over so many steps: it is mostly noise above 1 Hz."""
 SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
 TRANSITION_S = 2.0
-"""Superelevation is built up over two seconds of travel at least (AASHTO, A Policy on Geometric
-Design of Highways and Streets)."""
+"""Superelevation is built up along the transition curve: two seconds of travel (desirable length
+of a spiral, AASHTO, A Policy on Geometric Design of Highways and Streets)."""
 TRANSITION = np.hanning(round(TRANSITION_S / STEP_S) + 1)
 TRANSITION /= TRANSITION.sum()
 

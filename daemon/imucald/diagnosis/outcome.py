@@ -43,7 +43,8 @@ def told_trial(
     """A cause that the fit named, or that is likely."""
     h, parameters = trial.hypothesis, {}
     moved = set(state.changes)
-    for i, key in enumerate(h.keys):
+    alike = [(i, k) for i, d in enumerate(h.directions) for k, x in d.items() if x == 1.0]
+    for i, key in alike or enumerate(h.keys):
         if certainty == "certain" and h.is_plain and moved & set(h.keys) and key not in moved:
             continue
         x = float(trial.estimate.value[i])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.can.columns import CAN_EFF_MASK
+from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.can.dbc.database import Database
 from imucald.can.dbc.decode import compile_decode, id_match
 from imucald.can.dbc.message import Message, Signal
@@ -102,6 +102,14 @@ class MessageTraffic:
     t: Array
     data: NDArray[np.uint8]
     length: NDArray[np.uint8]
+
+
+def stated_cycles(databases: Mapping[str, Database]) -> Iterator[tuple[IdMatch, float]]:
+    """Messages that state a cycle [s]."""
+    for database in databases.values():
+        for message in database.messages.values():
+            if message.cycle_time:
+                yield id_match(message), message.cycle_time
 
 
 def messages_in(

@@ -77,6 +77,11 @@ class Router:
         return list(dict.fromkeys(route.match for route in self.routes))
 
     @property
+    def stated_cycles(self) -> list[tuple[IdMatch, float]]:
+        """Identifiers with their stated cycle [s], where one is stated."""
+        return [(r.match, r.stated_cycle) for r in self.routes if r.stated_cycle is not None]
+
+    @property
     def channels(self) -> frozenset[str]:
         """Channels that can come."""
         found = {tap.channel for tap in self._taps()}

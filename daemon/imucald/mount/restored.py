@@ -88,6 +88,7 @@ class RestoredEstimator:
         """Of the last comparison, as a chi-square with 3 degrees of freedom."""
         self.joined = False
         """Whether the stored evidence goes along with the new."""
+        self._has_left = False
         self._prior = stored.covariance + np.diag(np.square(BETWEEN_DRIVES_STD))
         self._served = SlewedRotation(HAND_OVER_RATE)
         self._served.aim(stored.R_vehicle_from_sensor)
@@ -191,7 +192,7 @@ class RestoredEstimator:
         """The same of the evidence on both sides, which the estimator keeps apart."""
         found = self.inner.contradiction if isinstance(self.inner, SavesInformation) else None
         if found is None:  # it has left the stored evidence by itself: the sensor was moved
-            self.joined = False
+            self.joined, self._has_left = False, True
         return found
 
     def _judge(self) -> None:
@@ -213,8 +214,8 @@ class RestoredEstimator:
             self.phase = Phase.HANDING_OVER
 
     def _join(self) -> None:
-        """The new evidence agrees by itself: go on with both."""
-        kept = self.stored.evidence
+        """The new evidence agrees by itself: go on with both; never with what it has left."""
+        kept = None if self._has_left else self.stored.evidence
         if kept is not None and not self.joined and isinstance(self.inner, SavesInformation):
             self.inner.join_information(kept)
             self.joined = self.inner.contradiction is not None
@@ -223,7 +224,7 @@ class RestoredEstimator:
         """They contradict one another after all: the new evidence stays."""
         if isinstance(self.inner, SavesInformation):
             self.inner.drop_information()
-        self.joined = False
+        self.joined, self._has_left = False, True
 
     def _follow(self) -> None:
         """Turn towards the new estimate until it is reached."""

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.ticker import FuncFormatter, MaxNLocator, MultipleLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
@@ -17,8 +15,19 @@ from imucald.core.rotations import vector_from_rotation
 from imucald.mount.estimate import ANGLES, MountState
 from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95
 from imucald.report.drive_events import Event
-from imucald.report.drive_history import DriveHistory, DriveMotion, Moment
+from imucald.report.drive_history import DriveHistory, Moment
 from imucald.report.svg_figures import drawn
+from imucald.report.themed_figures import (
+    BAD,
+    INK,
+    OURS,
+    SOFT,
+    STATE_COLOURS,
+    STYLE,
+    TRUTH,
+    themed,
+    time_axis,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,19 +35,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-INK, SOFT, GRID, RAW, OURS, TRUTH, BAD = (f"#0a0b{i:02x}" for i in range(1, 8))
-STATE_COLOURS = {state: f"#0a0c{int(state):02x}" for state in MountState}
-"""Stand in for the page's colours while a figure is drawn; see `_themed`."""
-THEME: Mapping[str, str] = {
-    INK: "--ink", SOFT: "--soft", GRID: "--grid", RAW: "--raw", OURS: "--ours",
-    TRUTH: "--truth", BAD: "--bad",
-    **{colour: f"--{state.name.lower()}" for state, colour in STATE_COLOURS.items()},
-}  # fmt: skip
-STYLE: dict[Any, Any] = {
-    "axes.edgecolor": SOFT, "axes.labelcolor": INK, "xtick.color": SOFT, "ytick.color": SOFT,
-    "text.color": INK, "grid.color": GRID, "figure.facecolor": "none", "axes.facecolor": "none",
-    "savefig.facecolor": "none", "hatch.color": SOFT, "axes.titlesize": 9.0,
-}  # fmt: skip
 KIND_COLOURS = dict(
     zip(
         EVIDENCE_KINDS.values(),
@@ -47,24 +43,11 @@ KIND_COLOURS = dict(
     )
 )
 OTHER_KIND = "#999999"
-DIVERGING = LinearSegmentedColormap.from_list("imucald", ["#2b6cb0", "#f4f4f4", "#c0561a"])
-"""Blue below, vermilion above: told apart with any colour blindness."""
-
-NAME_SPACE = re.compile(r' xmlns(:xlink)?="[^"]*"')
-WIDE, MAP = (9.6, 5.2), (4.7, 3.5)
-STRETCH_S = 60.0
+WIDE = (9.6, 5.2)
 TIME_BINS = 240
-SPEED_BINS, TURN_BINS = 14, 12
-CELL_ROWS = 5
-"""A cell of a map needs so many rows: two and a half seconds."""
 LARGEST_DEG = 30.0
-TICKS = 9
-DOTS = 700
-"""In a picture of points: more only make the page heavy."""
 LABEL_SHARE = 0.02
 """Numbers closer together than this share of the picture would cover one another."""
-NICE_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200)
-"""Steps of a time axis [s]."""
 MAX_MARKS = 12
 """Numbered events in a picture."""
 
@@ -88,9 +71,9 @@ def mount_picture(history: DriveHistory, events: Sequence[Numbered]) -> str:
         _draw_states(parts[0], history, events)
         for axes, axis in zip(parts[1:], range(3), strict=True):
             _draw_angle(axes, known, axis, events)
-        _time_axis(parts[-1], history.duration_s)
+        time_axis(parts[-1], history.duration_s)
 
-    return _themed(drawn(draw, WIDE, STYLE))
+    return themed(drawn(draw, WIDE, STYLE))
 
 
 def _draw_states(axes: Axes, history: DriveHistory, events: Sequence[Numbered]) -> None:
@@ -178,94 +161,6 @@ def _size(off: Array, half: Array) -> float:
     return float(min(max(1.15 * np.nanmax(edge), 1.5 * half[-1]), LARGEST_DEG))
 
 
-def stretch_picture(motion: DriveMotion) -> str:
-    """Corrected against raw, and against what the vehicle's motion says, for one minute."""
-    rows = telling_rows(motion)
-
-    def draw(figure: Figure) -> None:
-        parts = figure.subplots(2, 1, sharex=True)
-        names = (("forward", "dv/dt", motion.dvdt), ("left", "speed times yaw rate", motion.turn))
-        for i, (axes, (way, what, truth)) in enumerate(zip(parts, names, strict=True)):
-            t = motion.t[rows]
-            axes.plot(t, motion.raw[rows, i], color=RAW, lw=1.0, label=f"sensor {'xy'[i]}, as sent")
-            axes.plot(t, truth[rows], color=TRUTH, lw=1.6, ls=(0, (5, 2)), label=what)
-            axes.plot(t, motion.corrected[rows, i], color=OURS, lw=1.4, label="corrected")
-            axes.set_ylabel(f"{way} [m/s²]")
-            axes.margins(x=0.005)
-            _legend(axes)
-        parts[-1].xaxis.set_major_formatter(FuncFormatter(_clock))
-        parts[-1].set_xlabel("time [min:s]")
-
-    return _themed(drawn(draw, (9.6, 4.4), STYLE))
-
-
-def telling_rows(motion: DriveMotion) -> slice:
-    """The minute with most braking, accelerating and turning in which there is a correction."""
-    known = np.isfinite(motion.corrected[:, 0])
-    worth = np.nan_to_num(motion.dvdt) ** 2 + np.nan_to_num(motion.turn) ** 2
-    sums = np.concatenate([[0.0], np.cumsum(np.where(known, worth + 1e-9, 0.0))])
-    stop = np.searchsorted(motion.t, motion.t + STRETCH_S, side="right")
-    first = int(np.argmax(sums[stop] - sums[:-1]))
-    return slice(first, int(stop[first]))
-
-
-def scatter_picture(motion: DriveMotion, axis: int) -> str:
-    """Corrected and raw force against what the motion says; axis: 0 forward, 1 left."""
-    truth, what = ((motion.dvdt, "dv/dt"), (motion.turn, "speed times yaw rate"))[axis]
-    known = np.isfinite(truth) & np.isfinite(motion.corrected[:, axis])
-    rows = np.flatnonzero(known)[:: max(int(known.sum()) // DOTS, 1)]
-
-    def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        x = truth[rows]
-        for values, colour, name in (
-            (motion.raw, RAW, "sensor, as sent"),
-            (motion.corrected, OURS, "corrected"),
-        ):
-            axes.plot(
-                x, values[rows, axis], "o", ms=2.2, mew=0, alpha=0.5, color=colour, label=name
-            )
-        if len(x):
-            ends = np.array([x.min(), x.max()])
-            axes.plot(ends, ends, color=TRUTH, lw=1.2, ls=(0, (5, 2)), label="equal")
-        axes.set_xlabel(f"{what} [m/s²]")
-        axes.set_ylabel(f"force {('forward', 'left')[axis]} [m/s²]")
-        _legend(axes)
-
-    return _themed(drawn(draw, MAP, STYLE))
-
-
-def residual_map(motion: DriveMotion, axis: int) -> str:
-    """Mean of corrected force less motion over speed and lateral acceleration."""
-    truth = (motion.dvdt, motion.turn)[axis]
-    left = motion.corrected[:, axis] - truth
-    known = np.isfinite(left) & np.isfinite(motion.speed) & np.isfinite(motion.turn)
-
-    def draw(figure: Figure) -> None:
-        axes = figure.add_subplot()
-        axes.set_xlabel("speed [km/h]")
-        axes.set_ylabel("lateral acceleration [m/s²]")
-        if known.sum() < CELL_ROWS:
-            axes.text(0.5, 0.5, "not enough", transform=axes.transAxes, ha="center")
-            return
-        x, y, z = 3.6 * motion.speed[known], motion.turn[known], left[known]
-        reach = max(float(np.percentile(np.abs(y), 99.5)), 0.5)
-        cells = (
-            np.linspace(min(float(x.min()), 0.0), max(float(x.max()), 1.0), SPEED_BINS + 1),
-            np.linspace(-reach, reach, TURN_BINS + 1),
-        )
-        count, _, _ = np.histogram2d(x, y, cells)
-        total, _, _ = np.histogram2d(x, y, cells, weights=z)
-        mean = np.where(count >= CELL_ROWS, total / np.maximum(count, 1), np.nan)
-        top = max(float(np.nanpercentile(np.abs(mean), 95)), 0.05) if np.isfinite(mean).any() else 1
-        drawn_map = axes.pcolormesh(*cells, mean.T, cmap=DIVERGING, vmin=-top, vmax=top, lw=0)
-        bar = figure.colorbar(drawn_map, ax=axes, extend="both")
-        bar.outline.set_visible(False)
-        axes.grid(visible=False)
-
-    return _themed(drawn(draw, MAP, STYLE))
-
-
 def arrivals_picture(history: DriveHistory) -> str:
     """What came when: rate of each signal by time, holes and rejections."""
     samples, rejected = history.samples, history.rejected
@@ -292,9 +187,9 @@ def arrivals_picture(history: DriveHistory) -> str:
         axes.grid(visible=False)
         axes.spines["left"].set_visible(False)
         axes.tick_params(axis="y", length=0)
-        _time_axis(axes, duration)
+        time_axis(axes, duration)
 
-    return _themed(drawn(draw, (9.6, 0.6 + 0.3 * max(len(channels), 2)), STYLE))
+    return themed(drawn(draw, (9.6, 0.6 + 0.3 * max(len(channels), 2)), STYLE))
 
 
 def evidence_picture(history: DriveHistory, angle: str) -> str | None:
@@ -317,12 +212,12 @@ def evidence_picture(history: DriveHistory, angle: str) -> str | None:
         axes.set_ylim(0.0, 100.0)
         axes.set_ylabel(f"{angle} [%]")
         axes.margins(x=0.0)
-        _time_axis(axes, history.duration_s)
+        time_axis(axes, history.duration_s)
         handles, labels = axes.get_legend_handles_labels()
         axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3,
                     borderaxespad=0.1, handlelength=1.0, columnspacing=1.0)  # fmt: skip
 
-    return _themed(drawn(draw, (4.7, 2.6), STYLE))
+    return themed(drawn(draw, (4.7, 2.6), STYLE))
 
 
 def grouped(shares: Mapping[str, float]) -> dict[str, float]:
@@ -332,29 +227,3 @@ def grouped(shares: Mapping[str, float]) -> dict[str, float]:
         kind = EVIDENCE_KINDS.get(source.rpartition("_")[2], source)
         found[kind] = found.get(kind, 0.0) + float(share)
     return found
-
-
-def _time_axis(axes: Axes, duration: float) -> None:
-    axes.set_xlim(0.0, duration)
-    axes.xaxis.set_major_formatter(FuncFormatter(_clock))
-    step = next((s for s in NICE_S if duration <= TICKS * s), NICE_S[-1])
-    axes.xaxis.set_major_locator(MultipleLocator(step))
-    axes.set_xlabel("time [min:s]")
-
-
-def _clock(seconds: float, _: object) -> str:
-    whole = round(abs(seconds))
-    return f"{whole // 60}:{whole % 60:02d}"
-
-
-def _legend(axes: Axes) -> None:
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.1,
-                handlelength=1.8, columnspacing=1.2)  # fmt: skip
-
-
-def _themed(svg: str) -> str:
-    """Let the page say the colours, as it knows light from dark; HTML needs no name space."""
-    svg = NAME_SPACE.sub("", svg)
-    for colour, name in THEME.items():
-        svg = svg.replace(colour, f"var({name})")
-    return svg

@@ -6,7 +6,8 @@
     can0  TX B -  200  [12]  11 22 ...                        -x; [two digits] is CAN FD
 
 With -a (text), -c (colours), -i (binary digits) and -S (last byte first) too. Without time stamps,
-and as cansend takes it (044#2A366C2BBA), nothing can be calibrated: that is refused with a remedy.
+and as cansend takes it (044#2A366C2BBA), time is counted from a message whose cycle is stated;
+where no such message comes, the file is refused with a remedy.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ from calendar import timegm
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import strptime
-from typing import ClassVar, Final
+from typing import ClassVar, Final, NamedTuple
 
 from imucald.can.columns import (
     CAN_EFF_FLAG,
+    CAN_EFF_MASK,
     CAN_SFF_MASK,
     CLASSIC_BYTES,
     FD_BYTES,
@@ -28,9 +30,9 @@ from imucald.can.columns import (
     FrameColumns,
 )
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.candump_line import MAX_LINE_BYTES, shown
+from imucald.can.logs.candump_line import MAX_LINE_BYTES, REASONS, Line, parse_line, shown
 from imucald.can.logs.frame_batches import FrameBatches
-from imucald.can.logs.log_format import ReadStatistics
+from imucald.can.logs.log_format import Cycles, ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
 from imucald.core.errors import LogError
 
@@ -52,6 +54,22 @@ _LOOK_LINES: Final = 200
 """First lines by which differences are told from times since the start."""
 
 
+class ScreenFrame(NamedTuple):
+    """One frame; can_id with the flag for 29 bits."""
+
+    can_id: int
+    data: bytes
+    channel: str
+    fd: bool
+
+
+class LineFault(NamedTuple):
+    """Why a line cannot be used: the reason's name, and words."""
+
+    reason: str
+    text: str
+
+
 class CandumpScreenReader:
     """Reads files of candump's screen output into columns."""
 
@@ -66,7 +84,8 @@ class CandumpScreenReader:
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
         self._statistics = statistics
         self._batches = FrameBatches(filters, channels, statistics)
-        self._time = _Times([])
+        self._time: _Times | _Counted = _Times([])
+        self.cycles: Cycles = ()
 
     def read(
         self, path: Path | str | OpenLog, report: Callable[[int], None]
@@ -78,19 +97,45 @@ class CandumpScreenReader:
             for buf, size in blocks:
                 lines = _COLOUR.sub(b"", buf[:size].tobytes()).splitlines()
                 if first:
-                    self._time, first = _look(lines, name), False
+                    self._time, first = self._look(lines, name), False
                 yield from self._lines(lines, name, number)
                 number += len(lines)
                 report(blocks.bytes_read)
             rest = _COLOUR.sub(b"", blocks.rest).rstrip()
             if first:
-                self._time = _look([rest], name)
+                self._time = self._look([rest], name)
             if blocks.damage:
                 text = f"{name}:{number + 1}: reading ends here: {blocks.damage}"
                 self._statistics.reject("damaged_file", text)
             elif rest:
                 yield from self._lines([rest], name, number, last=True)
+        if isinstance(self._time, _Counted):
+            self._add(self._time.rest())
         yield self._batches.columns()
+
+    def _look(self, lines: list[bytes], name: str) -> _Times | _Counted:
+        """How a file's stamps are meant. Raises LogError where it has none, and nothing counts."""
+        first = lines[:_LOOK_LINES]
+        matches = [m for line in first if (m := _LINE.fullmatch(line.rstrip()))]
+        stamps = [m["stamp"] for m in matches if m["stamp"] is not None]
+        if stamps:
+            return _Times(stamps)
+        frames = [f for line in first if isinstance(f := _parsed(line.rstrip()), ScreenFrame)]
+        known = [
+            (cycle, can_id, channel)
+            for can_id, _, channel, _ in frames
+            for match, cycle in self.cycles
+            if match.matches(can_id, channel)
+        ]
+        if not known:
+            text = "its frames have no time stamps, and none is of a message with a stated cycle"
+            raise LogError(f"{name}: {text}; {REMEDY}")
+        cycle, can_id, channel = min(known)
+        self._statistics.note(
+            f"{name}: no time stamps: time is counted from id 0x{can_id & CAN_EFF_MASK:X}, stated "
+            f"every {1e3 * cycle:g} ms, and is as good as that; {REMEDY}"
+        )
+        return _Counted(can_id, channel, cycle)
 
     def _lines(
         self, lines: list[bytes], name: str, before: int, last: bool = False
@@ -103,37 +148,64 @@ class CandumpScreenReader:
             if self._batches.is_full:
                 yield self._batches.columns()
 
-    def _line(self, line: bytes) -> tuple[str, str] | None:
+    def _line(self, line: bytes) -> LineFault | None:
         """Take one line; the reason why it cannot be used, and its text."""
         if not line or line.startswith(b"\t"):  # what -e explains about an error frame
             return None
-        match = _LINE.fullmatch(line)
-        if match is None:
-            return "not_candump", "not a line that candump prints"
-        if match["stamp"] is None:
-            return "bad_timestamp", "the time stamp is missing"
-        t = self._time.of(match["stamp"])
-        if t is None:
-            return "bad_timestamp", "the time stamp is none of candump's"
-        return self._frame(match, t)
-
-    def _frame(self, match: re.Match[bytes], t: float) -> tuple[str, str] | None:
-        can_id, length = int(match["id"], 16), int(match["length"])
-        rest = match["rest"].strip()
-        is_extended = len(match["id"]) == 8
-        if (is_extended and can_id >= _ERROR_ID) or rest.startswith(b"remote request"):
-            self._statistics.ignore("remote_frame" if rest[:1] == b"r" else "error_frame")
+        t = None
+        if isinstance(self._time, _Times):  # differences count whatever the line holds
+            match = _LINE.fullmatch(line)
+            t = None if match is None or match["stamp"] is None else self._time.of(match["stamp"])
+        parsed = _parsed(line)
+        if isinstance(parsed, str):
+            self._statistics.ignore(parsed)
             return None
-        data = _data(rest, length)
-        fd = len(match["length"]) == 2
-        if data is None or length > (FD_BYTES if fd else CLASSIC_BYTES):
-            return "bad_hex", f"these are not {length} bytes"
-        if not is_extended and can_id > CAN_SFF_MASK:
-            return "bad_id", "the id is not 3 digits up to 7FF"
-        can_id |= CAN_EFF_FLAG if is_extended else 0
-        if not self._batches.add(t, can_id, data, match["channel"].decode("ascii"), fd):
-            return "too_many_channels", "more than 255 channels"
+        if isinstance(parsed, LineFault):
+            return parsed
+        if isinstance(self._time, _Counted):
+            return self._add(self._time.take(parsed))
+        if t is None:
+            return LineFault("bad_timestamp", "the time stamp is missing, or none of candump's")
+        return self._add([(t, parsed)])
+
+    def _add(self, frames: list[tuple[float, ScreenFrame]]) -> LineFault | None:
+        for t, (can_id, data, channel, fd) in frames:
+            if not self._batches.add(t, can_id, data, channel, fd):
+                return LineFault("too_many_channels", "more than 255 channels")
         return None
+
+
+def _parsed(line: bytes) -> ScreenFrame | LineFault | str:
+    """The frame of a line, why it has none, or the kind of frame that carries no data."""
+    match = _LINE.fullmatch(line)
+    if match is None:
+        return _as_cansend(line)
+    can_id, length = int(match["id"], 16), int(match["length"])
+    rest = match["rest"].strip()
+    is_extended = len(match["id"]) == 8
+    if rest.startswith(b"remote request"):
+        return "remote_frame"
+    if is_extended and can_id >= _ERROR_ID:
+        return "error_frame"
+    data = _data(rest, length)
+    fd = len(match["length"]) == 2
+    if data is None or length > (FD_BYTES if fd else CLASSIC_BYTES):
+        return LineFault("bad_hex", f"these are not {length} bytes")
+    if not is_extended and can_id > CAN_SFF_MASK:
+        return LineFault("bad_id", "the id is not 3 digits up to 7FF")
+    can_id |= CAN_EFF_FLAG if is_extended else 0
+    return ScreenFrame(can_id, data, match["channel"].decode("ascii"), fd)
+
+
+def _as_cansend(line: bytes) -> ScreenFrame | LineFault | str:
+    if not _CANSEND.match(line):
+        return LineFault("not_candump", "not a line that candump prints")
+    parsed = parse_line(b"(0.0) can0 " + line.strip())
+    if isinstance(parsed, Line):
+        if parsed.kind != "data":
+            return parsed.kind
+        return ScreenFrame(parsed.can_id, parsed.data, "can0", parsed.fd)
+    return LineFault(parsed or "not_candump", REASONS[parsed or "not_candump"])
 
 
 def _data(rest: bytes, length: int) -> bytes | None:
@@ -187,15 +259,26 @@ class _Times:
         return self._days[whole] + (float(b"0." + part) if part.isdigit() else 0.0)
 
 
-def _look(lines: list[bytes], name: str) -> _Times:
-    """How a file's stamps are meant. Raises LogError where it has none."""
-    matches = [m for line in lines[:_LOOK_LINES] if (m := _LINE.fullmatch(line.rstrip()))]
-    stamps = [m["stamp"] for m in matches if m["stamp"] is not None]
-    if not stamps:
-        raise LogError(
-            f"{name}: its frames have no time stamps, without which nothing can be done; {REMEDY}"
-        )
-    return _Times(stamps)
+class _Counted:
+    """Time counted from the frames of one message that comes in cycles [s]."""
+
+    def __init__(self, can_id: int, channel: str, cycle: float) -> None:
+        self._clock = can_id, channel
+        self._cycle = cycle
+        self._cycles = 0
+        self._waiting: list[ScreenFrame] = []
+
+    def take(self, frame: ScreenFrame) -> list[tuple[float, ScreenFrame]]:
+        """Frames whose times are known now: spread over the cycle that has just ended."""
+        self._waiting.append(frame)
+        return self.rest() if (frame.can_id, frame.channel) == self._clock else []
+
+    def rest(self) -> list[tuple[float, ScreenFrame]]:
+        """All frames that wait, with their times."""
+        waiting, self._waiting = self._waiting, []
+        start, step = self._cycles * self._cycle, self._cycle / max(len(waiting), 1)
+        self._cycles += 1
+        return [(start + (i + 1) * step, frame) for i, frame in enumerate(waiting)]
 
 
 FORMAT = CandumpScreenReader

@@ -8,11 +8,11 @@ under the name FORMAT: `log_reader` finds it. One that python-can reads needs on
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import ClassVar, Final, Protocol
+from typing import ClassVar, Final, Protocol, runtime_checkable
 
-from imucald.can.columns import Channels, FrameColumns
+from imucald.can.columns import Channels, FrameColumns, IdMatch
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.core.errors import LogError
@@ -42,6 +42,12 @@ class ReadStatistics:
         if len(self.problems) < MAX_PROBLEMS:
             self.problems.append(text)
 
+    def note(self, text: str) -> None:
+        """Tell of something that limits what a log is worth. Raises LogError where strict."""
+        if self.strict:
+            raise LogError(text)
+        self.problems.append(text)
+
     def stamp(self, t: float) -> None:
         """Take note of a valid frame's time stamp [s]: the first one is kept."""
         if self.first_stamp is None:
@@ -51,6 +57,17 @@ class ReadStatistics:
         """Count one valid frame that carries no data (remote, error) or is not for us (XL)."""
         self.frames_read += 1
         self.ignored[kind] += 1
+
+
+Cycles = Sequence[tuple[IdMatch, float]]
+"""Messages with their stated cycle time [s]."""
+
+
+@runtime_checkable
+class CountsTime(Protocol):
+    """A format that may lack time stamps, and counts cycles of a known message instead."""
+
+    cycles: Cycles
 
 
 class LogFormat(Protocol):

@@ -21,7 +21,7 @@ from imucald.can.columns import CAN_EFF_FLAG, Channels, FrameColumns, IdMatch
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.candump_line import shown
 from imucald.can.logs.candump_writer import CandumpWriter
-from imucald.can.logs.log_format import LogFormat, ReadStatistics
+from imucald.can.logs.log_format import CountsTime, Cycles, LogFormat, ReadStatistics
 from imucald.can.logs.text_blocks import STDIN, OpenLog, look_at
 from imucald.can.logs.unpacking import first_bytes, plain_ending
 from imucald.core.errors import LogError
@@ -70,11 +70,13 @@ class LogReader:
         keep: Sequence[IdMatch] | None = None,
         strict: bool = False,
         progress: Progress | None = None,
+        cycles: Cycles = (),
     ) -> None:
-        """keep: which frames are wanted; None for all."""
+        """keep: which frames are wanted; None for all. cycles: for logs without time stamps."""
         self._paths = list(paths)
         self._keep = keep
         self._progress = progress
+        self._cycles = cycles
         self._statistics = ReadStatistics(strict)
         self._bytes_before = 0
         self._bytes_total: int | None = None
@@ -111,10 +113,15 @@ class LogReader:
         self._bytes_total = _total_bytes(self._paths)
         shared = IdFilters(self._keep), Channels(), self._statistics
         readers = [kind(*shared) for kind in FORMATS]
+        for reader in readers:
+            if isinstance(reader, CountsTime):
+                reader.cycles = self._cycles
         for path in self._paths:
             head, handed = look_at(path)
-            reader = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
-            yield from reader.read(handed, self._report)
+            chosen = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
+            for columns in chosen.read(handed, self._report):
+                if len(columns):
+                    yield columns
             self._bytes_before += _file_bytes(path)
             self._report(0)
 

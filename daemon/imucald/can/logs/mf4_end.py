@@ -27,11 +27,10 @@ def mf4_end(path: Path) -> str | None:
         waiting, seen = [_FIRST], {0, _FIRST}
         while waiting and len(seen) < MAX_BLOCKS:
             at = waiting.pop()
-            file.seek(at)
-            begin = file.read(_BLOCK.size)
-            if len(begin) < _BLOCK.size:
+            if at + _BLOCK.size > size:
                 return f"the file is cut: it has {size} bytes and names a block at byte {at}"
-            kind, length, count = _BLOCK.unpack(begin)
+            file.seek(at)
+            kind, length, count = _BLOCK.unpack(file.read(_BLOCK.size))
             if kind[:2] != b"##" or 8 * count > length:
                 return f"the file is damaged at byte {at}"
             if at + length > size:

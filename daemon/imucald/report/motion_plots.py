@@ -1,0 +1,114 @@
+"""Pictures of the corrected force beside the vehicle's motion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.ticker import FuncFormatter
+
+from imucald.report.drive_history import DriveMotion
+from imucald.report.svg_figures import drawn
+from imucald.report.themed_figures import OURS, RAW, STYLE, TRUTH, clock_text, legend, themed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DIVERGING = LinearSegmentedColormap.from_list("imucald", ["#2b6cb0", "#f4f4f4", "#c0561a"])
+"""Blue below, vermilion above: told apart with any colour blindness."""
+MAP = (4.7, 3.5)
+STRETCH_S = 60.0
+SPEED_BINS, TURN_BINS = 14, 12
+CELL_ROWS = 5
+"""A cell of a map needs so many rows: two and a half seconds."""
+DOTS = 700
+"""In a picture of points: more only make the page heavy."""
+
+
+def stretch_picture(motion: DriveMotion) -> str:
+    """Corrected against raw, and against what the vehicle's motion says, for one minute."""
+    rows = telling_rows(motion)
+
+    def draw(figure: Figure) -> None:
+        parts = figure.subplots(2, 1, sharex=True)
+        names = (("forward", "dv/dt", motion.dvdt), ("left", "speed times yaw rate", motion.turn))
+        for i, (axes, (way, what, truth)) in enumerate(zip(parts, names, strict=True)):
+            t = motion.t[rows]
+            axes.plot(t, motion.raw[rows, i], color=RAW, lw=1.0, label=f"sensor {'xy'[i]}, as sent")
+            axes.plot(t, truth[rows], color=TRUTH, lw=1.6, ls=(0, (5, 2)), label=what)
+            axes.plot(t, motion.corrected[rows, i], color=OURS, lw=1.4, label="corrected")
+            axes.set_ylabel(f"{way} [m/s²]")
+            axes.margins(x=0.005)
+            legend(axes)
+        parts[-1].xaxis.set_major_formatter(FuncFormatter(clock_text))
+        parts[-1].set_xlabel("time [min:s]")
+
+    return themed(drawn(draw, (9.6, 4.4), STYLE))
+
+
+def telling_rows(motion: DriveMotion) -> slice:
+    """The minute with most braking, accelerating and turning in which there is a correction."""
+    known = np.isfinite(motion.corrected[:, 0])
+    worth = np.nan_to_num(motion.dvdt) ** 2 + np.nan_to_num(motion.turn) ** 2
+    sums = np.concatenate([[0.0], np.cumsum(np.where(known, worth + 1e-9, 0.0))])
+    stop = np.searchsorted(motion.t, motion.t + STRETCH_S, side="right")
+    first = int(np.argmax(sums[stop] - sums[:-1]))
+    return slice(first, int(stop[first]))
+
+
+def scatter_picture(motion: DriveMotion, axis: int) -> str:
+    """Corrected and raw force against what the motion says; axis: 0 forward, 1 left."""
+    truth, what = ((motion.dvdt, "dv/dt"), (motion.turn, "speed times yaw rate"))[axis]
+    known = np.isfinite(truth) & np.isfinite(motion.corrected[:, axis])
+    rows = np.flatnonzero(known)[:: max(int(known.sum()) // DOTS, 1)]
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        x = truth[rows]
+        for values, colour, name in (
+            (motion.raw, RAW, "sensor, as sent"),
+            (motion.corrected, OURS, "corrected"),
+        ):
+            axes.plot(
+                x, values[rows, axis], "o", ms=2.2, mew=0, alpha=0.5, color=colour, label=name
+            )
+        if len(x):
+            ends = np.array([x.min(), x.max()])
+            axes.plot(ends, ends, color=TRUTH, lw=1.2, ls=(0, (5, 2)), label="equal")
+        axes.set_xlabel(f"{what} [m/s²]")
+        axes.set_ylabel(f"force {('forward', 'left')[axis]} [m/s²]")
+        legend(axes)
+
+    return themed(drawn(draw, MAP, STYLE))
+
+
+def residual_map(motion: DriveMotion, axis: int) -> str:
+    """Mean of corrected force less motion over speed and lateral acceleration."""
+    truth = (motion.dvdt, motion.turn)[axis]
+    left = motion.corrected[:, axis] - truth
+    known = np.isfinite(left) & np.isfinite(motion.speed) & np.isfinite(motion.turn)
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot()
+        axes.set_xlabel("speed [km/h]")
+        axes.set_ylabel("lateral acceleration [m/s²]")
+        if known.sum() < CELL_ROWS:
+            axes.text(0.5, 0.5, "not enough", transform=axes.transAxes, ha="center")
+            return
+        x, y, z = 3.6 * motion.speed[known], motion.turn[known], left[known]
+        reach = max(float(np.percentile(np.abs(y), 99.5)), 0.5)
+        cells = (
+            np.linspace(min(float(x.min()), 0.0), max(float(x.max()), 1.0), SPEED_BINS + 1),
+            np.linspace(-reach, reach, TURN_BINS + 1),
+        )
+        count, _, _ = np.histogram2d(x, y, cells)
+        total, _, _ = np.histogram2d(x, y, cells, weights=z)
+        mean = np.where(count >= CELL_ROWS, total / np.maximum(count, 1), np.nan)
+        top = max(float(np.nanpercentile(np.abs(mean), 95)), 0.05) if np.isfinite(mean).any() else 1
+        drawn_map = axes.pcolormesh(*cells, mean.T, cmap=DIVERGING, vmin=-top, vmax=top, lw=0)
+        bar = figure.colorbar(drawn_map, ax=axes, extend="both")
+        bar.outline.set_visible(False)
+        axes.grid(visible=False)
+
+    return themed(drawn(draw, MAP, STYLE))

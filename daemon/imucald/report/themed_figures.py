@@ -1,0 +1,61 @@
+"""Colours of pictures that follow the page's light or dark, and what their axes share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from matplotlib.ticker import FuncFormatter, MultipleLocator
+
+from imucald.mount.estimate import MountState
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+INK, SOFT, GRID, RAW, OURS, TRUTH, BAD = (f"#0a0b{i:02x}" for i in range(1, 8))
+STATE_COLOURS = {state: f"#0a0c{int(state):02x}" for state in MountState}
+"""Stand in for the page's colours while a figure is drawn; see `themed`."""
+THEME: Mapping[str, str] = {
+    INK: "--ink", SOFT: "--soft", GRID: "--grid", RAW: "--raw", OURS: "--ours",
+    TRUTH: "--truth", BAD: "--bad",
+    **{colour: f"--{state.name.lower()}" for state, colour in STATE_COLOURS.items()},
+}  # fmt: skip
+STYLE: dict[Any, Any] = {
+    "axes.edgecolor": SOFT, "axes.labelcolor": INK, "xtick.color": SOFT, "ytick.color": SOFT,
+    "text.color": INK, "grid.color": GRID, "figure.facecolor": "none", "axes.facecolor": "none",
+    "savefig.facecolor": "none", "hatch.color": SOFT, "axes.titlesize": 9.0,
+}  # fmt: skip
+NAME_SPACE = re.compile(r' xmlns(:xlink)?="[^"]*"')
+NICE_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200)
+"""Steps of a time axis [s]."""
+TICKS = 9
+
+
+def time_axis(axes: Axes, duration: float) -> None:
+    """Label an axis of stream time [s]."""
+    axes.set_xlim(0.0, duration)
+    axes.xaxis.set_major_formatter(FuncFormatter(clock_text))
+    step = next((s for s in NICE_S if duration <= TICKS * s), NICE_S[-1])
+    axes.xaxis.set_major_locator(MultipleLocator(step))
+    axes.set_xlabel("time [min:s]")
+
+
+def clock_text(seconds: float, _: object) -> str:
+    """`4:02`, as matplotlib asks for it."""
+    whole = round(abs(seconds))
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
+def legend(axes: Axes) -> None:
+    """Put the names above the axes, in rows."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.1,
+                handlelength=1.8, columnspacing=1.2)  # fmt: skip
+
+
+def themed(svg: str) -> str:
+    """Let the page say the colours, as it knows light from dark; HTML needs no name space."""
+    svg = NAME_SPACE.sub("", svg)
+    for colour, name in THEME.items():
+        svg = svg.replace(colour, f"var({name})")
+    return svg
