@@ -57,7 +57,8 @@ def check(
     the configuration cannot be used, LogError for a log that cannot be read.
     """
     checker = Check(config.loaded)
-    reader = LogReader([opened(one) for one in pieces(log)], None, False, progress)
+    sources = [opened(one) for one in pieces(log)]
+    reader = LogReader(sources, None, False, progress, checker.router.stated_cycles)
     for chunk in reader:
         checker.feed(chunk)
     checker.bad_lines.update(reader.rejected)

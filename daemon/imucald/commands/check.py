@@ -97,22 +97,6 @@ def _for_a_bus(loaded: LoadedConfig, options: argparse.Namespace) -> Check:
     return Check(loaded, text)
 
 
-<<<<<<< HEAD
-=======
-def _read(check: Check, logs: list[str]) -> None:
-    from imucald.can.logs.log_reader import LogReader
-    from imucald.commands.terminal import progress_bar
-
-    with progress_bar("check") as progress:
-        reader = LogReader(logs, None, False, progress, check.router.stated_cycles)
-        for chunk in reader:
-            check.feed(chunk)
-    check.bad_lines.update(reader.rejected)
-    for text in reader.problems:
-        print(f"imucald: {text}", file=sys.stderr)
-
-
->>>>>>> main
 def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> None:
     from imucald.commands.listening import listen
     from imucald.config_check import EVERY_FRAME
