@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -79,6 +81,14 @@ def _stored(column: TableColumn, array: NDArray[Any]) -> NDArray[Any]:
     return array.view(np.uint8) if column.kind == "bool" else array
 
 
+def _close_half_made(error: Exception) -> None:
+    """Close what asammdf began to make of a damaged file, which would fail when it is collected."""
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        half_made: Any = frame.f_locals.get("self")
+        with contextlib.suppress(Exception):
+            half_made.close()
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """Open a file. Raises ImucaldError for one that imucald did not write."""
@@ -87,8 +97,12 @@ def opened(path: Path) -> Iterator[Any]:
         if file.read(len(SIGNATURE)) != SIGNATURE:
             raise ImucaldError(f"{path}: is no MF4 file")
         file.seek(0)
-        # Of a damaged file that it opens by its name asammdf leaves an object that cannot be closed
-        with asammdf.MDF(file) as mdf:
+        try:
+            opening = asammdf.MDF(file)
+        except Exception as error:
+            _close_half_made(error)
+            raise
+        with opening as mdf:
             if not any(str(a.file_name) == ATTACHMENT for a in mdf.attachments):
                 raise ImucaldError(f"{path}: was not written by imucald")
             yield mdf
