@@ -29,7 +29,7 @@ ONLY = {
 
 IO_ROOMS = {"can", "commands", "inputs", "runtime", "service", "uds"}
 NEVER = {
-    "api": {"commands", "fleet", "report", "service", "uds"},
+    "api": {"commands", "fleet", "service", "uds"},
     "attitude": IO_ROOMS,
     "config_check": {"api", "commands"},
     "diagnosis": {"api", "commands"},

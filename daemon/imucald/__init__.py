@@ -10,47 +10,65 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from imucald.api.checking import CheckReport, check
     from imucald.api.configuration import Configuration as Config
+    from imucald.api.diagnosing import DiagnosisResult, diagnose
     from imucald.api.drive import DriveResult
+    from imucald.api.drives import DriveSet
     from imucald.api.files.reading import open_result
     from imucald.api.logs import find_logs
     from imucald.api.mount import MountResult
     from imucald.api.replaying import replay
     from imucald.api.streaming import DrivePart, DriveStream, stream
+    from imucald.api.walking import WalkResult, walk
     from imucald.core.errors import ConfigError, ImucaldError, LogError
 
 __version__ = "0.1.0"
 
 _PLACES = {
+    "CheckReport": ("api.checking", "CheckReport"),
     "Config": ("api.configuration", "Configuration"),
     "ConfigError": ("core.errors", "ConfigError"),
+    "DiagnosisResult": ("api.diagnosing", "DiagnosisResult"),
     "DrivePart": ("api.streaming", "DrivePart"),
     "DriveResult": ("api.drive", "DriveResult"),
+    "DriveSet": ("api.drives", "DriveSet"),
     "DriveStream": ("api.streaming", "DriveStream"),
     "ImucaldError": ("core.errors", "ImucaldError"),
     "LogError": ("core.errors", "LogError"),
     "MountResult": ("api.mount", "MountResult"),
+    "WalkResult": ("api.walking", "WalkResult"),
+    "check": ("api.checking", "check"),
+    "diagnose": ("api.diagnosing", "diagnose"),
     "find_logs": ("api.logs", "find_logs"),
     "open_result": ("api.files.reading", "open_result"),
     "replay": ("api.replaying", "replay"),
     "stream": ("api.streaming", "stream"),
+    "walk": ("api.walking", "walk"),
 }
 """Where each name comes from: module, and its name there."""
 
 __all__ = [
+    "CheckReport",
     "Config",
     "ConfigError",
+    "DiagnosisResult",
     "DrivePart",
     "DriveResult",
+    "DriveSet",
     "DriveStream",
     "ImucaldError",
     "LogError",
     "MountResult",
+    "WalkResult",
     "__version__",
+    "check",
+    "diagnose",
     "find_logs",
     "open_result",
     "replay",
     "stream",
+    "walk",
 ]
 
 

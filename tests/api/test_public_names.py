@@ -15,14 +15,26 @@ import imucald
 from imucald.core import errors
 
 PUBLIC = [
+    "CheckReport",
     "Config",
     "ConfigError",
+    "DiagnosisResult",
+    "DrivePart",
     "DriveResult",
+    "DriveSet",
+    "DriveStream",
     "ImucaldError",
     "LogError",
     "MountResult",
+    "WalkResult",
     "__version__",
+    "check",
+    "diagnose",
+    "find_logs",
+    "open_result",
     "replay",
+    "stream",
+    "walk",
 ]
 """The contract: names are only added."""
 IMPORT_S = 0.2

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-import types
 from pathlib import Path
 
 import made_diagnosis as made
@@ -16,6 +15,7 @@ import pytest
 import yaml
 
 from imucald import cli
+from imucald.api import diagnosing
 from imucald.commands.diagnose_view import print_diagnosis
 from imucald.simulation import load_model
 
@@ -53,10 +53,8 @@ def asked(monkeypatch):
         progress(0.5, "halfway")
         return calls["answer"]
 
-    for name, function in (("baseline", baseline_model), ("diagnose", diagnose)):
-        module = types.ModuleType(f"imucald.diagnosis.{name}")
-        setattr(module, function.__name__, function)
-        monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(diagnosing, "baseline_model", baseline_model)
+    monkeypatch.setattr(diagnosing, "diagnosed", diagnose)
     return calls
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 
 from imucald.config import LoadedConfig
@@ -43,6 +44,13 @@ class Configuration:
             warnings=tuple(loaded.idle_keys()),
             loaded=loaded,
         )
+
+    @classmethod
+    def example(cls) -> Configuration:
+        """Return the configuration of the drives that `imucald simulate` writes."""
+        place = resources.files("imucald") / "data" / "imucald_example.yaml"
+        with resources.as_file(place) as path:
+            return cls.load(path)
 
     def __repr__(self) -> str:
         names = ", ".join(path.name for path in self.databases)

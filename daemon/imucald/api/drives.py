@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from imucald.api.drive import DriveResult
 from imucald.api.html import angle_text, html_table
 from imucald.api.interchange import library
+from imucald.mount.mount_words import CONVENTION
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +63,8 @@ class DriveSet:
             angles = [angle_text(row[f"{a}_deg"], row[f"std_{x}_deg"]) for a, x in _WITH_AXES]
             rows.append([row["log"], f"{row['duration_s']:.1f}", row["state"], *angles])
         table = html_table(("log", "s", "state", *ANGLES), rows)
-        return table + html_table(("notes",), [[note] for note in self.notes])
+        notes = [[note] for note in self.notes]
+        return f"{table}<p>{CONVENTION}</p>{html_table(('notes',), notes)}"
 
 
 _WITH_AXES = tuple(zip(ANGLES, "xyz", strict=True))
@@ -90,12 +92,14 @@ def _row(drive: DriveResult) -> dict[str, Any]:
 
 
 def names_apart(logs: Sequence[str]) -> list[str]:
-    """A short name for each log, of its file's; made different where two are the same."""
+    """A short name for each log: its file's, with its folder's where two files are called alike."""
+    stems = [PurePath(PurePath(log).name.removesuffix(".gz")).stem or "drive" for log in logs]
     found: list[str] = []
-    for log in logs:
-        word = stem = PurePath(log).name.partition(".")[0] or "drive"
+    for log, stem in zip(logs, stems, strict=True):
+        folder = PurePath(log).parent.name
+        word = name = f"{folder}-{stem}" if stems.count(stem) > 1 and folder else stem
         number = 2
         while word in found:
-            word, number = f"{stem}-{number}", number + 1
+            word, number = f"{name}-{number}", number + 1
         found.append(word)
     return found

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
 from imucald.api.mount import MountResult
+from imucald.mount.mount_words import CONVENTION, plus_minus
 
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -19,10 +19,8 @@ def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def angle_text(value: float | None, std: float | None) -> str:
-    """An angle with its deviation [deg], for people."""
-    if value is None:
-        return "-"
-    return f"{value:+.2f}" if std is None or math.isnan(std) else f"{value:+.2f} ± {std:.2f}"
+    """An angle with its interval, for people."""
+    return "-" if value is None else f"{value:+.2f}° {plus_minus(std)}"
 
 
 def drive_html(
@@ -40,5 +38,5 @@ def drive_html(
         value = None if mount is None else float(getattr(mount, f"{angle}_deg"))
         std = None if mount is None else mount.std_deg[i]
         angles.append((angle, angle_text(value, std), summary["waiting_for"].get(angle, "")))
-    found = html_table(("angle", "deg", "waiting for"), angles)
+    found = html_table(("angle", CONVENTION, "waiting for"), angles)
     return f"<p><b>{escape(title)}</b></p>{found}<p>tables: {escape(', '.join(tables))}</p>"

@@ -95,7 +95,8 @@ def to_pandas(table: Columns, name: str) -> pd.DataFrame:
     """A pandas frame; `attrs` has the units."""
     pandas = library("pandas", "pandas")
     arrays: dict[str, Any] = table.as_dict()
-    arrays["time"] = pandas.to_datetime(arrays["time"], unit="us", utc=True)
+    if "time" in arrays:
+        arrays["time"] = pandas.to_datetime(arrays["time"], unit="us", utc=True)
     frame: pd.DataFrame = pandas.DataFrame(arrays)
     frame.attrs.update({"units": units(table.columns), "table": name})
     return frame

@@ -31,6 +31,11 @@ def opened(source: LogSource) -> Path | str | OpenLog:
     return OpenLog(source, name if isinstance(name, str) else "<open file>")
 
 
+def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
+    """The pieces of a recording that may be in one."""
+    return log if isinstance(log, list | tuple) else [log]
+
+
 def find_logs(*where: str | os.PathLike[str]) -> list[Path]:
     """List logs: each a file's name, a folder (with those in it), or a pattern as of a shell.
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.rotations import angles_from_rotation, quaternion_from_rotation
 from imucald.mount.estimate import MountEstimate
+from imucald.mount.mount_words import plus_minus
 
 Array = NDArray[np.float64]
 
@@ -100,4 +101,4 @@ class MountResult:
             self.std_deg,
             strict=True,
         )
-        return f"Mount({', '.join(f'{n} {v:+.2f} (+-{s:.2f})' for n, v, s in angles)} deg)"
+        return f"Mount({', '.join(f'{n} {v:+.2f}° {plus_minus(s)}' for n, v, s in angles)})"

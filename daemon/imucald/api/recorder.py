@@ -29,6 +29,8 @@ from imucald.runtime.segment_samples import SegmentSamples
 
 MAX_EVENTS = 10_000
 """Events that are kept; a log with more is shuffled or its clock is broken."""
+BLOCK_ROWS = 1000
+"""Rows of the history that are kept as numbers in an array, once there are so many."""
 LATEST_US = 2**62
 """Times of day are kept within this [us]: a damaged stamp must not overflow."""
 _UPPER = (0, 1, 2, 4, 5, 8)
@@ -43,9 +45,11 @@ class Recorder:
     def __init__(self, signals: bool) -> None:
         self._signals = signals
         self._snapshots: list[tuple[float, Snapshot]] = []
-        self._rows: list[tuple[Any, ...]] = []
+        self._states: list[str] = []
+        self._rows: list[list[float]] = []
+        self._blocks: list[Array] = []
         self._known: MountEstimate | None = None
-        self._figures: tuple[Any, ...] = ()
+        self._figures: list[float] = []
         self._events: list[tuple[float, str, str, int, float]] = []
         self.events_left_out = 0
         self._state = "waiting"
@@ -66,8 +70,11 @@ class Recorder:
             estimate = snapshot.estimate
             if estimate is not self._known:
                 self._known, self._figures = estimate, _history_figures(estimate)
-            state = estimate.state.name.lower()
-            self._rows.append((snapshot.t, state, snapshot.usable, *self._figures))
+            self._states.append(self._state)
+            self._rows.append([snapshot.t, float(snapshot.usable), *self._figures])
+            if len(self._rows) == BLOCK_ROWS:
+                self._blocks.append(np.array(self._rows))
+                self._rows = []
 
     def samples(self, found: SegmentSamples) -> None:
         """Take the samples of a segment."""
@@ -118,10 +125,10 @@ class Recorder:
 
     def history(self, lead: float) -> Columns:
         """The estimate at whole seconds of stream time; lead: see `runtime.replay`."""
-        cells = [list(cell) for cell in zip(*self._rows, strict=True)]
-        t = np.array(cells[0]) if cells else np.zeros(0)
-        rest = cells[1:] if cells else [[] for _ in HISTORY_COLUMNS[2:]]
-        return columns_from(HISTORY_COLUMNS, [t + lead, self._times(t), *rest])
+        rows = np.array(self._rows).reshape(len(self._rows), len(HISTORY_COLUMNS) - 2)
+        t, usable, *rest = np.concatenate([*self._blocks, rows]).T
+        times = [t + lead, self._times(t)]
+        return columns_from(HISTORY_COLUMNS, [*times, self._states, usable > 0.0, *rest])
 
     def events(self, lead: float, engine: Engine) -> Columns:
         """Changes of state, shifts, contradictions, segments, and faults of sensors."""
@@ -152,7 +159,7 @@ class Recorder:
         return microseconds(t + offsets[of])
 
 
-def _history_figures(e: MountEstimate) -> tuple[Any, ...]:
+def _history_figures(e: MountEstimate) -> list[float]:
     """A row of the history from its angles on."""
     nothing = (math.nan,)
     angles = nothing * 3 if e.angles is None else [a * DEG_PER_RAD for a in e.angles]
@@ -161,7 +168,7 @@ def _history_figures(e: MountEstimate) -> tuple[Any, ...]:
     if e.covariance is not None:
         flat = e.covariance.ravel().tolist()
         covariance = [flat[i] * DEG_PER_RAD**2 for i in _UPPER]
-    return (*angles, *quaternion, *covariance)
+    return [*angles, *quaternion, *covariance]
 
 
 def _gap_text(before: float, stamp: float) -> str:

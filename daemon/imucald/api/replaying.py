@@ -11,7 +11,7 @@ from imucald.api.configuration import Configuration
 from imucald.api.drive import DriveResult
 from imucald.api.drives import DriveSet
 from imucald.api.logs import LogSource
-from imucald.api.run import Progress, Run, require_frames
+from imucald.api.run import Progress, ReplayRun, require_frames
 from imucald.core.errors import LogError
 
 OneLog = str | os.PathLike[str] | BinaryIO
@@ -92,7 +92,7 @@ def _replayed(
     progress: Callable[[int, int | None], None] | None,
     strict: bool,
 ) -> DriveResult:
-    run = Run(config, logs, signals, progress, strict)
+    run = ReplayRun(config, logs, signals, progress, strict)
     for _ in run.chunks():
         pass
     return require_frames(run.result())

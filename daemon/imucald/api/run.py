@@ -50,11 +50,6 @@ def _both(first: Callable[[_T], None], second: Callable[[_T], None]) -> Callable
     return both
 
 
-def pieces(log: LogSource | Sequence[LogSource]) -> Sequence[LogSource]:
-    """The pieces of a recording that may be in one."""
-    return log if isinstance(log, list | tuple) else [log]
-
-
 def require_frames(drive: DriveResult) -> DriveResult:
     """The drive as it is; raises NoFramesError where its logs held no frame at all."""
     if drive.frames["read"] == 0:
@@ -88,7 +83,7 @@ class _WatchedReader(LogReader):
             yield chunk
 
 
-class Run:
+class ReplayRun:
     """Logs that are the pieces of one recording, on their way through an engine of their own.
 
     sink: takes the frames that would be sent. speed: 1 is real time, None as fast as it goes.

@@ -9,13 +9,13 @@ from pathlib import Path
 from imucald.api.columns import Columns
 from imucald.api.configuration import Configuration, PathLike
 from imucald.api.drive import DriveResult, drive_plain
-from imucald.api.logs import LogSource
-from imucald.api.run import Progress, Run, pieces, require_frames
+from imucald.api.logs import LogSource, pieces
+from imucald.api.run import Progress, ReplayRun, require_frames
 from imucald.api.table_access import TableAccess
 from imucald.core.errors import ImucaldError
 
-PART_ROWS = 250_000
-"""Rows, of all tables together, that make a part (some 10 MiB)."""
+PART_ROWS = 150_000
+"""Rows, of all tables together, that make a part (some 6 MiB)."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,7 +37,7 @@ class DrivePart(TableAccess):
 class DriveStream:
     """A replay on its way: iterate over its parts once, then ask for its `result`."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: ReplayRun) -> None:
         self._run = run
         self._begun = False
         self._result: DriveResult | None = None
@@ -97,7 +97,7 @@ def stream(
     The samples are those of `replay`; arguments and errors are the same. log: one, or a list of
     the pieces of one recording in their order.
     """
-    return DriveStream(Run(config, pieces(log), True, progress, strict))
+    return DriveStream(ReplayRun(config, pieces(log), True, progress, strict))
 
 
 def _part(tables: dict[str, Columns]) -> DrivePart:

@@ -19,14 +19,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-class TableAccess:
-    """Tables by name: "accel", "gyro", "mag", "parallel/NAME" corrected to vehicle axes,
-    "raw/CHANNEL" as the sensors gave them, "history" (1 Hz) and "events".
-
-    Every table begins with `t_s`, seconds from the log's first frame, which never run backwards,
-    and `time`, what the log says (UTC). The unit is in a column's name, in its field's metadata,
-    and, under "imucald" and "PANDAS_ATTRS", in the schema's.
-    """
+class NamedTables:
+    """Tables by name, for the libraries that there are for tables."""
 
     tables: Mapping[str, Columns]
 
@@ -43,6 +37,31 @@ class TableAccess:
         Raises ImucaldError where there is no such table.
         """
         return to_arrow(self._named(table), {"table": table, "axes": axes_of(table)})
+
+    def numpy(self, table: str) -> dict[str, NDArray[Any]]:
+        """A table as arrays (N,) by column; `time` is in microseconds since 1970 (int64).
+
+        Numbers that are not known are NaN. Raises ImucaldError where there is no such table.
+        """
+        return {name: array.copy() for name, array in self._named(table).as_dict().items()}
+
+    def to_pandas(self, table: str) -> pd.DataFrame:
+        """A table for pandas (the extra "pandas"); `attrs["units"]` has the unit by column."""
+        return to_pandas(self._named(table), table)
+
+    def to_polars(self, table: str) -> pl.DataFrame:
+        """A table for polars (the extra "polars")."""
+        return to_polars(self._named(table))
+
+
+class TableAccess(NamedTables):
+    """Tables by name: "accel", "gyro", "mag", "parallel/NAME" corrected to vehicle axes,
+    "raw/CHANNEL" as the sensors gave them, "history" (1 Hz) and "events".
+
+    Every table begins with `t_s`, seconds from the log's first frame, which never run backwards,
+    and `time`, what the log says (UTC). The unit is in a column's name, in its field's metadata,
+    and, under "imucald" and "PANDAS_ATTRS", in the schema's.
+    """
 
     @property
     def accel(self) -> pa.Table:
@@ -92,21 +111,6 @@ class TableAccess:
         clock was set), "sensor_fault". Times are when it was noticed.
         """
         return self.arrow(EVENTS)
-
-    def numpy(self, table: str) -> dict[str, NDArray[Any]]:
-        """A table as arrays (N,) by column; `time` is in microseconds since 1970 (int64).
-
-        Numbers that are not known are NaN. Raises ImucaldError where there is no such table.
-        """
-        return {name: array.copy() for name, array in self._named(table).as_dict().items()}
-
-    def to_pandas(self, table: str) -> pd.DataFrame:
-        """A table for pandas (the extra "pandas"); `attrs["units"]` has the unit by column."""
-        return to_pandas(self._named(table), table)
-
-    def to_polars(self, table: str) -> pl.DataFrame:
-        """A table for polars (the extra "polars")."""
-        return to_polars(self._named(table))
 
     def resample(self, rate_hz: float, quantities: Sequence[str] = ("accel", "gyro")) -> pa.Table:
         """Join tables of samples at one rate. This is the only join there is.

@@ -44,10 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Look, then tell."""
+    from imucald.api.checking import check, check_report
+    from imucald.api.configuration import Configuration
     from imucald.commands.files import check_files
-    from imucald.config_check import Check
+    from imucald.commands.terminal import progress_bar
     from imucald.core.errors import ConfigError
-    from imucald.runtime.session import open_config
     from imucald.service.start_check import check_start
 
     if options.logs and (options.interface or options.channel):
@@ -55,14 +56,20 @@ def run(options: argparse.Namespace) -> int:
     if not options.seconds > 0:
         raise ConfigError("--seconds must be positive")
     check_files((options.config, *options.database, *options.logs), ())
-    loaded = open_config(options.config, options.database)
-    check = Check(loaded, "the log holds no frame") if options.logs else _for_a_bus(loaded, options)
-    check_start(loaded)
+    config = Configuration.load(options.config, options.database)
+    for text in config.warnings:
+        print(f"imucald: warning: {text}", file=sys.stderr)
+    check_start(config.loaded)
     if options.logs:
-        _read(check, options.logs)
+        with progress_bar("check") as progress:
+            found = check(config, options.logs, progress=progress)
+        for text in found.problems:
+            print(f"imucald: {text}", file=sys.stderr)
     else:
-        _listen(check, loaded, options)
-    report = check.report()
+        checker = _for_a_bus(config.loaded, options)
+        _listen(checker, config.loaded, options)
+        found = check_report(checker)
+    report = found.to_dict()
     passed = report["usable"] and not (options.strict and report["warnings"])
     if options.json:
         json.dump(report, sys.stdout, indent=2, allow_nan=False, ensure_ascii=False)
@@ -88,19 +95,6 @@ def _for_a_bus(loaded: LoadedConfig, options: argparse.Namespace) -> Check:
         )
     text = f"listened {options.seconds:g} s on {channel}: no frame at all. Look at {remedy}"
     return Check(loaded, text)
-
-
-def _read(check: Check, logs: list[str]) -> None:
-    from imucald.can.logs.log_reader import LogReader
-    from imucald.commands.terminal import progress_bar
-
-    with progress_bar("check") as progress:
-        reader = LogReader(logs, None, False, progress, check.router.stated_cycles)
-        for chunk in reader:
-            check.feed(chunk)
-    check.bad_lines.update(reader.rejected)
-    for text in reader.problems:
-        print(f"imucald: {text}", file=sys.stderr)
 
 
 def _listen(check: Check, loaded: LoadedConfig, options: argparse.Namespace) -> None:

@@ -5,22 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from imucald.commands.options import add_config
 
 if TYPE_CHECKING:
-    from imucald.config import LoadedConfig
+    from imucald.api.configuration import Configuration
     from imucald.diagnosis.recording import Recording
     from imucald.diagnosis.result import Diagnosis
-    from imucald.model.model import VehicleModel
 
 PAGE = "index.html"
-FEW_REJECTED = 1e-4
-"""Share of frames that may be rejected without a word: a damaged line or two."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,25 +67,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read, diagnose, then tell in every way that was asked for."""
+    from imucald.api.configuration import Configuration
+    from imucald.api.diagnosing import diagnosis_of
+    from imucald.commands.diagnose_view import share_bar
     from imucald.commands.files import STANDARD, write_text
-    from imucald.runtime.session import open_config
     from imucald.simulation import load_model
 
     _check(options)
     model = load_model(options.model) if options.model else None
-    loaded = open_config(options.config, options.database)
-    recordings = [_read(loaded, log, options) for log in options.logs]
-    diagnosis = _diagnosed(loaded, recordings, model, options)
+    config = Configuration.load(options.config, options.database)
+    for text in config.warnings:
+        print(f"imucald: warning: {text}", file=sys.stderr)
+    recordings = [_read(config, log, options) for log in options.logs]
+    with share_bar("diagnosis", options.quiet) as progress:
+        limit = options.time_limit
+        found = diagnosis_of(config, options.logs, recordings, model, limit, progress)
     if options.json:
-        write_text(options.json, _json(diagnosis, options.logs))
+        text = json.dumps(found.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
+        write_text(options.json, f"{text}\n")
     if options.write_model:
-        write_text(options.write_model, _model_text(diagnosis, recordings))
+        write_text(options.write_model, found.model_text())
     if options.report:
-        _write_report(diagnosis, options)
+        _write_report(found.diagnosis, options)
     if STANDARD not in (options.json, options.write_model) and not options.quiet:
         from imucald.commands.diagnose_view import print_diagnosis
 
-        print_diagnosis(diagnosis)
+        print_diagnosis(found.diagnosis)
         _print_written(options)
     return 0
 
@@ -121,87 +123,15 @@ def _check(options: argparse.Namespace) -> None:
     check_files(inputs, outputs)
 
 
-def _read(loaded: LoadedConfig, log: str, options: argparse.Namespace) -> Recording:
+def _read(config: Configuration, log: str, options: argparse.Namespace) -> Recording:
     from imucald.commands.terminal import progress_bar
     from imucald.diagnosis.recording import read_samples
 
     with progress_bar(f"reading {Path(log).name}", options.quiet) as progress:
-        recording = read_samples(loaded, [log], progress, options.strict)
+        recording = read_samples(config.loaded, [log], progress, options.strict)
     for text in recording.problems:
         print(f"imucald: {text}", file=sys.stderr)
     return recording
-
-
-def _diagnosed(
-    loaded: LoadedConfig,
-    recordings: Sequence[Recording],
-    model: VehicleModel | None,
-    options: argparse.Namespace,
-) -> Diagnosis:
-    from imucald.commands.diagnose_view import share_bar
-    from imucald.core.errors import EstimateError
-    from imucald.diagnosis.diagnose import diagnose
-
-    drives = [recording.samples for recording in recordings]
-    notes = [note for recording in recordings for note in _reading_notes(recording)]
-    with share_bar("diagnosis", options.quiet) as progress:
-        try:
-            if model is None:
-                from imucald.diagnosis.baseline import baseline_model
-
-                progress(0.0, "baseline model")
-                model = baseline_model(loaded, recordings)
-            diagnosis = diagnose(drives, model, progress, options.time_limit)
-        except EstimateError as error:
-            if not notes:
-                raise
-            raise EstimateError(f"{error} ({'; '.join(notes)})") from None
-    return replace(diagnosis, notes=(*diagnosis.notes, *notes))
-
-
-def _reading_notes(recording: Recording) -> list[str]:
-    """What reading a log came to, where it was not all well."""
-    notes = []
-    bad = sum(recording.rejected.values())
-    if bad > FEW_REJECTED * recording.frames_read:
-        reasons = ", ".join(f"{reason} {n}" for reason, n in recording.rejected.items())
-        notes.append(f"{recording.name}: {bad} frames or samples were rejected ({reasons})")
-    if recording.gaps:
-        times = ", ".join(f"{t:.0f}" for t in recording.gaps[:5])
-        more = ", ..." if len(recording.gaps) > 5 else ""
-        notes.append(f"{recording.name}: holes or steps of the clock before {times}{more} s")
-    return notes
-
-
-def _json(diagnosis: Diagnosis, logs: Sequence[str]) -> str:
-    """The documented keys, which logs they are of, and what changes in the model file."""
-    from imucald.report.model_changes import model_changes
-
-    changes = model_changes(diagnosis.model_before, diagnosis.model_after)
-    result: dict[str, Any] = {
-        **diagnosis.as_json(),
-        "logs": list(logs),
-        "model_changes": {c.key: {"before": c.before, "after": c.after} for c in changes},
-    }
-    return json.dumps(result, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def _model_text(diagnosis: Diagnosis, recordings: Sequence[Recording]) -> str:
-    """The extended model with a head that says where it comes from."""
-    from imucald import __version__
-    from imucald.report.model_changes import model_changes, value_text
-    from imucald.report.numbers import duration
-    from imucald.report.wording import verdict
-
-    head = [f"VehicleModel file written by imucald diagnose {__version__} from:"]
-    head += [f"  {r.name} ({duration(r.duration_s)})" for r in recordings]
-    head.append(verdict(diagnosis).headline)
-    changes = model_changes(diagnosis.model_before, diagnosis.model_after)
-    head += [f"  {c.key}: {value_text(c.before)} -> {value_text(c.after)}" for c in changes]
-    if not changes:
-        head.append("  no key was changed")
-    lines = ("".join(c if c.isprintable() else "?" for c in line) for line in head)
-    return "".join(f"# {line}\n" for line in lines) + diagnosis.model_after.to_yaml()
 
 
 def _write_report(diagnosis: Diagnosis, options: argparse.Namespace) -> None:

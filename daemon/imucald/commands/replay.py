@@ -161,16 +161,15 @@ def _replayed(
     page: ReplayReport | None,
 ) -> tuple[DriveResult, list[Path]]:
     """Replay one recording; return what came of it, and the files that were written."""
-    from imucald.api.run import Run
+    from imucald.api.run import ReplayRun
     from imucald.api.streaming import DriveStream
     from imucald.commands.terminal import progress_bar
     from imucald.core.errors import LogError
 
     with progress_bar("replay", options.quiet) as progress:
         watcher = None if page is None else page.history
-        run = Run(
-            config, logs, path is not None, progress, options.strict, sink, options.speed, watcher
-        )
+        signals, strict, speed = path is not None, options.strict, options.speed
+        run = ReplayRun(config, logs, signals, progress, strict, sink, speed, watcher)
         stream = DriveStream(run)
         written: list[Path] = []
         try:
@@ -258,10 +257,10 @@ def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
         format_of(options.write)
     written = _paths(options.write, logs) if several else [options.write]
     check_files(inputs, (options.out, options.json, *written))
-    if several and (options.out or options.speed is not None):
+    if several and (options.out or options.report or options.speed is not None):
         raise ConfigError(
-            "several logs are several drives: --out and --speed take one, or the pieces of one "
-            "with --joined"
+            "several logs are several drives: --out, --report and --speed take one, or the pieces "
+            "of one with --joined"
         )
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Mapping
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -18,6 +21,8 @@ from imucald.core.errors import ImucaldError
 
 ATTACHMENT = "imucald.json"
 ENCODING = "utf-8"
+SIGNATURE = b"MDF     "
+"""The first bytes of every MDF file."""
 
 
 class Mf4Tables:
@@ -38,9 +43,7 @@ class Mf4Tables:
             self._mdf.extend(self._groups[name], [(array, None) for array in arrays])
             return
         signals = [
-            self._asammdf.Signal(
-                array, arrays[0], name=c.name, unit=_unit(c), encoding=ENCODING, raw=True
-            )
+            self._asammdf.Signal(array, arrays[0], name=c.name, unit=_unit(c), encoding=ENCODING)
             for c, array in zip(rows.columns[1:], arrays[1:], strict=True)
         ]
         comment = f"{name}; axes: {axes_of(name)}"
@@ -78,35 +81,46 @@ def _stored(column: TableColumn, array: NDArray[Any]) -> NDArray[Any]:
     return array.view(np.uint8) if column.kind == "bool" else array
 
 
-def open_file(path: Path) -> Any:
+def _close_half_made(error: Exception) -> None:
+    """Close what asammdf began to make of a damaged file, which would fail when it is collected."""
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        half_made: Any = frame.f_locals.get("self")
+        with contextlib.suppress(Exception):
+            half_made.close()
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
     """Open a file. Raises ImucaldError for one that imucald did not write."""
-    mdf = library("asammdf", "mf4").MDF(path)
-    if not any(str(a.file_name) == ATTACHMENT for a in mdf.attachments):
-        mdf.close()
-        raise ImucaldError(f"{path}: was not written by imucald")
-    return mdf
+    asammdf = library("asammdf", "mf4")
+    with path.open("rb") as file:
+        if file.read(len(SIGNATURE)) != SIGNATURE:
+            raise ImucaldError(f"{path}: is no MF4 file")
+        file.seek(0)
+        try:
+            opening = asammdf.MDF(file)
+        except Exception as error:
+            _close_half_made(error)
+            raise
+        with opening as mdf:
+            if not any(str(a.file_name) == ATTACHMENT for a in mdf.attachments):
+                raise ImucaldError(f"{path}: was not written by imucald")
+            yield mdf
 
 
 def read_about(path: Path) -> dict[str, Any]:
     """What a file tells of itself."""
-    mdf = open_file(path)
-    try:
+    with opened(path) as mdf:
         (found,) = [a for a in mdf.attachments if str(a.file_name) == ATTACHMENT]
         about: dict[str, Any] = json.loads(found.extract())
-    finally:
-        mdf.close()
     return about
 
 
 def read_tables(path: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
     """The tables of a file."""
-    mdf = open_file(path)
-    try:
-        return {
-            name: _read(mdf, about["groups"].get(name), columns) for name, columns in tables.items()
-        }
-    finally:
-        mdf.close()
+    groups = about["groups"]
+    with opened(path) as mdf:
+        return {name: _read(mdf, groups.get(name), columns) for name, columns in tables.items()}
 
 
 def _read(mdf: Any, group: int | None, columns: tuple[TableColumn, ...]) -> Columns:

@@ -1,0 +1,178 @@
+"""`imucald.diagnose`: what the simulation gets wrong beside measured drives, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from imucald import __version__
+from imucald.api.configuration import Configuration, PathLike
+from imucald.api.html import html_table
+from imucald.api.logs import pieces
+from imucald.api.run import Progress
+from imucald.core.errors import ConfigError, EstimateError, ImucaldError
+from imucald.diagnosis.baseline import baseline_model
+from imucald.diagnosis.diagnose import diagnose as diagnosed
+from imucald.diagnosis.recording import Recording, read_samples
+from imucald.diagnosis.result import Diagnosis
+from imucald.model.model import VehicleModel, load_model
+from imucald.report.model_changes import model_changes, value_text
+from imucald.report.numbers import duration
+from imucald.report.wording import verdict
+
+FEW_REJECTED = 1e-4
+"""Share of frames that may be rejected without a word: a damaged line or two."""
+TIME_LIMIT_S = 300.0
+"""Processor time that a diagnosis may take, where nothing else is said."""
+Share = Callable[[float, str], None]
+"""Called with the share that is done (0 to 1), and what is being done."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnosisResult:
+    """What a diagnosis of drives says.
+
+    logs: of the drives. verdict: "found", "ambiguous", "unknown" or "nothing". causes: names of
+    those that are certain, see docs/diagnosis.md. headline: the verdict in words. notes: what
+    should be known. complete: whether the time was enough. problems: the first bad lines.
+    """
+
+    logs: tuple[str, ...]
+    verdict: str
+    causes: tuple[str, ...]
+    headline: str
+    notes: tuple[str, ...]
+    complete: bool
+    problems: tuple[str, ...]
+    diagnosis: Diagnosis
+    """All of it, for the package's own use."""
+    durations_s: tuple[float, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Exactly what `imucald diagnose --json` writes, as plain data."""
+        found = self.diagnosis
+        changes = model_changes(found.model_before, found.model_after)
+        return {
+            **found.as_json(),
+            "logs": list(self.logs),
+            "model_changes": {c.key: {"before": c.before, "after": c.after} for c in changes},
+        }
+
+    def model_text(self) -> str:
+        """The extended model file (YAML), with a head that says where it comes from."""
+        found = self.diagnosis
+        head = [f"VehicleModel file written by imucald diagnose {__version__} from:"]
+        head += [
+            f"  {Path(log).name} ({duration(length)})"
+            for log, length in zip(self.logs, self.durations_s, strict=True)
+        ]
+        head.append(self.headline)
+        changes = model_changes(found.model_before, found.model_after)
+        head += [f"  {c.key}: {value_text(c.before)} -> {value_text(c.after)}" for c in changes]
+        if not changes:
+            head.append("  no key was changed")
+        lines = ("".join(c if c.isprintable() else "?" for c in line) for line in head)
+        return "".join(f"# {line}\n" for line in lines) + found.model_after.to_yaml()
+
+    def write_model(self, path: PathLike) -> Path:
+        """Write the extended model file, for the configuration's key `model:`; return its path.
+
+        Raises ImucaldError where it cannot be written.
+        """
+        file = Path(path)
+        try:
+            file.write_text(self.model_text(), encoding="utf-8")
+        except OSError as error:
+            reason = error.strerror or error
+            raise ImucaldError(f"{file}: cannot be written: {reason}") from None
+        return file
+
+    def __repr__(self) -> str:
+        causes = ", ".join(self.causes) or "none"
+        return f"Diagnosis of {len(self.logs)} drives: {self.headline}\n  causes: {causes}"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        rows = ([cause.name, cause.text] for cause in self.diagnosis.causes)
+        return html_table((self.headline, ""), rows)
+
+
+def diagnose(
+    config: Configuration,
+    logs: PathLike | Sequence[PathLike],
+    *,
+    model: PathLike | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
+    progress: Share | None = None,
+    reading: Progress | None = None,
+    strict: bool = False,
+) -> DiagnosisResult:
+    """Say what the simulation with a model gets wrong beside measured drives of one vehicle.
+
+    The result is that of `imucald diagnose`. logs: one drive each, with the sensor in its place.
+    model: the model file to put to the test; None: a plain car with the configuration's figures
+    and the mount that the drives give. time_limit_s: processor time after which what was found so
+    far is told. progress: called with the share done and what is being done; reading: with bytes.
+    strict: the first bad line raises LogError.
+
+    Raises ConfigError (configuration, model file, a log given twice), LogError for a log that
+    cannot be read or has no usable frame, ImucaldError where nothing can be diagnosed.
+    """
+    names = [str(log) for log in pieces(logs)]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise ConfigError(f"{', '.join(sorted(twice))} is given twice: a drive counts once")
+    vehicle = load_model(Path(model)) if model is not None else None
+    recordings = [read_samples(config.loaded, [name], reading, strict) for name in names]
+    return diagnosis_of(config, names, recordings, vehicle, time_limit_s, progress)
+
+
+def diagnosis_of(
+    config: Configuration,
+    logs: Sequence[str],
+    recordings: Sequence[Recording],
+    model: VehicleModel | None,
+    time_limit_s: float,
+    progress: Share | None = None,
+) -> DiagnosisResult:
+    """Diagnose drives that have been read; see `diagnose`."""
+    drives = [recording.samples for recording in recordings]
+    notes = [note for recording in recordings for note in _reading_notes(recording)]
+    try:
+        if model is None:
+            if progress is not None:
+                progress(0.0, "baseline model")
+            model = baseline_model(config.loaded, recordings)
+        found = diagnosed(drives, model, progress, time_limit_s)
+    except EstimateError as error:
+        if not notes:
+            raise
+        raise EstimateError(f"{error} ({'; '.join(notes)})") from None
+    found = replace(found, notes=(*found.notes, *notes))
+    return DiagnosisResult(
+        logs=tuple(logs),
+        verdict=found.verdict,
+        causes=tuple(cause.name for cause in found.causes),
+        headline=verdict(found).headline,
+        notes=found.notes,
+        complete=found.complete,
+        problems=tuple(text for recording in recordings for text in recording.problems),
+        diagnosis=found,
+        durations_s=tuple(recording.duration_s for recording in recordings),
+    )
+
+
+def _reading_notes(recording: Recording) -> list[str]:
+    """What reading a log came to, where it was not all well."""
+    notes = []
+    bad = sum(recording.rejected.values())
+    if bad > FEW_REJECTED * recording.frames_read:
+        reasons = ", ".join(f"{reason} {n}" for reason, n in recording.rejected.items())
+        notes.append(f"{recording.name}: {bad} frames or samples were rejected ({reasons})")
+    if recording.gaps:
+        times = ", ".join(f"{t:.0f}" for t in recording.gaps[:5])
+        more = ", ..." if len(recording.gaps) > 5 else ""
+        notes.append(f"{recording.name}: holes or steps of the clock before {times}{more} s")
+    return notes

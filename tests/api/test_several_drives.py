@@ -1,0 +1,64 @@
+"""Several logs are several drives; overlaps and mounts that were moved between them are told."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+from replayed_drive import config
+
+import imucald
+import shuttle
+from imucald.api.drives import names_apart
+
+
+def test_several_logs_are_several_drives(tmp_path):
+    first = shuttle.write(tmp_path, yaw_deg=25.0)
+    (tmp_path / "shuttle.log").rename(tmp_path / "a.log")
+    shuttle.write(tmp_path, yaw_deg=25.0, t0=1.6e9 + 1000)
+    (tmp_path / "shuttle.log").rename(tmp_path / "b.log")
+    shuttle.write(tmp_path, yaw_deg=35.0, t0=1.6e9 + 2000)
+    (tmp_path / "shuttle.log").rename(tmp_path / "c.log")
+    (tmp_path / "d.log").write_bytes((tmp_path / "c.log").read_bytes())
+    shuttle.write(tmp_path, yaw_deg=35.0, t0=1.6e9 + 2010)
+    (tmp_path / "shuttle.log").rename(tmp_path / "e.log")
+    loaded = imucald.Config.load(first)
+    names = imucald.find_logs(tmp_path)
+    assert [name.name for name in names] == ["a.log", "b.log", "c.log", "d.log", "e.log"]
+    found = imucald.replay(loaded, names, signals=False)
+    assert [round(drive.mount.yaw_deg) for drive in found] == [25, 25, 35, 35, 35]
+    alone = imucald.replay(loaded, tmp_path / "b.log", signals=False)
+    assert found[1].to_dict() == alone.to_dict()
+    notes = "\n".join(found.notes)
+    assert "d.log is the same recording as" in notes
+    assert "e.log begins" in notes
+    moved = [note for note in found.notes if "the mount was moved" in note]
+    assert len(moved) == 1
+    assert "b.log and" in moved[0]
+    assert "c.log" in moved[0]
+    frame = found.to_pandas()
+    assert len(frame) == 5
+    assert list(frame["log"]) == [str(name) for name in names]
+    assert "was moved" in found._repr_html_()
+    assert len(repr(found).splitlines()) <= 5
+    assert pickle.loads(pickle.dumps(found)).to_dict() == found.to_dict()
+    joined = imucald.replay(loaded, names[:2], joined=True, signals=False)
+    assert joined.to_dict()["frames"]["read"] == sum(d.frames["read"] for d in found.drives[:2])
+
+
+@pytest.mark.parametrize(("logs", "names"), [
+    (["a/1.log", "a/2.log.gz", "2026.11.22.blf"], ["1", "2", "2026.11.22"]),
+    (["mon/can.log.gz", "tue/can.log.gz", "x.log"], ["mon-can", "tue-can", "x"]),
+    (["can.log", "can.log", "-"], ["can", "can-2", "-"]),
+])  # fmt: skip
+def test_files_of_several_drives_are_called_after_their_logs(logs, names):
+    assert names_apart(logs) == names
+
+
+def test_a_folder_is_no_log_and_an_empty_one_holds_none(tmp_path):
+    with pytest.raises(imucald.LogError, match="is a folder"):
+        imucald.replay(config(), tmp_path)
+    with pytest.raises(imucald.LogError, match="no log is there"):
+        imucald.find_logs(tmp_path)
+    with pytest.raises(imucald.LogError, match="no log to replay"):
+        imucald.replay(config(), [])

@@ -1,0 +1,238 @@
+"""Results as files: what is written comes back to the last bit, and others read it with units."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from replayed_drive import config, drive, log
+
+import imucald
+
+asammdf = pytest.importorskip("asammdf")
+duckdb = pytest.importorskip("duckdb")
+pandas = pytest.importorskip("pandas")
+polars = pytest.importorskip("polars")
+parquet = pytest.importorskip("pyarrow.parquet")
+mcap_reader = pytest.importorskip("mcap.reader")
+
+FORMATS = ("parquet", "csv", "mf4", "mcap")
+EVERYTHING = ("accel", "gyro", "raw", "history", "events")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """The drive in every format."""
+    found = tmp_path_factory.mktemp("written")
+    for ending in FORMATS:
+        drive().write(found / f"drive.{ending}", EVERYTHING)
+    return found
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_what_is_written_comes_back_to_the_last_bit(folder, ending):
+    again = imucald.open_result(folder / f"drive.{ending}")
+    assert list(again.tables) == list(drive().tables)
+    assert len(again.tables) > 10
+    for name, table in drive().tables.items():
+        assert again.tables[name].columns == table.columns
+        for mine, theirs in zip(table.arrays, again.tables[name].arrays, strict=True):
+            assert theirs.dtype == mine.dtype
+            assert np.array_equal(mine, theirs, equal_nan=mine.dtype.kind == "f")
+    assert np.isnan(drive().tables["accel"].arrays[2]).any(), "nulls are among what came back"
+    assert again.to_dict() == drive().to_dict()
+    assert np.array_equal(again.mount.covariance_deg2, drive().mount.covariance_deg2)
+    assert again.mount.quaternion_wxyz == drive().mount.quaternion_wxyz
+    assert (again.logs, again.start, again.end) == (drive().logs, drive().start, drive().end)
+
+
+def test_pandas_reads_parquet_with_units(folder):
+    frame = pandas.read_parquet(folder / "drive.accel.parquet")
+    assert frame.attrs["units"]["accel_x_mps2"] == "m/s^2"
+    assert frame.attrs["units"]["t_s"] == "s"
+    mine = drive().to_pandas("accel")
+    assert mine.attrs == frame.attrs
+    assert np.array_equal(frame["accel_y_mps2"], mine["accel_y_mps2"], equal_nan=True)
+    assert (frame["time"] == mine["time"]).all()
+    assert str(frame["time"].iloc[0]).startswith("2020-09-13 12:26:40")
+
+
+def test_polars_reads_parquet_with_units(folder):
+    file = folder / "drive.gyro.parquet"
+    keys = polars.read_parquet_metadata(file)
+    assert json.loads(keys["imucald"])["units"]["gyro_z_radps"] == "rad/s"
+    frame = polars.read_parquet(file)
+    assert frame.equals(drive().to_polars("gyro"))
+    assert frame["gyro_x_radps"].null_count() == (drive().tables["gyro"]["quality"] == 0).sum() > 0
+
+
+def one_row(query: str):
+    (row,) = duckdb.sql(query).fetchall()
+    return row
+
+
+def test_duckdb_reads_parquet_with_units(folder):
+    file = str(folder / "drive.accel.parquet")
+    count, low = one_row(f"select count(accel_z_mps2), min(t_s) from '{file}' where quality >= 2")
+    table = drive().tables["accel"]
+    good = table["quality"] >= 2
+    assert (count, low) == (np.count_nonzero(good), table["t_s"][good][0])
+    (text,) = one_row(
+        f"select decode(value) from parquet_kv_metadata('{file}') where decode(key) = 'imucald'"
+    )
+    told = json.loads(text)
+    assert told["units"]["accel_z_mps2"] == "m/s^2"
+    assert told["drive"]["result"] == drive().to_dict()
+
+
+def test_arrow_has_the_unit_at_the_field(folder):
+    for schema in (parquet.read_schema(folder / "drive.accel.parquet"), drive().accel.schema):
+        assert schema.field("accel_x_mps2").metadata == {b"unit": b"m/s^2"}
+        assert str(schema.field("time").type) == "timestamp[us, tz=UTC]"
+
+
+def test_every_unit_stands_in_the_name_of_its_column():
+    suffix = {"m/s^2": "mps2", "rad/s": "radps", "T": "tesla", "m/s": "mps", "rad": "rad",
+              "deg": "deg", "deg^2": "deg2", "s": "s", "degC": "degc"}  # fmt: skip
+    seen = set()
+    for table in drive().tables.values():
+        for column in table.columns:
+            if column.unit not in ("", "1"):
+                assert column.name.rpartition("_")[2] == suffix[column.unit]
+                seen.add(column.unit)
+    assert seen >= {"m/s^2", "rad/s", "m/s", "rad", "deg", "deg^2", "s"}
+
+
+@pytest.mark.parametrize("name", ["accel", "gyro", "history", "raw_speed"])
+def test_plotjuggler_finds_flat_numeric_columns_and_a_time(folder, name):
+    """Its plug-in takes numbers, booleans and time stamps; a nested column shifts the others."""
+    schema = parquet.read_schema(folder / f"drive.{name}.parquet")
+    kinds = {str(field.type) for field in schema}
+    assert kinds <= {"double", "int8", "bool", "string", "timestamp[us, tz=UTC]"}
+    assert schema.names[0] == "t_s"
+    assert np.all(np.diff(parquet.read_table(folder / f"drive.{name}.parquet")["t_s"]) >= 0)
+
+
+def test_asammdf_reads_mf4_with_units_and_one_group_a_rate(folder):
+    with asammdf.MDF(folder / "drive.mf4") as mdf:
+        signal = mdf.get("accel_x_mps2")
+        assert signal.unit == "m/s^2"
+        table = drive().tables["accel"]
+        assert np.array_equal(signal.timestamps, table["t_s"])
+        assert np.array_equal(signal.samples, table["accel_x_mps2"], equal_nan=True)
+        assert mdf.get("cov_xx_deg2").unit == "deg^2"
+        assert len(mdf.get("cov_xx_deg2").samples) == len(drive().tables["history"])
+        seconds = (mdf.header.start_time - drive().start).total_seconds()
+        assert abs(seconds) < 1e-3
+
+
+def test_mcap_has_messages_shaped_as_foxglove_and_ros_know_them(folder):
+    found: dict[str, list] = {}
+    with (folder / "drive.mcap").open("rb") as file:
+        for schema, channel, message in mcap_reader.make_reader(file).iter_messages():
+            found.setdefault(channel.topic, []).append((schema, message, json.loads(message.data)))
+    schema, message, imu = found["/imu/accel"][-1]
+    assert schema.name == "sensor_msgs/Imu"
+    assert schema.encoding == "jsonschema"
+    assert imu["header"]["frame_id"] == "vehicle"
+    assert imu["angular_velocity_covariance"][0] == imu["orientation_covariance"][0] == -1
+    assert imu["linear_acceleration_covariance"][0] != -1
+    table = drive().tables["accel"]
+    assert imu["linear_acceleration"]["z"] == table["accel_z_mps2"][-1]
+    stamp = imu["header"]["stamp"]
+    assert stamp["sec"] * 10**9 + stamp["nanosec"] == message.log_time == table["time"][-1] * 1000
+    _, _, rate = found["/imu/gyro"][-1]
+    assert rate["angular_velocity"]["x"] == drive().tables["gyro"]["gyro_x_radps"][-1]
+    assert rate["linear_acceleration_covariance"][0] == -1
+    schema, _, transform = found["/mount"][-1]
+    assert schema.name == "foxglove.FrameTransform"
+    q = transform["rotation"]
+    assert (transform["parent_frame_id"], transform["child_frame_id"]) == ("vehicle", "sensor")
+    history = drive().tables["history"]
+    assert [q["w"], q["x"]] == [history["q_w"][-1], history["q_x"][-1]]
+    assert found["/events"][0][0].name == "foxglove.Log"
+    assert all(json.loads(s.data)["type"] == "object" for s, _, _ in (v[0] for v in found.values()))
+
+
+def test_one_table_is_just_that_file(tmp_path):
+    (file,) = drive().write(tmp_path / "a.parquet", "gyro")
+    assert file == tmp_path / "a.parquet"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.parquet"]
+    assert list(imucald.open_result(file).tables) == ["gyro"]
+
+
+def test_all_but_raw_is_written_where_nothing_else_is_said(tmp_path):
+    drive().write(tmp_path / "a.parquet")
+    names = {p.name for p in tmp_path.iterdir()}
+    assert names == {f"a.{n}.parquet" for n in ("accel", "gyro", "history", "events")}
+    with pytest.raises(imucald.ImucaldError, match=r"no table 'akkel'.*accel"):
+        drive().write(tmp_path / "b.parquet", ["akkel"])
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_a_failure_leaves_nothing_and_what_was_there_stays(tmp_path, ending):
+    bad = tmp_path / "bad.log"
+    bad.write_bytes(log().read_bytes()[:3_000_000] + b"no frame\n")
+    out = tmp_path / f"out.{ending}"
+    out.write_text("before")
+    with pytest.raises(imucald.LogError, match=r"bad\.log"):
+        imucald.stream(config(), bad, strict=True).write(out, "accel")
+    assert out.read_text() == "before"
+    assert {p.name for p in tmp_path.iterdir()} == {"bad.log", out.name}
+
+
+@pytest.mark.parametrize("name", ["a.xlsx", "nowhere/a.parquet", "nowhere/a.mcap"])
+def test_a_file_that_cannot_be_written_is_told(tmp_path, name):
+    with pytest.raises(imucald.ImucaldError, match=r"a\."):
+        drive().write(tmp_path / name)
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_a_file_that_is_not_ours_is_told_with_its_name(tmp_path, ending, folder):
+    path = tmp_path / f"other.{ending}"
+    with pytest.raises(imucald.ImucaldError, match=f"other.{ending}"):
+        imucald.open_result(path)
+    path.write_bytes(b"something else")
+    with pytest.raises(imucald.ImucaldError, match=f"other.{ending}"):
+        imucald.open_result(path)
+    whole = (
+        folder / f"drive.accel.{ending}"
+        if ending in ("parquet", "csv")
+        else folder / f"drive.{ending}"
+    ).read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(imucald.ImucaldError, match=f"other.{ending}"):
+        imucald.open_result(path)
+
+
+@pytest.mark.parametrize(("library", "extra", "use"), [
+    ("pyarrow", "arrow", lambda d, _: d.accel),
+    ("pyarrow", "arrow", lambda d, p: d.write(p / "a.parquet")),
+    ("pandas", "pandas", lambda d, _: d.to_pandas("accel")),
+    ("polars", "polars", lambda d, _: d.to_polars("accel")),
+    ("asammdf", "mf4", lambda d, p: d.write(p / "a.mf4")),
+    ("mcap", "mcap", lambda d, p: d.write(p / "a.mcap")),
+    ("matplotlib", "report", lambda d, _: d.plot.mount()),
+])  # fmt: skip
+def test_a_missing_library_is_told_with_the_extra_that_brings_it(
+    monkeypatch, tmp_path, library, extra, use
+):
+    _hide(monkeypatch, library)
+    with pytest.raises(imucald.ImucaldError, match=rf"needs {library}.*imucald\[{extra}\]"):
+        use(drive(), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def _hide(monkeypatch, library):
+    for name in [m for m in sys.modules if m.partition(".")[0] == library]:
+        monkeypatch.delitem(sys.modules, name)
+
+    class Finder:
+        def find_spec(self, name, path=None, target=None):
+            if name.partition(".")[0] == library:
+                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+    monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
