@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from imucald.api.walking import WalkResult, walk
     from imucald.core.errors import ConfigError, ImucaldError, LogError
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _PLACES = {
     "CheckReport": ("api.checking", "CheckReport"),
