@@ -12,6 +12,8 @@ from replayed_drive import config, drive, log
 
 import imucald
 
+pytestmark = pytest.mark.slow
+
 asammdf = pytest.importorskip("asammdf")
 duckdb = pytest.importorskip("duckdb")
 pandas = pytest.importorskip("pandas")

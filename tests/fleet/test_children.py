@@ -21,7 +21,7 @@ from imucald.fleet.task import LogLimits, Outcome, Task
 from imucald.fleet.workers import run_one_log
 
 __all__ = ["children_find_poison"]
-pytestmark = pytest.mark.usefixtures("children_find_poison")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("children_find_poison")]
 
 LIMITS = LogLimits(memory_bytes=512 * 2**20, time_s=1.5)
 

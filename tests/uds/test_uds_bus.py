@@ -15,6 +15,8 @@ from imucald.mount.estimate import MountState
 from imucald.service.uds_host import configuration_identity
 from uds_bus import IDENTIFIERS, RESPONSE, TO_ALL, UdsBench, asking, with_diagnostics
 
+pytestmark = pytest.mark.slow
+
 VIN = b"WVWZZZ1JZXW000001"
 CALIBRATE, RESET = 0xF010, 0xF011
 NOT_CORRECT, DENIED, SEQUENCE = 0x22, 0x33, 0x24

@@ -16,6 +16,8 @@ import pytest
 from simulated_bus import drive_frames
 from uds_bus import REQUEST, RESPONSE, UdsBench, asking, guarded_config, with_diagnostics
 
+pytestmark = pytest.mark.slow
+
 ACCEL_ID = 0x200
 CHECKSUM, COUNTER, CONFLICT = 0xDA1083, 0xDA1082, 0xDA1181
 CONFIRMED = 0x08
