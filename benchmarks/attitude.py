@@ -257,7 +257,7 @@ def check() -> bool:
     rests = find_rests(raw[:, 0], raw[:, 1:], threshold=12.0)
     fit = six_parameters(rests.means)
     known = np.array([33122.0, 33280.0, 32372.0])
-    print(f"{fit.positions} rests; bias {np.round(fit.bias, 1)} counts (known {known}), scale "
+    print(f"{len(rests.means)} rests; bias {np.round(fit.bias, 1)} counts (known {known}), scale "
           f"{np.round(fit.scale, 6)} m/s^2 per count (known 0.00242), residual "
           f"{fit.residual:.4f} m/s^2 rms (known 0.033)")  # fmt: skip
     met = bool(
