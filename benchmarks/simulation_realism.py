@@ -17,9 +17,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from measured import DATA, EXAMPLES
 from numpy.typing import NDArray
 
+from benchmarks.measured import DATA, EXAMPLES
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import load_config
 from imucald.core.rotations import Matrix3, levelling_rotation
