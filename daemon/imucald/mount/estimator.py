@@ -40,7 +40,7 @@ from imucald.mount.shift import Shift
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlock, SignalBlockMaker
 from imucald.mount.slewing import SlewedRotation
 from imucald.mount.solver import MountSolver
-from imucald.mount.states import MountKnowledge, judged, waiting_for
+from imucald.mount.states import MountKnowledge, judged, reported, waiting_for
 from imucald.mount.steering import SteeringOffsetEstimator
 
 Array = NDArray[np.float64]
@@ -365,18 +365,8 @@ class FullEstimator:
         return "more turns and changes of speed, until the signals are seen to agree"
 
     def _state_by(self, found: MountState) -> MountState:
-        """The state to report for the one that the evidence gives."""
-        is_good = found in GOOD
-        if self._faults and (is_good or self._served.correction is not None):
-            return MountState.SUSPECT
-        is_refitting = self._refit is not None
-        is_recovering = self._moved and (is_refitting or not is_good)
         is_serving = self._served.correction is not None
-        if is_recovering and found is MountState.LEVELLED and not is_refitting:
-            return MountState.RECALIBRATING
-        if is_recovering or (is_serving and not is_good):
-            return MountState.SUSPECT
-        return found
+        return reported(found, bool(self._faults), is_serving, self._moved, self._refit is not None)
 
     def _answer(self) -> tuple[Array, Array]:
         """R_vehicle_from_sensor with the crown taken out, and its covariance."""

@@ -46,6 +46,25 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     return best_level(levels, before, yaw, max(roll, pitch), SLACK) or MountState.LEVELLED
 
 
+def reported(
+    found: MountState, has_faults: bool, is_serving: bool, has_moved: bool, is_refitting: bool
+) -> MountState:
+    """Return the state to report for the one that the evidence gives (*usable* or *suspect*, ...).
+
+    has_faults: something contradicts the estimate. is_serving: a rotation is applied already.
+    has_moved: since the mount moved nothing good was found. is_refitting: it is sought anew.
+    """
+    is_good = found in GOOD
+    if has_faults and (is_good or is_serving):
+        return MountState.SUSPECT
+    is_recovering = has_moved and (is_refitting or not is_good)
+    if is_recovering and found is MountState.LEVELLED and not is_refitting:
+        return MountState.RECALIBRATING
+    if is_recovering or (is_serving and not is_good):
+        return MountState.SUSPECT
+    return found
+
+
 def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[str, Missing]]:
     """One reason per angle, in words and as a code; no entry where nothing is missing."""
     if not known.accelerometer:
