@@ -75,12 +75,16 @@ class ConsumerGroup:
             if out:
                 yield frames_part(out, base + int(np.searchsorted(ticks, k, side="right")))
 
+        unfit: list[str] = []
+        unfit_tick = first - 1  # the tick that `unfit` is of: each has some ten samples
         for row, t, channel, values in events_of(routed.samples, self._channels):
             tick = int(ticks[row])
             while k < tick:
                 yield from close(k)
                 k += 1
-            unfit = [c for c, flags in corrections.unfit.items() if flags[tick - first]]
+            if tick != unfit_tick:
+                unfit = [c for c, flags in corrections.unfit.items() if flags[tick - first]]
+                unfit_tick = tick
             for consumer in self.all:
                 hand_on(consumer, t, channel, values, rotations[tick - first], unfit)
         while k < int(ticks[-1]):
