@@ -159,32 +159,39 @@ def test_b2_claims_1_to_3_together_in_one_mode(pitch_deg: float) -> None:
     assert found[True] < 0.1 * found[False]
 
 
-def rest(attitude: CompensatedAttitude, t: float, seconds: float, error: float,
-         with_speed: bool = True) -> float:  # fmt: skip
-    """Stand for some seconds with a zero error about every axis; return the time after it."""
+def fed(
+    attitude: CompensatedAttitude,
+    t: float,
+    seconds: float,
+    error: float,
+    speed: float | None,
+    noise: tuple[float, float],
+) -> float:
+    """Give samples of some seconds with a zero error about every axis; return the time after it.
+
+    noise: standard deviations of angular rate [rad/s] and force [m/s^2].
+    """
     rng = np.random.default_rng(int(t))
     for k in range(round(seconds * 50.0)):
         now = t + 0.02 * k
-        if with_speed and k % 10 == 0:
-            attitude.speed(now, 0.0)
-        w, f = rng.normal(error, 0.001, 3), rng.normal(0.0, 0.01, 3) + UP
+        if speed is not None and k % 10 == 0:
+            attitude.speed(now, speed)
+        w, f = rng.normal(error, noise[0], 3), rng.normal(0.0, noise[1], 3) + UP
         attitude.gyro(now, w.tolist())
         attitude.accel(now, f.tolist())
     return t + seconds
+
+
+def rest(attitude: CompensatedAttitude, t: float, seconds: float, error: float,
+         with_speed: bool = True) -> float:  # fmt: skip
+    """Stand for some seconds; see `fed`."""
+    return fed(attitude, t, seconds, error, 0.0 if with_speed else None, (0.001, 0.01))
 
 
 def drive(attitude: CompensatedAttitude, t: float, seconds: float, error: float,
           with_speed: bool = True) -> float:  # fmt: skip
-    """Drive over rough ground for some seconds."""
-    rng = np.random.default_rng(int(t))
-    for k in range(round(seconds * 50.0)):
-        now = t + 0.02 * k
-        if with_speed and k % 10 == 0:
-            attitude.speed(now, 8.0)
-        w, f = rng.normal(error, 0.05, 3), rng.normal(0.0, 0.6, 3) + UP
-        attitude.gyro(now, w.tolist())
-        attitude.accel(now, f.tolist())
-    return t + seconds
+    """Drive over rough ground for some seconds; see `fed`."""
+    return fed(attitude, t, seconds, error, 8.0 if with_speed else None, (0.05, 0.6))
 
 
 @pytest.mark.parametrize("with_speed", [True, False])

@@ -19,7 +19,6 @@ from imucald.config_check.motion import bridged, smooth
 from imucald.core.errors import DatabaseError
 from imucald.discovery.evidence import factor_of
 from imucald.discovery.recording import Traffic
-from imucald.inputs.units import DIMENSIONS
 from imucald.inputs.value_table import no_values
 from imucald.motion.ticks import TICK_RATE
 
@@ -86,11 +85,6 @@ class SeenSignal:
     def states(self, dimension: str) -> bool:
         """Whether its unit names the dimension."""
         return not self.has_no_unit and factor_of(self.unit, dimension) is not None
-
-    @property
-    def states_other(self) -> bool:
-        """Whether it has a unit of nothing that is looked for, as rpm or V."""
-        return not self.has_no_unit and not any(self.states(d) for d in DIMENSIONS if d != "flag")
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -59,10 +59,6 @@ class Triad:
     def messages(self) -> tuple[str, ...]:
         """Names of their messages."""
         return tuple(dict.fromkeys(m.message.name for m in self.members))
-
-    def with_unit(self, unit: UnitChoice) -> Triad:
-        """The same in another unit."""
-        return replace(self, unit=unit)
 
 
 def accelerometers(candidates: Sequence[SeenSignal]) -> list[Triad]:
