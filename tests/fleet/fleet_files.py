@@ -64,7 +64,7 @@ def environment() -> dict[str, str]:
 
 @pytest.fixture
 def children_find_poison(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    from imucald.fleet.children import close_templates
+    from imucald.fleet.template_client import close_templates
 
     monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
     yield
