@@ -18,7 +18,7 @@ from imucald.traffic.drive_encoder import BusEncoder, example_config
 def simulate(tmp_path, *options):
     out = tmp_path / "drive.log"
     status = main(["simulate", "--out", str(out), "--minutes", "0.2", *options])
-    return status, out, tmp_path / "truth.json"
+    return status, out, tmp_path / "drive.truth.json"
 
 
 def test_log_and_truth_are_written(tmp_path, capsys):

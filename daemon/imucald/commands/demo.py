@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.commands.demo_picture import Picture
     from imucald.commands.demo_result import print_result, write_svg
     from imucald.commands.demo_view import LiveView, PlainView
+    from imucald.commands.files import check_files
     from imucald.commands.simulate import chosen_model
     from imucald.commands.terminal import plain_where_needed
     from imucald.simulation.drive import simulate
@@ -89,6 +90,7 @@ def run(options: argparse.Namespace) -> int:
         )
     )
     began = time.monotonic()
+    check_files((), (options.svg,))
     if options.live:
         from imucald.commands.demo_live import run_live
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from imucald.commands.options import add_bus, add_config
+from imucald.commands.options import add_bus, add_config, positive
 
 WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h) by which systemd knows that another start is no use."""
@@ -13,9 +13,17 @@ WRONG_CONFIGURATION = 78
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `run`."""
+    parser.epilog = (
+        "Ctrl-C or SIGTERM stops it, SIGHUP reads the configuration again. Exit status: 0 stopped, "
+        "1 an error (no such interface), 78 a configuration that is wrong.\n\n"
+        "  imucald run --config car.yaml\n"
+        "  imucald run --config car.yaml --channel can0 --state-dir state"
+    )
     add_config(parser)
     add_bus(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop by itself after this time")
+    parser.add_argument(
+        "--seconds", type=positive, metavar="S", help="stop by itself after this time"
+    )
     parser.add_argument(
         "--state-dir",
         type=Path,
@@ -23,7 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep the calibration here across restarts (default: systemd's $STATE_DIRECTORY)",
     )
     parser.add_argument(
-        "--save-every", type=float, default=10.0, metavar="S", help="save so often (default: 10 s)"
+        "--save-every",
+        type=positive,
+        default=10.0,
+        metavar="S",
+        help="save so often (default: 10 s)",
     )
     parser.add_argument(
         "--status-socket",
@@ -41,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     import signal
 
     from imucald.commands.files import check_files, fill_standard_files, write_text
-    from imucald.core.errors import ConfigError
+    from imucald.core.errors import ConfigError, ImucaldError
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
     from imucald.service.journal import ERROR, Journal
@@ -52,6 +64,8 @@ def run(options: argparse.Namespace) -> int:
     fill_standard_files()
     described = [path for path in (options.config, *options.database) if path.exists()]
     check_files(described, (options.json,))  # a missing one has its own exit status below
+    if options.state_dir is not None and options.state_dir.is_file():
+        raise ImucaldError(f"--state-dir {options.state_dir}: is a file; name a folder")
     journal = Journal()
     keep_databases(os.environ)
     folder = options.state_dir or os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
