@@ -169,7 +169,8 @@ def links(page: Path) -> set[Path]:
     return {page.parent / target for target in found}
 
 
-CONFIGURATIONS = [ROOT / "config" / "imucald.yaml", *sorted((ROOT / "config/examples").glob("*"))]
+EXAMPLES = ROOT / "config/examples"
+CONFIGURATIONS = [ROOT / "config/imucald.yaml", *sorted(EXAMPLES.glob("*.yaml"))]
 
 
 @pytest.mark.parametrize("path", CONFIGURATIONS, ids=lambda p: p.name)
@@ -189,7 +190,7 @@ def test_shipped_configurations_work(path: Path) -> None:
 
 def test_the_packaged_example_is_the_one_in_the_examples() -> None:
     ours = yaml.safe_load((ROOT / "daemon/imucald/data/imucald_example.yaml").read_text())
-    example = yaml.safe_load((ROOT / "config/examples/simulated.yaml").read_text())
+    example = yaml.safe_load((EXAMPLES / "passenger_car.yaml").read_text())
     assert ours.pop("database") == Path(example.pop("database")).name
     assert ours == example
 

@@ -69,7 +69,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "report.page._pictures: report.plots": "loads matplotlib",
     "report.replay_page.replay_page: report.motion_plots": "loads matplotlib",
     "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
-    "runtime.estimators.estimator_for: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it alone",
+    "runtime.estimators.learning_estimator: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "4 ms, 0.3 MiB",
     "runtime.session._consumers: runtime.consumers": "7 ms, 0.6 MiB: few switch one on",

@@ -56,6 +56,14 @@ GROUPS = {
         "monitor": "watch a running daemon",
         "install-service": "install the systemd unit and its companions",
     },
+    "operate it": {
+        "events": "list what happened to a running daemon, with times",
+        "reset": "have a running daemon forget the mount and begin anew",
+        "hold": "have a running daemon keep its mount and learn nothing",
+        "release": "have a running daemon learn again after a hold",
+        "set-mount": "put a mount that is known in force in a running daemon",
+        "metrics": "write or serve the metrics of the running daemons for Prometheus",
+    },
     "look closer": {
         "diagnose": "find what a simulation gets wrong in measured drives, and why",
         "fleet": "evaluate thousands of logs of many vehicles together",

@@ -14,7 +14,8 @@ from imucald.core.errors import ConfigError
 from imucald.runtime.session import open_config
 from paths import ROOT
 
-EXAMPLES = sorted((ROOT / "config" / "examples").glob("*.yaml"))
+FOLDERS = ("config/examples", "benchmarks/measured_drives")
+EXAMPLES = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.yaml"))
 HEAD = "database: a.dbc\nsignals:\n  accelerometer: {x: M.X, y: M.Y, z: M.Z}\n"
 
 

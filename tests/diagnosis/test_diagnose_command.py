@@ -22,7 +22,7 @@ from imucald.simulation import load_model
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parent.parent.parent
-CONFIG = str(ROOT / "config" / "examples" / "simulated.yaml")
+CONFIG = str(ROOT / "config" / "examples" / "passenger_car.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_the_report_is_one_page_in_its_folder(asked, said, log, tmp_path):
         assert [p.name for p in folder.iterdir()] == ["index.html"]
     page = (folder / "index.html").read_text()
     assert "drive.log" in page
-    assert "simulated.yaml" in page
+    assert "passenger_car.yaml" in page
 
 
 def test_quiet_says_nothing(asked, said, log, tmp_path):

@@ -40,7 +40,7 @@ def add_web_argument(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show the status until Ctrl-C; a daemon that goes away is waited for."""
-    from imucald.service.status import ask
+    from imucald.service.asking import ask
 
     path = find_socket(options.socket, options.channel)
     json.loads(ask(path, "status"))  # nobody there at the start is an error
@@ -70,7 +70,7 @@ def _watch_on_terminal(path: Path, seconds: float, note: str) -> None:
     from imucald.commands.monitor_view import monitor_picture
     from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.core.errors import LinkError
-    from imucald.service.status import ask
+    from imucald.service.asking import ask
 
     plain_where_needed()
     end = time.monotonic() + seconds
