@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imucald.commands.options import add_bus, add_config, positive
+
+if TYPE_CHECKING:
+    from imucald.service.listening import ServingProcess
 
 WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h) by which systemd knows that another start is no use."""
@@ -42,6 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="PATH",
         help="answer 'imucald status' here (default: in $RUNTIME_DIRECTORY or $XDG_RUNTIME_DIR)",
+    )
+    parser.add_argument(
+        "--metrics-listen",
+        metavar="HOST:PORT",
+        help="serve metrics at http://HOST:PORT/metrics, such as 127.0.0.1:8131, from a process "
+        "of its own",
     )
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON at the end")
 
@@ -80,8 +90,9 @@ def run(options: argparse.Namespace) -> int:
         save_period=options.save_every,
         start_count=start_count_file(os.environ),
     )
+    metrics = _metrics_process(options.metrics_listen, settings.status_socket)
     try:
-        service = Service(settings, journal)
+        service = Service(settings, journal, companion=metrics)
     except ConfigError as error:
         for line in str(error).splitlines():
             journal.say(line, ERROR)
@@ -99,3 +110,18 @@ def run(options: argparse.Namespace) -> int:
         write_text(options.json, as_json(result))
     journal.say(f"stopped; state {result['state']}, {service.engine.sent} frames given out")
     return 0
+
+
+def _metrics_process(address: str | None, status_socket: Path | None) -> ServingProcess | None:
+    """What serves metrics beside the loop, where that is wanted."""
+    if address is None:
+        return None
+    from imucald.commands.metrics import serve
+    from imucald.core.errors import LinkError
+    from imucald.service.exposition import gathered
+    from imucald.service.listening import ServingProcess, listening_at
+
+    if status_socket is None:
+        raise LinkError("--metrics-listen asks the status socket: give --status-socket PATH too")
+    listening = listening_at(address)
+    return ServingProcess(listening, lambda bound: serve(bound, lambda: gathered([status_socket])))
