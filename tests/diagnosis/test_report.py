@@ -153,7 +153,7 @@ def test_one_curve_is_drawn_where_nothing_was_extended():
 
     assert all(BEFORE.lower() in svg.lower() for svg in Page(whole("found")).pictures)
     assert not any(BEFORE.lower() in svg.lower() for svg in Page(whole("unknown")).pictures)
-    assert "The stretch with the largest residual" in Page(whole("unknown")).text
+    assert "The segment with the largest residual" in Page(whole("unknown")).text
 
 
 @pytest.mark.parametrize("verdict", list(made.ALL))
