@@ -325,7 +325,7 @@ def test_a_sure_cause_beside_an_ambiguous_one_is_told():
         verdict="ambiguous", look_alikes=(("accel_bias", "accel_cross_axis"),)
     ))  # fmt: skip
     assert both.headline == "Ambiguous: accelerometer bias or accelerometer cross-axis"
-    assert "Beyond doubt about its kind is body roll" in both.explanation
+    assert "Certain, and not one of these: body roll" in both.explanation
 
 
 def test_structure_beside_what_was_found_is_told():
