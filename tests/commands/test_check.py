@@ -27,7 +27,7 @@ from imucald.traffic.drive_encoder import BusEncoder, example_config
 from paths import ROOT
 
 DATA = ROOT.parent / "shared" / "data"
-EXAMPLE = ROOT / "config" / "examples" / "simulated.yaml"
+EXAMPLE = ROOT / "config" / "examples" / "passenger_car.yaml"
 MINUTES = 4.0
 
 Frames = list[FrameColumns]
@@ -429,7 +429,7 @@ def real(name: str) -> dict[str, Any]:
     log = DATA / name / "drive.log.gz"
     if not log.exists():
         pytest.skip(f"the real drive {name} is not here")
-    check = Check(open_config(ROOT / "config" / "examples" / f"{name}.yaml"))
+    check = Check(open_config(ROOT / "benchmarks" / "measured_drives" / f"{name}.yaml"))
     for chunk in LogReader([log], None):
         check.feed(chunk)
     return check.report()

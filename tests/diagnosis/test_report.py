@@ -62,7 +62,7 @@ def test_causes_come_with_values_intervals_and_evidence(found):
     assert "4.50 deg/g" in text, "what the file said"
     assert "25.2 ± 2.2 mg" in text
     assert "29 standard deviations" in text
-    assert "What speaks against it in 40 % of the stretches it predicts worse" in text
+    assert "What speaks against it in 40 % of the segments it predicts worse" in text
     assert "a.log, b.log (30 min)" in text
     assert "no temperature signal" in text
 

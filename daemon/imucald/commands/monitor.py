@@ -8,6 +8,7 @@ import json
 import time
 from pathlib import Path
 
+from imucald.commands.options import positive
 from imucald.commands.status import add_socket_argument, find_socket
 
 PERIOD_S = 0.5
@@ -18,7 +19,9 @@ WEB_PORT = 8130
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `monitor`."""
     add_socket_argument(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop by itself after this time")
+    parser.add_argument(
+        "--seconds", type=positive, metavar="S", help="stop by itself after this time"
+    )
     add_web_argument(parser)
 
 

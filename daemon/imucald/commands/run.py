@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import add_bus, add_config
+from imucald.commands.options import add_bus, add_config, positive
 
 if TYPE_CHECKING:
     from imucald.core.errors import ConfigError
@@ -19,6 +19,12 @@ WRONG_CONFIGURATION = 78
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `run`."""
+    parser.epilog = (
+        "Ctrl-C or SIGTERM stops it, SIGHUP reads the configuration again. Exit status: 0 stopped, "
+        "1 an error (no such interface), 78 a configuration that is wrong.\n\n"
+        "  imucald run --config car.yaml\n"
+        "  imucald run --config car.yaml --channel can0 --state-dir state"
+    )
     add_config(parser)
     add_bus(parser)
     parser.add_argument(
@@ -27,7 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="say what would keep it from starting, then end: status 0, or 78 with the reason; "
         "no bus is opened",
     )
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop by itself after this time")
+    parser.add_argument(
+        "--seconds", type=positive, metavar="S", help="stop by itself after this time"
+    )
     parser.add_argument(
         "--state-dir",
         type=Path,
@@ -35,7 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep the calibration here across restarts (default: systemd's $STATE_DIRECTORY)",
     )
     parser.add_argument(
-        "--save-every", type=float, default=10.0, metavar="S", help="save so often (default: 10 s)"
+        "--save-every",
+        type=positive,
+        default=10.0,
+        metavar="S",
+        help="save so often (default: 10 s)",
     )
     parser.add_argument(
         "--status-socket",
@@ -59,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
     import signal
 
     from imucald.commands.files import check_files, fill_standard_files, write_text
-    from imucald.core.errors import ConfigError
+    from imucald.core.errors import ConfigError, ImucaldError
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
     from imucald.service.journal import Journal
@@ -70,6 +82,8 @@ def run(options: argparse.Namespace) -> int:
     fill_standard_files()
     described = [path for path in (options.config, *options.database) if path.exists()]
     check_files(described, (options.json,))  # a missing one has its own exit status below
+    if options.state_dir is not None and options.state_dir.is_file():
+        raise ImucaldError(f"--state-dir {options.state_dir}: is a file; name a folder")
     journal = Journal()
     keep_databases(os.environ)
     if options.check:

@@ -24,7 +24,7 @@ from imucald.motion.ticks import TICK_RATE, tick_index
 from imucald.mount.estimate import Correction, MountEstimator
 from imucald.runtime.consumer import Consumer
 from imucald.runtime.consumer_group import ConsumerGroup
-from imucald.runtime.input_watch import MISSING_TICKS, InputWatch, LinkHealth, health_at
+from imucald.runtime.input_health import MISSING_TICKS, InputWatch, LinkHealth, health_at
 from imucald.runtime.output.output_columns import (
     OutPart,
     corrected_count,

@@ -16,7 +16,7 @@ from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimator
 from imucald.runtime.engine import Engine
 from imucald.runtime.estimators import estimator_for
-from imucald.runtime.input_watch import LinkHealth
+from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.segment_samples import SegmentSamples

@@ -1,6 +1,6 @@
 """Keeps the calibration across restarts: decides when it is saved, and what of it is believed.
 
-A disk may take seconds to confirm; the loop must not wait for it: see `state_writer`.
+A disk may take seconds to confirm; the loop must not wait for it: see `background_writer`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from imucald.mount.saved_information import SavedInformation, saved_from
 from imucald.runtime.summary import plain
 from imucald.service.background_writer import Say, StateWriter
 from imucald.service.journal import INFO, NOTICE, WARNING
-from imucald.service.state import SavedState, StateStore
+from imucald.service.state_file import SavedState, StateStore
 
 SAVE_PERIOD_S = 10.0
 """A changing estimate is saved so often [s]: what a cut of power may cost."""

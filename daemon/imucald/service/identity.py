@@ -11,7 +11,7 @@ from imucald.config import LoadedConfig, SourceSettings
 from imucald.core.digest import sha256
 from imucald.inputs.router import Router
 from imucald.inputs.routes import MessageRoute
-from imucald.service.state import StateKey
+from imucald.service.state_file import StateKey
 
 _DECISIVE = frozenset({"signal", "raw", "unit", "sign", "offset"})
 """Keys of a source on which its numbers depend."""

@@ -20,7 +20,7 @@ from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.engine import Engine
-from imucald.runtime.input_watch import LinkHealth
+from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
@@ -38,7 +38,7 @@ from imucald.service.prepared import Prepared
 from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
 from imucald.service.running_status import InputRates, run_result, running_status
 from imucald.service.start_count import StartCount
-from imucald.service.state import StateStore, clear_unfinished
+from imucald.service.state_file import StateStore, clear_unfinished
 from imucald.service.status import StatusServer
 
 if TYPE_CHECKING:
