@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.runtime.summary import as_json
     from imucald.service.journal import Journal
     from imucald.service.service import Service, ServiceOptions
-    from imucald.service.start_count import start_count_file
+    from imucald.service.start_count import end_count, start_count_file
     from imucald.service.status import default_socket
 
     fill_standard_files()
@@ -104,6 +104,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         service = Service(settings, journal, companion=metrics)
     except ConfigError as error:
+        end_count(settings.start_count)
         return _wrong(error, journal)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
@@ -113,6 +114,7 @@ def run(options: argparse.Namespace) -> int:
         service.run(float("inf") if options.seconds is None else options.seconds)
     finally:
         service.close()
+    end_count(settings.start_count)
     result = service.result()
     if options.json:
         write_text(options.json, as_json(result))
