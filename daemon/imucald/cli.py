@@ -58,7 +58,7 @@ GROUPS = {
     },
     "operate it": {
         "events": "list what happened to a running daemon, with times",
-        "reset": "have a running daemon forget the mount and begin anew",
+        "reset": "have a running daemon forget the mount and start again",
         "hold": "have a running daemon keep its mount and learn nothing",
         "release": "have a running daemon learn again after a hold",
         "set-mount": "put a mount that is known in force in a running daemon",

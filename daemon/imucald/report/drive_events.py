@@ -15,7 +15,7 @@ STATE_WORDS: Mapping[str, str] = {
     "usable": "corrected frames are sent as usable",
     "fine": "every angle is as certain as its target",
     "suspect": "new evidence contradicts the mount, or signals contradict one another",
-    "recalibrating": "the mount is found anew",
+    "recalibrating": "the mount is found again",
     "restored": "the mount of an earlier drive serves",
 }
 
