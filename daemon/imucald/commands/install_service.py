@@ -55,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     for name, place in FILES.items():
         text = (data / name).read_text("utf-8")
         if name.endswith(".service"):
-            for place_before in ("  ", "ExecStart="):
+            for place_before in ("  ", "ExecStart=", "ExecReload="):
                 text = text.replace(f"{place_before}{_PACKAGED} ", f"{place_before}{command} ")
         _write(base / place, text)
     if command.startswith(("/home/", "/root/")):
