@@ -50,6 +50,8 @@ def headline(status: Mapping[str, Any]) -> Text:
     text.append(state, style=STYLES.get(state, "yellow"))
     quality = QUALITIES[min(status["quality"], 4)]
     text.append(f"   corrected frames: {quality}", style="not bold")
+    if status.get("held"):
+        text.append("   held: nothing is learnt", style="bold yellow")
     for name in ("usable", "fine"):
         if (after := status[f"first_{name}_s"]) is not None:
             text.append(f"   {name} after {_time(after)}", style="not bold")
@@ -109,7 +111,9 @@ def _sensors(health: Mapping[str, Any]) -> Text:
 def _evidence(details: Mapping[str, Any]) -> str:
     parts = [f"{details[key]} {text}" for key, text in EVIDENCE.items() if key in details]
     if "restored" in details:
-        parts.append(f"mount of an earlier drive: {details['restored']['phase'].replace('_', ' ')}")
+        restored = details["restored"]
+        whose = "stated mount" if restored.get("given") else "mount of an earlier drive"
+        parts.append(f"{whose}: {restored['phase'].replace('_', ' ')}")
     return ", ".join(parts) or "none yet"
 
 

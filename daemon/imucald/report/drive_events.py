@@ -16,7 +16,7 @@ STATE_WORDS: Mapping[str, str] = {
     "fine": "every angle is as certain as its target",
     "suspect": "new evidence contradicts the mount, or signals contradict one another",
     "recalibrating": "the mount is found again",
-    "restored": "the mount of an earlier drive serves",
+    "restored": "a saved or stated mount serves; this drive has not confirmed it",
 }
 
 
