@@ -1,4 +1,4 @@
-"""Faulty sensors of a log, as `imucald check` tells of them."""
+"""Faulty sensors of a log, as `imucald check` says about them."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class KnownMotion:
     turn: Array | None = None
     turn_from: str = ""
     sides_from: str = ""
-    """What tells left from right."""
+    """What separates left from right."""
 
     @property
     def forward(self) -> Array | None:

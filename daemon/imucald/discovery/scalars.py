@@ -80,7 +80,7 @@ def find_scalar(
 ) -> Choice | None:
     """The signal that follows a reference best, with its unit and sign; None where none does.
 
-    sides: what tells left from right; empty where nothing does, or where the sign has none.
+    sides: what separates left from right; empty where nothing does, or where the sign has none.
     """
     usable = [c for c in candidates if c.may_be(quantity.dimension) and not c.is_constant]
     if reference is None:

@@ -39,7 +39,7 @@ from imucald.discovery.triads import (
 from imucald.discovery.wheels import wheel_sets
 
 MAX_TRIADS = 6
-"""Triads that are held against every speed, where no unit tells which is the accelerometer."""
+"""Triads that are held against every speed, where no unit shows which is the accelerometer."""
 MAX_ALTERNATIVES = 3
 REST_RATE = 5.0
 """Largest zero error of a gyroscope [deg/s]."""

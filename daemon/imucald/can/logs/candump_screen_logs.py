@@ -51,7 +51,7 @@ _DELTA_SHARE: Final = 0.2
 """Part of the steps that go back from which stamps are differences: of differences half do."""
 _ERROR_ID: Final = 0x2000_0000
 _LOOK_LINES: Final = 200
-"""First lines by which differences are told from times since the start."""
+"""First lines by which differences are separated from times since the start."""
 
 
 class ScreenFrame(NamedTuple):
