@@ -432,7 +432,7 @@ def test_a_bus_of_another_vehicle_is_one_error_with_its_ids(frames: Frames) -> N
 
 
 def test_what_could_not_be_judged_is_listed(frames: Frames) -> None:
-    (text,) = (t for t in told_all(checked(frames), "note") if "units and ranges" in t)
+    (text,) = (t for t in told_all(checked(frames), "note") if "unit and range" in t)
     assert "temperature" in text
 
 
@@ -483,4 +483,4 @@ def test_a_sensor_that_sticks_within_the_log_is_told(frames: Frames) -> None:
         data[late, 2:4] = 7  # the y axis
         check.feed(replace(chunk, data=data))
     text = told(check.report(), "warning")["accelerometer"]
-    assert "y says the same again and again (stuck, from 15" in text
+    assert "y repeats one value (stuck, from 15" in text

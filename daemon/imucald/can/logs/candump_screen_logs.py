@@ -133,7 +133,7 @@ class CandumpScreenReader:
         cycle, can_id, channel = min(known)
         self._statistics.note(
             f"{name}: no time stamps: time is counted from id 0x{can_id & CAN_EFF_MASK:X}, stated "
-            f"every {1e3 * cycle:g} ms, and is as good as that; {REMEDY}"
+            f"every {1e3 * cycle:g} ms, and is only as exact as that; {REMEDY}"
         )
         return _Counted(can_id, channel, cycle)
 
