@@ -29,7 +29,7 @@ LEAST_BLOCKS = 10
 CHANCE = 0.01
 """Shared out over the bands: of a coherence that noise has by itself."""
 HANN_BINS = 1.5
-"""Neighbouring bins that count as one: equivalent noise bandwidth of a Hann window (Harris 1978)."""
+"""Neighbouring bins that count as one: noise bandwidth of a Hann window (Harris 1978)."""
 BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
 PAIRS = (("accel_y", "yaw_rate"),)
 """Equations without a sensor in common, where gyroscope and yaw rate are both there."""
