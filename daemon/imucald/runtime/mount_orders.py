@@ -112,7 +112,7 @@ class MountOrders:
         try:
             stored = known_mount(mount, learning.estimate().targets)
         except EstimateError as error:
-            raise OrderError(f"std_deg {error}") from None
+            raise OrderError(f"a standard deviation of {error}") from None
         self._service.forget_state()
         self._put(RestoredEstimator(learning, stored, is_held=mount.hold))
         x, y, z = (2.0 * float(s) * DEG_PER_RAD for s in np.sqrt(np.diag(stored.covariance)))
