@@ -183,7 +183,8 @@ def test_shipped_configurations_work(path: Path) -> None:
     engine = make_engine(loaded)
     signals = yaml.safe_load(path.read_text())["signals"]
     channels = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
-    for channel, name in {**channels, "speed": "speed", "steering": "steering_wheel_angle"}.items():
+    assert ("speed" in engine.router.channels) == bool({"speed", "wheel_speeds"} & set(signals))
+    for channel, name in {**channels, "steering": "steering_wheel_angle"}.items():
         assert (channel in engine.router.channels) == (name in signals), name
     assert list(engine.output.triads[:3]) == [c for c, name in channels.items() if name in signals]
     assert engine.router.matches
