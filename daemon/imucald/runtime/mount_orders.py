@@ -88,7 +88,7 @@ class MountOrders:
         """Keep the mount that is in force and learn nothing. Raises OrderError without one."""
         if self.is_held:
             raise OrderError("the mount is held already")
-        kept = held(self._estimator, self._learning())
+        kept = held(self._estimator)
         if kept is None:
             state = self._estimator.state.name.lower()
             text = f"there is no mount to hold yet (state {state}): drive until it is usable"
