@@ -94,7 +94,7 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
     text = (
         f"{left:.2g} m/s^2 is left of the sideways force whatever is fitted, where gusty air and "
         f"the accelerometer's noise leave {limit:.2g}: the sensor is not fixed to the vehicle, or "
-        "something acts on it that neither speed nor turning tells of"
+        "something acts on it that neither speed nor turning shows"
     )
     return [Structure(name, TOO_MUCH, left / limit, text)]
 
@@ -184,7 +184,7 @@ def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list
                 f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz it shares up to "
                 f"{100 * share:.0f} % ({total:.2g} m/s^2) with what is left of "
                 f"{second.replace('_', ' ')}, which has no sensor in common with it: something "
-                "moves the vehicle that neither speed nor steering tells of"
+                "moves the vehicle that neither speed nor steering shows"
             )
             found.append(Structure(first, "shared motion", share, text))
     return found
@@ -269,7 +269,7 @@ def _shaken(problem: Problem, state: State) -> list[Structure]:
     i = int(np.argmax(np.abs(trial.estimate.value) / trial.estimate.se))
     text = (
         f"the zero {('forward', 'left', 'up')[i]} moves by {trial.estimate.value[i]:+.2g} +- "
-        f"{SD_95 * trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken stretches"
+        f"{SD_95 * trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken segments"
     )
     size = float(abs(trial.estimate.value[i]) / trial.estimate.se[i])
     return [Structure(f"accel_{'xyz'[i]}", "goes with shaking", size, text)]
