@@ -464,7 +464,7 @@ def test_all_faults_weigh_the_same():
 def test_drives_with_nothing_sent_count_neither_way():
     silent = line("frozen axis", exposed=False, alert_clock=0.0)
     late = line("frozen axis", alert_clock=10.0)
-    assert "told within 2 s in 0 % (bar 100)" in report([silent, late])
+    assert "reported within 2 s in 0 % (bar 100)" in report([silent, late])
 
 
 def test_figures_stand_between_the_pages_marks():

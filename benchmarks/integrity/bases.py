@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measured import DATA, EXAMPLES, FOLDER, ROOT
+from benchmarks.measured import DATA, FOLDER, MEASURED_DRIVES, ROOT
 from benchmarks.mount_accuracy.drives import FULL
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.rotations import Matrix3, rotation_from_angles, rotation_from_vector
@@ -155,7 +155,7 @@ def measured(name: str) -> Base | None:
         return None
     if name.startswith("second_world/"):
         return _second_world(name, folder)
-    shipped = EXAMPLES / f"{name}.yaml"
+    shipped = MEASURED_DRIVES / f"{name}.yaml"
     config = shipped if shipped.exists() else folder / "car.yaml"
     samples = _decoded(name, config, folder / "drive.log.gz")
     side = open_config(config).config.vehicle.driving_side

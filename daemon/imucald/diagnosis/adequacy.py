@@ -83,7 +83,7 @@ def too_much(problem: Problem) -> list[Structure]:
     text = (
         f"{left:.2g} m/s^2 is left of the sideways force whatever is fitted, where measured cars "
         f"leave less than {MOST_LEFT_MPS2 / 2.0:.2g}: the sensor is not fixed to the vehicle, or "
-        "something acts on it that neither speed nor turning tells of"
+        "something acts on it that neither speed nor turning shows"
     )
     return [Structure(name, TOO_MUCH, left / MOST_LEFT_MPS2, text)]
 
@@ -139,7 +139,7 @@ def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list
                 text = (
                     f"between {low} and {high} Hz it shares {100 * share:.0f} % with what is left "
                     f"of {second.replace('_', ' ')}, which has no sensor in common with it: "
-                    "something moves the vehicle that neither speed nor steering tells of"
+                    "something moves the vehicle that neither speed nor steering shows"
                 )
                 found.append(Structure(first, "shared motion", share, text))
     return found[:1]
@@ -193,7 +193,7 @@ def _shaken(problem: Problem, state: State) -> list[Structure]:
     i = int(np.argmax(np.abs(trial.estimate.value) / trial.estimate.se))
     text = (
         f"the zero {('forward', 'left', 'up')[i]} moves by {trial.estimate.value[i]:+.2g} +- "
-        f"{SD_95 * trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken stretches"
+        f"{SD_95 * trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken segments"
     )
     size = float(abs(trial.estimate.value[i]) / trial.estimate.se[i])
     return [Structure(f"accel_{'xyz'[i]}", "goes with shaking", size, text)]

@@ -181,7 +181,7 @@ def _stuck(
     gaps = tuple({"start_s": max(a, 0.0), "duration_s": b - a} for a, b in spans)
     yield Fault(
         "stuck_signal", name, {f"_{name}.stuck_s": (total, 0.0, "s")},
-        f"Frames come, but the value does not change for {total:.1f} s in {len(spans)} stretches "
+        f"Frames come, but the value does not change for {total:.1f} s in {len(spans)} pieces "
         f"of driving, from {spans[0][0]:.0f} s on.",
         {f"{name}.stuck": gaps}, tuple(spans), 5.0 * total / max(least, 1.0),
     )  # fmt: skip

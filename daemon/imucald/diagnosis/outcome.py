@@ -85,7 +85,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     e, gain = trial.estimate, trial.gain
     worse = float((gain < 0.0).mean())
     if worse > 1.0 / 3.0:
-        said.append(f"in {100 * worse:.0f} % of the stretches it predicts worse")
+        said.append(f"in {100 * worse:.0f} % of the segments it predicts worse")
     for key, wander, spread in zip(trial.hypothesis.keys, e.wander, e.se, strict=True):
         if wander > spread:
             said.append(
@@ -98,7 +98,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     if trial.hypothesis.pattern is None and state.table is not None:
         few = state.table.blocks < 20
         if few:
-            said.append(f"there are only {state.table.blocks} stretches of driving")
+            said.append(f"there are only {state.table.blocks} segments of driving")
     return said
 
 
