@@ -127,6 +127,16 @@ class FullEstimator:
             self._take_block(self._signals.block())
             self._estimate = None
 
+    def quiet_ticks(self) -> int:
+        """Of the next ticks so many are only kept, see `mount.estimate.KeepsTicks`."""
+        if self._refit is not None or self._served.is_moving:
+            return 0
+        return self._signals.until_block - 1
+
+    def keep_quiet(self, ticks: Array) -> None:
+        """Take ticks (n, COLUMNS), no more than `quiet_ticks`."""
+        self._signals.push_all(ticks)
+
     def gap(self) -> None:
         """Time jumped: signals before it are not joined with those after it."""
         self._signals.restart()

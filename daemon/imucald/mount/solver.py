@@ -113,6 +113,8 @@ class MountSolver:
         self._tilt_bias = (0.0, 0.0)
         self._began: deque[int] = deque([0], maxlen=int(SPANS[-1]))  # blocks, of road segments
         self.response.delays = (self.delay_speed.value, 0.0)
+        self._gains_of: Array | None = None
+        self._gains = (0.0, 0.0)
         self._lever_arm = np.array(settings.lever_arm)
         self._last_rate: Array | None = None
 
@@ -195,8 +197,11 @@ class MountSolver:
 
     def gains(self) -> tuple[float, float]:
         """Mean gains of dv/dt and v r in the low bands."""
-        dvdt, lateral = self.response.gains[:2, 2:6].mean(axis=1).tolist()
-        return dvdt, lateral
+        of = self.response.gains
+        if of is not self._gains_of:  # a fit makes new ones, and never changes them
+            self._gains_of = of
+            self._gains = tuple(of[:2, 2:6].mean(axis=1).tolist())
+        return self._gains
 
     def _slide(self, p: SignalBlock, lone: Array, turn: Array, r: Array) -> None:
         w, m = self._window, self._mask
