@@ -16,7 +16,7 @@ from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.consumers import AttitudeConsumer, consumers_for
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.service.calibration_store import CalibrationStore
-from imucald.service.state import StateKey, StateStore
+from imucald.service.state_file import StateKey, StateStore
 
 G = 9.80665
 CAR = """

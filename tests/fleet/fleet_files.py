@@ -17,7 +17,7 @@ from imucald.traffic.drive_encoder import BusEncoder
 from paths import ROOT
 
 HERE = Path(__file__).parent
-CONFIG = ROOT / "config" / "examples" / "simulated.yaml"
+CONFIG = ROOT / "config" / "examples" / "passenger_car.yaml"
 TABLES = ("drives", "events", "failures", "sources")
 """Those that are the same whenever and however often a fleet is evaluated."""
 
@@ -64,7 +64,7 @@ def environment() -> dict[str, str]:
 
 @pytest.fixture
 def children_find_poison(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    from imucald.fleet.children import close_templates
+    from imucald.fleet.template_client import close_templates
 
     monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
     yield

@@ -16,8 +16,8 @@ from fleet_files import CONFIG, children_find_poison, environment, whole_log
 from poison import FUNCTION
 
 from imucald.fleet.bundle import bundle_of, unpack
-from imucald.fleet.children import Template
 from imucald.fleet.task import LogLimits, Outcome, Task
+from imucald.fleet.template_client import Template
 from imucald.fleet.workers import run_one_log
 
 __all__ = ["children_find_poison"]

@@ -33,7 +33,7 @@ from imucald.inputs.expression import Expression
 from imucald.inputs.wiring import compile_router
 from imucald.model.model import load_model
 from imucald.runtime.session import make_engine, open_config
-from imucald.service import dtc_store, state
+from imucald.service import dtc_store, state_file
 from imucald.service.attempt_store import AttemptStore
 from imucald.service.journal import Journal
 from imucald.service.service import Service, ServiceOptions
@@ -120,16 +120,17 @@ def expression(data: bytes) -> None:
 
 def saved_state(data: bytes) -> None:
     """A saved state: any bytes, and any JSON content under a right head and checksum."""
-    key = state.StateKey("car", "imu")
+    key = state_file.StateKey("car", "imu")
     body = data
     with contextlib.suppress(ValueError, RecursionError):
         content = json.loads(data)
         if isinstance(content, dict):
             body = json.dumps(_whole_state() | content).encode()
-    head = f"{state.MAGIC} {state.VERSION} {len(body)} {hashlib.sha256(body).hexdigest()}\n"
+    marks = f"{state_file.MAGIC} {state_file.VERSION}"
+    head = f"{marks} {len(body)} {hashlib.sha256(body).hexdigest()}\n"
     folder = FOLDER / "state"
     folder.mkdir(exist_ok=True)
-    store = state.StateStore(folder, key)
+    store = state_file.StateStore(folder, key)
     store.path(0).write_bytes(data)
     store.path(1).write_bytes(head.encode() + body)
     store.load()
@@ -141,8 +142,8 @@ def _whole_state() -> dict[str, Any]:
     rotation = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     variance = 1e-4
     covariance = tuple(variance * number for number in rotation)
-    good = state.SavedState(rotation, covariance, "fine")
-    encoded = state.encoded(state.StateKey("car", "imu"), 3, good)
+    good = state_file.SavedState(rotation, covariance, "fine")
+    encoded = state_file.encoded(state_file.StateKey("car", "imu"), 3, good)
     found: dict[str, Any] = json.loads(encoded.partition(b"\n")[2])
     return found
 
@@ -194,7 +195,7 @@ def status_request(data: bytes) -> None:
 
 @functools.cache
 def _config() -> Any:
-    return open_config(ROOT / "config" / "examples" / "simulated.yaml")
+    return open_config(ROOT / "config" / "examples" / "passenger_car.yaml")
 
 
 def bus_frames(data: bytes) -> None:

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from gait import CARRYINGS, walk
 from imucald.config.attitude import ChoiceSettings, TravelDirectionSettings
-from imucald.travel_direction.cycles import POINTS, StepCycle
 from imucald.travel_direction.direction import Step, TravelDirection
 from imucald.travel_direction.method_d import (
     PublishedDirection,
@@ -20,6 +19,7 @@ from imucald.travel_direction.method_d import (
     projected,
     tilt,
 )
+from imucald.travel_direction.step_cycles import POINTS, StepCycle
 from publications import method_d as text
 from publications.recordings import recording, table
 

@@ -15,7 +15,7 @@ import pytest
 from imucald.can.columns import CAN_EFF_FLAG, FrameColumns
 from imucald.can.link.link import Link
 from imucald.can.python_can import can
-from imucald.runtime.input_watch import LinkHealth
+from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.output.output_frames import output_database
 from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine

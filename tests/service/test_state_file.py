@@ -18,7 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from imucald.service.state import MAX_BYTES, StateKey, StateStore, encoded
+from imucald.service.state_file import MAX_BYTES, StateKey, StateStore, encoded
 from service_files import IDENTITY, KEY, SMALL, state
 
 KILLS = 300

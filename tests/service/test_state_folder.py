@@ -20,7 +20,7 @@ from imucald.core.errors import ImucaldError
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.folder_lock import FolderInUseError, FolderLock
 from imucald.service.service import Service, ServiceOptions
-from imucald.service.state import MAGIC, VERSION, SavedState, StateKey, StateStore, encoded
+from imucald.service.state_file import MAGIC, VERSION, SavedState, StateKey, StateStore, encoded
 
 KEY = StateKey("car", "imu")
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)

@@ -9,9 +9,9 @@ import pytest
 
 from gait import CARRYINGS, walk
 from imucald.config.attitude import StepSettings, TravelDirectionSettings
-from imucald.travel_direction.cycles import StepCycles
 from imucald.travel_direction.direction import TravelDirection, TravelState
 from imucald.travel_direction.north import NorthFilter
+from imucald.travel_direction.step_cycles import StepCycles
 
 BY_NAME = {carrying.name: carrying for carrying in CARRYINGS}
 

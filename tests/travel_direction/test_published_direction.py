@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from imucald.config.attitude import ChoiceSettings
-from imucald.travel_direction.cycles import POINTS, StepCycle
 from imucald.travel_direction.method_d import (
     PublishedDirection,
     compass_of,
@@ -23,6 +22,7 @@ from imucald.travel_direction.method_d import (
     tilt_angle,
     tilt_heading,
 )
+from imucald.travel_direction.step_cycles import POINTS, StepCycle
 
 G = 9.80665
 DEG = math.pi / 180.0

@@ -26,7 +26,7 @@ from imucald.core.rotations import Matrix3, angles_from_rotation, vector_from_ro
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import SD_95
-from imucald.runtime.input_watch import LinkHealth
+from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine
 from imucald.service.live import Daemon, open_link

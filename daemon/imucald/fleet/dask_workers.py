@@ -17,8 +17,8 @@ from distributed.security import Security
 from imucald import __version__
 from imucald.core.errors import ImucaldError
 from imucald.fleet.bundle import Bundle, code_hash, unpack
-from imucald.fleet.children import close_templates
 from imucald.fleet.task import Outcome, Task
+from imucald.fleet.template_client import close_templates
 from imucald.fleet.workers import DEATHS, Futures, run_one_log, unique_keys
 
 CONNECTING_S = 30.0

@@ -15,7 +15,7 @@ import select
 import socket
 import sys
 
-from imucald.fleet.keeper import function_of, keep
+from imucald.fleet.child_guard import function_of, keep
 
 LOOK_S = 1.0
 """Each second it looks whether its worker still lives, should the socket be held open elsewhere."""

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 import msgspec
 
 from imucald.fleet.bundle import Bundle, unpack
-from imucald.fleet.children import close_templates, template_for
 from imucald.fleet.task import Outcome, Task
+from imucald.fleet.template_client import close_templates, template_for
 
 DEATHS = "its worker died, several times, while it was evaluated or waited"
 

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from imucald.core import compact_car
+from imucald.core import default_vehicle
 from imucald.model.section import (
     ZERO,
     Fraction,
@@ -35,14 +35,14 @@ class Chassis(Section, frozen=True):
 
     mass_kg: Positive = 1450.0
     yaw_inertia_kgm2: Positive = 2300.0
-    wheelbase_m: Positive = compact_car.WHEELBASE
+    wheelbase_m: Positive = default_vehicle.WHEELBASE
     cg_to_front_m: Positive = 1.20
-    track_m: Positive = compact_car.TRACK
-    steering_ratio: Positive = compact_car.STEERING_RATIO
+    track_m: Positive = default_vehicle.TRACK
+    steering_ratio: Positive = default_vehicle.STEERING_RATIO
     """Steering-wheel angle over road-wheel angle."""
     rear_cornering_stiffness_npr: Positive = 110e3
     """Lateral force over slip angle of the rear axle [N/rad]."""
-    understeer_gradient: float = compact_car.UNDERSTEER
+    understeer_gradient: float = default_vehicle.UNDERSTEER
     """K in delta = L/R + K * a_y [rad/(m/s^2)]."""
     friction: Annotated[float, Meta(ge=0.15)] = 0.95
     """Tyre force saturates at friction times axle load."""

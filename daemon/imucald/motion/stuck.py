@@ -3,7 +3,7 @@
 What they say is wrong by as much as the truth has changed, and at the end they jump. Three kinds
 of signal, three tests: a sensor's noise always moves (`StuckSensor`, over blocks of ticks;
 `HeldForce`, tick by tick), a speed that is rounded does not (`StuckSpeed`).
-`compensation.held_repeats` finds nothing: it keeps a stuck sensor recognisable.
+`model_compensation.held_repeats` finds nothing: it keeps a stuck sensor recognisable.
 """
 
 from __future__ import annotations

@@ -127,6 +127,16 @@ class FullEstimator:
             self._take_block(self._signals.block())
             self._estimate = None
 
+    def quiet_ticks(self) -> int:
+        """Of the next ticks so many are only kept, see `mount.estimate.KeepsTicks`."""
+        if self._refit is not None or self._served.is_moving:
+            return 0
+        return self._signals.until_block - 1
+
+    def keep_quiet(self, ticks: Array) -> None:
+        """Take ticks (n, COLUMNS), no more than `quiet_ticks`."""
+        self._signals.push_all(ticks)
+
     def gap(self) -> None:
         """Time jumped: signals before it are not joined with those after it."""
         self._signals.restart()
@@ -217,15 +227,20 @@ class FullEstimator:
         if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
             self._begin_without_rotation([p])
             return True
-        large.add(p, solver.R, p.speed * solver.turn_rate, solver.gains(), self._has_speed)
+        large.add(p, solver.R, solver.motion(p, solver.R), self._has_speed)
         change = large.while_standing(p, solver.R)
-        if self._state not in GOOD:
-            return False  # nothing is served as good, and the fit is young
+        if change is None and solver.own_gyro and "yaw_rate" in self._signals.seen:
+            change = large.while_driving(p, solver.turn_rate)
+        if self._state not in GOOD:  # nothing is served as good, and the fit is young
+            if change is not None and self._served.correction is None:
+                self._begin_without_rotation([])
+                self._moved = False
+            return change is not None
         if change is None:
             change = large.found((0, 1, 2) if solver.own_gyro else (0, 1))
         if change is None:
             return False
-        self._take_shift(change, max(change.blocks - 1, 1))  # the oldest holds the change itself
+        self._take_shift(change, change.blocks - 1)  # the oldest holds the change itself
         return True
 
     @property
@@ -306,15 +321,16 @@ class FullEstimator:
     def _take_shift(self, found: Shift | GravityStep | LargeChange, after: int) -> None:
         """The sensor was moved: what came in the blocks after is all that counts."""
         self._shifts.append((self._blocks, found))
+        kept = list(self._kept)[max(len(self._kept) - after, 0) :]
         if abs(found.size) > AFRESH:
-            self._begin_without_rotation(list(self._kept)[-min(after, len(self._kept)) :])
+            self._begin_without_rotation(kept)
             return
         self._moved, self._stands_out = True, False
         self._solver.past_drives = None  # it is about the mount before
         self._driven = Manoeuvres()
         self._large.restart()
         self._looked_again = True
-        self._begin_refit(list(self._kept)[-min(after, len(self._kept)) :])
+        self._begin_refit(kept)
 
     def _judge(self, p: SignalBlock) -> None:
         solver = self._solver

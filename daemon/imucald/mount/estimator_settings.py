@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple
 
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.vehicle import VehicleSettings
-from imucald.core.compact_car import UNDERSTEER
+from imucald.core.default_vehicle import UNDERSTEER
 from imucald.mount.estimate import Targets
 from imucald.mount.priors import (
     ACCEL_SCALE_STD,

@@ -11,12 +11,12 @@ from msgspec.structs import astuple, replace
 
 from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.config import LoadedConfig, load_config
-from imucald.core.errors import ConfigError
+from imucald.core.errors import ConfigError, EstimateError
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimator
 from imucald.runtime.engine import Engine
 from imucald.runtime.estimators import estimator_for
-from imucald.runtime.input_watch import LinkHealth
+from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.segment_samples import SegmentSamples
@@ -65,7 +65,10 @@ def make_engine(
     stated = loaded.keys_in("vehicle")
 
     def new_estimator() -> MountEstimator:
-        return estimator_for(config, compensation, stated)
+        try:
+            return estimator_for(config, compensation, stated)
+        except EstimateError as error:
+            raise loaded.error(("calibration", "mount", "std_deg"), str(error)) from None
 
     rates = [
         f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate" and p.z

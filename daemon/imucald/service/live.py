@@ -15,7 +15,7 @@ from imucald.can.columns import FrameColumns, IdMatch
 from imucald.can.link.link import Link, LinkEvent
 from imucald.config import LoadedConfig
 from imucald.runtime.engine import Engine
-from imucald.runtime.input_watch import LinkHealth
+from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.output.output_message import OutFrame
 from imucald.runtime.timebase import FORWARD_STEP
 

@@ -28,7 +28,6 @@ from imucald.travel_direction.certainty import (
     sign_log_odds,
     whole_std,
 )
-from imucald.travel_direction.cycles import StepCycle, StepCycles
 from imucald.travel_direction.gyro_step_axis import GyroStepAxis
 from imucald.travel_direction.method_d import (
     PublishedDirection,
@@ -37,6 +36,7 @@ from imucald.travel_direction.method_d import (
     levelling_angles,
     projected,
 )
+from imucald.travel_direction.step_cycles import StepCycle, StepCycles
 
 TWO_PI = 2.0 * math.pi
 STALE_S = 2.0

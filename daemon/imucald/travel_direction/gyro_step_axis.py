@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from imucald.config.attitude import AlternativeSettings
 from imucald.core.rotations import Vector
 from imucald.travel_direction.certainty import MAX_STD, axis_std
-from imucald.travel_direction.cycles import POINTS, StepCycle
+from imucald.travel_direction.step_cycles import POINTS, StepCycle
 
 Array = NDArray[np.complex128]
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.config.attitude import ChoiceSettings
-from imucald.travel_direction.cycles import POINTS, StepCycle
+from imucald.travel_direction.step_cycles import POINTS, StepCycle
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_ERR_FLAG, CAN_RTR_FLAG, CLASSIC_BYTES, IdMatch
-from imucald.can.link.echoes import Echoes
+from imucald.can.link.own_echoes import Echoes
 from imucald.can.link.socketcan import MAX_BATCH, Frame
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError

@@ -14,7 +14,7 @@ from typing import ClassVar
 import msgspec
 
 from imucald.core.errors import ImucaldError
-from imucald.fleet.own_process import FOR_CHILDREN
+from imucald.fleet.process_limits import FOR_CHILDREN
 from imucald.fleet.task import Outcome, Task, encoded
 
 STARTING_S = 120.0

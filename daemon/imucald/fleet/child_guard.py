@@ -23,7 +23,7 @@ from typing import NoReturn
 
 import msgspec
 
-from imucald.fleet.own_process import die_with, limit_memory
+from imucald.fleet.process_limits import die_with, limit_memory
 from imucald.fleet.task import Cost, Outcome, Task, encoded
 
 MAX_ANSWER = 64 * 2**20
