@@ -6,9 +6,7 @@ import csv
 import gzip
 import io
 import re
-from collections.abc import Callable
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -161,12 +159,3 @@ def _column(rows: list[dict[str, str]], name: str) -> Array:
 
 def _clock(text: str) -> float:
     return datetime.fromisoformat(text).timestamp()
-
-
-CONVERTERS: dict[str, Callable[[Path], list[Message]]] = {
-    "austin_bmw": austin_bmw,
-    "shuttle_1": partial(paratransit_shuttle, part=0),
-    "shuttle_2": partial(paratransit_shuttle, part=1),
-    "phone_s24": phone_s24,
-    "pixel_1hz": pixel_1hz,
-}

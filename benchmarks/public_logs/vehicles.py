@@ -6,7 +6,9 @@ import csv
 import io
 import struct
 import tempfile
+from collections.abc import Callable
 from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -44,9 +46,7 @@ def dresden_city(data: Path) -> list[Message]:
     text = BALZER.file(data, "2014-03-26-000-Data.csv").decode()
     rows = list(csv.DictReader(io.StringIO(text)))
     t = np.array([float(row["millis"]) for row in rows]) / 1000.0
-    is_fix = np.array(
-        [True] + [a["time"] != b["time"] for a, b in zip(rows, rows[1:], strict=False)]
-    )
+    is_fix = np.array([True] + [a["time"] != b["time"] for a, b in pairwise(rows)])
 
     def column(name: str) -> Array:
         return np.array([float(row[name]) for row in rows])
@@ -54,7 +54,8 @@ def dresden_city(data: Path) -> list[Message]:
     return [
         _triad(0x10, "Accel", "a", "m/s^2", 0.002, t, _stack(column, "ax", "ay", "az"), "xyz"),
         Message(0x11, "Rates", t, tuple(
-            Signal(name, "deg/s", 0.02, column(name)) for name in ("rollrate", "pitchrate", "yawrate")
+            Signal(name, "deg/s", 0.02, column(name))
+            for name in ("rollrate", "pitchrate", "yawrate")
         )),
         Message(0x20, "GPS", t[is_fix], (
             Signal("speed", "km/h", 0.01, column("speed")[is_fix], False),
@@ -64,7 +65,7 @@ def dresden_city(data: Path) -> list[Message]:
 
 
 def tcr_civic(data: Path) -> list[Message]:
-    """Honda Civic TCR, three minutes of a qualifying session: logger's sensors and the car's CAN."""
+    """Honda Civic TCR, 3 min of a qualifying session: the logger's sensors and the car's CAN."""
     try:
         from libxrk import aim_xrk  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
@@ -113,7 +114,7 @@ def dtu_ugv(data: Path) -> list[Message]:
 
 
 def ugv_truth(data: Path) -> Array:
-    """(n, 11): time [s], ECEF position [m], heading, pitch, roll [deg], ECEF velocity [m/s], UTC."""
+    """(n, 11): time [s], ECEF position [m], heading, pitch, roll [deg], ECEF velocity, UTC."""
     text = DTU.file(data, "data/run4_groundtruth.txt").decode(errors="replace")
     rows = [line.split() for line in text.splitlines()]
     return np.array(
@@ -140,8 +141,7 @@ def _utc(text: str, form: str) -> float:
     return (datetime.strptime(text, form) - datetime(1970, 1, 1)).total_seconds()
 
 
-def _stack(column: object, *names: str) -> Array:
-    assert callable(column)
+def _stack(column: Callable[[str], Array], *names: str) -> Array:
     return np.stack([column(name) for name in names], axis=1)
 
 

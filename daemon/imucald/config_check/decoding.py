@@ -130,8 +130,8 @@ class Decoding:
                     f"comes every {min(cycles):.3g} s: the calibration uses none of it, it needs a "
                     f"sample every {longest:g} s at least"
                 )
-                level = "error" if channel == "accel" else "warning"
-                yield Finding(level, configured_name(channel), text)
+                name = configured_name(channel)
+                yield Finding("error" if channel == "accel" else "warning", name, text)
 
     def _costs(self) -> Iterator[Finding]:
         """What is missing, and what that costs."""

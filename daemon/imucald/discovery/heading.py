@@ -44,11 +44,18 @@ class HeadingFit:
     candidate: SeenSignal
     relation: Relation
     delay: int
+    is_reversed: bool = False
+    """Whether the accelerometer was reversed for it."""
 
     @property
     def is_named(self) -> bool:
         """Whether its name says that it is a compass's."""
         return hint("heading", self.candidate) is not None
+
+    @property
+    def is_like_a_compass(self) -> bool:
+        """Whether it is named so, or counts from 0 to 360; angles to the left have both signs."""
+        return self.is_named or self.candidate.least >= 0.0
 
 
 def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> HeadingFit | None:
@@ -89,6 +96,9 @@ def heading_choice(
         why = "" if reference.turn is None else "its changes do not follow the turns here"
         return by_unit_and_name("heading", "angle", wide, why)
     is_clockwise = fit.relation.sign > 0
+    doubt = "" if is_clockwise else "a compass turns clockwise; see the accelerometer"
+    if fit.is_reversed and not fit.is_named:
+        doubt = "its name does not say that it is a compass's; see the accelerometer"
     late = f", {0.1 * fit.delay:.1f} s late" if fit.delay > 0 else ""
     sense = "clockwise" if is_clockwise else "counter-clockwise"
     return Choice(
@@ -96,7 +106,7 @@ def heading_choice(
         {"": source_of(fit.candidate, None, fit.relation.sign)},
         f"its change follows the yaw rate (correlation {fit.relation.correlation:+.2f}, "
         f"{sense}{late})",
-        "" if is_clockwise else "a compass turns clockwise; see the accelerometer",
+        doubt,
     )
 
 
@@ -106,13 +116,14 @@ def hold_against_heading(
     """Reverse the accelerometer, and all that follows from it, where a compass says so.
 
     Returns the fit with the sense that it has then. Where the name does not tell that it is a
-    compass, everything that has a side is only doubted.
+    compass, everything that has a side is doubted.
     """
     if fit is None or fit.relation.sign > 0 or reference.up is None or reference.turn is None:
         return fit
     if not fit.is_named:
-        accelerometer.doubt = PERHAPS_REVERSED.format(heading=fit.candidate.path)
         reference.sides_from = ""
+    if not fit.is_like_a_compass:
+        accelerometer.doubt = PERHAPS_REVERSED.format(heading=fit.candidate.path)
         return fit
     accelerometer.sources = {
         axis: replace(source, sign=-source.sign) for axis, source in accelerometer.sources.items()
@@ -123,6 +134,7 @@ def hold_against_heading(
     reference.lateral = None if reference.lateral is None else -reference.lateral
     if reference.speed is not None and reference.speed.forward is not None:
         reference.speed = replace(reference.speed, forward=-reference.speed.forward)
-    reference.sides_from = f"{fit.candidate.path}, which is clockwise"
+    if fit.is_named:
+        reference.sides_from = f"{fit.candidate.path}, which is clockwise"
     mirrored = replace(fit.relation, correlation=-fit.relation.correlation)
-    return replace(fit, relation=mirrored)
+    return replace(fit, relation=mirrored, is_reversed=True)
