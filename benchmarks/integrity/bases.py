@@ -68,6 +68,11 @@ class Base:
         t = np.arange(self.seconds) + 0.5
         return np.asarray(np.interp(t, speed.t, np.abs(speed.values)) > MOVING_MPS)
 
+    def driven(self, t: Array) -> Array:
+        """Seconds driven up to times (N,)."""
+        seconds = np.concatenate([[0.0], np.cumsum(self.moving())])
+        return np.asarray(np.interp(t, np.arange(len(seconds)), seconds))
+
     def parked(self, first_s: float, last_s: float) -> list[tuple[float, float]]:
         """Standstills of 4 s or more between two times."""
         edges = np.flatnonzero(np.diff(np.concatenate([[1], self.moving(), [1]]).astype(int)))

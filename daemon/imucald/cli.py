@@ -62,6 +62,7 @@ GROUPS = {
         "hold": "have a running daemon keep its mount and learn nothing",
         "release": "have a running daemon learn again after a hold",
         "set-mount": "put a mount that is known in force in a running daemon",
+        "feed": "hand what a running daemon finds on to MQTT or KUKSA",
         "metrics": "write or serve the metrics of the running daemons for Prometheus",
     },
     "look closer": {

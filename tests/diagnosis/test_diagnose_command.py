@@ -77,7 +77,7 @@ def test_the_summary_says_what_was_found_in_words(asked, said, log):
     assert "4.50 deg/g" in out, "what the file said"
     assert "673 nats likelier" in out
     assert "use it" in out
-    assert "against it: in 40 % of the stretches it predicts worse" in out
+    assert "against it: in 40 % of the segments it predicts worse" in out
     assert "not named: accelerometer scale, not decidable here" in out
     assert "note: no temperature signal" in out
 

@@ -224,9 +224,9 @@ def test_status_and_metrics_come_over_the_socket_while_it_runs(bench):
         assert ask(path, "GET /other HTTP/1.1").startswith("HTTP/1.1 404")
         assert ask(path, "rm -rf").startswith("error")
     assert not path.exists()
-    line = re.compile(r'(# (HELP|TYPE) imucald_\w+ .+|imucald_\w+({\w+="\w+"})? [-+.e\d]+)')
+    line = re.compile(r'(# (HELP|TYPE) imucald_\w+ .+|imucald_\w+{(,?\w+="[-.\w]+")+} [-+.e\d]+)')
     assert all(line.fullmatch(one) for one in text.splitlines())
-    assert 'imucald_state{state="waiting"} 1' in text
+    assert f'imucald_state{{bus="{status["link"]["channel"]}",state="waiting"}} 1' in text
     named = [one.split()[2] for one in text.splitlines() if one.startswith("# TYPE")]
     assert len(named) == len(set(named))
 

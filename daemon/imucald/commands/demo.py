@@ -66,6 +66,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _command(options: argparse.Namespace, minutes: float) -> str:
+    """The command line that shows the same drive."""
+    mount = f" --mount {options.mount}" if options.mount else ""
+    return f"imucald demo --seed {options.seed} --minutes {minutes:g}{mount} --svg FILE"
+
+
 def run(options: argparse.Namespace) -> int:
     """Drive, show, compare; 0 when the estimate became usable."""
     from imucald.commands.demo_drive import Demonstration
@@ -111,6 +117,6 @@ def run(options: argparse.Namespace) -> int:
         waited = time.monotonic() - began
         print_result(demonstration, waited)
         if options.svg:
-            write_svg(demonstration, picture, waited, options.svg)
+            write_svg(demonstration, picture, waited, options.svg, _command(options, minutes))
         usable = demonstration.engine.pipeline.first_usable is not None
     return 0 if usable else 1

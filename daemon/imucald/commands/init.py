@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--driving-side",
         choices=("left", "right", "unknown"),
         default="unknown",
-        help="side of the road: no recording tells it, and roads lean to it",
+        help="side of the road: no recording shows it, and roads lean to it",
     )
     parser.add_argument(
         "--interface", help="listen on a bus: python-can interface or a name as can0"

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from imucald.can.link.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
@@ -73,6 +73,18 @@ class ServiceOptions:
     start_count: Path | None = None
 
 
+class Companion(Protocol):
+    """A process that serves beside this one; it ends with it."""
+
+    def poll(self) -> bool:
+        """Whether it has just ended by itself."""
+        ...
+
+    def close(self) -> None:
+        """Have it end."""
+        ...
+
+
 class Service:
     """Runs the daemon of one configuration. Raises ConfigError, LinkError at the start."""
 
@@ -82,8 +94,10 @@ class Service:
         journal: Journal | None = None,
         notifier: Notifier | None = None,
         clock: Callable[[], float] = time.monotonic,
+        companion: Companion | None = None,
     ) -> None:
         self.options = options
+        self._companion = companion
         self.journal = journal or Journal()
         self.notifier = notifier or Notifier()
         self._clock = clock
@@ -264,6 +278,8 @@ class Service:
             self.dtc_store.close()
         if self.keys is not None:
             self.keys.close()
+        if self._companion is not None:
+            self._companion.close()
         self._release()
 
     def _between(self) -> None:
@@ -298,6 +314,8 @@ class Service:
             self.dtc_store.update()
         self.notifier.status(status_line(estimate, str(self.link.state)))
         self._rates.update(self.engine.router.sample_counts, now)
+        if self._companion is not None and self._companion.poll():
+            self.journal.say("what serves the metrics has ended; all else goes on", WARNING)
         self._alarms.update(dataclasses.asdict(self.engine.health()), now - self._began)
         rejected = self.engine.router.rejected
         if (total := rejected.total()) > self._rejected:
