@@ -44,7 +44,10 @@ MIN_ACROSS = 0.15
 """Least standard deviation of the force in turns [m/s^2]: twice what crowns and slopes leave."""
 MOVING = 2.0
 """Below this speed [m/s] slopes hardly change."""
-_DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(MAX_SPEED_DELAY / TICK_S) + 1)
+LATEST = 2.5
+"""Delay of the speed up to which its size is judged [s]: a receiver that smooths, is asked once a
+second, and whose answer waits."""
+_DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(LATEST / TICK_S) + 1)
 """[ticks]"""
 
 
@@ -100,7 +103,13 @@ def speed_findings(gain: float, delay: int) -> Iterator[Finding]:
     else:
         text = f"its changes show in the accelerometer (gain {gain:.2f})"
         yield Finding("ok", "speed", text)
-    if abs(delay) >= MIN_REPORTED_DELAY:
+    if delay * TICK_S > MAX_SPEED_DELAY:
+        text = (
+            f"is about {delay * TICK_S:.1f} s behind the accelerometer; up to {MAX_SPEED_DELAY} s "
+            "are allowed for: the calibration learns little from changes of speed"
+        )
+        yield Finding("warning", "speed", text)
+    elif abs(delay) >= MIN_REPORTED_DELAY:
         word = "behind" if delay > 0 else "ahead of"
         text = f"is about {abs(delay) / 10:.1f} s {word} the accelerometer (this is allowed for)"
         yield Finding("note", "speed", text)
