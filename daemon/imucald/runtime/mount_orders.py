@@ -88,7 +88,7 @@ class MountOrders:
         """Keep the mount that is in force and learn nothing. Raises OrderError without one."""
         if self.is_held:
             raise OrderError("the mount is held already")
-        kept = held(self._estimator, self._learning())
+        kept = held(self._estimator)
         if kept is None:
             state = self._estimator.state.name.lower()
             text = f"there is no mount to hold yet (state {state}): drive until it is usable"
@@ -112,7 +112,7 @@ class MountOrders:
         try:
             stored = known_mount(mount, learning.estimate().targets)
         except EstimateError as error:
-            raise OrderError(f"std_deg {error}") from None
+            raise OrderError(f"a standard deviation of {error}") from None
         self._service.forget_state()
         self._put(RestoredEstimator(learning, stored, is_held=mount.hold))
         x, y, z = (2.0 * float(s) * DEG_PER_RAD for s in np.sqrt(np.diag(stored.covariance)))
