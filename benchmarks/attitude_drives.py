@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measured import DATA, EXAMPLES
+from benchmarks.measured import DATA, MEASURED_DRIVES
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.rotations import IDENTITY, quaternion_turned, rows_from_quaternion
 from imucald.runtime.session import make_engine, open_config
@@ -97,14 +97,14 @@ def kingston() -> tuple[list[Event], Truth, Array]:
     attitude. Also returns that rotation.
     """
     log = DATA / "kingston_2008" / "drive.log.gz"
-    engine = make_engine(open_config(EXAMPLES / "kingston_2008.yaml"))
+    engine = make_engine(open_config(MEASURED_DRIVES / "kingston_2008.yaml"))
     timebase = TimeBase()
     parts: dict[str, list[tuple[Array, Array]]] = {}
     first = math.nan
     for chunk in LogReader([log], engine.router.matches):
         first = float(chunk.t[0]) if math.isnan(first) else first
         engine.columns(chunk, keep=False)
-    router = make_engine(open_config(EXAMPLES / "kingston_2008.yaml")).router
+    router = make_engine(open_config(MEASURED_DRIVES / "kingston_2008.yaml")).router
     for chunk in LogReader([log], router.matches):
         for segment in timebase.segments(chunk.t):
             part = chunk.take(slice(segment.start, segment.stop))

@@ -34,7 +34,7 @@ from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import live_frames
 from imucald.traffic.drive_encoder import BusEncoder
 
-CONFIG = EXAMPLES / "simulated.yaml"
+CONFIG = EXAMPLES / "passenger_car.yaml"
 RATE_HZ = 200.0
 """Of accelerometer and of gyroscope."""
 FULL_RATE = 8000.0

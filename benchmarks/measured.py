@@ -18,7 +18,12 @@ DATA = ROOT.parent / "shared" / "data"
 FOLDER = Path(tempfile.gettempdir()) / "imucald-benchmarks"
 """What is made once and kept."""
 EXAMPLES = ROOT / "config" / "examples"
+"""Configurations whose drives are simulated."""
+MEASURED_DRIVES = ROOT / "benchmarks" / "measured_drives"
+"""Configurations of measured drives (their logs are in DATA)."""
 MIB = 1024.0
+NOT_MEASURED = 1
+"""Exit status of a benchmark that lacks the measured drives that it is about."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +89,18 @@ def made_once(name: str, recipe: str, make: Callable[[Path], None]) -> Path:
         make(making)
         making.rename(path)
     return path
+
+
+def is_here(name: str) -> bool:
+    """Whether a measured drive is on this machine."""
+    return (DATA / name).is_dir()
+
+
+def nothing_measured(*names: str) -> int:
+    """Say as the last line that these drives are absent; return the failing status."""
+    what = f"{DATA} lacks {', '.join(names)}" if DATA.is_dir() else f"{DATA} is absent"
+    print(f"nothing was measured: {what}, see benchmarks/measured_drives/README.md")
+    return NOT_MEASURED
 
 
 def verdict(is_met: bool) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.measured import DATA, EXAMPLES, ROOT
+from benchmarks.measured import DATA, MEASURED_DRIVES, ROOT, is_here, nothing_measured
 
 sys.path.insert(0, str(ROOT / "tests"))
 
@@ -34,7 +34,7 @@ REST = slice(0, 250)
 
 def configured(keys: str) -> LoadedConfig:
     """The van's configuration with keys of `calibration`."""
-    path = EXAMPLES / "kingston_2008.yaml"
+    path = MEASURED_DRIVES / "kingston_2008.yaml"
     return parse_config(f"{path.read_text()}calibration: {keys}\n", path)
 
 
@@ -82,7 +82,7 @@ def methods_b_and_c() -> None:
         options: dict[str, Any] = {"delay": -on_the_van.SPEED_LEADS, "rate_time": rate_time}
         settings = AttitudeSettings(compensation=MotionCompensationSettings(**options))
         row(name, compensated(events, settings))
-    loaded = load_config(EXAMPLES / "kingston_2008.yaml")
+    loaded = load_config(MEASURED_DRIVES / "kingston_2008.yaml")
     row("method: filter", filtered(events, loaded.config.attitude)[0])
     print("\nB alone in a braking turn (-4 m/s2, 0.3 rad/s, level), largest roll by rate of speed:")
     for rate in (1.0, 5.0, 10.0, 20.0, 50.0):
@@ -90,9 +90,8 @@ def methods_b_and_c() -> None:
 
 
 def main() -> int:
-    if not (DATA / on_the_van.NAME).is_dir():
-        print("the measured data is not here")
-        return 1
+    if not is_here(on_the_van.NAME):
+        return nothing_measured(on_the_van.NAME)
     print(f"numpy {np.__version__}")
     method_a()
     methods_b_and_c()

@@ -21,7 +21,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from benchmarks.measured import DATA, EXAMPLES, FOLDER, verdict
+from benchmarks.measured import DATA, FOLDER, MEASURED_DRIVES, is_here, nothing_measured, verdict
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import LoadedConfig
 from imucald.core.rotations import Matrix3, vector_from_rotation
@@ -59,7 +59,7 @@ class Result:
 
 
 def config_of(drive: str, estimator: str) -> LoadedConfig:
-    loaded = open_config(EXAMPLES / f"{drive}.yaml")
+    loaded = open_config(MEASURED_DRIVES / f"{drive}.yaml")
     calibration = replace(loaded.config.calibration, estimator=estimator)
     loaded.config = replace(loaded.config, calibration=calibration)
     return loaded
@@ -247,7 +247,7 @@ def in_halves(drive: str) -> list[Path]:
 
 def decoded(drive: str) -> dict[str, Series]:
     """All samples of a drive, as its configuration decodes them."""
-    router = compile_router(open_config(EXAMPLES / f"{drive}.yaml"))
+    router = compile_router(open_config(MEASURED_DRIVES / f"{drive}.yaml"))
     base = TimeBase()
     parts: list[Routed] = []
     for chunk in LogReader([DATA / drive / "drive.log.gz"], router.matches):
@@ -276,16 +276,17 @@ def main() -> int:
     parser.add_argument("--estimator", choices=ESTIMATORS, help="only this one")
     parser.add_argument("--only", choices=tuple(DRIVES), help="only this drive")
     options = parser.parse_args()
+    asked = [drive for drive in DRIVES if options.only in (None, drive)]
+    if not any(map(is_here, asked)):
+        return nothing_measured(*asked)
     missed = 0
-    for drive, known in DRIVES.items():
-        if options.only not in (None, drive):
-            continue
-        if not (DATA / drive / "drive.log.gz").exists():
+    for drive in asked:
+        if not is_here(drive):
             print(f"{drive}: absent ({DATA / drive}), not measured")
             continue
         for estimator in [options.estimator] if options.estimator else ESTIMATORS:
             print(f"{drive}, {estimator}:")
-            for line in known(estimator):
+            for line in DRIVES[drive](estimator):
                 print(f"  {line}", flush=True)
                 missed += "NOT MET" in line
     print(f"{missed} bars not met")

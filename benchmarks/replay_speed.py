@@ -31,7 +31,7 @@ SETTINGS = (
     "--set",
     "bus.background_frames_per_s=2290",
 )
-CONFIG = EXAMPLES / "simulated.yaml"
+CONFIG = EXAMPLES / "passenger_car.yaml"
 DATABASE = ROOT / "daemon" / "imucald" / "data" / "imucald_example.dbc"
 PEER = "python-can + cantools"
 PARSED = "  its database parsed"

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measured import DATA, EXAMPLES
+from benchmarks.measured import DATA, MEASURED_DRIVES, is_here, nothing_measured
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import load_config
 from imucald.core.rotations import Matrix3, levelling_rotation
@@ -36,12 +36,12 @@ MEASURED: dict[str, tuple[Path, Path, list[list[float]]]] = {
     # Rough axes by hand (rows: forward, left, up); levelled by gravity afterwards.
     "kingston_2008": (
         DATA / "kingston_2008" / "drive.log.gz",
-        EXAMPLES / "kingston_2008.yaml",
+        MEASURED_DRIVES / "kingston_2008.yaml",
         [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
     ),
     "css_canmod_164": (
         DATA / "css_canmod_164" / "drive.log.gz",
-        EXAMPLES / "css_canmod_164.yaml",
+        MEASURED_DRIVES / "css_canmod_164.yaml",
         [[0, -1, 0], [0, 0, -1], [1, 0, 0]],
     ),
 }
@@ -150,11 +150,10 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    if absent := [name for name in MEASURED if not is_here(name)]:
+        return nothing_measured(*absent)
     rows: dict[str, dict[str, float]] = {}
     for name, (log, config, axes) in MEASURED.items():
-        if not log.exists():
-            print(f"{name}: no measured data at {log}", file=sys.stderr)
-            continue
         rows[name] = figures(measured_samples(log, config), np.array(axes, dtype=float))
     for kind in ("city", "mixed", "motorway"):
         drives = [simulated(kind, seed, options.minutes) for seed in range(options.seeds)]

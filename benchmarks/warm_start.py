@@ -31,7 +31,7 @@ from imucald.runtime.estimators import estimator_for
 from imucald.runtime.session import open_config
 from imucald.simulation import Drive, VehicleModel, random_model, simulate
 
-CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
+CONFIG = Path(__file__).parent.parent / "config" / "examples" / "passenger_car.yaml"
 MOVED_DEG = (0.0, 2.0, 5.0, 8.0)
 TURNED_DEG, TURNED_AT_S = 4.0, 240.0
 """In the last case the sensor is turned by that while driving."""

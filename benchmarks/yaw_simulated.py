@@ -56,7 +56,7 @@ def outcome(config: LoadedConfig, samples: Samples, truth: np.ndarray) -> Outcom
 
 
 def configured(estimator: str) -> LoadedConfig:
-    loaded = open_config(EXAMPLES / "simulated.yaml")
+    loaded = open_config(EXAMPLES / "passenger_car.yaml")
     calibration = replace(loaded.config.calibration, estimator=estimator)
     loaded.config = replace(loaded.config, calibration=calibration)
     return loaded

@@ -22,6 +22,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import help_files
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -132,6 +133,7 @@ def build(out: Path) -> Path:
         install = [sys.executable, "-m", "imucald", "install-service", "--root", str(tree)]
         install += ["--prefix", "/usr", "--exec", "/usr/bin/imucald"]
         subprocess.run(install, check=True, stdout=subprocess.DEVNULL)
+        help_files.write(tree / "usr")
         _write(tree / "usr/bin/imucald", LAUNCHER)
         (tree / "etc/imucald").mkdir(parents=True)
         size = sum(path.stat().st_size for path in tree.rglob("*") if path.is_file()) // 1024

@@ -18,7 +18,7 @@ from imucald.simulation import Drive, random_model, simulate
 from imucald.traffic.can_log import bus_frames
 from imucald.traffic.drive_encoder import BusEncoder
 
-CONFIG = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
+CONFIG = Path(__file__).parent.parent / "config" / "examples" / "passenger_car.yaml"
 EPOCH = 1.6e9
 """Stamp of a drive's start [s]."""
 

@@ -34,12 +34,13 @@ NEVER = {
     "config_check": {"api", "commands"},
     "diagnosis": {"api", "commands"},
     "discovery": {"api", "commands", "service", "uds"},
+    "feeds": {"api", "commands", "diagnosis", "uds"},
     "fleet": {"commands", "service", "uds"},
     "model_compensation": {"commands", "runtime", "service"},
     "motion": IO_ROOMS,
     "mount": IO_ROOMS,
-    "runtime": {"api", "commands", "service"},
-    "service": {"api", "commands"},
+    "runtime": {"api", "commands", "feeds", "service"},
+    "service": {"api", "commands", "feeds"},
     "simulation": IO_ROOMS,
     "travel_direction": IO_ROOMS,
     "uds": {"runtime", "service"},
@@ -47,8 +48,8 @@ NEVER = {
 """Rooms that never reach these rooms, directly or through others."""
 
 LAZY_LIBRARIES = {
-    "aiohttp", "asammdf", "can", "difflib", "dpkt", "isotp", "jinja2", "matplotlib", "rich",
-    "scipy", "subprocess", "yaml", "zstandard",
+    "aiohttp", "asammdf", "can", "difflib", "dpkt", "isotp", "jinja2", "kuksa_client", "matplotlib",
+    "paho", "rich", "scipy", "subprocess", "yaml", "zstandard",
 }  # fmt: skip
 """Large libraries, which a function may import when it needs them."""
 
@@ -69,7 +70,7 @@ LAZY_MODULES: Mapping[str, str] = {
     "report.page._pictures: report.plots": "loads matplotlib",
     "report.replay_page.replay_page: report.motion_plots": "loads matplotlib",
     "report.replay_page.replay_page: report.replay_plots": "loads matplotlib",
-    "runtime.estimators.estimator_for: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it alone",
+    "runtime.estimators.learning_estimator: mount.method_a.estimator": "4 ms, 0.4 MiB: few use it",
     "runtime.output.output_frames._attitude_frames: runtime.output.attitude_frames": "1 ms",
     "runtime.output.output_frames._travel_frames: runtime.output.travel_frames": "4 ms, 0.3 MiB",
     "runtime.session._consumers: runtime.consumers": "7 ms, 0.6 MiB: few switch one on",

@@ -33,6 +33,7 @@ from benchmarks.mount_accuracy.drives import FULL
 
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.rotations import vector_from_rotation
+from imucald.core.samples import Series
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
@@ -270,6 +271,36 @@ def test_a_clipped_axis_piles_up_two_percent(base):
     assert changed.mean(axis=0) == pytest.approx([0.0, 0.02, 0.0], abs=0.003)
 
 
+def test_two_percent_of_what_comes_after_the_start_are_clipped(base):
+    start = 0.6 * base.duration_s
+    faulty = faults.clipped_axis(base, put_at(start, 1))
+    sound, clipped = base.samples["accel"], faulty.samples["accel"]
+    changed = (clipped.values != sound.values)[:, 1]
+    assert not changed[sound.t < start].any()
+    assert changed[sound.t >= start].mean() == pytest.approx(0.02, abs=0.003)
+
+
+def test_time_to_tell_of_clipping_runs_from_a_minute_that_is_clipped():
+    """1 % are cut off at the lower end all the time, at the upper one from 200 s to 204 s."""
+    t = np.arange(30000) / 100.0
+    values = 0.1 * np.random.default_rng(0).standard_normal((len(t), 3))
+    values[20000:20400] += 5.0
+    speed = Series(t, np.full(len(t), 10.0))
+    made = Base("made", {"accel": Series(t, values), "speed": speed}, 300.0, np.eye(3))
+    faulty = faults.clipped_axis(made, put_at(0.0, 0))
+    assert faulty.onset < 10.0
+    assert 140.0 < faulty.runs_from < 142.0
+
+
+def test_a_drive_without_a_clipped_minute_has_nothing_to_tell(base):
+    parked = {
+        **base.samples,
+        "speed": Series(base.samples["speed"].t, 0.0 * base.samples["speed"].values),
+    }
+    faulty = faults.clipped_axis(replace(base, samples=parked), put_at(0.0, 1))
+    assert faulty.onset > base.duration_s
+
+
 def test_driving_backwards_turns_the_vehicle_round(base):
     faulty = faults.reversing(base, put_at(0.0))
     assert "reverse" not in faulty.samples
@@ -433,7 +464,7 @@ def test_all_faults_weigh_the_same():
 def test_drives_with_nothing_sent_count_neither_way():
     silent = line("frozen axis", exposed=False, alert_clock=0.0)
     late = line("frozen axis", alert_clock=10.0)
-    assert "told within 2 s in 0 % (bar 100)" in report([silent, late])
+    assert "reported within 2 s in 0 % (bar 100)" in report([silent, late])
 
 
 def test_figures_stand_between_the_pages_marks():

@@ -153,3 +153,10 @@ def test_an_old_python_is_told_what_to_install(
     monkeypatch.setattr(script, "OLDEST_PYTHON", (3, 99))
     with pytest.raises(SystemExit, match=r"needs Python 3.99 or newer.*Remedy"):
         script.use_new_enough_python()
+
+
+@pytest.mark.parametrize("option", ["--help", "-h"])
+@pytest.mark.parametrize("command", ["diagnose", "fleet", "replay --report page"])
+def test_a_help_installs_nothing_further(script: Any, command: str, option: str) -> None:
+    assert script.extra_of(command.split()) == "report"
+    assert script.extra_of([*command.split(), option]) == ""

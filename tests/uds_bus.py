@@ -30,7 +30,7 @@ from uds_bench import key_of
 
 REQUEST, RESPONSE, TO_ALL = 0x7B0, 0x7B8, 0x7DF
 CHANNELS = itertools.count()
-SIMULATED = Path(__file__).parent.parent / "config" / "examples" / "simulated.yaml"
+SIMULATED = Path(__file__).parent.parent / "config" / "examples" / "passenger_car.yaml"
 SECTION = f"""
 vehicle: {{id: WVWZZZ1JZXW000001}}
 diagnostics:

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.diagnosis import judged
-from benchmarks.diagnosis.cases import FIRST_SEED, PARTS, Case, cases
-from benchmarks.diagnosis.measured_logs import STATE
-from benchmarks.measured import FOLDER, ROOT
+from benchmarks.diagnosis.cases import FIRST_SEED, OF_LOGS, PARTS, Case, cases
+from benchmarks.diagnosis.measured_logs import LOGS, STATE
+from benchmarks.measured import FOLDER, ROOT, nothing_measured
 
 PAGE = ROOT / "docs" / "diagnosis-accuracy.md"
 RESULTS = FOLDER / "diagnosis.jsonl"
@@ -46,6 +46,10 @@ def main() -> int:
     known = _known(options.results)
     draws = range(options.first_draw, options.first_draw + options.draws)
     asked = {p: list(_chosen(cases(p, draws, options.first_seed), options)) for p in PARTS}
+    of_logs = [part for part in options.only if part in OF_LOGS]
+    has_no_logs = bool(of_logs) and not any(asked[part] for part in of_logs)
+    if has_no_logs and not any(asked[part] for part in options.only):
+        return nothing_measured(*LOGS, "second_world")
     missed = {}
     with options.results.open("a", encoding="utf-8") as file:
         for part in options.only:
@@ -59,6 +63,8 @@ def main() -> int:
     lines = [known[c.key] for p in PARTS for c in asked[p] if c.key in known]
     text = "\n".join(_report(lines, missed))
     print(text)
+    if has_no_logs:
+        return nothing_measured(*LOGS, "second_world")  # and nothing is written
     if options.write:
         page = PAGE.read_text(encoding="utf-8")
         head, rest = page.split(BEGIN)

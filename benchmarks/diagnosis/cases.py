@@ -6,15 +6,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
-from benchmarks.diagnosis.measured_logs import LOGS, is_there
+from benchmarks.diagnosis.measured_logs import LOGS
 from benchmarks.diagnosis.outside_effects import OUTSIDE
 from benchmarks.diagnosis.real_effects import EFFECTS
-from benchmarks.measured import DATA
+from benchmarks.measured import DATA, is_here
 from hidden import CAUSES
 from hidden import OUTSIDE as GENERATED_OUTSIDE
 
 PARTS = ("nulls", "measured", "outside", "second_world", "generated", "generated_nulls",
          "generated_outside")  # fmt: skip
+OF_LOGS = PARTS[:4]
+"""Parts that need the measured drives."""
 FIRST_SEED = 1_200_000
 """Far from the seeds that were looked at (below 1,000,000)."""
 MINUTES = 20.0
@@ -44,17 +46,17 @@ class Case:
 def cases(part: str, draws: range, first_seed: int = FIRST_SEED) -> Iterator[Case]:
     """Cases of a part, in the order of the run: every log and effect early."""
     if part == "nulls":
-        for pieces, log in product((2, 3), filter(is_there, LOGS)):
+        for pieces, log in product((2, 3), filter(is_here, LOGS)):
             yield from (Case(part, log, "", 0, 0, pieces, i) for i in range(pieces))
     elif part == "measured":
-        logs = [log for log in LOGS if is_there(log)]
+        logs = [log for log in LOGS if is_here(log)]
         for draw, level, effect, (i, log) in product(draws, (1, 2, 0, 3), EFFECTS, enumerate(logs)):
             # Halves take turns, so that both are model and test.
             yield Case(part, log, effect, level, draw, 2, (i + level + draw) % 2)
     elif part == "outside":
         for draw, effect in product(draws, OUTSIDE):
             yield from (Case(part, log, effect, 1, draw, 2, draw % 2)
-                            for log in filter(is_there, LOGS))  # fmt: skip
+                            for log in filter(is_here, LOGS))  # fmt: skip
     elif part == "second_world":
         folder = DATA / "second_world"
         if folder.is_dir():

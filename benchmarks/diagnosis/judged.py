@@ -131,7 +131,7 @@ def outside(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
 
 def drives(lines: Sequence[Line]) -> Iterator[str]:
     """One row a drive: second_world, and drives that the generator makes."""
-    yield _row("drive", "hidden", "verdict", "named", "alike", "likely", "left over", "right")
+    yield _row("drive", "hidden", "verdict", "named", "look-alikes", "likely", "left over", "right")
     yield _row(*["---"] * 8)
     for x in lines:
         good = is_right(x)

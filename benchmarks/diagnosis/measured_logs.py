@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import imucald.diagnosis
-from benchmarks.measured import DATA, EXAMPLES
+from benchmarks.measured import DATA, MEASURED_DRIVES
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import angles_from_rotation
 from imucald.core.samples import Samples, Series
@@ -64,15 +64,10 @@ class Log:
         return [cut(self.recording.samples, a, b) for a, b in pairwise(edges)]
 
 
-def is_there(name: str) -> bool:
-    """Whether a log is on this machine."""
-    return (DATA / name).is_dir()
-
-
 @cache
 def read_log(name: str) -> Log:
     own = DATA / name / "car.yaml"
-    loaded = open_config(own if own.exists() else EXAMPLES / f"{name}.yaml")
+    loaded = open_config(own if own.exists() else MEASURED_DRIVES / f"{name}.yaml")
     recording = read_samples(loaded, [DATA / name / "drive.log.gz"])
     if name in STATED:
         R: NDArray[np.float64] = np.array(STATED[name], dtype=float)

@@ -43,7 +43,7 @@ def end_to_end() -> EndToEnd:
     for (vehicle, drive), mount in mounts.items():
         _log(folder / "logs" / f"car-{vehicle:02}" / f"{drive}.log", vehicle, drive, mount)
     fleet = folder / "fleet.yaml"
-    fleet.write_text(f"logs: 'logs/**/*.log'\nconfig: {EXAMPLES / 'simulated.yaml'}\n")
+    fleet.write_text(f"logs: 'logs/**/*.log'\nconfig: {EXAMPLES / 'passenger_car.yaml'}\n")
     out = folder / "out"
     run(imucald("fleet", "run", "--fleet", fleet, "--out", out, "--quiet", "--redo", "all"))
     run(imucald("fleet", "analyse", "--out", out))

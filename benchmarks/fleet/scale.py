@@ -75,7 +75,7 @@ class Simulated:
 def main(folder: str, vehicles: int, drives: int) -> None:
     place = Path(folder)
     (place / "fleet.yaml").write_text(
-        f"logs: x\nconfig: {EXAMPLES / 'simulated.yaml'}\nvehicles: cars.csv\n"
+        f"logs: x\nconfig: {EXAMPLES / 'passenger_car.yaml'}\nvehicles: cars.csv\n"
     )
     cars = (f"v{i:05d},type-{i * 5 // vehicles},B{i % 20}" for i in range(vehicles))
     (place / "cars.csv").write_text("\n".join(["vehicle,type,sensor_batch", *cars]))

@@ -14,7 +14,7 @@ from benchmarks.measured import EXAMPLES, FOLDER, Run, imucald, made_once, run
 DRIVES = 8
 MINUTES = 10
 POISON = {"cut.mf4": b"MDF     4.10    ", "empty.log": b""}
-CONFIG = EXAMPLES / "simulated.yaml"
+CONFIG = EXAMPLES / "passenger_car.yaml"
 REPLAY = """import sys, imucald
 for log in sys.argv[2:]:
     imucald.replay(imucald.Config.load(sys.argv[1]), log, signals=False)

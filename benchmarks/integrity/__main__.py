@@ -32,7 +32,7 @@ from typing import Any
 from benchmarks.integrity.cases import PARTS, QUICK, Case, Size, cases
 from benchmarks.integrity.diagram import diagram
 from benchmarks.integrity.page import PAGE, report, worst, written
-from benchmarks.measured import FOLDER, ROOT
+from benchmarks.measured import FOLDER, ROOT, is_here, nothing_measured
 from benchmarks.mount_accuracy.seeds import tuned_on
 
 INTERRUPTED, USAGE = 130, 2
@@ -69,6 +69,9 @@ def main() -> int:
         print(worst(lines, options.worst))
     if options.diagram is not None:
         options.diagram.write_text(diagram(lines), encoding="utf-8")
+    logs = dict.fromkeys(case.base for case in wanted if not case.base.isdigit())
+    if logs and not any(map(is_here, logs)):
+        return nothing_measured(*logs)  # and nothing is written
     if options.write:
         PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), text), encoding="utf-8")
     return 1 if "NOT MET" in text else 0

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.measured import DATA, EXAMPLES, FOLDER, ROOT
+from benchmarks.measured import DATA, FOLDER, MEASURED_DRIVES, ROOT
 from benchmarks.mount_accuracy.drives import FULL
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.rotations import Matrix3, rotation_from_angles, rotation_from_vector
@@ -67,6 +67,11 @@ class Base:
         speed = self.samples["speed"]
         t = np.arange(self.seconds) + 0.5
         return np.asarray(np.interp(t, speed.t, np.abs(speed.values)) > MOVING_MPS)
+
+    def driven(self, t: Array) -> Array:
+        """Seconds driven up to times (N,)."""
+        seconds = np.concatenate([[0.0], np.cumsum(self.moving())])
+        return np.asarray(np.interp(t, np.arange(len(seconds)), seconds))
 
     def parked(self, first_s: float, last_s: float) -> list[tuple[float, float]]:
         """Standstills of 4 s or more between two times."""
@@ -150,7 +155,7 @@ def measured(name: str) -> Base | None:
         return None
     if name.startswith("second_world/"):
         return _second_world(name, folder)
-    shipped = EXAMPLES / f"{name}.yaml"
+    shipped = MEASURED_DRIVES / f"{name}.yaml"
     config = shipped if shipped.exists() else folder / "car.yaml"
     samples = _decoded(name, config, folder / "drive.log.gz")
     side = open_config(config).config.vehicle.driving_side

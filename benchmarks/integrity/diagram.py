@@ -17,6 +17,9 @@ TICKS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 SOUND, WRONG = "#2a6f97", "#c1121f"
 
 
+COMMAND = "python -m benchmarks.integrity --diagram FILE"
+
+
 def diagram(lines: Sequence[dict[str, Any]]) -> str:
     """SVG of all points of all drives."""
     cells: Counter[tuple[int, int]] = Counter()
@@ -28,6 +31,7 @@ def diagram(lines: Sequence[dict[str, Any]]) -> str:
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}"'
         f' width="{width:.0f}" height="{height:.0f}" font-family="sans-serif" font-size="12">',
+        f"<metadata>{COMMAND}</metadata>",
         f'<rect width="{width:.0f}" height="{height:.0f}" fill="white"/>',
         *_region(),
         *_points(cells),

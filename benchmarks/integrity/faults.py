@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 TURN_S = 0.5
 """A sensor that is knocked or taken by hand turns within that time, where the gyroscope sees it."""
 CLIPPED_SHARE = 0.02
+CLIPPED_DRIVING_S = 60.0
+"""Driving within which clipping has to be told, with that share of its samples clipped."""
 DEG = 180.0 / math.pi
 
 
@@ -50,6 +52,8 @@ class Faulty:
     left_out: frozenset[str] = field(default_factory=frozenset)
     is_turned_round: bool = False
     """Roads lean the other way for it."""
+    runs_from: float = 0.0
+    """Time to alert runs from then on, where that is later than the onset."""
 
 
 Edit = Callable[[Base, Put], Faulty]
@@ -104,11 +108,27 @@ def dead_axis(base: Base, put: Put) -> Faulty:
 
 
 def clipped_axis(base: Base, put: Put) -> Faulty:
-    """One axis cannot go beyond a level, at either end, that its largest values exceed."""
+    """From the start on one axis cannot go beyond a level at either end, in 2 % of its samples.
+
+    Time to alert runs from the first clipped sample that begins so much driving with that share
+    clipped: of an axis that reaches its ends once in five minutes, no minute is clipped.
+    """
     channel, i = _axis(base, put)
-    whole = base.samples[channel].values[:, i]
-    low, high = np.quantile(whole, [0.5 * CLIPPED_SHARE, 1.0 - 0.5 * CLIPPED_SHARE])
-    return _later(base, channel, put, lambda _, after: _with(after, i, after[:, i].clip(low, high)))
+    t, whole = base.samples[channel].t, base.samples[channel].values[:, i]
+    later = whole[t >= put.start]
+    low, high = np.quantile(later, [0.5 * CLIPPED_SHARE, 1.0 - 0.5 * CLIPPED_SHARE])
+    faulty = _later(
+        base, channel, put, lambda _, after: _with(after, i, after[:, i].clip(low, high))
+    )
+    clipped = faulty.samples[channel].values[:, i] != whole
+    driven = base.driven(t)
+    stop = np.searchsorted(driven, driven + CLIPPED_DRIVING_S)
+    count = np.concatenate([[0], np.cumsum(clipped)])
+    share = (count[stop] - count[:-1]) / np.maximum(stop - np.arange(len(t)), 1)
+    begins = clipped & (share >= CLIPPED_SHARE) & (driven + CLIPPED_DRIVING_S <= driven[-1])
+    if not begins.any():  # no such minute: nothing to be told
+        return replace(faulty, onset=base.duration_s + CLIPPED_DRIVING_S)
+    return replace(faulty, runs_from=float(t[int(np.argmax(begins))]))
 
 
 def unit_change(base: Base, put: Put) -> Faulty:

@@ -163,7 +163,9 @@ def _told(faulty: Faulty, found: Sent) -> tuple[float, float] | None:
         for channel in faulty.judged
         if (triad := triads[channel]) is not None
     ]
-    return max(spans, key=lambda span: span[1] - span[0], default=None)
+    first = faulty.runs_from
+    later = [(max(begun, first), max(ended, first)) for begun, ended in spans]
+    return max(later, key=lambda span: span[1] - span[0], default=None)
 
 
 def _plain(verdict: Verdict) -> dict[str, Any]:

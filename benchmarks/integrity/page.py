@@ -112,8 +112,8 @@ def _percent(x: float, digits: int = 0) -> str:
 
 def _table(rows: Sequence[Row], by_row: dict[str, list[Line]]) -> Iterator[str]:
     yield (
-        "| fault | drives with good frames | told in time | misleading, s an hour | of it late |"
-        " longest time to alert, clock / driving | 95 % holds, roll / pitch / yaw |"
+        "| fault | drives with good frames | reported in time | misleading, s an hour |"
+        " of it late | longest time to alert, clock / driving | 95 % holds, roll / pitch / yaw |"
         " fine, s an hour | crashes | `check` says error |"
     )
     yield "|---|---|---|---|---|---|---|---|---|---|"
@@ -167,7 +167,7 @@ def _quiet(lines: Sequence[Line]) -> Iterator[str]:
 def _recorded(lines: Sequence[Line]) -> Iterator[str]:
     yield (
         "| log | good, s | fine, s | misleading, s | suspect, not available |"
-        " own fault told after |"
+        " own fault reported after |"
     )
     yield "|---|---|---|---|---|---|"
     for x in lines:
@@ -216,7 +216,11 @@ def _bars(
             if x["base"] == name:
                 own = x["own_fault"]
                 after = own["alert_driving"]
-                told = "never told" if after is None else f"told after {after:.0f} s of driving"
+                told = (
+                    "never reported"
+                    if after is None
+                    else f"reported after {after:.0f} s of driving"
+                )
                 met = after is not None and after <= 60.0 and not own["beyond"]
                 late = f"{own['beyond']:.0f} s misleading later"
                 yield f"- 9, {name}: {told} (bar 60), {late} (bar 0): {verdict(met)}."
@@ -225,7 +229,7 @@ def _bars(
 def _bar_values(row: Row, lines: list[Line]) -> Iterator[str]:
     told = in_time(row, lines)
     limit = "2 s" if row.allowed.clock else f"{row.allowed.driving:.0f} s of driving"
-    yield f"told within {limit} in {_percent(told)} % (bar 100): {verdict(told == 1.0)}"
+    yield f"reported within {limit} in {_percent(told)} % (bar 100): {verdict(told == 1.0)}"
     late = total(lines, "beyond")
     yield f"{late:.0f} s misleading afterwards (bar 0): {verdict(late == 0.0)}"
 
@@ -234,7 +238,7 @@ def _bar_remount(row: Row, lines: list[Line]) -> Iterator[str]:
     told = in_time(row, lines)
     limit = row.allowed.driving
     yield (
-        f"told within {limit:.0f} s of driving in {_percent(told)} % (bar 95):"
+        f"reported within {limit:.0f} s of driving in {_percent(told)} % (bar 95):"
         f" {verdict(told >= 0.95)}"
     )
     if limit < LATEST_FOUND_S:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import atexit
+import errno
 import gc
 import importlib
 import os
@@ -28,50 +29,98 @@ PROCESS_SETTINGS = {
 LARGE_LIBRARIES = ("scipy",)
 """Needed for simulation and diagnosis only: an installation on a vehicle may lack them."""
 
+WRONG_USAGE = 2
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+"""What writing gives where a disk is full or broken."""
+
 DEFAULT_COLUMNS = 80
 """Width of help texts where there is no terminal."""
 
 GC_THRESHOLD = 50_000
 """Containers made before the collector looks for cycles: starting makes many that all stay."""
 
-COMMANDS = {
-    "run": "calibrate on a live bus and send corrected frames",
-    "status": "ask a running daemon how it is",
-    "monitor": "watch a running daemon",
-    "replay": "the same from recorded logs, as fast as it goes",
-    "init": "propose a configuration from a database and a recording or a bus",
-    "check": "say what a configuration would decode, from a log or a live bus",
-    "simulate": "write a simulated drive as a log, with its truth",
-    "diagnose": "say what the simulation gets wrong beside measured drives, and why",
-    "walk": "direction of travel of a carried terminal, from recorded logs",
-    "draw": "draw how a sensor sits, from its angles",
-    "fleet": "evaluate thousands of logs of many vehicles, and read them together",
-    "demo": "see a calibration converge, without hardware",
-    "install-service": "put the systemd unit and its companions in place",
-    "schema": "print the JSON schema of the configuration",
+GROUPS = {
+    "try it": {
+        "demo": "see a calibration converge, without hardware",
+        "simulate": "write a simulated drive as a log, with its truth",
+    },
+    "begin with your bus": {
+        "init": "propose a configuration from a database and a recording or a bus",
+        "check": "say what a configuration would decode, from a log or a live bus",
+        "replay": "find the mount in recorded logs, as the live daemon would",
+        "draw": "draw how a sensor sits, from its angles",
+    },
+    "run it in a vehicle": {
+        "run": "calibrate on a live bus and send corrected frames",
+        "status": "ask a running daemon for its state",
+        "monitor": "watch a running daemon",
+        "install-service": "install the systemd unit and its companions",
+    },
+    "operate it": {
+        "events": "list what happened to a running daemon, with times",
+        "reset": "have a running daemon forget the mount and begin anew",
+        "hold": "have a running daemon keep its mount and learn nothing",
+        "release": "have a running daemon learn again after a hold",
+        "set-mount": "put a mount that is known in force in a running daemon",
+        "feed": "hand what a running daemon finds on to MQTT or KUKSA",
+        "metrics": "write or serve the metrics of the running daemons for Prometheus",
+    },
+    "look closer": {
+        "diagnose": "find what a simulation gets wrong in measured drives, and why",
+        "fleet": "evaluate thousands of logs of many vehicles together",
+        "walk": "find the direction of travel of a carried terminal, in recorded logs",
+        "schema": "print the JSON schema of the configuration",
+    },
 }
+"""Commands by the work that they are for, in the order of the help."""
+COMMANDS = {name: text for group in GROUPS.values() for name, text in group.items()}
+
+
+class _Help(argparse.HelpFormatter):
+    """Folds paragraphs, and leaves those that begin with a blank (examples) as they are."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        parts = text.split("\n\n")
+        return "\n\n".join(
+            part if part.startswith(" ") else super(_Help, self)._fill_text(part, width, indent)
+            for part in parts
+        )
+
+
+class _ByGroups(_Help):
+    """Lists commands under the headings of their groups."""
+
+    def _format_action(self, action: argparse.Action) -> str:
+        text = super()._format_action(action)
+        heading = next((h for h, group in GROUPS.items() if action.dest == next(iter(group))), "")
+        return f"\n  {heading}:\n{text}" if heading and action.nargs is None else text
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     """Return the parser; only the named command's options are loaded (all without one)."""
     parser = argparse.ArgumentParser(
         prog="imucald",
-        description="Finds out how an inertial sensor sits in a vehicle, from what the CAN bus "
-        "tells, and sends its signals corrected to vehicle axes.",
-        epilog="'imucald COMMAND --help' tells more. First steps: imucald demo.",
-        formatter_class=_formatter,
+        description="Finds out how an inertial sensor sits in a vehicle, from the signals on the "
+        "CAN bus, and sends its signals corrected to vehicle axes.",
+        epilog="'imucald COMMAND --help' explains a command. First step: imucald demo.",
+        formatter_class=lambda prog: _formatter(prog, _ByGroups),
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"imucald {__version__}")
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    subparsers = parser.add_subparsers(
+        title="commands", dest="command", metavar="COMMAND", required=True
+    )
     for name, text in COMMANDS.items():
         about = f"{text[0].upper()}{text[1:]}."
-        sub = subparsers.add_parser(name, help=text, description=about, formatter_class=_formatter)
+        sub = subparsers.add_parser(
+            name, help=text, description=about, formatter_class=_formatter, allow_abbrev=False
+        )
         if command is None or name == command:
             _command(name).add_arguments(sub)
     return parser
 
 
-def _formatter(prog: str) -> argparse.HelpFormatter:
+def _formatter(prog: str, kind: type[_Help] = _Help) -> _Help:
     """As argparse makes it, for every option; its way to the width loads compression (2 ms)."""
     try:
         columns = int(os.environ.get("COLUMNS", "")) or DEFAULT_COLUMNS
@@ -80,11 +129,30 @@ def _formatter(prog: str) -> argparse.HelpFormatter:
             columns = os.get_terminal_size(sys.__stdout__.fileno()).columns  # type: ignore[union-attr]
         except (AttributeError, OSError, ValueError):
             columns = DEFAULT_COLUMNS
-    return argparse.HelpFormatter(prog, width=columns - 2)
+    return kind(prog, width=columns - 2)
 
 
 def _command(name: str) -> ModuleType:
     return importlib.import_module(f"imucald.commands.{name.replace('-', '_')}")
+
+
+def _unknown_command(name: str) -> str:
+    import difflib
+
+    near = difflib.get_close_matches(name, COMMANDS, n=1)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    return f"imucald: no command '{name}'; {hint}'imucald --help' lists them"
+
+
+def _parsed(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
+    """The options; what is not known is reported with the usage of its command."""
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        (commands,) = parser._subparsers._group_actions  # type: ignore[union-attr]
+        commands.choices[options.command].error(  # type: ignore[index]
+            f"unrecognized arguments: {' '.join(unknown)}"
+        )
+    return options
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -94,9 +162,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     for name, value in PROCESS_SETTINGS.items():
         os.environ.setdefault(name, value)
-    named = next((a for a in arguments if a in COMMANDS), "")
+    named = next((a for a in arguments if not a.startswith("-")), "")
     parser = build_parser(named)
-    options = parser.parse_args(arguments)
+    if not arguments:
+        parser.print_help(sys.stderr)
+        return WRONG_USAGE
+    if named and named not in COMMANDS:
+        print(_unknown_command(named), file=sys.stderr)
+        return WRONG_USAGE
+    options = _parsed(parser, arguments)
     module = _command(options.command)
     try:
         return int(module.run(options))
@@ -117,6 +191,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         # whoever read our output has had enough; what is still buffered must not fail again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in FULL or error.filename is not None:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        print(f"imucald: the output cannot be written: {error.strerror}", file=sys.stderr)
+        return 1
 
 
 if __name__ == "__main__":

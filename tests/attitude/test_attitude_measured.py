@@ -49,7 +49,7 @@ def truth(R):
 
 @pytest.mark.slow
 def test_the_filter_follows_the_ins():
-    loaded = load_config(ROOT / "config" / "examples" / "kingston_2008.yaml")
+    loaded = load_config(ROOT / "benchmarks" / "measured_drives" / "kingston_2008.yaml")
     router, R = compile_router(loaded), mount()
     attitude = AttitudeFilter(loaded.config.attitude)
     known = truth(R)

@@ -415,7 +415,7 @@ def test_walk_reads_a_measured_walk(tmp_path, capsys):
         lines = file.readlines()
     log = tmp_path / "part.log"
     log.write_text("".join(lines[len(lines) // 3 : len(lines) // 2]))
-    config = Path(__file__).parents[2] / "config" / "examples" / "ped_ethz.yaml"
+    config = Path(__file__).parents[2] / "benchmarks" / "measured_drives" / "ped_ethz.yaml"
     assert main(["walk", str(log), "--config", str(config), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert 1.4 < result["cadence_hz"] < 2.2

@@ -230,7 +230,7 @@ def test_a_message_longer_than_a_frame_is_refused() -> None:
 def test_asking_for_what_is_not_there_names_the_nearest(database: Database) -> None:
     with pytest.raises(DatabaseError, match=r"no signal 'ALIV' \(nearest: ALIVE"):
         database.signal("IMU.ALIV")
-    with pytest.raises(DatabaseError, match=r"no message 'IMV' in the database \(nearest: IMU"):
+    with pytest.raises(DatabaseError, match=r"no message 'IMV' in .+ \(nearest: IMU"):
         database.signal("IMV.AX")
     for path in ("IMU", "IMU.", ".AX", ""):
         with pytest.raises(DatabaseError, match=r"MESSAGE\.SIGNAL"):

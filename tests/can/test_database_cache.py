@@ -142,7 +142,7 @@ def test_the_folder_is_systemds_or_the_users(environment, expected, folder):
 def test_a_second_run_does_not_load_the_parser(tmp_path):
     log = tmp_path / "a.log"
     log.write_text("(1.0) can0 123#00\n")
-    config = EXAMPLE.parent.parent / "config" / "examples" / "simulated.yaml"
+    config = EXAMPLE.parent.parent / "config" / "examples" / "passenger_car.yaml"
     code = (
         "import sys; from imucald.cli import main\n"
         f"main(['replay', {str(log)!r}, '--config', {str(config)!r}, '--quiet'])\n"

@@ -102,7 +102,7 @@ def test_a_plain_recording_of_a_drive_calibrates_nearly_as_well(
             out.write(f"  {channel}  {can_id}   [{len(data) // 2}]  {text}\n")
     results = []
     for name in (log, plain):
-        config = str(ROOT / "config" / "examples" / "simulated.yaml")
+        config = str(ROOT / "config" / "examples" / "passenger_car.yaml")
         result = tmp_path / "result.json"
         assert cli.main(["replay", "--config", config, str(name), "--json", str(result)]) == 0
         results.append(json.loads(result.read_text()))

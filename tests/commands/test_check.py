@@ -20,14 +20,14 @@ from imucald.can.python_can import can
 from imucald.commands.check_view import print_report
 from imucald.config import parse_config
 from imucald.config_check import Check
-from imucald.runtime.session import open_config
+from imucald.runtime.session import make_engine, open_config
 from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import EPOCH_S, bus_frames
 from imucald.traffic.drive_encoder import BusEncoder, example_config
 from paths import ROOT
 
 DATA = ROOT.parent / "shared" / "data"
-EXAMPLE = ROOT / "config" / "examples" / "simulated.yaml"
+EXAMPLE = ROOT / "config" / "examples" / "passenger_car.yaml"
 MINUTES = 4.0
 
 Frames = list[FrameColumns]
@@ -211,6 +211,25 @@ def test_other_ids_and_taken_output_ids_are_told(frames: Frames) -> None:
     assert "0x640" in told(report, "warning")["output.ids"]
     assert report["output"][0] == {"frame": "acceleration", "id": "0x640", "seen": 20}
     assert (report["frames"]["other_ids"], report["frames"]["other_frames"]) == (2, 50)
+
+
+@pytest.mark.parametrize(
+    "switches",
+    [
+        "attitude: {enabled: true}\n",
+        "attitude: {enabled: true, compensation: {send: true}}\n",
+        "travel_direction: {enabled: true}\n",
+    ],
+)
+def test_every_frame_that_the_daemon_sends_is_listed(frames: Frames, switches: str) -> None:
+    text = EXAMPLE.read_text() + switches
+    if "travel" in switches:
+        text = text.replace("signals:\n", "signals:\n  heading: GW_Heading.Heading\n")
+    loaded = parse_config(text, EXAMPLE)
+    check = Check(loaded)
+    check.feed(frames[0])
+    sent = make_engine(loaded).output.can_ids
+    assert {int(row["id"], 16) for row in check.report()["output"]} == sent
 
 
 def test_a_channel_mix_up_is_told(frames: Frames) -> None:
@@ -429,7 +448,7 @@ def real(name: str) -> dict[str, Any]:
     log = DATA / name / "drive.log.gz"
     if not log.exists():
         pytest.skip(f"the real drive {name} is not here")
-    check = Check(open_config(ROOT / "config" / "examples" / f"{name}.yaml"))
+    check = Check(open_config(ROOT / "benchmarks" / "measured_drives" / f"{name}.yaml"))
     for chunk in LogReader([log], None):
         check.feed(chunk)
     return check.report()

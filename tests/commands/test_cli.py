@@ -45,7 +45,7 @@ def test_every_help_comes_quickly_and_fits_eighty_columns(command: str) -> None:
     assert time.monotonic() - began < HELP_S
     assert max(len(line) for line in done.stdout.splitlines()) <= 80
     words = " ".join(done.stdout.split())
-    assert cli.COMMANDS.get(command, "First steps: imucald demo")[1:] in words
+    assert cli.COMMANDS.get(command, "First step: imucald demo")[1:] in words
 
 
 def test_every_option_has_a_help_text() -> None:
@@ -66,11 +66,62 @@ def test_the_command_list_says_what_each_does(capsys: pytest.CaptureFixture[str]
         assert re.search(rf"^ +{name} ", text, re.MULTILINE)
 
 
-def test_wrong_usage_is_status_two(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        cli.main(["replaay"])
-    assert stop.value.code == 2
-    assert "replaay" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ("replaay", "did you mean 'replay'?"),
+        ("", "usage: imucald"),
+        ("replay --frob a.log --config b.yaml", "usage: imucald replay"),
+        ("replay --conf b.yaml a.log", "--config"),
+        ("run --config b.yaml --seconds -1", "must be a number above 0"),
+        ("check --config b.yaml --seconds nan", "must be a number above 0"),
+        ("init --interface can0 --seconds 0", "must be a number above 0"),
+    ],
+)
+def test_wrong_usage_is_status_two_and_says_what_is_right(
+    arguments: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status = cli.main(arguments.split())
+    except SystemExit as stop:
+        status = int(stop.code or 0)
+    assert status == 2
+    assert expected in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_full_disk_and_a_reader_that_went_are_no_traceback(tmp_path: Path) -> None:
+    schema = [sys.executable, "-m", "imucald", "schema"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(schema, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (
+        1,
+        "imucald: the output cannot be written: No space left on device\n",
+    )
+    log = tmp_path / "drive.log"
+    assert cli.main(["simulate", "--minutes", "1", "--out", str(log)]) == 0
+    replay = [*schema[:-1], "replay", "--config", str(START), str(log), "--out", "-"]
+    with subprocess.Popen(replay, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdout
+        assert running.stderr
+        running.stdout.readline()
+        running.stdout.close()
+        assert running.stderr.read() == b""
+    assert running.returncode == 0
+
+
+def test_the_files_of_a_command_are_looked_at_before_its_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["demo", "--svg", str(tmp_path / "no" / "a.svg")]) == 1
+    (tmp_path / "file").write_text("")
+    bus = ["--interface", "virtual", "--channel", "x", "--seconds", "0.01"]
+    state = ["--state-dir", str(tmp_path / "file")]
+    assert cli.main(["run", "--config", str(START), *bus, *state]) == 1
+    lines = capsys.readouterr()
+    assert "no directory" in lines.err
+    assert "name a folder" in lines.err
+    assert lines.out == ""
 
 
 def test_a_missing_file_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

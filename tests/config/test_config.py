@@ -14,7 +14,8 @@ from imucald.core.errors import ConfigError
 from imucald.runtime.session import open_config
 from paths import ROOT
 
-EXAMPLES = sorted((ROOT / "config" / "examples").glob("*.yaml"))
+FOLDERS = ("config/examples", "benchmarks/measured_drives")
+EXAMPLES = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.yaml"))
 HEAD = "database: a.dbc\nsignals:\n  accelerometer: {x: M.X, y: M.Y, z: M.Z}\n"
 
 
@@ -51,7 +52,6 @@ def test_shorthands_and_long_forms_are_the_same():
         ),
         (f"{HEAD}oputput: {{}}\n", "dir/car.yaml:4: oputput: unknown key; did you mean 'output'?"),
         (f"{HEAD}output:\n  status_rate: 3\n", "dir/car.yaml:5: output.status_rate:"),
-        (f"{HEAD}  speed: V\n", "dir/car.yaml:4: signals.speed"),
         (f"{HEAD}  speed:\n    - M.V\n    - {{unit: g}}\n", "dir/car.yaml:6: signals.speed[1]"),
         (f"{HEAD}  speed: {{signal: M.V, sign: 2}}\n", "dir/car.yaml:4: signals.speed.sign:"),
         (f"{HEAD}  speed: {{signal: M.V, range: [3, 1]}}\n", "dir/car.yaml:4: signals.speed"),
@@ -98,6 +98,16 @@ def test_examples_are_valid(path):
     assert loaded.database_path(loaded.config.database[0]).suffix == ".dbc"
 
 
+def test_two_axes_of_a_sensor_are_two_signals():
+    text = "database: a.dbc\nsignals:\n  accelerometer: {x: A.X, y: A.Y, z: A.X}\n"
+    assert mistakes(text) == ["dir/car.yaml:3: signals.accelerometer: x and z are one signal, A.X"]
+
+
+def test_a_wheelbase_in_centimetres_is_refused():
+    (found,) = mistakes(f"{HEAD}vehicle: {{wheelbase: 270}}\n")
+    assert "vehicle.wheelbase: must be a number at most 15.0 (here: 270)" in found
+
+
 def test_numbers_with_an_exponent_are_numbers_unless_in_quotes():
     text = HEAD + "calibration: {accelerometer_range: 2e1}\nvehicle: {track: '2e0'}\n"
     (found,) = mistakes(text)
@@ -114,7 +124,7 @@ def test_mistakes_of_all_kinds_are_said_in_plain_words():
     )
     assert [line.removeprefix("dir/car.yaml:") for line in mistakes(text)] == [
         "4: signals.speed.sign: must be one of -1, 1 (here: 2)",
-        "5: vehicle.wheelbase: must be a number greater than 0.0 (here: -1)",
+        "5: vehicle.wheelbase: must be a number at least 0.5 (here: -1)",
         "5: vehicle.id: must be a text, got a whole number (here: 3)",
         "7: messages.A.counter: must be a mapping or nothing, got a whole number (here: 3)",
         "8: messages.B.timeout_cycles: must be a number at least 1.5 (here: 1)",

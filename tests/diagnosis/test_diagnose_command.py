@@ -22,7 +22,7 @@ from imucald.simulation import load_model
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parent.parent.parent
-CONFIG = str(ROOT / "config" / "examples" / "simulated.yaml")
+CONFIG = str(ROOT / "config" / "examples" / "passenger_car.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_the_summary_says_what_was_found_in_words(asked, said, log):
     assert "4.50 deg/g" in out, "what the file said"
     assert "673 nats likelier" in out
     assert "use it" in out
-    assert "against it: in 40 % of the stretches it predicts worse" in out
+    assert "against it: in 40 % of the segments it predicts worse" in out
     assert "not named: accelerometer scale, not decidable here" in out
     assert "note: no temperature signal" in out
 
@@ -171,7 +171,7 @@ def test_the_report_is_one_page_in_its_folder(asked, said, log, tmp_path):
         assert [p.name for p in folder.iterdir()] == ["index.html"]
     page = (folder / "index.html").read_text()
     assert "drive.log" in page
-    assert "simulated.yaml" in page
+    assert "passenger_car.yaml" in page
 
 
 def test_quiet_says_nothing(asked, said, log, tmp_path):

@@ -17,6 +17,7 @@ from imucald.runtime.session import open_config
 
 ROOT = Path(__file__).parent.parent.parent
 DATA = ROOT.parent / "shared" / "data"
+CONFIGS = ROOT / "benchmarks" / "measured_drives"
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(
@@ -28,7 +29,7 @@ pytestmark = [
 @cache
 def log(name: str):
     own = DATA / name / "car.yaml"
-    loaded = open_config(own if own.exists() else ROOT / "config" / "examples" / f"{name}.yaml")
+    loaded = open_config(own if own.exists() else CONFIGS / f"{name}.yaml")
     recording = read_samples(loaded, [DATA / name / "drive.log.gz"])
     return recording, baseline_model(loaded, [recording])
 

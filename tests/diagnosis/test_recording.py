@@ -176,7 +176,8 @@ def test_measured_drives_are_read(name, seconds, channels):
     log = DATA / name / "drive.log.gz"
     if not log.exists():
         pytest.skip(f"the measured drive {name} is not here ({log})")
-    found = read_samples(open_config(ROOT / "config" / "examples" / f"{name}.yaml"), [log])
+    config = ROOT / "benchmarks" / "measured_drives" / f"{name}.yaml"
+    found = read_samples(open_config(config), [log])
     assert channels <= set(found.samples)
     assert found.duration_s == pytest.approx(seconds, rel=0.02)
     with gzip.open(log) as lines:

@@ -62,7 +62,7 @@ def test_causes_come_with_values_intervals_and_evidence(found):
     assert "4.50 deg/g" in text, "what the file said"
     assert "25.2 ± 2.2 mg" in text
     assert "29 standard deviations" in text
-    assert "What speaks against it in 40 % of the stretches it predicts worse" in text
+    assert "What speaks against it in 40 % of the segments it predicts worse" in text
     assert "a.log, b.log (30 min)" in text
     assert "no temperature signal" in text
 
@@ -153,7 +153,7 @@ def test_one_curve_is_drawn_where_nothing_was_extended():
 
     assert all(BEFORE.lower() in svg.lower() for svg in Page(whole("found")).pictures)
     assert not any(BEFORE.lower() in svg.lower() for svg in Page(whole("unknown")).pictures)
-    assert "The stretch with the largest residual" in Page(whole("unknown")).text
+    assert "The segment with the largest residual" in Page(whole("unknown")).text
 
 
 @pytest.mark.parametrize("verdict", list(made.ALL))
@@ -325,7 +325,7 @@ def test_a_sure_cause_beside_an_ambiguous_one_is_told():
         verdict="ambiguous", look_alikes=(("accel_bias", "accel_cross_axis"),)
     ))  # fmt: skip
     assert both.headline == "Ambiguous: accelerometer bias or accelerometer cross-axis"
-    assert "Beyond doubt about its kind is body roll" in both.explanation
+    assert "Certain, and not one of these: body roll" in both.explanation
 
 
 def test_structure_beside_what_was_found_is_told():

@@ -17,7 +17,7 @@ from imucald.traffic.drive_encoder import BusEncoder
 from paths import ROOT
 
 HERE = Path(__file__).parent
-CONFIG = ROOT / "config" / "examples" / "simulated.yaml"
+CONFIG = ROOT / "config" / "examples" / "passenger_car.yaml"
 TABLES = ("drives", "events", "failures", "sources")
 """Those that are the same whenever and however often a fleet is evaluated."""
 

@@ -195,7 +195,7 @@ def status_request(data: bytes) -> None:
 
 @functools.cache
 def _config() -> Any:
-    return open_config(ROOT / "config" / "examples" / "simulated.yaml")
+    return open_config(ROOT / "config" / "examples" / "passenger_car.yaml")
 
 
 def bus_frames(data: bytes) -> None:

@@ -39,7 +39,13 @@ def test_a_29_bit_id_carries_its_flag(tmp_path):
 
 # Each line of a mistaken configuration that matters is marked: its number must be in the text.
 MISTAKES = {
-    "message": ("  speed: SPEED.V  # here", ["no message 'SPEED'", "nearest", "SPD"]),
+    "message": ("  speed: SPEED.V  # here", ["no message 'SPEED' in", "nearest", "SPD"]),
+    "no dot": ("  speed: V  # here", ["'V' is not of the form MESSAGE.SIGNAL", "write SPD.V"]),
+    "no dot, nowhere": ("  speed: VX  # here", ["MESSAGE.SIGNAL, such as IMU.AccX"]),
+    "signal of another message": (
+        "  speed: ACC.V  # here",
+        ["ACC has no signal 'V'", "write SPD.V"],
+    ),
     "signal": ("  speed: SPD.VV  # here", ["SPD has no signal 'VV'", "nearest: V"]),
     "signal of a list": (
         "  speed:\n    - SPD.V\n    - SPD.SPEED  # here",

@@ -21,7 +21,7 @@ from imucald.model_compensation import compensation_from_model
 from imucald.runtime.estimators import full_settings
 
 ROOT = Path(__file__).parents[2]
-CONFIG = ROOT / "config" / "examples" / "kingston_2008.yaml"
+CONFIG = ROOT / "benchmarks" / "measured_drives" / "kingston_2008.yaml"
 LOG = ROOT.parent / "shared" / "data" / "kingston_2008" / "drive.log.gz"
 END_S = 1800.0
 FORWARD = np.array([0.0039, 0.9998, 0.0155])

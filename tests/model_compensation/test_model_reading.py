@@ -102,7 +102,7 @@ def test_what_cannot_be_used_is_told():
         "accel.bias_temperature: needs signals.temperature",
         "accel.lowpass_hz",
         "accel.delay_s",
-        "mount: is found while driving",
+        "mount: the model's angles are not used",
         "mount.shifts",
         "mount.lever_arm_m: needs signals.gyroscope",
         "yaw_rate.stuck",

@@ -81,6 +81,20 @@ def test_coarse_steps_are_no_fault(grain: float) -> None:
     assert not told(watched(samples))
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_coarse_axis_that_is_held_for_seconds_is_on_no_rail(seed: int) -> None:
+    """Launches and bends of some seconds at one value, whose noise is less than a step."""
+    samples = drive(600.0, seed=seed, grain=60.0)
+    rng = np.random.default_rng(100 + seed)
+
+    def held(t: np.ndarray, values: np.ndarray) -> None:
+        levels = np.repeat(rng.normal(0.0, 1.0, len(t) // 300 + 1), 300)[: len(t)]
+        force = levels + 0.03 * rng.standard_normal(len(t))
+        values[:, 0] = np.round(force / (60.0 * ACCEL_STEP)) * (60.0 * ACCEL_STEP)
+
+    assert not told(watched(edited(samples, "accel", held)))
+
+
 def test_a_value_that_is_sent_several_times_is_no_fault() -> None:
     samples = drive(hz=200.0)
     held = {

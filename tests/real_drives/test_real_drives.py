@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parent.parent.parent
 DATA = ROOT.parent / "shared" / "data"
-EXAMPLES = ROOT / "config" / "examples"
+CONFIGS = ROOT / "benchmarks" / "measured_drives"
 ESTIMATORS = ("full", "published")
 DRIVES = (
     "css_canmod_164", "kingston_2008", "neu_circles", "quat_orient_21",
@@ -44,7 +44,7 @@ def log_of(drive: str) -> Path:
 
 @cache
 def replayed(drive: str, estimator: str, log: Path) -> tuple[dict[str, Any], MountEstimate]:
-    loaded = open_config(EXAMPLES / f"{drive}.yaml")
+    loaded = open_config(CONFIGS / f"{drive}.yaml")
     calibration = replace(loaded.config.calibration, estimator=estimator)
     loaded.config = replace(loaded.config, calibration=calibration)
     engine = make_engine(loaded)
@@ -117,7 +117,7 @@ def test_a_loosely_held_phone_is_never_called_fine(drive, estimator):
 def test_signs_of_the_stability_control_signals():
     """The outer wheels are faster; v r and dv/dt are felt by the accelerometer."""
     log = log_of("wrx_sti")
-    router = compile_router(open_config(EXAMPLES / "wrx_sti.yaml"))
+    router = compile_router(open_config(CONFIGS / "wrx_sti.yaml"))
     base, parts = TimeBase(), []
     for chunk in LogReader([log], router.matches):
         for segment in base.segments(chunk.t):

@@ -13,10 +13,12 @@ import pytest
 
 import shuttle
 from imucald.core.errors import LinkError
+from imucald.service.asking import ask
 from imucald.service.journal import Journal
+from imucald.service.line_server import CLIENTS_MAX
 from imucald.service.notify import Notifier
 from imucald.service.service import Service, ServiceOptions
-from imucald.service.status import CLIENTS_MAX, StatusServer, ask
+from imucald.service.status import StatusServer
 
 LEVEL = bytes.fromhex("0000000027130000")
 BATCH = 1024

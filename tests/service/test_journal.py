@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 import shuttle
+from imucald.service.asking import ask
 from imucald.service.journal import LINE_BYTES, Journal
-from imucald.service.status import ask
 
 
 def pipe_journal() -> tuple[int, Journal]:

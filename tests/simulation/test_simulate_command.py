@@ -18,7 +18,7 @@ from imucald.traffic.drive_encoder import BusEncoder, example_config
 def simulate(tmp_path, *options):
     out = tmp_path / "drive.log"
     status = main(["simulate", "--out", str(out), "--minutes", "0.2", *options])
-    return status, out, tmp_path / "truth.json"
+    return status, out, tmp_path / "drive.truth.json"
 
 
 def test_log_and_truth_are_written(tmp_path, capsys):
@@ -128,7 +128,7 @@ def test_a_drive_is_sent_onto_a_bus_in_its_time(capsys):
 
 
 def test_the_shipped_example_configuration_is_the_packages_own():
-    shipped = Path(__file__).parents[2] / "config" / "examples" / "simulated.yaml"
+    shipped = Path(__file__).parents[2] / "config" / "examples" / "passenger_car.yaml"
     ours, theirs = example_config(), load_config(shipped)
     assert ours.config.signals == theirs.config.signals
     assert ours.config.messages == theirs.config.messages

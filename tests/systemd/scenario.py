@@ -14,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 
 UNIT = "imucald@vcan0.service"
 FRAME = struct.Struct("=IB3x8s")
@@ -22,8 +23,9 @@ CORRECTED = 0x640
 STATE = pathlib.Path("/var/lib/imucald/vcan0")
 KILLS = 10
 DELETIONS = 10
-STARTS = pathlib.Path("/run/imucald/vcan0/starts")
+STARTS = pathlib.Path("/var/cache/imucald/vcan0/starts")
 MINUTE_S = 60.0
+URL = "http://127.0.0.1:8131/metrics"
 CACHE = pathlib.Path("/var/cache/imucald/vcan0")
 
 
@@ -39,7 +41,7 @@ def show(name):
 
 
 def status():
-    return json.loads(shell("imucald", "status", "vcan0", "--json"))
+    return json.loads(shell("imucald", "status", "vcan0", "--json", check=False))
 
 
 def wait(condition, limit=30.0):
@@ -191,9 +193,8 @@ def heavy_database():
     good = heavy.read_bytes()
     heavy.write_bytes(good + b'CM_ "' + b"word " * 1_000_000 + b'";\n')
     pid = show("MainPID")
-    shell("systemctl", "reload", UNIT)
-    wait(lambda: "not reloaded" in shell("journalctl", "-u", UNIT, "-n", "5"), 120.0)
-    found = {"same_process": show("MainPID") == pid}
+    refused = subprocess.run(["systemctl", "reload", UNIT], check=False).returncode
+    found = {"same_process": show("MainPID") == pid, "refused": refused}
     shell("systemctl", "restart", UNIT, check=False)
     wait(lambda: show("ActiveState") == "failed", 120.0)
     found |= {
@@ -235,7 +236,7 @@ def hung():
 
 def reload_and_wait(word):
     """Reload, and wait until it is told how that went."""
-    shell("systemctl", "reload", UNIT)
+    shell("systemctl", "reload", UNIT, check=False)
     wait(lambda: word in shell("journalctl", "-u", UNIT, "-n", "3"))
 
 
@@ -247,13 +248,17 @@ def reloaded():
     reload_and_wait("was read again")
     after = status()
     config.write_text(good + "nonsense: 1\n")
-    reload_and_wait("not reloaded")
+    refused = subprocess.run(["systemctl", "reload", UNIT], check=False).returncode
+    told = "vcan0.yaml:" in shell("journalctl", "-u", UNIT, "-n", "20")
+    os.kill(int(pid), signal.SIGHUP)  # whoever leaves systemctl out
+    wait(lambda: "not reloaded" in shell("journalctl", "-u", UNIT, "-n", "20"))
     still = status()
     config.write_text(good)
     return {
         "same_process": show("MainPID") == pid,
         "yaw": [s["mount"]["yaw_deg"] for s in (before, after, still)],
-        "told": "not reloaded" in shell("journalctl", "-u", UNIT, "-n", "20"),
+        "refused": refused,
+        "told": told,
         "active": show("ActiveState"),
     }
 
@@ -274,6 +279,64 @@ def stopped():
         "yaw": [before["mount"]["yaw_deg"], after["mount"]["yaw_deg"]],
         "state": after["state"],
     }
+
+
+def said(*command, user=None):
+    """Exit status, and what a command says, as another user if need be."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False, user=user)
+    return [done.returncode, done.stdout + done.stderr]
+
+
+def ordered():
+    """Orders by root and by others, over the socket of the sandboxed daemon."""
+    control = pathlib.Path("/run/imucald/vcan0/control.sock")
+    found = {
+        "mode": oct(control.stat().st_mode & 0o777),
+        "others": said("imucald", "reset", "vcan0", user="nobody"),
+        "state": status()["state"],
+        "hold": said("imucald", "hold", "vcan0"),
+        "held": status()["held"],
+    }
+    shell("systemctl", "restart", UNIT)
+    found["held_after"] = status()["held"]
+    found["release"] = said("imucald", "release", "vcan0")
+    found["set"] = said("imucald", "set-mount", "vcan0", "0", "0", "25", "--std", "0.5")
+    found["yaw"] = status()["mount"]["yaw_deg"]
+    found["events"] = said("imucald", "events", "vcan0", user="nobody")
+    found["journal"] = shell("journalctl", "-u", UNIT, "-n", "20")
+    found["quiet"] = said("imucald", "status", "vcan0", "-q")
+    found["reset"] = said("imucald", "reset", "vcan0")
+    found["after"] = status()["state"]
+    return found
+
+
+def metrics():
+    """The units for Prometheus as installed."""
+    collector = pathlib.Path("/var/lib/prometheus/node-exporter")
+    shell("systemctl", "start", "imucald-metrics.service")
+    found = {"without_collector": collector.exists()}
+    collector.mkdir(parents=True)
+    os.chown(collector.parent, 65534, 65534)
+    os.chown(collector, 65534, 65534)
+    shell("systemctl", "start", "imucald-metrics.timer")
+    shell("systemctl", "start", "imucald-metrics.service")
+    file = collector / "imucald.prom"
+    found |= {
+        "mode": oct(file.stat().st_mode & 0o777),
+        "text": file.read_text(),
+        "timer": shell("systemctl", "is-active", "imucald-metrics.timer").strip(),
+    }
+    shell("ip", "link", "set", "up", "dev", "lo")
+    shell("systemctl", "start", "imucald-metrics-http")
+    wait(fetched)
+    found["http"] = fetched()
+    shell("systemctl", "stop", "imucald-metrics-http", "imucald-metrics.timer")
+    return found
+
+
+def fetched():
+    with contextlib.suppress(OSError), urllib.request.urlopen(URL, timeout=5.0) as answer:
+        return answer.read().decode()
 
 
 BUS_UNIT = pathlib.Path("/usr/share/imucald/imucald-bus@.service.example")
@@ -365,6 +428,11 @@ def clock_stepped():
     return {"found": found}
 
 
+def calibrate_again():
+    """After the state was set aside."""
+    return calibrate()
+
+
 def corrupted():
     shell("systemctl", "stop", UNIT)
     for path in list(STATE.iterdir()):
@@ -408,6 +476,9 @@ SCENES = (
     interface_lost,
     clock_stepped,
     corrupted,
+    calibrate_again,
+    metrics,
+    ordered,
     misconfigured,
 )
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
 
 import shuttle
+from imucald import cli
 from imucald.can.link.link import Frame
 from imucald.service.service import Service, ServiceOptions
 from imucald.service.start_count import StartCount, start_count_file
@@ -35,7 +39,8 @@ class Starts:
         self.environment = {
             "PATH": str(programs),
             "CLOCK": str(self.clock),
-            "RUNTIME_DIRECTORY": str(folder),
+            "CACHE_DIRECTORY": str(folder),
+            "INVOCATION_ID": "1",
         }
         self.clock.write_text("0")
 
@@ -99,6 +104,42 @@ def test_only_a_daemon_that_has_lived_for_a_minute_ends_the_count(starts):
     assert not starts.file.exists()
 
 
+def test_an_orderly_end_and_a_wrong_configuration_end_the_count(tmp_path, monkeypatch):
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path))
+    monkeypatch.setenv("INVOCATION_ID", "1")
+    config = shuttle.write(tmp_path, cycles=1)
+    run = ["run", "--config", str(config), "--interface", "virtual", "--seconds", "0.01"]
+    for expected in (0, 78):
+        (tmp_path / "starts").write_text("3\n")
+        assert cli.main(run) == expected
+        assert not (tmp_path / "starts").exists()
+        config.write_text(config.read_text() + "nonsense: 1\n")
+
+
+def test_a_stop_during_the_pause_ends_the_count(starts):
+    starts.file.write_text("9\n")
+    environment = {**starts.environment, "PATH": os.environ["PATH"]}
+    command = ["/bin/sh", "-c", starts.script, "imucald", "true"]
+    shell = subprocess.Popen(command, env=environment, start_new_session=True)
+    time.sleep(0.5)
+    assert starts.file.read_text() == "10\n"
+    os.killpg(shell.pid, signal.SIGTERM)
+    assert shell.wait(5.0) == 143
+    assert not starts.file.exists()
+
+
+def test_a_count_of_before_the_boot_counts_for_nothing(starts, tmp_path):
+    boot = tmp_path / "boot"
+    starts.script = starts.script.replace("/run/systemd/system", str(boot))
+    starts.file.write_text("9\n")
+    os.utime(starts.file, (1.6e9, 1.6e9))
+    boot.mkdir()
+    starts.start()
+    assert starts.file.read_text() == "0\n"
+    starts.start()
+    assert starts.file.read_text() == "1\n"
+
+
 def test_without_a_unit_there_is_no_count(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "starts").touch()
@@ -115,7 +156,7 @@ def test_the_service_ends_the_count_while_it_runs(tmp_path, seconds, is_kept):
         shuttle.write(tmp_path, cycles=1),
         interface="virtual",
         channel="count",
-        start_count=start_count_file({"RUNTIME_DIRECTORY": str(tmp_path)}),
+        start_count=start_count_file({"CACHE_DIRECTORY": str(tmp_path), "INVOCATION_ID": "1"}),
     )
     service = Service(options, clock=lambda: now[0])
 

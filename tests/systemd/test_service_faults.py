@@ -137,9 +137,39 @@ def test_no_loop_starts_it_more_than_ten_times_a_minute_and_the_first_restart_is
 def test_a_database_too_large_for_the_unit_changes_nothing_on_reload_and_makes_no_loop(outcome):
     found = scene(outcome, "heavy_database")
     assert found["same_process"]
+    assert found["refused"] != 0, "systemctl reload fails"
     assert found["code"] == "78"
     assert found["told"]
     assert found["restarts"] == 0
+
+
+def test_root_gives_orders_to_the_sandboxed_daemon_and_nobody_else_does(outcome):
+    found = scene(outcome, "ordered")
+    assert found["mode"] == "0o600"
+    assert found["others"][0] == 1
+    assert "only root may give orders" in found["others"][1]
+    assert found["state"] in {"usable", "fine"}
+    assert found["hold"][0] == 0, found["hold"]
+    assert (found["held"], found["held_after"]) == (True, True), "a hold outlasts a restart"
+    assert found["release"][0] == 0, found["release"]
+    assert found["set"][0] == 0, found["set"]
+    assert found["yaw"] == pytest.approx(25.0, abs=0.01)
+    assert found["events"][0] == 0, "everybody may read them"
+    for text in (found["events"][1], found["journal"]):
+        assert "set-mount: roll +0, pitch +0, yaw +25 deg" in text
+        assert "(by root (pid " in text
+    assert found["quiet"] == [7, ""], "nothing comes on the bus"
+    assert (found["reset"][0], found["after"]) == (0, "waiting")
+
+
+def test_the_units_for_prometheus_write_and_serve_what_the_daemon_says(outcome):
+    found = scene(outcome, "metrics")
+    assert not found["without_collector"], "a folder that is not there is not made"
+    assert found["mode"] == "0o644"
+    assert found["timer"] == "active"
+    for text in (found["text"], found["http"]):
+        assert 'imucald_up{bus="vcan0"} 1' in text
+        assert 'imucald_mount_angle_degrees{bus="vcan0",angle="yaw"} 2' in text
 
 
 def test_in_a_namespace_of_its_own_it_reaches_one_bus_and_sends_what_is_let_through(outcome):
@@ -154,6 +184,7 @@ def test_in_a_namespace_of_its_own_it_reaches_one_bus_and_sends_what_is_let_thro
 def test_reloading_keeps_process_and_estimate_and_refuses_nonsense(outcome):
     found = scene(outcome, "reloaded")
     assert found["same_process"]
+    assert found["refused"] != 0
     assert found["told"]
     assert found["active"] == "active"
     assert len(set(found["yaw"])) == 1

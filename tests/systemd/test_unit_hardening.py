@@ -54,6 +54,17 @@ def test_systemd_finds_no_mistake(installed):
     assert "WatchdogSecs" in analyze("verify", str(unit)).stderr
 
 
+@pytest.mark.parametrize("name", ["imucald-metrics.service", "imucald-metrics-http.service"])
+def test_the_units_for_prometheus_are_sound_and_sandboxed(installed, name):
+    done = analyze("verify", str(installed / name))
+    assert (done.returncode, done.stderr) == (0, "")
+    done = analyze("security", "--offline=true", "--threshold=30", str(installed / name))
+    assert done.returncode == 0, done.stdout
+    assert "ExecStart=/bin/true metrics --" in (installed / name).read_text()
+    done = analyze("verify", str(installed / "imucald-metrics.timer"))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_all_that_is_named_is_installed(installed):
     prefix = installed.parents[2]
     names = {str(path.relative_to(prefix)) for path in prefix.rglob("*") if path.is_file()}
@@ -64,6 +75,11 @@ def test_all_that_is_named_is_installed(installed):
         "share/imucald/80-can0-fd.network.example",
         "share/imucald/imucald_out.dbc",
         "share/imucald/imucald-bus@.service.example",
+        "share/imucald/imucald-alerts.yml",
+        "share/imucald/imucald-grafana.json",
     }
     start = "\n  /bin/true run --config /etc/imucald/%i.yaml --interface socketcan"
-    assert start in (installed / "imucald@.service").read_text()
+    unit = (installed / "imucald@.service").read_text()
+    assert start in unit
+    assert "\nExecReload=/bin/true run --check --config /etc/imucald/%i.yaml\n" in unit
+    assert "/usr/bin/imucald" not in unit

@@ -21,9 +21,9 @@ import pytest
 
 import shuttle
 from imucald.runtime.session import make_engine, open_config
+from imucald.service.asking import ask
 from imucald.service.identity import state_key
 from imucald.service.state_file import SavedState, StateStore
-from imucald.service.status import ask
 
 pytestmark = pytest.mark.slow
 

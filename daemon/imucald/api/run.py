@@ -39,7 +39,7 @@ Progress = Callable[[int, int | None], None]
 
 _KINDS = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag"}
 
-UNUSED = "the log has no usable frame of this configuration; 'imucald check' tells more"
+UNUSED = "the log has no usable frame of this configuration; 'imucald check' shows more"
 
 
 def _both(first: Callable[[_T], None], second: Callable[[_T], None]) -> Callable[[_T], None]:

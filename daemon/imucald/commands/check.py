@@ -7,7 +7,7 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, add_bus, add_config
+from imucald.commands.options import LOG_HELP, add_bus, add_config, positive
 
 if TYPE_CHECKING:
     from imucald.config import LoadedConfig
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bus(parser)
     parser.add_argument(
         "--seconds",
-        type=float,
+        type=positive,
         default=LISTEN_S,
         metavar="S",
         help=f"how long to listen without LOG (default: {LISTEN_S:g})",

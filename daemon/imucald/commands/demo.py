@@ -66,12 +66,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _command(options: argparse.Namespace, minutes: float) -> str:
+    """The command line that shows the same drive."""
+    mount = f" --mount {options.mount}" if options.mount else ""
+    return f"imucald demo --seed {options.seed} --minutes {minutes:g}{mount} --svg FILE"
+
+
 def run(options: argparse.Namespace) -> int:
     """Drive, show, compare; 0 when the estimate became usable."""
     from imucald.commands.demo_drive import Demonstration
     from imucald.commands.demo_picture import Picture
     from imucald.commands.demo_result import print_result, write_svg
     from imucald.commands.demo_view import LiveView, PlainView
+    from imucald.commands.files import check_files
     from imucald.commands.simulate import chosen_model
     from imucald.commands.terminal import plain_where_needed
     from imucald.simulation.drive import simulate
@@ -89,6 +96,7 @@ def run(options: argparse.Namespace) -> int:
         )
     )
     began = time.monotonic()
+    check_files((), (options.svg,))
     if options.live:
         from imucald.commands.demo_live import run_live
 
@@ -109,6 +117,6 @@ def run(options: argparse.Namespace) -> int:
         waited = time.monotonic() - began
         print_result(demonstration, waited)
         if options.svg:
-            write_svg(demonstration, picture, waited, options.svg)
+            write_svg(demonstration, picture, waited, options.svg, _command(options, minutes))
         usable = demonstration.engine.pipeline.first_usable is not None
     return 0 if usable else 1

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from imucald.commands.demo_drive import LAST_S, Angle, Demonstration, angles_beside
 from imucald.commands.demo_picture import Picture, clock, degrees, interval
+from imucald.commands.files import with_origin
 from imucald.commands.terminal import plain_console
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.errors import ImucaldError
@@ -27,8 +28,13 @@ from imucald.mount.mount_words import (
 SVG_COLUMNS = 82
 
 
-def write_svg(demo: Demonstration, picture: Picture, waited: float, path: Path) -> None:
-    """Write the last picture and the result as SVG. Raises ImucaldError where it cannot."""
+def write_svg(
+    demo: Demonstration, picture: Picture, waited: float, path: Path, command: str
+) -> None:
+    """Write the last picture and the result as SVG. Raises ImucaldError where it cannot.
+
+    command: the command line of the demo, for the picture's metadata.
+    """
     console = Console(
         record=True,
         file=io.StringIO(),
@@ -41,7 +47,8 @@ def write_svg(demo: Demonstration, picture: Picture, waited: float, path: Path) 
     print_result(demo, waited, console)
     form = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL)
     try:
-        path.write_text(console.export_svg(title="imucald demo", code_format=form), "utf-8")
+        svg = console.export_svg(title="imucald demo", code_format=form)
+        path.write_text(with_origin(svg, command), "utf-8")
     except OSError as error:
         raise ImucaldError(f"{path}: cannot be written: {error.strerror or error}") from None
 

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Say how the sensor sits, and draw it."""
-    from imucald.commands.files import write_text
+    from imucald.commands.files import with_origin, write_text
     from imucald.commands.terminal import plain_where_needed
     from imucald.core.orientation_words import sits_words, steep_words
     from imucald.core.rotations import angles_from_rotation, quaternion_from_rotation
@@ -47,9 +47,16 @@ def run(options: argparse.Namespace) -> int:
         steep = steep_words(angles_from_rotation(R)[1], quaternion_from_rotation(R))
         words += f"\n{steep}" if steep else ""
     if options.out:
-        write_text(options.out, svg)
+        write_text(options.out, with_origin(svg, _command(options)))
     print(words)
     return 0
+
+
+def _command(options: argparse.Namespace) -> str:
+    """The command line that draws the same."""
+    name = next(n for n in ("axes", "mount", "quaternion") if getattr(options, n))
+    value = getattr(options, name)
+    return f"imucald draw --{name}" if value is True else f"imucald draw --{name} {value}"
 
 
 def _rotation(options: argparse.Namespace) -> Matrix3:

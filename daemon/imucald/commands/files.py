@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -65,6 +66,13 @@ def _check_output(path: Path) -> None:
         reason = "Permission denied"
     if reason:
         raise ImucaldError(f"{path}: cannot be written: {reason}")
+
+
+def with_origin(svg: str, command: str) -> str:
+    """The picture with the command that makes it, in its metadata."""
+    head, opening, rest = svg.partition("<svg")
+    tag, end, body = rest.partition(">")
+    return f"{head}{opening}{tag}{end}\n<metadata>{html.escape(command)}</metadata>{body}"
 
 
 def write_text(name: Name, text: str) -> None:

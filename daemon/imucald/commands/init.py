@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP
+from imucald.commands.options import LOG_HELP, positive
 
 if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--driving-side",
         choices=("left", "right", "unknown"),
         default="unknown",
-        help="side of the road: no recording tells it, and roads lean to it",
+        help="side of the road: no recording shows it, and roads lean to it",
     )
     parser.add_argument(
         "--interface", help="listen on a bus: python-can interface or a name as can0"
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--channel", help="its channel")
     parser.add_argument(
         "--seconds",
-        type=float,
+        type=positive,
         default=LISTEN_S,
         metavar="S",
         help=f"how long to listen (default: {LISTEN_S:g})",

@@ -11,6 +11,11 @@ from imucald.core.errors import ConfigError
 UNIT = "imucald@.service"
 FILES = {
     UNIT: "lib/systemd/system/imucald@.service",
+    "imucald-metrics.service": "lib/systemd/system/imucald-metrics.service",
+    "imucald-metrics.timer": "lib/systemd/system/imucald-metrics.timer",
+    "imucald-metrics-http.service": "lib/systemd/system/imucald-metrics-http.service",
+    "imucald-alerts.yml": "share/imucald/imucald-alerts.yml",
+    "imucald-grafana.json": "share/imucald/imucald-grafana.json",
     "imucald-bus@.service.example": "share/imucald/imucald-bus@.service.example",
     "60-imucald.sysctl.conf": "lib/sysctl.d/60-imucald.conf",
     "70-imucald.udev.rules": "lib/udev/rules.d/70-imucald.rules",
@@ -49,8 +54,9 @@ def run(options: argparse.Namespace) -> int:
     base = options.root / options.prefix.relative_to(options.prefix.anchor)
     for name, place in FILES.items():
         text = (data / name).read_text("utf-8")
-        if name == UNIT:
-            text = text.replace(f"  {_PACKAGED} run ", f"  {command} run ")
+        if name.endswith(".service"):
+            for place_before in ("  ", "ExecStart=", "ExecReload="):
+                text = text.replace(f"{place_before}{_PACKAGED} ", f"{place_before}{command} ")
         _write(base / place, text)
     if command.startswith(("/home/", "/root/")):
         print(f"note: the unit hides /home and /root, but runs {command}; install it elsewhere")

@@ -10,21 +10,9 @@ from typing import Any
 
 from imucald.mount.mount_words import reasons_line
 from imucald.report.drive_events import STATE_WORDS, told_events
+from imucald.runtime.alarms import ALARMS
 
 KEPT = 200
-FLAGS = {
-    "accelerometer_missing": "no accelerometer",
-    "gyroscope_missing": "no gyroscope",
-    "speed_missing": "no speed",
-    "accelerometer_faulty": "accelerometer faulty",
-    "gyroscope_faulty": "gyroscope faulty",
-    "magnetometer_faulty": "magnetometer faulty",
-    "input_rejected": "inputs rejected",
-    "frames_lost": "frames lost",
-    "id_conflict": "another node sends our ids",
-    "send_failed": "frames not sent",
-}
-"""Alarms of the health frame, in words."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +70,11 @@ class LiveEvents:
             self.events.append(LiveEvent(now, "state", text))
         if self._link is not None and link != self._link:
             self.events.append(LiveEvent(now, "bus", f"{status['link']['channel']} is {link}"))
-        alarms = frozenset(flag for flag in FLAGS if status["health"].get(flag))
+        alarms = frozenset(flag for flag in ALARMS if status["health"].get(flag))
         if self._state is None and not status["signals"]:
             alarms = frozenset()  # nothing has come yet: that is no news
         for flag in sorted(alarms - self._alarms):
-            self.events.append(LiveEvent(now, "alarm", FLAGS[flag]))
+            self.events.append(LiveEvent(now, "alarm", ALARMS[flag]))
         for flag in sorted(self._alarms - alarms):
-            self.events.append(LiveEvent(now, "alarm", f"{FLAGS[flag]}: over"))
+            self.events.append(LiveEvent(now, "alarm", f"{ALARMS[flag]}: over"))
         self._state, self._link, self._alarms = state, link, alarms

@@ -8,6 +8,7 @@ import json
 import time
 from pathlib import Path
 
+from imucald.commands.options import positive
 from imucald.commands.status import add_socket_argument, find_socket
 
 PERIOD_S = 0.5
@@ -18,7 +19,9 @@ WEB_PORT = 8130
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `monitor`."""
     add_socket_argument(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop by itself after this time")
+    parser.add_argument(
+        "--seconds", type=positive, metavar="S", help="stop by itself after this time"
+    )
     add_web_argument(parser)
 
 
@@ -37,7 +40,7 @@ def add_web_argument(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show the status until Ctrl-C; a daemon that goes away is waited for."""
-    from imucald.service.status import ask
+    from imucald.service.asking import ask
 
     path = find_socket(options.socket, options.channel)
     json.loads(ask(path, "status"))  # nobody there at the start is an error
@@ -67,7 +70,7 @@ def _watch_on_terminal(path: Path, seconds: float, note: str) -> None:
     from imucald.commands.monitor_view import monitor_picture
     from imucald.commands.terminal import plain_console, plain_where_needed
     from imucald.core.errors import LinkError
-    from imucald.service.status import ask
+    from imucald.service.asking import ask
 
     plain_where_needed()
     end = time.monotonic() + seconds

@@ -29,7 +29,7 @@ from imucald.core.rotations import Matrix3, rows_from_quaternion, vector_from_ro
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import ABOUT, SD_95, half_width, is_trouble, reasons
 from imucald.report.drawing import STYLE, view_drawings
-from imucald.service.status import ask
+from imucald.service.asking import ask
 
 if TYPE_CHECKING:
     from aiohttp import web

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 LOG_HELP = (
     "candump output in any form ('-' for standard input), ASC, BLF, TRC, MF4, CSV of SavvyCAN or "
     "python-can, PCAP; may be compressed (gz, xz, bz2, zst). Best: candump -l can0"
 )
+
+
+def positive(text: str) -> float:
+    """A finite number above zero, for an option."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a number above 0 (here: {text!r})")
+    return number
 
 
 def add_config(parser: argparse.ArgumentParser) -> None:

@@ -25,7 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `replay`."""
     parser.epilog = (
         "Several logs are several drives, each replayed on its own; overlaps and mounts that "
-        "differ from drive to drive are told. With --joined they are one recording in pieces."
+        "differ from drive to drive are reported. With --joined they are pieces of one recording. "
+        "Exit status: 0 done (whatever the state reached), 1 nothing could be read.\n\n"
+        "  imucald replay --config car.yaml drive.log\n"
+        "  imucald replay --config car.yaml drive.log --report page --write drive.csv\n"
+        "  imucald replay --config car.yaml logs/ --json all.json"
     )
     parser.add_argument(
         "logs",
@@ -68,7 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=float,
         metavar="X",
-        help="play at X times real time and send the frames on the bus (1 is real time)",
+        help="send the corrected frames on a bus, at X times real time (default: send "
+        "nothing, compute as fast as possible)",
     )
     parser.add_argument("--interface", help="with --speed: python-can interface of that bus")
     parser.add_argument("--channel", help="with --speed: its channel")

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from imucald.commands.options import add_bus, add_config
+from imucald.commands.options import add_bus, add_config, positive
+
+if TYPE_CHECKING:
+    from imucald.core.errors import ConfigError
+    from imucald.service.journal import Journal
+    from imucald.service.listening import ServingProcess
 
 WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h) by which systemd knows that another start is no use."""
@@ -13,9 +19,23 @@ WRONG_CONFIGURATION = 78
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `run`."""
+    parser.epilog = (
+        "Ctrl-C or SIGTERM stops it, SIGHUP reads the configuration again. Exit status: 0 stopped, "
+        "1 an error (no such interface), 78 a configuration that is wrong.\n\n"
+        "  imucald run --config car.yaml\n"
+        "  imucald run --config car.yaml --channel can0 --state-dir state"
+    )
     add_config(parser)
     add_bus(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop by itself after this time")
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="say what would keep it from starting, then end: status 0, or 78 with the reason; "
+        "no bus is opened",
+    )
+    parser.add_argument(
+        "--seconds", type=positive, metavar="S", help="stop by itself after this time"
+    )
     parser.add_argument(
         "--state-dir",
         type=Path,
@@ -23,13 +43,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep the calibration here across restarts (default: systemd's $STATE_DIRECTORY)",
     )
     parser.add_argument(
-        "--save-every", type=float, default=10.0, metavar="S", help="save so often (default: 10 s)"
+        "--save-every",
+        type=positive,
+        default=10.0,
+        metavar="S",
+        help="save so often (default: 10 s)",
     )
     parser.add_argument(
         "--status-socket",
         type=Path,
         metavar="PATH",
         help="answer 'imucald status' here (default: in $RUNTIME_DIRECTORY or $XDG_RUNTIME_DIR)",
+    )
+    parser.add_argument(
+        "--metrics-listen",
+        metavar="HOST:PORT",
+        help="serve metrics at http://HOST:PORT/metrics, such as 127.0.0.1:8131, from a process "
+        "of its own",
     )
     parser.add_argument("--json", metavar="FILE", help="write the result as JSON at the end")
 
@@ -41,19 +71,23 @@ def run(options: argparse.Namespace) -> int:
     import signal
 
     from imucald.commands.files import check_files, fill_standard_files, write_text
-    from imucald.core.errors import ConfigError
+    from imucald.core.errors import ConfigError, ImucaldError
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
-    from imucald.service.journal import ERROR, Journal
+    from imucald.service.journal import Journal
     from imucald.service.service import Service, ServiceOptions
-    from imucald.service.start_count import start_count_file
+    from imucald.service.start_count import end_count, start_count_file
     from imucald.service.status import default_socket
 
     fill_standard_files()
     described = [path for path in (options.config, *options.database) if path.exists()]
     check_files(described, (options.json,))  # a missing one has its own exit status below
+    if options.state_dir is not None and options.state_dir.is_file():
+        raise ImucaldError(f"--state-dir {options.state_dir}: is a file; name a folder")
     journal = Journal()
     keep_databases(os.environ)
+    if options.check:
+        return _checked(options, journal)
     folder = options.state_dir or os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     settings = ServiceOptions(
         config=options.config,
@@ -66,12 +100,12 @@ def run(options: argparse.Namespace) -> int:
         save_period=options.save_every,
         start_count=start_count_file(os.environ),
     )
+    metrics = _metrics_process(options.metrics_listen, settings.status_socket)
     try:
-        service = Service(settings, journal)
+        service = Service(settings, journal, companion=metrics)
     except ConfigError as error:
-        for line in str(error).splitlines():
-            journal.say(line, ERROR)
-        return WRONG_CONFIGURATION
+        end_count(settings.start_count)
+        return _wrong(error, journal)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
     signal.signal(signal.SIGHUP, lambda *_: service.ask_reload())
@@ -80,8 +114,46 @@ def run(options: argparse.Namespace) -> int:
         service.run(float("inf") if options.seconds is None else options.seconds)
     finally:
         service.close()
+    end_count(settings.start_count)
     result = service.result()
     if options.json:
         write_text(options.json, as_json(result))
     journal.say(f"stopped; state {result['state']}, {service.engine.sent} frames given out")
     return 0
+
+
+def _wrong(error: ConfigError, journal: Journal) -> int:
+    from imucald.service.journal import ERROR
+
+    for line in str(error).splitlines():
+        journal.say(line, ERROR)
+    return WRONG_CONFIGURATION
+
+
+def _checked(options: argparse.Namespace, journal: Journal) -> int:
+    """What the service would read at its start or reload, read without a bus."""
+    from imucald.core.errors import ConfigError
+    from imucald.runtime.session import open_config
+    from imucald.service.start_check import check_start
+
+    try:
+        check_start(open_config(options.config, options.database))
+    except ConfigError as error:
+        return _wrong(error, journal)
+    journal.say(f"{options.config} can be used")
+    return 0
+
+
+def _metrics_process(address: str | None, status_socket: Path | None) -> ServingProcess | None:
+    """What serves metrics beside the loop, where that is wanted."""
+    if address is None:
+        return None
+    from imucald.commands.metrics import serve
+    from imucald.core.errors import LinkError
+    from imucald.service.exposition import gathered
+    from imucald.service.listening import ServingProcess, listening_at
+
+    if status_socket is None:
+        raise LinkError("--metrics-listen asks the status socket: give --status-socket PATH too")
+    listening = listening_at(address)
+    return ServingProcess(listening, lambda bound: serve(bound, lambda: gathered([status_socket])))

@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FILE.log",
-        help="the log, - for standard output; truth.json is written beside it",
+        help="the log, - for standard output; its truth is written beside it, to FILE.truth.json",
     )
     parser.add_argument("--minutes", type=float, default=10.0, help="length (default: 10)")
     parser.add_argument("--seed", type=int, default=1, help="the same seed gives the same drive")
@@ -135,7 +135,9 @@ def _write_log(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -
 
 
 def _truth_beside(log: Path | None) -> Path | None:
-    return None if log is None or str(log) == "-" else log.parent / "truth.json"
+    if log is None or str(log) == "-":
+        return None
+    return log.with_name(f"{log.name.removesuffix('.gz').removesuffix('.log')}.truth.json")
 
 
 def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:

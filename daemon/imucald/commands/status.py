@@ -6,9 +6,23 @@ import argparse
 import json
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from imucald.core.errors import LinkError
+
+FINE, NOT_RUNNING, USABLE, NOT_YET, SUSPECT, FAULT = 0, 3, 4, 5, 6, 7
+"""Exit status; 1 and 2 are what every command means by them. 3 as in `systemctl is-active`."""
+_BY_STATE = {
+    "fine": FINE,
+    "usable": USABLE,
+    "restored": USABLE,
+    "waiting": NOT_YET,
+    "levelled": NOT_YET,
+    "suspect": SUSPECT,
+    "recalibrating": SUSPECT,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,6 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="everything, as JSON")
     form.add_argument("--metrics", action="store_true", help="as Prometheus text")
+    form.add_argument("--quiet", "-q", action="store_true", help="nothing but the exit status")
+    parser.epilog = (
+        "Exit status, for scripts: 0 fine, 4 usable or restored, 5 not yet (waiting, levelled), "
+        "6 suspect or recalibrating, 7 a fault (bus not up, an input missing or faulty, frames not "
+        "sent, another sender of our identifiers), 3 no daemon runs, 1 any other error. "
+        "--metrics: 0 or 3. A fault goes before the state of the mount."
+    )
 
 
 def add_socket_argument(parser: argparse.ArgumentParser) -> None:
@@ -28,40 +49,69 @@ def add_socket_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the status. Exit status 1 where no daemon answers."""
-    from imucald.service.status import ask
-
-    path = find_socket(options.socket, options.channel)
+    """Print the status; the exit status says it in a number."""
+    answer = asked(options, "metrics" if options.metrics else "status")
+    if isinstance(answer, int):
+        return answer
     if options.metrics:
-        sys.stdout.write(ask(path, "metrics"))
+        sys.stdout.write(answer)
         return 0
-    status = json.loads(ask(path, "status"))
+    status = json.loads(answer)
     if options.json:
         print(json.dumps(status, indent=2, ensure_ascii=False))
-        return 0
+    elif not options.quiet:
+        from imucald.commands.status_view import picture
+        from imucald.commands.terminal import plain_console, plain_where_needed
 
-    from imucald.commands.status_view import picture
-    from imucald.commands.terminal import plain_console, plain_where_needed
-
-    plain_where_needed()
-    plain_console().print(picture(status))
-    return 0
+        plain_where_needed()
+        plain_console().print(picture(status))
+    return exit_status(status)
 
 
-def find_socket(given: Path | None, channel: str | None) -> Path:
-    """The socket that is meant; LinkError with the choice where that is not clear."""
-    if given is not None:
-        return given
+def exit_status(status: Mapping[str, Any]) -> int:
+    """A daemon's status as an exit status."""
+    from imucald.runtime.alarms import PASSING, alarms_of
+
+    alarms = set(alarms_of(status["health"])) - PASSING
+    if not status["signals"] and status["uptime_s"] < 2.0:
+        alarms = set()  # the first samples may be on their way
+    if status["link"]["state"] != "up" or alarms:
+        return FAULT
+    return _BY_STATE.get(status["state"], FAULT)
+
+
+def asked(options: argparse.Namespace, request: str) -> str | int:
+    """The answer of the daemon that is meant; NOT_RUNNING, with the reason told, without one."""
+    from imucald.service.asking import ask
+
+    try:
+        return ask(find_socket(options.socket, options.channel), request)
+    except LinkError as error:
+        print(f"imucald: {error}", file=sys.stderr)
+        several = options.socket is None and len(running_sockets(options.channel)) > 1
+        return 1 if several else NOT_RUNNING
+
+
+def running_sockets(channel: str | None = None) -> list[Path]:
+    """Status sockets of this machine's daemons, of those of a channel where one is named."""
     found = [*Path("/run/imucald").glob("*/status.sock")]
     if runtime := os.environ.get("XDG_RUNTIME_DIR"):
         found += Path(runtime).glob("imucald-*.sock")
     if channel is not None:
         names = {channel, f"imucald-{channel}"}
         found = [p for p in found if p.parent.name in names or p.stem in names]
+    return sorted(found)
+
+
+def find_socket(given: Path | None, channel: str | None) -> Path:
+    """The socket that is meant; LinkError with the choice where that is not clear."""
+    if given is not None:
+        return given
+    found = running_sockets(channel)
     if len(found) == 1:
         return found[0]
     if not found:
         which = f" for {channel}" if channel else ""
         raise LinkError(f"no running daemon found{which}; --socket PATH names its status socket")
-    choice = ", ".join(str(path) for path in sorted(found))
+    choice = ", ".join(str(path) for path in found)
     raise LinkError(f"several daemons run, name one by channel or --socket: {choice}")

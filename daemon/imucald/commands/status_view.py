@@ -10,9 +10,9 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from imucald.commands.live_events import FLAGS
 from imucald.commands.mount_view import mount_parts
 from imucald.mount.mount_words import EVIDENCE_KINDS
+from imucald.runtime.alarms import alarms_of
 
 STYLES = {
     "usable": "green",
@@ -73,7 +73,7 @@ def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
 def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
     link, frames, process = status["link"], status["frames"], status["process"]
     rates = [f"{c} {row['rate_hz']:.4g}/s" for c, row in status["signals"].items()]
-    alarms = [text for flag, text in FLAGS.items() if status["health"][flag]]
+    alarms = list(alarms_of(status["health"]).values())
     rejected = [f"{reason} {n}" for reason, n in frames["rejected"].items()]
     rss = "?" if process["rss_bytes"] is None else f"{process['rss_bytes'] / 2**20:.0f} MiB"
     share = 100.0 * process["cpu_s"] / max(status["uptime_s"], 1.0)

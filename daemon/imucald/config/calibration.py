@@ -7,7 +7,17 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from imucald.config.base import NotNegative, Positive, Radians, RadiansOrNone, Settings, SpeedDelay
+from imucald.config.base import (
+    Angle,
+    NotNegative,
+    PerAxis,
+    Positive,
+    Radians,
+    RadiansOrNone,
+    RadiansPerAxis,
+    Settings,
+    SpeedDelay,
+)
 
 
 class StaticTestSettings(Settings, frozen=True):
@@ -119,6 +129,23 @@ class StateLimits(Settings, frozen=True):
     fine_tilt = RadiansOrNone("fine_tilt_deg")
 
 
+class KnownMount(Settings, frozen=True):
+    """A mount that is known: it serves from the first frame on."""
+
+    roll_deg: Angle
+    pitch_deg: Annotated[float, Meta(ge=-90, le=90)]
+    yaw_deg: Angle
+    std_deg: PerAxis
+    """Standard deviations about the vehicle's axes [deg]."""
+    hold: bool = False
+    """Nothing is learnt: the drive may only confirm or doubt it."""
+
+    roll = Radians("roll_deg")
+    pitch = Radians("pitch_deg")
+    yaw = Radians("yaw_deg")
+    std = RadiansPerAxis("std_deg")
+
+
 class CalibrationSettings(Settings, frozen=True):
     """How the mount is found."""
 
@@ -134,6 +161,8 @@ class CalibrationSettings(Settings, frozen=True):
     """Cross-axis error of the accelerometer (part): widens the intervals."""
     speed_delay: SpeedDelay | None = None
     """How late speed is against the accelerometer [s]; estimated when absent."""
+    mount: KnownMount | None = None
+    """Where the mount is known already."""
     states: StateLimits = StateLimits()
     static: StaticTestSettings = StaticTestSettings()
     straight: StraightMotionSettings = StraightMotionSettings()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Annotated, Literal
 
 from msgspec import Meta
@@ -9,6 +10,7 @@ from msgspec import Meta
 from imucald.config.base import STANDARD_ID_MAX, CanId, Settings
 
 MESSAGE_SIGNAL = r"^[^.\s]+\.[^.\s]+$"
+"""For editors, in the JSON schema."""
 
 
 class RawSource(Settings, frozen=True, kw_only=True):
@@ -45,8 +47,8 @@ class ValidWhen(Settings, frozen=True):
 class SourceSettings(Settings, frozen=True):
     """Where one number comes from: ``MESSAGE.SIGNAL`` alone, or a mapping with more."""
 
-    signal: Annotated[str, Meta(pattern=MESSAGE_SIGNAL)] | None = None
-    """``MESSAGE.SIGNAL`` in the database."""
+    signal: Annotated[str, Meta(extra_json_schema={"pattern": MESSAGE_SIGNAL})] | None = None
+    """``MESSAGE.SIGNAL``; another form is refused by the database, which knows what to write."""
     raw: RawSource | None = None
     """Instead of `signal`: bytes and an expression."""
     unit: str | None = None
@@ -89,6 +91,14 @@ class TriadSettings(Settings, frozen=True):
     x: SourceSettings
     y: SourceSettings
     z: SourceSettings | None = None
+
+    def __post_init__(self) -> None:
+        axes = {"x": self.x, "y": self.y, "z": self.z}
+        names = [axis for axis, source in axes.items() if source and source.signal]
+        for first, second in combinations(names, 2):
+            one, other = axes[first], axes[second]
+            if one and other and one.signal == other.signal:
+                raise ValueError(f"{first} and {second} are one signal, {one.signal}")
 
 
 Triads = Annotated[tuple[TriadSettings, ...], Meta(min_length=1)]

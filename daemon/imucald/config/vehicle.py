@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from imucald.config.base import Part, Positive, Settings
+from imucald.config.base import Part, Settings
 from imucald.core import default_vehicle
 
 
@@ -31,11 +31,11 @@ class VehicleSettings(Settings, frozen=True):
     """Mean cross slope of the roads it uses, towards the kerb."""
     crown_spread_percent: Annotated[float, Meta(gt=0, le=5)] = 0.65
     """Spread of that mean from drive to drive."""
-    wheelbase: Positive = default_vehicle.WHEELBASE
+    wheelbase: Annotated[float, Meta(ge=0.5, le=15)] = default_vehicle.WHEELBASE
     """[m]; turns the steering angle into a yaw rate where there is no other."""
-    steering_ratio: Positive = default_vehicle.STEERING_RATIO
+    steering_ratio: Annotated[float, Meta(ge=1, le=100)] = default_vehicle.STEERING_RATIO
     """Steering-wheel angle over road-wheel angle."""
-    track: Positive = default_vehicle.TRACK
+    track: Annotated[float, Meta(ge=0.5, le=5)] = default_vehicle.TRACK
     """[m]; how much the wheels may differ in a curve."""
 
     crown_mean = Part("crown_percent")

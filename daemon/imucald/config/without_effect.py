@@ -91,7 +91,7 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
     sources = calibration.target_angle.sign_from
     if not any(told.get(source, True) for source in sources):
         missing = sorted(f"signals.{source}" for source in sources)
-        text = f"nothing tells forward from backward without {' or '.join(missing)}"
+        text = f"nothing separates forward from backward without {' or '.join(missing)}"
         yield ("calibration", "target_angle", "sign_from"), text
 
 

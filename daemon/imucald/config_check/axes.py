@@ -21,7 +21,10 @@ from imucald.config_check.finding import (
 )
 from imucald.config_check.motion import Motion, shifted, smooth
 from imucald.config_check.yaw_rate_check import MIN_TURNING
+from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
+from imucald.mount.alternatives import TO_ACCUSE, TO_BE_FINE, gyro_ratios
+from imucald.mount.signal_blocks import BLOCK_TICKS
 
 MIN_BRAKING = 0.25
 """Least standard deviation of the change of speed for a judgement [m/s^2]."""
@@ -37,6 +40,8 @@ ODD_SPEED = 1.4
 measured and simulated vehicles show 0.8 to 1.2, miles taken for kilometres 0.6 or 1.6 of that."""
 MIN_REPORTED_DELAY = 2
 """Ticks of speed delay from which it is reported."""
+MOVING = 2.0
+"""Below this speed [m/s] slopes hardly change."""
 _DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(MAX_SPEED_DELAY / TICK_S) + 1)
 """[ticks]"""
 
@@ -108,6 +113,7 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
     response = best_response(motion, rates)
     if response is None or np.linalg.norm(response.across) < 1.0 / WRONG_GAIN:
         return
+    yield from _gyro_axes(motion, response, up)
     along, across = response.along, response.across
     handed = float(np.cross(along, across) @ up / np.linalg.norm(along) / np.linalg.norm(across))
     if handed < -HANDED:
@@ -118,6 +124,37 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
         yield Finding("error", "accelerometer", text)
     elif handed > HANDED:
         yield Finding("ok", "accelerometer", "forward, left and up are a right-handed set")
+
+
+def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Finding]:
+    """Whether the gyroscope carries the vertical as the accelerometer shows it (`alternatives`)."""
+    if "gyro" not in motion.grid or motion.speed is None or motion.change is None:
+        return
+    accel, rate = motion.accel, smooth(motion.grid["gyro"])
+    if accel is None or motion.gravity is None:
+        return
+    if motion.standing is not None:
+        n = min(len(rate), len(motion.standing))
+        rate = rate - np.nanmean(rate[:n][motion.standing[:n]], axis=0)
+    left = np.cross(up, response.along)
+    left /= np.linalg.norm(left)
+    R = np.array([np.cross(left, up), left, up])
+    force = (accel - motion.gravity) @ R.T
+    change = shifted(motion.change, response.delay)
+    columns = np.column_stack([force[:, :2], change, motion.speed, rate])
+    total = np.zeros(13)
+    for block in np.array_split(columns, max(len(columns) // BLOCK_TICKS, 1)):
+        if np.isfinite(block).all() and np.abs(block[:, 3]).min() > MOVING:
+            ahead = (block[:, 0] - block[:, 2]) / GRAVITY
+            total += gyro_ratios(ahead, block[:, 1] / GRAVITY, block[:, 4:], block[:, 3], R)
+    if total.min() < -TO_ACCUSE:
+        text = (
+            "does not tilt as the accelerometer does: one of its axes (or of the accelerometer's) "
+            "has the wrong sign, or two are exchanged, or the sensor sways in its holder"
+        )
+        yield Finding("error", "gyroscope", text)
+    elif total.min() > TO_BE_FINE:
+        yield Finding("ok", "gyroscope", "tilts as the accelerometer does")
 
 
 def _rotation_axis(motion: Motion, rates: Mapping[str, Array], up: Array) -> Iterator[Finding]:

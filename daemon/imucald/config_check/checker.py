@@ -176,7 +176,13 @@ class Check:
 
     def _output_ids(self) -> list[dict[str, Any]]:
         config = self.loaded.config
-        ids = {name: getattr(config.output.ids, name) for name in _OUTPUTS}
+        names = list(_OUTPUTS)
+        if config.attitude.enabled:
+            names += ["attitude", "attitude_deviation", "rates", "grade"]
+            names += ["free_acceleration"] if config.attitude.compensation.send else []
+        if config.travel_direction.enabled:
+            names += ["travel_direction", "travel_deviation"]
+        ids = {name: getattr(config.output.ids, name) for name in names}
         if config.signals.gyroscope is None:
             del ids["angular_rate"]
         if config.signals.magnetometer is None:

@@ -21,7 +21,7 @@ MIN_EQUAL_VALUES = 100
 
 _NO_SPEED = "missing: yaw takes longer and is less certain; "
 _NO_GYRO = "pitch and roll get nothing from turns, and no corrected angular rate is sent"
-_NO_TURNS = "so are yaw rate and steering angle: straight motion is told by steady angles only"
+_NO_TURNS = "so are yaw rate and steering angle: only steady angles show straight motion"
 _NO_REVERSE = "missing: reversing reads as braking, which costs some accuracy"
 _NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); say left or right"
 _REMEDIES = {
@@ -131,10 +131,10 @@ class Decoding:
 
     def _direction_without_speed(self) -> str:
         if self._has("brake"):
-            return "forward is told from backward by the brake switch"
+            return "the brake switch separates forward from backward"
         if self._has("yaw_rate") or self._has("gyro"):
-            return "forward is told from backward in turns and by the first motion after a stop"
-        return "forward is told from backward by the first motion after a stop only"
+            return "turns and the first motion after a stop separate forward from backward"
+        return "only the first motion after a stop separates forward from backward"
 
     def _without_gyro(self) -> str:
         for channel in ("yaw_rate", "steering"):

@@ -105,7 +105,7 @@ def _not_checked(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding
     left: list[str] = []
     turning = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
     if not turning:
-        left.append("signs and units of what tells of turns (no bends, or no such signal)")
+        left.append("signs and units of what shows turns (no bends, or no such signal)")
     elif len(turning) == 1:
         left.append(f"the sign of {turning[0]} in turns (nothing beside it)")
     if motion.speed is None:

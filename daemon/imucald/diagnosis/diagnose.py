@@ -118,7 +118,7 @@ def diagnose(
 def _left(state: State) -> tuple[Structure, ...]:
     """What no cause explains."""
     problem = state.evaluated()
-    return (*too_much(problem), *outcome.implausible(state), *what_is_left(problem, state))
+    return (*too_much(problem, state), *outcome.implausible(state), *what_is_left(problem, state))
 
 
 def _silent(share: float, text: str) -> None:
@@ -178,7 +178,7 @@ def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:
 def _refuse_short(table: Table) -> None:
     if table.blocks < LEAST_BLOCKS:
         raise EstimateError(
-            f"only {table.blocks} stretches of driving hold all that is needed: give longer drives"
+            f"only {table.blocks} segments of driving hold all that is needed: give longer drives"
         )
 
 
@@ -246,13 +246,13 @@ def _notes(parts: Sequence[DriveSignals], table: Table, late: _Late) -> list[str
     if not parts[0].has("temperature"):
         notes.append("No temperature: drift with it was not examined.")
     if parts[0].has("gyro") and not any(p.stops for p in parts):
-        notes.append("No stop that speed and gyroscope agree on: the gyroscope's zero is told by "
-                     "driving alone, ten times less sharply.")  # fmt: skip
+        notes.append("No stop that speed and gyroscope agree on: the gyroscope's zero comes from "
+                     "driving alone, ten times less sharp.")  # fmt: skip
     minutes = float(table.moving.sum()) * (table.seconds / 60.0)
     if minutes < LITTLE_MIN:
         notes.append(f"Only {minutes:.1f} min of driving: small errors do not show in that.")
     top = ", ".join(f"{name} {hz:.2g}" for name, hz in table.top_hz.items() if name in table.plain)
     notes.append(f"Compared up to [Hz]: {top}.")
     if late.was:
-        notes.append("The time limit ended the search: there may be more than is told here.")
+        notes.append("The time limit ended the search: there may be more than is reported here.")
     return notes

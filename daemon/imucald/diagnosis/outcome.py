@@ -25,7 +25,7 @@ from imucald.diagnosis.result import (
 )
 from imucald.diagnosis.search import State
 from imucald.diagnosis.shift import KEYS, FittedShift
-from imucald.diagnosis.trials import Trial, questions
+from imucald.diagnosis.trials import SINGLE_NATS, Trial, questions
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
@@ -85,7 +85,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     e, gain = trial.estimate, trial.gain
     worse = float((gain < 0.0).mean())
     if worse > 1.0 / 3.0:
-        said.append(f"in {100 * worse:.0f} % of the stretches it predicts worse")
+        said.append(f"in {100 * worse:.0f} % of the segments it predicts worse")
     for key, wander, spread in zip(trial.hypothesis.keys, e.wander, e.se, strict=True):
         if wander > spread:
             said.append(
@@ -98,7 +98,7 @@ def _against(state: State, trial: Trial) -> list[str]:
     if trial.hypothesis.pattern is None and state.table is not None:
         few = state.table.blocks < 20
         if few:
-            said.append(f"there are only {state.table.blocks} stretches of driving")
+            said.append(f"there are only {state.table.blocks} segments of driving")
     return said
 
 
@@ -163,8 +163,9 @@ def told_shift(shift: FittedShift, table: Table) -> FoundCause:
 def told_rest_of(state: State) -> tuple[Candidate, ...]:
     """Every cause that was not named, with the size that these drives could have shown."""
     named = {t.hypothesis.name for t in (*state.named, *state.likely)}
+    doubtful = {t.hypothesis.name: t for t in state.doubtful}
     made = []
-    for name, t in questions(state.last).items():
+    for name, t in (questions(state.last) | doubtful).items():
         if name in named:
             continue
         i = int(np.argmax(np.abs(t.estimate.value) / np.maximum(t.estimate.se, 1e-30)))
@@ -176,6 +177,8 @@ def told_rest_of(state: State) -> tuple[Candidate, ...]:
             outcome = "not plausible"
         elif abs(x) + q * se <= tau:
             outcome = "within tolerance"
+        elif name in doubtful or (t.shown > SINGLE_NATS and t.is_suspect):
+            outcome = "not ruled out"
         elif t.outside:
             outcome = "does not pay"
         else:

@@ -152,7 +152,7 @@ def _refuse_empty(paths: Sequence[Path | str], reader: LogReader, router: Router
         rejected = f" (rejected: {why})" if why else ""
         raise LogError(
             f"{names}: has no usable frame of this configuration{rejected}; "
-            "'imucald check' tells more"
+            "'imucald check' shows more"
         )
 
 

@@ -14,7 +14,9 @@ from imucald.model.model import VehicleModel
 
 Verdict = Literal["found", "ambiguous", "unknown", "nothing"]
 Certainty = Literal["certain", "likely"]
-Outcome = Literal["within tolerance", "not decidable here", "does not pay", "not plausible"]
+Outcome = Literal[
+    "within tolerance", "not decidable here", "does not pay", "not plausible", "not ruled out"
+]
 Array = NDArray[np.float64]
 
 

@@ -55,7 +55,7 @@ def _unit(triad: Triad, fit: GyroFit) -> tuple[UnitChoice, str]:
 
 def _contradiction(fit: GyroFit) -> str:
     if fit.is_contradicted:
-        return "turns and the way in which gravity moves tell different signs or axes"
+        return "turns and the way in which gravity moves show different signs or axes"
     return ""
 
 

@@ -79,7 +79,7 @@ def find_planar(
         f"speed (correlation {best.relation.correlation:+.2f}), y speed times {across.first.path} "
         f"({across.relation.correlation:+.2f})"
     )
-    doubt = "" if why else "nothing tells left from right: the sign of y may be the other one"
+    doubt = "" if why else "nothing separates left from right: the sign of y may be the other one"
     used = {best.second.path, across.second.path}
     speed = None
     if best.first.path not in taken:

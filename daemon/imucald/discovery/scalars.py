@@ -138,7 +138,7 @@ def _doubt(best: Match, others: list[Match], quantity: Quantity, sides: str) -> 
         if best.relation.explained < 0.8:
             return "the database states no unit, and much of it is not explained"
     if not sides:
-        return "nothing on this bus tells left from right: its sign may be the other one"
+        return "nothing on this bus separates left from right: its sign may be the other one"
     return ""
 
 

@@ -38,7 +38,7 @@ PAIRS: Final = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 _VEHICLE = texts(
     vehicle="from the rules of fleet.yaml",
-    vehicle_type="model of the vehicle: sensors of a type are meant to sit alike",
+    vehicle_type="model of the vehicle: sensors of a type are meant to sit the same way",
     sensor_serial="serial number",
     sensor_batch="batch of production",
     firmware="of the sensor",

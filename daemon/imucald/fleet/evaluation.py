@@ -19,7 +19,7 @@ from imucald.fleet.drive_row import drive_row, event_rows, known_times
 from imucald.fleet.fetch import NoRegularFileError, StorageError, local_copy
 from imucald.fleet.task import OK, OTHER_CODE, Outcome, Task
 
-NOT_OURS = "the log has no usable frame of this configuration; 'imucald check' tells more"
+NOT_OURS = "the log has no usable frame of this configuration; 'imucald check' shows more"
 
 
 def evaluate(task: Task) -> Outcome:

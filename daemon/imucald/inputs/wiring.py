@@ -144,15 +144,16 @@ def _add_status(
 def _find(
     loaded: LoadedConfig, databases: Sequence[LoadedDatabase], wanted: Wanted, path: str
 ) -> tuple[LoadedDatabase, Message, Signal]:
-    problem = ""
+    problems: list[str] = []
     for holder in databases:
         try:
             message, signal = holder.database.signal(path)
         except DatabaseError as error:
-            problem = problem if "has no signal" in problem else str(error)
+            problems.append(str(error))
             continue
         return holder, message, signal
-    raise loaded.error(wanted.place, problem)
+    nearest = [text for text in problems if "has no signal" in text or "; write" in text]
+    raise loaded.error(wanted.place, "; ".join(dict.fromkeys(nearest[:1] or problems)))
 
 
 def _conversion(loaded: LoadedConfig, wanted: Wanted, signal: Signal | None) -> Conversion:

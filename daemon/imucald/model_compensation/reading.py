@@ -111,9 +111,9 @@ class _Reader:
         file = self._file
         found = [f"{key}: is not known to this version, ignored" for key in file.unknown]
         if any(file.is_set("mount", f"{a}_deg") for a in ("roll", "pitch", "yaw")):
-            found.append("mount: is found while driving, the model's angles are not used")
+            found.append("mount: the model's angles are not used, the daemon finds its own")
         if file.is_set("mount", "shifts"):
-            found.append("mount.shifts: are found while driving, the model's are not used")
+            found.append("mount.shifts: those of the model are not used, the daemon finds its own")
         for section in FILTERED:
             corner = self._value(section, "lowpass_hz")
             if corner is not None and corner < NARROW_HZ:

@@ -13,7 +13,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.motion.hops import SIDES, HopRows
-from imucald.motion.sensor_judges import SURPRISE, Runs, StuckAxis
+from imucald.motion.sensor_judges import Runs, StuckAxis
 
 Array = NDArray[np.float64]
 
@@ -21,13 +21,16 @@ TAIL_HOPS = 120
 """The tail of an axis is that of the largest values of so many hops of driving (a minute) ..."""
 LEAST_TAIL_HOPS = 30
 """... and known from so many (15 s)."""
-LEAST_STEPS = 16
+LEAST_STEPS = 8
 """A signal of fewer steps from end to end has no tail."""
 LEAST_AT_EXTREME = 5
 PILE = 1.3
 """An extreme is a rail where more samples are on it than on the steps below, so many times."""
 STAYS_COUNT = 0.5
 """Neighbouring samples are not independent: each counts for so much."""
+SURPRISE = 18.5
+"""A rail is believed from this -log of the chance of it without one [nats]: 1e-8, where both ends
+of six axes have some 1e7 hops of driving in 100 h."""
 BOTH_ENDS = SURPRISE + 4.0
 """A range that ends at both ends: for the sum of two surprises, as x + log(1 + x) has it."""
 BROAD = 3
@@ -43,16 +46,23 @@ class _Pile(Struct):
     """What speaks for a value as a rail.
 
     rate: -log of the chance that a sample equals the one before, as it was known before [nats].
-    surprise: -log of the chance of all that was seen [nats]. seen: samples, each with the one
-    before it, so that what comes again to the last bit counts once.
+    at_it: samples on the value; stays: of them, those that equal the one before. met: -log of the
+    chance that its arrivals meet in one step [nats]. seen: samples, each with the one before it, so
+    that what comes again to the last bit counts once.
     """
 
     rate: float
     at_it: int = 0
+    stays: int = 0
     arrivals: int = 0
     last: int = -2
-    surprise: float = 0.0
+    met: float = 0.0
     seen: set[bytes] = field(default_factory=set)
+
+    @property
+    def surprise(self) -> float:
+        """-log of the chance of all that was seen [nats]."""
+        return self.met + STAYS_COUNT * _more_often(self.stays, self.at_it, self.rate)
 
 
 class _Top(Struct):
@@ -167,35 +177,33 @@ class Rail:
     ) -> None:
         """Weigh the samples of a hop that are on its top."""
         pile.rate = pile.rate or runs.rate()
-        fresh = self._fresh(rows, h, top.value, pile.seen)
+        fresh = self._fresh(rows, h, top.value, pile)
         is_arrival = hop - pile.last > 1
         pile.last = hop
         if not fresh:
             return
-        pile.at_it += fresh
-        if not is_arrival:
-            pile.surprise += STAYS_COUNT * pile.rate * fresh
-            return
-        pile.surprise += STAYS_COUNT * pile.rate * (fresh - 1)
-        pile.arrivals += 1
-        if pile.arrivals > 1:
-            pile.surprise += self._coincidence(top, float(rows.step[h, self._axis]), hop, recent)
+        if is_arrival:
+            pile.arrivals += 1
+            if pile.arrivals > 1:
+                pile.met += self._coincidence(top, float(rows.step[h, self._axis]), hop, recent)
 
-    def _fresh(self, rows: HopRows, h: int, value: float, seen: set[bytes]) -> int:
-        """Samples of a hop on the value that have not been there before; not those sent twice."""
+    def _fresh(self, rows: HopRows, h: int, value: float, pile: _Pile) -> bool:
+        """Count the samples of a hop on the value that are new, not those that were sent twice."""
         first, stop = rows.edges[h], rows.edges[h + 1]
         before = rows.samples[:, first - 1] if first else rows.before
         hop = np.column_stack([before, rows.samples[:, first:stop]])
         own = hop[self._axis] if self._side == 0 else -hop[self._axis]
-        fresh = 0
+        at_it, seen = pile.at_it, pile.seen
         for k in np.flatnonzero(own[1:] == value).tolist():
             two = hop[:, k : k + 2]
             if len(seen) == MOST_SAMPLES or (two[:, 0] == two[:, 1]).all():
                 continue
             known = len(seen)
             seen.add(two.tobytes())
-            fresh += len(seen) - known
-        return fresh
+            if len(seen) > known:
+                pile.at_it += 1
+                pile.stays += bool(own[k] == value)
+        return pile.at_it > at_it
 
     def _coincidence(self, top: _Top, step: float, hop: int, recent: Array) -> float:
         """-log of the chance that one more peak of the tail meets the same step [nats]."""
@@ -210,6 +218,19 @@ class Rail:
             return 0.0
         scale = (top.value - low) / math.log(broad / on)
         return -math.log(-math.expm1(-step / scale))
+
+
+def _more_often(stays: int, of: int, rate: float) -> float:
+    """-log of the chance that so many of so many samples stay, where exp(-rate) do [nats].
+
+    Chernoff's bound of the binomial's tail; 0 where they do not stay more often than that.
+    """
+    chance = math.exp(-rate)
+    share = stays / of if of else 0.0
+    if share <= chance:
+        return 0.0
+    left = (1.0 - share) * math.log((1.0 - share) / (1.0 - chance)) if share < 1.0 else 0.0
+    return of * (share * (math.log(share) + rate) + left)
 
 
 def _steps(difference: float, step: float) -> int:

@@ -61,6 +61,7 @@ class StandingFault(enum.StrEnum):
     FORCE_SPEED = "accelerometer_against_speed"
     GYRO_GAIN = "gyroscope_unit"
     SPEED_GAIN = "speed_unit"
+    GYRO_AXES = "gyroscope_axes"
     NUMERICS = "numbers_out_of_range"
 
 
@@ -74,6 +75,8 @@ WORDS = {
     StandingFault.FORCE_SPEED: "the force does not follow the change of speed",
     StandingFault.GYRO_GAIN: "the gyroscope's unit is wrong",
     StandingFault.SPEED_GAIN: "the speed's unit is wrong",
+    StandingFault.GYRO_AXES: "the gyroscope's axes do not fit the accelerometer's: a sign, or two "
+    "axes exchanged, of one of them, or a sensor that sways in its holder",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
 }
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import rotation_from_vector
 from imucald.motion.ticks import TickRow
+from imucald.mount.alternatives import TO_BE_FINE, TO_BE_GOOD, Alternatives
 from imucald.mount.contradictions import WORDS, Contradictions, StandingFault
 from imucald.mount.creep import BELIEVED, P_CONSTANT, P_CONSTANT_AGAIN
 from imucald.mount.estimate import ANGLES, Correction, Missing, MountEstimate, MountState
@@ -96,6 +97,7 @@ class FullEstimator:
         self._moved = self._stands_out = False
         self._shifts: list[tuple[int, Shift | GravityStep | LargeChange]] = []
         self._contradictions = Contradictions(self._settings)
+        self._alternatives = Alternatives(self._settings)
         self._large = LargeChangeDetector(self._settings)
         self._faults: tuple[StandingFault, ...] = ()
         self._faults_seen: list[tuple[int, StandingFault]] = []
@@ -205,7 +207,11 @@ class FullEstimator:
             signals.steering_offset,
             "yaw_rate" in signals.seen,
         )
+        offset = signals.steering_offset
+        self._alternatives.add(self._kept, R, solver.bias, solver.gains(), signals.seen, offset)
         before, self._faults = self._faults, self._contradictions.faults
+        if self._alternatives.gyro_accused and (solver.sure() or StandingFault.GYRO_AXES in before):
+            self._faults = (*self._faults, StandingFault.GYRO_AXES)
         new = [fault for fault in self._faults if fault not in before]
         self._faults_seen += [(self._blocks, fault) for fault in new]
         is_stuck = bool(self._faults) and self._solver.blocks >= STUCK_BLOCKS
@@ -221,15 +227,20 @@ class FullEstimator:
         if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
             self._begin_without_rotation([p])
             return True
-        large.add(p, solver.R, p.speed * solver.turn_rate, solver.gains(), self._has_speed)
+        large.add(p, solver.R, solver.motion(p, solver.R), self._has_speed)
         change = large.while_standing(p, solver.R)
-        if self._state not in GOOD:
-            return False  # nothing is served as good, and the fit is young
+        if change is None and solver.own_gyro and "yaw_rate" in self._signals.seen:
+            change = large.while_driving(p, solver.turn_rate)
+        if self._state not in GOOD:  # nothing is served as good, and the fit is young
+            if change is not None and self._served.correction is None:
+                self._begin_without_rotation([])
+                self._moved = False
+            return change is not None
         if change is None:
             change = large.found((0, 1, 2) if solver.own_gyro else (0, 1))
         if change is None:
             return False
-        self._take_shift(change, max(change.blocks - 1, 1))  # the oldest holds the change itself
+        self._take_shift(change, change.blocks - 1)  # the oldest holds the change itself
         return True
 
     @property
@@ -246,6 +257,7 @@ class FullEstimator:
         self._refit = None
         self._large.restart()
         self._contradictions.forget_forces()
+        self._alternatives.restart()
         for p in blocks:
             self._driven.add(*self._solver.add(p))
 
@@ -309,15 +321,16 @@ class FullEstimator:
     def _take_shift(self, found: Shift | GravityStep | LargeChange, after: int) -> None:
         """The sensor was moved: what came in the blocks after is all that counts."""
         self._shifts.append((self._blocks, found))
+        kept = list(self._kept)[max(len(self._kept) - after, 0) :]
         if abs(found.size) > AFRESH:
-            self._begin_without_rotation(list(self._kept)[-min(after, len(self._kept)) :])
+            self._begin_without_rotation(kept)
             return
         self._moved, self._stands_out = True, False
         self._solver.past_drives = None  # it is about the mount before
         self._driven = Manoeuvres()
         self._large.restart()
         self._looked_again = True
-        self._begin_refit(list(self._kept)[-min(after, len(self._kept)) :])
+        self._begin_refit(kept)
 
     def _judge(self, p: SignalBlock) -> None:
         solver = self._solver
@@ -353,18 +366,28 @@ class FullEstimator:
 
     def _allowed(self, found: MountState) -> MountState:
         """No *fine* before the tests can see, and nothing good in the face of a contradiction."""
-        serving = self._served.correction is not None
-        if found in GOOD and not serving and self._contradictions.doubtful:
+        serving = self._served.correction is not None and not self._moved
+        if found in GOOD and not serving and self._hold_back() is not None:
             return MountState.LEVELLED
         if found is MountState.FINE and not self._may_be_fine():
             return MountState.USABLE
         return found
 
+    def _hold_back(self) -> str | None:
+        """Why an estimate whose deviations are small enough is not good yet; None: it is."""
+        if self._signals.without_speed:
+            return None
+        if self._contradictions.doubtful:
+            return "more bends, as signals contradict one another"
+        return self._alternatives.missing(TO_BE_GOOD)
+
     def _may_be_fine(self) -> bool:
         """Whether every test is armed, the signals were seen to agree, and little has happened."""
         if len(self._shifts) > SHIFTS_ALLOWED or not self._solver.armed:
             return False
-        return self._signals.without_speed or self._contradictions.agreed
+        if self._signals.without_speed:
+            return True
+        return self._contradictions.agreed and self._alternatives.are_seen(TO_BE_FINE)
 
     def _why_not_fine(self) -> str:
         """Why an estimate whose deviations are small enough is not *fine*."""
@@ -436,6 +459,9 @@ class FullEstimator:
         codes = {name: code for name, (_, code) in reasons.items()}
         for angle, text in self._troubles().items():
             words[angle], codes[angle] = text, Missing.OTHER
+        if self._state is MountState.LEVELLED and (held := self._hold_back()) is not None:
+            words = {angle: words.get(angle, held) for angle in ANGLES}
+            codes = {angle: codes.get(angle, Missing.AGREEMENT) for angle in ANGLES}
         if self._state is MountState.USABLE and not words:
             words = dict.fromkeys(ANGLES, self._why_not_fine())
             codes = dict.fromkeys(ANGLES, Missing.NOTHING)
@@ -526,5 +552,6 @@ class FullEstimator:
             "faults": [
                 {"t": block * BLOCK_S, "fault": fault.value} for block, fault in self._faults_seen
             ],
+            "not_checked": list(self._alternatives.not_checked),
             "frozen_ticks": dict(signals.health.counts),
         }

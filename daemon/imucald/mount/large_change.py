@@ -6,8 +6,8 @@ taken out, in the direction in which the force answers to dv/dt and v r, and whi
 stands in any turn at all. For every block of the last minutes as the time of a change the mean
 before is held against the mean after (a generalised likelihood ratio test; Basseville and
 Nikiforov, Detection of Abrupt Changes, 1993, ch. 2.4). The road's slope is a Gauss-Markov process
-over the distance driven, as in `evidence_gravity`; its spread, and that of yaw, begins at a prior
-and is learnt.
+over the distance driven, as in `evidence_gravity`; what a block says of yaw: `block_yaw`. The
+spread of both begins at a prior and is learnt.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.motion.ticks import TICK_S
+from imucald.mount.block_yaw import BlockMotion, block_yaw
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
+from imucald.mount.turned_alone import LEAST, TurnedAlone
 
 Array = NDArray[np.float64]
 
@@ -35,30 +37,21 @@ LEAST_TICKS = 32
 """Half a block must be good to say anything."""
 TILT_NOISE = math.radians(0.5)
 """A block's tilt beside the road's slope: squat, gains, what is missed of the motion [rad]."""
-FORCE_NOISE2 = 0.25**2 * 5.0
-"""Squared noise of the force times the ticks over which it hangs together [(m/s^2)^2]."""
-YAW_NOISE = math.radians(3.5)
-"""A block's yaw beside that noise [rad]: sideslip, and a speed that comes 0.1 to 0.3 s late where
-braking goes over into a bend of 2 s turns the force by 0.05 to 0.1."""
-MAX_RATE = 0.25
-"""Turning faster than this [rad/s] a lever arm of 1.5 m adds more than 0.1 m/s^2 along."""
-LEAST_MOTION = 3.0
-"""A block with less squared motion says nothing of yaw [(m/s^2)^2 ticks]; its deviation is 16 deg
-there, 8 deg at four times as much."""
 PRIOR_BLOCKS = 10.0
 """The spread is taken as the prior's with that weight."""
-LIMITS = (6.0, 6.0, 8.0)
+CLIP = 4.5
+"""No single block widens it by more standard deviations in yaw, where one bend may be odd."""
+LIMITS = (6.0, 6.0, 6.0)
 """Roll, pitch, yaw: standard deviations from which a change is one. Of a normal variable 6 are
 2e-9, two-sided: one in 3,000 h, with 560 blocks an hour and a dozen tries each of which two or
-three are independent. What a block says of yaw has heavier tails; Student's t of as many degrees of
-freedom as the prior counts blocks exceeds 8 as often as 1e-5, and a tenth of all blocks speak."""
-MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(4.0))
+three are independent."""
+MIN_SIZE = (math.radians(6.0), math.radians(6.0), math.radians(2.5))
 """Smaller changes are left to `shift` [rad]: no mean slope of half a minute differs so much from
 that of the minutes before but on mountain roads (10 %)."""
 AGREEING = 0.4
 """Every block since a change shows at least that share of it: one gust, one bad road is none."""
-CLEAR_YAW = 1.0 / (math.radians(8.0) ** 2 + YAW_NOISE**2)
-"""Of blocks that know yaw that well [1/rad^2]; at least one must be there."""
+CLEAR, CLEAR_BLOCKS = 3.0, 2
+"""In yaw, blocks to which a change would be so many of their own deviations; so many must be."""
 STANDING_TURN = math.radians(3.0)
 """A vehicle that stands does not turn or tilt by so much [rad]; people getting in make a half."""
 STANDING_TICKS = 12
@@ -81,10 +74,12 @@ class LargeChangeDetector:
         across, along = settings.unevenness
         self._slope = settings.slope_std * np.array([across, along])
         self._length = settings.slope_length
+        self._alone = TurnedAlone()
         self.restart()
 
     def restart(self) -> None:
         """What comes next is compared with nothing before."""
+        self._alone.restart()
         self._e = np.zeros((0, 3))
         self._metres = np.zeros(0)
         self._weight = np.zeros((0, 3))  # of tilt (metres and a little), of yaw (information)
@@ -97,10 +92,8 @@ class LargeChangeDetector:
         self._e, self._metres = self._e[-blocks:], self._metres[-blocks:]
         self._weight = self._weight[-blocks:]
 
-    def add(
-        self, p: SignalBlock, R: Matrix3, turn: Array, gains: tuple[float, float], has_speed: bool
-    ) -> None:
-        """Take a block; R: the rotation so far, turn: (N,) v r."""
+    def add(self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_speed: bool) -> None:
+        """Take a block and its motion; R: the rotation so far."""
         if self._R is not None and R is not self._R:
             moved = vector_from_rotation(R @ self._R.T)
             if math.sqrt(moved @ moved) > 0.35:
@@ -112,13 +105,11 @@ class LargeChangeDetector:
         if not has_speed or np.count_nonzero(use) < LEAST_TICKS:
             return
         force = p.force[use] @ R.T
-        a, v = p.accel[use], turn[use]
         x, y, z = (force.sum(axis=0) / len(force)).tolist()
-        x -= gains[0] * float(a.sum()) / len(a)
-        y -= gains[1] * float(v.sum()) / len(v)
-        yaw, power = _direction(force, a, v, np.abs(v) < MAX_RATE * np.abs(p.speed[use]))
+        x -= float(motion.accel[use].sum()) / len(force)
+        y -= float(motion.turn[use].sum()) / len(force)
+        yaw, known = block_yaw(motion, use)
         metres = float(np.abs(p.speed[use]).sum()) * TICK_S
-        known = 1.0 / (FORCE_NOISE2 / power + YAW_NOISE**2) if power > LEAST_MOTION else 0.0
         row = np.array([math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw])
         self._e = np.concatenate([self._e[1 - REMEMBERED :], row[None]])
         self._metres = np.append(self._metres[1 - REMEMBERED :], metres)
@@ -174,14 +165,15 @@ class LargeChangeDetector:
             k = n - after
             wa, wb = float(new_w[j]), float(old_w[j])
             old = float(old_e[j]) / wb
-            clear = w[k:] >= (CLEAR_YAW if axis == 2 else 0.0)
-            if not clear.any() or float(((e[k:] - old)[clear] / size).min()) < AGREEING:
+            shown = (e[k:] - old) / size
+            if axis == 2:
+                shown = shown[w[k:] * (size * size) >= CLEAR * CLEAR]
+            if len(shown) < CLEAR_BLOCKS or float(shown.min()) < AGREEING:
                 continue
             left = e[:k] - old
             if axis == 2:
-                spread = float(w[:k] @ (left * left))
+                spread = float(np.minimum(w[:k] * left * left, CLIP * CLIP).sum()) / k
                 each, before = 1.0 / wa, 1.0 / wb
-                spread /= k
             else:
                 metres = self._metres[at]
                 one = self._tilt_variance(axis, 1, float(metres[:k].mean()))
@@ -194,6 +186,13 @@ class LargeChangeDetector:
                 blocks = n - k if axis < 2 else int(len(self._e) - at[k])
                 best = LargeChange(axis, size, deviations, blocks)
         return best
+
+    def while_driving(self, p: SignalBlock, turn_rate: Array) -> LargeChange | None:
+        """A turn of a sensor that the vehicle, by its own yaw rate, did not make with it."""
+        turned = self._alone.add(turn_rate, p.yaw_rate, p.ok_rate & p.ok_yaw)
+        if turned == 0.0:
+            return None
+        return LargeChange(2, turned, turned / (LEAST / 6.0), 1)
 
     def while_standing(self, p: SignalBlock, R: Matrix3) -> LargeChange | None:
         """A turn, or a tilt, of a sensor whose vehicle stands."""
@@ -224,13 +223,3 @@ class LargeChangeDetector:
             return None
         self._stopped_at, self._turned = None, np.zeros(3)
         return LargeChange(axis, float(e[axis]), float(e[axis]) / (STANDING_TURN / 6.0), 1)
-
-
-def _direction(force: Array, a: Array, v: Array, use: NDArray[np.bool_]) -> tuple[float, float]:
-    """By how much the force's answer is turned from a and v (n,) [rad], and their power."""
-    if np.count_nonzero(use) < LEAST_TICKS:
-        return 0.0, 0.0
-    a, v, f = a[use], v[use], force[use]
-    a, v, f = a - a.sum() / len(a), v - v.sum() / len(v), f - f.sum(axis=0) / len(f)
-    turned = math.atan2(float(v @ f[:, 0] - a @ f[:, 1]), float(a @ f[:, 0] + v @ f[:, 1]))
-    return turned, float(a @ a + v @ v)

@@ -9,6 +9,8 @@ The evidence that was stored with it joins the new only when the new agrees by i
 as certain as before at once. Both are held against one another for as long as this goes on: a
 sensor moved by so little that the first agreement could not show it is found out when the new
 evidence is certain enough, and the stored evidence is left again.
+
+A mount that is *held* never gives way: the drive may confirm or doubt it, and changes nothing.
 """
 
 from __future__ import annotations
@@ -23,8 +25,10 @@ from numpy.typing import NDArray
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.motion.ticks import TickRow
 from imucald.mount.estimate import (
+    ANGLES,
     BETWEEN_DRIVES_STD,
     Correction,
+    Missing,
     MountEstimate,
     MountEstimator,
     MountState,
@@ -47,8 +51,11 @@ CONTRADICTIONS = 15
 HAND_OVER_RATE = math.radians(1.0)
 """The applied rotation turns to the new estimate at this rate [rad/s]."""
 
-_GOOD = frozenset({MountState.USABLE, MountState.FINE})
-_BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
+HELD = "the end of the hold (imucald release)"
+"""What a held mount waits for."""
+
+BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
+"""States in which a mount is served with doubts."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,8 @@ class StoredMount:
 
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`.
     state: the state it had, USABLE or FINE. doubted: it was suspect when it was stored.
-    evidence: what it rests on, where the estimator keeps that.
+    evidence: what it rests on, where the estimator keeps that. is_given: a person stated it.
+    body_std: roll, pitch, yaw [rad] by which the body may have turned since.
     """
 
     R_vehicle_from_sensor: Matrix3
@@ -65,6 +73,8 @@ class StoredMount:
     state: MountState = MountState.USABLE
     doubted: bool = False
     evidence: SavedInformation | None = None
+    is_given: bool = False
+    body_std: tuple[float, float, float] = BETWEEN_DRIVES_STD
 
 
 class Phase(enum.StrEnum):
@@ -78,23 +88,39 @@ class Phase(enum.StrEnum):
 
 
 class RestoredEstimator:
-    """An estimator with the mount of an earlier drive in front; a `MountEstimator` itself."""
+    """An estimator with the mount of an earlier drive in front; a `MountEstimator` itself.
 
-    def __init__(self, inner: MountEstimator, stored: StoredMount) -> None:
+    is_held: that mount stays, whatever the drive says. phase: how far the drive has confirmed it
+    already, CONFIRMED or RESTORED; without it nothing has.
+    """
+
+    def __init__(
+        self,
+        inner: MountEstimator,
+        stored: StoredMount,
+        is_held: bool = False,
+        phase: Phase = Phase.RESTORED,
+    ) -> None:
         self.inner = inner
         self.stored = stored
-        self.phase = Phase.DOUBTED if stored.doubted else Phase.RESTORED
+        self.is_held = is_held
+        self.phase = Phase.DOUBTED if stored.doubted else phase
         self.distance = math.nan
         """Of the last comparison, as a chi-square with 3 degrees of freedom."""
         self.joined = False
         """Whether the stored evidence goes along with the new."""
         self._has_left = False
-        self._prior = stored.covariance + np.diag(np.square(BETWEEN_DRIVES_STD))
+        self._prior = stored.covariance + np.diag(np.square(stored.body_std))
         self._served = SlewedRotation(HAND_OVER_RATE)
         self._served.aim(stored.R_vehicle_from_sensor)
         self._plumb_line = PlumbLine()
         self._contradictions = 0
         self._ticks = 0
+
+    @property
+    def serves_stored(self) -> bool:
+        """Whether the stored mount is served, and not this drive's own on its way or there."""
+        return self.phase not in (Phase.HANDING_OVER, Phase.NEW)
 
     @property
     def correction(self) -> Correction | None:
@@ -112,7 +138,7 @@ class RestoredEstimator:
             return MountState.SUSPECT
         if self.phase is Phase.HANDING_OVER:
             return MountState.SUSPECT if self._contradictions else self.inner.state
-        known = (self.stored.state, self.inner.state)
+        known = (self.stored.state, *(() if self.is_held else (self.inner.state,)))
         return MountState.FINE if MountState.FINE in known else MountState.USABLE
 
     def step(self, tick: TickRow) -> None:
@@ -137,19 +163,22 @@ class RestoredEstimator:
         """Return the present state of knowledge."""
         new = self.inner.estimate()
         details = {**new.details, "restored": self._details()}
-        if self.phase in (Phase.NEW, Phase.HANDING_OVER):
+        if not self.serves_stored:
             return replace(new, state=self.state, details=details)
-        return replace(
+        served = replace(
             new,
             state=self.state,
             R_vehicle_from_sensor=self.stored.R_vehicle_from_sensor,
             covariance=self._prior,
             details=details,
         )
+        if self.is_held and self.phase is Phase.CONFIRMED:
+            return _waiting_for_release(served)
+        return served
 
     def saved_information(self) -> SavedInformation | None:
         """What the estimate that is served rests on."""
-        if self.joined or self.phase in (Phase.HANDING_OVER, Phase.NEW):
+        if self.joined or not self.serves_stored:
             return (
                 self.inner.saved_information() if isinstance(self.inner, SavesInformation) else None
             )
@@ -160,6 +189,8 @@ class RestoredEstimator:
             "phase": str(self.phase),
             "chi_square": self.distance,
             "evidence_joined": self.joined,
+            "held": self.is_held,
+            "given": self.stored.is_given,
         }
 
     def _doubtful(self) -> bool:
@@ -203,9 +234,9 @@ class RestoredEstimator:
         if usable and self.distance < AGREEMENT and not self._plumb_line.is_off:
             self.phase = Phase.CONFIRMED
             self._join()
-        if self.inner.state in _BAD or self._contradictions >= DOUBTS:
+        if self.inner.state in BAD or self._contradictions >= DOUBTS:
             self.phase = Phase.DOUBTED
-        if not usable:
+        if not usable or self.is_held:
             return
         covariance = self.inner.estimate().covariance
         certain = covariance is not None and np.trace(covariance) <= np.trace(self._prior)
@@ -215,7 +246,7 @@ class RestoredEstimator:
 
     def _join(self) -> None:
         """The new evidence agrees by itself: go on with both; never with what it has left."""
-        kept = None if self._has_left else self.stored.evidence
+        kept = None if self._has_left or self.is_held else self.stored.evidence
         if kept is not None and not self.joined and isinstance(self.inner, SavesInformation):
             self.inner.join_information(kept)
             self.joined = self.inner.contradiction is not None
@@ -236,3 +267,14 @@ class RestoredEstimator:
         self._served.step()
         if self._served.correction == target:
             self.phase = Phase.NEW
+
+
+def _waiting_for_release(served: MountEstimate) -> MountEstimate:
+    """What a held mount waits for to be *fine*: nothing but that learning goes on."""
+    if served.state is MountState.FINE:
+        return replace(served, waiting_for={}, missing={})
+    return replace(
+        served,
+        waiting_for=dict.fromkeys(ANGLES, HELD),
+        missing=dict.fromkeys(ANGLES, Missing.LEARNING_FROZEN),
+    )

@@ -18,6 +18,7 @@ from imucald.core.rotations import (
 )
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
+from imucald.mount.block_yaw import BlockMotion
 from imucald.mount.common_errors import common_errors, cross_axis_errors
 from imucald.mount.creep import P_CONSTANT, Creep, creep
 from imucald.mount.delay import DelaySearch
@@ -94,6 +95,7 @@ class MountSolver:
         self.delay_turn = DelaySearch(s.delays.get("yaw_rate", DelayPrior(0.05, 0.1)))
         self.own_gyro = True
         self.turn_rate: Array = np.zeros(BLOCK_TICKS)
+        self.lone: Array = np.zeros((BLOCK_TICKS, 3))
         self._window = np.zeros((WINDOW, MEASURED))
         self._mask = np.zeros(WINDOW, dtype=bool)
         self.R: Matrix3 | None = None
@@ -149,6 +151,7 @@ class MountSolver:
             planned[:, 1] = gains[1] * turn * p.ok_speed
             motion = planned @ R
         lone = self.vertical.advance(p, motion, self.bias, self.sure())
+        self.lone = lone
         self.gravity.add(p, turn)
         segment = self.response.segment
         self._slide(p, lone, turn, r)
@@ -160,6 +163,13 @@ class MountSolver:
         if self.response.without_speed and R is not None:
             return lone @ R[0] * use, turn * use
         return p.accel * use, turn * use
+
+    def motion(self, p: SignalBlock, R: Matrix3) -> BlockMotion:
+        """Of the block that was taken last, in axes of R."""
+        gains, delay = self.gains(), self.delay_speed
+        turn = gains[1] * p.speed * self.turn_rate
+        force = self.lone @ R.T
+        return BlockMotion(force, gains[0] * p.accel, turn, self.turn_rate, delay.value, delay.std)
 
     def _carried(self, p: SignalBlock, R: Matrix3) -> Array:
         """Force at the end of the known lever arm more than at its root, sensor axes (N, 3).

@@ -45,9 +45,9 @@ def verdict(diagnosis: Diagnosis) -> Words:
         groups = [in_series([cause_title(n) for n in g], "or") for g in diagnosis.look_alikes]
         confused = {name for group in diagnosis.look_alikes for name in group}
         sure = [cause_title(c.name) for c in diagnosis.causes if c.name not in confused]
-        text = "Something is wrong, and these drives cannot tell which of them it is."
+        text = "Something is wrong, and these drives do not show which of them it is."
         if sure:
-            text += f" Beyond doubt about its kind is {in_series(sure)}."
+            text += f" Certain, and not one of these: {in_series(sure)}."
         return Words(f"Ambiguous: {'; '.join(groups)}", text + _left(diagnosis) + tail)
     if diagnosis.verdict == "unknown":
         return _unknown(diagnosis, titles, tail)

@@ -194,13 +194,17 @@ class Engine:
     # starting again ------------------------------------------------------------------------
 
     def restart_calibration(self) -> MountEstimator:
-        """Forget the estimate and begin anew; all counters go on. Return the former estimator.
+        """Forget the estimate and begin anew; all counters go on. Return the former estimator."""
+        return self.pipeline.replace(self.new_estimator())
 
-        Raises EstimateError where the engine was made without `new_estimator`.
+    def new_estimator(self) -> MountEstimator:
+        """One that knows nothing yet, behind the mount that the configuration states.
+
+        Raises EstimateError where the engine was made without.
         """
         if self._new_estimator is None:
             raise EstimateError("this engine cannot make a new estimator")
-        return self.pipeline.replace(self._new_estimator())
+        return self._new_estimator()
 
     def resume_calibration(self, former: MountEstimator) -> None:
         """Take back an estimator that `restart_calibration` returned, as it was then."""

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from imucald.config import Config
-from imucald.mount.estimate import MountEstimator
+from imucald.config.calibration import KnownMount
+from imucald.core.errors import EstimateError
+from imucald.core.rotations import rotation_from_angles
+from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState, Targets
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.mount.restored import RestoredEstimator, StoredMount
 
 if TYPE_CHECKING:
     from imucald.model_compensation import ModelCompensation
@@ -24,7 +31,23 @@ def estimator_for(
     compensation: ModelCompensation | None = None,
     stated: Collection[str] = (),
 ) -> MountEstimator:
-    """Return the estimator that a configuration asks for, with what its model knows.
+    """Return the estimator that a configuration asks for, behind the mount that it states.
+
+    Raises EstimateError where that mount is too vague. See `learning_estimator`.
+    """
+    learning = learning_estimator(config, compensation, stated)
+    if (mount := config.calibration.mount) is None:
+        return learning
+    stored = known_mount(mount, learning.estimate().targets)
+    return RestoredEstimator(learning, stored, is_held=mount.hold)
+
+
+def learning_estimator(
+    config: Config,
+    compensation: ModelCompensation | None = None,
+    stated: Collection[str] = (),
+) -> MountEstimator:
+    """Return the estimator that finds the mount of a configuration, with what its model knows.
 
     stated: keys of `vehicle` that stand in the file, which no model overrules.
     """
@@ -39,6 +62,23 @@ def estimator_for(
     if compensation is not None:
         full = compensation.full_settings(full, stated)
     return FullEstimator(full)
+
+
+def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
+    """A mount that a person states, as an estimator serves it.
+
+    Raises EstimateError where it is not known well enough to be *usable* (`targets`).
+    """
+    std, state = np.array(mount.std), MountState.USABLE
+    if targets is not None:
+        for s, limit, axis in zip(std, targets.usable, "xyz", strict=True):
+            if s >= limit:
+                text = f"{axis}: {math.degrees(s):.3g} deg is too vague to be used; it must be"
+                raise EstimateError(f"{text} below {math.degrees(limit):.3g}, or be learnt")
+        if (np.hypot(std, BETWEEN_DRIVES_STD) < targets.fine).all():
+            state = MountState.FINE
+    R = rotation_from_angles(mount.roll, mount.pitch, mount.yaw)
+    return StoredMount(R, np.diag(std**2), state, is_given=True)
 
 
 def published_settings(config: Config) -> PublishedSettings:

@@ -11,7 +11,7 @@ from msgspec.structs import astuple, replace
 
 from imucald.can.columns import CAN_EFF_MASK, IdMatch
 from imucald.config import LoadedConfig, load_config
-from imucald.core.errors import ConfigError
+from imucald.core.errors import ConfigError, EstimateError
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimator
 from imucald.runtime.engine import Engine
@@ -65,7 +65,10 @@ def make_engine(
     stated = loaded.keys_in("vehicle")
 
     def new_estimator() -> MountEstimator:
-        return estimator_for(config, compensation, stated)
+        try:
+            return estimator_for(config, compensation, stated)
+        except EstimateError as error:
+            raise loaded.error(("calibration", "mount", "std_deg"), str(error)) from None
 
     rates = [
         f"parallel/{p.name}" for p in config.signals.parallel if p.kind == "angular_rate" and p.z

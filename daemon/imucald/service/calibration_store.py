@@ -15,8 +15,9 @@ import numpy as np
 
 from imucald.core.errors import EstimateError
 from imucald.mount.estimate import MountEstimator, MountState
+from imucald.mount.mount_in_force import mount_in_force, saved_information, without_stored
 from imucald.mount.restored import RestoredEstimator, StoredMount
-from imucald.mount.saved_information import SavedInformation, SavesInformation, saved_from
+from imucald.mount.saved_information import SavedInformation, saved_from
 from imucald.runtime.summary import plain
 from imucald.service.background_writer import Say, StateWriter
 from imucald.service.journal import INFO, NOTICE, WARNING
@@ -91,7 +92,13 @@ class CalibrationStore:
             self.store.save(state, era)
 
     def restore(self, estimator: MountEstimator) -> MountEstimator:
-        """Return the estimator with the saved mount in front, or as it is."""
+        """Return the estimator with the saved mount in front, or as it is.
+
+        A mount that the configuration holds stays in front of all that was saved.
+        """
+        if isinstance(estimator, RestoredEstimator) and estimator.is_held:
+            self._say("the mount is the configuration's, and held", NOTICE)
+            return estimator
         loaded = self.store.load()
         self.problems = loaded.problems
         for problem in loaded.problems:
@@ -101,7 +108,8 @@ class CalibrationStore:
             self._say(f"no saved state in {self.store.folder}; starting from nothing", INFO)
             return estimator
         try:
-            restored = RestoredEstimator(estimator, stored_mount(saved, self._evidence(saved)))
+            stored = stored_mount(saved, self._evidence(saved))
+            restored = RestoredEstimator(without_stored(estimator), stored, saved.held)
         except Exception as error:  # whatever a file holds: without it the start goes on
             problem = f"it cannot be used ({type(error).__name__}: {error})"
             self.problems = (*self.problems, problem)
@@ -110,7 +118,8 @@ class CalibrationStore:
         self._last, self._known, self.restored = saved, True, True
         self._driven_before = saved.driven_s
         text = f"mount restored from generation {loaded.generation}"
-        self._say(text + (", doubted when it was saved" if saved.doubted else ""), NOTICE)
+        text += ", doubted when it was saved" if saved.doubted else ""
+        self._say(text + (", held: nothing is learnt" if saved.held else ""), NOTICE)
         return restored
 
     def _evidence(self, saved: SavedState) -> SavedInformation | None:
@@ -154,13 +163,17 @@ class CalibrationStore:
             saved = saved_state(estimator, driven_s, self._wall(), self._last.shifts)
             if saved is None:
                 return
-            check = self.sensor_check()
-            if check is not None:
-                saved = replace(saved, offsets={**saved.offsets, SENSOR_CHECK: check})
+            saved = self._with_check(saved)
             if self._is_saved(saved):
                 return
             self._last, self._known = saved, True
         self.writer.put((self.store.era, self._last))
+
+    def _with_check(self, saved: SavedState) -> SavedState:
+        check = self.sensor_check()
+        if check is None:
+            return saved
+        return replace(saved, offsets={**saved.offsets, SENSOR_CHECK: check})
 
     def _is_saved(self, state: SavedState) -> bool:
         """Whether as good as the same was saved: a vehicle that stands wears out no memory."""
@@ -187,6 +200,18 @@ class CalibrationStore:
             self.writer.put((self.store.era, None))
         except OSError as error:
             self._say(f"the saved state could not be set aside: {error}", WARNING)
+
+    def save_order(self, estimator: MountEstimator, driven_s: float) -> None:
+        """Save the mount that is in force by a person's order, at once and whatever its state."""
+        stored = mount_in_force(estimator)
+        state = None
+        if stored is not None:
+            driven_s += self._driven_before
+            state = saved_state(estimator, driven_s, self._wall(), self._last.shifts, stored)
+        if state is not None:
+            self._last, self._known = self._with_check(state), True
+            self._last_put, self._before = self._clock(), estimator.state
+            self.writer.put((self.store.era, self._last))
 
     def save_now(self, estimator: MountEstimator, driven_s: float) -> None:
         """Save the last estimate; wait for the disk, but not for long."""
@@ -225,14 +250,8 @@ def stored_mount(saved: SavedState, evidence: SavedInformation | None) -> Stored
         MountState[saved.state.upper()],
         saved.doubted,
         evidence,
+        saved.given,
     )
-
-
-def saved_information(estimator: MountEstimator) -> SavedInformation | None:
-    """What the estimator can go on with after a restart, where it keeps that."""
-    if isinstance(estimator, RestoredEstimator | SavesInformation):
-        return estimator.saved_information()
-    return None
 
 
 def saved_state(
@@ -240,10 +259,20 @@ def saved_state(
     driven_s: float,
     wall: float,
     shifts: Sequence[Mapping[str, Any]] = (),
+    stored: StoredMount | None = None,
 ) -> SavedState | None:
-    """An estimator's estimate as it is saved; None where it cannot be."""
+    """An estimator's estimate as it is saved; None where it cannot be.
+
+    stored: the mount to be saved, where it is not the estimate's. One that is held is saved as it
+    was when that began: it does not get vaguer by being held.
+    """
     estimate, sums = estimator.estimate(), saved_information(estimator)
-    R, C = estimate.R_vehicle_from_sensor, estimate.covariance
+    in_front = estimator if isinstance(estimator, RestoredEstimator) else None
+    is_held = in_front is not None and in_front.is_held
+    stored = mount_in_force(estimator) if is_held else stored
+    R, C, state = estimate.R_vehicle_from_sensor, estimate.covariance, estimate.state
+    if stored is not None:
+        R, C, state = stored.R_vehicle_from_sensor, stored.covariance, stored.state
     if R is None or C is None or not (np.isfinite(R).all() and np.isfinite(C).all()):
         return None
     details = estimate.details
@@ -251,7 +280,10 @@ def saved_state(
     return SavedState(
         rotation=tuple(R.ravel().tolist()),
         covariance=tuple(symmetric.ravel().tolist()),
-        state=estimate.state.name.lower(),
+        state=state.name.lower(),
+        doubted=stored is not None and stored.doubted,
+        held=is_held,
+        given=in_front is not None and in_front.serves_stored and in_front.stored.is_given,
         saved_at=round(wall, 1),
         driven_s=round(driven_s, 1),
         offsets={k: plain(details[k], None) for k in _OFFSETS if k in details},

@@ -21,8 +21,9 @@ def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey
     """Return the key of a configuration's state.
 
     Only what turns the accelerometer's axes or takes another sensor counts: its sources with
-    identifiers, layout, units and signs, and what a model file takes out of the signals (`model`,
-    see `Engine.model_key`). Ids of outputs, speed sources or limits do not.
+    identifiers, layout, units and signs, what a model file takes out of the signals (`model`, see
+    `Engine.model_key`), and the mount that the configuration states. Ids of outputs, speed sources
+    or limits do not.
     """
     triads = loaded.config.signals.accelerometer
     described = [
@@ -30,6 +31,8 @@ def state_key(loaded: LoadedConfig, router: Router, model: str = "") -> StateKey
         for triad in triads
     ]
     text = json.dumps(described, sort_keys=True, default=str) + model
+    if (mount := loaded.config.calibration.mount) is not None:
+        text += json.dumps(to_builtins(mount), sort_keys=True)
     return StateKey(loaded.config.vehicle.id, sha256(text.encode()).hexdigest())
 
 

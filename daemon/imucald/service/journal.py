@@ -9,15 +9,27 @@ import socket
 import stat
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
-from typing import TextIO
+from typing import NamedTuple, TextIO
 
 ERROR, WARNING, NOTICE, INFO = 3, 4, 5, 6
 """Priorities of syslog."""
+LEVELS = {ERROR: "error", WARNING: "warning", NOTICE: "notice", INFO: "info"}
+EVENTS_KEPT = 200
+"""Lines that `imucald events` shows; the journal has all of them."""
 SELDOM_S = 30.0
 """Lines of one kind that may come without end are told so often at most [s]."""
 LINE_BYTES = 4000
 """A line is cut there: a pipe that takes anything takes 4096 bytes at once."""
+
+
+class LogEvent(NamedTuple):
+    """at: wall clock [s]. level: "error", "warning", "notice" or "info"."""
+
+    at: float
+    level: str
+    text: str
 
 
 class Journal:
@@ -32,7 +44,11 @@ class Journal:
         stream: TextIO | None = None,
         environment: Mapping[str, str] | None = None,
         clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
     ) -> None:
+        self.events: deque[LogEvent] = deque(maxlen=EVENTS_KEPT)
+        """The last lines, oldest first."""
+        self._wall = wall
         self.dropped = 0
         """Lines that could not be written."""
         self._untold = 0
@@ -47,6 +63,7 @@ class Journal:
     def say(self, text: str, priority: int = INFO) -> None:
         """Write a line."""
         line = " ".join(text.split())
+        self.events.append(LogEvent(round(self._wall(), 3), LEVELS[priority], line[:LINE_BYTES]))
         if self._untold and self._write(f"{self._untold} lines could not be written", WARNING):
             self._untold = 0
         if not self._write(line, priority):

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from imucald.mount.estimate import MountState
+from imucald.runtime.alarms import ALARMS
 
 _Sample = tuple[Mapping[str, str], float | int | None]
 
@@ -22,11 +23,15 @@ _LINK_COUNTERS = {
 
 
 def metrics_text(status: Mapping[str, Any]) -> str:
-    """Return the text; a value that is not known has no line."""
+    """Return the text; a value that is not known has no line.
+
+    Every line has the label `bus`, as several daemons may stand in one file.
+    """
+    bus = str(status["link"]["channel"])
     return "".join(
         f"# HELP imucald_{name} {text}\n# TYPE imucald_{name} {kind}\n{lines}"
         for name, kind, text, samples in _families(status)
-        if (lines := "".join(_line(name, *sample) for sample in samples))
+        if (lines := "".join(_line(name, {"bus": bus, **labels}, v) for labels, v in samples))
     )
 
 
@@ -37,8 +42,12 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     states = [
         ({"state": s.name.lower()}, int(status["state"] == s.name.lower())) for s in MountState
     ]
+    yield "info", "gauge", "Which program runs.", [({"version": status["version"]}, 1)]
     yield "state", "gauge", "1 for the present state of the mount calibration.", list(states)
     yield "quality", "gauge", "Quality of the corrected frames.", [(none, status["quality"])]
+    yield "held", "gauge", "1 while nothing is learnt.", [(none, int(status["held"]))]
+    alarms = [({"alarm": name}, int(status["health"][name])) for name in ALARMS]
+    yield "alarm", "gauge", "1 while an alarm of the health frame is on.", list(alarms)
     angles = [({"angle": a}, mount[f"{a}_deg"]) for a in ("roll", "pitch", "yaw")]
     yield "mount_angle_degrees", "gauge", "Mount angles.", list(angles)
     std = [({"axis": a}, mount["std_deg"][a]) for a in "xyz"]
@@ -53,8 +62,12 @@ def _families(status: Mapping[str, Any]) -> Iterator[tuple[str, str, str, list[_
     yield "link_send_errors_total", "counter", "Frames not sent.", list(errors)
     yield "link_up", "gauge", "1 while the interface is up.", [(none, int(link["state"] == "up"))]
     yield "state_saves_total", "counter", "Times the state was saved.", [(none, saved["saves"])]
+    moved = [(none, saved["remounts"])]
+    yield "remounts", "gauge", "Times the sensor was found moved, as saved.", moved
     failures = [(none, saved["failures"])]
     yield "state_save_failures_total", "counter", "Times the state could not be saved.", failures
+    sent = [(none, status["frames_given_out"])]
+    yield "frames_given_out_total", "counter", "Frames handed to the bus.", sent
     yield "uptime_seconds", "gauge", "Time since the start.", [(none, status["uptime_s"])]
     yield "cpu_seconds_total", "counter", "Processor time.", [(none, process["cpu_s"])]
     yield "resident_memory_bytes", "gauge", "Memory in use.", [(none, process["rss_bytes"])]
@@ -64,7 +77,7 @@ def _line(name: str, labels: Mapping[str, str], value: float | int | None) -> st
     if value is None:
         return ""
     named = ",".join(f'{key}="{_escaped(text)}"' for key, text in labels.items())
-    return f"imucald_{name}{'{' + named + '}' if named else ''} {value}\n"
+    return f"imucald_{name}{{{named}}} {value}\n"
 
 
 def _escaped(text: str) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from imucald.config import LoadedConfig
-from imucald.mount.estimate import MountEstimator
+from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator
+from imucald.mount.mount_in_force import mount_in_force, without_stored
 from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.engine import Engine
-from imucald.service.calibration_store import saved_information, saved_state, stored_mount
 
 
 def listens_otherwise(
@@ -30,12 +30,11 @@ def estimates_alike(old: LoadedConfig, new: LoadedConfig) -> bool:
 
 
 def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator:
-    """The new estimator, with what the old one knows in front of it as restored."""
-    if old.correction is None:
+    """The new estimator, with what the old one knows in front of it as restored; held as it was."""
+    stored = mount_in_force(old)
+    if stored is None:
         return new
-    saved = saved_state(old, 0.0, 0.0)
-    if saved is None:
-        return new
-    if saved.state not in ("usable", "fine"):
-        saved = replace(saved, state="usable", doubted=saved.state != "restored")
-    return RestoredEstimator(new, stored_mount(saved, saved_information(old)))
+    is_held = isinstance(old, RestoredEstimator) and old.is_held
+    return RestoredEstimator(
+        without_stored(new), replace(stored, body_std=BETWEEN_DRIVES_STD), is_held
+    )

@@ -6,11 +6,12 @@ systemd's watchdog hears comes from the loop that corrects frames and from nothi
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from imucald.can.link.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
@@ -20,9 +21,13 @@ from imucald.mount.mount_words import reasons_line
 from imucald.runtime.consumer import ChecksSensors
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
+from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
+from imucald.service.alarm_watch import AlarmWatch
 from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
+from imucald.service.control import ControlServer
+from imucald.service.control_path import control_socket
 from imucald.service.figures import status_line
 from imucald.service.folder_lock import FolderLock
 from imucald.service.identity import state_key
@@ -68,6 +73,18 @@ class ServiceOptions:
     start_count: Path | None = None
 
 
+class Companion(Protocol):
+    """A process that serves beside this one; it ends with it."""
+
+    def poll(self) -> bool:
+        """Whether it has just ended by itself."""
+        ...
+
+    def close(self) -> None:
+        """Have it end."""
+        ...
+
+
 class Service:
     """Runs the daemon of one configuration. Raises ConfigError, LinkError at the start."""
 
@@ -77,8 +94,10 @@ class Service:
         journal: Journal | None = None,
         notifier: Notifier | None = None,
         clock: Callable[[], float] = time.monotonic,
+        companion: Companion | None = None,
     ) -> None:
         self.options = options
+        self._companion = companion
         self.journal = journal or Journal()
         self.notifier = notifier or Notifier()
         self._clock = clock
@@ -93,6 +112,8 @@ class Service:
         self._start_count = StartCount(options.start_count)
         self.loaded = open_config(options.config, options.databases)
         engine = self._new_engine(self.loaded)
+        self.orders = MountOrders(self)
+        self._alarms = AlarmWatch(self.journal)
         self._lock = self._locked_folder()
         try:
             self._set_up(engine)
@@ -114,6 +135,7 @@ class Service:
             self.daemon = Daemon(engine, self.link, self._clock, self.uds)
             self.daemon.between = self._between
             self.server = self._new_server()
+            self.control = self._new_control()
         except ImucaldError:
             self.link.close()
             raise
@@ -194,10 +216,21 @@ class Service:
         if options.status_socket is None:
             return None
         try:
-            return StatusServer(options.status_socket, self.status)
+            return StatusServer(options.status_socket, self.status, events=self._events)
         except LinkError as error:
             if options.socket_needed:
                 raise
+            self.journal.say(f"{error}; going on without", WARNING)
+            return None
+
+    def _new_control(self) -> ControlServer | None:
+        """The control socket, beside the status socket; nothing depends on it."""
+        if self.server is None:
+            return None
+        path = control_socket(self.server.path)
+        try:
+            return ControlServer(path, self.orders, self.journal.say)
+        except LinkError as error:
             self.journal.say(f"{error}; going on without", WARNING)
             return None
 
@@ -235,8 +268,9 @@ class Service:
     def close(self) -> None:
         """Save the state, let go of bus and socket."""
         self.notifier.stopping()
-        if self.server is not None:
-            self.server.close()
+        for server in (self.server, self.control):
+            if server is not None:
+                server.close()
         self.link.close()  # first: nothing stale is sent while the disk takes its time
         if self.calibration_store is not None:
             self.calibration_store.close(self.engine.pipeline.estimator, self.engine.timebase.now)
@@ -244,6 +278,8 @@ class Service:
             self.dtc_store.close()
         if self.keys is not None:
             self.keys.close()
+        if self._companion is not None:
+            self._companion.close()
         self._release()
 
     def _between(self) -> None:
@@ -262,8 +298,9 @@ class Service:
             self._check_wanted = False
             if not self.check_sensors():
                 self.journal.say("there is no sensor check without attitude", WARNING)
-        if self.server is not None:
-            self.server.poll()
+        for server in (self.server, self.control):
+            if server is not None:
+                server.poll()
         if now >= self._next_second:
             self._next_second = now + SECOND_S
             self._every_second(now)
@@ -277,6 +314,9 @@ class Service:
             self.dtc_store.update()
         self.notifier.status(status_line(estimate, str(self.link.state)))
         self._rates.update(self.engine.router.sample_counts, now)
+        if self._companion is not None and self._companion.poll():
+            self.journal.say("what serves the metrics has ended; all else goes on", WARNING)
+        self._alarms.update(dataclasses.asdict(self.engine.health()), now - self._began)
         rejected = self.engine.router.rejected
         if (total := rejected.total()) > self._rejected:
             self._rejected = total
@@ -415,6 +455,19 @@ class Service:
         if self.calibration_store is not None:
             self.calibration_store.forget()
 
+    def save_state(self) -> None:
+        """Save the mount that is in force as it is now, held or not."""
+        if self.calibration_store is not None:
+            now = self.engine.timebase.now
+            self.calibration_store.save_order(self.engine.pipeline.estimator, now)
+
+    def tell_order(self, who: str, text: str) -> None:
+        """Write what was done to the mount, and by whom, into the log."""
+        if who == TESTER:  # may go on without end
+            self.log_tester(f"{text} (by {who})")
+        else:
+            self.journal.say(f"{text} (by {who})", NOTICE)
+
     def log_tester(self, text: str) -> None:
         """Write what a tester did into the log."""
         self.journal.seldom(text.partition(":")[0], text, WARNING)
@@ -452,6 +505,9 @@ class Service:
         """Summary of the run (see docs/json.md), with the link's counters."""
         return run_result(self.engine, self.link)
 
+    def _events(self) -> list[dict[str, Any]]:
+        return [event._asdict() for event in self.journal.events]
+
     def _uds_status(self) -> dict[str, Any] | None:
         if self.uds is None or self.dtc_store is None:
             return None
@@ -468,6 +524,7 @@ class Service:
             "vehicle": self.loaded.config.vehicle.id,
             "sensor": state_key(self.loaded, engine.router, engine.model_key).sensor,
             "uptime_s": round(self._clock() - self._began, 3),
+            "held": self.orders.is_held,
             "diagnostics": self._uds_status(),
         }
 

@@ -16,8 +16,17 @@ LONG_ENOUGH_S = 60.0
 
 def start_count_file(environment: Mapping[str, str]) -> Path | None:
     """The unit's file; None without a unit."""
-    folder = environment.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    if "INVOCATION_ID" not in environment:  # systemd sets it
+        return None
+    folder = environment.get("CACHE_DIRECTORY", "").partition(":")[0]
     return Path(folder) / "starts" if folder else None
+
+
+def end_count(path: Path | None) -> None:
+    """An orderly end, or one that another start would not mend, is no part of a loop."""
+    if path is not None:
+        with suppress(OSError):  # then a restart waits for a while
+            path.unlink(missing_ok=True)
 
 
 class StartCount:
@@ -29,6 +38,5 @@ class StartCount:
     def update(self, uptime: float) -> None:
         """uptime: of this process [s]."""
         if self._path is not None and uptime >= LONG_ENOUGH_S:
-            with suppress(OSError):  # then a restart waits for a while
-                self._path.unlink(missing_ok=True)
+            end_count(self._path)
             self._path = None

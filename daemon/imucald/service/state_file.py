@@ -43,6 +43,8 @@ LARGEST_VARIANCE = 4.0
 LARGEST_NUMBER = 2**53
 """Of any number in a file; up to there a float holds every integer."""
 STATES = ("usable", "fine")
+ORDERED = ("held", "given")
+"""Keys that stand in a file only where they are true: what people ordered."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class SavedState:
     state: "usable" or "fine". doubted: it was suspect when it was saved. saved_at: wall clock [s],
     for people only. driven_s: seconds of driving behind it. offsets: of sensors and signals, SI.
     shifts: history of remounts, newest last. evidence: what the estimate rests on, for people, and
-    as "sums" what the estimator goes on with (`mount.saved_information`).
+    as "sums" what the estimator goes on with (`mount.saved_information`). held: nothing was learnt.
+    given: a person stated the mount.
     """
 
     rotation: tuple[float, ...]
@@ -80,6 +83,8 @@ class SavedState:
     offsets: Mapping[str, Any] = field(default_factory=dict)
     shifts: tuple[Mapping[str, Any], ...] = ()
     evidence: Mapping[str, Any] = field(default_factory=dict)
+    held: bool = False
+    given: bool = False
 
 
 @dataclass(frozen=True)
@@ -209,6 +214,7 @@ def encoded(key: StateKey, generation: int, state: SavedState) -> bytes:
         "offsets": dict(state.offsets),
         "shifts": [dict(shift) for shift in state.shifts],
         "evidence": dict(state.evidence),
+        **{key: True for key in ORDERED if getattr(state, key)},
     }
     body = json.dumps(content, allow_nan=False, indent=1).encode()
     return with_checksum(f"{MAGIC} {VERSION} {len(body)}", body)
@@ -247,6 +253,9 @@ def _state_from(content: Mapping[str, Any]) -> SavedState:
         raise ValueError("covariance")
     if content["state"] not in STATES:
         raise ValueError("state")
+    ordered = {key: content.get(key, False) for key in ORDERED}
+    if not all(isinstance(value, bool) for value in ordered.values()):
+        raise ValueError("held, given")
     if not isinstance(content["doubted"], bool) or not isinstance(content["shifts"], list):
         raise ValueError("doubted, shifts")
     return SavedState(
@@ -259,6 +268,7 @@ def _state_from(content: Mapping[str, Any]) -> SavedState:
         offsets=dict(content["offsets"]),
         shifts=tuple(dict(shift) for shift in content["shifts"]),
         evidence=dict(content["evidence"]),
+        **ordered,
     )
 
 

@@ -17,6 +17,7 @@ from imucald.core.regular_file import read_regular
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate, MountEstimator, MountState
 from imucald.runtime.engine import Engine
+from imucald.runtime.mount_orders import TESTER, MountOrders
 from imucald.uds.host import FrameCounts, Identity, Symptoms
 
 SPEED_AGE_TICKS: Final = 2.0 * TICK_RATE
@@ -51,8 +52,9 @@ class RunningService(Protocol):
         """Whether a saved state was found and not believed; None where none is kept."""
         ...
 
-    def forget_state(self) -> None:
-        """Keep nothing of what was saved."""
+    @property
+    def orders(self) -> MountOrders:
+        """What may be done to the mount."""
         ...
 
     def check_sensors(self) -> bool:
@@ -76,7 +78,6 @@ class LiveHost:
         self._service = service
         self._clock = clock
         self._began = clock()
-        self._former: tuple[object, MountEstimator] | None = None
         self._estimate: tuple[MountEstimator, int, MountEstimate] | None = None
         self._known_as: tuple[LoadedConfig, Identity] | None = None
 
@@ -160,21 +161,15 @@ class LiveHost:
 
     def begin_calibration(self) -> None:
         """Begin anew and keep the former estimator aside."""
-        self._former = self._settings(), self._service.engine.restart_calibration()
-        self._service.log_tester("a tester began the calibration anew")
+        self._service.orders.begin(TESTER)
 
     def return_to_former(self) -> bool:
         """Take the former estimator back, unless it was made for other settings."""
-        if self._former is None or self._former[0] != self._settings():
-            return False
-        self._service.engine.resume_calibration(self._former[1])
-        self._former = None
-        self._service.log_tester("a tester took the former calibration back")
-        return True
+        return self._service.orders.return_to_former(TESTER)
 
     def accept_calibration(self) -> None:
         """Let go of the former estimator."""
-        self._former = None
+        self._service.orders.accept()
 
     def check_sensors(self) -> bool:
         """Repeat the sensor check at the next rest; whether there is one to repeat."""
@@ -185,17 +180,9 @@ class LiveHost:
         """Whether the sensor check has been made."""
         return self._service.sensors_checked
 
-    def _settings(self) -> object:
-        """All that an estimator depends on; the file may be read again meanwhile."""
-        config = self._service.loaded.config
-        return config.signals, config.calibration, config.vehicle
-
     def forget(self) -> None:
         """Begin anew and keep nothing."""
-        self._former = None
-        self._service.engine.restart_calibration()
-        self._service.forget_state()
-        self._service.log_tester("a tester reset the calibration")
+        self._service.orders.reset(TESTER)
 
 
 def configuration_identity(loaded: LoadedConfig) -> bytes:

@@ -31,7 +31,7 @@ class Database:
         found = self.messages.get(name)
         if found is None:
             hint = nearest(name, list(self.messages))
-            raise DatabaseError(f"no message {name!r} in the database{hint}")
+            raise DatabaseError(f"no message {name!r} in {self._files()}{hint}")
         if found.unsupported:
             raise DatabaseError(f"{found.source}: message {name}: {found.unsupported}")
         return found
@@ -40,9 +40,24 @@ class Database:
         """Return message and signal of ``MESSAGE.SIGNAL``; DatabaseError where absent."""
         message_name, dot, signal_name = path.partition(".")
         if not dot or not message_name or not signal_name:
-            raise DatabaseError(f"{path!r} is not of the form MESSAGE.SIGNAL")
+            hint = self._holders(path) or ", such as IMU.AccX"
+            raise DatabaseError(f"{path!r} is not of the form MESSAGE.SIGNAL{hint}")
         message = self.message(message_name)
-        return message, message.signal(signal_name)
+        try:
+            return message, message.signal(signal_name)
+        except DatabaseError as error:
+            raise DatabaseError(f"{error}{self._holders(signal_name)}") from None
+
+    def _files(self) -> str:
+        """The files that it was read from, for a message."""
+        return ", ".join(dict.fromkeys(m.source for m in self.messages.values())) or "the database"
+
+    def _holders(self, signal_name: str) -> str:
+        """What to write for a signal that is in other messages; nothing where none has it."""
+        found = [
+            f"{m.name}.{signal_name}" for m in self.messages.values() if signal_name in m.signals
+        ]
+        return f"; write {' or '.join(found[:3])}" if found else ""
 
 
 def load_database(paths: Sequence[Path], shared_ids: bool = False) -> Database:

@@ -104,6 +104,8 @@ class CandumpWriter:
             self._file.flush()
             if self._file is not sys.stdout.buffer:
                 self._file.close()
+        except BrokenPipeError:
+            raise
         except OSError as error:
             with suppress(OSError):
                 self._file.close()
@@ -123,6 +125,8 @@ class CandumpWriter:
     def _put(self, text: bytes, frames: int) -> None:
         try:
             self._file.write(text)
+        except BrokenPipeError:
+            raise
         except OSError as error:
             raise self._failed(error) from error
         self.frames_written += frames

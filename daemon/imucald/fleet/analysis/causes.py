@@ -105,7 +105,7 @@ def never_usable_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, An
         kind_name = str(kind or UNKNOWN)
         total[kind_name] += 1
         if usable is None:
-            text = next((w for w in waiting if w), "not told")
+            text = next((w for w in waiting if w), "not reported")
             reason = re.sub(r"\s+", " ", FIGURES.sub("", text)).strip()
             drives[kind_name, reason] += 1
             vehicles[kind_name, reason].add(str(vehicle))

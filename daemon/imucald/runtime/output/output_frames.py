@@ -138,6 +138,10 @@ class OutputFrames:
         self.attitude = _attitude_frames(config) if config.attitude.enabled else None
         self.travel = _travel_frames(config) if config.travel_direction.enabled else None
 
+    def message_of(self, channel: str) -> OutputMessage:
+        """The message that a channel of `triads` is sent in."""
+        return self._corrected[channel]
+
     @property
     def can_ids(self) -> frozenset[int]:
         """Every id that is sent, with the flag for 29 bits."""

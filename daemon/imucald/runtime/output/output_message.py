@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import CAN_EFF_FLAG
 from imucald.can.dbc.database import Database, load_database_text
+from imucald.can.dbc.decode import DecodePlan, compile_decode
 from imucald.can.dbc.encode import EncodePlan, compile_encode
 from imucald.can.dbc.message import Message
 from imucald.can.e2e.checksum_engine import ChecksumSpec
@@ -66,14 +67,31 @@ class OutputMessage:
 
     @cached_property
     def _protector(self) -> MessageProtector:
+        return MessageProtector(self.protection)
+
+    @cached_property
+    def protection(self) -> ProtectionSpec:
+        """How its frames are protected, for those who read them."""
         message = output_database().message(self._message)
-        return MessageProtector(
-            ProtectionSpec(
-                size=message.length,
-                counter=counter_of(message.signal("Counter")),
-                checksum=_checksum(self._kind, self._bare_id, message),
-            )
+        return ProtectionSpec(
+            size=message.length,
+            counter=counter_of(message.signal("Counter")),
+            checksum=_checksum(self._kind, self._bare_id, message),
         )
+
+    @cached_property
+    def _reading(self) -> DecodePlan:
+        return compile_decode(output_database().message(self._message), self._signals)
+
+    def values(self, payload: bytes) -> list[float | None]:
+        """What a frame says, in the message's units; None is not available. The other way round
+        than `frame`. Raises DecodeError where it is too short."""
+        raw = self._reading.decode_raw(payload)
+        known = [
+            self._not_available.get(name) != r for name, r in zip(self._signals, raw, strict=True)
+        ]
+        scaled = self._reading.scale(raw)
+        return [v if is_known else None for v, is_known in zip(scaled, known, strict=True)]
 
     def prepare(self) -> None:
         """Compile now, so that the first frame is as quick as the others."""

@@ -1,0 +1,43 @@
+"""`imucald events`: the last things that happened to a running daemon, with their times."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `events`."""
+    from imucald.commands.status import add_socket_argument
+
+    add_socket_argument(parser)
+    parser.add_argument("-n", type=int, default=20, metavar="N", help="the last N (default: 20)")
+    parser.add_argument("--json", action="store_true", help="as JSON, times in Unix seconds")
+    parser.epilog = (
+        "The daemon keeps the last 200 since its start: changes of state, alarms, orders with who "
+        "gave them, reloads, the bus. All of them, and those of earlier runs: journalctl -u "
+        "imucald@can0. Exit status: 0, or 3 where no daemon runs."
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print them, oldest first."""
+    from imucald.commands.status import asked
+    from imucald.core.errors import ImucaldError
+
+    if options.n < 1:
+        raise ImucaldError("-n must be 1 or more")
+    answer = asked(options, "events")
+    if isinstance(answer, int):
+        return answer
+    events = json.loads(answer)["events"][-options.n :]
+    if options.json:
+        json.dump(events, sys.stdout, indent=2, ensure_ascii=False)
+        print()
+        return 0
+    for event in events:
+        at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(event["at"]))
+        print(f"{at}  {event['level']:7}  {event['text']}")
+    return 0

@@ -1,0 +1,163 @@
+"""`imucald feed`: hand what a running daemon finds on to MQTT or to a KUKSA databroker."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imucald.commands.options import positive
+from imucald.core.errors import ImucaldError
+
+if TYPE_CHECKING:
+    from imucald.feeds.feed_loop import Receiver
+
+LIBRARIES = {"mqtt": "paho", "kuksa": "kuksa_client"}
+MQTT_PORT, MQTT_TLS_PORT, KUKSA_PORT = 1883, 8883, 55555
+TARGETS = {
+    "mqtt": "to an MQTT broker, as JSON",
+    "kuksa": "to a KUKSA databroker, as VSS signals",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `feed`, target by target."""
+    targets = parser.add_subparsers(dest="target", metavar="TARGET", required=True, help="to whom")
+    for name, text in TARGETS.items():
+        sub = targets.add_parser(
+            name, help=text, description=f"Hand what a running daemon finds on {text}."
+        )
+        _add_source(sub)
+        if name == "mqtt":
+            _add_mqtt(sub)
+        else:
+            _add_kuksa(sub)
+        sub.add_argument("--ca", type=Path, metavar="FILE", help="certificates to trust: use TLS")
+
+
+def _add_mqtt(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--broker",
+        default="localhost",
+        metavar="HOST[:PORT]",
+        help=f"default: localhost:{MQTT_PORT}, with --ca port {MQTT_TLS_PORT}",
+    )
+    parser.add_argument(
+        "--topic", metavar="TOPIC", help="what all topics begin with (default: imucald/CHANNEL)"
+    )
+    parser.add_argument("--user", metavar="NAME", help="its password is in $IMUCALD_MQTT_PASSWORD")
+
+
+def _add_kuksa(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--databroker",
+        default="localhost",
+        metavar="HOST[:PORT]",
+        help=f"default: localhost:{KUKSA_PORT}",
+    )
+    parser.add_argument("--token", type=Path, metavar="FILE", help="its access token")
+    parser.add_argument("--server-name", metavar="NAME", help="the one in its certificate")
+
+
+def _add_source(parser: argparse.ArgumentParser) -> None:
+    from imucald.commands.status import add_socket_argument
+
+    add_socket_argument(parser)
+    parser.add_argument(
+        "--rate", type=positive, default=10.0, metavar="HZ",
+        help="corrected values a second, each the mean since the last (default: 10)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--accept", choices=("fine", "usable", "restored"), default="usable",
+        help="least quality of a corrected value that is handed on (default: usable)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--status-only", action="store_true", help="the mount and its state; do not open the bus"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="the daemon's, where its own path is not here"
+    )
+    parser.epilog = (
+        "It runs until Ctrl-C or SIGTERM, waits for a daemon and a receiver that are "
+        "not there, and says so. What it sends: docs/feeds.md."
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Feed until SIGINT or SIGTERM."""
+    import signal
+
+    from imucald.feeds.corrected_frames import FINE, RESTORED, USABLE
+    from imucald.feeds.daemon_source import DaemonSource
+    from imucald.feeds.feed_loop import Feed
+    from imucald.service.exposition import bus_of
+
+    library = LIBRARIES[options.target]
+    if importlib.util.find_spec(library) is None:
+        extra = options.target
+        raise ImucaldError(f"feed {extra} needs a library: pip install 'imucald[{extra}]'")
+    if not 0.1 <= options.rate <= 100.0:
+        raise ImucaldError("--rate must be 0.1 to 100")
+    socket = _socket(options)
+    receiver = _receiver(options, bus_of(socket))
+    least = {"fine": FINE, "usable": USABLE, "restored": RESTORED}[options.accept]
+    source = DaemonSource(
+        socket,
+        _say,
+        range(least, FINE + 1),
+        options.config,
+        not options.status_only,
+    )
+    feed = Feed(source, receiver, 1.0 / options.rate, _say)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: setattr(feed, "stopping", True))
+    try:
+        feed.run()
+    finally:
+        source.close()
+    return 0
+
+
+def _socket(options: argparse.Namespace) -> Path:
+    """The status socket that is meant; one of a named channel may come later."""
+    from imucald.commands.status import find_socket, running_sockets
+
+    if options.socket is None and options.channel and not running_sockets(options.channel):
+        return Path(f"/run/imucald/{options.channel}/status.sock")
+    return find_socket(options.socket, options.channel)
+
+
+def _receiver(options: argparse.Namespace, bus: str) -> Receiver:
+    if options.ca is not None and not options.ca.is_file():
+        raise ImucaldError(f"--ca {options.ca}: there is no such file")
+    if options.target == "mqtt":
+        from imucald.feeds.mqtt import MqttReceiver, MqttSettings
+
+        host, port = _address(options.broker, MQTT_TLS_PORT if options.ca else MQTT_PORT)
+        topic = (options.topic or f"imucald/{bus}").rstrip("/")
+        if not topic or "#" in topic or "+" in topic:
+            raise ImucaldError(f"--topic {topic!r}: no '#' or '+' in a topic that is sent")
+        return MqttReceiver(MqttSettings(host, port, topic, options.user, options.ca), _say)
+    from imucald.feeds.kuksa import KuksaReceiver, KuksaSettings
+
+    if options.token is not None and not options.token.is_file():
+        raise ImucaldError(f"--token {options.token}: there is no such file")
+    host, port = _address(options.databroker, KUKSA_PORT)
+    return KuksaReceiver(
+        KuksaSettings(host, port, options.token, options.ca, options.server_name), _say
+    )
+
+
+def _address(text: str, port: int) -> tuple[str, int]:
+    host, colon, given = text.rpartition(":")
+    if not colon or (host.count(":") and not host.endswith("]")):
+        return text.strip("[]"), port
+    if not given.isdecimal() or not 0 < int(given) <= 0xFFFF or not host:
+        raise ImucaldError(f"{text!r} is no address: write HOST or HOST:PORT")
+    return host.strip("[]"), int(given)
+
+
+def _say(text: str) -> None:
+    print(f"imucald: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,21 @@
+"""`imucald hold`: keep the mount in force and learn nothing."""
+
+from __future__ import annotations
+
+import argparse
+
+from imucald.commands.orders import add_target, give
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `hold`."""
+    add_target(
+        parser,
+        " A hold outlasts a restart. The drive is watched all the same: where it contradicts "
+        "the mount, that is suspect.",
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Give the order."""
+    return give(options, "hold")

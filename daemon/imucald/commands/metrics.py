@@ -1,0 +1,92 @@
+"""`imucald metrics`: the running daemons' metrics for Prometheus, as text, file or over HTTP."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import socket
+    from collections.abc import Callable
+
+TEXTFILE_MODE = 0o644
+"""The collector of node_exporter runs as another user."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `metrics`."""
+    from imucald.commands.status import add_socket_argument
+
+    add_socket_argument(parser)
+    way = parser.add_mutually_exclusive_group()
+    way.add_argument(
+        "--textfile",
+        type=Path,
+        metavar="FILE",
+        help="write them for node_exporter's textfile collector, whole or not at all",
+    )
+    way.add_argument(
+        "--listen",
+        metavar="HOST:PORT",
+        help="serve them at http://HOST:PORT/metrics until Ctrl-C, such as 127.0.0.1:8131",
+    )
+    parser.epilog = (
+        "Without a channel: those of all daemons that run here, separated by the label 'bus'. "
+        "A daemon that does not answer has imucald_up 0. Exit status: 0, also where none runs."
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print, write or serve them."""
+    if options.listen:
+        return _listen(options)
+    text = _text_of(options)()
+    if options.textfile:
+        _write(options.textfile, text)
+    else:
+        sys.stdout.write(text)
+    return 0
+
+
+def _text_of(options: argparse.Namespace) -> Callable[[], str]:
+    from imucald.commands.status import running_sockets
+    from imucald.service.exposition import gathered
+
+    def text() -> str:
+        chosen = [options.socket] if options.socket else running_sockets(options.channel)
+        return gathered(chosen)
+
+    return text
+
+
+def _listen(options: argparse.Namespace) -> int:
+    from imucald.service.listening import listening_at
+
+    listening = listening_at(options.listen)
+    host, port = listening.getsockname()[:2]
+    shown = f"[{host}]" if ":" in host else host
+    print(f"imucald: metrics at http://{shown}:{port}/metrics", file=sys.stderr)
+    serve(listening, _text_of(options))
+    return 0
+
+
+def serve(listening: socket.socket, text: Callable[[], str]) -> None:
+    """Serve for ever."""
+    from imucald.service.metrics_server import MetricsServer
+
+    with MetricsServer(listening, text) as server:
+        server.serve_forever()
+
+
+def _write(path: Path, text: str) -> None:
+    from imucald.core.atomic_file import write_beside
+    from imucald.core.errors import ImucaldError
+
+    try:
+        unfinished = write_beside(path, text.encode())
+        unfinished.chmod(TEXTFILE_MODE)
+        unfinished.replace(path)
+    except OSError as error:
+        raise ImucaldError(f"{path}: cannot be written: {error.strerror or error}") from None

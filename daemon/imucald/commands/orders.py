@@ -1,0 +1,80 @@
+"""What `reset`, `hold`, `release` and `set-mount` have in common: an order to a running daemon."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from imucald.core.errors import ImucaldError, LinkError
+
+WHO = (
+    "Root gives orders, or the user that the daemon runs as. The daemon writes each into its log "
+    "and events, with who gave it. Exit status: 0 done, 1 refused (the text says why), 3 no "
+    "daemon runs."
+)
+NOT_RUNNING = 3
+"""As `systemctl is-active` and `status` of init scripts have it."""
+
+
+def add_target(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """Which daemons are meant."""
+    from imucald.commands.status import add_socket_argument
+
+    add_socket_argument(parser)
+    parser.add_argument("--all", action="store_true", help="every daemon that runs here")
+    parser.epilog = WHO + more
+
+
+def give(options: argparse.Namespace, order: str, **more: Any) -> int:
+    """Give an order to the daemons that are meant and print their answers; the exit status."""
+    from imucald.commands.status import find_socket, running_sockets
+
+    if options.all and (options.channel or options.socket):
+        raise ImucaldError("--all means every daemon: leave out the channel and --socket")
+    if options.all:
+        sockets = running_sockets()
+    else:
+        try:
+            sockets = [find_socket(options.socket, options.channel)]
+        except LinkError as error:
+            if running_sockets():
+                raise
+            print(f"imucald: {error}", file=sys.stderr)
+            return NOT_RUNNING
+    if not sockets:
+        print("imucald: no daemon runs here", file=sys.stderr)
+        return NOT_RUNNING
+    user = os.environ.get("SUDO_USER", "")
+    if re.fullmatch(r"[A-Za-z0-9_.-]{1,32}", user):
+        more["sudo_user"] = user
+    return max(_given(path, {"order": order, **more}, len(sockets) > 1) for path in sockets)
+
+
+def _given(status_socket: Path, request: Mapping[str, Any], is_named: bool) -> int:
+    from imucald.service.asking import ask
+    from imucald.service.control_path import control_socket
+
+    path = control_socket(status_socket)
+    if path.exists() and not os.access(path, os.R_OK | os.W_OK):
+        command = "sudo imucald ..."
+        raise ImucaldError(f"{path}: only root may give orders; say {command}")
+    try:
+        answer = json.loads(ask(path, json.dumps(request)) or "{}")
+    except LinkError as error:
+        print(f"imucald: {error}", file=sys.stderr)
+        return NOT_RUNNING
+    except ValueError:
+        raise ImucaldError(f"{path}: this is not imucald's control socket") from None
+    name = f"{status_socket.parent.name}: " if is_named else ""
+    if "done" in answer:
+        print(f"{name}{answer['done']}")
+        return 0
+    text = answer.get("error", "the daemon gave no answer; see its log")
+    print(f"imucald: {name}{text}", file=sys.stderr)
+    return 1

@@ -1,0 +1,17 @@
+"""`imucald release`: learn the mount again after a hold."""
+
+from __future__ import annotations
+
+import argparse
+
+from imucald.commands.orders import add_target, give
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `release`."""
+    add_target(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Give the order."""
+    return give(options, "release")

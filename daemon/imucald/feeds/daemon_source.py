@@ -1,0 +1,135 @@
+"""What a feed reads: the daemon's status socket, and its corrected frames on the bus."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from imucald.can.link.link import Link
+from imucald.config import LoadedConfig, load_config
+from imucald.core.errors import ImucaldError, LinkError
+from imucald.feeds.corrected_frames import GOOD, CorrectedFrames, Triple
+from imucald.service.asking import ask
+
+STATUS_S = 1.0
+"""The status is asked for so often [s]."""
+ASK_S = 0.5
+"""A daemon that does not answer within this [s] is taken as not running."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """at: wall clock [s]. status: as `imucald status --json` has it; None: no daemon answers.
+
+    is_new: whether the status was asked for just now. corrected: by name ("acceleration" in m/s^2,
+    "angular_rate" in deg/s) x, y, z in vehicle axes; None: not available.
+    """
+
+    at: float
+    status: Mapping[str, Any] | None
+    is_new: bool = True
+    corrected: Mapping[str, Triple | None] = field(default_factory=dict)
+
+
+class DaemonSource:
+    """Reads one daemon. The bus is the one that the daemon says it is on.
+
+    accepted: qualities of corrected frames that count. config: None for the file that the daemon
+    names. wants_frames: without them only the status is read.
+    """
+
+    def __init__(
+        self,
+        status_socket: Path,
+        say: Say,
+        accepted: Iterable[int] = GOOD,
+        config: Path | None = None,
+        wants_frames: bool = True,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._socket = status_socket
+        self._say = say
+        self._accepted = frozenset(accepted)
+        self._config = config
+        self._wants_frames = wants_frames
+        self._clock = clock
+        self._next_status = clock()
+        self._status: Mapping[str, Any] | None = None
+        self._frames: CorrectedFrames | None = None
+        self._link: Link | None = None
+        self._told = ""
+
+    def read(self, seconds: float) -> Reading:
+        """Listen for so long; return what is known then."""
+        end = self._clock() + seconds
+        is_new = self._clock() >= self._next_status
+        if is_new:
+            self._next_status = self._clock() + STATUS_S
+            self._ask()
+        while (left := end - self._clock()) > 0.0:
+            self._listen(left)
+        means = {} if self._frames is None else self._frames.means(self._clock())
+        return Reading(time.time(), self._status, is_new, means)
+
+    def _listen(self, seconds: float) -> None:
+        if self._link is None or self._frames is None:
+            time.sleep(seconds)
+            return
+        for _, can_id, data in self._link.receive(seconds):
+            self._frames.take(self._clock(), can_id, data)
+
+    def _ask(self) -> None:
+        try:
+            self._status = json.loads(ask(self._socket, "status", ASK_S))
+        except (LinkError, ValueError) as error:
+            if self._status is not None or not self._told:
+                self._tell(f"{error}; waiting for it")
+            self._status = None
+            return
+        if self._told:
+            self._tell("")
+            self._say("the daemon answers")
+        if self._wants_frames and self._link is None:
+            self._open(self._status or {})
+
+    def _open(self, status: Mapping[str, Any]) -> None:
+        """Listen on the daemon's bus for its output identifiers."""
+        link = status["link"]
+        try:
+            loaded = load_config(self._config or Path(status["config"]))
+            frames = CorrectedFrames(loaded.config, self._accepted)
+            self._link = _opened(loaded, frames, str(link["interface"]), str(link["channel"]))
+        except ImucaldError as error:
+            self._wants_frames = False
+            self._say(f"{error}; only the status is handed on (--config names the file)")
+            return
+        self._frames = frames
+        self._say(f"listening on {link['channel']} for {', '.join(frames.names)}")
+
+    def _tell(self, text: str) -> None:
+        self._told = text
+        if text:
+            self._say(text)
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        if self._link is not None:
+            self._link.close()
+
+
+def _opened(loaded: LoadedConfig, frames: CorrectedFrames, interface: str, channel: str) -> Link:
+    bus = loaded.config.bus
+    return Link(
+        interface,
+        channel,
+        receive=frames.matches,
+        fd=bus.fd,
+        bitrate=bus.bitrate,
+        options=bus.options,
+    )

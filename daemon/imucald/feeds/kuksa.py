@@ -1,0 +1,156 @@
+"""KUKSA: corrected values and the mount as VSS signals of a databroker."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from imucald.feeds.daemon_source import Reading, Say
+from imucald.feeds.feed_loop import ReceiverError
+
+CALL_S = 2.0
+"""The databroker has so long to answer [s]."""
+OWN = "Vehicle.Private.Imucald"
+"""Branch of what VSS has no signals for: vss/imucald-vss.json."""
+VECTORS = {
+    "acceleration": [f"Vehicle.Acceleration.{n}" for n in ("Longitudinal", "Lateral", "Vertical")],
+    "angular_rate": [f"Vehicle.AngularVelocity.{n}" for n in ("Roll", "Pitch", "Yaw")],
+}
+"""x, y, z of ISO 8855, as VSS has them; m/s^2 and degrees/s."""
+_STATUS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
+    f"{OWN}.State": lambda status: status["state"],
+    f"{OWN}.Quality": lambda status: status["quality"],
+    f"{OWN}.IsHeld": lambda status: status["held"],
+    f"{OWN}.Mount.Roll": lambda status: status["mount"]["roll_deg"],
+    f"{OWN}.Mount.Pitch": lambda status: status["mount"]["pitch_deg"],
+    f"{OWN}.Mount.Yaw": lambda status: status["mount"]["yaw_deg"],
+    f"{OWN}.Mount.DeviationX": lambda status: status["mount"]["std_deg"]["x"],
+    f"{OWN}.Mount.DeviationY": lambda status: status["mount"]["std_deg"]["y"],
+    f"{OWN}.Mount.DeviationZ": lambda status: status["mount"]["std_deg"]["z"],
+}
+PATHS = [*(path for paths in VECTORS.values() for path in paths), *_STATUS]
+
+
+@dataclass(frozen=True)
+class KuksaSettings:
+    """host, port: of the databroker. token: a file. ca: for TLS; server_name: the certificate's."""
+
+    host: str
+    port: int
+    token: Path | None = None
+    ca: Path | None = None
+    server_name: str | None = None
+
+
+class KuksaReceiver:
+    """Publishes with kuksa-client."""
+
+    def __init__(self, settings: KuksaSettings, say: Say) -> None:
+        import kuksa_client.grpc  # noqa: PLC0415 - an extra
+
+        self._library = kuksa_client.grpc
+        self._settings = settings
+        self._say = say
+        self._client: Any = None
+        self._types: dict[str, Any] = {}
+        self._told: set[str] = set()
+
+    def connect(self) -> None:
+        """Reach the databroker and see which of our signals it knows."""
+        settings = self._settings
+        token = None if settings.token is None else settings.token.read_text().strip()
+        self._client = self._library.VSSClient(
+            settings.host,
+            settings.port,
+            token=token,
+            root_certificates=settings.ca,
+            tls_server_name=settings.server_name,
+            ensure_startup_connection=False,
+        )
+        self._client.connect()
+        self._types = {path: kind for path in PATHS if (kind := self._type_of(path)) is not None}
+        if not self._types:
+            raise ReceiverError(f"{self._broker} knows none of {', '.join(PATHS)}")
+        self._say(f"{self._broker} takes {len(self._types)} signals")
+
+    def _type_of(self, path: str) -> Any:
+        """The data type of a signal; None, told once, where the databroker does not know it."""
+        try:
+            return self._client.get_value_types([path], timeout=CALL_S)[path]
+        except self._library.VSSClientError as error:
+            if error.error.get("code") != NOT_FOUND:
+                raise self._unreached(error) from None
+        if path not in self._told:
+            self._told.add(path)
+            hint = "; load vss/imucald-vss.json for it" if path.startswith(OWN) else ""
+            self._say(f"{self._broker} does not know {path}: not handed on{hint}")
+        return None
+
+    def publish(self, reading: Reading) -> None:
+        """Hand a reading on."""
+        self._set(vss_values(reading))
+
+    def _set(self, values: Mapping[str, Any]) -> None:
+        library = self._library
+        updates = [
+            library.EntryUpdate(
+                library.DataEntry(
+                    path,
+                    value=library.Datapoint(value),
+                    metadata=library.Metadata(data_type=self._types[path]),
+                ),
+                (library.Field.VALUE,),
+            )
+            for path, value in values.items()
+            if path in self._types
+        ]
+        if not updates:
+            return
+        try:
+            self._client.set(updates, try_v2=True, timeout=CALL_S)
+        except library.VSSClientError as error:
+            raise self._unreached(error) from None
+
+    def disconnect(self) -> None:
+        """Let go of the databroker."""
+        if self._client is not None:
+            self._client.disconnect()
+            self._client = None
+
+    def close(self) -> None:
+        """Leave nothing behind that looks like a present value."""
+        if self._client is not None:
+            try:
+                self._set(dict.fromkeys(self._types))
+            except ReceiverError as error:
+                self._say(f"{error}; its last values stand")
+            self.disconnect()
+
+    @property
+    def _broker(self) -> str:
+        return f"KUKSA databroker {self._settings.host}:{self._settings.port}"
+
+    def _unreached(self, error: Any) -> ReceiverError:
+        found = error.error
+        reason = found.get("message") or found.get("reason") or str(error)
+        return ReceiverError(f"{self._broker}: {' '.join(str(reason).split())[:200]}")
+
+
+NOT_FOUND = 404
+"""Of kuksa-client, where no signal has the name."""
+
+
+def vss_values(reading: Reading) -> dict[str, Any]:
+    """Values by VSS path; None: not available."""
+    values: dict[str, Any] = {}
+    for name, paths in VECTORS.items():
+        if name in reading.corrected:
+            found = reading.corrected[name]
+            values |= zip(paths, (None, None, None) if found is None else found, strict=True)
+    if reading.is_new:
+        status = reading.status
+        for path, of in _STATUS.items():
+            values[path] = None if status is None else of(status)
+    return values

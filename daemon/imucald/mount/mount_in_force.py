@@ -1,0 +1,58 @@
+"""The mount that an estimator serves, taken over by another: held, released, or saved."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from imucald.mount.estimate import MountEstimator, MountState
+from imucald.mount.hysteresis import GOOD
+from imucald.mount.restored import BAD, Phase, RestoredEstimator, StoredMount
+from imucald.mount.saved_information import SavedInformation, SavesInformation
+
+
+def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
+    """The mount that an estimator serves now, as another can go on from it; None: there is none."""
+    correction = estimator.correction
+    if correction is None:
+        return None
+    is_doubted = estimator.state in BAD
+    if isinstance(estimator, RestoredEstimator) and estimator.serves_stored:
+        return replace(estimator.stored, doubted=is_doubted)
+    C = estimator.estimate().covariance
+    if C is None or not np.isfinite(C).all():
+        return None
+    state = estimator.state if estimator.state in GOOD else MountState.USABLE
+    R = np.array(correction).reshape(3, 3)
+    evidence = saved_information(estimator)
+    return StoredMount(R, 0.5 * (C + C.T), state, is_doubted, evidence, body_std=(0.0, 0.0, 0.0))
+
+
+def saved_information(estimator: MountEstimator) -> SavedInformation | None:
+    """What an estimator can go on with later, where it keeps that."""
+    if isinstance(estimator, RestoredEstimator | SavesInformation):
+        return estimator.saved_information()
+    return None
+
+
+def held(estimator: MountEstimator, inner: MountEstimator) -> RestoredEstimator | None:
+    """The mount that an estimator serves, held; None: it serves none. inner: watches the drive."""
+    stored = mount_in_force(estimator)
+    if stored is None:
+        return None
+    is_open = estimator.state is MountState.RESTORED
+    phase = Phase.RESTORED if is_open else Phase.CONFIRMED
+    return RestoredEstimator(inner, stored, is_held=True, phase=phase)
+
+
+def released(estimator: RestoredEstimator, inner: MountEstimator) -> RestoredEstimator:
+    """The same mount, from which `inner` takes over when it is as certain."""
+    stored = replace(estimator.stored, doubted=estimator.phase is Phase.DOUBTED)
+    phase = Phase.CONFIRMED if estimator.phase is Phase.CONFIRMED else Phase.RESTORED
+    return RestoredEstimator(inner, stored, phase=phase)
+
+
+def without_stored(estimator: MountEstimator) -> MountEstimator:
+    """An estimator that was just made, without the mount that stands in front of it."""
+    return estimator.inner if isinstance(estimator, RestoredEstimator) else estimator

@@ -1,0 +1,168 @@
+"""What people may have done to the mount: reset, hold, release, set; and a tester's calibration.
+
+One implementation for all who ask: the control socket and the diagnostics on the bus. Every order
+is told with who gave it. Nothing here opens a file: what is to be kept is the service's business.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+import numpy as np
+
+from imucald.config import LoadedConfig
+from imucald.config.calibration import KnownMount
+from imucald.core.angles import DEG_PER_RAD
+from imucald.core.errors import EstimateError, ImucaldError
+from imucald.mount.estimate import MountEstimator
+from imucald.mount.mount_in_force import held, released, without_stored
+from imucald.mount.restored import RestoredEstimator
+from imucald.runtime.engine import Engine
+from imucald.runtime.estimators import known_mount
+
+TESTER: Final = "a tester on the bus"
+
+
+class OrderError(ImucaldError):
+    """An order that cannot be carried out now: why, and what can be done."""
+
+
+class OrderedService(Protocol):
+    """What runs the calibration; engine and configuration change when it reads its file again."""
+
+    @property
+    def engine(self) -> Engine:
+        """The engine that runs now."""
+        ...
+
+    @property
+    def loaded(self) -> LoadedConfig:
+        """The configuration that is in force."""
+        ...
+
+    def forget_state(self) -> None:
+        """Keep nothing of what was saved."""
+        ...
+
+    def save_state(self) -> None:
+        """Save the mount that is in force as it is now, held or not."""
+        ...
+
+    def tell_order(self, who: str, text: str) -> None:
+        """Write what was done, and by whom, where people look for it."""
+        ...
+
+
+class MountOrders:
+    """Carries orders out. who: gave the order, in words ("root (pid 812)")."""
+
+    def __init__(self, service: OrderedService) -> None:
+        self._service = service
+        self._former: tuple[object, MountEstimator] | None = None
+
+    @property
+    def is_held(self) -> bool:
+        """Whether nothing is learnt."""
+        return self._held is not None
+
+    @property
+    def _held(self) -> RestoredEstimator | None:
+        estimator = self._estimator
+        is_held = isinstance(estimator, RestoredEstimator) and estimator.is_held
+        return estimator if is_held else None  # type: ignore[return-value]
+
+    @property
+    def _estimator(self) -> MountEstimator:
+        return self._service.engine.pipeline.estimator
+
+    def reset(self, who: str) -> str:
+        """Forget what was learnt, the saved state too, and begin anew; cannot be taken back."""
+        self._former = None
+        self._service.engine.restart_calibration()
+        self._service.forget_state()
+        stated = self._service.loaded.config.calibration.mount is not None
+        begun = "begun anew from the mount of the configuration" if stated else "begun anew"
+        return self._told(who, f"reset: the learnt mount is forgotten, the calibration {begun}")
+
+    def hold(self, who: str) -> str:
+        """Keep the mount that is in force and learn nothing. Raises OrderError without one."""
+        if self.is_held:
+            raise OrderError("the mount is held already")
+        kept = held(self._estimator, self._learning())
+        if kept is None:
+            state = self._estimator.state.name.lower()
+            text = f"there is no mount to hold yet (state {state}): drive until it is usable"
+            raise OrderError(f"{text}, or state the mount with set-mount")
+        self._put(kept)
+        return self._told(who, "hold: the mount is held, nothing is learnt until it is released")
+
+    def release(self, who: str) -> str:
+        """Learn again. Raises OrderError where nothing is held, or the configuration holds it."""
+        kept = self._held
+        if kept is None:
+            raise OrderError("the mount is not held: it is being learnt")
+        self._refuse_where_configured()
+        self._put(released(kept, self._learning()))
+        return self._told(who, "release: the mount is learnt again")
+
+    def set_mount(self, mount: KnownMount, who: str) -> str:
+        """Put a mount that is known in force. Raises OrderError where it is too vague."""
+        self._refuse_where_configured()
+        learning = self._learning()
+        try:
+            stored = known_mount(mount, learning.estimate().targets)
+        except EstimateError as error:
+            raise OrderError(f"std_deg {error}") from None
+        self._service.forget_state()
+        self._put(RestoredEstimator(learning, stored, is_held=mount.hold))
+        x, y, z = (2.0 * float(s) * DEG_PER_RAD for s in np.sqrt(np.diag(stored.covariance)))
+        angles = f"roll {mount.roll_deg:+g}, pitch {mount.pitch_deg:+g}, yaw {mount.yaw_deg:+g} deg"
+        within = f"±{x:.2g}, ±{y:.2g}, ±{z:.2g} deg (95 %) about the vehicle's x, y, z"
+        end = "and held" if mount.hold else "until the drive knows it as well"
+        return self._told(who, f"set-mount: {angles}, {within}, in force {end}")
+
+    # a tester's calibration, which can be taken back ----------------------------------------
+
+    def begin(self, who: str) -> None:
+        """Begin anew and keep the former estimator aside."""
+        self._former = self._settings(), self._service.engine.restart_calibration()
+        self._told(who, "the calibration is begun anew")
+
+    def return_to_former(self, who: str) -> bool:
+        """Take the former estimator back, unless it was made for other settings."""
+        if self._former is None or self._former[0] != self._settings():
+            return False
+        self._service.engine.resume_calibration(self._former[1])
+        self._former = None
+        self._told(who, "the former calibration is taken back")
+        return True
+
+    def accept(self) -> None:
+        """Let go of the former estimator."""
+        self._former = None
+
+    # ----------------------------------------------------------------------------------------
+
+    def _settings(self) -> object:
+        """All that an estimator depends on; the file may be read again meanwhile."""
+        config = self._service.loaded.config
+        return config.signals, config.calibration, config.vehicle
+
+    def _learning(self) -> MountEstimator:
+        return without_stored(self._service.engine.new_estimator())
+
+    def _put(self, estimator: MountEstimator) -> None:
+        self._former = None
+        self._service.engine.pipeline.replace(estimator)
+        self._service.save_state()
+
+    def _refuse_where_configured(self) -> None:
+        mount = self._service.loaded.config.calibration.mount
+        if mount is not None and mount.hold:
+            file = self._service.loaded.path
+            text = f"{file} states the mount and holds it (calibration: mount)"
+            raise OrderError(f"{text}; change it there, then reload")
+
+    def _told(self, who: str, text: str) -> str:
+        self._service.tell_order(who, text)
+        return text

@@ -1,0 +1,130 @@
+"""The control socket: root's orders to a running daemon, one JSON line each.
+
+``{"order": "reset"}``, ``hold``, ``release``, or ``set-mount`` with the ``mount`` that the
+configuration's `calibration: mount` would have. The answer is one JSON line: ``{"done": TEXT}`` or
+``{"error": TEXT}``. Only root and the user that the daemon runs as are listened to.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import DecodeError, Meta, Struct
+from msgspec.json import Decoder
+
+from imucald.config.calibration import KnownMount
+from imucald.core.errors import ImucaldError
+from imucald.runtime.mount_orders import MountOrders
+from imucald.service.background_writer import Say
+from imucald.service.journal import WARNING
+from imucald.service.line_server import LineServer, Peer
+
+OWNER_ONLY = 0o600
+BURST = 5
+"""So many requests at once, ..."""
+PERIOD_S = 1.0
+"""... then one in this time [s]: a person types no faster, and each makes a new estimator."""
+ROOT = 0
+
+
+class Order(Struct, forbid_unknown_fields=True, tag_field="order"):
+    """sudo_user: who became root to give it, as sudo says."""
+
+    sudo_user: Annotated[str, Meta(pattern=r"^[A-Za-z0-9_.-]{1,32}$")] | None = None
+
+
+class ResetOrder(Order, tag="reset"):
+    """Forget what was learnt and begin anew."""
+
+
+class HoldOrder(Order, tag="hold"):
+    """Keep the mount, learn nothing."""
+
+
+class ReleaseOrder(Order, tag="release"):
+    """Learn again."""
+
+
+class SetMountOrder(Order, tag="set-mount"):
+    """Put a mount that is known in force."""
+
+    mount: KnownMount | None = None
+
+
+_DECODER = Decoder(ResetOrder | HoldOrder | ReleaseOrder | SetMountOrder)
+
+
+class ControlServer(LineServer):
+    """Takes orders on a Unix socket that only its owner and root may open.
+
+    Raises LinkError when the socket cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        orders: MountOrders,
+        say: Say,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(path, OWNER_ONLY, self._answer, clock)
+        self._orders = orders
+        self._say = say
+        self._allowed = {ROOT, os.geteuid()}
+        self._left, self._at = float(BURST), clock()
+
+    def _answer(self, line: bytes, peer: Peer) -> bytes:
+        if peer.uid not in self._allowed:
+            return self._refused(f"user {peer.uid} may give no orders; only root may", peer)
+        if not self._has_token():
+            return _line(error=f"too many orders; try again in {PERIOD_S:g} s")
+        try:
+            return _line(done=self._carried_out(_DECODER.decode(line), peer))
+        except DecodeError as error:  # ValidationError is one
+            return _line(error=f"not understood: {error}")
+        except RecursionError:
+            return _line(error="not understood: nested too deeply")
+        except ImucaldError as error:
+            return self._refused(str(error), peer)
+
+    def _has_token(self) -> bool:
+        now = self._clock()
+        self._left = min(self._left + (now - self._at) / PERIOD_S, float(BURST))
+        self._at = now
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+    def _carried_out(self, order: Order, peer: Peer) -> str:
+        who = _name(peer, order.sudo_user)
+        match order:
+            case ResetOrder():
+                return self._orders.reset(who)
+            case HoldOrder():
+                return self._orders.hold(who)
+            case ReleaseOrder():
+                return self._orders.release(who)
+            case SetMountOrder(mount=KnownMount() as mount):
+                return self._orders.set_mount(mount, who)
+        raise ImucaldError("set-mount needs a mount")
+
+    def _refused(self, text: str, peer: Peer) -> bytes:
+        self._say(f"an order of {_name(peer)} was refused: {text}", WARNING)
+        return _line(error=text)
+
+
+def _name(peer: Peer, sudo_user: str | None = None) -> str:
+    """Who asks; names of users are not looked up, which may ask a server far away."""
+    user = "root" if peer.uid == ROOT else f"user {peer.uid}"
+    behind = f", for {sudo_user}" if sudo_user else ""
+    return f"{user} (pid {peer.pid}{behind})"
+
+
+def _line(**content: str) -> bytes:
+    return json.dumps(content, ensure_ascii=False).encode() + b"\n"

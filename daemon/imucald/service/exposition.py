@@ -1,0 +1,53 @@
+"""Prometheus text of one daemon or of several, as it is asked for and handed on. No numpy here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from imucald.core.errors import LinkError
+from imucald.service.asking import ask
+
+UP = "imucald_up"
+ASK_S = 2.0
+"""A daemon has so long to answer [s]."""
+
+
+def bus_of(socket: Path) -> str:
+    """The name of a daemon's bus, from where its status socket is."""
+    if socket.name == "status.sock":
+        return socket.parent.name
+    return socket.stem.removeprefix("imucald-")
+
+
+def gathered(sockets: Iterable[Path]) -> str:
+    """The metrics of all daemons behind these sockets, and which of them answer."""
+    texts, answers = [], {}
+    for path in sockets:
+        try:
+            texts.append(ask(path, "metrics", ASK_S))
+            answers[bus_of(path)] = 1
+        except LinkError:
+            answers[bus_of(path)] = 0
+    return merged([_up(answers), *texts])
+
+
+def _up(answers: Mapping[str, int]) -> str:
+    lines = "".join(f'{UP}{{bus="{bus}"}} {up}\n' for bus, up in answers.items())
+    return f"# HELP {UP} 1 where the daemon of a bus answers.\n# TYPE {UP} gauge\n{lines}"
+
+
+def merged(texts: Iterable[str]) -> str:
+    """Several texts as one: each family once, with the lines of all."""
+    heads: dict[str, str] = {}
+    lines: dict[str, list[str]] = {}
+    for text in texts:
+        family = ""
+        for line in text.splitlines():
+            if line.startswith("# "):
+                family = line.split(" ", 3)[2]
+                if line not in heads.setdefault(family, ""):
+                    heads[family] += f"{line}\n"
+            elif line:
+                lines.setdefault(family, []).append(f"{line}\n")
+    return "".join(heads[name] + "".join(lines.get(name, ())) for name in heads)

@@ -1,0 +1,148 @@
+"""A Unix socket that the frame loop serves in its turns: one line asked, one answer, no threads.
+
+Whatever a client does, the loop never waits for it and its work is bounded: so many clients at a
+time, so much to read from each, so long for each. Answers are small and fit the socket's buffer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import struct
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from imucald.core.errors import LinkError
+
+CLIENTS_MAX = 8
+"""More are turned away."""
+ACCEPTED_MAX = 32
+"""So many are looked at in one turn of the loop; the others wait for the next."""
+CLIENT_S = 1.0
+"""A client has so long to ask and to take its answer [s]."""
+REQUEST_MAX = 4096
+"""Longest request [bytes]."""
+SEND_BUFFER = 1 << 18
+"""Asked of the kernel for an answer [bytes]."""
+_CREDENTIALS = struct.Struct("3i")
+
+
+class Peer(NamedTuple):
+    """Who asks, as the kernel knows it."""
+
+    pid: int
+    uid: int
+    gid: int
+
+
+class _Client:
+    def __init__(self, connection: socket.socket, end: float) -> None:
+        self.connection = connection
+        self.end = end
+        self.request = b""
+        self.answer: bytes | None = None
+
+
+class LineServer:
+    """Answers on a Unix socket: `poll` does what can be done at once.
+
+    mode: of the socket file. answer: bytes for the line that a client sent. Raises LinkError when
+    the socket cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        mode: int,
+        answer: Callable[[bytes, Peer], bytes],
+        clock: Callable[[], float] = time.monotonic,
+        option: str = "--status-socket",
+    ) -> None:
+        self.path = path
+        self._answer_to = answer
+        self._clock = clock
+        self._clients: list[_Client] = []
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _remove_stale(path)
+            os.fchmod(self._socket.fileno(), mode)  # Linux: the file never has more than this
+            self._socket.bind(str(path))
+            path.chmod(mode)
+            self._socket.listen(CLIENTS_MAX)
+        except OSError as error:
+            self._socket.close()
+            reason = error.strerror or str(error)
+            raise LinkError(f"socket {path}: {reason}; see {option}") from None
+        self._socket.setblocking(False)
+
+    def poll(self) -> None:
+        """Serve whoever waits. Never blocks, never raises for what a client does."""
+        with contextlib.suppress(OSError):
+            for _ in range(ACCEPTED_MAX):
+                connection, _address = self._socket.accept()
+                self._take(connection)
+        if self._clients:
+            self._clients = [client for client in self._clients if self._served(client)]
+
+    def _take(self, connection: socket.socket) -> None:
+        if len(self._clients) >= CLIENTS_MAX:
+            connection.close()
+            return
+        connection.setblocking(False)
+        with contextlib.suppress(OSError):
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        self._clients.append(_Client(connection, self._clock() + CLIENT_S))
+
+    def _served(self, client: _Client) -> bool:
+        """Go on with one client; whether it is to be kept."""
+        try:
+            if client.answer is None:
+                part = client.connection.recv(REQUEST_MAX)
+                client.request += part
+                line, end, _ = client.request.partition(b"\n")
+                if end:
+                    client.answer = self._answer_to(line, _peer(client.connection))
+                elif not part or len(client.request) > REQUEST_MAX:
+                    client.connection.close()
+                    return False
+            if client.answer is not None:
+                sent = client.connection.send(client.answer)
+                client.answer = client.answer[sent:]
+        except BlockingIOError:
+            pass
+        except OSError:
+            client.connection.close()
+            return False
+        if client.answer == b"" or self._clock() > client.end:
+            client.connection.close()
+            return False
+        return True
+
+    def close(self) -> None:
+        """Take the socket away."""
+        for client in self._clients:
+            client.connection.close()
+        self._socket.close()
+        with contextlib.suppress(OSError):
+            self.path.unlink()
+
+
+def _peer(connection: socket.socket) -> Peer:
+    data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    return Peer(*_CREDENTIALS.unpack(data))
+
+
+def _remove_stale(path: Path) -> None:
+    """Remove the socket of a daemon that was killed; one that answers is left (bind then fails)."""
+    if not path.is_socket():
+        return
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(0.2)
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()

@@ -1,0 +1,79 @@
+"""Metrics over HTTP, for a Prometheus that scrapes: beside the daemon, in a process of its own.
+
+It asks the daemons' status sockets, as anybody may; nothing of the frame loop runs here.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from imucald import __version__
+
+CLIENTS_MAX = 16
+"""More connections at a time are turned away."""
+IDLE_S = 2.0
+CLIENT_S = 5.0
+"""A connection lasts no longer [s], however slowly its request drips in."""
+CONTENT = "text/plain; version=0.0.4; charset=utf-8"
+
+
+class MetricsHandler(BaseHTTPRequestHandler):
+    """GET /metrics, and nothing else."""
+
+    timeout = IDLE_S
+    server_version = f"imucald/{__version__}"
+    sys_version = ""
+    server: MetricsServer
+
+    def do_GET(self) -> None:
+        """Answer a scrape."""
+        if self.path.partition("?")[0] != "/metrics":
+            self.send_error(404, "only /metrics is here")
+            return
+        body = self.server.text().encode()
+        self.send_response(200)
+        self.send_header("Content-Type", CONTENT)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - as in the library
+        """Scrapes come for ever: no line for each."""
+
+
+class MetricsServer(ThreadingHTTPServer):
+    """Serves on a socket that listens already. text: makes the answer of each scrape."""
+
+    daemon_threads = True
+
+    def __init__(self, listening: socket.socket, text: Callable[[], str]) -> None:
+        super().__init__(listening.getsockname()[:2], MetricsHandler, bind_and_activate=False)
+        self.socket.close()
+        self.socket = listening
+        self.text = text
+        self._free = threading.BoundedSemaphore(CLIENTS_MAX)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a connection beside the others, or turn it away."""
+        if self._free.acquire(blocking=False):
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection for as long as it may last."""
+        end = threading.Timer(CLIENT_S, self.shutdown_request, [request])
+        end.daemon = True
+        end.start()
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            end.cancel()
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A client that went away is no news."""

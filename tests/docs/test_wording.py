@@ -1,0 +1,93 @@
+"""Words of pages and program: spelled right, and none that the glossary avoids."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from paths import ROOT
+
+GLOSSARY = ROOT / "docs" / "glossary.md"
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+MODULES = sorted((ROOT / "daemon" / "imucald").rglob("*.py"))
+TEMPLATES = sorted((ROOT / "daemon" / "imucald").rglob("*.html"))
+SPELLED = ["README.md", "CHANGELOG.md", "docs", "config", "dbc", "systemd", "deb", "benchmarks",
+           "daemon", "try", "Containerfile"]  # fmt: skip
+SPELLED_SO = "nees,endianess,informations,temperatur,fro,fo"
+"""Normalised estimation error squared; names of other libraries; Fisher informations."""
+
+
+def avoided() -> list[str]:
+    """The words of the glossary's table, left column."""
+    table = GLOSSARY.read_text().partition("## Words we avoid")[2]
+    rows = re.findall(r"^\| ([a-z][^|]*) \| [^|]+ \|$", table, re.M)
+    return [word.strip() for row in rows[1:] for word in row.split(",")]
+
+
+def pattern() -> re.Pattern[str]:
+    return re.compile(rf"\b(?:{'|'.join(map(re.escape, avoided()))})\b", re.I)
+
+
+def lines_of(text: str) -> Iterator[tuple[int, str]]:
+    """Numbered lines of a page without code, link targets, and names in backticks."""
+    code = False
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.lstrip().startswith("```"):
+            code = not code
+        elif not code and not line.startswith("    "):
+            yield number, re.sub(r"`[^`]*`|\]\([^)]*\)|look-alikes?", "", line)
+
+
+def sentences(module: Path) -> Iterator[tuple[int, str]]:
+    """Texts of a module that a person may read: strings of more than a word, no docstrings."""
+    tree = ast.parse(module.read_text())
+    docstrings = {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Constant) or not isinstance(node.value, str):
+            continue
+        if id(node) not in docstrings and " " in node.value.strip():
+            yield node.lineno, node.value
+
+
+def test_the_table_of_avoided_words_is_read() -> None:
+    assert {"told", "stretch", "presets", "mounting angle"} <= set(avoided())
+    assert pattern().search("which is Told here")
+    assert not pattern().search("retold; a lottery")
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p != GLOSSARY], ids=lambda p: p.name)
+def test_a_page_has_no_word_that_the_glossary_avoids(page: Path) -> None:
+    words = pattern()
+    found = [(n, m[0]) for n, line in lines_of(page.read_text()) for m in words.finditer(line)]
+    assert found == []
+
+
+def test_the_programs_texts_have_no_word_that_the_glossary_avoids() -> None:
+    words = pattern()
+    texts = [(m, n, text) for m in MODULES for n, text in sentences(m)]
+    for template in TEMPLATES:
+        text = re.sub(r"{[{%].*?[%}]}", "", template.read_text())
+        texts += [(template, n, line) for n, line in enumerate(text.splitlines(), 1)]
+    found = [(str(m.relative_to(ROOT)), n, t) for m, n, t in texts if words.search(t)]
+    assert len(texts) > 1000
+    assert found == []
+
+
+def test_pages_and_program_are_spelled_right() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "codespell_lib", "--skip", "*.svg,*.ipynb,*.pyc,.venv",
+         "--ignore-words-list", SPELLED_SO, *SPELLED],
+        capture_output=True, text=True, check=False, cwd=ROOT,
+    )  # fmt: skip
+    assert done.stdout == ""
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,200 @@
+"""The MQTT feed against a real mosquitto."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import paho.mqtt.client as paho
+import pytest
+from bus_and_daemon import AHEAD, calibrated, source_of, traffic, wait_until
+from paho.mqtt.enums import CallbackAPIVersion
+
+from imucald.feeds.feed_loop import Feed
+from imucald.feeds.mqtt import MqttReceiver, MqttSettings
+
+MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
+pytestmark = pytest.mark.skipif(
+    MOSQUITTO is None, reason="not installed: mosquitto (Debian's package of that name)"
+)
+
+
+class Broker:
+    """A mosquitto of our own; `heard` keeps the newest message of each topic."""
+
+    def __init__(self, folder: Path, more: str = "allow_anonymous true\n") -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self._config = folder / "mosquitto.conf"
+        self._config.write_text(f"listener {self.port} 127.0.0.1\nuser root\n{more}")
+        self.heard: dict[str, str] = {}
+        self.count = 0
+        self.start()
+
+    def start(self) -> None:
+        command = [str(MOSQUITTO), "-c", str(self._config)]
+        self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        wait_until(self._is_open)
+
+    def _is_open(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex(("127.0.0.1", self.port)) == 0
+
+    def stop(self) -> None:
+        self._process.terminate()
+        self._process.wait(5.0)
+
+    @contextlib.contextmanager
+    def watched(self, topic: str) -> Iterator[dict[str, str]]:
+        """Messages of a topic and all below it, retained ones too."""
+        client = paho.Client(CallbackAPIVersion.VERSION2)
+        heard: dict[str, str] = {}
+
+        def take(_client: object, _user: object, message: paho.MQTTMessage) -> None:
+            heard[message.topic.removeprefix(f"{topic}/")] = message.payload.decode()
+            self.count += 1
+
+        client.on_message = take
+        client.connect("127.0.0.1", self.port)
+        client.subscribe(f"{topic}/#", qos=1)
+        client.loop_start()
+        try:
+            yield heard
+        finally:
+            client.disconnect()
+            client.loop_stop()
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Broker]:
+    folder = tmp_path / "mosquitto"
+    folder.mkdir()
+    made = Broker(folder)
+    yield made
+    made.stop()
+
+
+@contextlib.contextmanager
+def fed(feed: Feed) -> Iterator[None]:
+    thread = threading.Thread(target=feed.run)
+    thread.start()
+    try:
+        yield
+    finally:
+        feed.stopping = True
+        thread.join(10.0)
+        assert not thread.is_alive()
+
+
+def test_status_and_corrected_values_arrive_and_are_null_when_the_sensor_is_silent(
+    tmp_path, broker
+):
+    said: list[str] = []
+    with calibrated(tmp_path) as (_, service), traffic(service.link.channel) as silent:
+        receiver = MqttReceiver(MqttSettings("127.0.0.1", broker.port, "car/imu"), said.append)
+        feed = Feed(source_of(service, said), receiver, 0.1, said.append)
+        with broker.watched("car/imu") as heard, fed(feed):
+            wait_until(lambda: '"x": null' not in heard.get("acceleration", '"x": null'))
+            value = json.loads(heard["acceleration"])
+            assert (value["x"], value["y"]) == pytest.approx((AHEAD, 0.0), abs=0.15)
+            assert (value["unit"], value["quality"]) in {("m/s2", "usable"), ("m/s2", "fine")}
+            assert json.loads(heard["angular_rate"])["x"] is None
+            status = json.loads(heard["status"])
+            assert status["running"]
+            assert status["held"]
+            truth = service.status()["mount"]
+            assert status["mount"]["yaw_deg"] == pytest.approx(truth["yaw_deg"], abs=0.01)
+            expected = 2.0 * truth["std_deg"]["z"]
+            assert status["mount"]["plus_minus_deg"]["z"] == pytest.approx(expected, abs=0.01)
+            assert heard["online"] == "1"
+            silent.set()
+            wait_until(lambda: json.loads(heard["acceleration"])["x"] is None)
+            assert json.loads(heard["acceleration"])["quality"] == "not_available"
+            wait_until(lambda: "accelerometer_missing" in json.loads(heard["status"])["alarms"])
+        wait_until(lambda: True)
+        with broker.watched("car/imu") as later:
+            wait_until(lambda: "status" in later)
+            assert later["online"] == "0", "it took leave"
+            assert "acceleration" not in later, "values are not retained"
+
+
+def test_a_broker_that_comes_late_or_goes_is_waited_for(tmp_path, broker):
+    broker.stop()
+    said: list[str] = []
+    with calibrated(tmp_path) as (_, service), traffic(service.link.channel):
+        receiver = MqttReceiver(MqttSettings("127.0.0.1", broker.port, "car"), said.append)
+        with fed(Feed(source_of(service, said), receiver, 0.1, said.append)):
+            wait_until(lambda: any("cannot be reached" in text for text in said))
+            for _ in range(2):
+                broker.start()
+                with broker.watched("car") as heard:
+                    wait_until(lambda heard=heard: "acceleration" in heard, 20.0)
+                    assert heard["online"] == "1"
+                broker.stop()
+            wait_until(lambda: any("is gone" in text for text in said))
+    broker.start()
+
+
+def test_the_last_will_says_that_a_killed_feed_is_gone(tmp_path, broker):
+    with calibrated(tmp_path) as (_, service):
+        path = str(service.options.status_socket)
+        command = [sys.executable, "-m", "imucald", "feed", "mqtt", "--socket", path]
+        command += ["--broker", f"127.0.0.1:{broker.port}", "--topic", "car", "--status-only"]
+        feed = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        with broker.watched("car") as heard:
+            wait_until(lambda: heard.get("online") == "1" and "status" in heard, 20.0)
+            feed.send_signal(signal.SIGKILL)
+            wait_until(lambda: heard["online"] == "0")
+            feed.communicate()
+            orderly = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+            wait_until(lambda: heard.get("online") == "1", 20.0)
+            orderly.send_signal(signal.SIGTERM)
+            assert orderly.wait(5.0) == 0
+            wait_until(lambda: heard["online"] == "0")
+            told = orderly.communicate()[1]
+    assert f"MQTT broker 127.0.0.1:{broker.port} takes car/#" in told
+
+
+def test_a_daemon_that_ends_is_told_and_its_values_are_not_available(tmp_path, broker):
+    said: list[str] = []
+    with calibrated(tmp_path) as (_, service), broker.watched("car") as heard:
+        receiver = MqttReceiver(MqttSettings("127.0.0.1", broker.port, "car"), said.append)
+        with fed(Feed(source_of(service, said), receiver, 0.1, said.append)):
+            wait_until(lambda: "status" in heard)
+            service.stop()
+            assert service.server is not None
+            service.server.path.unlink()
+            wait_until(lambda: not json.loads(heard["status"])["running"])
+            assert json.loads(heard["acceleration"])["quality"] == "not_available"
+
+
+def test_a_wrong_password_is_told_and_a_right_one_is_taken(tmp_path, monkeypatch):
+    folder = tmp_path / "mosquitto"
+    folder.mkdir()
+    passwords = folder / "passwords"
+    tool = shutil.which("mosquitto_passwd")
+    assert tool is not None
+    subprocess.run([tool, "-b", "-c", str(passwords), "car", "right"], check=True)
+    os.chmod(passwords, 0o644)  # noqa: PTH101
+    broker = Broker(folder, f"allow_anonymous false\npassword_file {passwords}\n")
+    said: list[str] = []
+    try:
+        for password in ("wrong", "right"):
+            monkeypatch.setenv("IMUCALD_MQTT_PASSWORD", password)
+            settings = MqttSettings("127.0.0.1", broker.port, "car", user="car")
+            receiver = MqttReceiver(settings, said.append)
+            receiver.connect()
+            expected = {"wrong": "refuses us", "right": "takes car/#"}[password]
+            wait_until(lambda expected=expected: any(expected in text for text in said))
+            receiver.close()
+    finally:
+        broker.stop()

@@ -1,0 +1,258 @@
+"""Metrics as Prometheus reads them: text, file, over HTTP, dashboard and alert rules."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from imucald import cli
+from imucald.core.errors import LinkError
+from imucald.service.asking import ask
+from imucald.service.exposition import bus_of, gathered, merged
+from imucald.service.listening import listening_at
+from imucald.service.metrics_server import CLIENTS_MAX, MetricsServer
+from service_bench import Bench, running
+
+MONITORING = Path(__file__).resolve().parents[2] / "monitoring"
+
+
+@pytest.fixture
+def promtool() -> str:
+    found = shutil.which("promtool")
+    if found is None:
+        pytest.skip("not installed: promtool (Debian's package prometheus)")
+    return found
+
+
+def checked(*command: str, text: str | None = None) -> None:
+    done = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, object]]:
+    """What a daemon with a finished drive says: metrics and status."""
+    bench = Bench(tmp_path_factory.mktemp("daemon"))
+    service = bench.service()
+    bench.drive(service)
+    service.engine.router.rejected['bad "reason"\\\n'] += 2
+    with running(service):
+        path = service.options.status_socket
+        assert path is not None
+        return ask(path, "metrics"), json.loads(ask(path, "status"))
+
+
+def test_a_library_of_prometheus_reads_the_same_numbers_as_the_status_has(said):
+    text, status = said
+    found = {family.name: family for family in text_string_to_metric_families(text)}
+    bus = status["link"]["channel"]
+    assert all(s.labels["bus"] == bus for family in found.values() for s in family.samples)
+    angles = {s.labels["angle"]: s.value for s in found["imucald_mount_angle_degrees"].samples}
+    assert angles == {a: status["mount"][f"{a}_deg"] for a in ("roll", "pitch", "yaw")}
+    states = {s.labels["state"]: s.value for s in found["imucald_state"].samples}
+    assert [state for state, on in states.items() if on] == [status["state"]]
+    samples = {s.labels["channel"]: s.value for s in found["imucald_samples"].samples}
+    assert samples["accel"] == status["signals"]["accel"]["samples"]
+    (rejected,) = found["imucald_rejected"].samples
+    assert (rejected.labels["reason"], rejected.value) == ('bad "reason"\\\n', 2.0)
+    assert found["imucald_samples"].type == "counter"
+    assert found["imucald_held"].samples[0].value == 0.0
+
+
+def test_promtool_finds_no_mistake_in_the_text(said, promtool):
+    checked(promtool, "check", "metrics", text=said[0])
+
+
+def test_several_daemons_stand_in_one_text_with_each_family_once(said, promtool):
+    text = said[0]
+    bus = str(said[1]["link"]["channel"])
+    both = merged([text, text.replace(f'bus="{bus}"', 'bus="can1"')])
+    named = [line for line in both.splitlines() if line.startswith("# TYPE")]
+    assert len(named) == len(set(named))
+    families = list(text_string_to_metric_families(both))
+    assert len(families) == len(named)
+    assert {s.labels["bus"] for s in families[1].samples} == {bus, "can1"}
+    checked(promtool, "check", "metrics", text=both)
+
+
+def test_a_daemon_that_does_not_answer_is_down_and_the_others_are_told(tmp_path):
+    bench = Bench(tmp_path)
+    with running(bench.service()) as service:
+        path = service.options.status_socket
+        text = gathered([tmp_path / "can7" / "status.sock", path])
+    up = next(f for f in text_string_to_metric_families(text) if f.name == "imucald_up")
+    assert {s.labels["bus"]: s.value for s in up.samples} == {"can7": 0.0, tmp_path.name: 1.0}
+    assert "imucald_quality" in text
+    assert bus_of(Path("/run/user/0/imucald-vcan3.sock")) == "vcan3"
+
+
+def test_the_text_file_is_there_whole_or_not_at_all_and_everybody_may_read_it(tmp_path, capsys):
+    bench = Bench(tmp_path)
+    target = tmp_path / "collector" / "imucald.prom"
+    with running(bench.service()) as service:
+        asked = ["metrics", "--socket", str(service.options.status_socket)]
+        old = os.umask(0o077)
+        try:
+            assert cli.main([*asked, "--textfile", str(target)]) == 0
+        finally:
+            os.umask(old)
+        assert stat.S_IMODE(target.stat().st_mode) == 0o644
+        assert [p.name for p in target.parent.iterdir()] == ["imucald.prom"]
+        families = {f.name for f in text_string_to_metric_families(target.read_text())}
+        assert {"imucald_up", "imucald_state", "imucald_alarm"} <= families
+        assert cli.main([*asked, "--textfile", "/proc/imucald.prom"]) == 1
+        assert "/proc/imucald.prom: cannot be written" in capsys.readouterr().err
+        assert cli.main(asked) == 0
+        assert "imucald_up" in capsys.readouterr().out
+
+
+@contextlib.contextmanager
+def served() -> Iterator[tuple[str, int]]:
+    listening = listening_at("127.0.0.1:0")
+    host, port = listening.getsockname()
+    with MetricsServer(listening, lambda: "x 1\n") as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield host, port
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def got(address: tuple[str, int], path: str = "/metrics") -> str:
+    url = f"http://{address[0]}:{address[1]}{path}"
+    with urllib.request.urlopen(url, timeout=5.0) as answer:
+        assert answer.headers["Content-Type"].startswith("text/plain; version=0.0.4")
+        return str(answer.read().decode())
+
+
+def test_metrics_over_http_and_nothing_else(tmp_path):
+    with served() as address:
+        assert got(address) == "x 1\n"
+        for path in ("/", "/metrics/../etc/passwd", "/status"):
+            with pytest.raises(urllib.error.HTTPError, match="404"):
+                got(address, path)
+        request = urllib.request.Request(f"http://{address[0]}:{address[1]}/metrics", b"reset")
+        with pytest.raises(urllib.error.HTTPError, match="501"):
+            urllib.request.urlopen(request, timeout=5.0)
+
+
+def test_dripping_and_binary_connections_leave_a_place_after_seconds():
+    with served() as address:
+        open_ones = []
+        for i in range(2 * CLIENTS_MAX):
+            connection = socket.create_connection(address, timeout=5.0)
+            with contextlib.suppress(OSError):
+                connection.sendall(b"GET /me" if i % 2 else os.urandom(2000))
+            open_ones.append(connection)
+        end = time.monotonic() + 8.0
+        while True:
+            try:
+                assert got(address) == "x 1\n"
+                break
+            except OSError:
+                assert time.monotonic() < end
+                time.sleep(0.1)
+        for connection in open_ones:
+            connection.close()
+
+
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [("9108", "HOST:PORT"), ("127.0.0.1:", "HOST:PORT"), ("127.0.0.1:99999", "HOST:PORT"),
+     ("192.0.2.1:8131", "cannot be served at 192.0.2.1:8131"), ("no.such.invalid:1", "served")],
+)  # fmt: skip
+def test_an_address_that_cannot_be_had_is_told_with_its_form(address, why):
+    with pytest.raises(LinkError, match=why):
+        listening_at(address)
+
+
+def test_run_serves_metrics_from_a_process_of_its_own_that_ends_with_it(tmp_path):
+    bench = Bench(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "imucald", "run", "--config", str(bench.config)]
+    command += ["--interface", "virtual", "--channel", "x", "--status-socket"]
+    command += [str(tmp_path / "s"), "--metrics-listen", f"127.0.0.1:{port}"]
+    daemon = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        wait_until((tmp_path / "s").exists, 20.0)
+        text = got(("127.0.0.1", port))
+        assert 'imucald_state{bus="x",state="waiting"} 1' in text
+        pid = int(json.loads(ask(tmp_path / "s", "status"))["process"]["pid"])
+        assert pid == daemon.pid
+        second = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert second.returncode == 1
+        assert f"127.0.0.1:{port}: Address already in use" in second.stderr
+        daemon.send_signal(signal.SIGKILL)
+        daemon.wait(5.0)
+        wait_until(lambda: not is_open(port), 5.0)
+    finally:
+        daemon.kill()
+        daemon.communicate()
+
+
+def is_open(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def wait_until(condition, limit: float) -> None:
+    end = time.monotonic() + limit
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_the_alert_rules_pass_their_own_tests(promtool):
+    checked(promtool, "check", "rules", str(MONITORING / "imucald-alerts.yml"))
+    checked(promtool, "test", "rules", str(MONITORING / "imucald-alerts.test.yml"))
+
+
+def expressions() -> list[str]:
+    board = json.loads((MONITORING / "imucald-grafana.json").read_text())
+    found = [t["expr"] for panel in board["panels"] for t in panel["targets"]]
+    return found + [note["expr"] for note in board["annotations"]["list"]]
+
+
+def test_dashboard_and_rules_name_metrics_that_there_are(said):
+    text = gathered([]) + said[0] + "imucald_link_send_errors_total node_textfile_mtime_seconds"
+    named = set(re.findall(r"\b(?:imucald|node)_\w+", " ".join(expressions())))
+    rules = (MONITORING / "imucald-alerts.yml").read_text()
+    exprs = " ".join(re.findall(r"expr: (?:>-\n)?(.+?)\n        ?(?:for|labels)", rules, re.S))
+    named |= set(re.findall(r"\b(?:imucald|node)_\w+", exprs))
+    assert len(named) > 15
+    assert {name for name in named if name not in text} == set()
+
+
+def test_every_expression_of_the_dashboard_is_promql(promtool, tmp_path):
+    rules = [
+        {"record": f"x:{i}", "expr": expr.replace("$__rate_interval", "5m")}
+        for i, expr in enumerate(expressions())
+    ]
+    file = tmp_path / "rules.yml"
+    file.write_text(json.dumps({"groups": [{"name": "board", "rules": rules}]}))
+    checked(promtool, "check", "rules", str(file))
+    file.write_text(
+        json.dumps({"groups": [{"name": "b", "rules": [{"record": "x", "expr": "1 +"}]}]})
+    )
+    with pytest.raises(AssertionError):
+        checked(promtool, "check", "rules", str(file))

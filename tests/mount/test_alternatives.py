@@ -1,0 +1,133 @@
+"""Wrong signs and exchanged axes against what was configured; signals made by hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucald.core.rotations import rotation_from_angles
+from imucald.core.samples import GRAVITY
+from imucald.mount.alternatives import TO_ACCUSE, TO_BE_FINE, TO_BE_GOOD, Alternatives, Mirrored
+from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
+from mount_settings import full
+
+R = rotation_from_angles(0.3, -0.2, 1.1)
+ALL = {"accel", "gyro", "speed", "yaw_rate", "steering"}
+YES = np.ones(BLOCK_TICKS, dtype=bool)
+
+
+def block(k: int, speed: float = 15.0, rough: float = 0.02, bend: float = 0.1) -> SignalBlock:
+    """6.4 s on a road whose slope and bank swing, in bends to both sides."""
+    t = 0.1 * (np.arange(BLOCK_TICKS) + k * BLOCK_TICKS)
+    pitch, roll = rough * np.sin(0.9 * t), rough * np.cos(0.7 * t)
+    yaw_rate = bend * np.sin(0.31 * t)
+    pitch_rate = np.gradient(pitch, t) + yaw_rate * roll
+    roll_rate = np.gradient(roll, t) - yaw_rate * pitch
+    accel = 0.5 * np.sin(0.2 * t)
+    noise = np.random.default_rng(k).normal(0.0, 0.02, (2, BLOCK_TICKS, 3))
+    vehicle = np.column_stack(
+        [
+            accel - GRAVITY * pitch,
+            speed * yaw_rate + GRAVITY * roll,
+            np.full(BLOCK_TICKS, GRAVITY),
+        ]
+    )
+    rates = np.column_stack([roll_rate, pitch_rate, yaw_rate])
+    nothing = np.zeros(BLOCK_TICKS)
+    return SignalBlock(
+        t=t,
+        force=(vehicle + noise[0]) @ R,
+        rate=(rates + 0.1 * noise[1]) @ R,
+        speed=np.full(BLOCK_TICKS, speed),
+        accel=accel,
+        yaw_rate=yaw_rate,
+        ok_force=YES,
+        ok_rate=YES,
+        ok_speed=YES,
+        ok_yaw=YES,
+        rest=~YES,
+        learn=YES,
+        steering=yaw_rate,
+        ok_steering=YES,
+        had_rate=YES,
+        gyro_bias=nothing[:3],
+    )
+
+
+def looked_at(
+    sensor: NDArray[np.float64] | None = None,
+    signals: frozenset[str] = frozenset(ALL),
+    blocks: int = 20,
+    speed: float = 15.0,
+    rough: float = 0.02,
+    bend: float = 0.1,
+    yaw_sign: float = 1.0,
+) -> Alternatives:
+    found = Alternatives(full())
+    kept: list[SignalBlock] = []
+    for k in range(blocks):
+        p = block(k, speed, rough, bend)
+        rate = p.rate if sensor is None else p.rate @ sensor.T
+        kept.append(replace(p, rate=rate, yaw_rate=yaw_sign * p.yaw_rate))
+        found.add(kept, R, None, (1.0, 1.0), set(signals), 0.0)
+    return found
+
+
+def test_sound_signals_rule_every_alternative_out():
+    found = looked_at()
+    assert found.missing(TO_BE_FINE) is None
+    assert not found.gyro_accused
+
+
+def exchanged(i: int, j: int) -> NDArray[np.float64]:
+    order = [0, 1, 2]
+    order[i], order[j] = j, i
+    return np.eye(3)[order]
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [exchanged(0, 1), exchanged(1, 2), exchanged(0, 2), -np.eye(3)]
+    + [np.diag(signs) for signs in ([-1.0, 1, 1], [1, -1.0, 1], [1, 1, -1.0])],
+)
+def test_a_wrong_sign_or_exchange_of_the_gyroscope_is_seen_and_nothing_is_good(sensor):
+    found = looked_at(sensor)
+    assert found.gyro_accused
+    assert not found.are_seen(TO_BE_GOOD)
+
+
+def test_a_flat_straight_road_says_nothing_either_way():
+    found = looked_at(rough=0.0, bend=0.0)
+    assert not found.are_seen(TO_BE_GOOD)
+    assert not found.gyro_accused
+
+
+def test_a_yaw_rate_the_other_way_is_never_seen_to_agree():
+    assert "bends" in str(looked_at(yaw_sign=-1.0).missing(TO_BE_GOOD))
+
+
+def test_slow_driving_does_not_tell_forwards_from_backwards_without_a_signal():
+    alone = frozenset({"accel", "gyro", "speed"})
+    assert "40 km/h" in str(looked_at(signals=alone, speed=8.0).missing(TO_BE_GOOD))
+    assert looked_at(signals=alone, speed=15.0).missing(TO_BE_GOOD) is None
+    assert looked_at(signals=alone | {"reverse"}, speed=8.0).missing(TO_BE_GOOD) is None
+
+
+def test_without_yaw_rate_and_steering_it_says_what_nobody_checked():
+    assert looked_at(signals=frozenset({"accel", "gyro", "speed"})).not_checked
+    assert not looked_at().not_checked
+
+
+def test_a_block_counts_for_no_more_than_a_few_and_a_sum_can_turn():
+    pair, turning = Mirrored(0.01), 0.2 * np.sin(np.linspace(0.0, 6.0, BLOCK_TICKS))
+    for _ in range(200):
+        pair.add(turning, turning, YES)
+    assert pair.is_seen(TO_BE_FINE)
+    for _ in range(40):
+        pair.add(turning, -turning, YES)
+    assert pair.sum < -TO_ACCUSE
+    assert math.isfinite(pair.sum)

@@ -1,0 +1,164 @@
+"""A sensor turned about the vertical: what one block says of it, and what tells it alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from imucald.core.samples import Samples, Series
+from imucald.motion.ticks import ticks_from_samples
+from imucald.mount.block_yaw import ARM, FLOOR, BlockMotion, block_yaw
+from imucald.mount.estimate import MountState
+from imucald.mount.estimator import FullEstimator
+from imucald.mount.signal_blocks import BLOCK_TICKS
+from imucald.mount.turned_alone import LEAST, TurnedAlone
+from imucald.simulation import Drive, random_model, simulate
+
+T = np.arange(BLOCK_TICKS) * 0.1
+ALL = np.ones(BLOCK_TICKS, dtype=bool)
+NONE = np.zeros(BLOCK_TICKS)
+
+
+def braking(turned: float = 0.0, noise: float = 0.0, delay: float = 0.0) -> BlockMotion:
+    """A block of braking into a bend at a sensor that is turned by an angle [rad]."""
+
+    def at(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return -2.0 * np.sin(1.5 * t) * (t < 4.0), 2.0 * np.exp(-((t - 4.5) ** 2))
+
+    accel, turn = at(T)
+    c, s = math.cos(turned), math.sin(turned)
+    force = np.stack([c * accel + s * turn, -s * accel + c * turn, NONE], axis=1)
+    force += noise * np.random.default_rng(1).standard_normal(force.shape)
+    return BlockMotion(force, at(T - delay)[0], turn, NONE, delay, 0.0)
+
+
+@pytest.mark.parametrize("degrees", [-100.0, -10.0, 0.0, 4.0, 45.0])
+def test_a_block_tells_by_how_much_the_sensor_is_turned(degrees: float) -> None:
+    angle, information = block_yaw(braking(math.radians(degrees), 0.05), ALL)
+    assert math.degrees(angle) == pytest.approx(degrees, abs=1.5)
+    assert FLOOR < information**-0.5 < math.radians(2.0)
+
+
+def test_a_late_speed_turns_nothing() -> None:
+    angle, _ = block_yaw(braking(delay=0.2), ALL)
+    assert abs(math.degrees(angle)) < 0.5
+    late = with_delay(braking(delay=0.2), 0.0)
+    assert abs(math.degrees(block_yaw(late, ALL)[0])) > 2.0, "nothing is tested otherwise"
+
+
+def with_delay(m: BlockMotion, delay: float) -> BlockMotion:
+    return BlockMotion(m.force, m.accel, m.turn, m.turn_rate, delay, m.delay_std)
+
+
+def test_a_gust_makes_a_block_unsure() -> None:
+    sure, gust = braking(noise=0.02), braking(noise=0.02)
+    gust.force[20:40, 1] += 1.5
+    assert block_yaw(gust, ALL)[1] < 0.2 * block_yaw(sure, ALL)[1]
+
+
+def test_what_a_lever_arm_turns_is_within_the_deviation() -> None:
+    """A tight bend, the sensor a metre ahead of and beside the axle: no noise, the arm alone."""
+    rate = 0.5 * np.exp(-((T - 3.0) ** 2))
+    speed = 4.0 - 0.15 * T
+    swing = np.gradient(rate, 0.1)
+    force = np.stack([-0.15 - rate**2 - swing, speed * rate + swing - rate**2, NONE], axis=1)
+    m = BlockMotion(force, np.full(BLOCK_TICKS, -0.15), speed * rate, rate, 0.0, 0.0)
+    angle, information = block_yaw(m, ALL)
+    assert ARM > 1.0
+    assert math.degrees(abs(angle)) > 3.0, "nothing is tested otherwise"
+    assert abs(angle) < 2.0 * information**-0.5
+
+
+def test_a_force_that_does_not_follow_says_nothing() -> None:
+    m = braking()
+    still = BlockMotion(0.0 * m.force + 0.01, m.accel, m.turn, m.turn_rate, 0.0, 0.0)
+    assert block_yaw(still, ALL) == (0.0, 0.0)
+    rest = BlockMotion(m.force, NONE, NONE, NONE, 0.0, 0.0)
+    assert block_yaw(rest, ALL) == (0.0, 0.0)
+
+
+# turned alone ----------------------------------------------------------------------------------
+
+
+def knock(at: float, degrees: float, t: np.ndarray = T) -> np.ndarray:
+    """Rate of a turn within half a second [rad/s]."""
+    return np.where((at - 0.01 < t) & (t < at + 0.49), math.radians(degrees) / 0.5, 0.0)
+
+
+@pytest.mark.parametrize("at", [3.0, 6.0])
+def test_a_sensor_that_is_knocked_while_driving_straight_is_told(at: float) -> None:
+    """Also where the knock lies across the end of a block."""
+    alone = TurnedAlone()
+    assert alone.add(NONE, NONE, ALL) == 0.0
+    rates = knock(at, -4.0, np.arange(3 * BLOCK_TICKS) * 0.1).reshape(3, BLOCK_TICKS)
+    found = [alone.add(rate, NONE, ALL) for rate in rates]
+    assert sum(found) == pytest.approx(math.radians(-4.0), rel=0.01)
+    assert alone.add(NONE, NONE, ALL) == 0.0
+
+
+def test_bends_of_a_vehicle_whose_yaw_rate_is_late_and_ten_percent_off_are_none() -> None:
+    alone = TurnedAlone()
+    for k in range(6):
+        bend = 0.6 * np.exp(-(((T - 1.0 - 0.8 * k) / 0.4) ** 2))
+        late = 0.6 * np.exp(-(((T - 1.2 - 0.8 * k) / 0.4) ** 2))
+        assert alone.add(bend, 1.1 * late, ALL) == 0.0
+
+
+def test_a_jolt_that_comes_back_is_none() -> None:
+    alone = TurnedAlone()
+    assert alone.add(knock(2.0, 20.0) + knock(2.5, -20.0), NONE, ALL) == 0.0
+
+
+def test_nothing_is_held_against_what_was_before_a_hole() -> None:
+    alone = TurnedAlone()
+    ok = ALL & (np.abs(T - 3.2) > 0.3)
+    assert alone.add(knock(3.0, 10.0), NONE, ok) == 0.0
+    assert math.radians(10.0) > LEAST
+
+
+# the whole estimator ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sound() -> Drive:
+    return simulate(random_model(501_000), 501_000, 8.0)
+
+
+def turned(drive: Drive, start: float, degrees: float) -> Samples:
+    """The sensor turned about the vehicle's z from a time on, unseen by the gyroscope."""
+    R = drive.truth.R_vehicle_from_sensor()
+    a = math.radians(degrees)
+    about = np.array([[math.cos(a), -math.sin(a), 0], [math.sin(a), math.cos(a), 0], [0, 0, 1.0]])
+    sensor = R.T @ about.T @ R
+    out = dict(drive.samples)
+    for channel in ("accel", "gyro"):
+        one = drive.samples[channel]
+        later = one.t >= start
+        values = one.values.copy()
+        values[later] = values[later] @ sensor.T
+        out[channel] = Series(one.t, values)
+    return out
+
+
+def bad_at(samples: Samples, seconds: float) -> list[float]:
+    """When the mount became suspect [s]."""
+    estimator = FullEstimator()
+    times, before = [], MountState.WAITING
+    for k, row in enumerate(ticks_from_samples(samples, 0, int(10 * seconds)).tolist()):
+        estimator.step(row)
+        if estimator.state is MountState.SUSPECT and before is not MountState.SUSPECT:
+            times.append(0.1 * k)
+        before = estimator.state
+    return times
+
+
+@pytest.mark.parametrize("degrees", [10.0, -6.0])
+def test_a_turn_in_yaw_that_no_gyroscope_saw_is_told_within_a_minute(
+    sound: Drive, degrees: float
+) -> None:
+    assert not bad_at(sound.samples, 480.0)
+    times = bad_at(turned(sound, 300.0, degrees), 480.0)
+    assert times
+    assert 300.0 < times[0] < 370.0

@@ -1,0 +1,229 @@
+"""Orders to a running daemon: what they do, over which door, and what is told of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imucald import cli
+from imucald.config.calibration import KnownMount
+from imucald.core.rotations import rotation_from_angles
+from imucald.runtime.mount_orders import TESTER, OrderError
+from imucald.service.asking import ask
+from imucald.service.service import Service
+from service_bench import Bench, running
+
+ME = "root (pid 7)"
+KNOWN = KnownMount(0.0, 0.0, 40.0, 0.5)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def order(service: Service, **request: object) -> dict[str, str]:
+    assert service.control is not None
+    return dict(json.loads(ask(service.control.path, json.dumps(request))))
+
+
+def yaw(service: Service) -> float | None:
+    return service.status()["mount"]["yaw_deg"]
+
+
+def test_a_reset_forgets_the_learnt_and_the_saved_mount_and_says_who_did_it(bench):
+    service = bench.service()
+    bench.drive(service)
+    service._every_second(time.monotonic())
+    with running(service):
+        assert "forgotten" in order(service, order="reset")["done"]
+        assert service.engine.pipeline.correction is None
+        said = f"(by {'root' if os.geteuid() == 0 else f'user {os.geteuid()}'} (pid {os.getpid()}))"
+        told = [event for event in service.journal.events if event.text.startswith("reset:")]
+        assert [event.text.endswith(said) for event in told] == [True]
+        assert abs(told[0].at - time.time()) < 5.0
+    assert "reset" in bench.log.getvalue()
+    again = bench.service()
+    assert again.engine.pipeline.quality == 0
+    assert list((bench.folder / "state").glob("*.forgotten.*"))
+    again.close()
+
+
+def test_a_hold_keeps_the_mount_through_a_contradicting_drive_and_a_restart(bench):
+    service = bench.service()
+    bench.drive(service)
+    before = service.engine.pipeline.correction
+    service.orders.hold(ME)
+    assert service.status()["held"]
+    assert service.status()["state"] in {"usable", "fine"}
+    assert service.engine.pipeline.correction == before
+    bench.another_drive(yaw_deg=60.0)
+    bench.drive(service)
+    assert service.engine.pipeline.correction == before
+    assert service.status()["state"] == "suspect"
+    service.close()
+    again = bench.service()
+    assert again.status()["held"]
+    assert again.engine.pipeline.correction == pytest.approx(before, abs=1e-12)
+    assert "held: nothing is learnt" in bench.log.getvalue()
+    again.orders.release(ME)
+    bench.drive(again)
+    assert abs(yaw(again) - 60.0) < 3.0
+    assert not again.status()["held"]
+    again.close()
+
+
+def test_orders_that_cannot_be_carried_out_say_why_and_change_nothing(bench):
+    service = bench.service()
+    estimator = service.engine.pipeline.estimator
+    with pytest.raises(OrderError, match=r"no mount to hold yet \(state waiting\).*set-mount"):
+        service.orders.hold(ME)
+    with pytest.raises(OrderError, match="not held"):
+        service.orders.release(ME)
+    with pytest.raises(OrderError, match=r"std_deg .*too vague.*below"):
+        service.orders.set_mount(KnownMount(0.0, 0.0, 0.0, 20.0), ME)
+    assert service.engine.pipeline.estimator is estimator
+    bench.drive(service)
+    service.orders.hold(ME)
+    with pytest.raises(OrderError, match="held already"):
+        service.orders.hold(ME)
+    service.close()
+
+
+def test_a_known_mount_serves_at_once_as_restored_and_the_drive_takes_over(bench):
+    service = bench.service()
+    text = service.orders.set_mount(KnownMount(0.0, 0.0, 25.0, 1.0), ME)
+    assert "yaw +25 deg" in text
+    assert "±2" in text
+    assert service.engine.pipeline.quality == 1
+    expected = rotation_from_angles(0.0, 0.0, np.radians(25.0)).ravel()
+    assert service.engine.pipeline.correction == pytest.approx(expected)
+    assert service.status()["details"]["restored"]["given"] is True
+    bench.drive(service)
+    assert service.status()["state"] in {"usable", "fine"}
+    service.close()
+
+
+def test_a_known_mount_that_is_held_is_there_after_a_restart_as_it_was_given(bench):
+    service = bench.service()
+    service.orders.set_mount(KnownMount(0.0, 0.0, 40.0, 0.5, hold=True), ME)
+    service.close()
+    for _ in range(3):
+        again = bench.service()
+        assert yaw(again) == pytest.approx(40.0)
+        assert again.status()["held"]
+        assert again.status()["details"]["restored"]["given"] is True
+        std = again.status()["mount"]["std_deg"]["z"]
+        assert std == pytest.approx(np.hypot(0.5, 0.15), abs=1e-3), "no vaguer by each restart"
+        again.close()
+
+
+def test_the_configured_mount_serves_from_the_first_frame_and_holds(bench):
+    mount = "{roll_deg: 0, pitch_deg: 0, yaw_deg: 40, std_deg: [0.3, 0.3, 0.5], hold: true}"
+    bench.edit("accelerometer_bias: 0.02", f"accelerometer_bias: 0.02\n  mount: {mount}")
+    service = bench.service()
+    assert (service.engine.pipeline.quality, yaw(service)) == (1, pytest.approx(40.0))
+    for refused in (
+        lambda: service.orders.set_mount(KNOWN, ME),
+        lambda: service.orders.release(ME),
+    ):
+        with pytest.raises(OrderError, match=r"shuttle.yaml states the mount and holds it"):
+            refused()
+    bench.drive(service)  # of a sensor at 25 deg
+    assert yaw(service) == pytest.approx(40.0)
+    assert service.status()["state"] == "suspect"
+    assert "configuration" in service.orders.reset(ME)
+    assert (service.engine.pipeline.quality, yaw(service)) == (1, pytest.approx(40.0))
+    service.close()
+
+
+def test_a_configured_mount_that_is_not_held_gives_way_to_what_was_learnt_from_it(bench):
+    mount = "{roll_deg: 0, pitch_deg: 0, yaw_deg: 24, std_deg: 2}"
+    bench.edit("accelerometer_bias: 0.02", f"accelerometer_bias: 0.02\n  mount: {mount}")
+    service = bench.service()
+    assert yaw(service) == pytest.approx(24.0)
+    bench.drive(service)
+    learnt = yaw(service)
+    assert learnt != pytest.approx(24.0, abs=0.01)
+    service.close()
+    again = bench.service()
+    assert yaw(again) == pytest.approx(learnt, abs=0.5)
+    again.close()
+    bench.edit("yaw_deg: 24", "yaw_deg: 23")
+    other = bench.service()
+    assert yaw(other) == pytest.approx(23.0), "another stated mount begins anew"
+    other.close()
+
+
+def test_a_configured_mount_that_is_too_vague_is_refused_with_its_line(bench, capsys):
+    mount = "{roll_deg: 0, pitch_deg: 0, yaw_deg: 0, std_deg: 9}"
+    bench.edit("accelerometer_bias: 0.02", f"accelerometer_bias: 0.02\n  mount: {mount}")
+    run = ["run", "--config", str(bench.config), "--interface", "virtual", "--seconds", "0.01"]
+    assert cli.main(run) == 78
+    text = capsys.readouterr().err
+    assert "calibration.mount.std_deg: x: 9 deg is too vague" in text
+    assert "shuttle.yaml:" in text
+
+
+def test_a_reload_keeps_a_hold(bench):
+    service = bench.service()
+    bench.drive(service)
+    service.orders.hold(ME)
+    before = service.engine.pipeline.correction
+    bench.edit("accelerometer_bias: 0.02", "accelerometer_bias: 0.03")
+    service.reload()
+    assert service.status()["held"]
+    assert service.engine.pipeline.correction == pytest.approx(before)
+    service.close()
+
+
+def test_testers_and_root_have_one_calibration_and_a_reset_is_final_for_both(bench):
+    service = bench.service()
+    bench.drive(service)
+    service.orders.begin(TESTER)
+    service.orders.reset(ME)
+    assert not service.orders.return_to_former(TESTER), "what was reset does not come back"
+    bench.drive(service)
+    service.orders.begin(TESTER)
+    assert service.orders.return_to_former(TESTER)
+    assert service.engine.pipeline.quality >= 2
+    texts = [event.text for event in service.journal.events if "(by " in event.text]
+    assert [text.rpartition("(by ")[2] for text in texts][:2] == [f"{TESTER})", f"{ME})"]
+    service.close()
+
+
+def test_the_commands_reach_a_running_daemon(bench, capsys):
+    service = bench.service()
+    bench.drive(service)
+    asked = ["--socket", str(service.options.status_socket)]
+    with running(service):
+        assert cli.main(["hold", *asked]) == 0
+        assert cli.main(["hold", *asked]) == 1
+        assert "held already" in capsys.readouterr().err
+        assert cli.main(["release", *asked]) == 0
+        given = ["set-mount", "-1.5", "2", "-40", "--std", "0.5", "--hold", *asked]
+        assert cli.main(given) == 0
+        assert "roll -1.5, pitch +2, yaw -40 deg" in capsys.readouterr().out
+        assert yaw(service) == pytest.approx(-40.0, abs=1e-3)
+        assert cli.main(["set-mount", "0", "0", "200", "--std", "1", *asked]) == 1
+        assert "yaw_deg: must be a number at most 180.0 (here: 200.0)" in capsys.readouterr().err
+        assert cli.main(["events", *asked, "-n", "3"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert len(lines) == 3
+        assert any("set-mount: roll -1.5" in line and "pid" in line for line in lines)
+        assert cli.main(["reset", *asked]) == 0
+    for command in ("reset", "events", "status"):
+        assert cli.main([command, *asked]) == 3, "nobody is there any more"
+        assert capsys.readouterr().err.startswith("imucald: ")
+
+
+def test_a_control_socket_that_others_cannot_open_names_sudo(bench, capsys, monkeypatch):
+    with running(bench.service()) as service:
+        monkeypatch.setattr(os, "access", lambda *_: False)
+        assert cli.main(["reset", "--socket", str(service.options.status_socket)]) == 1
+    assert "only root may give orders" in capsys.readouterr().err
