@@ -157,6 +157,24 @@ def test_a_wrong_unit_of_the_accelerometer_is_an_error(frames: Frames) -> None:
     assert told(report, "warning") == {}
 
 
+def seldom(frames: Frames, can_id: int, cycle: float) -> Frames:
+    """The frames with one identifier's thinned out to a cycle [s]."""
+    kept = []
+    for chunk in frames:
+        own = np.flatnonzero(chunk.can_id == can_id)
+        first = np.unique(np.floor(chunk.t[own] / cycle), return_index=True)[1]
+        keep = chunk.can_id != can_id
+        keep[own[first]] = True
+        kept.append(chunk.take(np.flatnonzero(keep)))
+    return kept
+
+
+def test_an_accelerometer_that_comes_too_seldom_is_an_error(frames: Frames) -> None:
+    report = checked(seldom(frames, 0x200, 1.0))
+    assert not report["usable"]
+    assert "every 1 s" in told(report, "error")["accelerometer"]
+
+
 def test_exchanged_wheels_are_noticed(frames: Frames) -> None:
     def change(text: str) -> str:
         return text.replace("Left\n", "@\n").replace("Right\n", "Left\n").replace("@\n", "Right\n")

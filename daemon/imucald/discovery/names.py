@@ -57,7 +57,7 @@ _HINTS = {
     "reverse": ("reverse", "rueckwaerts", "ruecklicht", "rückwärts", "backward", "gear", "gang"),
     "brake": ("brake", "bremse", "bremslicht", "brk", "stoplamp"),
     "temperature": ("temp", "temperature", "temperatur"),
-    "heading": ("heading", "course", "azimuth", "kurs"),
+    "heading": ("heading", "course", "bearing", "azimuth", "cog", "kurs"),
 }
 
 

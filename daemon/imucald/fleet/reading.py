@@ -21,6 +21,7 @@ NEEDED = (
     *("start", "end", "state", "first_usable_s", "q_w", "q_x", "q_y", "q_z"),
     *(f"cov_{pair}_deg2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
     *("crown_std_deg", "driving_side", "waiting_roll", "waiting_pitch", "waiting_yaw", "causes"),
+    "diagnosed",
 )
 """Columns of `drives` that the analysis reads."""
 
