@@ -294,7 +294,7 @@ def test_a_gyroscope_stuck_in_a_turn_is_not_learnt_from(every, least):
     assert within(estimate, drive())
     # Against the same drive with a sound one; 1.6 deg in roll if it were learnt.
     assert np.abs(error(estimate, drive()) - error(sound, drive())).max() < 0.5
-    # What it tells is missed as if it were absent; what it says wrongly makes nothing doubtful.
+    # What it shows is missed, as if it were absent; what it gets wrong makes nothing doubtful.
     without = after(absent).estimate().std
     assert estimate.std is not None
     assert without is not None
