@@ -227,10 +227,11 @@ class FullEstimator:
         if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
             self._begin_without_rotation([p])
             return True
-        large.add(p, solver.R, solver.motion(p, solver.R), self._has_speed)
+        motion = solver.motion(p, solver.R)
+        large.add(p, solver.R, motion, self._has_speed)
         change = large.while_standing(p, solver.R)
-        if change is None and solver.own_gyro and "yaw_rate" in self._signals.seen:
-            change = large.while_driving(p, solver.turn_rate)
+        if change is None and solver.own_gyro and self._has_speed:
+            change = large.while_driving(p, motion, "yaw_rate" in self._signals.seen)
         if self._state not in GOOD:  # nothing is served as good, and the fit is young
             if change is not None and self._served.correction is None:
                 self._begin_without_rotation([])
