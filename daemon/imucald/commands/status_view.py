@@ -84,7 +84,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "evidence": _evidence(status["details"]),
         "weights": _weights(status["details"]),
         "gates": _gates(status["details"]),
-        "frames": f"{frames['used']} used, {status['frames_given_out']} given out",
+        "frames": f"{frames['used']} used, {status['frames_given_out']} sent",
         "now": Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""),
         "sensors": _sensors(status["signal_health"]),
         "losses": f"{link['lost']} lost, {sum(link['send_errors'].values())} not sent, "
@@ -139,7 +139,7 @@ def _gates(details: Mapping[str, Any]) -> str:
     """For how long nothing was learnt, and why."""
     frozen = {k: v for k, v in details.get("frozen_ticks", {}).items() if v}
     parts = [f"{reason.replace('_', ' ')} {ticks / 10:.0f} s" for reason, ticks in frozen.items()]
-    return "not learnt from: " + ", ".join(parts) if parts else "all open so far"
+    return "not learnt from: " + ", ".join(parts) if parts else "none closed so far"
 
 
 def _saved(saved: Mapping[str, Any]) -> Text:

@@ -12,11 +12,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.result import GOES_AGAINST, TOO_MUCH, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
 from imucald.diagnosis.search import State
-from imucald.diagnosis.signals import STEP_S
+from imucald.diagnosis.signals import STEP_S, Array, Mask
 from imucald.diagnosis.trials import BIAS, tried
 from imucald.mount.mount_words import SD_95
 
@@ -25,16 +26,25 @@ OPPOSITE = -0.4
 """Correlation of a signal with its prediction below which a sign is wrong."""
 LEAST_ROWS = 300
 LEAST_BLOCKS = 10
-SHARED = 0.4
-"""Coherence from which two equations share more of what is left than a road gives them: 0.35 is
-what superelevation and the tyres' lag leave in an independent simulator."""
+CHANCE = 0.01
+"""Shared out over the bands: of a coherence that noise has by itself."""
+HANN_BINS = 1.5
+"""Neighbouring bins that count as one: noise bandwidth of a Hann window (Harris 1978)."""
 BANDS_HZ = ((0.1, 0.3), (0.3, 0.6))
 PAIRS = (("accel_y", "yaw_rate"),)
 """Equations without a sensor in common, where gyroscope and yaw rate are both there."""
-MOST_LEFT_MPS2 = 0.1
-"""Sideways, after a fit of everything within its tolerance: three measured cars leave 0.02 to 0.05
-(gravity, turning and slip taken off), so twice that is no rigidly mounted sensor in a car that is
-driven by its wheels alone."""
+AIR = 0.5 * 1.2 * 2.2 * 2.3 / 1500.0
+"""Sideways push of the air by speed squared and angle of attack [1/m]: half its density, 2.2 m^2,
+2.3 per radian, 1500 kg (a passenger car; Hucho, Aerodynamics of Road Vehicles, ch. 5)."""
+CALM, GUSTY = 0.02, 0.10
+"""Turbulence sideways, over the speed, that cars meet on roads: least and most (Wordley and
+Saunders, On-road Turbulence, SAE 2008-01-0475)."""
+EDDY_M = 10.0
+"""Length scale of that turbulence (the same)."""
+FAST_MPS = 30.0
+MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
+"""Sideways, after a fit of everything within its tolerance: what gusty air does to a car on a
+motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
 HUMP, HUMP_BINS = 4.0, 3
 """A hump is so many times the spectrum 0.2 Hz to both sides of it."""
 HUMPED = ("accel_y", "yaw_rate")
@@ -66,7 +76,7 @@ def goes_against(forwards: Sequence[Forward]) -> list[Structure]:
     return found
 
 
-def too_much(problem: Problem) -> list[Structure]:
+def too_much(problem: Problem, state: State) -> list[Structure]:
     """More left of the sideways force than any measured car leaves: a cause is missing, and what a
     fit says while it is missing is not to be believed."""
     name = "accel_y"
@@ -78,14 +88,29 @@ def too_much(problem: Problem) -> list[Structure]:
     # One block must not decide: the one in which a sensor is knocked belongs to no mount.
     power = power[: len(power) - max(1, round(len(power) / 15))]
     left = float(np.sqrt(power.mean())) if len(power) else 0.0
-    if left <= MOST_LEFT_MPS2:
+    limit = float(np.hypot(MOST_LEFT_MPS2, _noise(state, problem.table.top_hz[name])))
+    if left <= limit:
         return []
     text = (
-        f"{left:.2g} m/s^2 is left of the sideways force whatever is fitted, where measured cars "
-        f"leave less than {MOST_LEFT_MPS2 / 2.0:.2g}: the sensor is not fixed to the vehicle, or "
+        f"{left:.2g} m/s^2 is left of the sideways force whatever is fitted, where gusty air and "
+        f"the accelerometer's noise leave {limit:.2g}: the sensor is not fixed to the vehicle, or "
         "something acts on it that neither speed nor turning shows"
     )
-    return [Structure(name, TOO_MUCH, left / MOST_LEFT_MPS2, text)]
+    return [Structure(name, TOO_MUCH, left / limit, text)]
+
+
+def _noise(state: State, top_hz: float) -> float:
+    """The accelerometer's own noise sideways up to a frequency [m/s^2], if it is as loud there as
+    from sample to sample."""
+    across = mount_of(state.model)[1]
+    found = []
+    for drive in state.drives:
+        accel = drive.channels["accel"]
+        steps = np.diff(accel.values @ across)
+        # The median of a squared normal number is 0.455 of its mean; a step has the noise twice.
+        power = float(np.median(steps**2)) / 0.455 / 2.0
+        found.append(np.sqrt(power * min(2.0 * top_hz * accel.period_s, 1.0)))
+    return float(max(found))
 
 
 def what_is_left(problem: Problem, state: State) -> list[Structure]:
@@ -95,9 +120,10 @@ def what_is_left(problem: Problem, state: State) -> list[Structure]:
 
 
 def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
-    """Transforms (B, F) of each equation's residual while driving; NaN rows where it was not there.
+    """Transforms (B, F) of each equation's residual while driving, in its unit; NaN rows where it
+    was not there. Beside them `_steering` and `_turning`, which move the vehicle.
 
-    Everything within its tolerance is fitted; each block is as loud as the others.
+    Everything within its tolerance is fitted.
     """
     x = fitted(problem)
     changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
@@ -106,43 +132,93 @@ def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spec
         masks, found = f.usable(), f.residuals(changes)
         leveled = f.level(found, masks)
         v = np.interp(f.t, f.knots, np.abs(f.drive.knots.values)).reshape(f.blocks, f.rows)
+        if "yaw_rate" in leveled:
+            leveled["_turning"] = v * f.yaw_rate().reshape(v.shape)
+            leveled["_steering"] = f.scalar("steering", {}).reshape(v.shape)
+            masks |= dict.fromkeys(("_turning", "_steering"), masks["yaw_rate"])
+        # Squares of all bins add up to the mean square of a row.
+        window = np.hanning(f.rows) * np.sqrt(2.0 / (0.375 * f.rows**2))
         for name, y in leveled.items():
             left = np.where(masks[name], y, 0.0)
-            z = np.fft.rfft((left - left.mean(axis=1, keepdims=True)) * np.hanning(f.rows), axis=1)
+            z = np.fft.rfft((left - left.mean(axis=1, keepdims=True)) * window, axis=1)
             good = (masks[name].mean(axis=1) > 0.6) & ((v > DRIVING_MPS).mean(axis=1) > 0.5)
-            loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))
-            z = np.where(good[:, None] & (loud > 0.0), z / np.maximum(loud, 1e-30), np.nan)
-            parts.setdefault(name, []).append(z)
+            parts.setdefault(name, []).append(np.where(good[:, None], z, np.nan))
     return {name: np.concatenate(p) for name, p in parts.items()}
 
 
+def _as_loud(z: Spectra) -> Spectra:
+    """Each block as loud as the others."""
+    loud = np.sqrt(np.mean(np.abs(z[:, 2:]) ** 2, axis=1, keepdims=True))
+    return np.asarray(z / np.maximum(loud, 1e-30))
+
+
 def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list[Structure]:
-    """The same motion in two equations that have no sensor in common."""
+    """The same motion in two equations that have no sensor in common.
+
+    Partial coherence: what goes with steering and turning, by whatever dynamics, is taken off both
+    (Bendat and Piersol, Random Data, ch. 7), so that an error of the handling is no motion. Told
+    is what exceeds chance, 1 - p^(1/(n - 1)) for n segments, and what calm air does at this speed.
+    """
     drive = forwards[0].drive
     if not (drive.has("gyro") and drive.has("yaw_rate")):
         return []
+    calm = _calm(np.concatenate([f.drive.knots.values for f in forwards]))
+    hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
     found = []
     for first, second in PAIRS:
-        if first not in spectra or second not in spectra:
+        if not {first, second, "_steering"} <= set(spectra):
             continue
+        known = np.stack([spectra["_steering"], spectra["_turning"]], axis=2)
         a, b = spectra[first], spectra[second]
-        good = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+        good = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
         if good.sum() < LEAST_BLOCKS:
             continue
-        hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
-        for low, high in BANDS_HZ:
-            band = (hz >= low) & (hz < high)
-            u, w = a[good][:, band], b[good][:, band]
-            cross = abs(np.sum(u * w.conj())) ** 2
-            share = float(cross / (np.sum(np.abs(u) ** 2) * np.sum(np.abs(w) ** 2)))
-            if share > SHARED:
-                text = (
-                    f"between {low} and {high} Hz it shares {100 * share:.0f} % with what is left "
-                    f"of {second.replace('_', ' ')}, which has no sensor in common with it: "
-                    "something moves the vehicle that neither speed nor steering shows"
-                )
-                found.append(Structure(first, "shared motion", share, text))
-    return found[:1]
+        in_turn = [
+            _common(a[good], b[good], known[good], (hz >= x) & (hz < y)) for x, y in BANDS_HZ
+        ]
+        sure = [(share, moved) for share, moved, chance in in_turn if share > chance]
+        total = float(np.sqrt(sum(moved**2 for _, moved in sure)))
+        if total > calm:
+            share = max(share for share, _ in sure)
+            text = (
+                f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz it shares up to "
+                f"{100 * share:.0f} % ({total:.2g} m/s^2) with what is left of "
+                f"{second.replace('_', ' ')}, which has no sensor in common with it: something "
+                "moves the vehicle that neither speed nor steering shows"
+            )
+            found.append(Structure(first, "shared motion", share, text))
+    return found
+
+
+def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, float, float]:
+    """Partial coherence in a band, how much of `a` that is [its unit], and what chance gives."""
+    one = a[:, band]
+    size = float(np.sqrt(np.sum(np.abs(one) ** 2, axis=1).mean()))
+    u = _left_of(_as_loud(a)[:, band], known[:, band])
+    w = _left_of(_as_loud(b)[:, band], known[:, band])
+    cross = abs(np.sum(u * w.conj())) ** 2
+    share = float(cross / (np.sum(np.abs(u) ** 2) * np.sum(np.abs(w) ** 2)))
+    segments = (len(a) - known.shape[2]) * band.sum() / HANN_BINS
+    chance = 1.0 - (CHANCE / len(BANDS_HZ)) ** (1.0 / max(segments - 1.0, 1.0))
+    return share, size * float(np.sqrt(share)), float(chance)
+
+
+def _calm(v: Array) -> float:
+    """What calm air does to a car in the bands that are looked at, rms [m/s^2]. v: (N,) speed."""
+    v = np.abs(v[np.abs(v) > DRIVING_MPS])
+    low, high = BANDS_HZ[0][0], BANDS_HZ[-1][1]
+    travel = 2.0 * np.pi * EDDY_M / v
+    # Of a spectrum 1/(1 + (2 pi f L/v)^2) (Dryden).
+    part = (np.arctan(high * travel) - np.arctan(low * travel)) / (0.5 * np.pi)
+    return CALM * AIR * float(np.sqrt(np.mean(part * v**4)))
+
+
+def _left_of(z: Spectra, known: Spectra) -> Spectra:
+    """(B, F) less what is linear in the inputs (B, F, 2), frequency by frequency."""
+    left = z.copy()
+    for i in range(z.shape[1]):
+        left[:, i] -= known[:, i] @ np.linalg.lstsq(known[:, i], z[:, i], rcond=None)[0]
+    return left
 
 
 def _humps(spectra: Mapping[str, Spectra]) -> list[Structure]:
@@ -151,7 +227,7 @@ def _humps(spectra: Mapping[str, Spectra]) -> list[Structure]:
     for name in HUMPED:
         if name not in spectra:
             continue
-        z = spectra[name][np.isfinite(spectra[name][:, 0])]
+        z = _as_loud(spectra[name][np.isfinite(spectra[name][:, 0])])
         if len(z) < LEAST_BLOCKS:
             continue
         power = np.mean(np.abs(z) ** 2, axis=0)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import dct
 
-from imucald.diagnosis.cause_keys import plausible, tolerance
+from imucald.diagnosis.cause_keys import model_error, plausible, tolerance
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.signals import STEP_S, Array, DriveSignals, Mask
@@ -69,6 +69,8 @@ class Table:
     """(B,) share of each block in motion."""
     tolerance: Array
     """(P,) half widths."""
+    model_error: Array
+    """(P,) deviations of what the equations themselves err by."""
     plausible: Array
     """(P, 2)"""
     top_hz: Mapping[str, float]
@@ -208,6 +210,7 @@ def _weighed(
 ) -> Table:  # fmt: skip
     """Divide each equation by its noise: found from what is left of a fit of everything."""
     tolerances = np.array([tolerance(model, key) for key in keys])
+    errors = np.array([model_error(model, key) for key in keys])
     bounds = np.array([plausible(model, key) for key in keys]).reshape(-1, 2)
     wide = np.abs(bounds).max(axis=1)
     free = np.zeros(len(keys))
@@ -223,7 +226,7 @@ def _weighed(
     keep = count > 0
     return Table(
         keys, whole[keep], {n: g[keep] for n, g in gram.items()}, count[keep],
-        start[keep], drive[keep], moving[keep], tolerances, bounds, top,
+        start[keep], drive[keep], moving[keep], tolerances, errors, bounds, top,
         next(iter(parts.values())).seconds, {n: g[keep] for n, g in _plain(parts).items()},
         levels[keep],
     )  # fmt: skip

@@ -23,7 +23,7 @@ from imucald.core.rotations import (
     rotation_from_vector,
 )
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.causes import LEVEL_GYRO_GAIN_ERROR, MODEL_ERROR, PARAMETERS
 from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
 
@@ -136,6 +136,15 @@ def plausible(model: VehicleModel, key: str) -> tuple[float, float]:
     row = PARAMETERS[key]
     size = abs(value(model, key)) if row.relative else 1.0
     return row.plausible[0] * size, row.plausible[1] * size
+
+
+def model_error(model: VehicleModel, key: str) -> float:
+    """What the equations themselves err by in a parameter: one deviation."""
+    stated = MODEL_ERROR.get(key, MODEL_ERROR.get(key.rpartition(".")[0], 0.0))
+    if key.startswith("gyro.scale."):
+        upright = float(abs(mount_of(model)[2, int(key[-1])]))
+        return float(np.hypot(stated * upright, LEVEL_GYRO_GAIN_ERROR * (1.0 - upright**2) ** 0.5))
+    return stated
 
 
 # writing -----------------------------------------------------------------------------------------

@@ -118,7 +118,7 @@ def diagnose(
 def _left(state: State) -> tuple[Structure, ...]:
     """What no cause explains."""
     problem = state.evaluated()
-    return (*too_much(problem), *outcome.implausible(state), *what_is_left(problem, state))
+    return (*too_much(problem, state), *outcome.implausible(state), *what_is_left(problem, state))
 
 
 def _silent(share: float, text: str) -> None:

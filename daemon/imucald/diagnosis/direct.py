@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import mounts, sensor_of, tolerance
 from imucald.diagnosis.causes import DEG
 from imucald.diagnosis.signals import Array, DriveSignals
@@ -103,21 +102,3 @@ def _slope(kelvin: Array, table: Array) -> tuple[Array | None, Array | None]:
     left = table - table.mean(axis=0) - np.outer(x, slope)
     se = np.sqrt(np.maximum((left**2).sum(axis=0) / (n - 2), FINEST_SE**2) / (x @ x))
     return slope, se
-
-
-def gravity_at_rest(
-    drives: Sequence[DriveSignals], model: VehicleModel
-) -> tuple[float, float, int] | None:
-    """Size of gravity at rest less the standard one [m/s^2], its deviation, number of stops."""
-    sensor = sensor_of(model, "accel", {})
-    inverse = np.linalg.inv(sensor.gain)
-    sizes = [
-        float(np.linalg.norm(inverse @ (stop.accel - sensor.bias))) - GRAVITY
-        for drive in drives
-        if not drive.planar
-        for stop in drive.stops
-    ]
-    if not sizes:
-        return None
-    spread = float(np.std(sizes, ddof=1)) if len(sizes) > 1 else 0.02
-    return float(np.mean(sizes)), max(spread / np.sqrt(len(sizes)), 0.005), len(sizes)

@@ -65,9 +65,8 @@ def find_faults(
         series = samples.get(name)
         if series is None or len(series.t) < 100:
             continue
-        if name in RAILED:
-            found += _piled(name, series, model)
-        found += _stuck(name, series, samples, moving)
+        piled = list(_piled(name, series, model)) if name in RAILED else []
+        found += [*piled, *_stuck(name, series, samples, moving, spoilt(piled).get(name, ()))]
         found += _timed(name, series, model)
     return found
 
@@ -157,16 +156,20 @@ def _spans(t: Array, hit: Mask) -> Spans:
 
 
 def _stuck(
-    name: str, series: Series, samples: Samples, moving: tuple[Array, Array]
+    name: str, series: Series, samples: Samples, moving: tuple[Array, Array], railed: Spans
 ) -> Iterator[Fault]:
-    """Frames that come with one value while the vehicle moves; zeros at rest are natural."""
+    """Frames that come with one value while the vehicle moves; zeros at rest are natural, and so is
+    one value on a rail."""
     t, table = series.t, series.values.reshape(len(series.t), -1)
     same = (np.diff(table, axis=0) == 0.0).all(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
     first, last = edges[::2], edges[1::2]
     if not len(first):
         return
-    length = t[last] - t[first]
+    # Frames that do not come are another fault.
+    length = np.minimum(t[last] - t[first], (last - first) * float(np.median(np.diff(t))))
+    for low, high in railed:
+        length[(t[last] >= low) & (t[first] <= high)] = 0.0
     speed = np.interp(0.5 * (t[first] + t[last]), *moving)
     least = STUCK_S if name in QUICK else STUCK_SLOW_S
     driving = length[speed > MOVING_MPS]

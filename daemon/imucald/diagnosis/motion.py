@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.cause_keys import Changes, age, rear_slip
+from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.reading import Reader, Reference
 from imucald.diagnosis.signals import STEP_S, Array
 
@@ -46,7 +46,7 @@ class VehicleMotion:
         slip = changes.get("_speed.driven_slip", 0.0)
         v = drive.knots.values / (1.0 + scale)
         self.v = np.interp(reader.t, self.knots, v)
-        reference = reader.reference if by_inertia else None
+        self.settled = reference = reader.reference if by_inertia else None
         self.force = reader.triad("accel", changes, reference.force if reference else None)
         self.rate = reader.triad("gyro", changes) if drive.has("gyro") else None
         self.measured: Array | None = None
@@ -126,7 +126,7 @@ class VehicleMotion:
             force[:, 1] += GRAVITY * u.imag
         force[:, 2] = GRAVITY
         slopes = self._mean_slopes(x + self.r * self.v_y) * (1.0 + f.model.speed.scale)
-        return Reference(slopes, force)
+        return Reference(slopes, force, self.force[:, 1] - self.v * self.r)
 
     # equations -----------------------------------------------------------------------------------
 
@@ -231,9 +231,23 @@ class VehicleMotion:
         v = np.abs(self.v)
         steer = f.scalar("steering", self.changes)
         steer = np.interp(f.t - self._lag(v, gradient), f.t, steer)
-        leaning = self.force[:, 1] - self.v * self.r
-        turn = np.tan(np.clip(steer / ratio, -1.2, 1.2)) - gradient * self._slow(leaning)
+        leaning = self._leaning()
+        angle = np.clip(steer / ratio, -1.2, 1.2)
+        angle = angle + self.changes.get("_steering.variable_ratio", 0.0) * angle**3
+        turn = np.tan(angle) - gradient * self._slow(leaning)
         return np.asarray(self.v * turn / np.maximum(c.wheelbase_m + gradient * v * v, 0.3))
+
+    def _leaning(self) -> Array:
+        """Sideways force that the road's lean brings [m/s^2].
+
+        It acts through the understeer gradient, which nobody knows to a tenth: zeros and the mount
+        move it, but gains are not to be read from it.
+        """
+        if self.settled is None:
+            return np.asarray(self.force[:, 1] - self.v * self.r)
+        moved = along_vehicle(self.changes, "accel.bias")[1]
+        moved += GRAVITY * along_vehicle(self.changes, "mount.turn")[0]
+        return np.asarray(self.settled.leaning - moved)
 
     def _lag(self, v: Array, gradient: float) -> Array:
         """From steering to yaw rate: 2 zeta/omega - T_z of the single track, and the tyres' [s]."""

@@ -25,7 +25,7 @@ from imucald.diagnosis.result import (
 )
 from imucald.diagnosis.search import State
 from imucald.diagnosis.shift import KEYS, FittedShift
-from imucald.diagnosis.trials import Trial, questions
+from imucald.diagnosis.trials import SINGLE_NATS, Trial, questions
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
@@ -163,8 +163,9 @@ def told_shift(shift: FittedShift, table: Table) -> FoundCause:
 def told_rest_of(state: State) -> tuple[Candidate, ...]:
     """Every cause that was not named, with the size that these drives could have shown."""
     named = {t.hypothesis.name for t in (*state.named, *state.likely)}
+    doubtful = {t.hypothesis.name: t for t in state.doubtful}
     made = []
-    for name, t in questions(state.last).items():
+    for name, t in (questions(state.last) | doubtful).items():
         if name in named:
             continue
         i = int(np.argmax(np.abs(t.estimate.value) / np.maximum(t.estimate.se, 1e-30)))
@@ -176,13 +177,29 @@ def told_rest_of(state: State) -> tuple[Candidate, ...]:
             outcome = "not plausible"
         elif abs(x) + q * se <= tau:
             outcome = "within tolerance"
+        elif name in doubtful or (t.shown > SINGLE_NATS and t.is_suspect):
+            outcome = "not ruled out"
         elif t.outside:
             outcome = "does not pay"
         else:
             outcome = "not decidable here"
         text = f"{key} off by {_n(x)} +- {_n(SD_95 * se)} {unit}; named from {_n(tau + q * se)} on"
-        made.append(Candidate(name, outcome, t.shown, text))
+        made.append(Candidate(name, outcome, t.shown, text, _freed(state, name)))
     return tuple(made)
+
+
+def _freed(state: State, name: str) -> dict[str, Estimated]:
+    """Parameters of all forms of a cause, each form freed by itself beside what was found."""
+    made: dict[str, Estimated] = {}
+    for t in state.last:
+        if t.hypothesis.name != name or t.hypothesis.pattern is not None:
+            continue
+        e, places = t.estimate, enumerate(t.hypothesis.keys)
+        for i, key in places:
+            stated = value(state.stated, key)
+            x, se, tau = float(e.value[i]), float(e.se[i]), float(t.tolerance[i])
+            made.setdefault(key, Estimated(stated + x, se, PARAMETERS[key].unit, stated, tau))
+    return made
 
 
 def _n(x: float) -> str:

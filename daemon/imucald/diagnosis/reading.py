@@ -23,6 +23,8 @@ class Reference:
     """Of the speed between its knots, by the accelerometer."""
     force: Array
     """(N, 3) along the vehicle: forward as measured, sideways as predicted, upward gravity."""
+    leaning: Array
+    """(N,) sideways force less speed times yaw rate, as measured: what leans the vehicle."""
 
 
 class Reader:

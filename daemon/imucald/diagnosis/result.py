@@ -14,7 +14,9 @@ from imucald.model.model import VehicleModel
 
 Verdict = Literal["found", "ambiguous", "unknown", "nothing"]
 Certainty = Literal["certain", "likely"]
-Outcome = Literal["within tolerance", "not decidable here", "does not pay", "not plausible"]
+Outcome = Literal[
+    "within tolerance", "not decidable here", "does not pay", "not plausible", "not ruled out"
+]
 Array = NDArray[np.float64]
 
 
@@ -60,6 +62,8 @@ class Candidate:
     """By which it makes data that its fit did not see likelier, without the best stretches."""
     text: str
     """Its value, and the size that these drives could have shown."""
+    parameters: Mapping[str, Estimated] = field(default_factory=dict)
+    """What each of its parameters would be, freed by itself."""
 
 
 @dataclass(frozen=True)

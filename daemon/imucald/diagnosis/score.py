@@ -56,7 +56,8 @@ class Estimate:
 
     value: Array
     se: Array
-    """Largest of sandwich, sandwich with lag one, model-based; with the wander between quarters."""
+    """Largest of sandwich, sandwich with lag one, model-based; with the wander between quarters and
+    what the equations themselves err by."""
     quantile: float
     pull: float
     """By how many deviations the box pulls at the parameters: the root of twice the rise of the
@@ -95,6 +96,17 @@ class Problem:
             i = table.keys.index(key)
             low[i], high[i] = REACH * table.plausible[i]
         return Problem(table, low, high)
+
+    def model_error(self, h: Hypothesis) -> Array:
+        """(k,) what the equations err by. What moves together errs as the best known of it; what
+        moves in mid-drive is a difference, in which it drops out."""
+        errors = self.table.model_error
+        if h.pattern is not None:
+            return np.zeros(len(h.keys))
+        if h.directions:
+            alike = [[k for k, x in d.items() if x == 1.0] for d in h.directions]
+            return np.array([min(errors[self.table.index(keys)]) for keys in alike])
+        return np.asarray(errors[self.table.index(h.keys)])
 
     def widened(self, h: Hypothesis | None) -> tuple[Array, Array, Array]:
         """Gram matrices (B, Q+1, Q+1) and bounds (Q,) with a hypothesis' parameters freed."""
@@ -252,8 +264,9 @@ def estimate(
     spread = [np.diag(inverse @ (way + np.diag(prior)) @ inverse)[own] for way in ways]
     se = np.sqrt(np.maximum(np.max(spread, axis=0), 0.0))
     wander, share = _wander(gram, prior, x, own)
-    se = np.sqrt(se**2 + wander**2 * share)
-    pull = _pull(problem, h, x, own, wander**2 * share, null or problem)
+    more = wander**2 * share + problem.model_error(h) ** 2
+    se = np.sqrt(se**2 + more)
+    pull = _pull(problem, h, x, own, more, null or problem)
     return Estimate(x[own], se, quantile(B, questions), pull, wander)
 
 
@@ -263,7 +276,8 @@ def _pull(
     """Profile likelihood with the others in their box, so that none counts beyond its tolerance.
 
     The rise of the loss is divided by how much the blocks scatter more than the weights say
-    (sandwich over model-based variance), and by `more` (k,), the variance between quarters.
+    (sandwich over model-based variance), and by `more` (k,), the variances between quarters and of
+    the equations themselves.
     """
     gram, low, high = problem.widened(h)
     total = gram.sum(axis=0)

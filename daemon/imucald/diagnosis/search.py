@@ -36,7 +36,7 @@ from imucald.diagnosis.score import (
 )
 from imucald.diagnosis.shift import FittedShift, find_shift
 from imucald.diagnosis.signals import Array, DriveSignals
-from imucald.diagnosis.trials import LIKELY_NATS, Trial, hypotheses, questions, tried
+from imucald.diagnosis.trials import SINGLE_NATS, Trial, hypotheses, likeliest, tried
 from imucald.model.model import VehicleModel
 
 ALIKE_SE = 2.0
@@ -70,6 +70,8 @@ class State:
     rivals: dict[str, list[Trial]] = field(default_factory=dict)
     implausible: list[Trial] = field(default_factory=list)
     likely: list[Trial] = field(default_factory=list)
+    doubtful: list[Trial] = field(default_factory=list)
+    """What was named for a while, and does not stand."""
     last: list[Trial] = field(default_factory=list)
     """All trials beside what was found: what each could have been."""
     shift: FittedShift | None = None
@@ -90,9 +92,9 @@ class State:
         return Problem.of(self.table, [k for k in self.free if k in self.table.keys], self.bounds)
 
     def give_up(self) -> None:
-        """No fit is to be believed: what was named is no more than likely."""
-        self.likely = [*self.named, *self.likely]
-        self.named, self.shift = [], None
+        """No fit is to be believed: what was named is not ruled out, and no more."""
+        self.doubtful = [*self.named, *self.likely, *self.doubtful]
+        self.named, self.likely, self.shift = [], [], None
         for key in self.held:
             self.bounds.pop(key, None)
         self.changes, self.held = {}, set()
@@ -146,12 +148,13 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         _take(state, problem, chosen)
         refit(state)
         dropped += _let_go(state)
+    _eliminate(state, late)
     _demote(state)
-    state.likely += [
-        t for t in questions(state.last).values() if t.shown > LIKELY_NATS and t.likely
-        and not t.outside and t.is_plausible
-        and t.hypothesis.name not in {x.hypothesis.name for x in (*state.named, *state.likely)}
-    ]  # fmt: skip
+    if state.doubtful:
+        state.last = _trials(state.evaluated(), state, [*skip, *dropped])
+    known = {t.hypothesis.name for t in (*state.named, *state.likely)}
+    if state.shift is None:
+        state.likely += [t for t in likeliest(state.last) if t.hypothesis.name not in known]
 
 
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
@@ -174,7 +177,7 @@ def _winner(trials: Sequence[Trial]) -> Trial | None:
 def _nearly(problem: Problem, state: State) -> Trial | None:
     """What falls short by one step from the stated file may pass where that step led: a column is
     a slope, and 0.002 of understeer at 20 m/s changes its own column by a fifth."""
-    close = [t for t in state.last if t.likely and t.shown > t.needed and t.is_testable
+    close = [t for t in state.last if t.is_suspect and t.shown > t.needed and t.is_testable
              and t.is_plausible and t.hypothesis.is_plain]  # fmt: skip
     if not close:
         return None
@@ -207,7 +210,7 @@ def _asked_again(state: State, trial: Trial) -> Trial:
 
 def _is_near(best: Trial, other: Trial) -> bool:
     behind, se = paired(best.gain, other.gain)
-    return behind <= ALIKE_SE * se or behind <= LIKELY_NATS / 2.0
+    return behind <= ALIKE_SE * se or behind <= SINGLE_NATS / 2.0
 
 
 def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
@@ -315,7 +318,7 @@ def _let_go(state: State) -> list[str]:
             low[i] = -state.changes[key] - problem.table.tolerance[i]
             high[i] = -state.changes[key] + problem.table.tolerance[i]
         without = held_out(replace(problem, low=np.minimum(low, high), high=np.maximum(low, high)))
-        if without_best(without - base) < LIKELY_NATS:
+        if without_best(without - base) < SINGLE_NATS:
             gone += keys
     if gone:
         state.named = [t for t in state.named if not set(t.hypothesis.keys) & set(gone)]
@@ -339,18 +342,53 @@ def final_estimates(state: State) -> dict[str, tuple[float, float, float]]:
     return {key: (state.changes[key], float(se), q) for key, se in zip(keys, e.se, strict=True)}
 
 
-def _demote(state: State) -> None:
-    """What would not be named again beside all others is no more than likely."""
-    for trial in list(state.named):
-        h = trial.hypothesis
-        if h.pattern is not None or _asked_again(state, trial).outside:
+def _eliminate(state: State, late: Callable[[], bool]) -> None:
+    """Backward elimination: each cause is asked anew from where the others alone lead, weakest
+    first. A greedy start may have named a look-alike, or a slope taken at the wrong place."""
+    asked: set[str] = set()
+    while len(state.named) > 1 and not late():
+        left = [t for t in state.named if t.hypothesis.name not in asked]
+        if not left:
+            break
+        trial = min(left, key=lambda t: t.shown)
+        asked.add(trial.hypothesis.name)
+        if trial.hypothesis.pattern is not None:
             continue
-        state.named.remove(trial)
-        state.likely.append(trial)
-        for key in {k for d in h.directions for k in d} or set(h.keys):
-            state.changes.pop(key, None)
-            if h.directions:
-                state.held.discard(key)
-                state.bounds.pop(key, None)
-        state.apply({})
-        refit(state)
+        less = _without(state, trial)
+        problem = less.evaluated()
+        again = tried(problem, trial.hypothesis, held_out(problem), max(len(state.last), 1))
+        if again.named and again.is_plausible:
+            continue
+        _drop(state, less, trial)
+        asked.clear()
+
+
+def _without(state: State, trial: Trial) -> State:
+    """The others alone, fitted anew."""
+    h = trial.hypothesis
+    keys = {k for d in h.directions for k in d} or set(h.keys)
+    less = replace(
+        state,
+        changes={k: x for k, x in state.changes.items() if k not in keys},
+        held=state.held - keys,
+        bounds={k: b for k, b in state.bounds.items() if not h.directions or k not in keys},
+        table=None,
+    )
+    less.apply({})
+    refit(less)
+    return less
+
+
+def _drop(state: State, less: State, trial: Trial) -> None:
+    """A cause does not stand beside the others, whose state is `less`."""
+    state.named.remove(trial)
+    state.doubtful.append(trial)
+    state.changes, state.held, state.bounds = less.changes, less.held, less.bounds
+    state.apply({})
+
+
+def _demote(state: State) -> None:
+    """What would not be named again beside all others does not stand."""
+    for trial in list(state.named):
+        if trial.hypothesis.pattern is None and not _asked_again(state, trial).outside:
+            _drop(state, _without(state, trial), trial)

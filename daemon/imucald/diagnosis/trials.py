@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,11 +24,14 @@ from imucald.diagnosis.score import (
 from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
 
-LIKELY = 0.05
-"""Error rate of a single question from which something is likely."""
-LIKELY_NATS = -math.log(LIKELY)
+SINGLE = 0.05
+"""Error rate of a single question: what falls short of it is not worth a look."""
+SINGLE_NATS = -math.log(SINGLE)
 """A likelihood ratio on data that the fit did not see exceeds 1/p with a chance of p at most, where
 nothing is wrong (Markov)."""
+FALSE_SHARE = 0.2
+"""Of what is told as likely: one in five may be false."""
+RESAMPLED = 1000
 LEVELLED = ("accel_scale", "accel_cross_axis")
 BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")
 
@@ -64,16 +67,17 @@ class Trial:
         return bool(np.any(beyond[: self.hypothesis.lead or len(beyond)]))
 
     @property
-    def likely(self) -> bool:
+    def is_suspect(self) -> bool:
         """The same at the error rate of a single question."""
         return self._beyond and self.estimate.pull > self.single
 
     @property
     def is_plausible(self) -> bool:
-        """What leaves its tolerance stays within what a vehicle or a sensor can have."""
-        v, tau = self.estimate.value, self.tolerance
-        low, high = self.plausible.T
-        return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
+        """Intervals of what leaves its tolerance reach what a vehicle or a sensor can have."""
+        e, (low, high) = self.estimate, self.plausible.T
+        return bool(
+            np.all((np.abs(e.value) <= self.tolerance) | ((e.high >= low) & (e.low <= high)))
+        )
 
     @property
     def is_testable(self) -> bool:
@@ -86,7 +90,7 @@ class Trial:
         """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
         e = self.estimate
         far = (np.abs(e.value) > self.reach + e.se)[: self.hypothesis.lead or None]
-        return self.shown > LIKELY_NATS and bool(np.any(far)) and self.is_testable
+        return self.shown > SINGLE_NATS and bool(np.any(far)) and self.is_testable
 
     @property
     def named(self) -> bool:
@@ -163,7 +167,7 @@ def tried(
     t = problem.table
     return Trial(h, estimate(problem, h, questions, null), gain, without_best(gain),
                  t.tolerance[index], t.plausible[index], math.log(questions / ERROR_RATE),
-                 float(student.ppf(1.0 - 0.5 * LIKELY, t.blocks - 1)), _reach(t, h))  # fmt: skip
+                 float(student.ppf(1.0 - 0.5 * SINGLE, t.blocks - 1)), _reach(t, h))  # fmt: skip
 
 
 def _reach(table: Table, h: Hypothesis) -> Array:
@@ -179,9 +183,33 @@ def _reach(table: Table, h: Hypothesis) -> Array:
     )
 
 
-def questions(trials: Sequence[Trial]) -> Mapping[str, Trial]:
+def questions(trials: Sequence[Trial]) -> dict[str, Trial]:
     """The best trial of each cause, most gain first."""
     best: dict[str, Trial] = {}
     for t in sorted(trials, key=lambda t: -t.shown):
         best.setdefault(t.hypothesis.name, t)
     return best
+
+
+def likeliest(trials: Sequence[Trial]) -> list[Trial]:
+    """What is right in four of five: of all questions at once, and against all rivals.
+
+    A likelihood ratio on unseen data is an e-value, so with the k largest of M above M/(k share)
+    no more than that share of them is false, however they depend on each other (e-BH; Wang and
+    Ramdas 2022). And in that share of resampled drives no other cause explains more (pseudo-BMA
+    with the Bayesian bootstrap over blocks; Yao et al. 2018).
+    """
+    best = list(questions(trials).values())
+    nats = [t.shown - math.log(len(trials) / (FALSE_SHARE * (k + 1))) for k, t in enumerate(best)]
+    count = max((k + 1 for k, x in enumerate(nats) if x >= 0.0), default=0)
+    if not count:
+        return []
+    gains = np.array([t.gain for t in best])
+    weights = np.random.default_rng(0).dirichlet(np.ones(gains.shape[1]), RESAMPLED)
+    first = np.argmax(gains @ weights.T, axis=0)
+    share = np.bincount(first, minlength=len(best)) / RESAMPLED
+    return [
+        t
+        for t, x in zip(best[:count], share[:count], strict=True)
+        if x >= 1.0 - FALSE_SHARE and t.is_suspect and t.is_plausible and t.is_testable
+    ]

@@ -5,39 +5,41 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 
-import numpy as np
 import pyarrow as pa
 
 from imucald.fleet.columns import TABLES
 from imucald.fleet.store import Store
-from imucald.fleet.tables import as_parquet, finished, main_file, parts, read_with_parts
+from imucald.fleet.tables import FinishedRows, main_file, parts, read_with_parts
 from imucald.fleet.task import OK
 
 
 def read_tables(store: Store, names: Sequence[str] = tuple(TABLES)) -> dict[str, pa.Table]:
     """The tables as they are now, parts of a run that goes on or was broken off included."""
-    return dict(_tables(store, names))
+    return {name: rows.table() for name, rows in _tables(store, names)}
 
 
-def _tables(store: Store, names: Sequence[str]) -> Iterator[tuple[str, pa.Table]]:
+def _tables(store: Store, names: Sequence[str]) -> Iterator[tuple[str, FinishedRows]]:
     """One table after the other: together they may be larger than what a driver may take."""
     sources, numbers = read_with_parts(store, "sources")
     last = _last(sources.column("source").to_pylist(), numbers)
-    sources = sources.take(pa.array(last, pa.int64()))
+    outcomes = FinishedRows("sources", sources, last)
     if "sources" in names:
-        yield "sources", finished("sources", sources)
+        yield "sources", outcomes
+    sources = sources.select(["source", "log_key", "outcome"]).take(pa.array(last, pa.int64()))
+    del outcomes, numbers, last
     if "failures" in names:
-        yield "failures", finished("failures", _failures(store, sources))
+        yield "failures", _failures(store, sources)
     if "drives" in names or "events" in names:
         drives, of_drive = _drives(store, sources)
+        del sources
         if "drives" in names:
-            yield "drives", finished("drives", drives)
-        del drives, sources
+            yield "drives", drives
+        del drives
         if "events" in names:
-            yield "events", finished("events", _events(store, of_drive))
+            yield "events", _events(store, of_drive)
         del of_drive
     if "costs" in names:
-        yield "costs", finished("costs", read_with_parts(store, "costs")[0])
+        yield "costs", FinishedRows("costs", read_with_parts(store, "costs")[0])
 
 
 def compact(store: Store) -> None:
@@ -45,9 +47,9 @@ def compact(store: Store) -> None:
     old = {name: [file for n, file in parts(store, name) if n > 0] for name in TABLES}
     if not any(old.values()):
         return
-    for name, table in _tables(store, tuple(TABLES)):
-        store.write(main_file(name), as_parquet(table))
-        del table
+    for name, rows in _tables(store, tuple(TABLES)):
+        store.write(main_file(name), rows.parquet())
+        del rows
         pa.default_memory_pool().release_unused()
     # drives first, sources last: broken off between, what is left still says the same
     for name in ("drives", "events", "failures", "costs", "sources"):
@@ -64,7 +66,7 @@ def _last(keys: Sequence[object], numbers: Sequence[int]) -> list[int]:
     return list(best.values())
 
 
-def _failures(store: Store, sources: pa.Table) -> pa.Table:
+def _failures(store: Store, sources: pa.Table) -> FinishedRows:
     rows, numbers = read_with_parts(store, "failures")
     outcome = dict(
         zip(
@@ -75,10 +77,12 @@ def _failures(store: Store, sources: pa.Table) -> pa.Table:
     )
     names = rows.column("source").to_pylist()
     kept = [i for i in _last(names, numbers) if outcome.get(names[i], OK) != OK]
-    return rows.take(pa.array(kept, pa.int64()))
+    return FinishedRows("failures", rows, kept)
 
 
-def _drives(store: Store, sources: pa.Table) -> tuple[pa.Table, dict[str, tuple[int, str | None]]]:
+def _drives(
+    store: Store, sources: pa.Table
+) -> tuple[FinishedRows, dict[str, tuple[int, str | None]]]:
     """The rows of drives; by log_key the flush that the row came with, and its vehicle."""
     addresses: dict[str, list[str]] = {}
     columns = (sources.column(name).to_pylist() for name in ("source", "log_key", "outcome"))
@@ -95,21 +99,17 @@ def _drives(store: Store, sources: pa.Table) -> tuple[pa.Table, dict[str, tuple[
         # a drive that came twice: by the first of its addresses, whichever came first
         if key in addresses and (key not in chosen or firsts[index] < firsts[chosen[key]]):
             chosen[key] = index
-    kept = rows.take(pa.array(list(chosen.values()), pa.int64()))
     lists = [json.dumps(sorted(addresses[key]), ensure_ascii=False) for key in chosen]
-    place = kept.column_names.index("sources")
-    kept = kept.set_column(place, kept.schema.field("sources"), pa.array(lists, pa.string()))
+    kept = FinishedRows("drives", rows, list(chosen.values()), {"sources": lists})
     vehicles = rows.column("vehicle").to_pylist()
     return kept, {key: (numbers[i], vehicles[i]) for key, i in chosen.items()}
 
 
-def _events(store: Store, of_drive: dict[str, tuple[int, str | None]]) -> pa.Table:
+def _events(store: Store, of_drive: dict[str, tuple[int, str | None]]) -> FinishedRows:
     """The events that came with the rows of drives that count."""
     rows, numbers = read_with_parts(store, "events")
     keys = rows.column("log_key").to_pylist()
     came = {key: number for key, (number, _) in of_drive.items()}
-    kept = np.array([came.get(k) == n for k, n in zip(keys, numbers, strict=True)], dtype=bool)
-    rows = rows.filter(pa.array(kept))
-    vehicles = [of_drive[key][1] for key in rows.column("log_key").to_pylist()]
-    place = rows.column_names.index("vehicle")
-    return rows.set_column(place, rows.schema.field("vehicle"), pa.array(vehicles, pa.string()))
+    kept = [i for i, k in enumerate(keys) if came.get(k) == numbers[i]]
+    vehicles = [of_drive[keys[i]][1] for i in kept]
+    return FinishedRows("events", rows, kept, {"vehicle": vehicles})

@@ -30,7 +30,8 @@ TYPES: Mapping[str, pa.DataType] = {
     "int8": pa.int8(),
     "flag": pa.bool_(),
 }
-ROW_GROUP = 100_000
+ROW_GROUP = 25_000
+"""Rows that are written at a time; readers skip whole groups."""
 LEVEL = 3
 """Of zstd."""
 PART = "part-"
@@ -132,7 +133,54 @@ def read_with_parts(store: Store, table: str) -> tuple[pa.Table, list[int]]:
     return pa.concat_tables([empty, *found]), numbers
 
 
-def finished(table: str, rows: pa.Table) -> pa.Table:
-    """Sorted as a finished table is."""
-    order = [(key, "ascending") for key in ORDER[table]]
-    return rows.take(pc.sort_indices(rows, sort_keys=order))
+class FinishedRows:
+    """Rows of a table as its finished file has them: some of those read, sorted.
+
+    They are put together a row group at a time, so that the table is in memory once, not thrice.
+    kept: indices of the rows that count; None for all. instead: texts in place of a column's own,
+    for the kept rows.
+    """
+
+    def __init__(
+        self,
+        table: str,
+        rows: pa.Table,
+        kept: Sequence[int] | None = None,
+        instead: Mapping[str, Sequence[str | None]] | None = None,
+    ) -> None:
+        self._rows = rows
+        chosen = pa.array(range(len(rows)) if kept is None else kept, pa.int64())
+        texts = {name: pa.array(values, pa.string()) for name, values in (instead or {}).items()}
+        keys = {
+            key: texts[key] if key in texts else rows.column(key).take(chosen)
+            for key in ORDER[table]
+        }
+        by = [(key, "ascending") for key in ORDER[table]]
+        order = pc.sort_indices(pa.table(keys), sort_keys=by)
+        self._chosen = chosen.take(order)
+        self._texts = {name: values.take(order) for name, values in texts.items()}
+
+    def table(self) -> pa.Table:
+        """All of them."""
+        return self._part(0, len(self._chosen))
+
+    def parquet(self) -> bytes:
+        """The bytes of the finished file; the same rows give the same bytes."""
+        sink = io.BytesIO()
+        count = len(self._chosen)
+        with pq.ParquetWriter(
+            sink, self._rows.schema, compression="zstd", compression_level=LEVEL
+        ) as writer:
+            for first in range(0, max(count, 1), ROW_GROUP):
+                part = self._part(first, min(first + ROW_GROUP, count))
+                writer.write_table(part, row_group_size=ROW_GROUP)
+        return sink.getvalue()
+
+    def _part(self, first: int, stop: int) -> pa.Table:
+        part = self._rows.take(self._chosen.slice(first, stop - first))
+        for name, values in self._texts.items():
+            place = part.column_names.index(name)
+            part = part.set_column(
+                place, part.schema.field(name), values.slice(first, stop - first)
+            )
+        return part

@@ -30,6 +30,7 @@ SIZES = np.radians([0.03, 0.07, 0.15, 0.3, 0.6])
 """Standard deviations [rad/segment] of a walk from one road segment to the next, and of a steady
 rate: 4, 10, 20, 40 and 80 deg/h."""
 WALKS: Array = np.concatenate([[0.0], SIZES, 0.2 * SIZES])
+WALK_VARIANCES: Array = WALKS**2
 RATES: Array = np.concatenate([[0.0], 0.0 * SIZES, SIZES])
 """Of each hypothesis: the constant, walks, and creep, whose rate wanders by a fifth a segment."""
 P_CONSTANT = 0.5
@@ -130,31 +131,38 @@ def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Arr
     begun = np.zeros((len(known), 1), dtype=bool)
     for k in range(left.shape[1]):
         step = 0.5 * float(each[k - 1] + each[k]) if k else 0.0  # from middle to middle
-        level, p_ll, p_lr = _gone_on(level, rate, p_ll, p_lr, p_rr, np.where(begun, step, 0.0))
         new = known[:, k : k + 1]
         noise = 1.0 / np.maximum(new, 1e-12)
         value = left[:, k : k + 1] * noise
-        begins, goes_on = (new > 0.0) & ~begun, (new > 0.0) & begun
+        is_new = new > 0.0
+        begins, goes_on = is_new & ~begun, is_new & begun
+        ahead = step if begun.all() else np.where(begun, step, 0.0)
+        level, p_ll, p_lr = _gone_on(level, rate, p_ll, p_lr, p_rr, ahead)
         spread = p_ll + noise
-        gain_l, gain_r = (np.where(goes_on, p / spread, 0.0) for p in (p_ll, p_lr))
+        gain_l, gain_r = p_ll / spread, p_lr / spread
         off = value - level
-        log -= np.where(goes_on, 0.5 * (off * off / spread + np.log(spread)), 0.0)
-        level = np.where(begins, value, level + gain_l * off)
-        rate = rate + gain_r * off
+        told = 0.5 * (off * off / spread + np.log(spread))
+        if not goes_on.all():
+            gain_l, gain_r, told = (np.where(goes_on, x, 0.0) for x in (gain_l, gain_r, told))
+        log -= told
         p_rr = p_rr - gain_r * p_lr
         p_lr = p_lr - gain_l * p_lr
-        p_ll = np.where(begins, noise, p_ll - gain_l * p_ll)
-        begun = begun | begins
+        p_ll = p_ll - gain_l * p_ll
+        rate = rate + gain_r * off
+        level = level + gain_l * off
+        if begins.any():
+            level, p_ll = np.where(begins, value, level), np.where(begins, noise, p_ll)
+            begun = begun | begins
     rest = np.where(begun, 0.5 * float(each[-1]) + LATE, 0.0)
     level, p_ll, _ = _gone_on(level, rate, p_ll, p_lr, p_rr, rest)
     return log, level - level[:, :1], np.maximum(p_ll - 1.0 / total, 0.0)
 
 
 def _gone_on(
-    level: Array, rate: Array, p_ll: Array, p_lr: Array, p_rr: Array, step: Array
+    level: Array, rate: Array, p_ll: Array, p_lr: Array, p_rr: Array, step: Array | float
 ) -> tuple[Array, Array, Array]:
     """Level, its variance and its covariance with the rate, so many segments on."""
-    ahead = p_ll + 2.0 * step * p_lr + step * step * p_rr + WALKS**2 * step
+    ahead = p_ll + 2.0 * step * p_lr + step * step * p_rr + WALK_VARIANCES * step
     return level + step * rate, ahead, p_lr + step * p_rr
 
 

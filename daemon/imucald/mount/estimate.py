@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,4 +140,20 @@ class MountEstimator(Protocol):
 
     def estimate(self) -> MountEstimate:
         """Return the present state of knowledge."""
+        ...
+
+
+@runtime_checkable
+class KeepsTicks(Protocol):
+    """An estimator that for most ticks does nothing but keep them; replay hands those over at once.
+
+    What comes of it equals `step` tick by tick, to the last bit.
+    """
+
+    def quiet_ticks(self) -> int:
+        """Of the next ticks so many change neither correction, state nor estimate."""
+        ...
+
+    def keep_quiet(self, ticks: NDArray[np.float64]) -> None:
+        """Take ticks (n, COLUMNS), no more than `quiet_ticks`."""
         ...

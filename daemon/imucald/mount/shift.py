@@ -167,16 +167,19 @@ def largest_change(
     fresh: segments of this drive, where series begin with those of earlier ones; no span is longer.
     """
     best: Shift | None = None
+    of_axes = [one for one in series if one.axis in axes]
+    longest = {axis: _longest_span(of_axes, axis, fresh) for axis in axes}
+    all_spans = SPANS[max(longest.values(), default=0) >= SPANS]
+    if not len(all_spans):
+        return None
+    all_sizes, all_variances = changes(of_axes, all_spans)
     for axis in axes:
-        mine = [one for one in series if one.axis == axis]
-        if not mine:
+        columns = [k for k, one in enumerate(of_axes) if one.axis == axis]
+        spans = SPANS[longest[axis] >= SPANS]
+        if not columns or not len(spans):
             continue
-        n = max(len(one.score) for one in mine)
-        longest = n - MIN_BEFORE[axis] if fresh is None else min(n - MIN_BEFORE[axis], fresh)
-        spans = SPANS[longest >= SPANS]
-        if not len(spans):
-            continue
-        sizes, variances = changes(mine, spans)
+        mine = [of_axes[k] for k in columns]
+        sizes, variances = (found[: len(spans), columns] for found in (all_sizes, all_variances))
         variances = _uneven(mine, variances, (*unevenness, 1.0)[axis])
         size, ratio = likeliest(sizes, variances, TAIL[axis], MIN_SIZE[axis])
         threshold = THRESHOLD[axis, : len(spans)]
@@ -198,6 +201,12 @@ def largest_change(
     return best
 
 
+def _longest_span(series: list[ScoreSeries], axis: int, fresh: int | None) -> int:
+    """Segments that the longest span of an axis may have."""
+    n = max((len(one.score) for one in series if one.axis == axis), default=0)
+    return n - MIN_BEFORE[axis] if fresh is None else min(n - MIN_BEFORE[axis], fresh)
+
+
 def _with_neighbours(over: Array) -> Array:
     """Signed excesses (S,), or what each comes to together with that of the next span."""
     pairs = 0.5 * (over[:-1] + over[1:]) / NEIGHBOURS
@@ -211,15 +220,20 @@ def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array,
 
     Each source fits its own level before, its own nuisance and its own change.
     """
-    sizes, variances = (
-        np.zeros((len(spans), len(series))),
-        np.full((len(spans), len(series)), np.inf),
-    )
+    shape = len(spans), len(series)
+    sizes, variances = np.zeros(shape), np.full(shape, np.inf)
+    alike: dict[tuple[int, ...], list[tuple[int, AngleFit]]] = {}
     for k, one in enumerate(series):
-        if len(one.score) > spans[0]:
-            size, known = _change(one, np.minimum(spans, len(one.score) - 1))
-            sizes[:, k] = size
-            variances[known > 0.0, k] = 1.0 / known[known > 0.0]
+        fit = one.fitted() if len(one.score) > spans[0] else None
+        if fit is not None:
+            alike.setdefault(fit.rows.shape, []).append((k, fit))
+    for group in alike.values():
+        columns = [k for k, _ in group]
+        size, known = _changes_of([fit for _, fit in group], spans)
+        sizes[:, columns] = size.T
+        informed = known > 0.0
+        variance = np.where(informed, 1.0 / np.where(informed, known, 1.0), np.inf)
+        variances[:, columns] = variance.T
     return sizes, variances
 
 
@@ -275,34 +289,40 @@ def _step_for(ratio: Array, size: Array, steps: Array) -> Array:
     return np.where(counts, np.minimum(step, STEP_MAX), 0.0)
 
 
-def _change(one: ScoreSeries, spans: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Change of one source over its last spans (S,): size [rad] and information (S,).
+def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Changes of K sources, of as many segments and regressors each, over their last spans (S,).
 
-    With M the information of angle and nuisance from all segments, w what the new segments have of
-    its first row and U their scores left over by the common fit, the change is U / V with
-    V = w_0 - w' M^-1 w (the score test of a linear model; exact). So what new segments know of the
-    angle only together with nuisance that they alone show, counts for nothing.
+    Returns sizes [rad] and informations (K, S). With M the information of angle and nuisance from
+    all segments, w what the new segments have of its first row and U their scores left over by the
+    common fit, the change is U / V with V = w_0 - w' M^-1 w (the score test of a linear model;
+    exact). So what new segments know of the angle only together with nuisance that they alone
+    show, counts for nothing.
     """
-    fit = one.fitted()
-    if fit is None:
-        return np.zeros(len(spans)), np.zeros(len(spans))
-    left, rows, inverse = fit.left, fit.rows, fit.inverse
-    n = rows[:, 0]
-    first = len(n) - spans
-    w = np.cumsum(rows[::-1], axis=0)[spans - 1]
+    left = np.array([fit.left for fit in fits])  # (K, G)
+    rows = np.array([fit.rows for fit in fits])  # (K, G, regressors)
+    inverse = np.array([fit.inverse for fit in fits])
+    n = rows[:, :, 0]
+    spans = np.minimum(spans, n.shape[1] - 1)
+    old = (np.arange(n.shape[1]) < (n.shape[1] - spans)[:, None]).astype(np.float64)  # (S, G)
+    w = np.cumsum(rows[:, ::-1], axis=1)[:, spans - 1]
     turned = w @ inverse
-    known = w[:, 0] - (turned * w).sum(axis=1)
-    use = known > MIN_KNOWN * float(n.sum())
-    size = np.where(use, np.cumsum(left[::-1])[spans - 1] / np.where(use, known, 1.0), 0.0)
-    old = np.arange(len(n)) < first[:, None]
-    alone = left + size[:, None] * (turned @ rows.T)  # against the fit to the old ones
-    expected = np.maximum(n - ((rows @ inverse) * rows).sum(axis=1), 0.0)
-    ratio = (old * alone * alone).sum(axis=1) / np.maximum(old @ expected, 1e-12)
-    segments = (old @ n) ** 2 / np.maximum(old @ (n * n), 1e-12)
+    known = w[:, :, 0] - (turned * w).sum(axis=2)
+    use = known > MIN_KNOWN * n.sum(axis=1)[:, None]
+    known = np.where(use, known, 0.0)
+    size = np.cumsum(left[:, ::-1], axis=1)[:, spans - 1] / np.where(use, known, 1.0) * use
+    # against the fit to the old ones
+    alone = left[:, None] + size[:, :, None] * (turned @ rows.transpose(0, 2, 1))
+    expected = np.maximum(n - ((rows @ inverse) * rows).sum(axis=2), 0.0)
+    ratio = (old * alone * alone).sum(axis=2) / np.maximum(_sums(old, expected), 1e-12)
+    segments = _sums(old, n) ** 2 / np.maximum(_sums(old, n * n), 1e-12)
     scale = (PRIOR_SEGMENTS * PRIOR_SPREAD + segments * np.maximum(ratio, MIN_SPREAD)) / (
         PRIOR_SEGMENTS + segments
     )
-    limit = CLIP * np.sqrt(scale[:, None] * n)
-    clipped = (~old * np.clip(alone, -limit, limit)).sum(axis=1)
-    size = np.where(use, clipped / np.maximum(w[:, 0], 1e-12), 0.0)
-    return size, np.where(use, known / scale, 0.0)
+    limit = CLIP * np.sqrt(scale[:, :, None] * n[:, None])
+    clipped = ((1.0 - old) * np.clip(alone, -limit, limit)).sum(axis=2)
+    return clipped / np.maximum(w[:, :, 0], 1e-12) * use, known / scale
+
+
+def _sums(old: Array, of: Array) -> Array:
+    """Sums (K, S) of figures (K, G) over the old segments of each span (S, G)."""
+    return np.asarray((old @ of[:, :, None])[:, :, 0])

@@ -121,6 +121,16 @@ class SignalBlockMaker:
         self._n += 1
         return self._n == KEEP + BLOCK_TICKS
 
+    @property
+    def until_block(self) -> int:
+        """Ticks until a block is complete."""
+        return KEEP + BLOCK_TICKS - self._n
+
+    def push_all(self, ticks: Array) -> None:
+        """Take ticks (n, COLUMNS), fewer than `until_block`."""
+        self._rows[self._n : self._n + len(ticks)] = ticks
+        self._n += len(ticks)
+
     def restart(self) -> None:
         """Forget the kept ticks: time jumped."""
         self._rows[:] = empty_rows(1)

@@ -42,6 +42,12 @@ class SlewedRotation:
             return False
         return float(np.abs(target - now).max()) < NEAR
 
+    @property
+    def is_moving(self) -> bool:
+        """Whether the next tick changes what is applied."""
+        target, now = self._target, self._now
+        return target is not None and now is not None and target is not now
+
     def clear(self) -> None:
         """Apply nothing."""
         self._target = self._now = self.correction = None
@@ -49,7 +55,7 @@ class SlewedRotation:
     def step(self) -> None:
         """Go on by one tick."""
         target, now = self._target, self._now
-        if target is None or now is None or target is now:
+        if target is None or now is None or target is now:  # as `is_moving`
             return
         x, y, z = (float(c) for c in vector_from_rotation(target @ now.T))
         angle = math.sqrt(x * x + y * y + z * z)

@@ -41,13 +41,14 @@ class SteeringOffsetEstimator:
         self._normal = np.zeros((3, 3))
         self._right = np.zeros(3)
         self.seen = False
+        self._fit: tuple[float, float, float] | None = None  # offset, variance, per lateral force
 
     def add(self, angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> None:
         """Take a block: steering-wheel angle [rad], speed [m/s], yaw rate [rad/s], all (N,)."""
         use = use & (speed > MIN_SPEED) & (np.abs(speed * yaw_rate) < MAX_LATERAL)
         if not use.any():
             return
-        self.seen = True
+        self.seen, self._fit = True, None
         v, r = speed[use], yaw_rate[use]
         rows = np.stack([np.ones(len(v)), r / v, r * v], axis=1)
         weight = 1.0 / (NOISE * NOISE * CORRELATION_TICKS)
@@ -61,8 +62,11 @@ class SteeringOffsetEstimator:
         """
         if not self.seen:
             return None
-        inverse = np.linalg.inv(self._normal + _PRIOR)
-        offset, _, per_lateral = (float(x) for x in inverse @ self._right)
+        if self._fit is None:
+            inverse = np.linalg.inv(self._normal + _PRIOR)
+            offset, _, per_lateral = (inverse @ self._right).tolist()
+            self._fit = offset, float(inverse[0, 0]), per_lateral
+        offset, variance, per_lateral = self._fit
         against = max(per_lateral, 0.0) * GRAVITY
-        std = math.hypot(math.sqrt(float(inverse[0, 0])), against * crown_std, BUMPS)
+        std = math.hypot(math.sqrt(variance), against * crown_std, BUMPS)
         return offset - against * crown, std

@@ -81,7 +81,7 @@ class MountOrders:
         self._service.engine.restart_calibration()
         self._service.forget_state()
         stated = self._service.loaded.config.calibration.mount is not None
-        begun = "begun anew from the mount of the configuration" if stated else "begun anew"
+        begun = "started again from the mount of the configuration" if stated else "started again"
         return self._told(who, f"reset: the learnt mount is forgotten, the calibration {begun}")
 
     def hold(self, who: str) -> str:
@@ -126,7 +126,7 @@ class MountOrders:
     def begin(self, who: str) -> None:
         """Begin anew and keep the former estimator aside."""
         self._former = self._settings(), self._service.engine.restart_calibration()
-        self._told(who, "the calibration is begun anew")
+        self._told(who, "the calibration is started again")
 
     def return_to_former(self, who: str) -> bool:
         """Take the former estimator back, unless it was made for other settings."""

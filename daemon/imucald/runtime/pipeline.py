@@ -27,7 +27,16 @@ from imucald.motion.ticks import (
     tick_index,
     ticks_from_samples,
 )
-from imucald.mount.estimate import Correction, MountEstimate, MountEstimator, MountState
+from imucald.mount.estimate import (
+    Correction,
+    KeepsTicks,
+    MountEstimate,
+    MountEstimator,
+    MountState,
+)
+
+FEW_TICKS = 3
+"""Fewer are closed one by one."""
 
 Quality = int
 """0 not available, 1 restored, 2 usable, 3 fine, 4 suspect: what the frames carry."""
@@ -190,12 +199,42 @@ class Pipeline:
             self._close(self._ticks.close(first), taken, faults[(first + 1) // HOP_TICKS - hop])
             rows.append(self.correction)
             quality.append(self.quality)
-            for row in ticks_from_samples(samples, first + 1, last, rejected).tolist():
-                self._close(row, taken, faults[(self.k + 1) // HOP_TICKS - hop])
-                rows.append(self.correction)
-                quality.append(self.quality)
+            closed = ticks_from_samples(samples, first + 1, last, rejected)
+            while self.k < last:
+                left = closed[self.k - first - 1 :]
+                quiet = 0 if any(faults) else self._keep_quiet(left, taken)
+                if not quiet:
+                    row = left[0].tolist()
+                    self._close(row, taken, faults[(self.k + 1) // HOP_TICKS - hop])
+                rows += [self.correction] * (quiet or 1)
+                quality += [self.quality] * (quiet or 1)
             self._add_tick(samples, rejected, last)
         return TickCorrections(first, rows, quality, _unfit_ticks(faults, first, last)), snapshots
+
+    def _keep_quiet(self, rows: NDArray[np.float64], snapshots: list[Snapshot] | None) -> int:
+        """Close as many ticks as the estimator only keeps, all at once; return how many.
+
+        rows: of the ticks from the open one on. No sensor may be unfit in any of them.
+        """
+        estimator = self.estimator
+        if self._preprocessor is not None or not isinstance(estimator, KeepsTicks):
+            return 0
+        n = min(estimator.quiet_ticks(), len(rows))
+        if n < FEW_TICKS:
+            return 0
+        estimator.keep_quiet(rows[:n])
+        heard = np.flatnonzero(rows[:n, SPEED.n])
+        if len(heard):
+            newest = int(heard[-1])
+            self.speed = self.k + newest, float(rows[newest, SPEED.mean])
+        first, self.k = self.k, self.k + n
+        if snapshots is not None:
+            every = self.status_ticks
+            snapshots += [
+                Snapshot(k - 1, estimator.estimate(), self.quality > 0)
+                for k in range((first // every + 1) * every, self.k + 1, every)
+            ]
+        return n
 
     def _add_tick(
         self, samples: Samples, rejected: Mapping[str, NDArray[np.float64]], k: int
