@@ -108,8 +108,8 @@ def test_a_daemon_that_ends_is_told_and_its_values_are_not_available(tmp_path, b
         with fed(Feed(source_of(service, said), receiver, 0.1, said.append)):
             wait_until(lambda: "status" in heard)
             service.stop()
-            assert service.server is not None
-            service.server.path.unlink()
+            assert service.sockets.status is not None
+            service.sockets.status.path.unlink()
             wait_until(lambda: not json.loads(heard["status"])["running"])
             assert json.loads(heard["acceleration"])["quality"] == "not_available"
 
