@@ -119,7 +119,7 @@ def _said(plan: Plan) -> str:
         text += f"; {plan.failed_before} failed before ('imucald fleet retry' tries them again)"
     if plan.other_configuration:
         text += f"; {plan.other_configuration} were evaluated with another configuration or version"
-        text += " (--redo config evaluates them anew)"
+        text += " (--redo config evaluates them again)"
     return text
 
 

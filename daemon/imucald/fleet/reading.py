@@ -27,7 +27,7 @@ NEEDED = (
 
 
 def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
-    """Write all tables of the analysis anew; return them. Raises ImucaldError."""
+    """Write all tables of the analysis again; return them. Raises ImucaldError."""
     wrong = [g for g in groups if g not in {c.name for c in TABLES["drives"] if c.kind == "text"}]
     if wrong:
         raise ImucaldError(f"--group {wrong[0]}: drives has no such column of texts")
