@@ -52,6 +52,12 @@ PITCHING_STD = 0.0014
 anti-squat geometry do, by some tenths of their size of 1 to 2 deg/g (0.002 to 0.004 rad/(m/s^2));
 times 1 m/s^2 of usual braking. The simulation draws the same difference."""
 
+YAW_PER_CROWN = 0.06
+"""Yaw error that goes with an unknown lean of the road (rad per rad): a car that is held straight
+on it slips sideways by the rear axle's load over its cornering stiffness, which is 12 to 20 times
+the load per rad (assumption; 110 kN/rad under 750 kg). It says how roll and yaw go together, not
+how large yaw's deviation is."""
+
 # What is left over; fitted to the errors of simulated drives.
 
 SIDESLIP_STD = 0.0014
