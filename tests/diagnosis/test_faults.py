@@ -69,6 +69,29 @@ def test_a_sensor_that_does_not_change_while_driving_is_stuck():
     )
 
 
+def test_a_value_on_a_rail_is_clipped_and_not_stuck():
+    samples = drive()
+    t, x = samples["gyro"].t, samples["gyro"].values.copy()
+    x[(t > 100.0) & (t < 104.0)] = [0.9, 0.9, 0.9]
+    x[:, 0] = np.minimum(x[:, 0], np.quantile(x[:, 0], 0.97))
+    rail = float(x[:, 0].max())
+    x[(t > 100.0) & (t < 104.0)] = [rail, 0.0, 0.0]
+    samples["gyro"] = Series(t, x)
+    assert list(causes(samples)) == ["saturation:gyro"]
+
+
+def test_frames_that_do_not_come_are_lost_and_not_stuck():
+    """Two frames of one value on either side of a hole of 8 s."""
+    samples = drive()
+    t, x = samples["gyro"].t, samples["gyro"].values.copy()
+    kept = (t < 100.0) | (t > 108.0)
+    t, x = t[kept], x[kept]
+    after = int(np.searchsorted(t, 104.0))
+    x[after] = x[after - 1]
+    samples["gyro"] = Series(t, x)
+    assert list(causes(samples)) == ["dropouts:gyro"]
+
+
 def test_zeros_at_standstill_are_natural():
     samples = drive()
     t, v = samples["speed"].t, samples["speed"].values.copy()
