@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from imucald.diagnosis.score import Estimate, Hypothesis
+from imucald.diagnosis.intervals import Estimate
+from imucald.diagnosis.score import Hypothesis
 from imucald.diagnosis.trials import Trial, likeliest
 
 BLOCKS = 40
