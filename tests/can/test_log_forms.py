@@ -44,6 +44,37 @@ def test_every_form_of_candump_gives_the_frames_of_its_log_file(form: str) -> No
     assert reader.ignored == {"remote_frame": 4}
 
 
+@pytest.mark.parametrize(
+    ("printed", "data"),
+    [
+        ("[3]  7B C5 65", "7BC565"),
+        ("[3]  7B C5 65   '{.e'", "7BC565"),
+        ("[3]  7B  C5 65", "7BC565"),
+        ("[3]  7b c5 65", "7BC565"),
+        ("[3]  65`C5`7B", "7BC565"),
+        ("[0] ", ""),
+        ("[12]  01 02 03 04 05 06 07 08 09 0A 0B 0C", "0102030405060708090A0B0C"),
+        ("[3]  7B C5", None),
+        ("[3]  7B C5 6", None),
+        ("[3]  7B C5 65A", None),
+        ("[3]  7B C5 6G", None),
+        ("[3]  7B \t\t 65", None),
+        ("[3]  7BC565", None),
+        ("[9]  01 02 03 04 05 06 07 08 09", None),
+    ],
+)
+def test_bytes_are_those_that_are_printed_or_the_line_is_refused(
+    printed: str, data: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "one.txt"
+    good = " (1.000000)  can0  123   [1]  2A\n"
+    path.write_text(f"{good} (2.000000)  can0  123   {printed}\n (3.000000)  can0{good[17:]}")
+    reader = LogReader([path])
+    found = [f.data.hex().upper() for f in frames_of(*reader)]
+    assert found == ["2A", *([] if data is None else [data]), "2A"]
+    assert reader.rejected == ({} if data is not None else {"bad_hex": 1})
+
+
 def test_several_interfaces_keep_their_names() -> None:
     found = frames_of(*LogReader([FORMS / "taany.txt"]))
     assert {f.channel for f in found} == {"vcan0", "vcan1"}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -24,6 +26,25 @@ def test_a_short_drive_passes_through_daemon_and_monitor(capsys, monkeypatch):
     assert (
         "The truth: roll -5.00°, pitch +3.00°, yaw +30.00°; x points forward, 30 deg left" in text
     )
+
+
+LEAN = """
+import resource, sys
+from imucald.cli import main
+status = main(["demo", "--live", "--minutes", "0.5", "--speed", "20"])
+heavy = {"scipy", "imucald.simulation", "asammdf"} & set(sys.modules)
+print("\\n", status, sorted(heavy), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
+
+
+@pytest.mark.slow
+def test_daemon_and_monitor_do_not_carry_what_the_simulation_needed():
+    done = subprocess.run(
+        [sys.executable, "-c", LEAN], capture_output=True, text=True, check=True, timeout=120
+    )
+    status, heavy, mib = done.stdout.splitlines()[-1].split()
+    assert (status, heavy) == ("0", "[]")
+    assert int(mib) < 150
 
 
 @pytest.mark.parametrize(

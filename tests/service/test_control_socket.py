@@ -126,6 +126,7 @@ def test_the_kernel_says_who_asks_and_sudo_for_whom(desk):
         b'{"order": "set-mount", "mount": {"roll_deg": 0, "pitch_deg": 0, "yaw_deg": 0, "std_deg": [1]}}',  # noqa: E501
         b"\xff\xfe\x00" * 100,
         b"[" * 4000,
+        b'{"order": "re_et\xbc"}',
         b'{"a":' * 700,
         b"GET / HTTP/1.1\r",
         bytes(range(11, 256)),
@@ -134,6 +135,13 @@ def test_the_kernel_says_who_asks_and_sudo_for_whom(desk):
 def test_what_is_no_order_is_answered_and_does_nothing(desk, line):
     assert "error" in desk.asked(line + b"\n")
     assert desk.orders.done == []
+
+
+def test_an_order_that_fails_is_answered_and_reported_and_the_loop_goes_on(desk):
+    desk.orders.hold = lambda _: 1 / 0
+    assert "ZeroDivisionError" in desk.asked(b'{"order": "hold"}\n')["error"]
+    assert "was refused: it failed" in desk.said[-1]
+    assert "done" in desk.asked(b'{"order": "reset"}\n')
 
 
 def test_a_mount_without_numbers_is_refused(desk):

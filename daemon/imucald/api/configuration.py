@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 from imucald.config import LoadedConfig
+from imucald.config.example import example_path
 from imucald.runtime.session import config_with
 
 PathLike = str | os.PathLike[str]
@@ -48,9 +48,7 @@ class Configuration:
     @classmethod
     def example(cls) -> Configuration:
         """Return the configuration of the drives that `imucald simulate` writes."""
-        place = resources.files("imucald") / "data" / "imucald_example.yaml"
-        with resources.as_file(place) as path:
-            return cls.load(path)
+        return cls.load(example_path())
 
     def __repr__(self) -> str:
         names = ", ".join(path.name for path in self.databases)

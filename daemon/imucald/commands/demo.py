@@ -74,15 +74,8 @@ def _command(options: argparse.Namespace, minutes: float) -> str:
 
 def run(options: argparse.Namespace) -> int:
     """Drive, show, compare; 0 when the estimate became usable."""
-    from imucald.commands.demo_drive import Demonstration
-    from imucald.commands.demo_picture import Picture
-    from imucald.commands.demo_result import print_result, write_svg
-    from imucald.commands.demo_view import LiveView, PlainView
     from imucald.commands.files import check_files
-    from imucald.commands.simulate import chosen_model
     from imucald.commands.terminal import plain_where_needed
-    from imucald.simulation.drive import simulate
-    from imucald.traffic.drive_encoder import example_config
 
     minutes = options.minutes
     if minutes is None:
@@ -90,21 +83,35 @@ def run(options: argparse.Namespace) -> int:
     if not 0.1 <= minutes <= MAX_MINUTES:
         raise ConfigError(f"--minutes must be between 0.1 and {MAX_MINUTES:g}")
     plain_where_needed()
-    model = chosen_model(
-        argparse.Namespace(
-            seed=options.seed, mount=options.mount, model=None, route=None, shift=[], changes=[]
-        )
-    )
-    began = time.monotonic()
     check_files((), (options.svg,))
     if options.live:
         from imucald.commands.demo_live import run_live
 
         if not 0.1 <= options.speed <= FASTEST:
             raise ConfigError(f"--speed must be between 0.1 and {FASTEST:g}")
-        drive = simulate(model, options.seed, options.minutes or LIVE_MINUTES)
-        run_live(drive, options.interface, options.channel, options.speed, options.web)
+        minutes = options.minutes or LIVE_MINUTES
+        bus = options.interface, options.channel, options.speed
+        run_live(options.seed, minutes, options.mount, *bus, options.web)
         return 0
+    return _as_fast_as_it_goes(options, minutes)
+
+
+def _as_fast_as_it_goes(options: argparse.Namespace, minutes: float) -> int:
+    """Show a drive in little time, its result and perhaps its picture."""
+    from imucald.commands.demo_drive import Demonstration
+    from imucald.commands.demo_picture import Picture
+    from imucald.commands.demo_result import print_result, write_svg
+    from imucald.commands.demo_view import LiveView, PlainView
+    from imucald.commands.simulate import chosen_model
+    from imucald.simulation.drive import simulate
+    from imucald.traffic.drive_encoder import example_config
+
+    model = chosen_model(
+        argparse.Namespace(
+            seed=options.seed, mount=options.mount, model=None, route=None, shift=[], changes=[]
+        )
+    )
+    began = time.monotonic()
     drive = simulate(model, options.seed, minutes)
     view = LiveView(options.seed) if sys.stdout.isatty() else PlainView(options.seed)
     picture = Picture()

@@ -1,12 +1,18 @@
 """`imucald demo --live`: a simulated bus, the real daemon and the monitor beside it, in one line.
 
 The daemon is the one of `imucald run`, in a thread of its own; the monitor asks it through its
-status socket, as it would any other. On python-can's virtual bus nothing has to be installed.
+status socket, as it would any other. On python-can's virtual bus nothing has to be installed. The
+drive is made before that by `imucald simulate` in a process of its own, into a log that is read as
+it is played: so what simulating needs of memory is gone when the daemon starts.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
+import math
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -16,17 +22,15 @@ from pathlib import Path
 from typing import Any
 
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
+from imucald.can.logs.log_reader import LogReader
 from imucald.can.python_can import can
 from imucald.commands.monitor import watch
-from imucald.core.angles import DEG_PER_RAD
+from imucald.config.example import example_path
 from imucald.core.errors import ConfigError, LinkError
 from imucald.core.orientation_words import sits_words
-from imucald.core.rotations import angles_from_rotation
+from imucald.core.rotations import rotation_from_angles
 from imucald.service.journal import Journal
 from imucald.service.service import Service, ServiceOptions
-from imucald.simulation.drive import Drive
-from imucald.traffic.can_log import live_frames
-from imucald.traffic.drive_encoder import BusEncoder, example_config
 
 START_S = 10.0
 """The daemon's socket must answer within this time [s]."""
@@ -36,12 +40,12 @@ CHANNELS = {"virtual": "imucald-live", "udp_multicast": "239.74.163.2", "socketc
 
 
 class SimulatedBus:
-    """Sends a drive's frames at their times, in a thread.
+    """Sends the frames of a drive's log at their times, in a thread.
 
     On the virtual bus stamps are those of the drive, so that it may pass faster than real time.
     """
 
-    def __init__(self, drive: Drive, interface: str, channel: str, speed: float) -> None:
+    def __init__(self, log: Path, interface: str, channel: str, speed: float) -> None:
         options: dict[str, Any] = {}
         if interface == "virtual":
             options["preserve_timestamps"] = True
@@ -49,7 +53,7 @@ class SimulatedBus:
             self._bus = can.Bus(interface=interface, channel=channel, **options)
         except (can.CanError, OSError, ValueError, ImportError) as error:
             raise LinkError(f"interface {interface!r}, channel {channel!r}: {error}") from None
-        self._drive, self._speed = drive, speed
+        self._log, self._speed = log, speed
         self._epoch = time.time()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._play, daemon=True)
@@ -66,8 +70,10 @@ class SimulatedBus:
         self._bus.shutdown()
 
     def _play(self) -> None:
-        began = time.monotonic()
-        for t, can_id, data in live_frames(self._drive, BusEncoder(example_config())):
+        began, first = time.monotonic(), None
+        for stamp, can_id, data in _frames(self._log):
+            first = stamp if first is None else first
+            t = stamp - first
             wait = began + t / self._speed - time.monotonic()
             if wait > AHEAD_S and self._ended.wait(wait):
                 return
@@ -81,35 +87,63 @@ class SimulatedBus:
                 self._bus.send(message)
 
 
+def _frames(log: Path) -> Iterator[tuple[float, int, bytes]]:
+    """Frames of a log one by one: stamp [s], id with the 29-bit flag, payload."""
+    for chunk in LogReader([log]):
+        rows = zip(chunk.t.tolist(), chunk.can_id.tolist(), chunk.length.tolist(), strict=True)
+        for (t, can_id, length), data in zip(rows, chunk.data, strict=True):
+            yield t, can_id, data[:length].tobytes()
+
+
 def run_live(
-    drive: Drive, interface: str, channel: str | None, speed: float, web: int | None
+    seed: int,
+    minutes: float,
+    mount: str | None,
+    interface: str,
+    channel: str | None,
+    speed: float,
+    web: int | None,
 ) -> None:
-    """Show the drive live until it ends or Ctrl-C; then the truth. Raises LinkError."""
+    """Show a drive live until it ends or Ctrl-C; then the truth. Raises ConfigError, LinkError."""
     if speed != 1.0 and interface != "virtual":
         raise ConfigError("--speed needs the virtual bus: elsewhere stamps are those of arrival")
     channel = channel or CHANNELS.get(interface, "")
-    bus = SimulatedBus(drive, interface, channel, speed)
-    note = f"simulated car (seed {drive.seed}) on {interface} {channel}"
-    try:
-        with _daemon(interface, channel) as socket:
-            bus.start()
-            watch(socket, drive.duration_s / speed, web, note)
-    finally:
-        bus.close()
-    R = drive.truth.R_vehicle_from_sensor(drive.duration_s)
-    roll, pitch, yaw = (a * DEG_PER_RAD for a in angles_from_rotation(R))
-    print(f"\nThe truth: roll {roll:+.2f}°, pitch {pitch:+.2f}°, yaw {yaw:+.2f}°; {sits_words(R)}.")
+    note = f"simulated car (seed {seed}) on {interface} {channel}"
+    with tempfile.TemporaryDirectory(prefix="imucald-live-") as folder:
+        log = Path(folder) / "drive.log"
+        bus = SimulatedBus(log, interface, channel, speed)
+        try:
+            truth = _simulated(log, seed, minutes, mount)
+            with _daemon(interface, channel) as socket:
+                bus.start()
+                watch(socket, truth["duration_s"] / speed, web, note)
+        finally:
+            bus.close()
+    angles = [truth["mount"][f"{name}_deg"] for name in ("roll", "pitch", "yaw")]
+    words = sits_words(rotation_from_angles(*map(math.radians, angles)))
+    roll, pitch, yaw = angles
+    print(f"\nThe truth: roll {roll:+.2f}°, pitch {pitch:+.2f}°, yaw {yaw:+.2f}°; {words}.")
+
+
+def _simulated(log: Path, seed: int, minutes: float, mount: str | None) -> dict[str, Any]:
+    """Have a drive written into a log; its truth. Raises ConfigError where it cannot be made."""
+    command = [sys.executable, "-P", "-m", "imucald", "simulate", "--out", str(log)]
+    command += ["--seed", str(seed), "--minutes", str(minutes)]
+    command += ["--mount", mount] if mount else []
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ConfigError(done.stderr.strip().removeprefix("imucald: "))
+    truth: dict[str, Any] = json.loads(log.with_name("drive.truth.json").read_text("utf-8"))
+    return truth
 
 
 @contextmanager
 def _daemon(interface: str, channel: str) -> Iterator[Path]:
     """Run the daemon in a thread; yields its status socket."""
-    config = example_config().path
-    assert config is not None
     with tempfile.TemporaryDirectory(prefix="imucald-live-") as folder, _quiet() as journal:
         socket = Path(folder) / "status.sock"
         options = ServiceOptions(
-            config=config, interface=interface, channel=channel, status_socket=socket
+            config=example_path(), interface=interface, channel=channel, status_socket=socket
         )
         service = Service(options, journal)
         thread = threading.Thread(target=service.run, daemon=True)

@@ -111,7 +111,7 @@ def _not_checked(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding
     if motion.speed is None:
         left.append("all that needs the speed")
     elif motion.change is not None and spread(motion.change) < MIN_BRAKING:
-        left.append("the accelerometer against changes of speed (none to speak of)")
+        left.append("the accelerometer against changes of speed (too few)")
     if "gyro" not in motion.grid and not motion.planar:
         left.append("the accelerometer's axes against a gyroscope's (there is none)")
     for text in left:

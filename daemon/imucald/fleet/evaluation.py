@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from imucald.api.configuration import Configuration
 from imucald.api.replaying import replay
-from imucald.core.errors import ConfigError, DatabaseError, LogError, NoFramesError
+from imucald.core.errors import (
+    ConfigError,
+    DatabaseError,
+    EstimateError,
+    LogError,
+    NoFramesError,
+)
 from imucald.fleet.bundle import code_hash, load_bundle
 from imucald.fleet.drive_row import drive_row, event_rows, known_times
 from imucald.fleet.fetch import NoRegularFileError, StorageError, local_copy
@@ -50,7 +57,21 @@ def _replayed(task: Task, config: Configuration, path: Path, key: str) -> Outcom
 
         write_signals(drive, task, key, start)
     events = event_rows(drive.tables["events"], start is not None)
-    return Outcome(OK, log_key=key, drive=drive_row(drive, config.loaded.config), events=events)
+    row = drive_row(drive, config.loaded.config)
+    if task.diagnose:
+        row["diagnosed"] = _diagnosed(config, path)
+    return Outcome(OK, log_key=key, drive=row, events=events)
+
+
+def _diagnosed(config: Configuration, path: Path) -> str | None:
+    """The certain causes as a JSON list; None where nothing can be said of the drive."""
+    from imucald.api.diagnosing import diagnose  # noqa: PLC0415 - only where it is asked for
+
+    try:
+        found = diagnose(config, path)
+    except EstimateError:
+        return None
+    return json.dumps(sorted(found.causes)) if found.complete else None
 
 
 def _named(error: LogError, path: Path, task: Task) -> str:

@@ -26,6 +26,10 @@ OTHER_CODE: Final = "other_code"
 """A worker that joined later has another imucald: the run ends, no log is to blame."""
 
 
+EVALUATE: Final = "imucald.fleet.evaluation:evaluate"
+"""What is called in the child, unless a test says otherwise."""
+
+
 class LogLimits(msgspec.Struct, frozen=True):
     """What one log may take."""
 
@@ -41,6 +45,7 @@ class Task(msgspec.Struct, frozen=True):
     source: its fsspec URL. bundle: name of the configuration, see `bundle.py`. function: what is
     called in the child, as "module:name". signals: URL of the folder that corrected signals go to.
     storage: options of the file systems by protocol; secrets come from the environment.
+    diagnose: run `imucald diagnose` on the log as well.
     """
 
     source: str
@@ -50,9 +55,10 @@ class Task(msgspec.Struct, frozen=True):
     date: str | None = None
     bytes: int = 0
     limits: LogLimits = LogLimits()
-    function: str = "imucald.fleet.evaluation:evaluate"
+    function: str = EVALUATE
     signals: str | None = None
     storage: dict[str, dict[str, Any]] = {}
+    diagnose: bool = False
 
 
 class Cost(msgspec.Struct, frozen=True):

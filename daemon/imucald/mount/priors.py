@@ -16,7 +16,7 @@ ACCEL_SCALE_STD = 0.003
 """Scale error per axis (part). Assumption: bare parts state up to 3 % (MPU-6050, initial
 calibration tolerance), today's about 1 %, and a unit that was set at the end of its line is
 better. Half of it turns into a tilt (`common_errors`): 0.08 deg."""
-CROSS_AXIS = ((0.001, 0.2), (0.005, 0.2), (0.01, 0.3), (0.02, 0.2), (0.04, 0.1))
+CROSS_AXIS = ((0.001, 0.15), (0.005, 0.2), (0.01, 0.25), (0.02, 0.25), (0.04, 0.15))
 """Cross-axis error (part, rms) where none is configured, with probabilities. The data
 sheet of a bare part states 2 % (MPU-6050), others 1 %: half of all units are taken to have that.
 The rest are assumptions: one in five was set at the end of its line, to a tenth of 1 %, another to

@@ -8,8 +8,6 @@ can be written in the frames of any vehicle that has a configuration.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +18,7 @@ from imucald.can.dbc.message import Signal
 from imucald.can.dbc.resolved_signal import raw_limits
 from imucald.can.e2e.protector import MessageProtector
 from imucald.config import LoadedConfig, load_config
+from imucald.config.example import example_path
 from imucald.core.errors import ConfigError
 from imucald.core.samples import Series
 from imucald.inputs.conversion import Conversion
@@ -34,8 +33,7 @@ CHANNEL = "can0"
 
 def example_config() -> LoadedConfig:
     """Return the configuration of the example bus (``imucald_example.dbc``)."""
-    path = resources.files("imucald") / "data" / "imucald_example.yaml"
-    return load_config(Path(str(path)))
+    return load_config(example_path())
 
 
 class BusEncoder:

@@ -51,7 +51,7 @@ _DELTA_SHARE: Final = 0.2
 """Part of the steps that go back from which stamps are differences: of differences half do."""
 _ERROR_ID: Final = 0x2000_0000
 _LOOK_LINES: Final = 200
-"""First lines by which differences are told from times since the start."""
+"""First lines by which differences are separated from times since the start."""
 
 
 class ScreenFrame(NamedTuple):
@@ -133,7 +133,7 @@ class CandumpScreenReader:
         cycle, can_id, channel = min(known)
         self._statistics.note(
             f"{name}: no time stamps: time is counted from id 0x{can_id & CAN_EFF_MASK:X}, stated "
-            f"every {1e3 * cycle:g} ms, and is as good as that; {REMEDY}"
+            f"every {1e3 * cycle:g} ms, and is only as exact as that; {REMEDY}"
         )
         return _Counted(can_id, channel, cycle)
 
@@ -152,11 +152,10 @@ class CandumpScreenReader:
         """Take one line; the reason why it cannot be used, and its text."""
         if not line or line.startswith(b"\t"):  # what -e explains about an error frame
             return None
-        t = None
+        t, match = None, _LINE.fullmatch(line)
         if isinstance(self._time, _Times):  # differences count whatever the line holds
-            match = _LINE.fullmatch(line)
             t = None if match is None or match["stamp"] is None else self._time.of(match["stamp"])
-        parsed = _parsed(line)
+        parsed = _as_cansend(line) if match is None else _as_printed(match)
         if isinstance(parsed, str):
             self._statistics.ignore(parsed)
             return None
@@ -178,23 +177,25 @@ class CandumpScreenReader:
 def _parsed(line: bytes) -> ScreenFrame | LineFault | str:
     """The frame of a line, why it has none, or the kind of frame that carries no data."""
     match = _LINE.fullmatch(line)
-    if match is None:
-        return _as_cansend(line)
-    can_id, length = int(match["id"], 16), int(match["length"])
-    rest = match["rest"].strip()
-    is_extended = len(match["id"]) == 8
+    return _as_cansend(line) if match is None else _as_printed(match)
+
+
+def _as_printed(match: re.Match[bytes]) -> ScreenFrame | LineFault | str:
+    channel, id_text, length_text, rest = match.group("channel", "id", "length", "rest")
+    can_id, length, rest = int(id_text, 16), int(length_text), rest.strip()
+    is_extended = len(id_text) == 8
     if rest.startswith(b"remote request"):
         return "remote_frame"
     if is_extended and can_id >= _ERROR_ID:
         return "error_frame"
     data = _data(rest, length)
-    fd = len(match["length"]) == 2
+    fd = len(length_text) == 2
     if data is None or length > (FD_BYTES if fd else CLASSIC_BYTES):
         return LineFault("bad_hex", f"these are not {length} bytes")
     if not is_extended and can_id > CAN_SFF_MASK:
         return LineFault("bad_id", "the id is not 3 digits up to 7FF")
     can_id |= CAN_EFF_FLAG if is_extended else 0
-    return ScreenFrame(can_id, data, match["channel"].decode("ascii"), fd)
+    return ScreenFrame(can_id, data, channel.decode("ascii"), fd)
 
 
 def _as_cansend(line: bytes) -> ScreenFrame | LineFault | str:
@@ -212,6 +213,14 @@ def _data(rest: bytes, length: int) -> bytes | None:
     """The bytes of a frame, printed in one of four ways; None where there are not so many."""
     if not length:
         return b""
+    end = 3 * length - 1
+    if rest[2:end:3] == b" " * (length - 1) and rest[end : end + 1] in b" ":  # the usual way
+        try:
+            data = bytes.fromhex(rest[:end].decode("ascii"))
+        except ValueError:
+            return None
+        if len(data) == length:
+            return data
     reverse = b"`" in rest[:3] or b"`" in rest[:9]
     words = rest.partition(b"   ")[0].split(b"`" if reverse else None)[:length]
     if len(words) != length:
