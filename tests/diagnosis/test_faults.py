@@ -111,6 +111,19 @@ def test_lost_frames_are_counted():
     assert causes(samples, knowing) == {}, "the model file says so already"
 
 
+def test_a_sender_that_changes_its_rate_loses_nothing():
+    """Half the rate for 30 s, as phones do; as many lost at random are drop-outs."""
+    samples = drive()
+    t, x = samples["accel"].t, samples["accel"].values
+    slow = (t > 100.0) & (t < 130.0)
+    kept = ~slow | (np.arange(len(t)) % 2 == 0)
+    samples["accel"] = Series(t[kept], x[kept])
+    assert causes(samples) == {}
+    kept = np.random.default_rng(8).random(len(t)) < kept.mean()
+    samples["accel"] = Series(t[kept], x[kept])
+    assert list(causes(samples)) == ["dropouts:accel"]
+
+
 def test_frames_that_come_twice_are_no_faster_clock():
     samples = drive()
     t, x = samples["accel"].t, samples["accel"].values

@@ -235,7 +235,11 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     lost = sent - len(t)
     stated = float(message.loss)
     chance = 5.0 * np.sqrt(max(stated, 1e-4) * sent)
-    if lost >= LOST_FEWEST and lost - stated * sent > max(LOST_TOLERANCE * sent, chance):
+    if (
+        lost >= LOST_FEWEST
+        and lost - stated * sent > max(LOST_TOLERANCE * sent, chance)
+        and not _has_other_rate(steps)
+    ):
         share = lost / sent
         yield Fault(
             "dropouts", name, {f"{name}.loss": (share, float(np.sqrt(share / sent)), "1")},
@@ -254,6 +258,13 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
             f"The cycle is {1000 * cycle:.5g} ms, {off:+.0f} ppm off what the model file states.",
             {f"{name}.clock_drift_ppm": ppm}, (), abs(off) / CLOCK_PPM * 10.0,
         )  # fmt: skip
+
+
+def _has_other_rate(steps: Array) -> bool:
+    """Whether wide steps follow each other: a sender that changes its rate loses nothing. Of losses
+    at random or in bursts most are followed by a step of one cycle. steps: (N,) cycles."""
+    wide = steps > 1.0
+    return bool(wide[:-1].sum() > 0 and wide[1:][wide[:-1]].mean() > 0.5)
 
 
 def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:
