@@ -124,6 +124,14 @@ def test_a_sender_that_changes_its_rate_loses_nothing():
     assert list(causes(samples)) == ["dropouts:accel"]
 
 
+def test_a_pause_of_minutes_is_no_loss():
+    samples = drive()
+    t, x = samples["accel"].t, samples["accel"].values
+    kept = (t < 100.0) | (t > 200.0)
+    samples["accel"] = Series(t[kept], x[kept])
+    assert causes(samples) == {}
+
+
 def test_frames_that_come_twice_are_no_faster_clock():
     samples = drive()
     t, x = samples["accel"].t, samples["accel"].values

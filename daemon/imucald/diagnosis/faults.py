@@ -29,6 +29,8 @@ PARTNER_SHARE = 0.5
 """A slow signal is stuck where others go on moving by this share of their usual spread."""
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Frames that a bus and a logger may lose without a fault."""
+PAUSE_S = 10.0
+"""A hole that is longer begins a new segment everywhere in this program."""
 DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
 """A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
@@ -231,6 +233,8 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     if clock is None:
         return
     cycle, se, steps, is_steady = clock
+    # A pause of the sender or the logger is no loss.
+    steps = np.where(np.diff(t) > PAUSE_S, 1.0, steps)
     sent = int(steps.sum()) + 1
     lost = sent - len(t)
     stated = float(message.loss)
