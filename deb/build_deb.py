@@ -60,13 +60,15 @@ if [ -d /run/systemd/system ]; then
   systemctl daemon-reload || true
   udevadm control --reload || true
   /usr/lib/systemd/systemd-sysctl /usr/lib/sysctl.d/60-imucald.conf || true
-  if [ -n "$2" ]; then systemctl try-restart 'imucald@*.service' || true; fi
+  if [ -n "$2" ]; then
+    systemctl try-restart 'imucald@*.service' imucald-metrics-http.service || true
+  fi
 fi
 """
 PRERM = """#!/bin/sh
 set -e
 if [ "$1" = remove ] && [ -d /run/systemd/system ]; then
-  systemctl stop 'imucald@*.service' || true
+  systemctl stop 'imucald@*.service' 'imucald-metrics*' || true
 fi
 """
 POSTRM = """#!/bin/sh

@@ -64,6 +64,7 @@ SECTIONS = {
     "RawSource": "raw",
     "ParallelSensor": "parallel",
     "MessageProtection": "messages",
+    "KnownMount": "mount",
     "ModelFile": "model",
     "OutputIds": "ids",
     "SecurityAccess": "security",

@@ -309,6 +309,19 @@ def test_driving_backwards_turns_the_vehicle_round(base):
         faulty.samples["lateral_accel"].values, -base.samples["lateral_accel"].values
     )
     assert faulty.samples["yaw_rate"] is base.samples["yaw_rate"]
+    wheels, sound = faulty.samples["wheel_speeds"].values, base.samples["wheel_speeds"].values
+    assert np.array_equal(wheels[:, 0], sound[:, 1])
+    assert np.array_equal(wheels[:, 2], sound[:, 3])
+
+
+def test_a_fault_that_no_signal_shows_is_told_apart_and_judged_by_no_bar():
+    mirrored = next(row for row in ROWS if row.name == "all accelerometer signs")
+    assert mirrored.is_shown(frozenset({"accel", "gyro", "speed", "yaw_rate"}))
+    assert not mirrored.is_shown(frozenset({"accel", "gyro", "speed"}))
+    hidden = line(mirrored.name, misleading=900.0, beyond=900.0, base="alone", shown=False)
+    text = report([line(mirrored.name), hidden])
+    assert "all accelerometer signs: 1 drives (alone), good and wrong for" in text
+    assert "misleading later than the allowed time to alert in 0.00 %" in text
 
 
 # what is sent ----------------------------------------------------------------------------------

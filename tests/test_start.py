@@ -13,7 +13,8 @@ from imucald.can.logs.log_reader import CandumpWriter
 from imucald.cli import PROCESS_SETTINGS
 from simulated_bus import CONFIG, drive_frames
 
-HEAVY = ("can", "scipy", "asammdf", "pandas", "matplotlib", "asyncio", "rich", "cantools.tester")
+HEAVY = ("can", "scipy", "asammdf", "pandas", "matplotlib", "asyncio", "rich", "cantools.tester",
+         "http.server", "subprocess", "paho", "kuksa_client", "prometheus_client")  # fmt: skip
 """Each costs 20 ms to a second, or tens of megabytes."""
 PROBE = """
 import json, os, sys
@@ -51,6 +52,14 @@ def test_a_replay_loads_no_heavy_module_and_runs_linear_algebra_on_one_thread(tm
     assert loaded == []
     assert settings == PROCESS_SETTINGS
     assert out.stat().st_size > 1000
+
+
+def test_the_daemon_with_its_sockets_loads_no_heavy_module(tmp_path):
+    options = ["--seconds", "0.1", "--status-socket", str(tmp_path / "s")]
+    where = ["--interface", "socketcan", "--channel", "imucald9"]  # python-can is not needed
+    status, loaded, _ = run("run", "--config", str(CONFIG), *where, *options)
+    assert status in (0, 1), "no such interface, or no CAN in this kernel"
+    assert loaded == []
 
 
 def test_help_loads_no_numpy_even():

@@ -94,9 +94,12 @@ def hidden(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
 
 
 def intervals(lines: Sequence[Line], null_lines: Sequence[Line]) -> tuple[int, int]:
-    """How many intervals of named parameters hold what was put in, on top of what is named in the
-    same piece as it is."""
-    own = {(x["log"], _piece(x)): x["values"] for x in null_lines if "refused" not in x}
+    """How many intervals of named parameters hold what was put in, on top of what the same piece
+    as it is says of the parameter, named or not."""
+    own = {
+        (x["log"], _piece(x)): {k: v[:2] for k, v in {**x["others"], **x["values"]}.items()}
+        for x in null_lines if "refused" not in x
+    }  # fmt: skip
     held = sized = 0
     for x in lines:
         truth = x.get("truth") or {}
@@ -105,7 +108,7 @@ def intervals(lines: Sequence[Line], null_lines: Sequence[Line]) -> tuple[int, i
         if got is None:
             continue
         value, se, q = got
-        base, base_se, _ = own.get((x["log"], _piece(x)), {}).get(key, (0.0, 0.0, 0.0))
+        base, base_se = own.get((x["log"], _piece(x)), {}).get(key, (0.0, 0.0))
         sized += 1
         held += abs(value - base - truth["value"]) <= q * (se**2 + base_se**2) ** 0.5
     return held, sized

@@ -67,6 +67,10 @@ def outcome(case: Case) -> dict[str, Any]:
         "cpu_s": round(seconds, 2), "cpu_s_per_h": round(seconds / hours, 1),
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
         "values": _values(d), "truth": truth,
+        "others": {
+            key: [p.value - p.stated, p.std]
+            for c in d.candidates for key, p in c.parameters.items()
+        },
     }  # fmt: skip
     if case.part in {"measured", "nulls"} and d.causes:
         result["file"] = _file_alone(d, samples)

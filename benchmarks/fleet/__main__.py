@@ -34,7 +34,7 @@ def main() -> int:
     parser.add_argument("--only", choices=PARTS)
     parser.add_argument("--fleets", type=int, default=60)
     parser.add_argument("--copies", type=int, default=5)
-    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=5)
     options = parser.parse_args()
     if options.only in (None, "statistics"):
         _statistics(options.fleets)
@@ -96,13 +96,14 @@ def _errors(title: str, scores: Scores) -> None:
 def _throughput(copies: int, rounds: int) -> None:
     t = throughput(copies, rounds)
     print(f"{t.logs} logs of 10 min (2 of them poison), {t.megabytes:.0f} MB")
-    for name, one in (
-        ("plain replay, one process", t.plain),
-        ("1 worker", t.one),
-        ("2 workers", t.two),
-    ):
-        print(f"  {name:<26} {one.wall:.1f} s, {one.cpu:.1f} s of processor, {one.memory:.0f} MiB")
-    print(f"two workers against one: {t.speedup:.2f} times (bar 1.8: {_met(t.speedup >= 1.8)})")
+    print("  wall and processor time [s]: plain replay; 1 worker; 2 workers; times; load before")
+    for r in t.rounds:
+        times = "; ".join(f"{one.wall:6.1f} {one.cpu:6.1f}" for one in (r.plain, r.one, r.two))
+        print(f"  {times}; {r.speedup:.2f}; {r.load[0]:.1f}, {r.load[1]:.1f}")
+    print(
+        f"two workers against one: {t.speedup:.2f} times, median of {len(t.rounds)} "
+        f"(bar 1.8: {_met(t.speedup >= 1.8)})"
+    )
     most = max(t.overhead_cpu_s, t.overhead_wall_s)
     print(
         f"a log beside its replay: {t.overhead_cpu_s:.3f} s of processor, "

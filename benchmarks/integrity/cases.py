@@ -61,7 +61,8 @@ class Row:
     """A fault of a size, a line of the table.
 
     bar: of the issue. allowed: time to alert. times: how many times the drives. whole: it is there
-    all the time. checked: `check` looks at it as well.
+    all the time. checked: `check` looks at it as well. shown_by: channels of which one must be
+    there, or no signal of the drive is other than in a sound one.
     """
 
     part: str
@@ -72,7 +73,15 @@ class Row:
     times: int = 1
     whole: bool = True
     checked: bool = False
+    shown_by: frozenset[str] = frozenset()
 
+    def is_shown(self, channels: frozenset[str]) -> bool:
+        """Whether any signal of a drive with these channels shows it."""
+        return not self.shown_by or bool(self.shown_by & channels)
+
+
+SIDED = frozenset({"steering", "lateral_accel", "wheel_speeds"})
+"""They know left from right of the vehicle, and so its front from its rear."""
 
 ROWS = (
     Row("values", "frozen sensor", 2, faults.frozen_sensor, SOON, whole=False),
@@ -91,7 +100,14 @@ ROWS = (
     ),
     Row("errors", "gain of an axis 3 %", 5, faults.gain(0.03)),
     Row("errors", "gain of an axis 10 %", 5, faults.gain(0.1)),
-    Row("signs", "all accelerometer signs", 6, faults.all_signs, checked=True),
+    Row(
+        "signs",
+        "all accelerometer signs",
+        6,
+        faults.all_signs,
+        checked=True,
+        shown_by=SIDED | {"yaw_rate"},
+    ),
     Row("signs", "one accelerometer sign", 6, faults.one_sign, checked=True),
     Row("signs", "accelerometer axes exchanged", 6, faults.accel_exchanged, checked=True),
     Row("signs", "gyroscope axes exchanged", 6, faults.gyro_exchanged, checked=True),
@@ -102,7 +118,14 @@ ROWS = (
     Row("signs", "speed / 3.6", 6, faults.speed_units(1.0 / 3.6), checked=True),
     Row("signals", "speed 1.19 x wheels", 7, faults.speed_against_wheels, checked=True),
     Row("signals", "steering sign", 7, faults.steering_sign, checked=True),
-    Row("signals", "reversing, no reverse signal", 7, faults.reversing, checked=True),
+    Row(
+        "signals",
+        "reversing, no reverse signal",
+        7,
+        faults.reversing,
+        checked=True,
+        shown_by=SIDED | {"longitudinal_accel"},
+    ),
     Row("signals", "rates 57.3 times too small", 7, faults.small_rates, whole=False),
     Row("signals", "speed stuck", 7, faults.speed_stuck, whole=False),
 )

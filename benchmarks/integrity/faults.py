@@ -331,9 +331,13 @@ def reversing(base: Base, put: Put) -> Faulty:
     """Driven backwards all the time, and no signal of it.
 
     The same path driven the other way round: forward is backward, left is right; steering, lateral
-    and longitudinal signals turn their sign, the yaw rate does not.
+    and longitudinal signals turn their sign, the yaw rate does not, left and right wheels change
+    places.
     """
     changed = _scaled(("steering", "lateral_accel", "longitudinal_accel"), -1.0)(base, put).samples
+    if "wheel_speeds" in changed:
+        wheels = changed["wheel_speeds"]
+        changed = {**changed, "wheel_speeds": Series(wheels.t, wheels.values[:, [1, 0, 3, 2]])}
     about_up = rotation_from_vector([0.0, 0.0, math.pi])
     left_out = frozenset({"reverse"})
     samples = {c: s for c, s in changed.items() if c not in left_out}

@@ -75,9 +75,10 @@ def outcome(case: Case) -> dict[str, Any] | None:
         "known": n,
         "exposed": bool((seconds.good[max(0, int(faulty.onset) - SEEN_S) :] > 0.0).any()),
         "crash": found.crash,
+        "shown": case.fault.is_shown(channels),
         "points": points(seconds, faulty.onset),
         **_first_good(seconds, found),
-        "level": _checked(bus, reads) if case.fault.checked else None,
+        "level": _checked(bus, reads, base) if case.fault.checked else None,
         "cpu_s": round(time.process_time() - began, 2),
     }
     if base.mounts:
@@ -203,9 +204,10 @@ def _first_good(seconds: Seconds, found: Sent) -> dict[str, Any]:
     }
 
 
-def _checked(bus: FrameColumns, loaded: LoadedConfig) -> str:
-    """The worst that `check` says of the first minutes."""
+def _checked(bus: FrameColumns, loaded: LoadedConfig, base: Base) -> str:
+    """The worst that `check` says of the first minutes of driving, and what lies before them."""
     check = Check(loaded)
-    check.feed(bus.take(slice(0, int(np.searchsorted(bus.t, CHECKED_S)))))
+    until = CHECKED_S + int(np.argmax(base.moving()))
+    check.feed(bus.take(slice(0, int(np.searchsorted(bus.t, until)))))
     found = {finding.level for finding in check.findings()}
     return next(level for level in LEVELS if level in found or level == "ok")

@@ -26,15 +26,19 @@ HOUR = 3600.0
 
 def report(lines: Sequence[Line]) -> str:
     """All tables and bars of what there is."""
+    hidden = [x for x in lines if not x.get("shown", True)]
+    lines = [x for x in lines if x.get("shown", True)]
     by_row = {row.name: [x for x in lines if x["row"] == row.name] for row in ROWS}
     there = [row for row in ROWS if by_row[row.name]]
     quiet = [x for x in lines if x["row"] == QUIET.name]
     recorded = [x for x in lines if x["row"] == AS_RECORDED.name]
-    out = [_drives(lines), ""]
+    out = [_drives([*lines, *hidden]), ""]
     if quiet:
         out += ["### Without a fault", "", *_quiet(quiet), ""]
     if there:
         out += ["### Faults", "", *_table(there, by_row), ""]
+    if hidden:
+        out += ["### Faults that no signal shows", "", *_hidden(hidden), ""]
     out += ["### Bars", "", *_bars(there, by_row, quiet, recorded), ""]
     if recorded:
         out += ["### Logs as they were recorded", "", *_recorded(recorded), ""]
@@ -132,6 +136,19 @@ def _table(rows: Sequence[Row], by_row: dict[str, list[Line]]) -> Iterator[str]:
             f" {total(lines, 'beyond') / hours:.1f} | {_longest(lines)} | {cover} |"
             f" {total(lines, 'fine') / hours:.0f} | {crashes or ''} | {checked} |"
         )
+
+
+def _hidden(lines: Sequence[Line]) -> Iterator[str]:
+    """Drives in which nothing differs from a sound one; they are in no bar and no other table."""
+    for row in ROWS:
+        found = [x for x in lines if x["row"] == row.name]
+        if found:
+            wrong = total(found, "misleading") / (total(found, "judged") / HOUR)
+            names = ", ".join(sorted(x["base"] for x in found))
+            yield (
+                f"- {row.name}: {len(found)} drives ({names}), good and wrong for {wrong:.0f} s an"
+                f" hour, *fine* in {sum(x['fine'] > 0.0 for x in found)}."
+            )
 
 
 def _longest(lines: Sequence[Line]) -> str:

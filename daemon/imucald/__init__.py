@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from imucald.api.streaming import DrivePart, DriveStream, stream
     from imucald.api.walking import WalkResult, walk
     from imucald.core.errors import ConfigError, ImucaldError, LogError
+    from imucald.fleet.opened import FleetTables as Fleet
 
 __version__ = "0.2.0"
 
@@ -34,6 +35,7 @@ _PLACES = {
     "DriveResult": ("api.drive", "DriveResult"),
     "DriveSet": ("api.drives", "DriveSet"),
     "DriveStream": ("api.streaming", "DriveStream"),
+    "Fleet": ("fleet.opened", "FleetTables"),
     "ImucaldError": ("core.errors", "ImucaldError"),
     "LogError": ("core.errors", "LogError"),
     "MountResult": ("api.mount", "MountResult"),
@@ -57,6 +59,7 @@ __all__ = [
     "DriveResult",
     "DriveSet",
     "DriveStream",
+    "Fleet",
     "ImucaldError",
     "LogError",
     "MountResult",

@@ -16,6 +16,7 @@ import os
 import sys
 from collections.abc import Sequence
 from types import ModuleType
+from typing import Any
 
 from imucald import __version__
 from imucald.core.errors import ImucaldError
@@ -58,7 +59,7 @@ GROUPS = {
     },
     "operate it": {
         "events": "list what happened to a running daemon, with times",
-        "reset": "have a running daemon forget the mount and begin anew",
+        "reset": "have a running daemon forget the mount and start again",
         "hold": "have a running daemon keep its mount and learn nothing",
         "release": "have a running daemon learn again after a hold",
         "set-mount": "put a mount that is known in force in a running daemon",
@@ -96,15 +97,21 @@ class _ByGroups(_Help):
         return f"\n  {heading}:\n{text}" if heading and action.nargs is None else text
 
 
+class _Parser(argparse.ArgumentParser):
+    """Takes whole options only: what is short for one today may be short for two tomorrow."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**{"formatter_class": _formatter, "allow_abbrev": False, **given})
+
+
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     """Return the parser; only the named command's options are loaded (all without one)."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="imucald",
         description="Finds out how an inertial sensor sits in a vehicle, from the signals on the "
         "CAN bus, and sends its signals corrected to vehicle axes.",
         epilog="'imucald COMMAND --help' explains a command. First step: imucald demo.",
         formatter_class=lambda prog: _formatter(prog, _ByGroups),
-        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"imucald {__version__}")
     subparsers = parser.add_subparsers(
@@ -112,9 +119,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     )
     for name, text in COMMANDS.items():
         about = f"{text[0].upper()}{text[1:]}."
-        sub = subparsers.add_parser(
-            name, help=text, description=about, formatter_class=_formatter, allow_abbrev=False
-        )
+        sub = subparsers.add_parser(name, help=text, description=about)
         if command is None or name == command:
             _command(name).add_arguments(sub)
     return parser

@@ -23,6 +23,7 @@ PUBLIC = [
     "DriveResult",
     "DriveSet",
     "DriveStream",
+    "Fleet",
     "ImucaldError",
     "LogError",
     "MountResult",

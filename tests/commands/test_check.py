@@ -157,6 +157,24 @@ def test_a_wrong_unit_of_the_accelerometer_is_an_error(frames: Frames) -> None:
     assert told(report, "warning") == {}
 
 
+def seldom(frames: Frames, can_id: int, cycle: float) -> Frames:
+    """The frames with one identifier's thinned out to a cycle [s]."""
+    kept = []
+    for chunk in frames:
+        own = np.flatnonzero(chunk.can_id == can_id)
+        first = np.unique(np.floor(chunk.t[own] / cycle), return_index=True)[1]
+        keep = chunk.can_id != can_id
+        keep[own[first]] = True
+        kept.append(chunk.take(np.flatnonzero(keep)))
+    return kept
+
+
+def test_an_accelerometer_that_comes_too_seldom_is_an_error(frames: Frames) -> None:
+    report = checked(seldom(frames, 0x200, 1.0))
+    assert not report["usable"]
+    assert "every 1 s" in told(report, "error")["accelerometer"]
+
+
 def test_exchanged_wheels_are_noticed(frames: Frames) -> None:
     def change(text: str) -> str:
         return text.replace("Left\n", "@\n").replace("Right\n", "Left\n").replace("@\n", "Right\n")
@@ -432,7 +450,7 @@ def test_a_bus_of_another_vehicle_is_one_error_with_its_ids(frames: Frames) -> N
 
 
 def test_what_could_not_be_judged_is_listed(frames: Frames) -> None:
-    (text,) = (t for t in told_all(checked(frames), "note") if "units and ranges" in t)
+    (text,) = (t for t in told_all(checked(frames), "note") if "unit and range" in t)
     assert "temperature" in text
 
 
@@ -483,4 +501,4 @@ def test_a_sensor_that_sticks_within_the_log_is_told(frames: Frames) -> None:
         data[late, 2:4] = 7  # the y axis
         check.feed(replace(chunk, data=data))
     text = told(check.report(), "warning")["accelerometer"]
-    assert "y says the same again and again (stuck, from 15" in text
+    assert "y repeats one value (stuck, from 15" in text

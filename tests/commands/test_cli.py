@@ -73,6 +73,7 @@ def test_the_command_list_says_what_each_does(capsys: pytest.CaptureFixture[str]
         ("", "usage: imucald"),
         ("replay --frob a.log --config b.yaml", "usage: imucald replay"),
         ("replay --conf b.yaml a.log", "--config"),
+        ("fleet status --ou x", "--out"),
         ("run --config b.yaml --seconds -1", "must be a number above 0"),
         ("check --config b.yaml --seconds nan", "must be a number above 0"),
         ("init --interface can0 --seconds 0", "must be a number above 0"),

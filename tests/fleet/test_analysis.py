@@ -185,6 +185,12 @@ def test_a_fault_of_many_vehicles_of_a_type_is_design_and_of_one_is_not() -> Non
         ("type-1", "accel stuck"): "design",
         ("type-2", "gyro saturated"): "single vehicles",
     }
+    columns["causes"], columns["diagnosed"] = ["[]"] * 180, columns["causes"]
+    of_diagnosis = analysed(columns)["analysis/causes"]
+    assert [(r["cause"], r["verdict"]) for r in of_diagnosis] == [
+        ("diagnosed: accel stuck", "design"),
+        ("diagnosed: gyro saturated", "single vehicles"),
+    ]
     (row,) = [r for r in rows if r["cause"] == "accel stuck"]
     assert (row["vehicles_with"], row["vehicles"]) == (10, 30)
     assert 0.0 < row["rate_shrunk"] <= 1 / 3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -15,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 from fleet_files import CONFIG, environment, make_fleet, tables_of, whole_log
 
+import imucald
 from imucald.cli import main
 
 
@@ -96,6 +98,38 @@ def test_status_and_why_tell_what_the_tables_hold(
     assert key in capsys.readouterr().out
     assert main(["fleet", "why", "--out", str(done), "car"]) == 1
     assert "7 logs have that" in capsys.readouterr().err
+
+
+def test_a_fleet_is_read_from_python_as_the_files_have_it(done: Path) -> None:
+    fleet = imucald.Fleet.open(str(done))
+    assert fleet.drives.equals(pq.read_table(done / "drives"))
+    assert fleet.failures.column("kind").to_pylist() == ["no_frames"]
+    assert set(fleet.events.column("log_key").to_pylist()) <= set(
+        fleet.drives.column("log_key").to_pylist()
+    )
+    assert fleet.vehicles.equals(pq.read_table(done / "analysis" / "vehicles"))
+    again = fleet.analyse(groups=("vehicle_type",))
+    assert fleet.table("analysis/groups").equals(again["analysis/groups"])
+    assert repr(fleet) == f"Fleet at {done}: 6 drives, 1 failed"
+    with pytest.raises(imucald.ImucaldError, match="none of drives"):
+        fleet.table("motors")
+    with pytest.raises(imucald.ImucaldError, match="no run has written"):
+        imucald.Fleet.open(str(done / "nowhere"))
+
+
+@pytest.mark.slow
+def test_a_diagnosis_of_each_drive_is_a_column_where_it_is_asked_for(
+    tmp_path: Path, log: Path
+) -> None:
+    fleet = make_fleet(tmp_path, log, 1, seconds=180.0)
+    command = ["fleet", "run", "--fleet", str(fleet), "--out", str(tmp_path / "out"), "--quiet"]
+    assert main([*command, "--workers", "1"]) == 0
+    (said,) = pq.read_table(tmp_path / "out" / "drives").column("diagnosed").to_pylist()
+    assert said is None
+    assert main([*command, "--workers", "1", "--redo", "all", "--diagnose"]) == 0
+    (said,) = pq.read_table(tmp_path / "out" / "drives").column("diagnosed").to_pylist()
+    found = imucald.diagnose(imucald.Config.load(CONFIG), log)
+    assert json.loads(said) == sorted(found.causes)
 
 
 def test_the_report_is_one_page_that_loads_nothing(done: Path, tmp_path: Path) -> None:

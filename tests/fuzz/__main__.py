@@ -28,6 +28,7 @@ NAMES = [
     "saved_dtcs",
     "isotp_frames",
     "status_request",
+    "control_order",
     "bus_frames",
     "reload",
     "frame_check",

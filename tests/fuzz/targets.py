@@ -11,7 +11,9 @@ import contextlib
 import functools
 import hashlib
 import io
+import itertools
 import json
+import os
 import socket
 import struct
 import tempfile
@@ -32,10 +34,13 @@ from imucald.core.errors import ImucaldError
 from imucald.inputs.expression import Expression
 from imucald.inputs.wiring import compile_router
 from imucald.model.model import load_model
+from imucald.runtime.alarms import ALARMS
 from imucald.runtime.session import make_engine, open_config
 from imucald.service import dtc_store, state_file
 from imucald.service.attempt_store import AttemptStore
+from imucald.service.control import ControlServer
 from imucald.service.journal import Journal
+from imucald.service.line_server import Peer
 from imucald.service.service import Service, ServiceOptions
 from imucald.service.status import StatusServer
 from imucald.uds.isotp_channel import IsoTpChannel
@@ -63,8 +68,17 @@ STATUS: dict[str, Any] = {
     },
     "signals": {"accel": {"samples": 100}},
     "frames": {"rejected": {"checksum": 2}},
-    "link": {**dict.fromkeys(LINK_COUNTERS.split(), 0), "send_errors": {}, "state": "up"},
-    "saved_state": {"saves": 1, "failures": 0},
+    "link": {
+        **dict.fromkeys(LINK_COUNTERS.split(), 0),
+        "send_errors": {},
+        "state": "up",
+        "channel": "can0",
+    },
+    "saved_state": {"saves": 1, "failures": 0, "remounts": 0},
+    "health": dict.fromkeys(ALARMS, False),
+    "version": "0.2.0",
+    "held": False,
+    "frames_given_out": 7,
     "uptime_s": 10.0,
     "process": {"cpu_s": 0.5, "rss_bytes": 50_000_000},
 }
@@ -194,6 +208,21 @@ def status_request(data: bytes) -> None:
 
 
 @functools.cache
+def _control_server() -> ControlServer:
+    service, _ = _service()
+    ticks = itertools.count()
+    path = FOLDER / "control.sock"
+    return ControlServer(path, service.orders, lambda *_: None, lambda: float(next(ticks)))
+
+
+def control_order(data: bytes) -> None:
+    """A request to the control socket of a running daemon."""
+    answer = json.loads(_control_server()._answer(data[:4096], Peer(1, os.geteuid(), 0)))
+    assert len(answer) == 1
+    assert answer.keys() <= {"done", "error"}
+
+
+@functools.cache
 def _config() -> Any:
     return open_config(ROOT / "config" / "examples" / "passenger_car.yaml")
 
@@ -293,6 +322,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
         saved_dtcs,
         isotp_frames,
         status_request,
+        control_order,
         bus_frames,
         reload,
         frame_check,

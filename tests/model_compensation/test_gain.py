@@ -84,30 +84,31 @@ def test_corrected_signals_are_nearer_to_the_truth(name):
 
 SOFT = {"suspension.squat_gradient": 0.015, "suspension.dive_gradient": 0.002}
 MOUNT_CASES = {
-    "accel_scale": ({"accel.scale": [0.0, 0.08, 0.0]}, (1, 2), ALL, 0.6),
+    "accel_scale": ({"accel.scale": [0.0, 0.08, 0.0]}, (1, 2), ALL, 0.5),
     "accel_cross_axis": ({"accel.cross_axis": [0.03, 0, -0.03, 0.02, 0, 0.03]}, (1, 2), ALL, 0.6),
     "squat_alone": (SOFT, (1,), (0,), 0.9),
     "accel_delay": ({"accel.delay_s": 0.3}, (1, 2), ALL, 1.05),
 }
 """Changes, angles that they turn; axes of the force, and how much of its error may be left."""
+MOUNT_SEEDS = range(31, 39)
+"""The mount after 3 min is 0.3 to 0.5 deg off by chance, which moves the force as far as squat
+does: two drives say nothing of it."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(MOUNT_CASES))
 def test_mount_and_signals_are_nearer_to_the_truth_where_the_effect_had_turned_it(name):
     changes, angles, axes, most = MOUNT_CASES[name]
-    before, after = before_and_after(changes, SEEDS)
+    before, after = before_and_after(changes, MOUNT_SEEDS)
     assert rms(before, "mount", angles) > 0.1, "the effect turns it"
     assert rms(after, "mount", angles) < 0.8 * rms(before, "mount", angles)
     assert np.isfinite(rms(after, "accel", axes)), "with the model, signals are sent in every drive"
     sent = [k for k, one in enumerate(before) if np.isfinite(one.accel).all()]
     if name != "accel_scale":
-        assert len(sent) == len(SEEDS)
+        assert len(sent) == len(MOUNT_SEEDS)
     # with 8 % of gain on one axis yaw from braking and from bends lie 6 deg apart: +-1.6 deg
     assert sent, "without it a mount that contradicts itself may send nothing, but not in all"
     before, after = [before[k] for k in sent], [after[k] for k in sent]
-    if name == "squat_alone" and rms(after, "accel", axes) >= most * rms(before, "accel", axes):
-        pytest.xfail("mount 0.14 deg (0.18 before), forward force 0.065 m/s2 (0.046 before)")
     assert rms(after, "accel", axes) < most * rms(before, "accel", axes)
 
 

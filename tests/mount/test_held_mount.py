@@ -10,7 +10,13 @@ import pytest
 from imucald.config.calibration import KnownMount
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import rotation_from_angles
-from imucald.mount.estimate import Correction, MountEstimate, MountState, Targets
+from imucald.mount.estimate import (
+    BETWEEN_DRIVES_STD,
+    Correction,
+    MountEstimate,
+    MountState,
+    Targets,
+)
 from imucald.mount.mount_in_force import held, mount_in_force, released
 from imucald.mount.restored import Phase, RestoredEstimator, StoredMount
 from imucald.runtime.estimators import known_mount
@@ -80,17 +86,30 @@ def test_a_held_mount_is_confirmed_by_a_drive_that_agrees_and_is_never_called_fi
 
 def test_holding_keeps_what_is_applied_and_its_certainty():
     running = Told(TURNED, MountState.FINE, 0.2)
-    fresh = Told(None, MountState.WAITING)
-    kept = held(running, fresh)
+    kept = held(running)
     assert kept is not None
     assert kept.correction == running.correction
     assert kept.state is MountState.FINE
-    assert kept.estimate().covariance == pytest.approx(running.covariance)
+    load = np.diag(np.square(BETWEEN_DRIVES_STD))
+    assert kept.estimate().covariance == pytest.approx(running.covariance + load)
     assert not kept.estimate().waiting_for
 
 
+def test_what_found_the_mount_watches_it_while_it_is_held():
+    running = Told(LEVEL, MountState.FINE, 0.2)
+    kept = held(running)
+    assert kept is not None
+    assert kept.inner is running
+    drive(kept)
+    assert kept.state is MountState.FINE
+    running.R, running.state = TURNED, MountState.RECALIBRATING
+    drive(kept, 2)
+    assert kept.state is MountState.SUSPECT
+    assert kept.correction == tuple(LEVEL.ravel().tolist())
+
+
 def test_what_is_doubted_stays_doubted_when_it_is_held_and_released():
-    kept = held(Told(TURNED, MountState.SUSPECT), Told(None, MountState.WAITING))
+    kept = held(Told(TURNED, MountState.SUSPECT))
     assert kept is not None
     assert kept.state is MountState.SUSPECT
     again = released(kept, Told(None, MountState.WAITING))
@@ -98,12 +117,12 @@ def test_what_is_doubted_stays_doubted_when_it_is_held_and_released():
 
 
 def test_without_a_mount_in_force_there_is_nothing_to_hold():
-    assert held(Told(None, MountState.LEVELLED), Told(None, MountState.WAITING)) is None
+    assert held(Told(None, MountState.LEVELLED)) is None
     assert mount_in_force(Told(None, MountState.WAITING)) is None
 
 
 def test_after_a_release_the_drive_takes_over_again():
-    kept = held(Told(LEVEL, MountState.USABLE), Told(None, MountState.WAITING))
+    kept = held(Told(LEVEL, MountState.USABLE))
     assert kept is not None
     again = released(kept, Told(rotation_from_angles(0, 0, 0.001), MountState.FINE, 0.05))
     assert again.state is MountState.FINE
@@ -120,5 +139,5 @@ def test_a_known_mount_is_fine_only_where_it_and_the_body_are_certain_enough():
         rotation_from_angles(*np.radians([1.0, -2.0, 30.0]))
     )
     assert known_mount(KnownMount(0.0, 0.0, 0.0, 1.0), TARGETS).state is MountState.USABLE
-    with pytest.raises(EstimateError, match=r"z: 2 deg is too vague .* below 1.15"):
+    with pytest.raises(EstimateError, match=r"2 deg about z is too vague .* below 1.15"):
         known_mount(KnownMount(0.0, 0.0, 0.0, (0.1, 0.1, 2.0)), TARGETS)

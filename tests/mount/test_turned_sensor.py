@@ -13,7 +13,7 @@ from imucald.mount.block_yaw import ARM, FLOOR, BlockMotion, block_yaw
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.signal_blocks import BLOCK_TICKS
-from imucald.mount.turned_alone import LEAST, TurnedAlone
+from imucald.mount.turned_alone import FORCE, YAW_RATE, TurnedAlone
 from imucald.simulation import Drive, random_model, simulate
 
 T = np.arange(BLOCK_TICKS) * 0.1
@@ -106,6 +106,15 @@ def test_bends_of_a_vehicle_whose_yaw_rate_is_late_and_ten_percent_off_are_none(
         assert alone.add(bend, 1.1 * late, ALL) == 0.0
 
 
+def test_a_gust_that_pushes_the_vehicle_is_none() -> None:
+    """The force says 9 deg, the gyroscope none."""
+    alone = TurnedAlone()
+    assert alone.add(NONE, knock(3.0, 9.0), ALL, FORCE) == 0.0
+    assert alone.add(knock(3.0, 9.0), NONE, ALL, FORCE) == pytest.approx(
+        math.radians(9.0), rel=0.01
+    )
+
+
 def test_a_jolt_that_comes_back_is_none() -> None:
     alone = TurnedAlone()
     assert alone.add(knock(2.0, 20.0) + knock(2.5, -20.0), NONE, ALL) == 0.0
@@ -115,7 +124,7 @@ def test_nothing_is_held_against_what_was_before_a_hole() -> None:
     alone = TurnedAlone()
     ok = ALL & (np.abs(T - 3.2) > 0.3)
     assert alone.add(knock(3.0, 10.0), NONE, ok) == 0.0
-    assert math.radians(10.0) > LEAST
+    assert math.radians(10.0) > YAW_RATE.least
 
 
 # the whole estimator ---------------------------------------------------------------------------

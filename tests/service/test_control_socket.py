@@ -126,6 +126,7 @@ def test_the_kernel_says_who_asks_and_sudo_for_whom(desk):
         b'{"order": "set-mount", "mount": {"roll_deg": 0, "pitch_deg": 0, "yaw_deg": 0, "std_deg": [1]}}',  # noqa: E501
         b"\xff\xfe\x00" * 100,
         b"[" * 4000,
+        b'{"order": "re_et\xbc"}',
         b'{"a":' * 700,
         b"GET / HTTP/1.1\r",
         bytes(range(11, 256)),
@@ -134,6 +135,13 @@ def test_the_kernel_says_who_asks_and_sudo_for_whom(desk):
 def test_what_is_no_order_is_answered_and_does_nothing(desk, line):
     assert "error" in desk.asked(line + b"\n")
     assert desk.orders.done == []
+
+
+def test_an_order_that_fails_is_answered_and_reported_and_the_loop_goes_on(desk):
+    desk.orders.hold = lambda _: 1 / 0
+    assert "ZeroDivisionError" in desk.asked(b'{"order": "hold"}\n')["error"]
+    assert "was refused: it failed" in desk.said[-1]
+    assert "done" in desk.asked(b'{"order": "reset"}\n')
 
 
 def test_a_mount_without_numbers_is_refused(desk):
@@ -191,15 +199,15 @@ def test_thousands_of_hostile_connections_hold_up_no_frame(tmp_path):
     bench = Bench(tmp_path)
     service = bench.service()
     with running(service):
-        assert service.control is not None
-        assert service.server is not None
+        assert service.sockets.control is not None
+        assert service.sockets.status is not None
         attacks = [
             subprocess.Popen(
                 [sys.executable, "-c", ATTACK, str(server.path), "3"],
                 stdout=subprocess.PIPE,
                 text=True,
             )
-            for server in (service.control, service.server)
+            for server in (service.sockets.control, service.sockets.status)
         ]
         latencies = exchanged(service.link.channel, 2.5)
         counts = [
@@ -212,9 +220,9 @@ def test_thousands_of_hostile_connections_hold_up_no_frame(tmp_path):
         assert late[-1] < 0.5
         time.sleep(1.2)  # until the places are free
         assert (
-            json.loads(ask(service.server.path, "status"))["state"] == "levelled"
+            json.loads(ask(service.sockets.status.path, "status"))["state"] == "levelled"
         )  # it stood still
-        assert "done" in json.loads(ask(service.control.path, '{"order": "reset"}'))
+        assert "done" in json.loads(ask(service.sockets.control.path, '{"order": "reset"}'))
 
 
 def exchanged(channel: str, seconds: float) -> list[float]:
@@ -240,7 +248,7 @@ def test_a_control_socket_that_cannot_be_made_is_told_and_the_daemon_runs(tmp_pa
     (tmp_path / "status.sock.control").mkdir()
     (tmp_path / "control.sock").mkdir()
     service = bench.service()
-    assert service.control is None
+    assert service.sockets.control is None
     assert "going on without" in bench.log.getvalue()
     thread = threading.Thread(target=service.run, args=[0.2])
     thread.start()

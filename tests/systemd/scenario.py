@@ -304,6 +304,7 @@ def ordered():
     found["yaw"] = status()["mount"]["yaw_deg"]
     found["events"] = said("imucald", "events", "vcan0", user="nobody")
     found["journal"] = shell("journalctl", "-u", UNIT, "-n", "20")
+    time.sleep(2.5)  # inputs are missed from 2 s on
     found["quiet"] = said("imucald", "status", "vcan0", "-q")
     found["reset"] = said("imucald", "reset", "vcan0")
     found["after"] = status()["state"]

@@ -68,3 +68,16 @@ def test_it_installs_runs_upgrades_and_goes_without_a_trace(package, run_under_s
     assert said["REMOVED"] == "inactive"
     assert "NOTHING LEFT" in text
     assert "CONFIGURATION KEPT" in text
+
+
+def test_it_brings_the_man_page_and_the_completions(package: Path) -> None:
+    listing = subprocess.run(
+        ["dpkg-deb", "--contents", str(package)], capture_output=True, text=True, check=True
+    ).stdout
+    for place in (
+        "usr/share/man/man1/imucald.1.gz",
+        "usr/share/bash-completion/completions/imucald",
+        "usr/share/zsh/vendor-completions/_imucald",
+        "usr/share/fish/vendor_completions.d/imucald.fish",
+    ):
+        assert place in listing

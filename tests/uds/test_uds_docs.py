@@ -69,8 +69,8 @@ def test_routines() -> None:
 
 
 def test_limits() -> None:
-    assert f"up to {MAX_REQUEST} bytes are taken, responses have up to {MAX_RESPONSE}" in PAGE
-    assert f"At most {FRAMES_PER_SECOND:.0f} frames a second" in PAGE
+    assert f"may have up to {MAX_REQUEST} bytes, a response up to {MAX_RESPONSE}" in PAGE
+    assert f"at most {FRAMES_PER_SECOND:.0f} frames a second" in PAGE
 
 
 def test_the_key_function_of_the_page_lets_in() -> None:

@@ -50,7 +50,7 @@ class CompensatedAttitude:
     gap = reset
 
     def check_again(self) -> None:
-        """Measure the zero error anew at the next rest that is long enough."""
+        """Measure the zero error again at the next rest that is long enough."""
         self.checked = False
         self._rest.begin()
 

@@ -256,7 +256,7 @@ class AttitudeFilter:
             return
         found = self._interval(self._start, last)
         if math.isnan(found.speed) and not resting:
-            self._start = None  # nothing tells gravity from motion: wait for a rest or a speed
+            self._start = None  # nothing separates gravity from motion: wait for a rest or a speed
             return
         if math.sqrt(sum(c * c for c in found.up)) < MIN_UP:
             self._start = None

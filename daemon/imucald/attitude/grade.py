@@ -22,7 +22,7 @@ class GradeFilter:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew."""
+        """Begin again."""
         self.grade = math.nan
         self.spread = SUSPENSION_STD
         """Standard deviation beyond that of the pitch."""

@@ -63,7 +63,7 @@ class NineStateFilter:
         """Measurements whose noise had to be widened by the gate."""
 
     def start(self, tilt_std: float, heading_std: float, gyro_std: PerAxis) -> None:
-        """Begin anew; standard deviations in rad and rad/s."""
+        """Begin again; standard deviations in rad and rad/s."""
         gyro = of_axes(per_axis(gyro_std))
         tilt = [tilt_std**2] * 2 + [heading_std**2]
         self.P = np.diag(tilt + [c**2 for c in gyro] + [c**2 for c in self.accel_random])
@@ -107,7 +107,7 @@ class NineStateFilter:
         return float(x[0]), float(x[1]), float(x[2])
 
     def _take(self, x: Array, h: Array, z: float, variance: float, gated: bool) -> None:
-        """Add to x what z = h . x + noise tells.
+        """Add to x what z = h . x + noise shows.
 
         A z far out of its expected spread widens its own variance until it is inside: it is
         then a step of bounded size, and the covariance does not shrink by it as if it fitted.
@@ -127,7 +127,7 @@ class NineStateFilter:
         x += K * innovation
 
     def turn_body(self, D_new_from_old: Array) -> None:
-        """The body's axes are defined anew: v_new = D v_old, (3, 3)."""
+        """The body's axes are defined again: v_new = D v_old, (3, 3)."""
         D = D_new_from_old
         T = np.eye(STATES)
         T[3:6, 3:6] = T[6:9, 6:9] = D
@@ -137,7 +137,7 @@ class NineStateFilter:
         self.accel_error = matrix_times(D, self.accel_error)
 
     def forget_bias(self) -> None:
-        """The constant part has been measured anew: the random part is small again."""
+        """The constant part has been measured again: the random part is small again."""
         self.bias = (0.0, 0.0, 0.0)
         self.P[3:6, :] = 0.0
         self.P[:, 3:6] = 0.0

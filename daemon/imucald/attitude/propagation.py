@@ -92,7 +92,7 @@ class Propagator:
         return self._history[-1] if self._history else None
 
     def turn_body(self, q_old_from_new: Quaternion) -> None:
-        """The body's axes are defined anew; the sensor has not moved."""
+        """The body's axes are defined again; the sensor has not moved."""
         self.q = quaternion_product(self.q, q_old_from_new)
         self.C = rows_from_quaternion(self.q)
 

@@ -1,6 +1,6 @@
-"""The sensor check of method C: what a rest tells of constant errors.
+"""The sensor check of method C: what a rest says about constant errors.
 
-One position tells the gyroscope's zero error, and of the accelerometer's the part along gravity
+One position shows the gyroscope's zero error, and of the accelerometer's the part along gravity
 (all of it only where the sensor is known to be level).
 """
 

@@ -108,7 +108,7 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
     lines = [
         f"State {name}: {usable}{fine} of {clock(demo.now)} driven, in {waited:.0f} s.",
         f"{demo.sent} frames received, {demo.engine.router.rejected.total()} rejected; "
-        f"{listener.frames} corrected ones heard, {listener.damaged} damaged.",
+        f"{listener.frames} corrected ones came back, {listener.damaged} damaged.",
     ]
     found = demo.compare()
     if found is None:

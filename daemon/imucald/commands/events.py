@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
+import textwrap
 import time
 
 
@@ -37,7 +39,10 @@ def run(options: argparse.Namespace) -> int:
         json.dump(events, sys.stdout, indent=2, ensure_ascii=False)
         print()
         return 0
+    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     for event in events:
         at = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(event["at"]))
-        print(f"{at}  {event['level']:7}  {event['text']}")
+        line = f"{at}  {event['level']:7}  {event['text']}"
+        indent = " " * (len(line) - len(event["text"]))
+        print(line if columns is None else textwrap.fill(line, columns, subsequent_indent=indent))
     return 0

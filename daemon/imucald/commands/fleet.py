@@ -63,6 +63,8 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--time-limit", default="15min", metavar="TIME", help="of a log (15min)")
     parser.add_argument("--signals", choices=("none", "corrected"), default="none",
                         help="write corrected signals too")  # fmt: skip
+    parser.add_argument("--diagnose", action="store_true", help="say of each drive what "
+                        "'imucald diagnose' finds (some seconds a log)")  # fmt: skip
     parser.add_argument("--since", metavar="DATE", help="only logs of that day or later")
     parser.add_argument("--redo", choices=("nothing", "failed", "config", "all"),
                         default="nothing", help="evaluate again what is known: what failed, what "

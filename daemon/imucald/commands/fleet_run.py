@@ -35,6 +35,14 @@ def retry(options: argparse.Namespace) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate what is not evaluated yet."""
+    from imucald.fleet.bundle import unpack
+    from imucald.fleet.task import DIAGNOSE, EVALUATE
+    from imucald.fleet.template_client import template_for
+
+    function = DIAGNOSE if options.diagnose else EVALUATE
+    if options.scheduler is None and not options.dry_run:
+        unpack({})  # makes the folder whose name the template inherits
+        template_for(function).begin()  # imports while this process does
     from imucald.fleet.driver import FleetRun
     from imucald.fleet.fleet_file import load_fleet
     from imucald.fleet.lease import Lease
@@ -51,7 +59,8 @@ def run(options: argparse.Namespace) -> int:
     fleet = load_fleet(options.fleet, {"logs": options.logs} if options.logs else None)
     store = Store(options.out, fleet.settings.storage)
     how = Options(limits=limits, redo=options.redo, since=options.since, limit=options.limit,
-                  signals=options.signals == "corrected")  # fmt: skip
+                  signals=options.signals == "corrected",
+                  function=function)  # fmt: skip
     logs = list_logs(fleet)
     if options.dry_run:
         print(_said(planned(fleet, store, logs, how)))
@@ -110,7 +119,7 @@ def _said(plan: Plan) -> str:
         text += f"; {plan.failed_before} failed before ('imucald fleet retry' tries them again)"
     if plan.other_configuration:
         text += f"; {plan.other_configuration} were evaluated with another configuration or version"
-        text += " (--redo config evaluates them anew)"
+        text += " (--redo config evaluates them again)"
     return text
 
 

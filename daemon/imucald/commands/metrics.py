@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="serve them at http://HOST:PORT/metrics until Ctrl-C, such as 127.0.0.1:8131",
     )
     parser.epilog = (
-        "Without a channel: those of all daemons that run here, separated by the label 'bus'. "
+        "Without a channel: those of all daemons that run here, with the label 'bus'. "
         "A daemon that does not answer has imucald_up 0. Exit status: 0, also where none runs."
     )
 

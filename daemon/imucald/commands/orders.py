@@ -43,7 +43,7 @@ def give(options: argparse.Namespace, order: str, **more: Any) -> int:
         try:
             sockets = [find_socket(options.socket, options.channel)]
         except LinkError as error:
-            if running_sockets():
+            if running_sockets(options.channel):
                 raise
             print(f"imucald: {error}", file=sys.stderr)
             return NOT_RUNNING

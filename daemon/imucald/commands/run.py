@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
     result = service.result()
     if options.json:
         write_text(options.json, as_json(result))
-    journal.say(f"stopped; state {result['state']}, {service.engine.sent} frames given out")
+    journal.say(f"stopped; state {result['state']}, {service.engine.sent} frames sent")
     return 0
 
 

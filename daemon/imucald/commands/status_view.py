@@ -50,6 +50,8 @@ def headline(status: Mapping[str, Any]) -> Text:
     text.append(state, style=STYLES.get(state, "yellow"))
     quality = QUALITIES[min(status["quality"], 4)]
     text.append(f"   corrected frames: {quality}", style="not bold")
+    if status.get("held"):
+        text.append("   held: nothing is learnt", style="bold yellow")
     for name in ("usable", "fine"):
         if (after := status[f"first_{name}_s"]) is not None:
             text.append(f"   {name} after {_time(after)}", style="not bold")
@@ -82,7 +84,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "evidence": _evidence(status["details"]),
         "weights": _weights(status["details"]),
         "gates": _gates(status["details"]),
-        "frames": f"{frames['used']} used, {status['frames_given_out']} given out",
+        "frames": f"{frames['used']} used, {status['frames_given_out']} sent",
         "now": Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""),
         "sensors": _sensors(status["signal_health"]),
         "losses": f"{link['lost']} lost, {sum(link['send_errors'].values())} not sent, "
@@ -109,7 +111,9 @@ def _sensors(health: Mapping[str, Any]) -> Text:
 def _evidence(details: Mapping[str, Any]) -> str:
     parts = [f"{details[key]} {text}" for key, text in EVIDENCE.items() if key in details]
     if "restored" in details:
-        parts.append(f"mount of an earlier drive: {details['restored']['phase'].replace('_', ' ')}")
+        restored = details["restored"]
+        whose = "stated mount" if restored.get("given") else "mount of an earlier drive"
+        parts.append(f"{whose}: {restored['phase'].replace('_', ' ')}")
     return ", ".join(parts) or "none yet"
 
 
@@ -135,7 +139,7 @@ def _gates(details: Mapping[str, Any]) -> str:
     """For how long nothing was learnt, and why."""
     frozen = {k: v for k, v in details.get("frozen_ticks", {}).items() if v}
     parts = [f"{reason.replace('_', ' ')} {ticks / 10:.0f} s" for reason, ticks in frozen.items()]
-    return "not learnt from: " + ", ".join(parts) if parts else "all open so far"
+    return "not learnt from: " + ", ".join(parts) if parts else "none closed so far"
 
 
 def _saved(saved: Mapping[str, Any]) -> Text:

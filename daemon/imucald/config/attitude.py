@@ -42,7 +42,7 @@ class MotionCompensationSettings(Settings, frozen=True):
     rate_time: NotNegative = 0.0
     """Method B alone: force draws the angles that the rate carries over it [s]; 0: force alone."""
     send: bool = False
-    """Whether the specific force less motion is sent and told (`IMUCALD_FreeAcceleration`)."""
+    """Whether the specific force less motion is sent and reported (`IMUCALD_FreeAcceleration`)."""
     speed_noise: Positive = 0.03
     """Standard deviation of an averaged speed [m/s]."""
     speed_scale: Share = 0.02
@@ -69,7 +69,7 @@ class FilterSettings(Settings, frozen=True):
     longest_step: Positive = 0.5
     """Gyroscope samples further apart than this are a gap [s]."""
     rest_update: bool = True
-    """The gyroscope at rest tells its zero error (beyond the publication)."""
+    """The gyroscope at rest shows its zero error (beyond the publication)."""
     rest_accel_spread: Positive = 0.25
     """Largest standard deviation of the accelerometer at rest [m/s^2]: an engine may run."""
     rest_gyro_spread_deg_s: Positive = 0.5
@@ -172,7 +172,7 @@ class AlternativeSettings(Settings, frozen=True):
     memory_steps: Positive = 20.0
     """Steps after which the direction within the terminal is forgotten to 1/e."""
     carry_change_deg: Positive = 35.0
-    """The vertical moved so far in the terminal: carried otherwise, begin anew."""
+    """The vertical moved so far in the terminal: carried otherwise, start again."""
 
     lead = Radians("lead_deg")
     carry_change = Radians("carry_change_deg")

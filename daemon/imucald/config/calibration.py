@@ -95,7 +95,7 @@ class TargetAngleSettings(Settings, frozen=True):
     sign_from: Annotated[
         tuple[Literal["speed", "brake", "turn", "first_motion"], ...], Meta(min_length=1)
     ] = ("speed", "brake", "turn", "first_motion")
-    """What may tell accelerating from braking. With speed it alone does; else the others vote."""
+    """What may separate accelerating from braking. Speed does alone; without it the others vote."""
     subtract_lateral: bool = True
     """Subtract v r where speed and yaw rate are known (beyond the publication)."""
     remove_offset_after: NotNegative = 1.0

@@ -40,9 +40,14 @@ ODD_SPEED = 1.4
 measured and simulated vehicles show 0.8 to 1.2, miles taken for kilometres 0.6 or 1.6 of that."""
 MIN_REPORTED_DELAY = 2
 """Ticks of speed delay from which it is reported."""
+MIN_ACROSS = 0.15
+"""Least standard deviation of the force in turns [m/s^2]: twice what crowns and slopes leave."""
 MOVING = 2.0
 """Below this speed [m/s] slopes hardly change."""
-_DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(MAX_SPEED_DELAY / TICK_S) + 1)
+LATEST = 2.5
+"""Delay of the speed up to which its size is judged [s]: a receiver that smooths, is asked once a
+second, and whose answer waits."""
+_DELAYS = range(round(MIN_SPEED_DELAY / TICK_S), round(LATEST / TICK_S) + 1)
 """[ticks]"""
 
 
@@ -88,9 +93,17 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
     return best if best is not None and best.explained >= CLEAR**2 else None
 
 
-def speed_findings(gain: float, delay: int) -> Iterator[Finding]:
-    """Whether changes of speed show in the accelerometer as they should, and how late."""
-    if not 1.0 / ODD_SPEED < gain < ODD_SPEED:
+def speed_findings(response: Response) -> Iterator[Finding]:
+    """Whether changes of speed show in the accelerometer as they should, and how late.
+
+    The regression on the speed is too small where the speed is noisy or its delay changes, the
+    other one (on the accelerometer) too large: the gain lies between both (Fuller 1987, 1.1).
+    """
+    gain, delay = float(np.linalg.norm(response.along)), response.delay
+    if gain <= 1.0 / ODD_SPEED < gain / response.explained:
+        text = "it is too noisy, or too unevenly late, for its size to be told by the accelerometer"
+        yield Finding("note", "speed", text)
+    elif not 1.0 / ODD_SPEED < gain < ODD_SPEED:
         text = f"its changes are {gain_guess(1.0 / gain)} (against the accelerometer)"
         yield Finding(
             "error" if not 1.0 / OTHER_UNIT < gain < OTHER_UNIT else "warning", "speed", text
@@ -98,7 +111,13 @@ def speed_findings(gain: float, delay: int) -> Iterator[Finding]:
     else:
         text = f"its changes show in the accelerometer (gain {gain:.2f})"
         yield Finding("ok", "speed", text)
-    if abs(delay) >= MIN_REPORTED_DELAY:
+    if delay * TICK_S > MAX_SPEED_DELAY:
+        text = (
+            f"is about {delay * TICK_S:.1f} s behind the accelerometer; up to {MAX_SPEED_DELAY} s "
+            "are allowed for: the calibration learns little from changes of speed"
+        )
+        yield Finding("warning", "speed", text)
+    elif abs(delay) >= MIN_REPORTED_DELAY:
         word = "behind" if delay > 0 else "ahead of"
         text = f"is about {abs(delay) / 10:.1f} s {word} the accelerometer (this is allowed for)"
         yield Finding("note", "speed", text)
@@ -110,6 +129,8 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
     if up is None:
         return
     yield from _rotation_axis(motion, rates, up)
+    if list(rates) == ["gyroscope"]:
+        yield from _turn_gain(motion, rates["gyroscope"], up)
     response = best_response(motion, rates)
     if response is None or np.linalg.norm(response.across) < 1.0 / WRONG_GAIN:
         return
@@ -124,6 +145,26 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
         yield Finding("error", "accelerometer", text)
     elif handed > HANDED:
         yield Finding("ok", "accelerometer", "forward, left and up are a right-handed set")
+
+
+def _turn_gain(motion: Motion, rate: Array, up: Array) -> Iterator[Finding]:
+    """Speed times yaw rate against the force across, where nothing else tells of turns."""
+    if motion.speed is None or motion.accel is None or motion.gravity is None:
+        return
+    n = min(len(rate), len(motion.speed), len(motion.accel))
+    turn = motion.speed[:n] * rate[:n]
+    level = (motion.accel[:n] - motion.gravity) @ (np.eye(3) - np.outer(up, up))
+    rows = np.isfinite(turn) & np.isfinite(level).all(axis=1)
+    if np.count_nonzero(rows) < MIN_TICKS or float(np.std(turn[rows])) == 0.0:
+        return
+    both = np.cov(level[rows].T, turn[rows])
+    across = both[3, :3] / both[3, 3]
+    gain, size = gain_between(turn[rows], level[rows] @ across), float(np.linalg.norm(across))
+    if float(np.std(level[rows] @ across)) < MIN_ACROSS * size or abs(gain[1]) < CLEAR:
+        return
+    if not 1.0 / OTHER_UNIT < size < OTHER_UNIT:
+        text = f"its rate times the speed is {gain_guess(1.0 / size)} (against the force in turns)"
+        yield Finding("error", "gyroscope", f"{text}; or the speed's unit is wrong")
 
 
 def _gyro_axes(motion: Motion, response: Response, up: Array) -> Iterator[Finding]:

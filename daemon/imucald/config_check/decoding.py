@@ -11,6 +11,7 @@ from imucald.config import LoadedConfig
 from imucald.config_check.finding import Finding
 from imucald.config_check.source import QuantitySource, configured_name, id_text, stated_cycle
 from imucald.config_check.statistics import Probe
+from imucald.mount.signal_blocks import ACCEL_GAP, SPEED_GAP
 
 CYCLE_TOLERANCE = 1.5
 """A cycle is reported when it is so many times longer or shorter than the database states."""
@@ -18,6 +19,9 @@ MIN_REJECTED_SHARE = 0.01
 """Part of rejected frames or values from which it is reported."""
 MIN_EQUAL_VALUES = 100
 """So many equal values of a sensor in a row, and no other, look stuck."""
+
+SLOWEST = {"accel": ACCEL_GAP, "gyro": ACCEL_GAP, "speed": SPEED_GAP}
+"""Longest time between two samples that the calibration bridges [s]."""
 
 _NO_SPEED = "missing: yaw takes longer and is less certain; "
 _NO_GYRO = "pitch and roll get nothing from turns, and no corrected angular rate is sent"
@@ -53,6 +57,7 @@ class Decoding:
         yield from self._silent()
         yield from self._doubtful()
         yield from self._cycles()
+        yield from self._too_slow()
         yield from self._costs()
         yield from self._conflicts()
 
@@ -111,6 +116,22 @@ class Decoding:
         if self.steps:
             text = f"jumps of the time stamps: {self.steps}; holes, or a clock that was set"
             yield Finding("note", "", text)
+
+    def _too_slow(self) -> Iterator[Finding]:
+        """What comes so seldom that the calibration cannot bridge from one sample to the next."""
+        for channel, longest in SLOWEST.items():
+            cycles = [
+                probe.cycle
+                for probe in self.probes
+                if probe.cycle is not None and any(tap.channel == channel for tap in probe.taps)
+            ]
+            if cycles and min(cycles) > longest:
+                text = (
+                    f"comes every {min(cycles):.3g} s: the calibration uses none of it, it needs a "
+                    f"sample every {longest:g} s at least"
+                )
+                name = configured_name(channel)
+                yield Finding("error" if channel == "accel" else "warning", name, text)
 
     def _costs(self) -> Iterator[Finding]:
         """What is missing, and what that costs."""

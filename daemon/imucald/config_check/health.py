@@ -1,4 +1,4 @@
-"""Faulty sensors of a log, as `imucald check` tells of them."""
+"""Faulty sensors of a log, as `imucald check` says about them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from imucald.motion.sample_health import FaultEvent
 from imucald.motion.signal_health import SignalFault
 
 _WORDS = {
-    SignalFault.STUCK: "says the same again and again",
-    SignalFault.SATURATED: "piles up at the end of its range: is a range set too small?",
-    SignalFault.IMPLAUSIBLE: "says what no road vehicle does, or in another unit than before",
+    SignalFault.STUCK: "repeats one value",
+    SignalFault.SATURATED: "stays at the end of its range: is a range set too small?",
+    SignalFault.IMPLAUSIBLE: "has values impossible in a road vehicle, or another unit than before",
 }
 
 

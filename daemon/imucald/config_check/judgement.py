@@ -67,8 +67,8 @@ def judge(
         motion = motion.scaled(accel=GRAVITY / float(np.linalg.norm(motion.gravity)))
         response = best_response(motion, motion.turn_rates(track, wheelbase, steering_ratio))
         if response is not None:
+            yield from speed_findings(response)
             gain = float(np.linalg.norm(response.along))
-            yield from speed_findings(gain, response.delay)
             if is_wrong(gain):
                 motion = motion.scaled(speed=gain)
     rates = motion.turn_rates(track, wheelbase, steering_ratio)
@@ -111,7 +111,7 @@ def _not_checked(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding
     if motion.speed is None:
         left.append("all that needs the speed")
     elif motion.change is not None and spread(motion.change) < MIN_BRAKING:
-        left.append("the accelerometer against changes of speed (none to speak of)")
+        left.append("the accelerometer against changes of speed (too few)")
     if "gyro" not in motion.grid and not motion.planar:
         left.append("the accelerometer's axes against a gyroscope's (there is none)")
     for text in left:

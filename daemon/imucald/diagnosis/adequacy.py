@@ -16,8 +16,8 @@ from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.result import GOES_AGAINST, TOO_MUCH, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
-from imucald.diagnosis.search import State
-from imucald.diagnosis.signals import STEP_S
+from imucald.diagnosis.signals import STEP_S, Array, Mask
+from imucald.diagnosis.state import State
 from imucald.diagnosis.trials import BIAS, tried
 from imucald.mount.mount_words import SD_95
 
@@ -39,6 +39,8 @@ AIR = 0.5 * 1.2 * 2.2 * 2.3 / 1500.0
 CALM, GUSTY = 0.02, 0.10
 """Turbulence sideways, over the speed, that cars meet on roads: least and most (Wordley and
 Saunders, On-road Turbulence, SAE 2008-01-0475)."""
+EDDY_M = 10.0
+"""Length scale of that turbulence (the same)."""
 FAST_MPS = 30.0
 MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
 """Sideways, after a fit of everything within its tolerance: what gusty air does to a car on a
@@ -160,8 +162,7 @@ def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list
     drive = forwards[0].drive
     if not (drive.has("gyro") and drive.has("yaw_rate")):
         return []
-    v = np.concatenate([f.drive.knots.values for f in forwards])
-    calm = CALM * AIR * float(np.sqrt(np.mean(v[np.abs(v) > DRIVING_MPS] ** 4)))
+    calm = _calm(np.concatenate([f.drive.knots.values for f in forwards]))
     hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
     found = []
     for first, second in PAIRS:
@@ -172,26 +173,44 @@ def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list
         good = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
         if good.sum() < LEAST_BLOCKS:
             continue
-        for low, high in BANDS_HZ:
-            band = (hz >= low) & (hz < high)
-            one = a[good][:, band]
-            size = float(np.sqrt(np.sum(np.abs(one) ** 2, axis=1).mean()))
-            u = _left_of(_as_loud(a[good])[:, band], known[good][:, band])
-            w = _left_of(_as_loud(b[good])[:, band], known[good][:, band])
-            cross = abs(np.sum(u * w.conj())) ** 2
-            share = float(cross / (np.sum(np.abs(u) ** 2) * np.sum(np.abs(w) ** 2)))
-            segments = (good.sum() - known.shape[2]) * band.sum() / HANN_BINS
-            chance = 1.0 - (CHANCE / len(BANDS_HZ)) ** (1.0 / max(segments - 1.0, 1.0))
-            moved = size * float(np.sqrt(share))
-            if share > chance and moved > calm:
-                text = (
-                    f"between {low} and {high} Hz it shares {100 * share:.0f} % ({moved:.2g} "
-                    f"m/s^2) with what is left of {second.replace('_', ' ')}, which has no sensor "
-                    "in common with it: something moves the vehicle that neither speed nor "
-                    "steering shows"
-                )
-                found.append(Structure(first, "shared motion", share, text))
-    return found[:1]
+        in_turn = [
+            _common(a[good], b[good], known[good], (hz >= x) & (hz < y)) for x, y in BANDS_HZ
+        ]
+        sure = [(share, moved) for share, moved, chance in in_turn if share > chance]
+        total = float(np.sqrt(sum(moved**2 for _, moved in sure)))
+        if total > calm:
+            share = max(share for share, _ in sure)
+            text = (
+                f"between {BANDS_HZ[0][0]} and {BANDS_HZ[-1][1]} Hz it shares up to "
+                f"{100 * share:.0f} % ({total:.2g} m/s^2) with what is left of "
+                f"{second.replace('_', ' ')}, which has no sensor in common with it: something "
+                "moves the vehicle that neither speed nor steering shows"
+            )
+            found.append(Structure(first, "shared motion", share, text))
+    return found
+
+
+def _common(a: Spectra, b: Spectra, known: Spectra, band: Mask) -> tuple[float, float, float]:
+    """Partial coherence in a band, how much of `a` that is [its unit], and what chance gives."""
+    one = a[:, band]
+    size = float(np.sqrt(np.sum(np.abs(one) ** 2, axis=1).mean()))
+    u = _left_of(_as_loud(a)[:, band], known[:, band])
+    w = _left_of(_as_loud(b)[:, band], known[:, band])
+    cross = abs(np.sum(u * w.conj())) ** 2
+    share = float(cross / (np.sum(np.abs(u) ** 2) * np.sum(np.abs(w) ** 2)))
+    segments = (len(a) - known.shape[2]) * band.sum() / HANN_BINS
+    chance = 1.0 - (CHANCE / len(BANDS_HZ)) ** (1.0 / max(segments - 1.0, 1.0))
+    return share, size * float(np.sqrt(share)), float(chance)
+
+
+def _calm(v: Array) -> float:
+    """What calm air does to a car in the bands that are looked at, rms [m/s^2]. v: (N,) speed."""
+    v = np.abs(v[np.abs(v) > DRIVING_MPS])
+    low, high = BANDS_HZ[0][0], BANDS_HZ[-1][1]
+    travel = 2.0 * np.pi * EDDY_M / v
+    # Of a spectrum 1/(1 + (2 pi f L/v)^2) (Dryden).
+    part = (np.arctan(high * travel) - np.arctan(low * travel)) / (0.5 * np.pi)
+    return CALM * AIR * float(np.sqrt(np.mean(part * v**4)))
 
 
 def _left_of(z: Spectra, known: Spectra) -> Spectra:

@@ -23,8 +23,8 @@ from imucald.diagnosis.result import (
     Structure,
     Verdict,
 )
-from imucald.diagnosis.search import State
 from imucald.diagnosis.shift import KEYS, FittedShift
+from imucald.diagnosis.state import State
 from imucald.diagnosis.trials import SINGLE_NATS, Trial, questions
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
@@ -184,8 +184,22 @@ def told_rest_of(state: State) -> tuple[Candidate, ...]:
         else:
             outcome = "not decidable here"
         text = f"{key} off by {_n(x)} +- {_n(SD_95 * se)} {unit}; named from {_n(tau + q * se)} on"
-        made.append(Candidate(name, outcome, t.shown, text))
+        made.append(Candidate(name, outcome, t.shown, text, _freed(state, name)))
     return tuple(made)
+
+
+def _freed(state: State, name: str) -> dict[str, Estimated]:
+    """Parameters of all forms of a cause, each form freed by itself beside what was found."""
+    made: dict[str, Estimated] = {}
+    for t in state.last:
+        if t.hypothesis.name != name or t.hypothesis.pattern is not None:
+            continue
+        e, places = t.estimate, enumerate(t.hypothesis.keys)
+        for i, key in places:
+            stated = value(state.stated, key)
+            x, se, tau = float(e.value[i]), float(e.se[i]), float(t.tolerance[i])
+            made.setdefault(key, Estimated(stated + x, se, PARAMETERS[key].unit, stated, tau))
+    return made
 
 
 def _n(x: float) -> str:

@@ -62,6 +62,8 @@ class Candidate:
     """By which it makes data that its fit did not see likelier, without the best stretches."""
     text: str
     """Its value, and the size that these drives could have shown."""
+    parameters: Mapping[str, Estimated] = field(default_factory=dict)
+    """What each of its parameters would be, freed by itself."""
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,8 @@ from scipy.stats import t as student
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import level_effect
 from imucald.diagnosis.causes import CAUSES, Cause
-from imucald.diagnosis.score import (
-    ERROR_RATE,
-    Estimate,
-    Hypothesis,
-    Problem,
-    estimate,
-    held_out,
-    without_best,
-)
+from imucald.diagnosis.intervals import ERROR_RATE, Estimate, estimate
+from imucald.diagnosis.score import Hypothesis, Problem, held_out, without_best
 from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
 

@@ -18,13 +18,13 @@ from imucald.discovery.candidates import (
     silent_candidates,
 )
 from imucald.discovery.flags import find_brake, find_reverse, find_temperature
+from imucald.discovery.heading import heading_choice
 from imucald.discovery.proposal import Choice, Proposal
 from imucald.discovery.protection_search import find_protection
 from imucald.discovery.raw_fields import raw_fields
 from imucald.discovery.raw_search import raw_choices
 from imucald.discovery.recording import GatheredFrames, Traffic
 from imucald.discovery.reference import KnownMotion
-from imucald.discovery.scalars import find_heading
 from imucald.discovery.sensors import Sensors
 from imucald.discovery.turning import Turning
 from imucald.motion.ticks import TICK_RATE
@@ -110,7 +110,7 @@ def choices_from(
         find_reverse(reference, free),
         find_brake(reference, free),
         find_temperature(reference, free),
-        find_heading(reference, free),
+        heading_choice(sensors.heading, reference, free),
     ]
     proposal.vehicle += turning.vehicle
     chosen = [c for c in found if c is not None]

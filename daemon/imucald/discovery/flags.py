@@ -74,7 +74,7 @@ def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list
     """Every value that is held at low speed only, with its likelihood ratio.
 
     Forwards the acceleration along the vehicle is the change of speed, backwards its opposite, but
-    for noise as large as in the whole drive (its slopes included). Of each stretch the mean is
+    for noise as large as in the whole drive (its slopes included). Of each segment the mean is
     taken out: an offset of the sensor, a slope.
     """
     speed, along = reference.speed, reference.along
@@ -99,7 +99,7 @@ def _reversing(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> list
 
 
 def _less_their_means(x: Array, at: NDArray[np.bool_]) -> Array:
-    """Values of the marked ticks, less the mean of each stretch of neighbours."""
+    """Values of the marked ticks, less the mean of each segment of neighbours."""
     rows = np.flatnonzero(at)
     parts = np.split(x[rows], np.flatnonzero(np.diff(rows) > 1) + 1)
     return np.concatenate([part - part.mean() for part in parts])

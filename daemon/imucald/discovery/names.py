@@ -34,7 +34,7 @@ def axes_by_name(candidates: Sequence[SeenSignal]) -> tuple[int, int, int] | Non
 
 
 def wheel_by_name(name: str) -> str | None:
-    """The wheel that a signal's name tells."""
+    """The wheel that a signal's name shows."""
     parts = words(name)
     for part in reversed(parts):
         if part in _CORNERS:
@@ -57,7 +57,7 @@ _HINTS = {
     "reverse": ("reverse", "rueckwaerts", "ruecklicht", "rückwärts", "backward", "gear", "gang"),
     "brake": ("brake", "bremse", "bremslicht", "brk", "stoplamp"),
     "temperature": ("temp", "temperature", "temperatur"),
-    "heading": ("heading", "course", "azimuth", "kurs"),
+    "heading": ("heading", "course", "bearing", "azimuth", "cog", "kurs"),
 }
 
 

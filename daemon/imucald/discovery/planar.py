@@ -139,7 +139,7 @@ def _is_clear(found: Relation, comparisons: int) -> bool:
 def _sides(
     v: Array, candidates: Sequence[SeenSignal], wheels: Sequence[SeenSignal] | None, yaw: SeenSignal
 ) -> tuple[int, str]:
-    """Sign that makes a yaw rate positive to the left, and what tells it."""
+    """Sign that makes a yaw rate positive to the left, and what shows it."""
     if wheels:
         named = [wheel_by_name(c.signal.name) for c in wheels]
         if sorted(n or "" for n in named) == sorted(WHEELS):

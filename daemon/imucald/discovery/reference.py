@@ -25,8 +25,9 @@ from imucald.discovery.evidence import (
 from imucald.discovery.triads import Triad
 from imucald.motion.ticks import TICK_RATE
 
-DELAYS = range(-6, 16)
-"""Ticks by which speed may be late: satellites and OBD-II make up to a second and a half."""
+DELAYS = range(-6, 26)
+"""Ticks by which speed and course may be late: OBD-II makes up to a second and a half; a receiver
+that smooths, is asked once a second, and whose answer waits, two and a half."""
 GAIN_TOLERANCE = 1.25
 """Squat, slope and tyres change a gain by so much (measured and simulated vehicles: 0.8 to 1.2)."""
 MOVING = 3.0
@@ -83,7 +84,7 @@ class KnownMotion:
     turn: Array | None = None
     turn_from: str = ""
     sides_from: str = ""
-    """What tells left from right."""
+    """What separates left from right."""
 
     @property
     def forward(self) -> Array | None:

@@ -1,4 +1,4 @@
-"""Single signals that follow the vehicle's motion: yaw rate, accelerations, steering, heading.
+"""Single signals that follow the vehicle's motion: yaw rate, accelerations, steering.
 
 Each has a reference made of other signals and a gain that physics knows; its sign and unit follow.
 """
@@ -8,18 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from imucald.config_check.motion import shifted
 from imucald.discovery.candidates import Array, SeenSignal
 from imucald.discovery.evidence import Relation, UnitChoice, choose_unit, is_better, relation
 from imucald.discovery.names import hint
 from imucald.discovery.proposal import Alternative, Choice, source_of
-from imucald.discovery.reference import (
-    KnownMotion,
-    stated_unit,
-    unit_for,
-)
+from imucald.discovery.reference import stated_unit, unit_for
 
 SAME_MOTION = 0.5
 """Part of the variance that a signal and its reference share, from which they are the same thing
@@ -80,7 +73,7 @@ def find_scalar(
 ) -> Choice | None:
     """The signal that follows a reference best, with its unit and sign; None where none does.
 
-    sides: what tells left from right; empty where nothing does, or where the sign has none.
+    sides: what separates left from right; empty where nothing does, or where the sign has none.
     """
     usable = [c for c in candidates if c.may_be(quantity.dimension) and not c.is_constant]
     if reference is None:
@@ -169,32 +162,3 @@ def _gain_words(quantity: Quantity, match: Match) -> str:
         return f", {size:.0f} m of wheelbase times ratio"
     stated = "stated" if match.unit.is_stated else "found"
     return f", gain {size:.2f} in {match.unit.name} ({stated})"
-
-
-def find_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:
-    """An angle of a whole turn whose change is the yaw rate, clockwise."""
-    usable = [c for c in candidates if c.states("angle") and not c.is_constant]
-    wide = []
-    for c in usable:
-        unit = stated_unit(c, "angle")
-        if unit is not None and (c.largest - c.least) * unit.factor > np.pi:
-            wide.append((c, unit))
-    best: tuple[SeenSignal, Relation] | None = None
-    if reference.turn is not None:
-        for c, unit in wide:
-            turned = shifted(c.x, 10) - c.x
-            turned = np.mod(turned * unit.factor + np.pi, 2.0 * np.pi) - np.pi
-            turned[np.abs(turned) > 1.0] = np.nan  # the bridge over the jump from 360 to 0
-            middle = shifted(reference.turn, 5)
-            found = relation(-middle, turned)
-            size = found.gain
-            fits = found.explained >= SAME_MOTION and 1 / 1.5 < size < 1.5
-            if found.is_believed and fits and (best is None or found.z > best[1].z):
-                best = c, found
-    if best is None:
-        return by_unit_and_name("heading", "angle", [c for c, _ in wide])
-    candidate, found = best
-    evidence = f"its change follows the yaw rate ({_words(found)}, clockwise)"
-    if found.sign < 0:
-        evidence = evidence.replace("clockwise", "counter-clockwise")
-    return Choice("heading", {"": source_of(candidate, None, found.sign)}, evidence)

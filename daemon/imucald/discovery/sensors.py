@@ -11,6 +11,7 @@ from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import Relation
 from imucald.discovery.gyro_axes import AS_IT_IS, fit_gyroscope, right_handed_orders, signed
 from imucald.discovery.gyro_choice import axes_of, gyroscope_choice
+from imucald.discovery.heading import HeadingFit, fit_heading, hold_against_heading
 from imucald.discovery.names import hint
 from imucald.discovery.planar import find_planar
 from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
@@ -39,7 +40,7 @@ from imucald.discovery.triads import (
 from imucald.discovery.wheels import wheel_sets
 
 MAX_TRIADS = 6
-"""Triads that are held against every speed, where no unit tells which is the accelerometer."""
+"""Triads that are held against every speed, where no unit shows which is the accelerometer."""
 MAX_ALTERNATIVES = 3
 REST_RATE = 5.0
 """Largest zero error of a gyroscope [deg/s]."""
@@ -53,6 +54,7 @@ class Sensors:
         self.reference = KnownMotion()
         self.wheels = next(iter(wheel_sets(candidates)), None)
         self.taken: set[str] = {c.path for c in self.wheels or ()}
+        self.heading: HeadingFit | None = None
         self._found: list[Choice | None] = []
         self._speeds: list[SpeedFit] = []
         triads = accelerometers(candidates)
@@ -64,6 +66,11 @@ class Sensors:
                 self.reference = planar.reference
                 self._found += [planar.accelerometer, planar.speed]
                 self.taken |= planar.taken
+        if self.heading is None:
+            self.heading = fit_heading(self.reference, self._free())
+
+    def _free(self) -> list[SeenSignal]:
+        return [c for c in self.candidates if c.path not in self.taken]
 
     def choices(self) -> Iterator[Choice | None]:
         """What was found, in the order of the configuration."""
@@ -82,6 +89,8 @@ class Sensors:
         speed = self._choose_speed()
         reference.set_lateral()
         gyro = self._choose_gyroscope(reference)
+        heading = fit_heading(reference, self._free())
+        self.heading = hold_against_heading(reference, accelerometer, heading)
         if not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
             accelerometer.doubt = "three signals of 1 g, but no unit is stated and no motion shows"
         self._found += [gyro, self._magnetometer(), speed]

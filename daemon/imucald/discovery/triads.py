@@ -29,6 +29,9 @@ WRONG_SCALE = 0.25
 NORM_SPREAD = 0.05
 """Largest spread of the vector's size in a drive, as a part of it: sqrt(1 + 0.3^2) - 1 = 0.04 is
 the vector's growth in a manoeuvre of 0.3 g, and most of a drive is calmer."""
+CALM_PART = 0.1
+"""Part of a drive in which even a racing driver neither brakes nor turns: the vector is never
+shorter than 1 g there, smoothed over the bumps, and hardly longer."""
 EARTH_FIELD = (22e-6, 67e-6)
 """Size of the earth's magnetic field [T] (World Magnetic Model)."""
 
@@ -41,7 +44,7 @@ class Triad:
     unit: UnitChoice
     names_axes: bool
     size: float = math.nan
-    """Median size of the vector in SI."""
+    """Median size of the vector in SI; that of its calm part where it is driven hard."""
     spread: float = math.nan
     """Robust standard deviation of that size, as a part of it."""
 
@@ -86,15 +89,24 @@ def _of_one_g(three: tuple[SeenSignal, ...]) -> Triad | None:
         return None
     middle = float(np.median(size))
     spread = 1.4826 * float(np.median(np.abs(size - middle))) / middle
-    stated = ordered[0].unit
+    if spread > NORM_SPREAD:
+        # driven hard: its calm part is held against 1 g, where the database states the unit
+        middle = float(np.quantile(size, CALM_PART))
+        unit = _one_g_unit(ordered[0].unit, middle, SCALE_AND_OFFSET) if middle > 0.0 else None
+        if unit is None or not unit.is_stated or len({m.message.name for m in three}) > 1:
+            return None
+        return Triad(ordered, unit, named, middle * unit.factor, spread)
     for tolerance in (SCALE_AND_OFFSET, WRONG_SCALE):
-        low, high = ((1.0 + s * tolerance) * GRAVITY / middle for s in (-1.0, 1.0))
-        unit = choose_unit(stated, "acceleration", low, high)
-        if unit is not None and spread <= NORM_SPREAD:
-            if tolerance == WRONG_SCALE and not unit.is_stated:
-                continue
+        unit = _one_g_unit(ordered[0].unit, middle, tolerance)
+        if unit is not None and (tolerance == SCALE_AND_OFFSET or unit.is_stated):
             return Triad(ordered, unit, named, middle * unit.factor, spread)
     return None
+
+
+def _one_g_unit(stated: str, size: float, tolerance: float) -> UnitChoice | None:
+    """The unit in which a size is 1 g, give or take a part of it."""
+    low, high = ((1.0 + s * tolerance) * GRAVITY / size for s in (-1.0, 1.0))
+    return choose_unit(stated, "acceleration", low, high)
 
 
 def gyroscopes(candidates: Sequence[SeenSignal]) -> list[Triad]:

@@ -22,7 +22,7 @@ VECTORS = {
 _STATUS: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {
     f"{OWN}.State": lambda status: status["state"],
     f"{OWN}.Quality": lambda status: status["quality"],
-    f"{OWN}.IsHeld": lambda status: status["held"],
+    f"{OWN}.IsHeld": lambda status: bool(status.get("held")),
     f"{OWN}.Mount.Roll": lambda status: status["mount"]["roll_deg"],
     f"{OWN}.Mount.Pitch": lambda status: status["mount"]["pitch_deg"],
     f"{OWN}.Mount.Yaw": lambda status: status["mount"]["yaw_deg"],

@@ -127,7 +127,7 @@ def status_content(reading: Reading) -> dict[str, Any]:
         "running": True,
         "state": status["state"],
         "quality": QUALITIES[status["quality"]],
-        "held": status["held"],
+        "held": bool(status.get("held")),
         "mount": {
             **{f"{a}_deg": mount[f"{a}_deg"] for a in ("roll", "pitch", "yaw")},
             "plus_minus_deg": {a: None if s is None else SD_95 * s for a, s in std.items()},

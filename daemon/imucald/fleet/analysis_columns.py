@@ -108,4 +108,4 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *floats("", "of the type's drives", "share"),
     ),
 }
-"""Each is written anew, as a whole, by every analysis."""
+"""Each is written again, as a whole, by every analysis."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final, Literal, NamedTuple
 
-VERSION: Final = 1
+VERSION: Final = 2
 
 Kind = Literal["text", "time", "float", "integer", "short", "flag", "float32", "int8"]
 
@@ -86,6 +86,10 @@ TABLES: Final[dict[str, tuple[Column, ...]]] = {
         *texts(rejected="frames rejected by reason, JSON"),
         *floats("Hz", "good samples of the accelerometer by time", "rate_accel_hz"),
         Column("schema_version", "short", "", "version of this table"),
+        *texts(
+            diagnosed="what the drive alone shows for certain by `imucald diagnose`, a JSON list; "
+            "null where it was not asked for or cannot be said"
+        ),
     ),
     "events": (
         *texts(log_key="the drive", vehicle="as in drives"),

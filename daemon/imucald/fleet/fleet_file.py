@@ -97,7 +97,7 @@ class Fleet:
         return found
 
     def named(self, source: str) -> tuple[str, str | None, str | None]:
-        """Vehicle, day (ISO) and type that a log's address tells; the address where none fits."""
+        """Vehicle, day (ISO) and type that a log's address shows; the address where none fits."""
         match = self._rule.search(source)
         if match is None:
             return source, None, None

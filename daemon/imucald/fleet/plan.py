@@ -12,7 +12,7 @@ from imucald.fleet.compaction import read_tables
 from imucald.fleet.fleet_file import Fleet
 from imucald.fleet.listing import Log, is_since
 from imucald.fleet.store import Store
-from imucald.fleet.task import OK, LogLimits, Task
+from imucald.fleet.task import EVALUATE, OK, LogLimits, Task
 
 SAMPLE = 20
 """Logs from whose ends alone a run that is wrong as a whole is known (`driver.ALL_ALIKE`)."""
@@ -27,7 +27,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     since: str | None = None
     limit: int | None = None
     signals: bool = False
-    function: str = "imucald.fleet.evaluation:evaluate"
+    function: str = EVALUATE
 
 
 class Known(msgspec.Struct, frozen=True):

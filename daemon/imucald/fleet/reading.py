@@ -21,12 +21,13 @@ NEEDED = (
     *("start", "end", "state", "first_usable_s", "q_w", "q_x", "q_y", "q_z"),
     *(f"cov_{pair}_deg2" for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
     *("crown_std_deg", "driving_side", "waiting_roll", "waiting_pitch", "waiting_yaw", "causes"),
+    "diagnosed",
 )
 """Columns of `drives` that the analysis reads."""
 
 
 def analyse_fleet(store: Store, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
-    """Write all tables of the analysis anew; return them. Raises ImucaldError."""
+    """Write all tables of the analysis again; return them. Raises ImucaldError."""
     wrong = [g for g in groups if g not in {c.name for c in TABLES["drives"] if c.kind == "text"}]
     if wrong:
         raise ImucaldError(f"--group {wrong[0]}: drives has no such column of texts")

@@ -26,6 +26,11 @@ OTHER_CODE: Final = "other_code"
 """A worker that joined later has another imucald: the run ends, no log is to blame."""
 
 
+EVALUATE: Final = "imucald.fleet.evaluation:evaluate"
+DIAGNOSE: Final = "imucald.fleet.diagnosed:evaluate_and_diagnose"
+"""What is called in the child."""
+
+
 class LogLimits(msgspec.Struct, frozen=True):
     """What one log may take."""
 
@@ -50,7 +55,7 @@ class Task(msgspec.Struct, frozen=True):
     date: str | None = None
     bytes: int = 0
     limits: LogLimits = LogLimits()
-    function: str = "imucald.fleet.evaluation:evaluate"
+    function: str = EVALUATE
     signals: str | None = None
     storage: dict[str, dict[str, Any]] = {}
 

@@ -28,7 +28,14 @@ class Template:
         self._function = function
         self._lock = threading.Lock()
         self._process: subprocess.Popen[bytes] | None = None
+        self._starting: socket.socket | None = None
         self._control: socket.socket | None = None
+
+    def begin(self) -> None:
+        """Start the template, where that is not done, and do not wait for it."""
+        with self._lock:
+            if self._process is None:
+                self._starting = self._launched()
 
     def run(self, task: Task) -> Outcome:
         """Run a task in a child of its own; its end, whatever it was."""
@@ -61,6 +68,16 @@ class Template:
                     return
 
     def _started(self) -> socket.socket:
+        ours, self._starting = self._starting or self._launched(), None
+        ours.settimeout(STARTING_S)
+        if ours.recv(1) != b"r":
+            ours.close()
+            raise ImucaldError(f"the process that evaluates logs does not start: {self._function}")
+        ours.settimeout(None)
+        self._control = ours
+        return ours
+
+    def _launched(self) -> socket.socket:
         ours, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
@@ -77,18 +94,13 @@ class Template:
                 start_new_session=True,  # Ctrl-C is for the driver: what runs is finished
                 env={**os.environ, **FOR_CHILDREN},
             )
-        ours.settimeout(STARTING_S)
-        if ours.recv(1) != b"r":
-            ours.close()
-            raise ImucaldError(f"the process that evaluates logs does not start: {self._function}")
-        ours.settimeout(None)
-        self._control = ours
         return ours
 
     def _stop(self) -> None:
-        if self._control is not None:
-            self._control.close()
-            self._control = None
+        for control in (self._control, self._starting):
+            if control is not None:
+                control.close()
+        self._control = self._starting = None
         if self._process is not None:
             self._process.kill()
             self._process.wait()

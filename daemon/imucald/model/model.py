@@ -65,7 +65,7 @@ class VehicleModel(Section, frozen=True):
     bus: BusLoad = BusLoad()
     known_to: dict[str, NonNegative] = msgspec.field(default_factory=dict)
     """Half widths within which numbers of this file are true, by the keys of `imucald diagnose`, in
-    their SI units; others are held to what its catalogue takes for an honest file."""
+    their SI units; others are held to what its catalogue takes for a correct file."""
 
     def __post_init__(self) -> None:
         fastest = max(self.accel.rate_hz, self.gyro.rate_hz)

@@ -73,7 +73,7 @@ class VehicleCorrection:
         return not (self._levers or self._leans)
 
     def gap(self) -> None:
-        """Time jumped: the filters begin anew."""
+        """Time jumped: the filters start again."""
         self._yaw.restart()
         self._turning = NO_TURNING
         self._suspension.restart()

@@ -7,7 +7,7 @@ import math
 from imucald.model.section import ZERO, Vector3
 
 GAP_S = 0.5
-"""After such a hole a filter begins anew [s]."""
+"""After such a hole a filter starts again [s]."""
 
 
 class Smoothed:

@@ -17,7 +17,7 @@ from imucald.core.samples import GRAVITY
 from imucald.model_compensation.terms import SuspensionTerms
 
 GAP_S = 0.5
-"""A force older than that tells no lean; after such a hole the body is taken to be at rest on its
+"""A force older than that shows no lean; after such a hole the body is taken to be at rest on its
 springs [s]."""
 MAX_ANGLE = 0.15
 """No car leans further [rad]."""
@@ -58,7 +58,7 @@ class _Axis:
 
 
 class SuspensionFilter:
-    """Takes forces in vehicle (body) axes, tells how the body leans."""
+    """Takes forces in vehicle (body) axes, shows how the body leans."""
 
     def __init__(self, terms: SuspensionTerms) -> None:
         self._roll = _Axis(terms.roll, terms.roll, terms.roll_hz, terms.roll_damping)
@@ -79,7 +79,7 @@ class SuspensionFilter:
         return self.attitude if t - self.t <= GAP_S else UPRIGHT
 
     def push(self, t: float, x: float, y: float) -> SuspensionAttitude:
-        """Take the force along and across the vehicle at t [s]; NaN makes it begin anew."""
+        """Take the force along and across the vehicle at t [s]; NaN makes it start again."""
         if math.isnan(x):
             self.restart()
             return self.attitude

@@ -14,7 +14,7 @@ import math
 CORNER_HZ = 4.0
 DAMPING = 0.7
 GAP_S = 0.5
-"""After such a hole it begins anew [s]."""
+"""After such a hole it starts again [s]."""
 
 
 class YawAcceleration:
@@ -34,7 +34,7 @@ class YawAcceleration:
         """[rad/s^2]"""
 
     def push(self, t: float, rate: float) -> float:
-        """Take a rate at t [s]; return its derivative. NaN makes it begin anew."""
+        """Take a rate at t [s]; return its derivative. NaN makes it start again."""
         if math.isnan(rate):
             self.restart()
             return 0.0

@@ -62,9 +62,7 @@ SMOOTH = np.ones(11) / 11.0
 MAX_REVERSE = 11.0
 """Speed [m/s] that is not driven in reverse: its ratio is about first gear's, 13 overall with the
 axle's, which makes 11 m/s at 4,400 revolutions a minute with wheels of 2 m around."""
-NOT_CHECKED = (
-    "all signs of the accelerometer at once: no yaw rate or steering angle to tell them by"
-)
+NOT_CHECKED = "all signs of the accelerometer at once: no yaw rate or steering angle shows them"
 
 
 def _signed_permutations() -> Array:

@@ -35,6 +35,7 @@ from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.off_vertical_limit import is_off_vertical
+from imucald.mount.priors import YAW_PER_CROWN
 from imucald.mount.refit import KEPT_BLOCKS, Refit
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.shift import Shift
@@ -70,6 +71,8 @@ FOUND_ANEW = frozenset({StandingFault.FORCE_TURNS, StandingFault.FORCE_SPEED})
 """Faults that end by a rotation that was found while they stood: that one stays."""
 SHIFTS_ALLOWED = 1
 """After more of them in one drive the mount is loose: it is never *fine*."""
+MOST_OF_LEAN = 0.9
+"""Yaw's deviation is at most in so much that of the road's lean: a covariance stays one."""
 FROZEN_TICKS = 40
 """Learning counts as frozen when so many of a block's ticks were not to be trusted."""
 
@@ -227,10 +230,11 @@ class FullEstimator:
         if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
             self._begin_without_rotation([p])
             return True
-        large.add(p, solver.R, solver.motion(p, solver.R), self._has_speed)
+        motion = solver.motion(p, solver.R)
+        large.add(p, solver.R, motion, self._has_speed)
         change = large.while_standing(p, solver.R)
-        if change is None and solver.own_gyro and "yaw_rate" in self._signals.seen:
-            change = large.while_driving(p, solver.turn_rate)
+        if change is None and solver.own_gyro and self._has_speed:
+            change = large.while_driving(p, motion, "yaw_rate" in self._signals.seen)
         if self._state not in GOOD:  # nothing is served as good, and the fit is young
             if change is not None and self._served.correction is None:
                 self._begin_without_rotation([])
@@ -339,8 +343,7 @@ class FullEstimator:
         fused = solver.fused
         std = (math.inf, math.inf, math.inf)
         if fused is not None:
-            more = np.zeros(3) if solver.creep is None else solver.creep.variance
-            x, y, z = (math.sqrt(v) for v in (fused.variance + more).tolist())
+            x, y, z = (math.sqrt(v) for v in (fused.variance + self._moving()).tolist())
             std = (x, y, z if solver.yaw_known else math.inf)
         self._known = MountKnowledge(
             gravity=fused is not None,
@@ -401,6 +404,24 @@ class FullEstimator:
         is_serving = self._served.correction is not None
         return reported(found, bool(self._faults), is_serving, self._moved, self._refit is not None)
 
+    def _moving(self) -> Array:
+        """Variance (3,) from a mount that moves: as it creeps, or as it was found to have moved.
+
+        Each shift starts the evidence anew, so that creep hardly shows in what is left. A mount
+        that was found turned the same way again and again goes on at that rate.
+        """
+        creep = self._solver.creep
+        more = np.zeros(3) if creep is None else creep.variance.copy()
+        for axis, moved in enumerate(self._shifted_again()):
+            since = moved / self._blocks * 0.5 * self._solver.blocks
+            more[axis] = max(more[axis], since * since)
+        return more
+
+    def _shifted_again(self) -> list[float]:
+        """How far each angle has moved [rad] where it was found to have shifted again; else 0."""
+        by_axis = [[s.size for _, s in self._shifts if s.axis == axis] for axis in range(3)]
+        return [math.fsum(x) if len(x) > SHIFTS_ALLOWED else 0.0 for x in by_axis]
+
     def _answer(self) -> tuple[Array, Array]:
         """R_vehicle_from_sensor with the crown taken out, and its covariance."""
         solver, s = self._solver, self._settings
@@ -410,11 +431,15 @@ class FullEstimator:
         variance = solver.fused.variance.copy()
         if solver.creep is not None:
             R = rotation_from_vector(solver.creep.level) @ R
-            variance += solver.creep.variance
+        variance += self._moving()
         if not solver.yaw_known:
             variance[2] = (math.pi / math.sqrt(3.0)) ** 2
         covariance = np.diag(variance)
-        covariance[0, 0] += s.vehicle.crown_std**2
+        lean = s.vehicle.crown_std
+        covariance[0, 0] += lean**2
+        if solver.yaw_known:  # and no more than yaw's own deviation allows
+            of_lean = min(YAW_PER_CROWN * lean, MOST_OF_LEAN * math.sqrt(variance[2]))
+            covariance[0, 2] = covariance[2, 0] = lean * of_lean
         return R, covariance
 
     # what outlives the process; see `mount.restored`
@@ -492,9 +517,13 @@ class FullEstimator:
                 angle: f"the mount creeps: about {abs(found['deg_per_h']):.0f} deg/h"
                 for angle, found in creeping.items()
             }
+        moved = {angle: found["moved_deg"] for angle, found in creeping.items()}
+        for angle, shifted in zip(ANGLES, self._shifted_again(), strict=True):
+            if shifted:
+                moved[angle] = math.degrees(shifted)
         return {
-            angle: f"the mount moves by {abs(found['moved_deg']):.1f} deg within the drive"
-            for angle, found in creeping.items()
+            angle: f"the mount moves by {abs(degrees):.1f} deg within the drive"
+            for angle, degrees in moved.items()
         }
 
     def _creep(self) -> dict[str, dict[str, float]]:

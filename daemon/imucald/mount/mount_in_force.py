@@ -26,7 +26,7 @@ def mount_in_force(estimator: MountEstimator) -> StoredMount | None:
     state = estimator.state if estimator.state in GOOD else MountState.USABLE
     R = np.array(correction).reshape(3, 3)
     evidence = saved_information(estimator)
-    return StoredMount(R, 0.5 * (C + C.T), state, is_doubted, evidence, body_std=(0.0, 0.0, 0.0))
+    return StoredMount(R, 0.5 * (C + C.T), state, is_doubted, evidence)
 
 
 def saved_information(estimator: MountEstimator) -> SavedInformation | None:
@@ -36,23 +36,29 @@ def saved_information(estimator: MountEstimator) -> SavedInformation | None:
     return None
 
 
-def held(estimator: MountEstimator, inner: MountEstimator) -> RestoredEstimator | None:
-    """The mount that an estimator serves, held; None: it serves none. inner: watches the drive."""
+def held(estimator: MountEstimator) -> RestoredEstimator | None:
+    """The mount that an estimator serves, held; None: it serves none.
+
+    What found it goes on beside it, as the one that knows best when the drive contradicts it.
+    """
     stored = mount_in_force(estimator)
     if stored is None:
         return None
     is_open = estimator.state is MountState.RESTORED
     phase = Phase.RESTORED if is_open else Phase.CONFIRMED
-    return RestoredEstimator(inner, stored, is_held=True, phase=phase)
+    return RestoredEstimator(without_stored(estimator), stored, is_held=True, phase=phase)
 
 
 def released(estimator: RestoredEstimator, inner: MountEstimator) -> RestoredEstimator:
-    """The same mount, from which `inner` takes over when it is as certain."""
+    """The same mount, from which `inner` takes over when it is as certain.
+
+    inner: a new one; what came during the hold is not used.
+    """
     stored = replace(estimator.stored, doubted=estimator.phase is Phase.DOUBTED)
     phase = Phase.CONFIRMED if estimator.phase is Phase.CONFIRMED else Phase.RESTORED
     return RestoredEstimator(inner, stored, phase=phase)
 
 
 def without_stored(estimator: MountEstimator) -> MountEstimator:
-    """An estimator that was just made, without the mount that stands in front of it."""
+    """What finds the mount, without a stored one that stands in front of it."""
     return estimator.inner if isinstance(estimator, RestoredEstimator) else estimator

@@ -65,7 +65,6 @@ class StoredMount:
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`.
     state: the state it had, USABLE or FINE. doubted: it was suspect when it was stored.
     evidence: what it rests on, where the estimator keeps that. is_given: a person stated it.
-    body_std: roll, pitch, yaw [rad] by which the body may have turned since.
     """
 
     R_vehicle_from_sensor: Matrix3
@@ -74,7 +73,6 @@ class StoredMount:
     doubted: bool = False
     evidence: SavedInformation | None = None
     is_given: bool = False
-    body_std: tuple[float, float, float] = BETWEEN_DRIVES_STD
 
 
 class Phase(enum.StrEnum):
@@ -110,7 +108,7 @@ class RestoredEstimator:
         self.joined = False
         """Whether the stored evidence goes along with the new."""
         self._has_left = False
-        self._prior = stored.covariance + np.diag(np.square(stored.body_std))
+        self._prior = stored.covariance + np.diag(np.square(BETWEEN_DRIVES_STD))
         self._served = SlewedRotation(HAND_OVER_RATE)
         self._served.aim(stored.R_vehicle_from_sensor)
         self._plumb_line = PlumbLine()

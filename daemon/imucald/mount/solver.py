@@ -75,6 +75,8 @@ SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
 """Windows after which the delay is sought: first, and then every so many."""
+SEEN_SHARE = 1.0
+"""From as much information as the prior's on what the data say of a bias is looked at."""
 SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
@@ -279,7 +281,7 @@ class MountSolver:
                 fused = fuse(sources, self._sharing, self._cross_axis)
             else:
                 size = float(np.linalg.norm(self.gravity.mean_force())) / GRAVITY - 1.0
-                seen = ((size, spread / GRAVITY),)
+                seen = [(size, spread / GRAVITY), *self._seen_as_bias(bias, bias_cov, spread)]
                 fused, self._cross_axis = fuse_weighing(sources, self._sharing, CROSS_AXIS, seen)
             if self.past_drives is not None:
                 fused = self.past_drives.fused(
@@ -288,6 +290,22 @@ class MountSolver:
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
             self.sources, self.fused = sources, fused
         self.bias, self.bias_cov = bias, bias_cov
+
+    def _seen_as_bias(
+        self, bias: Array, covariance: Array, spread: float
+    ) -> list[tuple[float, float]]:
+        """Level parts of the bias over g, with their deviations: cross-axis errors of gravity
+        come out as one. What the prior has drawn them to zero by is taken back."""
+        assert self.R is not None
+        values = (self.R @ bias).tolist()
+        variances = np.diag(self.R @ covariance @ self.R.T).tolist()
+        found = []
+        for value, variance in zip(values[:2], variances[:2], strict=True):
+            data = 1.0 / variance - 1.0 / (spread * spread)
+            if data > SEEN_SHARE / (spread * spread):
+                own = math.hypot(spread, math.sqrt(1.0 / data))
+                found.append((value / (variance * data) / GRAVITY, own / GRAVITY))
+        return found
 
     def step(self) -> GravityStep | None:
         """A step in gravity that the gyroscope did not see, in the last minute; for every block."""

@@ -1,7 +1,8 @@
-"""Does the sensor turn about the vertical while the vehicle, by its own yaw rate, does not?
+"""Does the sensor turn about the vertical while the vehicle does not?
 
-Between two times at which both hardly turn, gyroscope and yaw rate have turned by the same angle,
+Between two times at which both hardly turn, gyroscope and vehicle have turned by the same angle,
 however late one of them is. Where the gyroscope turned further, the sensor was taken or knocked.
+How the vehicle turns its own yaw rate says, or at speed the force to the left: v r is not there.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.motion.ticks import TICK_S
@@ -20,10 +22,25 @@ APART = 20
 """Ticks between the two times (2 s): a knock is shorter, a hand takes a second."""
 STILL_RATE = 0.05
 """Below this both hardly turn [rad/s]: with 0.2 s between them that is 0.6 deg."""
-LEAST = math.radians(3.0)
-"""A turn by so much is one [rad]; offsets of 0.3 deg/s of both make 1.2 in that time ..."""
-GAIN_SHARE = 0.1
-"""... and their gains differ by so much of what was turned in between."""
+MIN_SPEED = 10.0
+"""From here on the force tells [m/s]: a turn by 6 deg in 2 s takes 0.5 m/s^2 on average there."""
+
+
+class Witness(Struct, frozen=True):
+    """What says how the vehicle turns.
+
+    least: a turn that the gyroscope makes alone is one from so much on [rad]. gain_share: both
+    differ by so much of what was turned in between.
+    """
+
+    least: float
+    gain_share: float
+
+
+YAW_RATE = Witness(math.radians(3.0), 0.1)
+"""Offsets of 0.3 deg/s of both make 1.2 deg in that time."""
+FORCE = Witness(math.radians(6.0), 0.3)
+"""A gust of 0.3 m/s^2 for that long makes 3.4 deg; the body leans."""
 
 
 class TurnedAlone:
@@ -36,9 +53,9 @@ class TurnedAlone:
         """Nothing is held against what comes before."""
         self._before = np.zeros((2, 0))
 
-    def add(self, turn_rate: Array, yaw_rate: Array, ok: Flags) -> float:
+    def add(self, turn_rate: Array, vehicle: Array, ok: Flags, by: Witness = YAW_RATE) -> float:
         """Take a block (N,) [rad/s]; return by how much the sensor turned alone [rad], or 0."""
-        both = np.concatenate([self._before, np.stack([turn_rate, yaw_rate])], axis=1)
+        both = np.concatenate([self._before, np.stack([turn_rate, vehicle])], axis=1)
         if not ok.all():
             both = both[:, both.shape[1] - len(ok) + int(np.flatnonzero(~ok)[-1]) + 1 :]
         self._before = both[:, -APART:]
@@ -49,10 +66,13 @@ class TurnedAlone:
         turned = np.cumsum(both[0] - both[1]) * TICK_S
         alone = turned[APART:] - turned[:-APART]
         path = np.cumsum(np.abs(both[1])) * TICK_S
-        excess = np.abs(alone) - GAIN_SHARE * (path[APART:] - path[:-APART])
+        excess = np.abs(alone) - by.gain_share * (path[APART:] - path[:-APART])
         excess[~use] = 0.0
         k = int(np.argmax(excess))
-        if excess[k] < LEAST:
+        if excess[k] < by.least:
+            return 0.0
+        own = float(both[0, k + 1 : k + APART + 1].sum()) * TICK_S
+        if own * float(alone[k]) < 0.0 or abs(own) < by.least:  # the vehicle's signal is odd
             return 0.0
         self.restart()
         return float(alone[k])

@@ -2,7 +2,7 @@
 
 Plain SVG text, made without any library: pages, the README and the live page show the same
 drawing. Orthographic views; forward is to the right from the side and from above. Colours of the
-axes are told apart with any colour blindness (Okabe and Ito); light and dark follow the reader.
+axes are separated with any colour blindness (Okabe and Ito); light and dark follow the reader.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CENTRE: Point = (150.0, 106.0)
 """Where the sensor is drawn, in each view."""
 AXIS_LENGTH = 66.0
 BOX = np.array([22.0, 16.0, 6.0])
-"""Half sizes of the sensor's box along its axes: flat, so that its faces are told apart."""
+"""Half sizes of the sensor's box along its axes: flat, so that its faces are separated."""
 END_ON = 0.2
 """An axis whose drawn part is shorter than this share points at the reader or away."""
 LABEL_GAP = 11.0
@@ -110,7 +110,7 @@ def drawing(R_vehicle_from_sensor: Matrix3, words: str) -> str:
 def view_drawings(R_vehicle_from_sensor: Matrix3 | None) -> list[str]:
     """Return each view as an SVG of its own, for pages that set them side by side or in a column.
 
-    The page brings `STYLE`; within HTML no name space is told.
+    The page brings `STYLE`; within HTML no name space is reported.
     """
     return [
         f'<svg class="sits" role="img" viewBox="0 0 {VIEW_WIDTH:g} {VIEW_HEIGHT:g}">'

@@ -15,8 +15,8 @@ STATE_WORDS: Mapping[str, str] = {
     "usable": "corrected frames are sent as usable",
     "fine": "every angle is as certain as its target",
     "suspect": "new evidence contradicts the mount, or signals contradict one another",
-    "recalibrating": "the mount is found anew",
-    "restored": "the mount of an earlier drive serves",
+    "recalibrating": "the mount is found again",
+    "restored": "a saved or stated mount serves; this drive has not confirmed it",
 }
 
 
@@ -41,7 +41,7 @@ def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Ite
 
 
 def told_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> Iterator[Event]:
-    """What a result (or a daemon's status) tells of moved sensors, faults and sensor health."""
+    """What a result (or a daemon's status) says about moved sensors, faults and sensor health."""
     details = result.get("details", {})
     for shift in details.get("shifts", ()):
         text = f"the sensor was moved: {shift['angle']} by {shift['size_deg']:+.1f} deg"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DIVERGING = LinearSegmentedColormap.from_list("imucald", ["#2b6cb0", "#f4f4f4", "#c0561a"])
-"""Blue below, vermilion above: told apart with any colour blindness."""
+"""Blue below, vermilion above: separated with any colour blindness."""
 MAP = (4.7, 3.5)
 STRETCH_S = 60.0
 SPEED_BINS, TURN_BINS = 14, 12

@@ -193,7 +193,7 @@ def arrivals_picture(history: DriveHistory) -> str:
 
 
 def evidence_picture(history: DriveHistory, angle: str) -> str | None:
-    """Shares of the kinds of evidence in an angle, by time; None where none are told."""
+    """Shares of the kinds of evidence in an angle, by time; None where none are reported."""
     rows = []
     for moment in history.moments:
         shares = moment.estimate.details.get("evidence_share")

@@ -73,8 +73,9 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
     if targets is not None:
         for s, limit, axis in zip(std, targets.usable, "xyz", strict=True):
             if s >= limit:
-                text = f"{axis}: {math.degrees(s):.3g} deg is too vague to be used; it must be"
-                raise EstimateError(f"{text} below {math.degrees(limit):.3g}, or be learnt")
+                text = f"{math.degrees(s):.3g} deg about {axis} is too vague for a usable mount"
+                better = f"it must be below {math.degrees(limit):.3g} deg"
+                raise EstimateError(f"{text}: {better}, or the mount must be learnt")
         if (np.hypot(std, BETWEEN_DRIVES_STD) < targets.fine).all():
             state = MountState.FINE
     R = rotation_from_angles(mount.roll, mount.pitch, mount.yaw)

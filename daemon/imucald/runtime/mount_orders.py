@@ -81,14 +81,14 @@ class MountOrders:
         self._service.engine.restart_calibration()
         self._service.forget_state()
         stated = self._service.loaded.config.calibration.mount is not None
-        begun = "begun anew from the mount of the configuration" if stated else "begun anew"
+        begun = "started again from the mount of the configuration" if stated else "started again"
         return self._told(who, f"reset: the learnt mount is forgotten, the calibration {begun}")
 
     def hold(self, who: str) -> str:
         """Keep the mount that is in force and learn nothing. Raises OrderError without one."""
         if self.is_held:
             raise OrderError("the mount is held already")
-        kept = held(self._estimator, self._learning())
+        kept = held(self._estimator)
         if kept is None:
             state = self._estimator.state.name.lower()
             text = f"there is no mount to hold yet (state {state}): drive until it is usable"
@@ -112,7 +112,7 @@ class MountOrders:
         try:
             stored = known_mount(mount, learning.estimate().targets)
         except EstimateError as error:
-            raise OrderError(f"std_deg {error}") from None
+            raise OrderError(f"a standard deviation of {error}") from None
         self._service.forget_state()
         self._put(RestoredEstimator(learning, stored, is_held=mount.hold))
         x, y, z = (2.0 * float(s) * DEG_PER_RAD for s in np.sqrt(np.diag(stored.covariance)))
@@ -126,7 +126,7 @@ class MountOrders:
     def begin(self, who: str) -> None:
         """Begin anew and keep the former estimator aside."""
         self._former = self._settings(), self._service.engine.restart_calibration()
-        self._told(who, "the calibration is begun anew")
+        self._told(who, "the calibration is started again")
 
     def return_to_former(self, who: str) -> bool:
         """Take the former estimator back, unless it was made for other settings."""

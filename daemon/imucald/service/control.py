@@ -84,13 +84,15 @@ class ControlServer(LineServer):
         if not self._has_token():
             return _line(error=f"too many orders; try again in {PERIOD_S:g} s")
         try:
-            return _line(done=self._carried_out(_DECODER.decode(line), peer))
-        except DecodeError as error:  # ValidationError is one
+            order = _DECODER.decode(line)
+        except (DecodeError, ValueError, RecursionError) as error:  # not JSON, UTF-8, an order
             return _line(error=f"not understood: {error}")
-        except RecursionError:
-            return _line(error="not understood: nested too deeply")
+        try:
+            return _line(done=self._carried_out(order, peer))
         except ImucaldError as error:
             return self._refused(str(error), peer)
+        except Exception as error:  # whatever it is: frames go on
+            return self._refused(f"it failed ({type(error).__name__}: {error})", peer)
 
     def _has_token(self) -> bool:
         now = self._clock()

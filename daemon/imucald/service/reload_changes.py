@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from imucald.config import LoadedConfig
-from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator
+from imucald.mount.estimate import MountEstimator
 from imucald.mount.mount_in_force import mount_in_force, without_stored
 from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.engine import Engine
@@ -35,6 +33,4 @@ def behind_the_known(old: MountEstimator, new: MountEstimator) -> MountEstimator
     if stored is None:
         return new
     is_held = isinstance(old, RestoredEstimator) and old.is_held
-    return RestoredEstimator(
-        without_stored(new), replace(stored, body_std=BETWEEN_DRIVES_STD), is_held
-    )
+    return RestoredEstimator(without_stored(new), stored, is_held)

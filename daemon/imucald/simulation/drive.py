@@ -73,7 +73,7 @@ class Truth:
         return reached[-1] if reached else self.mounts[0][1]
 
     def mean_crown(self, start_s: float = 0.0, stop_s: float = math.inf) -> float:
-        """Mean roll of the road while driving [rad]: what mount roll cannot be told from."""
+        """Mean roll of the road while driving [rad]: what mount roll cannot be separated from."""
         return self._driving_mean(self.road_roll, start_s, stop_s)
 
     def mean_grade(self, start_s: float = 0.0, stop_s: float = math.inf) -> float:

@@ -44,7 +44,7 @@ class TerminalAttitude:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew: time has jumped."""
+        """Begin again: time has jumped."""
         self.q: Quaternion = IDENTITY
         """Terminal to P."""
         self.level: Rows = rows_from_quaternion(IDENTITY)

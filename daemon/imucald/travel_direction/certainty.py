@@ -8,7 +8,7 @@ facing", ISWC 2009, trouser pockets).
 Sign: forward leads vertical acceleration at the step's frequency by a quarter period in the trunk
 and by 120 to 150 deg in a hand, so by 120 +- 30 deg; phases about that are taken as a von Mises
 distribution, whose likelihood ratio of the two senses is exp(2 kappa c), c being how far the steps'
-phases agree with it. A swinging arm is not pushed by the step: its phase tells less, the more it
+phases agree with it. A swinging arm is not pushed by the step: its phase shows less, the more it
 swings. And who looks at a terminal mostly holds its upper edge ahead (the premise of the published
 method, [0066]): nine in ten. Systematic all of it, so steps do not multiply it.
 """

@@ -59,7 +59,7 @@ class StepCycles:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew: time has jumped."""
+        """Begin again: time has jumped."""
         self._t = -math.inf
         self._g = (0.0, 0.0, 0.0)
         self._warm = 0.0

@@ -31,8 +31,8 @@ class Dtc:
 
 FAULTS: Final = {
     "saturated": (0x22, "its values pile up at the end of its range"),
-    "stuck": (0x2A, "it, or one of its axes, says the same again and again"),
-    "implausible": (0x64, "it says what no road vehicle does, or in another unit than before"),
+    "stuck": (0x2A, "it, or one of its axes, repeats one value"),
+    "implausible": (0x64, "its values are impossible for a road vehicle, or in another unit"),
 }
 """Faults of sensors: kind of failure (signal amplitude above its maximum, signal stuck in range,
 signal plausibility failure), and what is meant."""

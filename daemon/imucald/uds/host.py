@@ -39,7 +39,7 @@ class FrameCounts:
 
 @dataclass(frozen=True)
 class Symptoms:
-    """What the DTCs are made from; None where it cannot be told.
+    """What the DTCs are made from; None where it cannot be reported.
 
     usable: a correction is in force. moved: the sensor seems to have been moved. missing: inputs
     by name ("accelerometer", "gyroscope", "speed") that are configured: whether they are missing.
@@ -87,7 +87,7 @@ class Host(Protocol):
         ...
 
     def begin_calibration(self) -> None:
-        """Begin anew; what was known is kept aside for `return_to_former`."""
+        """Begin again; what was known is kept aside for `return_to_former`."""
         ...
 
     def return_to_former(self) -> bool:
@@ -108,5 +108,5 @@ class Host(Protocol):
         ...
 
     def forget(self) -> None:
-        """Begin anew and keep nothing, a saved state neither."""
+        """Begin again and keep nothing, a saved state neither."""
         ...

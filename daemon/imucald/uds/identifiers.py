@@ -39,7 +39,7 @@ COUNTED_FAULTS = (
     "saturated",
     "out_of_range",
 )
-"""Reasons in the order of the identifier that tells their counts."""
+"""Reasons in the order of the identifier that shows their counts."""
 
 
 @dataclass(frozen=True)

@@ -171,7 +171,7 @@ class IsoTpChannel:
             if to_all:  # a response on its way to one tester is worth more
                 self.counters["functional_response_dropped"] += 1
                 return
-            self._give_up()  # the tester asks anew: it does not wait for the rest
+            self._give_up()  # the tester asks again: it does not wait for the rest
         self._stack.send(response)
         self._sending_since = self._clock()
         self._process(receive=False)

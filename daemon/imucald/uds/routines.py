@@ -1,4 +1,4 @@
-"""Routine control (service 0x31): calibrate anew, reset, check the sensors again.
+"""Routine control (service 0x31): calibrate again, reset, check the sensors again.
 
 All change what the daemon sends, so all ask for an unlocked server and a vehicle that stands.
 """
@@ -19,7 +19,7 @@ STOP: Final = 0x02
 RESULTS: Final = 0x03
 
 CALIBRATE: Final = 0xF010
-"""Begin anew under supervision; stopping it takes the former calibration back."""
+"""Begin again under supervision; stopping it takes the former calibration back."""
 RESET: Final = 0xF011
 """Forget the calibration, the saved one too; done at once, cannot be taken back."""
 

@@ -1,4 +1,4 @@
-"""The server: sessions, which service may be asked for when, and how a refusal is told.
+"""The server: sessions, which service may be asked for when, and how a refusal is reported.
 
 The order in which a request is judged is that of ISO 14229-1: service, session, length,
 sub-function, then what the service itself asks for.

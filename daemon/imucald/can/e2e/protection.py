@@ -8,7 +8,7 @@ concerns one signal (not available, implausible) is judged in `quantities`.
 The order of judgement: "short_frame", "long_frame" (only where there is a checksum: such frames
 have the length that their profile states, or the next that CAN FD can carry), "checksum" (with the
 data id), "counter_invalid": such a frame says nothing, and its counter is not read. Then "timeout":
-the first good frame after a silence, which starts the counter anew. Then the counter against that
+the first good frame after a silence, which starts the counter again. Then the counter against that
 of the last good frame: "counter_repeated" (stuck, or a frame sent again), "counter_reversed" (back
 by no more than the window: an old frame), "counter_jump" (more lost than allowed). Frames dropped
 for a wrong checksum or length are known to be missing and widen the allowed step, so that one

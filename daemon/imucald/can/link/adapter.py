@@ -2,7 +2,7 @@
 
 Adapters for USB, serial lines, remote buses, and the virtual bus of the demo. What SocketCAN does
 in the kernel (filters, counted losses, interface states) an adapter may not do at all; ids are
-therefore filtered again by the link, and only an error tells that the adapter has gone.
+therefore filtered again by the link, and only an error shows that the adapter has gone.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Adapter:
         """Send one frame, as CAN FD when it is longer than 8 bytes.
 
         Raises OSError EIO when the adapter does not take it, for whatever reason: whether it has
-        gone is told by receiving.
+        gone is reported by receiving.
         """
         fd = len(data) > CLASSIC_BYTES
         message = can.Message(

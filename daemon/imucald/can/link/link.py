@@ -169,7 +169,7 @@ class Link:
         self.counters.received += len(wanted)
         self._count_losses(port)
         if self.state is LinkState.BUS_OFF and frames[-1][1] & CAN_ERR_FLAG == 0:
-            self._is_up_again()  # we hear the bus: some drivers do not tell of the restart
+            self._is_up_again()  # we hear the bus: some drivers do not report the restart
         return wanted
 
     def _conflict(self, can_id: int) -> None:

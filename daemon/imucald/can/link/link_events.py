@@ -12,11 +12,11 @@ from msgspec import Struct
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
 
 EVENT_PERIOD = 5.0
-"""Events that may come with every frame are told this often at most, with their count [s]."""
+"""Events that may come with every frame are reported this often at most, with their count [s]."""
 
 
 class LinkState(enum.StrEnum):
-    """How the bus is, as far as the interface tells."""
+    """How the bus is, as far as the interface shows."""
 
     UP = "up"
     DOWN = "down"  # the interface exists and is set down

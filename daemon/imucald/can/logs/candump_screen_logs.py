@@ -51,7 +51,7 @@ _DELTA_SHARE: Final = 0.2
 """Part of the steps that go back from which stamps are differences: of differences half do."""
 _ERROR_ID: Final = 0x2000_0000
 _LOOK_LINES: Final = 200
-"""First lines by which differences are told from times since the start."""
+"""First lines by which differences are separated from times since the start."""
 
 
 class ScreenFrame(NamedTuple):
@@ -133,7 +133,7 @@ class CandumpScreenReader:
         cycle, can_id, channel = min(known)
         self._statistics.note(
             f"{name}: no time stamps: time is counted from id 0x{can_id & CAN_EFF_MASK:X}, stated "
-            f"every {1e3 * cycle:g} ms, and is as good as that; {REMEDY}"
+            f"every {1e3 * cycle:g} ms, and is only as exact as that; {REMEDY}"
         )
         return _Counted(can_id, channel, cycle)
 

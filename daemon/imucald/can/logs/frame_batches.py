@@ -56,7 +56,7 @@ class FrameBatches:
         return self._verdicts[key]
 
     def columns(self) -> FrameColumns:
-        """The frames gathered so far, which begin anew."""
+        """The frames gathered so far, which start again."""
         batch, self._batch = self._batch, []
         return columns_of_frames(batch, self._channels.names)
 

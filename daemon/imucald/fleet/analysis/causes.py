@@ -17,6 +17,8 @@ FEW_VEHICLES = 3
 """A cause in fewer vehicles is not called a matter of design, however small their type is."""
 FIGURES = re.compile(r"\s*\([^)]*\)|\d+(\.\d+)?")
 UNKNOWN = "unknown"
+DIAGNOSED = "diagnosed: "
+"""Begins the causes that `fleet run --diagnose` found."""
 
 
 def cause_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
@@ -28,10 +30,13 @@ def cause_rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     """
     kind_of: dict[str, str] = {}
     having: dict[str, set[str]] = defaultdict(set)
-    rows = zip(columns["vehicle"], columns["vehicle_type"], columns["causes"], strict=True)
-    for vehicle, kind, causes in rows:
+    diagnosed = columns.get("diagnosed") or [None] * len(columns["vehicle"])
+    of_drive = (columns["vehicle"], columns["vehicle_type"], columns["causes"], diagnosed)
+    for vehicle, kind, causes, found_by_diagnosis in zip(*of_drive, strict=True):
         kind_of[str(vehicle)] = str(kind or UNKNOWN)
-        for cause in json.loads(causes or "[]"):
+        names = json.loads(causes or "[]")
+        names += [f"{DIAGNOSED}{name}" for name in json.loads(found_by_diagnosis or "[]")]
+        for cause in names:
             having[cause].add(str(vehicle))
     size = Counter(kind_of.values())
     found = [

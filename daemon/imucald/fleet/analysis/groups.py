@@ -86,7 +86,7 @@ def _effects(
     inside = _summed(sums[mine], pair, len(pairs))
     group, kind = np.divmod(pairs, units.kinds)
     outside = _summed(sums[used], units.kind[used], units.kinds)[kind] - inside
-    # a type that is of this batch as a whole: the two cannot be told apart
+    # a type that is of this batch as a whole: the two cannot be separated
     beside = outside[:, 9] > 0.5
     inside, outside, group = inside[beside], outside[beside], group[beside]
     (mean, variance), (of_others, their_variance) = _mean(inside), _mean(outside)

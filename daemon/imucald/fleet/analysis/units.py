@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 MAX_Q = 0.05
-"""Of what is told as found, such a share is false in expectation (Benjamini and Hochberg 1995)."""
+"""Of what is reported as found this share is false in expectation (Benjamini, Hochberg 1995)."""
 T_FREEDOM = 4.0
 """Of the t distribution whose weights make the centre robust (Lange et al., J. Am. Stat. Assoc. 84,
 1989: 4 serves most data)."""

@@ -1,0 +1,50 @@
+"""The logs: how each is made, from which repository, and what is known of it beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from benchmarks.public_logs import phones, repositories, vehicles
+from benchmarks.public_logs.frames import Message
+from benchmarks.public_logs.repositories import Repository
+
+RIGHT = Path(__file__).parent / "right"
+
+
+@dataclass(frozen=True)
+class PublicLog:
+    """One log. right: its configuration by hand. known: (angle about x, y, z or None) [deg], +-."""
+
+    name: str
+    repository: Repository
+    convert: Callable[[Path], list[Message]]
+    known: tuple[float | None, float | None, float | None] = (None, None, None)
+    within: float = 0.0
+    right: str = ""
+
+    @property
+    def configuration(self) -> Path:
+        """The configuration by hand; it names its database `car.dbc`."""
+        return RIGHT / f"{self.right or self.name}.yaml"
+
+
+LOGS = (
+    # pitch and yaw as its author's own filter was told them; roll was not estimated there
+    PublicLog("everett_roof", repositories.EVERETT, vehicles.everett_roof, (None, -6.76, 174.61),
+              1.0),
+    PublicLog("austin_bmw", repositories.CLOUDPOSE, phones.austin_bmw),
+    PublicLog("dresden_city", repositories.BALZER, vehicles.dresden_city),
+    # the logger's box is aligned with the car by whoever mounts it; forward, right, down
+    PublicLog("tcr_civic", repositories.XDRK, vehicles.tcr_civic, (180.0, 0.0, 0.0), 3.0),
+    PublicLog("shuttle_1", repositories.VEHSENSE, partial(phones.paratransit_shuttle, part=0),
+              right="shuttle"),
+    PublicLog("shuttle_2", repositories.VEHSENSE, partial(phones.paratransit_shuttle, part=1),
+              right="shuttle"),
+    # stated with its solution: x right, y forward
+    PublicLog("dtu_ugv", repositories.DTU, vehicles.dtu_ugv, (0.0, 0.0, -90.0), 3.0),
+    PublicLog("phone_s24", repositories.SANTOLLAN, phones.phone_s24),
+    PublicLog("pixel_1hz", repositories.BRODOVSKY, phones.pixel_1hz),
+)  # fmt: skip

@@ -1,0 +1,155 @@
+"""Converters of recordings with sensors fixed in a vehicle: source files to messages."""
+
+from __future__ import annotations
+
+import csv
+import io
+import struct
+import tempfile
+from collections.abc import Callable
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.public_logs.frames import Array, Message, Signal
+from benchmarks.public_logs.repositories import BALZER, DTU, EVERETT, XDRK
+
+
+def everett_roof(data: Path) -> list[Message]:
+    """IMU and RTK receiver on a car's roof: hilly streets, then a parking lot, 9 min."""
+    folder = "data/drive_0708"
+    imu = np.genfromtxt(
+        io.BytesIO(EVERETT.file(data, f"{folder}/imu_1934.csv")), delimiter=",", skip_header=1
+    )
+    imu = imu[np.isfinite(imu).all(axis=1)]
+    start, stop = _tagged_span(EVERETT.file(data, f"{folder}/imu_1934.csv.tag"))
+    ticks = imu[:, 6] / 1000.0
+    t = start + (ticks - ticks[0]) * (stop - start) / (ticks[-1] - ticks[0])
+    text = EVERETT.file(data, f"{folder}/gnss_1934_sf.pos").decode()
+    rows = [line.split() for line in text.splitlines() if line and not line.startswith("%")]
+    t_gnss = np.array([_utc(f"{row[0]} {row[1]}", "%Y/%m/%d %H:%M:%S.%f") for row in rows])
+    north, east = (np.array([float(row[i]) for row in rows]) for i in (15, 16))
+    return [
+        _triad(0x120, "IMU_ACC", "ACC", "g", 0.001, t, imu[:, :3]),
+        _triad(0x121, "IMU_RATE", "RATE", "deg/s", 0.004, t, imu[:, 3:6]),
+        Message(0x130, "GNSS_VEL", t_gnss, (
+            Signal("SPEED", "m/s", 0.001, np.hypot(north, east), is_signed=False),
+            Signal("COURSE", "deg", 0.01, np.degrees(np.arctan2(east, north)) % 360.0, False),
+        )),
+    ]  # fmt: skip
+
+
+def dresden_city(data: Path) -> list[Message]:
+    """Car, 3.6 min in a city: IMU 50 Hz, GPS 10 Hz."""
+    text = BALZER.file(data, "2014-03-26-000-Data.csv").decode()
+    rows = list(csv.DictReader(io.StringIO(text)))
+    t = np.array([float(row["millis"]) for row in rows]) / 1000.0
+    is_fix = np.array([True] + [a["time"] != b["time"] for a, b in pairwise(rows)])
+
+    def column(name: str) -> Array:
+        return np.array([float(row[name]) for row in rows])
+
+    return [
+        _triad(0x10, "Accel", "a", "m/s^2", 0.002, t, _stack(column, "ax", "ay", "az"), "xyz"),
+        Message(0x11, "Rates", t, tuple(
+            Signal(name, "deg/s", 0.02, column(name))
+            for name in ("rollrate", "pitchrate", "yawrate")
+        )),
+        Message(0x20, "GPS", t[is_fix], (
+            Signal("speed", "km/h", 0.01, column("speed")[is_fix], False),
+            Signal("course", "deg", 0.01, column("course")[is_fix], False),
+        )),
+    ]  # fmt: skip
+
+
+def tcr_civic(data: Path) -> list[Message]:
+    """Honda Civic TCR, 3 min of a qualifying session: the logger's sensors and the car's CAN."""
+    try:
+        from libxrk import aim_xrk  # type: ignore[import-not-found,unused-ignore]
+    except ImportError:
+        raise ValueError("tcr_civic is read with libxrk: pip install libxrk") from None
+    path = "testdata/072/TCR_EU-21_E02-LCA_Q1_HO-FK7-M5-X-S_072_A_1252.xrk"
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "session.xrk"
+        file.write_bytes(XDRK.file(data, path))
+        channels = aim_xrk(str(file)).channels
+
+    def message(id_: int, name: str, unit: str, step: float, *names: str,
+                signed: bool = True) -> Message:  # fmt: skip
+        tables = [channels[channel] for channel in names]
+        t = np.asarray(tables[0].column("timecodes"), dtype=np.float64) / 1000.0
+        return Message(id_, name, t, tuple(
+            Signal(channel, unit, step, np.asarray(table.column(channel), dtype=np.float64), signed)
+            for channel, table in zip(names, tables, strict=True)
+        ))  # fmt: skip
+
+    wheels = ("vWheelFL", "vWheelFR", "vWheelRL", "vWheelRR")
+    speed = message(0x320, "LOG_GPS", "m/s", 0.005, "GPS Speed", signed=False)
+    speed = Message(speed.id, speed.name, speed.t, (
+        Signal("vGPS", "m/s", 0.005, speed.signals[0].values, False),
+    ))  # fmt: skip
+    return [
+        message(0x300, "LOG_ACC", "g", 0.0002, "aLon", "aLat", "aVer"),
+        message(0x301, "LOG_RATE", "deg/s", 0.01, "wRoll", "wPitch", "wYaw"),
+        message(0x310, "ECU_WHEELS", "km/h", 0.05, *wheels, signed=False),
+        message(0x311, "ECU_STEER", "deg", 0.1, "bSteering"),
+        message(0x312, "ECU_BRAKE", "bar", 0.01, "pBrakeF", "pBrakeR"),
+        message(0x313, "ECU_GEAR", "", 1.0, "posGear"),
+        speed,
+    ]
+
+
+def dtu_ugv(data: Path) -> list[Message]:
+    """Ground robot, 4 min outdoors: IMU 100 Hz; speed of the GNSS/INS solution at 10 Hz."""
+    imu = np.genfromtxt(io.BytesIO(DTU.file(data, "data/run4_imu.txt")), skip_header=1)
+    truth = ugv_truth(data)[::10]
+    speed = np.linalg.norm(truth[:, 7:10], axis=1)
+    return [
+        _triad(0x51, "IMU_A", "Accel", "m/s^2", 0.001, imu[:, 0], imu[:, 4:7]),
+        _triad(0x52, "IMU_G", "Gyro", "deg/s", 0.005, imu[:, 0], imu[:, 1:4]),
+        Message(0x60, "ODO", truth[:, 0], (Signal("Velocity", "m/s", 0.001, speed, False),)),
+    ]
+
+
+def ugv_truth(data: Path) -> Array:
+    """(n, 11): time [s], ECEF position [m], heading, pitch, roll [deg], ECEF velocity, UTC."""
+    text = DTU.file(data, "data/run4_groundtruth.txt").decode(errors="replace")
+    rows = [line.split() for line in text.splitlines()]
+    return np.array(
+        [[float(x) for x in row] for row in rows if len(row) == 11 and _is_number(row[0])]
+    )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _tagged_span(tag: bytes) -> tuple[float, float]:
+    """First and last time [s] of RTKLIB's time-tag file: head, then (tick [ms], position)."""
+    seconds, fraction = struct.unpack_from("<Id", tag, 64)
+    ticks = np.frombuffer(tag[76 : 76 + (len(tag) - 76) // 8 * 8], dtype="<u4").reshape(-1, 2)
+    return seconds + fraction, seconds + fraction + ticks[-1, 0] / 1000.0
+
+
+def _utc(text: str, form: str) -> float:
+    return (datetime.strptime(text, form) - datetime(1970, 1, 1)).total_seconds()
+
+
+def _stack(column: Callable[[str], Array], *names: str) -> Array:
+    return np.stack([column(name) for name in names], axis=1)
+
+
+def _triad(
+    id_: int, message: str, stem: str, unit: str, step: float, t: Array, values: Array,
+    axes: str = "_X _Y _Z",
+) -> Message:  # fmt: skip
+    names = axes.split() if " " in axes else list(axes)
+    return Message(id_, message, t, tuple(
+        Signal(f"{stem}{axis}", unit, step, values[:, i]) for i, axis in enumerate(names)
+    ))  # fmt: skip

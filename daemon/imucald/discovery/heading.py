@@ -1,0 +1,140 @@
+"""The heading, and what a compass's sense of turning says about the accelerometer's sign.
+
+A course is clockwise on every receiver. It is the one signal of a bus that tells a sensor of the
+specific force from one that shows its opposite (phones do, and what calls itself a gravity vector):
+upside down and backwards, such a sensor fits speed, turns and gyroscope alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imucald.config_check.motion import shifted
+from imucald.discovery.candidates import SeenSignal
+from imucald.discovery.evidence import Relation, relation
+from imucald.discovery.names import hint
+from imucald.discovery.proposal import Choice, source_of
+from imucald.discovery.reference import DELAYS, KnownMotion, stated_unit
+from imucald.discovery.scalars import SAME_MOTION, by_unit_and_name
+
+SPAN = 10
+"""Ticks over which a change of the heading is taken: a receiver gives it once a second."""
+LARGEST_CHANGE = 1.0
+"""In that time [rad]; what is more is the bridge over the jump from 360 to 0."""
+GAIN = 1.5
+"""Half way, as a ratio, between the right unit and half or twice of it."""
+
+REVERSED = (
+    "minus the specific force: the course, which is clockwise, turns the other way than this"
+    " sensor would if the axis that points up read plus 1 g at rest; if it does, remove the signs"
+)
+PERHAPS_REVERSED = (
+    "{heading} turns counter-clockwise beside it: if that is a compass course, this sensor shows"
+    " minus the specific force, and all three axes get 'sign: -1'"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class HeadingFit:
+    """An angle whose change is the yaw rate. relation: to clockwise turning; delay [ticks]."""
+
+    candidate: SeenSignal
+    relation: Relation
+    delay: int
+    is_reversed: bool = False
+    """Whether the accelerometer was reversed for it."""
+
+    @property
+    def is_named(self) -> bool:
+        """Whether its name says that it is a compass's."""
+        return hint("heading", self.candidate) is not None
+
+    @property
+    def is_like_a_compass(self) -> bool:
+        """Whether it is named so, or counts from 0 to 360; angles to the left have both signs."""
+        return self.is_named or self.candidate.least >= 0.0
+
+
+def fit_heading(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> HeadingFit | None:
+    """The angle whose change follows the yaw rate best, at its own delay; None where none does."""
+    if reference.turn is None:
+        return None
+    turn = reference.turn
+    if reference.speed is not None:  # a receiver that stands has no course
+        turn = np.where(np.isfinite(reference.speed.moving), turn, np.nan)
+    best: HeadingFit | None = None
+    for c in candidates:
+        unit = stated_unit(c, "angle") if not c.is_constant else None
+        if unit is None:
+            continue
+        turned = shifted(c.x, SPAN // 2) - shifted(c.x, -SPAN // 2)
+        turned = np.mod(turned * unit.factor + np.pi, 2.0 * np.pi) - np.pi
+        turned[np.abs(turned) > LARGEST_CHANGE] = np.nan
+        turned /= SPAN / 10.0
+        fits = (HeadingFit(c, relation(-turn, shifted(turned, d)), d) for d in DELAYS)
+        one = max(fits, key=lambda f: f.relation.explained)
+        found = one.relation
+        fitting = found.explained >= SAME_MOTION and 1.0 / GAIN < found.gain < GAIN
+        if found.is_believed and fitting and (best is None or found.z > best.relation.z):
+            best = one
+    return best
+
+
+def heading_choice(
+    fit: HeadingFit | None, reference: KnownMotion, candidates: Sequence[SeenSignal]
+) -> Choice | None:
+    """The heading as it is proposed; by unit and name where nothing was found to follow a turn."""
+    if fit is None:
+        wide = []
+        for c in candidates:
+            unit = stated_unit(c, "angle") if not c.is_constant else None
+            if unit is not None and (c.largest - c.least) * unit.factor > np.pi:
+                wide.append(c)
+        why = "" if reference.turn is None else "its changes do not follow the turns here"
+        return by_unit_and_name("heading", "angle", wide, why)
+    is_clockwise = fit.relation.sign > 0
+    doubt = "" if is_clockwise else "a compass turns clockwise; see the accelerometer"
+    if fit.is_reversed and not fit.is_named:
+        doubt = "its name does not say that it is a compass's; see the accelerometer"
+    late = f", {0.1 * fit.delay:.1f} s late" if fit.delay > 0 else ""
+    sense = "clockwise" if is_clockwise else "counter-clockwise"
+    return Choice(
+        "heading",
+        {"": source_of(fit.candidate, None, fit.relation.sign)},
+        f"its change follows the yaw rate (correlation {fit.relation.correlation:+.2f}, "
+        f"{sense}{late})",
+        doubt,
+    )
+
+
+def hold_against_heading(
+    reference: KnownMotion, accelerometer: Choice, fit: HeadingFit | None
+) -> HeadingFit | None:
+    """Reverse the accelerometer, and all that follows from it, where a compass says so.
+
+    Returns the fit with the sense that it has then. Where the name does not tell that it is a
+    compass, everything that has a side is doubted.
+    """
+    if fit is None or fit.relation.sign > 0 or reference.up is None or reference.turn is None:
+        return fit
+    if not fit.is_named:
+        reference.sides_from = ""
+    if not fit.is_like_a_compass:
+        accelerometer.doubt = PERHAPS_REVERSED.format(heading=fit.candidate.path)
+        return fit
+    accelerometer.sources = {
+        axis: replace(source, sign=-source.sign) for axis, source in accelerometer.sources.items()
+    }
+    accelerometer.doubt = REVERSED
+    reference.up = -reference.up
+    reference.turn = -reference.turn
+    reference.lateral = None if reference.lateral is None else -reference.lateral
+    if reference.speed is not None and reference.speed.forward is not None:
+        reference.speed = replace(reference.speed, forward=-reference.speed.forward)
+    if fit.is_named:
+        reference.sides_from = f"{fit.candidate.path}, which is clockwise"
+    mirrored = replace(fit.relation, correlation=-fit.relation.correlation)
+    return replace(fit, relation=mirrored, is_reversed=True)

@@ -1,0 +1,92 @@
+"""`imucald.Fleet`: a fleet's folder from Python."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import pyarrow as pa
+
+from imucald.core.errors import ImucaldError
+from imucald.fleet.analysis.analyse import GROUPS
+from imucald.fleet.analysis_columns import ANALYSIS
+from imucald.fleet.columns import TABLES
+from imucald.fleet.compaction import read_tables
+from imucald.fleet.reading import analyse_fleet, read_analysis
+from imucald.fleet.store import Store
+from imucald.fleet.tables import parts
+
+_FOLDER = "analysis/"
+
+
+class FleetTables:
+    """The tables of a fleet's folder, as Arrow tables; each is read when it is first asked for.
+
+    What a run writes later is seen by opening the folder again.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    @classmethod
+    def open(cls, url: str, storage: Mapping[str, Mapping[str, Any]] | None = None) -> FleetTables:
+        """Open the folder that `imucald fleet run --out` wrote.
+
+        url: a path or any address that fsspec knows. storage: options by protocol, as in
+        fleet.yaml. Raises ImucaldError where no run has written.
+        """
+        store = Store(str(url), storage)
+        if not parts(store, "sources"):
+            raise ImucaldError(f"{store.url}: no run has written here ('imucald fleet run')")
+        return cls(store)
+
+    def __repr__(self) -> str:
+        return f"Fleet at {self._store.url}: {len(self.drives)} drives, {len(self.failures)} failed"
+
+    def table(self, name: str) -> pa.Table:
+        """A table by its name, such as "sources" or "analysis/groups" (see docs/fleet.md).
+
+        Raises ImucaldError for another name, and where the fleet is not analysed yet.
+        """
+        if name in TABLES:
+            return self._read[name]
+        if name in ANALYSIS:
+            return self._analysis[name]
+        raise ImucaldError(f"{name}: is none of {', '.join((*TABLES, *ANALYSIS))}")
+
+    @property
+    def drives(self) -> pa.Table:
+        """A row for each drive."""
+        return self.table("drives")
+
+    @property
+    def events(self) -> pa.Table:
+        """What happened within drives."""
+        return self.table("events")
+
+    @property
+    def failures(self) -> pa.Table:
+        """Logs that failed, and why."""
+        return self.table("failures")
+
+    @property
+    def vehicles(self) -> pa.Table:
+        """A row for each vehicle. Raises ImucaldError where the fleet is not analysed yet."""
+        return self.table(f"{_FOLDER}vehicles")
+
+    def analyse(self, groups: Sequence[str] = GROUPS) -> dict[str, pa.Table]:
+        """Analyse as `imucald fleet analyse` does, write the tables and return them by name.
+
+        groups: columns of `drives` whose groups are held beside each other.
+        """
+        self.__dict__["_analysis"] = found = analyse_fleet(self._store, groups)
+        return found
+
+    @cached_property
+    def _read(self) -> dict[str, pa.Table]:
+        return read_tables(self._store)
+
+    @cached_property
+    def _analysis(self) -> dict[str, pa.Table]:
+        return read_analysis(self._store)
