@@ -40,9 +40,3 @@ def test_what_stays_within_its_tolerance_or_cannot_be_is_not_likely():
     assert names([trial("a", 20.0, value=0.1)]) == []
     assert names([trial("a", 20.0, pull=1.0)]) == []
     assert names([trial("a", 20.0, value=1.5)]) == []
-
-
-def test_plausible_is_what_an_interval_reaches():
-    """1.1 +- 3 x 0.05 reaches 1.0; 1.5 does not."""
-    assert trial("a", 20.0, value=1.1).is_plausible
-    assert not trial("a", 20.0, value=1.5).is_plausible

@@ -66,11 +66,10 @@ class Trial:
 
     @property
     def is_plausible(self) -> bool:
-        """Intervals of what leaves its tolerance reach what a vehicle or a sensor can have."""
-        e, (low, high) = self.estimate, self.plausible.T
-        return bool(
-            np.all((np.abs(e.value) <= self.tolerance) | ((e.high >= low) & (e.low <= high)))
-        )
+        """What leaves its tolerance stays within what a vehicle or a sensor can have."""
+        v, tau = self.estimate.value, self.tolerance
+        low, high = self.plausible.T
+        return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
 
     @property
     def is_testable(self) -> bool:
