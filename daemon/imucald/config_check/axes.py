@@ -101,7 +101,7 @@ def speed_findings(response: Response) -> Iterator[Finding]:
     """
     gain, delay = float(np.linalg.norm(response.along)), response.delay
     if gain <= 1.0 / ODD_SPEED < gain / response.explained:
-        text = "it is too noisy, or too unevenly late, for its size to be told by the accelerometer"
+        text = "too noisy, or too unevenly late: the accelerometer does not show its size"
         yield Finding("note", "speed", text)
     elif not 1.0 / ODD_SPEED < gain < ODD_SPEED:
         text = f"its changes are {gain_guess(1.0 / gain)} (against the accelerometer)"
