@@ -215,3 +215,12 @@ def test_stops_allow_for_what_the_temperature_may_do():
     low, high = warm.bounds(model)["gyro.bias.x"]
     assert low < rate[0] < high
     assert high - low > np.radians(2 * 20 * 0.01)
+
+
+@pytest.mark.parametrize("key", ["speed.delay_s", "accel.delay_s", "gyro.delay_s"])
+@pytest.mark.parametrize("change", [-7.0, 2.5, 7.0])
+def test_a_delay_that_runs_off_stays_within_what_a_file_may_hold(key: str, change: float):
+    model = extended(VehicleModel(), {key: change})
+    delays = [getattr(model, name).delay_s for name in ("accel", "gyro", "speed", "steering")]
+    assert min(delays) >= 0.0
+    assert max(delays) == 2.0

@@ -6,8 +6,8 @@ import itertools
 import struct
 
 import pytest
-from bus_and_daemon import AHEAD, calibrated, source_of, traffic, wait_until
 
+from feed_bench import AHEAD, calibrated, source_of, traffic, wait_until
 from imucald import cli
 from imucald.config import parse_config
 from imucald.feeds.corrected_frames import STALE_S, CorrectedFrames

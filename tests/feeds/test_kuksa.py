@@ -19,14 +19,13 @@ from typing import Any
 
 import grpc
 import pytest
-from bus_and_daemon import AHEAD, calibrated, source_of, traffic, wait_until
 from kuksa.val.v1 import types_pb2 as types_v1
 from kuksa.val.v1 import val_pb2 as val_v1
 from kuksa.val.v1 import val_pb2_grpc as grpc_v1
 from kuksa.val.v2 import val_pb2 as val_v2
 from kuksa.val.v2 import val_pb2_grpc as grpc_v2
-from test_mqtt import fed
 
+from feed_bench import AHEAD, calibrated, fed, source_of, traffic, wait_until
 from imucald.feeds.daemon_source import Reading
 from imucald.feeds.feed_loop import Feed, ReceiverError
 from imucald.feeds.kuksa import PATHS, KuksaReceiver, KuksaSettings, vss_values

@@ -2,76 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-import paho.mqtt.client as paho
 import pytest
-from bus_and_daemon import AHEAD, calibrated, source_of, traffic, wait_until
-from paho.mqtt.enums import CallbackAPIVersion
 
+from feed_bench import AHEAD, calibrated, fed, source_of, traffic, wait_until
 from imucald.feeds.feed_loop import Feed
 from imucald.feeds.mqtt import MqttReceiver, MqttSettings
+from mqtt_broker import MOSQUITTO, Broker
 
-MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 pytestmark = pytest.mark.skipif(
     MOSQUITTO is None, reason="not installed: mosquitto (Debian's package of that name)"
 )
-
-
-class Broker:
-    """A mosquitto of our own; `heard` keeps the newest message of each topic."""
-
-    def __init__(self, folder: Path, more: str = "allow_anonymous true\n") -> None:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
-        self._config = folder / "mosquitto.conf"
-        self._config.write_text(f"listener {self.port} 127.0.0.1\nuser root\n{more}")
-        self.heard: dict[str, str] = {}
-        self.count = 0
-        self.start()
-
-    def start(self) -> None:
-        command = [str(MOSQUITTO), "-c", str(self._config)]
-        self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-        wait_until(self._is_open)
-
-    def _is_open(self) -> bool:
-        with socket.socket() as probe:
-            return probe.connect_ex(("127.0.0.1", self.port)) == 0
-
-    def stop(self) -> None:
-        self._process.terminate()
-        self._process.wait(5.0)
-
-    @contextlib.contextmanager
-    def watched(self, topic: str) -> Iterator[dict[str, str]]:
-        """Messages of a topic and all below it, retained ones too."""
-        client = paho.Client(CallbackAPIVersion.VERSION2)
-        heard: dict[str, str] = {}
-
-        def take(_client: object, _user: object, message: paho.MQTTMessage) -> None:
-            heard[message.topic.removeprefix(f"{topic}/")] = message.payload.decode()
-            self.count += 1
-
-        client.on_message = take
-        client.connect("127.0.0.1", self.port)
-        client.subscribe(f"{topic}/#", qos=1)
-        client.loop_start()
-        try:
-            yield heard
-        finally:
-            client.disconnect()
-            client.loop_stop()
 
 
 @pytest.fixture
@@ -83,18 +32,6 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
     made.stop()
 
 
-@contextlib.contextmanager
-def fed(feed: Feed) -> Iterator[None]:
-    thread = threading.Thread(target=feed.run)
-    thread.start()
-    try:
-        yield
-    finally:
-        feed.stopping = True
-        thread.join(10.0)
-        assert not thread.is_alive()
-
-
 def test_status_and_corrected_values_arrive_and_are_null_when_the_sensor_is_silent(
     tmp_path, broker
 ):
@@ -104,6 +41,7 @@ def test_status_and_corrected_values_arrive_and_are_null_when_the_sensor_is_sile
         feed = Feed(source_of(service, said), receiver, 0.1, said.append)
         with broker.watched("car/imu") as heard, fed(feed):
             wait_until(lambda: '"x": null' not in heard.get("acceleration", '"x": null'))
+            wait_until(lambda: {"angular_rate", "status", "online"} <= heard.keys())
             value = json.loads(heard["acceleration"])
             assert (value["x"], value["y"]) == pytest.approx((AHEAD, 0.0), abs=0.15)
             assert (value["unit"], value["quality"]) in {("m/s2", "usable"), ("m/s2", "fine")}
@@ -120,7 +58,6 @@ def test_status_and_corrected_values_arrive_and_are_null_when_the_sensor_is_sile
             wait_until(lambda: json.loads(heard["acceleration"])["x"] is None)
             assert json.loads(heard["acceleration"])["quality"] == "not_available"
             wait_until(lambda: "accelerometer_missing" in json.loads(heard["status"])["alarms"])
-        wait_until(lambda: True)
         with broker.watched("car/imu") as later:
             wait_until(lambda: "status" in later)
             assert later["online"] == "0", "it took leave"
@@ -171,8 +108,8 @@ def test_a_daemon_that_ends_is_told_and_its_values_are_not_available(tmp_path, b
         with fed(Feed(source_of(service, said), receiver, 0.1, said.append)):
             wait_until(lambda: "status" in heard)
             service.stop()
-            assert service.server is not None
-            service.server.path.unlink()
+            assert service.sockets.status is not None
+            service.sockets.status.path.unlink()
             wait_until(lambda: not json.loads(heard["status"])["running"])
             assert json.loads(heard["acceleration"])["quality"] == "not_available"
 

@@ -98,7 +98,8 @@ def test_a_daemon_that_does_not_answer_is_down_and_the_others_are_told(tmp_path)
         path = service.options.status_socket
         text = gathered([tmp_path / "can7" / "status.sock", path])
     up = next(f for f in text_string_to_metric_families(text) if f.name == "imucald_up")
-    assert {s.labels["bus"]: s.value for s in up.samples} == {"can7": 0.0, tmp_path.name: 1.0}
+    answers = {s.labels["bus"]: s.value for s in up.samples}
+    assert answers == {"can7": 0.0, service.link.channel: 1.0}
     assert "imucald_quality" in text
     assert bus_of(Path("/run/user/0/imucald-vcan3.sock")) == "vcan3"
 
@@ -208,6 +209,63 @@ def test_run_serves_metrics_from_a_process_of_its_own_that_ends_with_it(tmp_path
     finally:
         daemon.kill()
         daemon.communicate()
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
+
+
+def test_a_real_prometheus_scrapes_it_and_evaluates_the_alert_rules(tmp_path):
+    program = shutil.which("prometheus")
+    if program is None:
+        pytest.skip("not installed: prometheus (Debian's package)")
+    bench, port = Bench(tmp_path), free_port()
+    with running(bench.service()) as service:
+        metrics = [
+            sys.executable,
+            "-m",
+            "imucald",
+            "metrics",
+            "--listen",
+            f"127.0.0.1:{free_port()}",
+        ]
+        metrics += ["--socket", str(service.options.status_socket)]
+        scrape = {"job_name": "car", "static_configs": [{"targets": [metrics[5]]}]}
+        config = {"global": {"scrape_interval": "1s", "evaluation_interval": "1s"}}
+        config |= {
+            "rule_files": [str(MONITORING / "imucald-alerts.yml")],
+            "scrape_configs": [scrape],
+        }
+        (tmp_path / "prometheus.yml").write_text(json.dumps(config))
+        command = [program, f"--config.file={tmp_path}/prometheus.yml"]
+        command += [f"--storage.tsdb.path={tmp_path}/db", f"--web.listen-address=127.0.0.1:{port}"]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        processes = [subprocess.Popen(metrics, **quiet), subprocess.Popen(command, **quiet)]
+        try:
+            wait_until(lambda: asked(port, "query?query=imucald_up")["result"], 30.0)
+            (found,) = asked(port, "query?query=imucald_up")["result"]
+            assert found["value"][1] == "1"
+            wait_until(lambda: {"ok"} == rule_health(port), 30.0)
+        finally:
+            for process in processes:
+                process.terminate()
+                process.wait(10.0)
+
+
+def asked(port: int, what: str) -> dict[str, list[dict[str, object]]]:
+    """What Prometheus answers; an empty result while it starts."""
+    try:
+        with urllib.request.urlopen(
+            f"http://127.0.0.1:{port}/api/v1/{what}", timeout=5.0
+        ) as answer:
+            return dict(json.loads(answer.read())["data"])
+    except OSError:
+        return {"result": [], "groups": []}
+
+
+def rule_health(port: int) -> set[object]:
+    return {rule["health"] for group in asked(port, "rules")["groups"] for rule in group["rules"]}
 
 
 def is_open(port: int) -> bool:

@@ -419,3 +419,44 @@ def test_the_crown_is_prior_and_in_the_interval():
     assert apart[0] == pytest.approx(2 * full().crown, abs=1e-6)
     assert right.std is not None
     assert right.std[0] > full().vehicle.crown_std
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [40_000, 40_003])
+def test_a_lean_of_the_road_moves_roll_and_yaw_together_as_the_covariance_has_it(seed):
+    errors, covariances = [], []
+    for crown in (0.0, 0.03):
+        model = random_model(seed).with_changes({"road.crown_mean": crown})
+        made = simulate(model, seed, 10.0)
+        found = after(ticks_from_samples(made.samples, 0, 6000)).estimate()
+        R = made.truth.R_vehicle_from_sensor()
+        errors.append(vector_from_rotation(R @ found.R_vehicle_from_sensor.T))
+        covariances.append(found.covariance)
+    moved = errors[1] - errors[0]
+    together = covariances[1][0, 2] / full().vehicle.crown_std ** 2
+    assert together == pytest.approx(moved[2] / moved[0], rel=0.4)
+    assert abs(moved[1] / moved[0]) < 0.03
+    for covariance in covariances:
+        assert (np.linalg.eigvalsh(covariance) > 0.0).all()
+        assert np.array_equal(covariance, covariance.T)
+
+
+def test_ticks_that_are_only_kept_may_be_taken_at_once():
+    ticks = rows()
+    one_by_one, at_once, told, taken = FullEstimator(full()), FullEstimator(full()), [], []
+    for tick in ticks.tolist():
+        one_by_one.step(tick)
+        told.append((one_by_one.correction, one_by_one.state))
+    quiet_in_all, k = 0, 0
+    while k < len(ticks):
+        quiet = min(at_once.quiet_ticks(), len(ticks) - k)
+        if quiet:
+            at_once.keep_quiet(ticks[k : k + quiet])
+        else:
+            at_once.step(ticks[k].tolist())
+        taken += [(at_once.correction, at_once.state)] * (quiet or 1)
+        quiet_in_all += quiet
+        k += quiet or 1
+    assert taken == told
+    assert quiet_in_all > 0.9 * len(ticks)
+    assert np.array_equal(at_once.estimate().covariance, one_by_one.estimate().covariance)

@@ -199,15 +199,15 @@ def test_thousands_of_hostile_connections_hold_up_no_frame(tmp_path):
     bench = Bench(tmp_path)
     service = bench.service()
     with running(service):
-        assert service.control is not None
-        assert service.server is not None
+        assert service.sockets.control is not None
+        assert service.sockets.status is not None
         attacks = [
             subprocess.Popen(
                 [sys.executable, "-c", ATTACK, str(server.path), "3"],
                 stdout=subprocess.PIPE,
                 text=True,
             )
-            for server in (service.control, service.server)
+            for server in (service.sockets.control, service.sockets.status)
         ]
         latencies = exchanged(service.link.channel, 2.5)
         counts = [
@@ -220,9 +220,9 @@ def test_thousands_of_hostile_connections_hold_up_no_frame(tmp_path):
         assert late[-1] < 0.5
         time.sleep(1.2)  # until the places are free
         assert (
-            json.loads(ask(service.server.path, "status"))["state"] == "levelled"
+            json.loads(ask(service.sockets.status.path, "status"))["state"] == "levelled"
         )  # it stood still
-        assert "done" in json.loads(ask(service.control.path, '{"order": "reset"}'))
+        assert "done" in json.loads(ask(service.sockets.control.path, '{"order": "reset"}'))
 
 
 def exchanged(channel: str, seconds: float) -> list[float]:
@@ -248,7 +248,7 @@ def test_a_control_socket_that_cannot_be_made_is_told_and_the_daemon_runs(tmp_pa
     (tmp_path / "status.sock.control").mkdir()
     (tmp_path / "control.sock").mkdir()
     service = bench.service()
-    assert service.control is None
+    assert service.sockets.control is None
     assert "going on without" in bench.log.getvalue()
     thread = threading.Thread(target=service.run, args=[0.2])
     thread.start()

@@ -28,8 +28,8 @@ def bench(tmp_path: Path) -> Bench:
 
 
 def order(service: Service, **request: object) -> dict[str, str]:
-    assert service.control is not None
-    return dict(json.loads(ask(service.control.path, json.dumps(request))))
+    assert service.sockets.control is not None
+    return dict(json.loads(ask(service.sockets.control.path, json.dumps(request))))
 
 
 def yaw(service: Service) -> float | None:

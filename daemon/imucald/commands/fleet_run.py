@@ -35,13 +35,14 @@ def retry(options: argparse.Namespace) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate what is not evaluated yet."""
-    if options.scheduler is None and not options.dry_run:
-        from imucald.fleet.bundle import unpack
-        from imucald.fleet.task import EVALUATE
-        from imucald.fleet.template_client import template_for
+    from imucald.fleet.bundle import unpack
+    from imucald.fleet.task import DIAGNOSE, EVALUATE
+    from imucald.fleet.template_client import template_for
 
+    function = DIAGNOSE if options.diagnose else EVALUATE
+    if options.scheduler is None and not options.dry_run:
         unpack({})  # makes the folder whose name the template inherits
-        template_for(EVALUATE).begin()  # imports while this process does
+        template_for(function).begin()  # imports while this process does
     from imucald.fleet.driver import FleetRun
     from imucald.fleet.fleet_file import load_fleet
     from imucald.fleet.lease import Lease
@@ -59,7 +60,7 @@ def run(options: argparse.Namespace) -> int:
     store = Store(options.out, fleet.settings.storage)
     how = Options(limits=limits, redo=options.redo, since=options.since, limit=options.limit,
                   signals=options.signals == "corrected",
-                  diagnose=options.diagnose)  # fmt: skip
+                  function=function)  # fmt: skip
     logs = list_logs(fleet)
     if options.dry_run:
         print(_said(planned(fleet, store, logs, how)))

@@ -114,6 +114,8 @@ def _evidence(details: Mapping[str, Any]) -> str:
         restored = details["restored"]
         whose = "stated mount" if restored.get("given") else "mount of an earlier drive"
         parts.append(f"{whose}: {restored['phase'].replace('_', ' ')}")
+    if details.get("not_checked"):
+        parts.append(f"not checked: {'; '.join(details['not_checked'])}")
     return ", ".join(parts) or "none yet"
 
 

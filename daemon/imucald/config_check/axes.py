@@ -93,9 +93,17 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
     return best if best is not None and best.explained >= CLEAR**2 else None
 
 
-def speed_findings(gain: float, delay: int) -> Iterator[Finding]:
-    """Whether changes of speed show in the accelerometer as they should, and how late."""
-    if not 1.0 / ODD_SPEED < gain < ODD_SPEED:
+def speed_findings(response: Response) -> Iterator[Finding]:
+    """Whether changes of speed show in the accelerometer as they should, and how late.
+
+    The regression on the speed is too small where the speed is noisy or its delay changes, the
+    other one (on the accelerometer) too large: the gain lies between both (Fuller 1987, 1.1).
+    """
+    gain, delay = float(np.linalg.norm(response.along)), response.delay
+    if gain <= 1.0 / ODD_SPEED < gain / response.explained:
+        text = "too noisy, or too unevenly late: the accelerometer does not show its size"
+        yield Finding("note", "speed", text)
+    elif not 1.0 / ODD_SPEED < gain < ODD_SPEED:
         text = f"its changes are {gain_guess(1.0 / gain)} (against the accelerometer)"
         yield Finding(
             "error" if not 1.0 / OTHER_UNIT < gain < OTHER_UNIT else "warning", "speed", text

@@ -67,8 +67,8 @@ def judge(
         motion = motion.scaled(accel=GRAVITY / float(np.linalg.norm(motion.gravity)))
         response = best_response(motion, motion.turn_rates(track, wheelbase, steering_ratio))
         if response is not None:
+            yield from speed_findings(response)
             gain = float(np.linalg.norm(response.along))
-            yield from speed_findings(gain, response.delay)
             if is_wrong(gain):
                 motion = motion.scaled(speed=gain)
     rates = motion.turn_rates(track, wheelbase, steering_ratio)

@@ -26,6 +26,7 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.causes import LEVEL_GYRO_GAIN_ERROR, MODEL_ERROR, PARAMETERS
 from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
+from imucald.model.sensors import LONGEST_DELAY_S
 
 Changes = Mapping[str, float]
 TRIADS = ("accel", "gyro")
@@ -232,7 +233,10 @@ def level_effect(model: VehicleModel, key: str) -> dict[str, float]:
 
 
 def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
-    """Delays, none negative: what is younger than the file says makes all others older."""
+    """Delays, none negative: what is younger than the file says makes all others older.
+
+    None is beyond what a file may hold: a fit of what no delay explains runs off.
+    """
     moved = [key for key in changes if key.endswith("delay_s") and changes[key] != 0.0]
     if not moved:
         return {}
@@ -241,7 +245,7 @@ def _delays(model: VehicleModel, changes: Changes) -> dict[str, Any]:
         delays["wheel_speeds"] += changes["speed.delay_s"]
     lift = max(0.0, -min(delays.values()))
     return {
-        f"{name}.delay_s": max(x + lift, 0.0)
+        f"{name}.delay_s": min(max(x + lift, 0.0), LONGEST_DELAY_S)
         for name, x in delays.items()
         if abs(x + lift - getattr(model, name).delay_s) > 1e-9
     }

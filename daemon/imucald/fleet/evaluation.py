@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from imucald.api.configuration import Configuration
 from imucald.api.replaying import replay
 from imucald.core.errors import (
     ConfigError,
     DatabaseError,
-    EstimateError,
     LogError,
     NoFramesError,
 )
@@ -19,11 +19,15 @@ from imucald.fleet.drive_row import drive_row, event_rows, known_times
 from imucald.fleet.fetch import NoRegularFileError, StorageError, local_copy
 from imucald.fleet.task import OK, OTHER_CODE, Outcome, Task
 
+Also = Callable[[Configuration, Path], dict[str, Any]]
+
 NOT_OURS = "the log has no usable frame of this configuration; 'imucald check' shows more"
 
 
-def evaluate(task: Task) -> Outcome:
+def evaluate(task: Task, also: Also | None = None) -> Outcome:
     """Replay a log by itself, cold, and say what came of it.
+
+    also: gives more columns of the drive.
 
     The row depends on the log's content, the configuration and the code alone: not on the vehicle's
     other drives, the order or the machine.
@@ -33,7 +37,7 @@ def evaluate(task: Task) -> Outcome:
     try:
         config = load_bundle(task.bundle)
         with local_copy(task.source, task.storage) as (path, key):
-            return _replayed(task, config, path, key)
+            return _replayed(task, config, path, key, also)
     except StorageError as error:
         return Outcome("storage", str(error))
     except NoRegularFileError as error:
@@ -42,7 +46,9 @@ def evaluate(task: Task) -> Outcome:
         return Outcome("config", str(error))
 
 
-def _replayed(task: Task, config: Configuration, path: Path, key: str) -> Outcome:
+def _replayed(
+    task: Task, config: Configuration, path: Path, key: str, also: Also | None
+) -> Outcome:
     try:
         drive = replay(config, path, signals=task.signals is not None)
     except NoFramesError as error:
@@ -58,20 +64,9 @@ def _replayed(task: Task, config: Configuration, path: Path, key: str) -> Outcom
         write_signals(drive, task, key, start)
     events = event_rows(drive.tables["events"], start is not None)
     row = drive_row(drive, config.loaded.config)
-    if task.diagnose:
-        row["diagnosed"] = _diagnosed(config, path)
+    if also is not None:
+        row |= also(config, path)
     return Outcome(OK, log_key=key, drive=row, events=events)
-
-
-def _diagnosed(config: Configuration, path: Path) -> str | None:
-    """The certain causes as a JSON list; None where nothing can be said of the drive."""
-    from imucald.api.diagnosing import diagnose  # noqa: PLC0415 - only where it is asked for
-
-    try:
-        found = diagnose(config, path)
-    except EstimateError:
-        return None
-    return json.dumps(sorted(found.causes)) if found.complete else None
 
 
 def _named(error: LogError, path: Path, task: Task) -> str:

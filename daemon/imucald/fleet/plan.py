@@ -27,7 +27,6 @@ class Options(msgspec.Struct, frozen=True, kw_only=True):
     since: str | None = None
     limit: int | None = None
     signals: bool = False
-    diagnose: bool = False
     function: str = EVALUATE
 
 
@@ -94,7 +93,6 @@ def task_of(fleet: Fleet, source: str, size: int, options: Options, out: str = "
         options.function,
         out if options.signals else None,
         fleet.settings.storage,
-        options.diagnose,
     )
 
 

@@ -27,7 +27,8 @@ OTHER_CODE: Final = "other_code"
 
 
 EVALUATE: Final = "imucald.fleet.evaluation:evaluate"
-"""What is called in the child, unless a test says otherwise."""
+DIAGNOSE: Final = "imucald.fleet.diagnosed:evaluate_and_diagnose"
+"""What is called in the child."""
 
 
 class LogLimits(msgspec.Struct, frozen=True):
@@ -45,7 +46,6 @@ class Task(msgspec.Struct, frozen=True):
     source: its fsspec URL. bundle: name of the configuration, see `bundle.py`. function: what is
     called in the child, as "module:name". signals: URL of the folder that corrected signals go to.
     storage: options of the file systems by protocol; secrets come from the environment.
-    diagnose: run `imucald diagnose` on the log as well.
     """
 
     source: str
@@ -58,7 +58,6 @@ class Task(msgspec.Struct, frozen=True):
     function: str = EVALUATE
     signals: str | None = None
     storage: dict[str, dict[str, Any]] = {}
-    diagnose: bool = False
 
 
 class Cost(msgspec.Struct, frozen=True):

@@ -20,7 +20,9 @@ from imucald.model.section import (
 )
 
 RateHz = Annotated[float, Meta(ge=0.2, le=1000.0)]
-DelayS = Annotated[float, Meta(ge=0.0, le=2.0)]
+LONGEST_DELAY_S = 2.0
+"""What a model file may hold [s]."""
+DelayS = Annotated[float, Meta(ge=0.0, le=LONGEST_DELAY_S)]
 
 
 class Gap(Section, frozen=True):

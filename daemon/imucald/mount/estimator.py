@@ -17,6 +17,7 @@ What happens, in order:
 from __future__ import annotations
 
 import math
+import operator
 from collections import deque
 
 import numpy as np
@@ -35,6 +36,7 @@ from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange, LargeChangeDetector
 from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.off_vertical_limit import is_off_vertical
+from imucald.mount.priors import YAW_PER_CROWN
 from imucald.mount.refit import KEPT_BLOCKS, Refit
 from imucald.mount.saved_information import SavedInformation
 from imucald.mount.shift import Shift
@@ -70,6 +72,8 @@ FOUND_ANEW = frozenset({StandingFault.FORCE_TURNS, StandingFault.FORCE_SPEED})
 """Faults that end by a rotation that was found while they stood: that one stays."""
 SHIFTS_ALLOWED = 1
 """After more of them in one drive the mount is loose: it is never *fine*."""
+MOST_OF_LEAN = 0.9
+"""Yaw's deviation is at most in so much that of the road's lean: a covariance stays one."""
 FROZEN_TICKS = 40
 """Learning counts as frozen when so many of a block's ticks were not to be trusted."""
 
@@ -106,6 +110,7 @@ class FullEstimator:
         self._failed_for = 0
         self._known = MountKnowledge(begun=False, accelerometer=False)
         self._estimate: MountEstimate | None = None
+        self._answered: tuple[tuple[object, ...], tuple[Array, Array]] | None = None
 
     @property
     def correction(self) -> Correction | None:
@@ -448,6 +453,9 @@ class FullEstimator:
         solver, s = self._solver, self._settings
         if solver.R is None or solver.fused is None:
             return np.eye(3), np.eye(3)
+        made_of = (solver.R, solver.fused, solver.creep, solver.yaw_known)
+        if self._answered is not None and all(map(operator.is_, self._answered[0], made_of)):
+            return self._answered[1]
         R = rotation_from_vector([-s.crown, 0.0, 0.0]) @ solver.R
         variance = solver.fused.variance.copy()
         if solver.creep is not None:
@@ -456,7 +464,12 @@ class FullEstimator:
         if not solver.yaw_known:
             variance[2] = (math.pi / math.sqrt(3.0)) ** 2
         covariance = np.diag(variance)
-        covariance[0, 0] += s.vehicle.crown_std**2
+        lean = s.vehicle.crown_std
+        covariance[0, 0] += lean**2
+        if solver.yaw_known:  # and no more than yaw's own deviation allows
+            of_lean = min(YAW_PER_CROWN * lean, MOST_OF_LEAN * math.sqrt(variance[2]))
+            covariance[0, 2] = covariance[2, 0] = lean * of_lean
+        self._answered = made_of, (R, covariance)
         return R, covariance
 
     # what outlives the process; see `mount.restored`

@@ -19,9 +19,10 @@ better. Half of it turns into a tilt (`common_errors`): 0.08 deg."""
 CROSS_AXIS = ((0.001, 0.15), (0.005, 0.2), (0.01, 0.25), (0.02, 0.25), (0.04, 0.15))
 """Cross-axis error (part, rms) where none is configured, with probabilities. The data
 sheet of a bare part states 2 % (MPU-6050), others 1 %: half of all units are taken to have that.
-The rest are assumptions: one in five was set at the end of its line, to a tenth of 1 %, another to
-a half; one in ten is soldered, glued and bent to four times as much. How far sources contradict one
-another, and the size of gravity, then tell more (`fusion.weighed_scales`)."""
+The rest are assumptions: a third was set at the end of its line, to a tenth of 1 % or to a half;
+one in seven is soldered, glued and bent to four times as much. How far sources contradict one
+another, the size of gravity and the bias that it seems to have then tell more
+(`fusion.weighed_scales`)."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
 A calibrated unit states that from axis to axis (ADIS16475 data sheet, features); of a bare part it
@@ -50,6 +51,12 @@ PITCHING_STD = 0.0014
 """Pitch that squat and dive leave in dv/dt [rad]. Their gradients differ, as anti-dive and
 anti-squat geometry do, by some tenths of their size of 1 to 2 deg/g (0.002 to 0.004 rad/(m/s^2));
 times 1 m/s^2 of usual braking. The simulation draws the same difference."""
+
+YAW_PER_CROWN = 0.06
+"""Yaw error that goes with an unknown lean of the road (rad per rad): a car that is held straight
+on it slips sideways by the rear axle's load over its cornering stiffness, which is 12 to 20 times
+the load per rad (assumption; 110 kN/rad under 750 kg). It says how roll and yaw go together, not
+how large yaw's deviation is."""
 
 # What is left over; fitted to the errors of simulated drives.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from imucald.core.errors import LinkError
 from imucald.service.asking import ask
 
 UP = "imucald_up"
+_BUS = re.compile(r'[{,]bus="((?:[^"\\]|\\.)*)"')
 ASK_S = 2.0
 """A daemon has so long to answer [s]."""
 
@@ -25,10 +27,13 @@ def gathered(sockets: Iterable[Path]) -> str:
     texts, answers = [], {}
     for path in sockets:
         try:
-            texts.append(ask(path, "metrics", ASK_S))
-            answers[bus_of(path)] = 1
+            text = ask(path, "metrics", ASK_S)
         except LinkError:
             answers[bus_of(path)] = 0
+            continue
+        texts.append(text)
+        named = _BUS.search(text)  # as the daemon calls it
+        answers[named[1] if named else bus_of(path)] = 1
     return merged([_up(answers), *texts])
 
 

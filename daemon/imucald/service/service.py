@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from imucald.can.link.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
-from imucald.core.errors import ImucaldError, LinkError
+from imucald.core.errors import ImucaldError
 from imucald.mount.estimate import MountEstimate, MountEstimator
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.consumer import ChecksSensors
@@ -26,8 +26,6 @@ from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.session import make_engine, open_config
 from imucald.service.alarm_watch import AlarmWatch
 from imucald.service.calibration_store import SAVE_PERIOD_S, CalibrationStore
-from imucald.service.control import ControlServer
-from imucald.service.control_path import control_socket
 from imucald.service.figures import status_line
 from imucald.service.folder_lock import FolderLock
 from imucald.service.identity import state_key
@@ -37,9 +35,9 @@ from imucald.service.notify import Notifier
 from imucald.service.prepared import Prepared
 from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
 from imucald.service.running_status import InputRates, run_result, running_status
+from imucald.service.sockets import Sockets
 from imucald.service.start_count import StartCount
 from imucald.service.state_file import StateStore, clear_unfinished
-from imucald.service.status import StatusServer
 
 if TYPE_CHECKING:
     from imucald.service.attempt_store import AttemptStore
@@ -134,8 +132,8 @@ class Service:
         try:
             self.daemon = Daemon(engine, self.link, self._clock, self.uds)
             self.daemon.between = self._between
-            self.server = self._new_server()
-            self.control = self._new_control()
+            path, is_needed = self.options.status_socket, self.options.socket_needed
+            self.sockets = Sockets(path, is_needed, self.status, self.orders, self.journal)
         except ImucaldError:
             self.link.close()
             raise
@@ -210,30 +208,6 @@ class Service:
             self._link_event,
         )
 
-    def _new_server(self) -> StatusServer | None:
-        """The status socket; only where one was asked for is it worth not starting."""
-        options = self.options
-        if options.status_socket is None:
-            return None
-        try:
-            return StatusServer(options.status_socket, self.status, events=self._events)
-        except LinkError as error:
-            if options.socket_needed:
-                raise
-            self.journal.say(f"{error}; going on without", WARNING)
-            return None
-
-    def _new_control(self) -> ControlServer | None:
-        """The control socket, beside the status socket; nothing depends on it."""
-        if self.server is None:
-            return None
-        path = control_socket(self.server.path)
-        try:
-            return ControlServer(path, self.orders, self.journal.say)
-        except LinkError as error:
-            self.journal.say(f"{error}; going on without", WARNING)
-            return None
-
     # running -------------------------------------------------------------------------------
 
     @property
@@ -268,9 +242,7 @@ class Service:
     def close(self) -> None:
         """Save the state, let go of bus and socket."""
         self.notifier.stopping()
-        for server in (self.server, self.control):
-            if server is not None:
-                server.close()
+        self.sockets.close()
         self.link.close()  # first: nothing stale is sent while the disk takes its time
         if self.calibration_store is not None:
             self.calibration_store.close(self.engine.pipeline.estimator, self.engine.timebase.now)
@@ -288,8 +260,7 @@ class Service:
         if now >= self._next_look:
             self._next_look = now + CHORE_S
             self.notifier.feed()
-            if self.server is not None:
-                self.server.poll()
+            self.sockets.poll_status()
 
     def _chores(self, now: float) -> None:
         self.notifier.feed()
@@ -298,9 +269,7 @@ class Service:
             self._check_wanted = False
             if not self.check_sensors():
                 self.journal.say("there is no sensor check without attitude", WARNING)
-        for server in (self.server, self.control):
-            if server is not None:
-                server.poll()
+        self.sockets.poll()
         if now >= self._next_second:
             self._next_second = now + SECOND_S
             self._every_second(now)
@@ -504,9 +473,6 @@ class Service:
     def result(self) -> dict[str, Any]:
         """Summary of the run (see docs/json.md), with the link's counters."""
         return run_result(self.engine, self.link)
-
-    def _events(self) -> list[dict[str, Any]]:
-        return [event._asdict() for event in self.journal.events]
 
     def _uds_status(self) -> dict[str, Any] | None:
         if self.uds is None or self.dtc_store is None:

@@ -86,6 +86,7 @@ def _without_crown(pairs: Array, crown: Array) -> Array:
     """Covariances (n, 3, 3) from their six numbers, less the crown's; never below the floor."""
     P = pairs[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3).copy()
     P[:, 0, 0] -= crown**2
+    P[:, 0, 2] = P[:, 2, 0] = 0.0  # it alone makes roll and yaw go together
     values, vectors = np.linalg.eigh(P)
     values = np.maximum(values, FLOOR_DEG2)
     return np.asarray((vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1))

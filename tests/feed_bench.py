@@ -12,6 +12,7 @@ from pathlib import Path
 import can
 
 from imucald.feeds.daemon_source import DaemonSource
+from imucald.feeds.feed_loop import Feed
 from imucald.service.service import Service
 from service_bench import Bench, running
 
@@ -67,3 +68,15 @@ def wait_until(condition: Callable[[], object], limit: float = 10.0) -> None:
     while not condition():
         assert time.monotonic() < end, "it did not happen in time"
         time.sleep(0.02)
+
+
+@contextmanager
+def fed(feed: Feed) -> Iterator[None]:
+    thread = threading.Thread(target=feed.run)
+    thread.start()
+    try:
+        yield
+    finally:
+        feed.stopping = True
+        thread.join(10.0)
+        assert not thread.is_alive()

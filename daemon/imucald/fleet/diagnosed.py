@@ -1,0 +1,30 @@
+"""`fleet run --diagnose`: one log to one row, with what the drive alone shows for certain.
+
+A module of its own, since a template process that does not diagnose starts in a third of the time.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from imucald.api.configuration import Configuration
+from imucald.api.diagnosing import diagnose
+from imucald.core.errors import EstimateError
+from imucald.fleet.evaluation import evaluate
+from imucald.fleet.task import Outcome, Task
+
+
+def evaluate_and_diagnose(task: Task) -> Outcome:
+    """As `evaluate`, and the column `diagnosed`."""
+    return evaluate(task, _diagnosed)
+
+
+def _diagnosed(config: Configuration, path: Path) -> dict[str, Any]:
+    """The certain causes as a JSON list; None where nothing can be said of the drive."""
+    try:
+        found = diagnose(config, path)
+    except EstimateError:
+        return {"diagnosed": None}
+    return {"diagnosed": json.dumps(sorted(found.causes)) if found.complete else None}

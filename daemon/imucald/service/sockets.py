@@ -1,0 +1,62 @@
+"""The status socket and the control socket beside it, served in the loop's turns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from imucald.core.errors import LinkError
+from imucald.runtime.mount_orders import MountOrders
+from imucald.service.control import ControlServer
+from imucald.service.control_path import control_socket
+from imucald.service.journal import WARNING, Journal
+from imucald.service.status import StatusServer
+
+
+class Sockets:
+    """Both, as far as they can be had: nothing else depends on them.
+
+    path: of the status socket; None for neither. is_needed: raise LinkError where it cannot be
+    made. status: makes the status.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        is_needed: bool,
+        status: Callable[[], Mapping[str, Any]],
+        orders: MountOrders,
+        journal: Journal,
+    ) -> None:
+        self.status: StatusServer | None = None
+        self.control: ControlServer | None = None
+        if path is None:
+            return
+        try:
+            self.status = StatusServer(
+                path, status, events=lambda: [event._asdict() for event in journal.events]
+            )
+            is_needed = False
+            self.control = ControlServer(control_socket(path), orders, journal.say)
+        except LinkError as error:
+            if is_needed:
+                raise
+            journal.say(f"{error}; going on without", WARNING)
+
+    def poll_status(self) -> None:
+        """Serve those who only ask, also within a batch of frames."""
+        if self.status is not None:
+            self.status.poll()
+
+    def poll(self) -> None:
+        """Serve whoever waits."""
+        self.poll_status()
+        if self.control is not None:
+            self.control.poll()
+
+    def close(self) -> None:
+        """Take both away."""
+        for server in (self.status, self.control):
+            if server is not None:
+                server.close()

@@ -1,0 +1,60 @@
+"""Public recordings become frames that any decoder reads back; what is absent is told."""
+
+from __future__ import annotations
+
+import sys
+
+import cantools
+import numpy as np
+import pytest
+from benchmarks.public_logs import __main__ as command
+from benchmarks.public_logs.frames import START, Message, Signal, write_log
+from benchmarks.public_logs.logs import LOGS
+
+from imucald.config import load_config
+
+
+def test_written_columns_are_read_back_in_their_unit_and_order(tmp_path):
+    rng = np.random.default_rng(3)
+    t = np.sort(rng.uniform(100.0, 130.0, 200))
+    force, speed = rng.normal(0.0, 3.0, (200, 3)), rng.uniform(0.0, 60.0, 40)
+    write_log(tmp_path, [
+        Message(0x120, "Acc", t, tuple(
+            Signal(f"a{axis}", "m/s^2", 0.002, force[:, i]) for i, axis in enumerate("xyz")
+        )),
+        Message(0x130, "Gps", t[:40] + 0.5, (Signal("v", "m/s", 0.01, speed, False),)),
+    ])  # fmt: skip
+    database = cantools.database.load_file(tmp_path / "car.dbc")
+    lines = (tmp_path / "drive.log").read_text().splitlines()
+    stamps = [float(line[1 : line.index(")")]) for line in lines]
+    assert stamps == sorted(stamps)
+    assert stamps[0] == START
+    found: dict[str, list[dict[str, float]]] = {"Acc": [], "Gps": []}
+    for line in lines:
+        identifier, _, data = line.split()[2].partition("#")
+        message = database.get_message_by_frame_id(int(identifier, 16))
+        found[message.name].append(message.decode(bytes.fromhex(data)))
+    read = np.array([[row["ax"], row["ay"], row["az"]] for row in found["Acc"]])
+    np.testing.assert_allclose(read, force, atol=0.0011)
+    np.testing.assert_allclose([row["v"] for row in found["Gps"]], speed, atol=0.0051)
+    assert database.get_message_by_name("Gps").signals[0].unit == "m/s"
+
+
+def test_a_step_that_cannot_hold_a_value_is_refused(tmp_path):
+    fine = Message(1, "M", np.array([0.0]), (Signal("s", "g", 0.001, np.array([40.0])),))
+    with pytest.raises(ValueError, match=r"M\.s: a step of 0\.001 is too fine"):
+        write_log(tmp_path, [fine])
+
+
+def test_absent_repositories_are_told_with_their_command_and_fail(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["public_logs", "--data", str(tmp_path)])
+    assert command.main() == 1
+    told = capsys.readouterr().out
+    for log in LOGS:
+        assert f"git clone {log.repository.url} " in told
+    assert "nothing was measured" in told
+
+
+@pytest.mark.parametrize("log", LOGS, ids=lambda log: log.name)
+def test_every_log_has_a_configuration_by_hand(log):
+    assert load_config(log.configuration).config.signals.accelerometer[0].x is not None
