@@ -132,7 +132,7 @@ def test_nothing_is_held_against_what_was_before_a_hole() -> None:
 
 @pytest.fixture(scope="module")
 def sound() -> Drive:
-    return simulate(random_model(501_000), 501_000, 8.0)
+    return simulate(random_model(501_000), 501_000, 12.0)
 
 
 def turned(drive: Drive, start: float, degrees: float) -> Samples:
@@ -171,3 +171,37 @@ def test_a_turn_in_yaw_that_no_gyroscope_saw_is_told_within_a_minute(
     times = bad_at(turned(sound, 300.0, degrees), 480.0)
     assert times
     assert 300.0 < times[0] < 370.0
+
+
+def test_a_sensor_that_is_turned_again_before_it_is_good_again_is_never_wrong_as_good(
+    sound: Drive,
+) -> None:
+    """By hand, seen by the gyroscope: 20 deg, and half a minute later 12 deg back."""
+    t = sound.samples["gyro"].t
+    angle = np.radians(
+        20.0 * np.clip((t - 300.0) / 0.5, 0, 1) - 12.0 * np.clip((t - 330.0) / 0.5, 0, 1)
+    )
+    R = sound.truth.R_vehicle_from_sensor()
+    samples = dict(sound.samples)
+    for channel in ("accel", "gyro"):
+        one = sound.samples[channel]
+        a = np.interp(one.t, t, angle)
+        x, y, z = (one.values @ R.T).T
+        if channel == "gyro":
+            z = z + np.gradient(a, one.t)
+        turned_by = np.stack(
+            [np.cos(a) * x + np.sin(a) * y, np.cos(a) * y - np.sin(a) * x, z], axis=1
+        )
+        samples[channel] = Series(one.t, turned_by @ R)
+    estimator = FullEstimator()
+    good_after = False
+    for k, row in enumerate(ticks_from_samples(samples, 0, 7200).tolist()):
+        estimator.step(row)
+        if k > 3100 and estimator.state in (MountState.USABLE, MountState.FINE):
+            good_after = True
+            assert estimator.correction is not None
+            applied = np.reshape(estimator.correction, (3, 3))
+            now = math.radians(20.0 if 0.1 * k < 330.0 else 8.0)
+            ahead = applied @ R.T @ [math.cos(now), -math.sin(now), 0.0]
+            assert abs(math.degrees(math.atan2(ahead[1], ahead[0]))) < 2.0, 0.1 * k
+    assert good_after

@@ -179,7 +179,11 @@ class FullEstimator:
         self._follow_speed()
         self._driven.add(*self._solver.add(p))
         self._follow_steering(p)
-        self._watch(p)
+        change = self._turned_by_hand(p)
+        if change is None:
+            self._watch(p)
+        else:  # the gyroscope turned and the vehicle did not: that contradicts no sign and no unit
+            self._contradictions.forget_forces()
         if self._refit is not None:
             self._refit.push(p)
         is_turn = self._blocks % LAZY_BLOCKS == 0 or self._stands_out
@@ -191,7 +195,7 @@ class FullEstimator:
             self._segment = self._solver.response.segment
             self._solver.p_constant = P_CONSTANT_AGAIN if self._shifts else P_CONSTANT
             self._solver.follow_creep()
-        if self._look_for_large_change(p):
+        if self._look_for_large_change(p, change):
             return
         if not is_refitting and not self._looked_again:
             self._look_again()
@@ -223,24 +227,44 @@ class FullEstimator:
         if new or (before and not self._faults and FOUND_ANEW.isdisjoint(before)) or is_stuck:
             self._begin_without_rotation([p])
 
-    def _look_for_large_change(self, p: SignalBlock) -> bool:
-        """Look for a turn by several degrees, and for gravity far from the vertical."""
+    @property
+    def _can_compare(self) -> bool:
+        """Whether there is a rotation that new blocks can be held against."""
+        solver = self._solver
+        return (
+            solver.R is not None
+            and solver.yaw_known
+            and not (self._moved and self._refit is not None)
+        )
+
+    def _turned_by_hand(self, p: SignalBlock) -> LargeChange | None:
+        """A turn that is seen at once: while standing, or by the gyroscope alone."""
         solver, large = self._solver, self._large
-        if solver.R is None or not solver.yaw_known or (self._moved and self._refit is not None):
+        if solver.R is None or not self._can_compare:
+            return None
+        change = large.while_standing(p, solver.R)
+        if change is None and solver.own_gyro and self._has_speed:
+            motion = solver.motion(p, solver.R)
+            change = large.while_driving(p, motion, "yaw_rate" in self._signals.seen)
+        return change
+
+    def _look_for_large_change(self, p: SignalBlock, change: LargeChange | None) -> bool:
+        """Look for a turn by several degrees, and for gravity far from the vertical.
+
+        change: what was seen at once.
+        """
+        solver, large = self._solver, self._large
+        if solver.R is None or not self._can_compare:
             large.restart()
             return False
         if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
             self._begin_without_rotation([p])
             return True
-        motion = solver.motion(p, solver.R)
-        large.add(p, solver.R, motion, self._has_speed)
-        change = large.while_standing(p, solver.R)
-        if change is None and solver.own_gyro and self._has_speed:
-            change = large.while_driving(p, motion, "yaw_rate" in self._signals.seen)
+        large.add(p, solver.R, solver.motion(p, solver.R), self._has_speed)
         if self._state not in GOOD:  # nothing is served as good, and the fit is young
-            if change is not None and self._served.correction is None:
+            if change is not None:
                 self._begin_without_rotation([])
-                self._moved = False
+                self._moved = self._served.correction is not None
             return change is not None
         if change is None:
             change = large.found((0, 1, 2) if solver.own_gyro else (0, 1))
