@@ -152,7 +152,11 @@ def summary(part: str, lines: Sequence[Line]) -> str:
         return f"{part}: nothing to tell"
     good = [x for x in lines if is_right(x)]
     invented = sum(bool(wrong_names(x)) for x in lines)
-    return f"{part}: {len(good)} of {len(lines)} right; names that are not there in {invented}"
+    near = sum(not is_right(x) and bool(set(x["right"]) & set(x["likely"])) for x in lines)
+    return (
+        f"{part}: {len(good)} of {len(lines)} right, {near} more likely; names that are not there "
+        f"in {invented}"
+    )
 
 
 def calibration(lines: Sequence[Line]) -> Iterator[str]:

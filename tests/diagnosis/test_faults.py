@@ -69,6 +69,29 @@ def test_a_sensor_that_does_not_change_while_driving_is_stuck():
     )
 
 
+def test_a_value_on_a_rail_is_clipped_and_not_stuck():
+    samples = drive()
+    t, x = samples["gyro"].t, samples["gyro"].values.copy()
+    x[(t > 100.0) & (t < 104.0)] = [0.9, 0.9, 0.9]
+    x[:, 0] = np.minimum(x[:, 0], np.quantile(x[:, 0], 0.97))
+    rail = float(x[:, 0].max())
+    x[(t > 100.0) & (t < 104.0)] = [rail, 0.0, 0.0]
+    samples["gyro"] = Series(t, x)
+    assert list(causes(samples)) == ["saturation:gyro"]
+
+
+def test_frames_that_do_not_come_are_lost_and_not_stuck():
+    """Two frames of one value on either side of a hole of 8 s."""
+    samples = drive()
+    t, x = samples["gyro"].t, samples["gyro"].values.copy()
+    kept = (t < 100.0) | (t > 108.0)
+    t, x = t[kept], x[kept]
+    after = int(np.searchsorted(t, 104.0))
+    x[after] = x[after - 1]
+    samples["gyro"] = Series(t, x)
+    assert list(causes(samples)) == ["dropouts:gyro"]
+
+
 def test_zeros_at_standstill_are_natural():
     samples = drive()
     t, v = samples["speed"].t, samples["speed"].values.copy()
@@ -86,6 +109,27 @@ def test_lost_frames_are_counted():
     assert found["dropouts:accel"].values["accel.loss"][0] == pytest.approx(0.02, abs=0.003)
     knowing = MODEL.with_changes({"accel.loss": 0.02})
     assert causes(samples, knowing) == {}, "the model file says so already"
+
+
+def test_a_sender_that_changes_its_rate_loses_nothing():
+    """Half the rate for 30 s, as phones do; as many lost at random are drop-outs."""
+    samples = drive()
+    t, x = samples["accel"].t, samples["accel"].values
+    slow = (t > 100.0) & (t < 130.0)
+    kept = ~slow | (np.arange(len(t)) % 2 == 0)
+    samples["accel"] = Series(t[kept], x[kept])
+    assert causes(samples) == {}
+    kept = np.random.default_rng(8).random(len(t)) < kept.mean()
+    samples["accel"] = Series(t[kept], x[kept])
+    assert list(causes(samples)) == ["dropouts:accel"]
+
+
+def test_a_pause_of_minutes_is_no_loss():
+    samples = drive()
+    t, x = samples["accel"].t, samples["accel"].values
+    kept = (t < 100.0) | (t > 200.0)
+    samples["accel"] = Series(t[kept], x[kept])
+    assert causes(samples) == {}
 
 
 def test_frames_that_come_twice_are_no_faster_clock():

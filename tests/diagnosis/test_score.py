@@ -9,16 +9,8 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from imucald.diagnosis.blocks import Table
-from imucald.diagnosis.score import (
-    Hypothesis,
-    Problem,
-    box_fit,
-    estimate,
-    fitted,
-    held_out,
-    quantile,
-    without_best,
-)
+from imucald.diagnosis.intervals import estimate, quantile
+from imucald.diagnosis.score import Hypothesis, Problem, box_fit, fitted, held_out, without_best
 
 KEYS = ("accel.bias.x", "accel.bias.y", "speed.scale")
 
@@ -107,6 +99,16 @@ def test_a_wandering_parameter_has_a_wide_interval():
     assert calm.wander[0] < 0.05
     assert restless.wander[0] == pytest.approx(0.29, abs=0.1)
     assert restless.se[0] > 3.0 * calm.se[0]
+
+
+def test_what_the_equations_err_by_does_not_shrink_with_the_data():
+    """Ten times the blocks: a tenth of the variance of noise, all of that of the equations."""
+    h = Hypothesis("x", KEYS[:1])
+    few, many = (replace(table(blocks=n), model_error=np.full(3, 0.05)) for n in (40, 400))
+    assert estimate(problem(few), h, 1).se[0] > 0.05
+    assert estimate(problem(many), h, 1).se[0] == pytest.approx(0.05, rel=0.1)
+    off = replace(table((0.2, 0.0, 0.0), blocks=400), model_error=np.full(3, 0.05))
+    assert estimate(problem(off), h, 1).pull == pytest.approx(2.0, rel=0.15)  # (0.2 - 0.1) / 0.05
 
 
 def test_a_step_is_found_by_its_pattern():

@@ -439,3 +439,24 @@ def test_a_lean_of_the_road_moves_roll_and_yaw_together_as_the_covariance_has_it
     for covariance in covariances:
         assert (np.linalg.eigvalsh(covariance) > 0.0).all()
         assert np.array_equal(covariance, covariance.T)
+
+
+def test_ticks_that_are_only_kept_may_be_taken_at_once():
+    ticks = rows()
+    one_by_one, at_once, told, taken = FullEstimator(full()), FullEstimator(full()), [], []
+    for tick in ticks.tolist():
+        one_by_one.step(tick)
+        told.append((one_by_one.correction, one_by_one.state))
+    quiet_in_all, k = 0, 0
+    while k < len(ticks):
+        quiet = min(at_once.quiet_ticks(), len(ticks) - k)
+        if quiet:
+            at_once.keep_quiet(ticks[k : k + quiet])
+        else:
+            at_once.step(ticks[k].tolist())
+        taken += [(at_once.correction, at_once.state)] * (quiet or 1)
+        quiet_in_all += quiet
+        k += quiet or 1
+    assert taken == told
+    assert quiet_in_all > 0.9 * len(ticks)
+    assert np.array_equal(at_once.estimate().covariance, one_by_one.estimate().covariance)

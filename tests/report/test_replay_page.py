@@ -80,7 +80,8 @@ def test_the_page_says_how_the_sensor_sits_and_what_happened(page):
 def test_the_corrected_force_is_what_a_control_unit_would_have_decoded(moved, tmp_path):
     drive, log = moved
     config = loaded()
-    engine, history = make_engine(config), DriveHistory(config)
+    history = DriveHistory()
+    engine = make_engine(config, on_samples=history.samples)
     reader = LogReader([log], engine.router.matches)
     sent, take = [], history.sink(engine)
 
@@ -89,15 +90,7 @@ def test_the_corrected_force_is_what_a_control_unit_would_have_decoded(moved, tm
         rows = frames.can_id == 0x640
         sent.extend(zip(frames.t[rows], frames.data[rows].tolist(), strict=True))
 
-    class Watched:
-        first_stamp, frames_read, rejected = None, 0, {}
-
-        def __iter__(self):
-            for chunk in reader:
-                history.take(chunk)
-                yield chunk
-
-    Replay(engine, Watched(), sink).run()  # type: ignore[arg-type]
+    Replay(engine, reader, sink).run()
     motion = history.motion()
     message = cantools.database.load_file(ROOT / "dbc" / "imucald_out.dbc")
     layout = message.get_message_by_frame_id(0x640)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -24,12 +24,12 @@ from imucald.api.drive import DriveResult, drive_result
 from imucald.api.logs import LogSource, opened
 from imucald.api.mount import MountResult
 from imucald.api.recorder import Recorder, microseconds
-from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_reader import LogReader
 from imucald.core.errors import NoFramesError
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.replay import Replay, Sink
+from imucald.runtime.segment_samples import SegmentSamples
 from imucald.runtime.session import make_engine
 
 _T = TypeVar("_T")
@@ -60,27 +60,14 @@ def require_frames(drive: DriveResult) -> DriveResult:
 class Watcher(Protocol):
     """Sees what passes during a run, such as whoever draws a page of it."""
 
-    def take(self, chunk: FrameColumns, /) -> None:
-        """Take frames of the logs, before the engine gets them."""
+    def samples(self, part: SegmentSamples, /) -> None:
+        """Take the samples of a segment of time."""
 
     def snapshot(self, snapshot: Snapshot, /) -> None:
         """Take a snapshot of the estimate."""
 
     def sink(self, engine: Engine, /) -> Sink:
         """Return what takes the frames that would be sent."""
-
-
-class _WatchedReader(LogReader):
-    """A reader whose chunks a watcher sees before the engine does."""
-
-    def __init__(self, watcher: Watcher, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self._watcher = watcher
-
-    def __iter__(self) -> Iterator[FrameColumns]:
-        for chunk in super().__iter__():
-            self._watcher.take(chunk)
-            yield chunk
 
 
 class ReplayRun:
@@ -106,18 +93,16 @@ class ReplayRun:
         self.logs = tuple(str(source) for source in sources)
         self._signals = signals
         self._recorder = Recorder(signals)
-        snapshot = self._recorder.snapshot
-        self.engine = make_engine(
-            config.loaded,
-            snapshot if watcher is None else _both(snapshot, watcher.snapshot),
-            on_samples=self._recorder.samples,
-        )
+        snapshot: Callable[[Snapshot], None] = self._recorder.snapshot
+        samples: Callable[[SegmentSamples], None] = self._recorder.samples
+        if watcher is not None:
+            snapshot = _both(snapshot, watcher.snapshot)
+            samples = _both(samples, watcher.samples)
+        self.engine = make_engine(config.loaded, snapshot, on_samples=samples)
         router = self.engine.router
         reading = sources, router.matches, strict, progress, router.stated_cycles
-        if watcher is None:
-            self._reader = LogReader(*reading)
-        else:
-            self._reader = _WatchedReader(watcher, *reading)
+        self._reader = LogReader(*reading)
+        if watcher is not None:
             seen = watcher.sink(self.engine)
             sink = seen if sink is None else _both(seen, sink)
         self._replay = Replay(self.engine, self._reader, sink, speed)

@@ -242,6 +242,7 @@ def application(state: LiveState) -> web.Application:
 
     async def page(_: web.Request) -> web.Response:
         text = (pages / "monitor.html").read_text("utf-8")
+        text = text.replace("/* page.css */", (pages / "page.css").read_text("utf-8"))
         return web.Response(text=text, content_type="text/html")
 
     async def script(_: web.Request) -> web.Response:

@@ -103,7 +103,7 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
     from imucald.runtime.summary import as_json
 
     with _sink(options, config) as sink:
-        page = _page(options, config, logs, options.report)
+        page = _page(options, logs, options.report)
         drive, written = _replayed(options, config, logs, options.write, sink, page)
     _print_problems(options, drive)
     if options.json:
@@ -132,7 +132,7 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
     places = zip(_paths(options.write, logs), _folders(options.report, logs), strict=True)
     for log, (path, folder) in zip(logs, places, strict=True):
         try:
-            page = _page(options, config, [log], folder)
+            page = _page(options, [log], folder)
             drive, files = _replayed(options, config, [log], path, None, page)
             _print_problems(options, drive)
             require_frames(drive)
@@ -217,14 +217,14 @@ def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
 
 
 def _page(
-    options: argparse.Namespace, config: Configuration, logs: Sequence[str], folder: Path | None
+    options: argparse.Namespace, logs: Sequence[str], folder: Path | None
 ) -> ReplayReport | None:
     """What gathers a page about the drive; None where none is wanted."""
     if folder is None:
         return None
     from imucald.commands.replay_report import ReplayReport
 
-    return ReplayReport(config.loaded, options, logs, folder)
+    return ReplayReport(options, logs, folder)
 
 
 def _print_problems(options: argparse.Namespace, drive: DriveResult) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 
 from imucald import __version__
 from imucald.commands.files import write_text
-from imucald.config import LoadedConfig
 from imucald.core.errors import ImucaldError
 from imucald.report.drive_history import DriveHistory
 from imucald.report.page import About, require_libraries
@@ -25,7 +24,6 @@ class ReplayReport:
 
     def __init__(
         self,
-        loaded: LoadedConfig,
         options: argparse.Namespace,
         logs: Sequence[str],
         folder: Path,
@@ -35,7 +33,7 @@ class ReplayReport:
             raise ImucaldError(f"{folder}: cannot be written: Not a directory")
         if not folder.parent.is_dir():
             raise ImucaldError(f"{folder}: cannot be written: no directory {folder.parent}")
-        self.history = DriveHistory(loaded)
+        self.history = DriveHistory()
         self._options, self._logs, self._folder = options, logs, folder
 
     def write(self, result: Mapping[str, Any], problems: Sequence[str]) -> None:

@@ -16,8 +16,8 @@ from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.result import GOES_AGAINST, TOO_MUCH, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
-from imucald.diagnosis.search import State
 from imucald.diagnosis.signals import STEP_S, Array, Mask
+from imucald.diagnosis.state import State
 from imucald.diagnosis.trials import BIAS, tried
 from imucald.mount.mount_words import SD_95
 

@@ -21,11 +21,13 @@ from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, wi
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.faults import Fault, find_faults, spoilt
 from imucald.diagnosis.gain import gain_of
+from imucald.diagnosis.intervals import estimate, quantile
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import TOO_MUCH, Diagnosis, FoundCause, Structure
-from imucald.diagnosis.score import Hypothesis, Problem, estimate, quantile
-from imucald.diagnosis.search import State, final_estimates, search, shift_steps
+from imucald.diagnosis.score import Hypothesis, Problem
+from imucald.diagnosis.search import search
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
+from imucald.diagnosis.state import State, final_estimates, shift_steps
 from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]

@@ -29,6 +29,8 @@ PARTNER_SHARE = 0.5
 """A slow signal is stuck where others go on moving by this share of their usual spread."""
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Frames that a bus and a logger may lose without a fault."""
+PAUSE_S = 10.0
+"""A hole that is longer begins a new segment everywhere in this program."""
 DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
 """A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
@@ -231,11 +233,17 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     if clock is None:
         return
     cycle, se, steps, is_steady = clock
+    # A pause of the sender or the logger is no loss.
+    steps = np.where(np.diff(t) > PAUSE_S, 1.0, steps)
     sent = int(steps.sum()) + 1
     lost = sent - len(t)
     stated = float(message.loss)
     chance = 5.0 * np.sqrt(max(stated, 1e-4) * sent)
-    if lost >= LOST_FEWEST and lost - stated * sent > max(LOST_TOLERANCE * sent, chance):
+    if (
+        lost >= LOST_FEWEST
+        and lost - stated * sent > max(LOST_TOLERANCE * sent, chance)
+        and not _has_other_rate(steps)
+    ):
         share = lost / sent
         yield Fault(
             "dropouts", name, {f"{name}.loss": (share, float(np.sqrt(share / sent)), "1")},
@@ -254,6 +262,13 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
             f"The cycle is {1000 * cycle:.5g} ms, {off:+.0f} ppm off what the model file states.",
             {f"{name}.clock_drift_ppm": ppm}, (), abs(off) / CLOCK_PPM * 10.0,
         )  # fmt: skip
+
+
+def _has_other_rate(steps: Array) -> bool:
+    """Whether wide steps follow each other: a sender that changes its rate loses nothing. Of losses
+    at random or in bursts most are followed by a step of one cycle. steps: (N,) cycles."""
+    wide = steps > 1.0
+    return bool(wide[:-1].sum() > 0 and wide[1:][wide[:-1]].mean() > 0.5)
 
 
 def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:

@@ -23,8 +23,8 @@ from imucald.diagnosis.result import (
     Structure,
     Verdict,
 )
-from imucald.diagnosis.search import State
 from imucald.diagnosis.shift import KEYS, FittedShift
+from imucald.diagnosis.state import State
 from imucald.diagnosis.trials import SINGLE_NATS, Trial, questions
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95

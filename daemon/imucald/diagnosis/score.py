@@ -1,4 +1,4 @@
-"""Fits, held-out losses and intervals on a table of blocks. Knows no cause by name.
+"""Fits and held-out losses on a table of blocks. Knows no cause by name.
 
 The null is a box: an honest model file is wrong by |x_j| <= tau_j. A Gaussian prior of that width
 would be overrun by half an hour of data. A hypothesis frees its own parameters from the box.
@@ -10,18 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.signals import Array, Mask
 
 FOLDS = 8
-ERROR_RATE = 0.01
-"""Of a drive: the chance that anything is named without a reason."""
 RIDGE = 1e-9
 STEPS = 20
 """Changes of the active set, for each parameter."""
-QUARTERS = 4
 REACH = 3.0
 """A freed parameter may go so many times as far as is plausible: then it is told as such."""
 SILENT = 1e-6
@@ -48,32 +44,6 @@ class Hypothesis:
     def is_plain(self) -> bool:
         """Whether nothing but the keys is freed, everywhere."""
         return not self.directions and self.pattern is None
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Freed parameters with what is known of them. Arrays (k,)."""
-
-    value: Array
-    se: Array
-    """Largest of sandwich, sandwich with lag one, model-based; with the wander between quarters and
-    what the equations themselves err by."""
-    quantile: float
-    pull: float
-    """By how many deviations the box pulls at the parameters: the root of twice the rise of the
-    loss when they are put back into it, over-dispersion and wander taken off."""
-    wander: Array
-    """Scatter between quarters of the data beyond what chance gives."""
-
-    @property
-    def low(self) -> Array:
-        """Lower ends of the intervals."""
-        return np.asarray(self.value - self.quantile * self.se)
-
-    @property
-    def high(self) -> Array:
-        """Upper ends of the intervals."""
-        return np.asarray(self.value + self.quantile * self.se)
 
 
 @dataclass(frozen=True)
@@ -232,102 +202,6 @@ def fitted(problem: Problem, h: Hypothesis | None = None) -> Array:
     gram, low, high = problem.widened(h)
     total = gram.sum(axis=0)
     return box_fit(total[1:, 1:], total[1:, 0], low, high)
-
-
-def quantile(blocks: int, questions: int) -> float:
-    """Student's t for two sides, shared out over the questions asked (Bonferroni)."""
-    return float(student.ppf(1.0 - ERROR_RATE / (2.0 * max(questions, 1)), max(blocks - 1, 1)))
-
-
-def estimate(
-    problem: Problem, h: Hypothesis, questions: int, null: Problem | None = None
-) -> Estimate:
-    """Value and deviation of a hypothesis' parameters, the others free within their box.
-
-    null: the same with the box of honest files, where the model has moved out of it already.
-    """
-    gram, low, high = problem.widened(h)
-    own = problem.own(h)
-    total = gram.sum(axis=0)
-    x = box_fit(total[1:, 1:], total[1:, 0], low, high)
-    # What is bounded by a box is as uncertain as an even spread over it.
-    prior = np.zeros(len(low))
-    others = np.setdiff1d(np.arange(len(low)), own)
-    prior[others] = 3.0 / np.maximum(0.5 * (high - low)[others], 1e-30) ** 2
-    H = total[1:, 1:] + np.diag(prior) + RIDGE * np.diag(np.maximum(np.diag(total[1:, 1:]), 1e-30))
-    inverse = np.linalg.pinv(H)
-    score = gram[:, 1:, 0] - gram[:, 1:, 1:] @ x
-    B = len(gram)
-    inner = score.T @ score * (B / max(B - len(own) - 1, 1))
-    lag = score[1:].T @ score[:-1]
-    ways = (inner, inner + lag + lag.T, total[1:, 1:])
-    spread = [np.diag(inverse @ (way + np.diag(prior)) @ inverse)[own] for way in ways]
-    se = np.sqrt(np.maximum(np.max(spread, axis=0), 0.0))
-    wander, share = _wander(gram, prior, x, own)
-    more = wander**2 * share + problem.model_error(h) ** 2
-    se = np.sqrt(se**2 + more)
-    pull = _pull(problem, h, x, own, more, null or problem)
-    return Estimate(x[own], se, quantile(B, questions), pull, wander)
-
-
-def _pull(
-    problem: Problem, h: Hypothesis, x: Array, own: Sequence[int], more: Array, null_of: Problem
-) -> float:
-    """Profile likelihood with the others in their box, so that none counts beyond its tolerance.
-
-    The rise of the loss is divided by how much the blocks scatter more than the weights say
-    (sandwich over model-based variance), and by `more` (k,), the variances between quarters and of
-    the equations themselves.
-    """
-    gram, low, high = problem.widened(h)
-    total = gram.sum(axis=0)
-    H, c = total[1:, 1:], total[1:, 0]
-    base = problem.table.gram.sum(axis=0)
-    null = box_fit(base[1:, 1:], base[1:, 0], null_of.low, null_of.high)
-    rise = (c @ x - 0.5 * x @ H @ x) - (base[1:, 0] @ null - 0.5 * null @ base[1:, 1:] @ null)
-    width = high - low
-    inside = np.flatnonzero((x > low + 1e-6 * width) & (x < high - 1e-6 * width))
-    inside = np.union1d(inside, own)
-    at = [int(np.flatnonzero(inside == i)[0]) for i in own]
-    part = H[np.ix_(inside, inside)]
-    part = part + RIDGE * np.diag(np.maximum(np.diag(part), 1e-30))
-    inverse = np.linalg.pinv(part)
-    score = (gram[:, 1:, 0] - gram[:, 1:, 1:] @ x)[:, inside]
-    B = len(gram)
-    inner = score.T @ score * (B / max(B - len(own) - 1, 1))
-    lag = score[1:].T @ score[:-1]
-    model = np.maximum(np.diag(inverse)[at], 1e-300)
-    ways = [np.diag(inverse @ way @ inverse)[at] for way in (inner, inner + lag + lag.T)]
-    spread = max(1.0, float(np.max((np.max(ways, axis=0) + more) / model)))
-    # k parameters at once rise by k more without a reason.
-    return float(np.sqrt(max(2.0 * rise / spread - (len(own) - 1), 0.0)))
-
-
-def _wander(gram: Array, prior: Array, x: Array, own: Sequence[int]) -> tuple[Array, Array]:
-    """Scatter of the parameters between quarters of the data beyond what each may scatter, and
-    which share of its square the mean keeps: random effects (DerSimonian and Laird 1986)."""
-    parts = np.array_split(np.arange(len(gram)), QUARTERS)
-    values, variances = [], []
-    for part in parts:
-        if len(part) < 2:
-            return np.zeros(len(own)), np.ones(len(own))
-        total = gram[part].sum(axis=0)
-        H = total[1:, 1:] + np.diag(prior)
-        H += RIDGE * np.diag(np.maximum(np.diag(H), 1e-30))
-        inverse = np.linalg.pinv(H)
-        step = inverse @ (total[1:, 0] - total[1:, 1:] @ x)
-        score = gram[part][:, 1:, 0] - gram[part][:, 1:, 1:] @ (x + step)
-        inner = np.maximum(np.diag(inverse @ (score.T @ score) @ inverse), np.diag(inverse))
-        values.append(step[list(own)])
-        variances.append(inner[list(own)])
-    w = 1.0 / np.maximum(np.array(variances), 1e-30)
-    total_w = w.sum(axis=0)
-    mean = (w * values).sum(axis=0) / total_w
-    excess = (w * (np.array(values) - mean) ** 2).sum(axis=0) - (len(parts) - 1)
-    spare = total_w - (w**2).sum(axis=0) / total_w
-    variance = np.maximum(excess, 0.0) / np.maximum(spare, 1e-30)
-    variance[spare <= 1e-9 * total_w] = 0.0
-    return np.sqrt(variance), np.asarray((w**2).sum(axis=0) / total_w**2)
 
 
 def without_best(gain: Array, one_in: int = 15) -> float:

@@ -12,15 +12,8 @@ import numpy as np
 
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.causes import DEG
-from imucald.diagnosis.score import (
-    Hypothesis,
-    Problem,
-    box_fit,
-    estimate,
-    held_out,
-    quantile,
-    without_best,
-)
+from imucald.diagnosis.intervals import estimate, quantile
+from imucald.diagnosis.score import Hypothesis, Problem, box_fit, held_out, without_best
 from imucald.diagnosis.signals import Array
 
 KEYS = ("mount.turn.x", "mount.turn.y", "mount.turn.z")

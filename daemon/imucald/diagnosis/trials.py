@@ -12,15 +12,8 @@ from scipy.stats import t as student
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import level_effect
 from imucald.diagnosis.causes import CAUSES, Cause
-from imucald.diagnosis.score import (
-    ERROR_RATE,
-    Estimate,
-    Hypothesis,
-    Problem,
-    estimate,
-    held_out,
-    without_best,
-)
+from imucald.diagnosis.intervals import ERROR_RATE, Estimate, estimate
+from imucald.diagnosis.score import Hypothesis, Problem, held_out, without_best
 from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
 
@@ -73,11 +66,10 @@ class Trial:
 
     @property
     def is_plausible(self) -> bool:
-        """Intervals of what leaves its tolerance reach what a vehicle or a sensor can have."""
-        e, (low, high) = self.estimate, self.plausible.T
-        return bool(
-            np.all((np.abs(e.value) <= self.tolerance) | ((e.high >= low) & (e.low <= high)))
-        )
+        """What leaves its tolerance stays within what a vehicle or a sensor can have."""
+        v, tau = self.estimate.value, self.tolerance
+        low, high = self.plausible.T
+        return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
 
     @property
     def is_testable(self) -> bool:

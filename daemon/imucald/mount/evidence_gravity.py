@@ -46,12 +46,12 @@ class GravityEvidence:
         self.stops = 0
         self._stop_used = 0.0
         self._resting = False
-        self._segments: list[Array] = []  # weight, force (3), motion (2), metres, at their ends
+        self._ends = np.zeros((1, 7))  # of segments: weight, force (3), motion (2), metres
 
     def close_segment(self) -> None:
         """End a road segment, for `series`."""
         sums = np.array([self._weight, *self._force, *self._motion, self.metres])
-        self._segments.append(sums)
+        self._ends = np.concatenate([self._ends, sums[None]])
 
     def series(
         self,
@@ -66,7 +66,7 @@ class GravityEvidence:
         std: rms tangent of the roads across and along; length: over which it forgets itself [m].
         """
         now = np.array([self._weight, *self._force, *self._motion, self.metres])
-        ends = np.array([np.zeros(7), *self._segments, now])
+        ends = np.concatenate([self._ends, now[None]])
         each = np.diff(ends, axis=0)
         w = np.maximum(each[:, 0], 1e-9)[:, None]
         F = (each[:, 1:4] / w - bias) @ R.T

@@ -247,11 +247,11 @@ def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
     x[:, Measured.DVDT_QUARTER] = 1j * x[:, Measured.DVDT]
     x[:, Measured.LATERAL_QUARTER] = 1j * x[:, Measured.LATERAL]
     both = np.concatenate([x.real, x.imag], axis=1).reshape(BINS * 2, SIGNALS)
-    out = np.empty((BANDS, PRODUCTS))
+    every = np.empty((BANDS, SIGNALS, SIGNALS))
     for k in range(BANDS):
         part = both[2 * (BAND_EDGES[k] - FIRST_BIN) : 2 * (BAND_EDGES[k + 1] - FIRST_BIN)]
-        out[k] = (part.T @ part).ravel()[_NEEDED]
-    return out
+        np.matmul(part.T, part, out=every[k])
+    return every.reshape(BANDS, -1)[:, _NEEDED]
 
 
 def in_vehicle_axes(

@@ -1,7 +1,6 @@
 """What a replay leaves behind for its page: samples, corrected frames and snapshots, by time.
 
-The inputs are decoded a second time, by a router of its own, so that the replay itself is the same
-with and without a page. What is called corrected is read back from the frames that were given out:
+What is called corrected is read back from the frames that were given out:
 it is what a control unit would have got.
 """
 
@@ -14,16 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns
-from imucald.config import LoadedConfig
 from imucald.core.samples import Samples, Series
-from imucald.inputs.column_samples import Routed
-from imucald.inputs.wiring import compile_router
 from imucald.motion.ticks import TICK_RATE
 from imucald.mount.estimate import MountEstimate
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_message import NOT_AVAILABLE_SIGNED, output_database
 from imucald.runtime.pipeline import Snapshot
-from imucald.runtime.timebase import TimeBase
+from imucald.runtime.segment_samples import SegmentSamples
 
 Array = NDArray[np.float64]
 
@@ -68,38 +64,31 @@ class DriveMotion:
 class DriveHistory:
     """Takes what passes during a replay (see the verbs), and gives it in order afterwards."""
 
-    loaded: LoadedConfig
     moments: list[Moment] = field(default_factory=list)
     gaps: list[float] = field(default_factory=list)
     """Stream times at which time jumped [s]."""
 
     def __post_init__(self) -> None:
-        self._router = compile_router(self.loaded)
-        self._timebase = TimeBase()
+        self.duration_s = 0.0
+        """Stream time of the last frame of ours [s]."""
         self._parts: dict[str, list[Series]] = {}
         self._rejected: dict[str, list[Array]] = {}
         self._corrected: dict[str, list[Series]] = {}
-        self._stamps = self._times = np.zeros(0)
+        self._clock: list[tuple[Array, Array]] = []
 
     # while the replay runs -------------------------------------------------------------------
 
-    def take(self, chunk: FrameColumns) -> None:
-        """Take a chunk of frames, before the engine gets it."""
-        times = []
-        for segment in self._timebase.segments(chunk.t):
-            if segment.gap:
-                self.gaps.append(float(segment.t[0]))
-            frames = chunk.take(slice(segment.start, segment.stop))
-            self._keep(self._router.columns(segment.t, frames), segment.t)
-            times.append(segment.t)
-        order = np.argsort(chunk.t, kind="stable")
-        self._stamps, self._times = chunk.t[order], np.concatenate(times)[order]
-
-    def _keep(self, routed: Routed, t: Array) -> None:
-        for channel, series in routed.samples.items():
+    def samples(self, part: SegmentSamples) -> None:
+        """Take the samples of a segment, as the engine decoded them."""
+        t = part.segment.t
+        if part.segment.gap:
+            self.gaps.append(float(t[0]))
+        self.duration_s = float(t[-1])
+        for channel, series in part.as_sensed.items():
             self._parts.setdefault(channel, []).append(Series(series.t, series.values))
-        for channel, rows in routed.rejected.items():
+        for channel, rows in part.rejected.items():
             self._rejected.setdefault(channel, []).append(t[rows])
+        self._clock.append((part.stamps, t))
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """Take a snapshot of the estimate."""
@@ -121,17 +110,20 @@ class DriveHistory:
                     values = _decoded(channel, frames.data[rows])
                     t = self._stream_times(frames.t[rows])
                     self._corrected.setdefault(channel, []).append(Series(t, values))
+            self._clock.clear()  # these frames answer all samples so far
 
         return take
 
     def _stream_times(self, stamps: Array) -> Array:
-        rows = np.searchsorted(self._stamps, stamps).clip(max=len(self._stamps) - 1)
-        return np.asarray(self._times[rows])
+        known, times = (np.concatenate(parts) for parts in zip(*self._clock, strict=True))
+        order = np.argsort(known, kind="stable")
+        rows = np.searchsorted(known[order], stamps).clip(max=len(known) - 1)
+        return np.asarray(times[order][rows])
 
     # afterwards ------------------------------------------------------------------------------
 
     @property
-    def samples(self) -> Samples:
+    def all_samples(self) -> Samples:
         """All good samples by channel, SI."""
         return {channel: joined(parts) for channel, parts in sorted(self._parts.items())}
 
@@ -140,14 +132,9 @@ class DriveHistory:
         """Times of rejected samples [s], by channel."""
         return {c: np.concatenate(parts) for c, parts in sorted(self._rejected.items())}
 
-    @property
-    def duration_s(self) -> float:
-        """Stream time of the last frame of ours [s]."""
-        return self._timebase.now
-
     def motion(self) -> DriveMotion:
         """Return forces beside the vehicle's motion."""
-        samples = self.samples
+        samples = self.all_samples
         n = max(int(self.duration_s * TICK_RATE) + 1, WINDOW_TICKS + 1)
         edges = np.arange(n + 1) / TICK_RATE
         corrected = {c: joined(parts) for c, parts in self._corrected.items()}

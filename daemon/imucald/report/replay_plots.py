@@ -163,7 +163,7 @@ def _size(off: Array, half: Array) -> float:
 
 def arrivals_picture(history: DriveHistory) -> str:
     """What came when: rate of each signal by time, holes and rejections."""
-    samples, rejected = history.samples, history.rejected
+    samples, rejected = history.all_samples, history.rejected
     channels = sorted(set(samples) | set(rejected))
     duration = max(history.duration_s, 1.0)
     edges = np.linspace(0.0, duration, TIME_BINS + 1)

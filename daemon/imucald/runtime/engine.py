@@ -245,7 +245,7 @@ class Engine:
         whole = base == 0 and segment.stop == len(frames)
         chunk = frames if whole else frames.take(slice(base, segment.stop))
         routed = self.router.columns(segment.t, chunk)
-        watched = routed.samples
+        watched, refused = routed.samples, routed.rejected
         if self.preprocessing is not None:
             routed = self.preprocessing.columns(routed, segment.t, self.router.rejected)
         ticks = np.floor(segment.t * TICK_RATE).astype(np.int64)
@@ -276,7 +276,7 @@ class Engine:
             lambda: corrected_samples(routed, corrections, ticks, self.output, self.preprocessing)
         )
         if self._on_samples is not None:
-            self._on_samples(SegmentSamples(segment, chunk.t, watched, corrected))
+            self._on_samples(SegmentSamples(segment, chunk.t, watched, refused, corrected))
         if keep:
             yield from self._counted(corrected_parts(self.output, corrected(), lost, base))
         else:

@@ -82,7 +82,14 @@ class TickCorrections(Struct, frozen=True, dict=True):
     def rotations(self) -> NDArray[np.float64]:
         """(n, 9), rows of R_vehicle_from_sensor; NaN where not usable."""
         nothing = (np.nan,) * 9
-        return np.array([nothing if row is None else row for row in self.corrections])
+        which = np.fromiter(map(id, self.corrections), np.uint64, len(self.corrections))
+        first = (
+            np.flatnonzero(which[1:] != which[:-1]) + 1
+        )  # most ticks have that of the one before
+        first = np.concatenate([[0], first])
+        different = [self.corrections[i] for i in first.tolist()]
+        rows = np.array([nothing if row is None else row for row in different])
+        return np.repeat(rows, np.diff(first, append=len(which)), axis=0)
 
     @cached_property
     def quality(self) -> NDArray[np.uint8]:

@@ -37,12 +37,14 @@ class SegmentSamples(Struct, frozen=True, eq=False):
 
     stamps: (N,) recorded times of the segment's frames [s]; rows of samples count in them.
     as_sensed: by channel, as the sensors gave them, SI (see `core.samples`), in sensor axes.
+    rejected: by channel, the rows whose sample was refused, before a model changes any.
     corrected: gives them by channel of a corrected frame; they are made when it is first called.
     """
 
     segment: TimeSegment
     stamps: NDArray[np.float64]
     as_sensed: Mapping[str, ColumnSamples]
+    rejected: Mapping[str, NDArray[np.int64]]
     corrected: Callable[[], Mapping[str, CorrectedSamples]]
 
 

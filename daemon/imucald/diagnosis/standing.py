@@ -1,0 +1,112 @@
+"""What stands of the causes that were named: each is asked anew beside the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from imucald.diagnosis.score import held_out, without_best
+from imucald.diagnosis.state import State, refit
+from imucald.diagnosis.trials import SINGLE_NATS, Trial, tried
+
+
+def asked_again(state: State, trial: Trial) -> Trial:
+    """A hypothesis against the box of honest files, from where the model has moved by it."""
+    problem, h = state.evaluated(), trial.hypothesis
+    table = problem.table
+    kept = [k for k in h.keys if k in state.changes]
+    index = [h.keys.index(k) for k in kept]
+    if h.is_plain:
+        h = replace(h, keys=tuple(kept), lead=min(h.lead, len(kept)))
+    low, high = problem.low.copy(), problem.high.copy()
+    for key in {k for d in h.directions for k in d} or set(kept):
+        i, x = table.keys.index(key), state.changes.get(key, 0.0)
+        low[i], high[i] = -table.tolerance[i] - x, table.tolerance[i] - x
+    null = replace(problem, low=low, high=high)
+    again = tried(problem, h, held_out(null), max(len(state.last), 1), null)
+    moved = np.array([state.changes[k] for k in kept])
+    e = replace(again.estimate, value=again.estimate.value + moved)
+    return replace(again, estimate=e, tolerance=trial.tolerance[index],
+                   plausible=trial.plausible[index], reach=trial.reach[index])  # fmt: skip
+
+
+def let_go(state: State) -> list[str]:
+    """Causes that no longer pay beside the later ones are put back; returns their parameters."""
+    if len(state.named) < 2:
+        return []
+    problem = state.evaluated()
+    base = held_out(problem)
+    gone: list[str] = []
+    for trial in state.named[:-1]:
+        if not trial.hypothesis.is_plain:
+            continue
+        keys = [k for k in trial.hypothesis.keys if k in problem.table.keys and k in state.changes]
+        low, high = problem.low.copy(), problem.high.copy()
+        for key in keys:
+            i = problem.table.keys.index(key)
+            low[i] = -state.changes[key] - problem.table.tolerance[i]
+            high[i] = -state.changes[key] + problem.table.tolerance[i]
+        without = held_out(replace(problem, low=np.minimum(low, high), high=np.maximum(low, high)))
+        if without_best(without - base) < SINGLE_NATS:
+            gone += keys
+    if gone:
+        state.named = [t for t in state.named if not set(t.hypothesis.keys) & set(gone)]
+        for key in gone:
+            state.changes.pop(key, None)
+        state.apply({})
+        refit(state)
+    return gone
+
+
+def eliminate(state: State, late: Callable[[], bool]) -> None:
+    """Backward elimination: each cause is asked anew from where the others alone lead, weakest
+    first. A greedy start may have named a look-alike, or a slope taken at the wrong place."""
+    asked: set[str] = set()
+    while len(state.named) > 1 and not late():
+        left = [t for t in state.named if t.hypothesis.name not in asked]
+        if not left:
+            break
+        trial = min(left, key=lambda t: t.shown)
+        asked.add(trial.hypothesis.name)
+        if trial.hypothesis.pattern is not None:
+            continue
+        less = _without(state, trial)
+        problem = less.evaluated()
+        again = tried(problem, trial.hypothesis, held_out(problem), max(len(state.last), 1))
+        if again.named and again.is_plausible:
+            continue
+        _drop(state, less, trial)
+        asked.clear()
+
+
+def _without(state: State, trial: Trial) -> State:
+    """The others alone, fitted anew."""
+    h = trial.hypothesis
+    keys = {k for d in h.directions for k in d} or set(h.keys)
+    less = replace(
+        state,
+        changes={k: x for k, x in state.changes.items() if k not in keys},
+        held=state.held - keys,
+        bounds={k: b for k, b in state.bounds.items() if not h.directions or k not in keys},
+        table=None,
+    )
+    less.apply({})
+    refit(less)
+    return less
+
+
+def _drop(state: State, less: State, trial: Trial) -> None:
+    """A cause does not stand beside the others, whose state is `less`."""
+    state.named.remove(trial)
+    state.doubtful.append(trial)
+    state.changes, state.held, state.bounds = less.changes, less.held, less.bounds
+    state.apply({})
+
+
+def demote(state: State) -> None:
+    """What would not be named again beside all others does not stand."""
+    for trial in list(state.named):
+        if trial.hypothesis.pattern is None and not asked_again(state, trial).outside:
+            _drop(state, _without(state, trial), trial)

@@ -1,0 +1,58 @@
+"""What is left, and whether it is more than air, noise and chance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucald.diagnosis.adequacy import BANDS_HZ, MOST_LEFT_MPS2, _calm, _common
+
+BLOCKS, BINS = 40, 20
+BAND = np.ones(BINS, dtype=bool)
+
+
+def noise(rng, *shape):
+    return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+
+def test_chance_alone_exceeds_its_coherence_at_its_rate():
+    """Shared out over the bands: 0.5 % each."""
+    rng = np.random.default_rng(1)
+    over = 0
+    for _ in range(400):
+        a, b = noise(rng, BLOCKS, BINS), noise(rng, BLOCKS, BINS)
+        share, _, chance = _common(a, b, noise(rng, BLOCKS, BINS, 2), BAND)
+        over += share > chance
+    assert over <= 8
+
+
+def test_what_goes_with_steering_is_no_motion_of_its_own():
+    rng = np.random.default_rng(2)
+    steering = noise(rng, BLOCKS, BINS, 2)
+    by_tyres, by_lag = (noise(rng, BINS) for _ in range(2))
+    a = steering[:, :, 0] * by_tyres + 0.3 * noise(rng, BLOCKS, BINS)
+    b = steering[:, :, 0] * by_lag + 0.3 * noise(rng, BLOCKS, BINS)
+    share, _, chance = _common(a, b, steering, BAND)
+    assert share < chance
+
+
+def test_a_push_that_both_feel_is_seen_with_its_size():
+    rng = np.random.default_rng(3)
+    push = noise(rng, BLOCKS, BINS)
+    a = push + 0.5 * noise(rng, BLOCKS, BINS)
+    b = 0.1 * push + 0.05 * noise(rng, BLOCKS, BINS)
+    share, moved, chance = _common(a, b, noise(rng, BLOCKS, BINS, 2), BAND)
+    assert share == pytest.approx((1.0 / 1.25) ** 2, abs=0.1)
+    assert share > 5.0 * chance
+    # Of the mean square of a row, 2 (1 + 0.25) in each bin.
+    assert moved == pytest.approx(np.sqrt(share * 2.5 * BINS), rel=0.1)
+
+
+def test_air_pushes_with_the_square_of_the_speed_as_far_as_its_eddies_lie_in_the_bands():
+    """At 40 m/s they pass more quickly than the bands reach."""
+    slow, fast, fastest = (_calm(np.full(100, v)) for v in (10.0, 20.0, 40.0))
+    assert fast / slow == pytest.approx(4.0, rel=0.1)
+    assert 2.5 < fastest / fast < 3.7
+    assert 0.005 < fast < 0.02
+    assert pytest.approx(0.18, abs=0.01) == MOST_LEFT_MPS2
+    assert BANDS_HZ[-1][1] < 1.0

@@ -1,0 +1,42 @@
+"""What is likely: in four of five right, over all questions and against all rivals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucald.diagnosis.intervals import Estimate
+from imucald.diagnosis.score import Hypothesis
+from imucald.diagnosis.trials import Trial, likeliest
+
+BLOCKS = 40
+
+
+def trial(name: str, nats: float, value=0.5, se=0.05, pull=3.0, seed=0) -> Trial:
+    """A question with an even gain over the blocks, and some noise."""
+    rng = np.random.default_rng(seed)
+    gain = np.full(BLOCKS, nats / BLOCKS) + 0.01 * rng.standard_normal(BLOCKS)
+    one = np.ones(1)
+    e = Estimate(value * one, se * one, 3.0, pull, 0.0 * one)
+    return Trial(Hypothesis(name, (name,)), e, gain, nats, 0.1 * one,
+                 np.array([[-1.0, 1.0]]), 8.0, 2.0, 0.1 * one)  # fmt: skip
+
+
+def names(trials: list[Trial]) -> list[str]:
+    return [t.hypothesis.name for t in likeliest(trials)]
+
+
+def test_one_in_twenty_is_not_likely_where_thirty_questions_are_asked():
+    idle = [trial(f"idle{i}", -1.0, seed=i) for i in range(30)]
+    assert names([trial("a", 4.0), *idle]) == []  # ln(31 / 0.2) = 5.04
+    assert names([trial("a", 5.5), *idle]) == ["a"]
+
+
+def test_a_rival_that_explains_as_much_leaves_neither_likely():
+    assert names([trial("a", 20.0, seed=1), trial("b", 20.0, seed=2)]) == []
+    assert names([trial("a", 20.0), trial("b", 8.0, seed=2)]) == ["a"]
+
+
+def test_what_stays_within_its_tolerance_or_cannot_be_is_not_likely():
+    assert names([trial("a", 20.0, value=0.1)]) == []
+    assert names([trial("a", 20.0, pull=1.0)]) == []
+    assert names([trial("a", 20.0, value=1.5)]) == []
