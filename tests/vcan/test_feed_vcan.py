@@ -24,11 +24,11 @@ def test_corrected_frames_of_a_daemon_reach_a_broker_and_stop_with_the_sensor(vc
     folder.mkdir()
     broker = Broker(folder)
     try:
-        with running(tmp_path, vcan) as daemon, broker.watched("car") as heard:
+        with running(tmp_path, vcan.name) as daemon, broker.watched("car") as heard:
             command = [sys.executable, "-m", "imucald", "feed", "mqtt", "--topic", "car"]
             command += ["--broker", f"127.0.0.1:{broker.port}", "--accept", "restored"]
             feed = subprocess.Popen([*command, "--socket", str(daemon.socket)])
-            node = Node(vcan)
+            node = Node(vcan.name)
             try:
                 wait_until(lambda: "acceleration" in heard and value(heard) is not None, 30.0)
                 assert json.loads(heard["acceleration"])["quality"] == "restored"
