@@ -41,6 +41,11 @@ CHECKED_S = 600.0
 LEVELS = ("error", "warning", "note", "ok")
 
 
+def judged(case: Case) -> tuple[Case, dict[str, Any] | None]:
+    """A case and its outcome. Stands here: a spawned process cannot find what `__main__` defines."""
+    return case, outcome(case)
+
+
 def outcome(case: Case) -> dict[str, Any] | None:
     """Judge a case; None where its log is not there."""
     began = time.process_time()
