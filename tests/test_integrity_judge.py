@@ -413,7 +413,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path, monkeypatch, capsys):
 
     results = tmp_path / "results.jsonl"
     command_line = ["integrity", "--quick", "--only", "creep", "--logs", "0"]
-    monkeypatch.setattr(command, "_one", one)
+    monkeypatch.setattr(command, "case_outcome", one)
     monkeypatch.setattr("sys.argv", [*command_line, "--results", str(results)])
     assert command.main() == 130
     assert "goes on" in capsys.readouterr().err

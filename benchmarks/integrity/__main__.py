@@ -31,7 +31,7 @@ from typing import Any
 
 from benchmarks.integrity.cases import PARTS, QUICK, Case, Size, cases
 from benchmarks.integrity.diagram import diagram
-from benchmarks.integrity.outcome import judged
+from benchmarks.integrity.outcome import case_outcome
 from benchmarks.integrity.page import PAGE, report, worst, written
 from benchmarks.measured import FOLDER, ROOT, is_here, nothing_measured
 from benchmarks.mount_accuracy.seeds import tuned_on
@@ -154,10 +154,10 @@ def _progress(text: str) -> None:
 
 def _outcomes(left: list[Case], jobs: int) -> Iterator[tuple[Case, dict[str, Any] | None]]:
     if jobs <= 1:
-        yield from map(judged, left)
+        yield from map(case_outcome, left)
         return
     with get_context("spawn").Pool(jobs) as pool:
-        yield from pool.imap(judged, left, chunksize=8)
+        yield from pool.imap(case_outcome, left, chunksize=8)
 
 
 if __name__ == "__main__":

@@ -41,8 +41,8 @@ CHECKED_S = 600.0
 LEVELS = ("error", "warning", "note", "ok")
 
 
-def judged(case: Case) -> tuple[Case, dict[str, Any] | None]:
-    """A case and its outcome. Stands here: a spawned process cannot find what `__main__` defines."""
+def case_outcome(case: Case) -> tuple[Case, dict[str, Any] | None]:
+    """A case and its outcome. Here, as a spawned process cannot find what `__main__` defines."""
     return case, outcome(case)
 
 
