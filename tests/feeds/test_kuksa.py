@@ -2,7 +2,7 @@
 
 The databroker itself is a binary that no package registry here has. What stands in for it is
 generated from the same protobufs (they come with kuksa-client), knows the signals of VSS 6.0 and
-of vss/imucald-vss.json, and does as the databroker's source says: a published datapoint without a
+of config/imucald-vss.json, and does as the databroker's source says: a published datapoint without a
 value makes the signal *not available*, one of another type or outside its limits is refused, and a
 signal that is not known is NOT_FOUND.
 """
@@ -171,7 +171,7 @@ def test_signals_that_a_databroker_does_not_know_are_told_once_and_left_out(tmp_
         assert set(broker.values) == {p for p in STANDARD if "Acceleration" in p}
     missed = [text for text in said if "does not know" in text]
     assert len(missed) == len(OWN)
-    assert "vss/imucald-vss.json" in missed[0]
+    assert "config/imucald-vss.json" in missed[0]
     with databroker() as empty:
         empty.types.clear()
         receiver = receiver_of(empty.port, said)

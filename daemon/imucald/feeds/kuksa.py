@@ -13,7 +13,7 @@ from imucald.feeds.feed_loop import ReceiverError
 CALL_S = 2.0
 """The databroker has so long to answer [s]."""
 OWN = "Vehicle.Private.Imucald"
-"""Branch of what VSS has no signals for: vss/imucald-vss.json."""
+"""Branch of what VSS has no signals for: config/imucald-vss.json."""
 VECTORS = {
     "acceleration": [f"Vehicle.Acceleration.{n}" for n in ("Longitudinal", "Lateral", "Vertical")],
     "angular_rate": [f"Vehicle.AngularVelocity.{n}" for n in ("Roll", "Pitch", "Yaw")],
@@ -84,7 +84,7 @@ class KuksaReceiver:
                 raise self._unreached(error) from None
         if path not in self._told:
             self._told.add(path)
-            hint = "; load vss/imucald-vss.json for it" if path.startswith(OWN) else ""
+            hint = "; load config/imucald-vss.json for it" if path.startswith(OWN) else ""
             self._say(f"{self._broker} does not know {path}: not handed on{hint}")
         return None
 
