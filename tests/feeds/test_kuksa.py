@@ -2,9 +2,9 @@
 
 The databroker itself is a binary that no package registry here has. What stands in for it is
 generated from the same protobufs (they come with kuksa-client), knows the signals of VSS 6.0 and
-of config/imucald-vss.json, and does as the databroker's source says: a published datapoint without a
-value makes the signal *not available*, one of another type or outside its limits is refused, and a
-signal that is not known is NOT_FOUND.
+of config/imucald-vss.json, and does as the databroker's source says: a published datapoint without
+a value makes the signal *not available*, one of another type or outside its limits is refused, and
+a signal that is not known is NOT_FOUND.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from imucald.feeds.daemon_source import Reading
 from imucald.feeds.feed_loop import Feed, ReceiverError
 from imucald.feeds.kuksa import PATHS, KuksaReceiver, KuksaSettings, vss_values
 
-OVERLAY = Path(__file__).resolve().parents[2] / "vss" / "imucald-vss.json"
+OVERLAY = Path(__file__).resolve().parents[2] / "config" / "imucald-vss.json"
 STANDARD = {  # of VSS 6.0
     **{f"Vehicle.Acceleration.{n}": "float" for n in ("Longitudinal", "Lateral", "Vertical")},
     **{f"Vehicle.AngularVelocity.{n}": "float" for n in ("Roll", "Pitch", "Yaw")},
