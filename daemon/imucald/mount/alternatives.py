@@ -62,7 +62,7 @@ SMOOTH = np.ones(11) / 11.0
 MAX_REVERSE = 11.0
 """Speed [m/s] that is not driven in reverse: its ratio is about first gear's, 13 overall with the
 axle's, which makes 11 m/s at 4,400 revolutions a minute with wheels of 2 m around."""
-NOT_CHECKED = "all signs of the accelerometer at once: no yaw rate or steering angle shows them"
+NOT_CHECKED = "all signs of the accelerometer at once: it needs a yaw rate or the steering angle"
 
 
 def _signed_permutations() -> Array:
@@ -211,9 +211,7 @@ class Alternatives:
         """What no signal of this vehicle can show, in words."""
         if {"yaw_rate", "steering"} & self._signals:
             return ()
-        return (
-            "all signs of the accelerometer at once: it needs a yaw rate or the steering angle",
-        )
+        return (NOT_CHECKED,)
 
     @property
     def gyro_accused(self) -> bool:
