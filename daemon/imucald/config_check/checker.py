@@ -130,6 +130,7 @@ class Check:
             list(sources(self.loaded, self.probes)),
             self.ids,
             self.router.sample_counts,
+            self.duration,
             self._timebase.steps,
             self.bad_lines,
             self.output.can_ids,
