@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from markupsafe import Markup
 
 PLACE = '<nav class="contents" aria-label="Contents"></nav>'
 """Where a template wants the list."""
 HEADING = re.compile(r"<h2>(.*?)</h2>", re.S)
 
 
-def with_contents(body: str) -> Markup:
+def with_contents(body: str) -> str:
     """Give each section heading of a page's escaped body an anchor, and list them at `PLACE`."""
-    from markupsafe import Markup  # noqa: PLC0415 - an extra
-
     links: list[str] = []
     names: set[str] = set()
 
@@ -29,7 +23,7 @@ def with_contents(body: str) -> Markup:
         links.append(f'<li><a href="#{name}">{title}</a></li>')
         return f'<h2 id="{name}">{title}</h2>'
 
-    text = HEADING.sub(anchored, str(body))
+    text = HEADING.sub(anchored, body)
     listed = "\n".join(links)
     filled = PLACE.replace("></nav>", f">\n<ul>\n{listed}\n</ul>\n</nav>")
-    return Markup(text.replace(PLACE, filled, 1))
+    return text.replace(PLACE, filled, 1)
