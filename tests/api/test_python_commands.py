@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import importlib
 import io
 import json
@@ -214,6 +215,20 @@ def test_pieces_of_one_recording_are_joined_on_request(tmp_path, capsys):
     assert len(json.loads(out.read_text())["drives"]) == 2
     assert cli.main([*command, "--out", str(tmp_path / "frames.log")]) == 1
     assert "--joined" in capsys.readouterr().err
+
+
+def test_the_same_recording_twice_is_refused_as_pieces_of_one(tmp_path, capsys):
+    start = b"".join(log().read_bytes().splitlines(keepends=True)[:5000])
+    first, again, packed = (tmp_path / name for name in ("1.log", "again.log", "2.log.gz"))
+    first.write_bytes(start)
+    again.symlink_to(first)
+    packed.write_bytes(gzip.compress(start))
+    for other in (first, again, packed):
+        command = ["replay", "--config", str(CONFIG), str(first), str(other), "--joined"]
+        assert cli.main([*command, "--quiet"]) == 1
+        assert f"{other}: is the same recording as {first}" in capsys.readouterr().err
+    with pytest.raises(imucald.LogError, match="the same recording"):
+        imucald.check(config(), [first, packed])
 
 
 # for people --------------------------------------------------------------------------------

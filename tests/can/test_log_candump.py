@@ -233,11 +233,12 @@ def test_a_pipe_that_delivers_piece_by_piece_is_read_whole() -> None:
 
 
 def test_several_logs_are_one_recording_in_the_given_order(tmp_path: Path) -> None:
-    (tmp_path / "a.log").write_text("(100.000000) can1 123#01\n(101.000000) can0 123#02\n")
+    for name in ("a.log", "c.log"):
+        (tmp_path / name).write_text("(100.000000) can1 123#01\n(101.000000) can0 123#02\n")
     (tmp_path / "b.log.gz").write_bytes(gzip.compress(b"(5.000000) can2 123#03\nbad\n"))
     done: list[tuple[int, int | None]] = []
     reader = LogReader(
-        [tmp_path / "a.log", tmp_path / "b.log.gz", tmp_path / "a.log"],
+        [tmp_path / "a.log", tmp_path / "b.log.gz", tmp_path / "c.log"],
         progress=lambda *numbers: done.append(numbers),
     )
     chunks = list(reader)

@@ -21,6 +21,7 @@ from imucald.can.columns import CAN_EFF_FLAG, Channels, FrameColumns, IdMatch
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.candump_line import shown
 from imucald.can.logs.candump_writer import CandumpWriter
+from imucald.can.logs.first_frames import FirstFrames, refuse_same_files
 from imucald.can.logs.log_format import CountsTime, Cycles, LogFormat, ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog, is_read_once, looked_at
 from imucald.can.logs.unpacking import first_bytes, plain_ending
@@ -61,7 +62,8 @@ class LogReader:
 
     Bad lines are counted in `rejected` by reason and skipped; `problems` has the first of them as
     "file:line: reason". With strict the first one raises LogError, as does always a file that
-    cannot be opened or is no log at all. Each iteration reads, and counts, from the start.
+    cannot be opened, is no log at all or is the same recording as one before it. Each iteration
+    reads, and counts, from the start.
     """
 
     def __init__(
@@ -111,6 +113,8 @@ class LogReader:
         self._statistics = ReadStatistics(self._statistics.strict)
         self._bytes_before = 0
         self._bytes_total = _total_bytes(self._paths)
+        refuse_same_files(self._paths)
+        first_frames = FirstFrames()
         shared = IdFilters(self._keep), Channels(), self._statistics
         readers = [kind(*shared) for kind in FORMATS]
         for reader in readers:
@@ -119,8 +123,12 @@ class LogReader:
         for path in self._paths:
             with looked_at(path) as (head, handed):
                 chosen = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
+                begins = True
                 for columns in chosen.read(handed, self._report):
                     if len(columns):
+                        if begins:
+                            first_frames.take(path, columns)
+                        begins = False
                         yield columns
             self._bytes_before += _file_bytes(path)
             self._report(0)
