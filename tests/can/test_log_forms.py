@@ -444,3 +444,31 @@ def test_a_capture_in_a_pipe_is_refused_with_the_reason(tmp_path: Path) -> None:
 def _write_until_closed(pipe: Path, stored: bytes) -> None:
     with contextlib.suppress(BrokenPipeError):
         pipe.write_bytes(stored)
+
+
+def stamped(factor: float, start: float, path: Path) -> LogReader:
+    """A log of two messages, every 10 and 20 ms, with stamps that are so many times too large."""
+    stated = [(IdMatch(0x123, 0x7FF), 0.01), (IdMatch(0x124, 0x7FF), 0.02)]
+    rows = sorted((0.01 * (1 + i) * k, 0x123 + i, k) for k in range(200) for i in range(2))
+    lines = [f"({(start + t) * factor:.6f}) can0 {i:X}#{k:04X}\n" for t, i, k in rows]
+    path.write_text("".join(lines))
+    return LogReader([path], cycles=stated)
+
+
+@pytest.mark.parametrize("start", [0.0, 1.6e9])
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds")])
+def test_stamps_that_are_not_seconds_are_refused_at_once(
+    tmp_path: Path, start: float, factor: float, unit: str
+) -> None:
+    assert len(frames_of(*stamped(1.0, start, tmp_path / "good.log"))) == 400
+    path = tmp_path / "a.log"
+    with pytest.raises(LogError, match=f"a.log: its time stamps are {unit}.*by {factor:.0f}"):
+        next(iter(stamped(factor, start, path)))
+
+
+def test_one_stamp_far_ahead_does_not_make_a_log_one_of_milliseconds(tmp_path: Path) -> None:
+    reader = stamped(1.0, 1.6e9, tmp_path / "a.log")
+    lines = (tmp_path / "a.log").read_text().splitlines(keepends=True)
+    lines[0] = lines[0].replace("(16", "(1699999")
+    (tmp_path / "a.log").write_text("".join(lines))
+    assert len(frames_of(*reader)) == 400

@@ -1,4 +1,4 @@
-"""What the first frames of a recording's files show: the same file twice."""
+"""What the first frames of a recording's files show: the same file twice, stamps not in seconds."""
 
 from __future__ import annotations
 
@@ -7,13 +7,25 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from imucald.can.columns import FrameColumns
+from imucald.can.logs.log_format import Cycles
 from imucald.can.logs.text_blocks import OpenLog, is_read_once
 from imucald.core.errors import LogError
 
 MIN_FRAMES: Final = 64
 """Fewer frames show nothing. So many with the same times and payloads, noise of sensors among them,
 are never recorded twice."""
+
+UNITS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
+YEAR_10000: Final = 253_402_300_800.0
+"""Seconds since 1970: later than any recording, and earlier than this century in milliseconds."""
+YEAR_2100: Final = 4_102_444_800.0
+TOLERANCE: Final = 1.5
+"""A message's cycle may be so many times longer or shorter than stated, as for `check`."""
+MIN_MESSAGES: Final = 2
+"""One message alone may be stated wrongly."""
 
 Log = Path | str | OpenLog
 
@@ -37,18 +49,48 @@ def refuse_same_files(paths: Iterable[Log]) -> None:
 class FirstFrames:
     """Takes the first chunk of each file of a recording."""
 
-    def __init__(self) -> None:
+    def __init__(self, cycles: Cycles) -> None:
+        """cycles: messages with their stated cycle time [s]."""
+        self._cycles = cycles
         self._seen: dict[bytes, Log] = {}
 
     def take(self, path: Log, frames: FrameColumns) -> None:
-        """Raise LogError where an earlier file began with the same frames at the same times."""
+        """Raise LogError where an earlier file began with the same frames at the same times, or
+        the time stamps are not in seconds."""
         if len(frames) < MIN_FRAMES:
             return
+        factor = _by_date(float(np.median(frames.t))) or self._by_cycles(frames)
+        if factor is not None:
+            raise LogError(
+                f"{path}: its time stamps are {UNITS[factor]}, it seems, such as "
+                f"{frames.t[0]:.15g}; they must be seconds: divide them by {factor:.0f}"
+            )
         first = frames.take(slice(0, MIN_FRAMES))
         key = b"".join(column.tobytes() for column in (first.t, first.can_id, first.data))
         if key in self._seen:
             raise _same(path, self._seen[key])
         self._seen[key] = path
+
+    def _by_cycles(self, frames: FrameColumns) -> float | None:
+        """How many times too large every interval between frames of a message is."""
+        found: list[float] = []
+        for match, cycle in self._cycles:
+            ours = ((frames.can_id ^ match.can_id) & match.full_mask) == 0
+            for index in np.unique(frames.channel[ours]).tolist():
+                if match.channel in (None, frames.channels[index]):
+                    between = np.diff(frames.t[ours & (frames.channel == index)])
+                    found += [float(np.median(between)) / cycle] if len(between) else []
+        if len(found) < MIN_MESSAGES:
+            return None
+        least, most = min(found), max(found)
+        return next((f for f in UNITS if f / TOLERANCE < least <= most < f * TOLERANCE), None)
+
+
+def _by_date(t: float) -> float | None:
+    """By how much a stamp [s] must be divided to be one of this century, where it is none."""
+    if t < YEAR_10000:
+        return None
+    return next((factor for factor in UNITS if t / factor < YEAR_2100), None)
 
 
 def _same(path: Log, other: Log) -> LogError:

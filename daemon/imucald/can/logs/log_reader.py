@@ -62,8 +62,8 @@ class LogReader:
 
     Bad lines are counted in `rejected` by reason and skipped; `problems` has the first of them as
     "file:line: reason". With strict the first one raises LogError, as does always a file that
-    cannot be opened, is no log at all or is the same recording as one before it. Each iteration
-    reads, and counts, from the start.
+    cannot be opened, is no log at all, has stamps that are not seconds or is the same recording as
+    one before it. Each iteration reads, and counts, from the start.
     """
 
     def __init__(
@@ -74,7 +74,8 @@ class LogReader:
         progress: Progress | None = None,
         cycles: Cycles = (),
     ) -> None:
-        """keep: which frames are wanted; None for all. cycles: for logs without time stamps."""
+        """keep: which frames are wanted; None for all. cycles: for logs without time stamps, and
+        for stamps that are not seconds."""
         self._paths = list(paths)
         self._keep = keep
         self._progress = progress
@@ -114,7 +115,7 @@ class LogReader:
         self._bytes_before = 0
         self._bytes_total = _total_bytes(self._paths)
         refuse_same_files(self._paths)
-        first_frames = FirstFrames()
+        first_frames = FirstFrames(self._cycles)
         shared = IdFilters(self._keep), Channels(), self._statistics
         readers = [kind(*shared) for kind in FORMATS]
         for reader in readers:
