@@ -24,6 +24,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from imucald import cli
 from imucald.core.errors import LinkError
+from imucald.service import metrics_server
 from imucald.service.asking import ask
 from imucald.service.exposition import bus_of, gathered, merged
 from imucald.service.listening import listening_at
@@ -174,6 +175,29 @@ def test_dripping_and_binary_connections_leave_a_place_after_seconds():
                 time.sleep(0.1)
         for connection in open_ones:
             connection.close()
+
+
+def test_slow_clients_lock_a_scrape_out_no_longer_than_their_limit(monkeypatch):
+    """Each sends a header's line often enough to never be idle."""
+    monkeypatch.setattr(metrics_server, "CLIENT_S", 1.0)
+    with served() as address, contextlib.ExitStack() as closing:
+        slow = [
+            closing.enter_context(socket.create_connection(address, timeout=5.0))
+            for _ in range(CLIENTS_MAX)
+        ]
+        began = time.monotonic()
+        for connection in slow:
+            connection.sendall(b"GET /metrics HTTP/1.1\r\n")
+        answers = ""
+        while not answers and time.monotonic() < began + 4.0:
+            for connection in slow:
+                with contextlib.suppress(OSError):
+                    connection.sendall(b"A: b\r\n")
+            time.sleep(0.2)
+            with contextlib.suppress(OSError):
+                answers = got(address)
+        assert answers == "x 1\n"
+        assert time.monotonic() - began > 0.8  # they did hold all places until then
 
 
 @pytest.mark.parametrize(
