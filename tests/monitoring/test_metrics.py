@@ -125,6 +125,31 @@ def test_the_text_file_is_there_whole_or_not_at_all_and_everybody_may_read_it(tm
         assert "imucald_up" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("kind", ["pipe", "link", "dangling link", "folder", "socket"])
+def test_the_text_file_takes_the_place_of_no_pipe_link_folder_or_socket(tmp_path, capsys, kind):
+    target, place = tmp_path / "target.txt", tmp_path / "x.prom"
+    target.write_text("old\n")
+    with socket.socket(socket.AF_UNIX) as listening:
+        match kind:
+            case "pipe":
+                os.mkfifo(place)
+            case "link":
+                place.symlink_to(target)
+            case "dangling link":
+                place.symlink_to(tmp_path / "nothing")
+            case "folder":
+                place.mkdir()
+            case _:
+                listening.bind(str(place))
+        was = place.lstat()
+        asked = ["metrics", "--socket", str(tmp_path / "none.sock"), "--textfile", str(place)]
+        assert cli.main(asked) == 1
+    assert f"{place}: is no regular file" in capsys.readouterr().err
+    assert (place.lstat().st_ino, place.lstat().st_mode) == (was.st_ino, was.st_mode)
+    assert target.read_text() == "old\n"
+    assert {p.name for p in tmp_path.iterdir()} == {"target.txt", "x.prom"}
+
+
 @contextlib.contextmanager
 def served() -> Iterator[tuple[str, int]]:
     listening = listening_at("127.0.0.1:0")
