@@ -48,7 +48,7 @@ def require_libraries() -> None:
     if missing:
         raise ImucaldError(
             f"a report needs {words.in_series(missing)}: install the extra, "
-            "pip install 'imucald[report]'"
+            "pip install 'imucald[report]' (in its checkout: pip install '.[report]')"
         )
 
 
