@@ -169,10 +169,35 @@ def seldom(frames: Frames, can_id: int, cycle: float) -> Frames:
     return kept
 
 
+def test_a_wrong_unit_that_is_set_is_named_and_not_asked_for(frames: Frames) -> None:
+    speed = "  speed: ESC_Speed.VehicleSpeed"
+    stated = "  speed: {signal: ESC_Speed.VehicleSpeed, unit: m/s}"
+    report = checked(frames, replacing(speed, stated))
+    text = told(report, "error")["speed"]
+    assert "as km/h against m/s would be" in text
+    assert "'unit: m/s' is set: remove it (the database has km/h) or correct it" in text
+    assert "set 'unit:'" not in text
+    assert "speed" not in told(report, "ok"), "as sent it is not that of the wheels"
+
+
 def test_an_accelerometer_that_comes_too_seldom_is_an_error(frames: Frames) -> None:
     report = checked(seldom(frames, 0x200, 1.0))
     assert not report["usable"]
     assert "every 1 s" in told(report, "error")["accelerometer"]
+
+
+def test_frames_that_all_come_twice_leave_no_accelerometer(frames: Frames) -> None:
+    twice = [chunk.take(np.repeat(np.arange(len(chunk)), 2)) for chunk in frames]
+    report = checked(twice)
+    assert not report["usable"]
+    assert "nearly all of it is rejected" in told(report, "error")["accelerometer"]
+    assert "counter_repeated" in told(report, "error")["accelerometer"]
+
+
+def test_a_log_in_which_no_time_passes_is_an_error(frames: Frames) -> None:
+    report = checked([replace(chunk, t=np.zeros(len(chunk))) for chunk in frames])
+    assert not report["usable"]
+    assert "no time passes" in told(report, "error")["log"]
 
 
 def test_exchanged_wheels_are_noticed(frames: Frames) -> None:

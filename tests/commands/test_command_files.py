@@ -187,6 +187,38 @@ def test_run_tells_of_an_unwritable_result_before_it_opens_the_bus(told, tmp_pat
     assert text.count("\n") == 1
 
 
+UNSERVED = {
+    "page": (("--report", "page"), "imucald[report]"),
+    "table": (("--write", "drive.mf4"), "imucald[mf4]"),
+    "bus": (("--speed", "1", "--interface", "nosuch", "--channel", "x"), "nosuch"),
+}
+
+
+@pytest.mark.parametrize("case", UNSERVED)
+def test_an_option_that_cannot_be_served_is_refused_before_a_file_is_opened(
+    told, log, tmp_path, monkeypatch, case
+):
+    monkeypatch.setattr("imucald.report.page.LIBRARIES", ("no_such_library",))
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    monkeypatch.chdir(tmp_path)
+    options, reason = UNSERVED[case]
+    kept = tmp_path / "kept.log"
+    kept.write_text("of last week")
+    for out in ("new.log", "kept.log"):
+        status, text = told(*replay(log, *options, "--out", out, "--json", "new.json"))
+        assert status == 1
+        assert reason in text
+        assert "not complete" not in text
+    assert {path.name for path in tmp_path.iterdir()} == {"drive.log", "kept.log"}
+    assert kept.read_text() == "of last week"
+
+
+def test_the_readme_installs_what_its_replay_asks_for():
+    text = (ROOT / "README.md").read_text()
+    assert "--report page" in text
+    assert text.index("pip install '.[report]'") < text.index("--report page")
+
+
 def test_simulate_does_not_overwrite_what_it_reads(told, tmp_path):
     model = tmp_path / "model.yaml"
     log = tmp_path / "a.log"

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from imucald import cli
+from imucald.commands import demo_live
 
 
 @pytest.mark.slow
@@ -26,6 +29,26 @@ def test_a_short_drive_passes_through_daemon_and_monitor(capsys, monkeypatch):
     assert (
         "The truth: roll -5.00°, pitch +3.00°, yaw +30.00°; x points forward, 30 deg left" in text
     )
+
+
+def test_the_socket_for_status_and_orders_is_shown(monkeypatch):
+    shown = []
+
+    class Bus:
+        def __init__(self, *_: object) -> None: ...
+        def start(self) -> None: ...
+        def close(self) -> None: ...
+
+    truth = {"duration_s": 1.0, "mount": {"roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0}}
+    monkeypatch.setattr(demo_live, "SimulatedBus", Bus)
+    monkeypatch.setattr(demo_live, "_simulated", lambda *_: truth)
+    monkeypatch.setattr(
+        demo_live, "_daemon", lambda *_: contextlib.nullcontext(Path("/x/status.sock"))
+    )
+    monkeypatch.setattr(demo_live, "watch", lambda *given: shown.append(given))
+    demo_live.run_live(1, 1.0, None, "virtual", None, 1.0, None)
+    ((path, _, _, note),) = shown
+    assert f"--socket {path}" in note
 
 
 LEAN = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import struct
 
@@ -9,7 +10,9 @@ import pytest
 
 from feed_bench import AHEAD, calibrated, source_of, traffic, wait_until
 from imucald import cli
+from imucald.commands import feed as feed_command
 from imucald.config import parse_config
+from imucald.core.errors import ImucaldError
 from imucald.feeds.corrected_frames import STALE_S, CorrectedFrames
 from imucald.feeds.daemon_source import Reading
 from imucald.feeds.feed_loop import LONGEST_PAUSE_S, Feed, ReceiverError
@@ -183,3 +186,17 @@ def test_a_feed_that_cannot_begin_says_why(command, why, capsys, monkeypatch):
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
     assert cli.main(command) == 1
     assert capsys.readouterr().err.replace("+", "\\+").count(why) == 1
+
+
+@pytest.mark.parametrize(("channel", "topic"), [("239.74.163.2", "239.74.163.2"), (None, "bus")])
+def test_topics_have_the_channel_that_was_asked_for(channel, topic, tmp_path, monkeypatch):
+    begun = []
+
+    def received(_: argparse.Namespace, bus: str) -> None:
+        begun.append(bus)
+        raise ImucaldError("enough")
+
+    monkeypatch.setattr(feed_command, "_socket", lambda _: tmp_path / "imucald-bus.sock")
+    monkeypatch.setattr(feed_command, "_receiver", received)
+    assert cli.main(["feed", "mqtt", *([channel] if channel else []), "--broker", "x:1"]) == 1
+    assert begun == [topic]

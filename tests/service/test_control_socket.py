@@ -18,6 +18,7 @@ import pytest
 from imucald.service.asking import ask
 from imucald.service.control import BURST, ControlServer
 from imucald.service.line_server import CLIENT_S, CLIENTS_MAX, REQUEST_MAX, Peer
+from paths import ROOT
 from service_bench import Bench, running
 
 ACCEL = bytes.fromhex("0000000027130000")
@@ -67,6 +68,24 @@ class Desk:
 @pytest.fixture
 def desk(tmp_path: Path) -> Desk:
     return Desk(tmp_path)
+
+
+def test_every_order_of_the_documentation_is_carried_out(desk):
+    text = (ROOT / "docs" / "service.md").read_text()
+    block = text.partition("## Orders")[2].partition("```json\n")[2].partition("```")[0]
+    lines = block.splitlines()
+    kinds = {json.loads(line)["order"] for line in lines}
+    assert kinds == {"reset", "hold", "release", "set-mount"}
+    for line in lines:
+        assert desk.asked(line.encode() + b"\n") == {"done": "done"}, line
+    assert len(desk.orders.done) == len(lines)
+    assert desk.orders.done[-1][1].endswith("for ann)")
+    with desk.client(lines[0].encode()) as without_newline:
+        desk.server.poll()
+        desk.now += CLIENT_S + 1.0
+        desk.server.poll()
+        without_newline.settimeout(1.0)
+        assert without_newline.recv(64) == b""
 
 
 def test_the_file_is_for_its_owner_alone_from_the_first_moment(tmp_path, monkeypatch):

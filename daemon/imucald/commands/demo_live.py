@@ -116,7 +116,8 @@ def run_live(
             truth = _simulated(log, seed, minutes, mount)
             with _daemon(interface, channel) as socket:
                 bus.start()
-                watch(socket, truth["duration_s"] / speed, web, note)
+                asked = f"{note}; status, hold, ...: --socket {socket}"
+                watch(socket, truth["duration_s"] / speed, web, asked)
         finally:
             bus.close()
     angles = [truth["mount"][f"{name}_deg"] for name in ("roll", "pitch", "yaw")]

@@ -101,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
     if not 0.1 <= options.rate <= 100.0:
         raise ImucaldError("--rate must be 0.1 to 100")
     socket = _socket(options)
-    receiver = _receiver(options, bus_of(socket))
+    receiver = _receiver(options, options.channel or bus_of(socket))
     least = {"fine": FINE, "usable": USABLE, "restored": RESTORED}[options.accept]
     source = DaemonSource(
         socket,

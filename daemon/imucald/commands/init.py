@@ -13,7 +13,7 @@ from imucald.commands.options import LOG_HELP, positive
 
 if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
-    from imucald.discovery import GatheredFrames
+    from imucald.discovery import GatheredFrames, Proposal
 
 SOCKETCAN = "socketcan"
 LISTEN_S = 120.0
@@ -38,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", default="-", metavar="FILE", help="write here (default: standard output)"
     )
+    parser.add_argument("--force", action="store_true", help="overwrite FILE where it exists")
     parser.add_argument(
         "--driving-side",
         choices=("left", "right", "unknown"),
@@ -72,6 +73,9 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("say what there is: --database FILE, a LOG, or --interface can0")
     out = None if options.out == STANDARD else options.out
     check_files((*options.database, *options.logs), (out,))
+    if out and Path(out).is_file() and not options.force:
+        text = "exists, and may have been edited by hand; choose another name, or give --force"
+        raise ConfigError(f"{out}: {text}")
     base = Path(options.out).resolve().parent if out else Path.cwd()
     databases: dict[str, Database] = {
         os.path.relpath(path.resolve(), base): load_database([path]) for path in options.database
@@ -83,16 +87,43 @@ def run(options: argparse.Namespace) -> int:
     else:
         recording = GatheredFrames()
     proposal = discover(databases, recording)
+    _require_matches(options, recording, proposal)
     proposal.driving_side = options.driving_side
     write_text(options.out, as_yaml(proposal, list(databases)))
     if out:
-        unsure = sum(not choice.is_sure for choice in proposal.choices)
-        print(
-            f"{options.out}: {len(proposal.choices)} quantities, {unsure} of them unsure; next: "
-            f"imucald check --config {options.out}",
-            file=sys.stderr,
-        )
+        print(f"{options.out}: {_outcome(proposal, options.out)}", file=sys.stderr)
     return 0
+
+
+def _require_matches(
+    options: argparse.Namespace, recording: GatheredFrames, proposal: Proposal
+) -> None:
+    """Raise where what was looked at cannot say anything: nothing is written then."""
+    from imucald.core.errors import ConfigError, LinkError, NoFramesError
+
+    if not recording.frames:
+        if options.logs:
+            text = "holds no CAN frame; give a log of this bus, or leave LOG out (names alone)"
+            raise NoFramesError(f"{', '.join(options.logs)}: {text}")
+        if options.interface or options.channel:
+            text = f"no frame came in {options.seconds:g} s; is the bus awake, its bit rate right?"
+            raise LinkError(f"{options.channel or options.interface}: {text}")
+    elif options.database and not proposal.messages_seen:
+        names = ", ".join(str(path) for path in options.database)
+        text = "give the database of this bus, or leave --database out (raw bytes alone)"
+        raise ConfigError(
+            f"{names}: none of its messages is among the {recording.frames} frames; {text}"
+        )
+
+
+def _outcome(proposal: Proposal, out: str) -> str:
+    """What was found, and what to do next."""
+    count = len(proposal.choices)
+    unsure = sum(not choice.is_sure for choice in proposal.choices)
+    found = f"{count} {'quantity' if count == 1 else 'quantities'}, {unsure} of them unsure; "
+    if proposal.choice("accelerometer") is None:
+        return found + "no accelerometer was found, without which nothing works: fill it in by hand"
+    return f"{found}next: imucald check --config {out}"
 
 
 def _read(logs: list[str], databases: Mapping[str, Database]) -> GatheredFrames:

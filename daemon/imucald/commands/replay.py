@@ -102,8 +102,8 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
     from imucald.commands.files import STANDARD, write_text
     from imucald.runtime.summary import as_json
 
+    page = _page(options, logs, options.report)  # refused before a file is opened
     with _sink(options, config) as sink:
-        page = _page(options, logs, options.report)
         drive, written = _replayed(options, config, logs, options.write, sink, page)
     _print_problems(options, drive)
     if options.json:
@@ -257,9 +257,9 @@ def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
     inputs = (options.config, *options.database, *logs)
     several = len(logs) > 1 and not options.joined
     if options.write is not None:
-        from imucald.api.files.written import format_of
+        from imucald.api.files.written import require_format
 
-        format_of(options.write)
+        require_format(options.write)
     written = _paths(options.write, logs) if several else [options.write]
     check_files(inputs, (options.out, options.json, *written))
     if several and (options.out or options.report or options.speed is not None):
@@ -279,17 +279,17 @@ def _sink(options: argparse.Namespace, config: Configuration) -> Iterator[Sink |
 
     with ExitStack() as stack:
         sinks: list[Sink] = []
-        if options.out:
-            writer = stack.enter_context(CandumpWriter(options.out))
-            stack.enter_context(told_when_cut(options.out))
-            sinks.append(writer.write_columns)
-        if options.speed is not None:
+        if options.speed is not None:  # first: without the bus no file is begun
             from imucald.service.live import open_link, send_columns
 
             link = stack.enter_context(
                 open_link(config.loaded, [], frozenset(), options.interface, options.channel)
             )
             sinks.append(lambda frames: send_columns(link, frames))
+        if options.out:
+            writer = stack.enter_context(CandumpWriter(options.out))
+            stack.enter_context(told_when_cut(options.out))
+            sinks.append(writer.write_columns)
 
         def everywhere(frames: FrameColumns) -> None:
             for sink in sinks:

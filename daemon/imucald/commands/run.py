@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 
 WRONG_CONFIGURATION = 78
 """Exit status (EX_CONFIG of sysexits.h) by which systemd knows that another start is no use."""
+NO_SOCKET = (
+    "no status socket, so status, monitor and orders do not reach this daemon: XDG_RUNTIME_DIR is "
+    "not set; set it to a folder here and for those commands, or give --status-socket PATH here "
+    "and --socket PATH there"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.core.errors import ConfigError, ImucaldError
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
-    from imucald.service.journal import Journal
+    from imucald.service.journal import WARNING, Journal
     from imucald.service.service import Service, ServiceOptions
     from imucald.service.start_count import end_count, start_count_file
     from imucald.service.status import default_socket
@@ -100,6 +105,8 @@ def run(options: argparse.Namespace) -> int:
         save_period=options.save_every,
         start_count=start_count_file(os.environ),
     )
+    if settings.status_socket is None:
+        journal.say(NO_SOCKET, WARNING)
     metrics = _metrics_process(options.metrics_listen, settings.status_socket)
     try:
         service = Service(settings, journal, companion=metrics)

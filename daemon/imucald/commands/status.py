@@ -14,6 +14,8 @@ from imucald.core.errors import LinkError
 
 FINE, NOT_RUNNING, USABLE, NOT_YET, SUSPECT, FAULT = 0, 3, 4, 5, 6, 7
 """Exit status; 1 and 2 are what every command means by them. 3 as in `systemctl is-active`."""
+ASK_S = 1.0
+"""A daemon has so long to state its channel [s]."""
 _BY_STATE = {
     "fine": FINE,
     "usable": USABLE,
@@ -99,8 +101,19 @@ def running_sockets(channel: str | None = None) -> list[Path]:
         found += Path(runtime).glob("imucald-*.sock")
     if channel is not None:
         names = {channel, f"imucald-{channel}"}
-        found = [p for p in found if p.parent.name in names or p.stem in names]
+        named = [p for p in found if p.parent.name in names or p.stem in names]
+        found = named or [p for p in found if _channel_of(p) == channel]
     return sorted(found)
+
+
+def _channel_of(path: Path) -> str | None:
+    """The channel that a daemon states, where its configuration and not the socket names it."""
+    from imucald.service.asking import ask
+
+    try:
+        return str(json.loads(ask(path, "status", ASK_S))["link"]["channel"])
+    except (LinkError, ValueError, LookupError, TypeError):
+        return None
 
 
 def find_socket(given: Path | None, channel: str | None) -> Path:

@@ -26,6 +26,7 @@ from imucald.config_check.motion import Motion, TickMeans
 from imucald.config_check.not_judged import not_judged
 from imucald.config_check.source import id_text, message_row, quantity_row, sources
 from imucald.config_check.statistics import Probe
+from imucald.config_check.unit_advice import with_stated_units
 from imucald.inputs.wiring import compile_router
 from imucald.motion.sample_health import SampleHealth
 from imucald.motion.ticks import tick_index
@@ -124,12 +125,14 @@ class Check:
         return sum(self.ids.values()) + self._uncounted
 
     def _found(self) -> list[Finding]:
+        rows = list(sources(self.loaded, self.probes))
         decoding = Decoding(
             self.loaded,
             self.probes,
-            list(sources(self.loaded, self.probes)),
+            rows,
             self.ids,
             self.router.sample_counts,
+            self.duration,
             self._timebase.steps,
             self.bad_lines,
             self.output.can_ids,
@@ -146,8 +149,7 @@ class Check:
         ]
         wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
         found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]
-        rows = list(sources(self.loaded, self.probes))
-        return [*found, *not_judged(rows, found)]
+        return [*with_stated_units(found, rows), *not_judged(rows, found)]
 
     def report(self) -> dict[str, Any]:
         """Everything, as docs/json.md describes it."""

@@ -31,6 +31,9 @@ _FACTORS = (
     (1000.0, "thousandths"),
 )
 
+SET_UNIT = "set 'unit:'"
+"""The advice where the configuration states no unit (else see `unit_advice`)."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -56,7 +59,7 @@ def gain_guess(ratio: float) -> str:
     words = f"{size:.3g} times too much" if size > 1.0 else f"{1.0 / size:.3g} times too little"
     for factor, guess in _FACTORS:
         if abs(math.log(max(size, 1.0 / size) / factor)) < math.log(1.15):
-            return f"{words}, as {guess} would be; set 'unit:'"
+            return f"{words}, as {guess} would be; {SET_UNIT}"
     return f"{words}; check its unit and scale"
 
 

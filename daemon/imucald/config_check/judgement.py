@@ -63,6 +63,7 @@ def judge(
     if backwards:
         yield from backwards
         motion = motion.without("reverse")
+    is_scaled = False
     if not motion.planar and motion.gravity is not None:
         motion = motion.scaled(accel=GRAVITY / float(np.linalg.norm(motion.gravity)))
         response = best_response(motion, motion.turn_rates(track, wheelbase, steering_ratio))
@@ -71,12 +72,13 @@ def judge(
             gain = float(np.linalg.norm(response.along))
             if is_wrong(gain):
                 motion = motion.scaled(speed=gain)
+                is_scaled = True
     rates = motion.turn_rates(track, wheelbase, steering_ratio)
     yield from yaw_rate_findings(rates)
     yield from _along(motion)
     if not motion.planar:
         yield from axes_findings(motion, rates)
-    yield from _speed_against_wheels(motion)
+    yield from (f for f in _speed_against_wheels(motion) if not (is_scaled and f.level == "ok"))
     yield from _brake(motion)
     yield from _not_checked(motion, rates)
 

@@ -44,6 +44,7 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
         for one in messages_in(database, traffic, channel):
             messages.setdefault(one.message.name, one)
     proposal.channels = channels
+    proposal.messages_seen = len(messages)
     candidates = [c for one in messages.values() for c in candidates_of(one, ticks)]
     if not recording.frames:
         candidates = [c for d in databases.values() for c in silent_candidates(d)]

@@ -86,6 +86,8 @@ class Proposal:
     """A whole proposal. notes: lines for the head of the file."""
 
     choices: list[Choice] = field(default_factory=list)
+    messages_seen: int = 0
+    """Messages of the databases that came in the recording."""
     protections: list[ProtectionFound] = field(default_factory=list)
     vehicle: list[tuple[str, str, str]] = field(default_factory=list)
     """Key, value, evidence."""

@@ -12,6 +12,7 @@ from imucald.api.files.mcap_log import McapTables
 from imucald.api.files.mf4 import Mf4Tables
 from imucald.api.files.parquet import ParquetTables
 from imucald.api.files.table_file import Tables, TableWriter, about_tables
+from imucald.api.interchange import library
 from imucald.core.errors import ImucaldError
 
 FORMATS: Mapping[str, type[TableWriter]] = {
@@ -21,6 +22,13 @@ FORMATS: Mapping[str, type[TableWriter]] = {
     ".mcap": McapTables,
 }
 """Writers by the ending of the file's name."""
+LIBRARIES: Mapping[str, tuple[str, str]] = {
+    ".parquet": ("pyarrow.parquet", "arrow"),
+    ".csv": ("pyarrow.csv", "arrow"),
+    ".mf4": ("asammdf", "mf4"),
+    ".mcap": ("mcap.writer", "mcap"),
+}
+"""What each writer needs: module and extra."""
 ALL_RAW = RAW.rstrip("/")
 """Stands for all tables of samples as they came."""
 
@@ -31,6 +39,12 @@ def format_of(path: Path) -> type[TableWriter]:
     if found is None:
         raise ImucaldError(f"{path}: the name must end in {', '.join(FORMATS)}")
     return found
+
+
+def require_format(path: Path) -> None:
+    """Raise ImucaldError, with the remedy, where a file of this name could not be written."""
+    format_of(path)
+    library(*LIBRARIES[path.suffix.lower()])
 
 
 def chosen(tables: Tables, quantities: Sequence[str] | str | None) -> Tables:
