@@ -13,12 +13,15 @@ import errno
 import gc
 import importlib
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
 from imucald import __version__
+from imucald.commands.interrupting import interrupt
 from imucald.core.errors import ImucaldError
 
 PROCESS_SETTINGS = {
@@ -162,6 +165,22 @@ def _parsed(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.N
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of the `imucald` command; returns the exit status."""
+    before = signal.getsignal(signal.SIGINT)
+    waits = hasattr(signal, "setitimer") and before is signal.default_int_handler  # not ignored
+    try:
+        if waits and threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, interrupt)
+        return _done(argv)
+    except KeyboardInterrupt:
+        print("imucald: interrupted", file=sys.stderr)
+        return 130
+    finally:
+        if signal.getsignal(signal.SIGINT) is interrupt:
+            signal.signal(signal.SIGINT, before)
+
+
+def _done(argv: Sequence[str] | None) -> int:
+    """Do what the arguments ask for; the exit status."""
     gc.set_threshold(GC_THRESHOLD)
     atexit.register(gc.freeze)  # what ends with the process need not be searched for cycles
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -189,9 +208,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         text = f"needs {library}, which is not installed here (the .deb leaves it out)"
         print(f"imucald: {options.command} {text}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
-        print("imucald: interrupted", file=sys.stderr)
-        return 130
     except BrokenPipeError:
         # whoever read our output has had enough; what is still buffered must not fail again
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import json
 import random
 import re
+import signal
 import subprocess
 import sys
 import time
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -88,6 +91,54 @@ def test_wrong_usage_is_status_two_and_says_what_is_right(
         status = int(stop.code or 0)
     assert status == 2
     assert expected in capsys.readouterr().err
+
+
+IN_A_DESCRIPTOR = """
+class Field:
+    def __set_name__(self, owner, name):
+        signal.raise_signal(signal.SIGINT)
+class Counters:
+    field = Field()
+"""
+SWALLOWED = """
+try:
+    signal.raise_signal(signal.SIGINT)
+except BaseException:
+    pass
+"""
+
+
+@pytest.mark.parametrize("text", [IN_A_DESCRIPTOR, SWALLOWED, "signal.raise_signal(2)"])
+@pytest.mark.parametrize("where", ["before the command", "in the command"])
+def test_ctrl_c_while_modules_are_imported_interrupts(
+    text: str,
+    where: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "ctrl_c_here.py").write_text(f"import signal\n{text}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "ctrl_c_here", raising=False)
+
+    def run(_: object) -> int:
+        importlib.import_module("ctrl_c_here")
+        time.sleep(2.0)
+        return 0
+
+    def command(_: str) -> types.SimpleNamespace:
+        if where == "before the command":
+            run(None)
+        return types.SimpleNamespace(add_arguments=lambda _: None, run=run)
+
+    monkeypatch.setattr(cli, "_command", command)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert cli.main(["schema"]) == 130
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "imucald: interrupted\n"
 
 
 @pytest.mark.slow

@@ -12,9 +12,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from imucald.commands.fleet_view import print_analysis
 from imucald.fleet.analysis.analyse import analysed
 from imucald.fleet.analysis.components import between_drives, between_vehicles
 from imucald.fleet.analysis.segments import candidates
+from imucald.fleet.analysis_columns import ANALYSIS
+from imucald.fleet.tables import table_of
 
 CROWN = 0.37
 Rows = dict[str, list[dict[str, Any]]]
@@ -84,6 +87,25 @@ def test_a_remount_is_found_between_the_right_drives() -> None:
     (vehicle,) = [v for v in tables["analysis/vehicles"] if v["vehicle"] == "v0007"]
     assert vehicle["segments"] == 2
     assert vehicle["weight_y"] == 1.0, "a sensor that was moved is not shrunk to its type"
+
+
+@pytest.mark.parametrize(
+    ("vehicles", "turn", "answer"),
+    [
+        (1, 30.0, "not known: too few drives: 1 of the 3 pairs"),
+        (2, 30.0, "not known: too few drives: 2 of the 3 pairs"),
+        (3, 30.0, "1\n  v0000 x +30."),
+        (3, 0.0, "none\n"),
+    ],
+)
+def test_remounts_are_not_denied_where_the_drives_are_too_few_to_find_one(
+    vehicles: int, turn: float, answer: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    columns = columns_of(vehicles, 2, offset=lambda v, d: (turn * (v == 0 and d == 1), 0.0, 0.0))
+    rows = analysed(columns)
+    print_analysis({name: table_of(name, rows[name], ANALYSIS[name]) for name in ANALYSIS})
+    text = capsys.readouterr().out
+    assert f"sensors moved between drives: {answer}" in text
 
 
 def test_an_outlier_is_judged_by_the_others_and_widens_nothing() -> None:

@@ -141,6 +141,9 @@ def test_the_report_is_one_page_that_loads_nothing(done: Path, tmp_path: Path) -
     assert not re.search(r"url\((?!data:)|@import|<script", text)
     assert text.count("data:image/svg+xml") >= 2
     assert "holds no CAN frame" in text
+    counts = pq.read_table(done / "analysis" / "vehicles").column("drives").to_pylist()
+    assert sum(counts) - len(counts) < 3, "the drives of these seconds are too few"
+    assert "Not known: too few drives" in text
 
 
 def test_a_folder_without_a_run_or_analysis_says_what_to_do(

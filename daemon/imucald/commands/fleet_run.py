@@ -9,8 +9,10 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import TYPE_CHECKING
 
+from imucald.commands.interrupting import interrupt
 from imucald.core.errors import ConfigError, ImucaldError
 
 if TYPE_CHECKING:
@@ -139,9 +141,10 @@ class _Stopping:
     work: FleetRun | None = None
     """None: nothing runs yet, the first one breaks off."""
 
-    def __call__(self, number: int, frame: object) -> None:
+    def __call__(self, number: int, frame: FrameType | None) -> None:
         if self.work is None or self.work.counts.stopping:
-            raise KeyboardInterrupt
+            interrupt(number, frame)
+            return
         text = "finishing what runs; once more breaks off"
         print(f"\nimucald: {text}", file=sys.stderr)
         self.work.stop()

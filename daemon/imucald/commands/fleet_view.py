@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from imucald.commands.terminal import plain_console, plain_where_needed
+from imucald.fleet.analysis.remounts import why_not_known
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -26,7 +27,14 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     bad = [row for row in rows["groups"] if row["verdict"] == "bad"]
     design = [row for row in rows["causes"] if row["verdict"] == "design"]
     console.print(f"{len(rows['vehicles'])} vehicles, {len(rows['segments'])} segments")
-    _list(console, "sensors moved between drives", found, lambda r: f"{r['vehicle']} {_turn(r)}")
+    unknown = why_not_known(row["drives"] for row in rows["vehicles"])
+    _list(
+        console,
+        "sensors moved between drives",
+        found,
+        lambda r: f"{r['vehicle']} {_turn(r)}",
+        f"not known: {unknown}" if unknown else "none",
+    )
     _list(
         console, "vehicles that stand out", rows["outliers"], lambda r: f"{r['vehicle']} {_turn(r)}"
     )
@@ -45,8 +53,10 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     )
 
 
-def _list(console: Any, title: str, rows: Sequence[dict[str, Any]], text: Any) -> None:
-    console.print(f"{title}: {len(rows) or 'none'}")
+def _list(
+    console: Any, title: str, rows: Sequence[dict[str, Any]], text: Any, without: str = "none"
+) -> None:
+    console.print(f"{title}: {len(rows) or without}")
     for row in rows[:SHOWN]:
         console.print(f"  {text(row)}")
     if len(rows) > SHOWN:

@@ -11,6 +11,7 @@ from typing import Any
 import pyarrow.compute as pc
 
 from imucald import __version__
+from imucald.fleet.analysis.remounts import why_not_known
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.reading import read_analysis
 from imucald.fleet.store import Store
@@ -37,6 +38,7 @@ def fleet_page(store: Store) -> str:
     found = [r for r in analysis["remounts"] if r["found"]]
     bad = [g for g in analysis["groups"] if g["verdict"] == "bad"]
     design = [c for c in analysis["causes"] if c["verdict"] == "design"]
+    unknown = why_not_known(row["drives"] for row in analysis["vehicles"])
     hours = (pc.sum(drives.column("duration_s")).as_py() or 0.0) / 3600.0
     return environment().get_template("fleet.html").render(
         place=store.url,
@@ -45,12 +47,17 @@ def fleet_page(store: Store) -> str:
         figures=[
             ("Vehicles", f"{len(analysis['vehicles'])}", f"of {len(analysis['types'])} types"),
             ("Drives", f"{len(drives)}", f"{hours:.0f} h of driving"),
-            ("Moved sensors", f"{len(found)}", "between drives, at most 5 % of them false"),
+            (
+                "Moved sensors",
+                f"{len(found) or ('not known' if unknown else 0)}",
+                "between drives, at most 5 % of them false",
+            ),
             ("Stand out from their type", f"{len(analysis['outliers'])}", "vehicles"),
             ("Bad batches", f"{len(bad)}", f"of {len(analysis['groups'])}"),
             ("Failed logs", f"{len(failures)}", f"of {tables['sources'].num_rows}"),
         ],
         types=analysis["types"][:MAX_ROWS],
+        remounts_not_known=unknown,
         remounts=sorted(found, key=lambda r: r["q"])[:MAX_ROWS],
         outliers=sorted(analysis["outliers"], key=lambda r: r["q"])[:MAX_ROWS],
         groups=sorted(analysis["groups"], key=_by_p)[:MAX_ROWS],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -19,6 +20,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 ROUNDS = 3
+LEAST_PAIRS = 3
+"""Pairs of drives in turn. D begins as their median: of fewer, one remount is the median or half of
+it, and so looks like what drives differ by."""
 OWN_FREEDOM = 20
 """A type with fewer differences between drives has the D of all types together."""
 FREEDOMS = (5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
@@ -51,6 +55,17 @@ class Remounts:
     def found(self) -> NDArray[np.bool_]:
         """Which candidates are remounts."""
         return self.q <= MAX_Q
+
+
+def why_not_known(drives_of_vehicles: Iterable[int]) -> str:
+    """Why no remount could be found, from each vehicle's number of known drives; "": it could."""
+    pairs = sum(max(drives - 1, 0) for drives in drives_of_vehicles)
+    if pairs >= LEAST_PAIRS:
+        return ""
+    return (
+        f"too few drives: {pairs} of the {LEAST_PAIRS} pairs (two drives of a vehicle in turn with "
+        "a known mount) that show what drives differ by without a move"
+    )
 
 
 def find_remounts(drives: KnownDrives) -> Remounts:
