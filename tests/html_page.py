@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
+import re
 from html.parser import HTMLParser
 
+NAME_SPACES = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
 VOID = {"meta", "img", "br", "hr", "link", "input", "wbr", "base"}
 
 
@@ -13,6 +15,7 @@ class Page(HTMLParser):
 
     def __init__(self, text: str) -> None:
         super().__init__()
+        self.source = text
         self.texts: list[str] = []
         self.tags: list[tuple[str, dict[str, str | None]]] = []
         self._open: list[str] = []
@@ -37,8 +40,12 @@ class Page(HTMLParser):
 
     @property
     def pictures(self) -> list[str]:
-        """The SVG texts."""
+        """The SVG texts, each as a file of its own would have it."""
         sources = [attrs["src"] for tag, attrs in self.tags if tag == "img"]
         head = "data:image/svg+xml;base64,"
         assert all(source.startswith(head) for source in sources)
-        return [base64.b64decode(source[len(head) :]).decode() for source in sources]
+        inline = [
+            svg.replace("<svg", f"<svg {NAME_SPACES}", 1)
+            for svg in re.findall(r"<svg.*?</svg>", self.source, re.S)
+        ]
+        return inline + [base64.b64decode(source[len(head) :]).decode() for source in sources]

@@ -6,6 +6,7 @@ import tracemalloc
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -266,6 +267,38 @@ def test_damage_inside_a_compressed_file_is_told(tmp_path: Path) -> None:
     list(reader)
     assert reader.rejected["damaged_file"] == 1
     assert reader.frames_read > 20_000
+
+
+@pytest.mark.parametrize("form", ["(%s) can0 123#%016X\n", " (%s)  can0  123   [8]  %s\n"])
+@pytest.mark.parametrize("garbled", ["\1\2\3 no line\n", "9"])
+def test_a_damaged_compressed_file_is_read_up_to_the_first_sign_of_it(
+    tmp_path: Path, form: str, garbled: str
+) -> None:
+    # what a decompressor makes of damaged bytes: here a line that is none, or a stamp that is far
+    # ahead, and all behind it damaged too, though it looks well
+    lines = []
+    for k in range(80_000):
+        stamp = f"{1_600_000_000 + k // 1000}.{k % 1000:03d}000"
+        data = k if "#" in form else k.to_bytes(8, "big").hex(" ").upper()
+        lines.append(form % (stamp, data))
+    at = 60_000
+    lines[at] = garbled if garbled[-1] == "\n" else lines[at].replace("(16", "(96")
+    path = tmp_path / "a.log.gz"
+    stored = bytearray(gzip.compress("".join(lines).encode()))
+    path.write_bytes(stored)
+    whole = LogReader([path])
+    assert sum(len(chunk) for chunk in whole) >= 79_999, "a sound file is read to its end"
+    stored[-8] ^= 1  # the checksum
+    path.write_bytes(stored)
+    reader = LogReader([path])
+    t = np.concatenate([chunk.t for chunk in reader])
+    assert 59_900 <= len(t) <= at
+    assert t.max() < 1_600_000_060.0
+    assert reader.frames_read == len(t)
+    assert reader.rejected == {"damaged_file": 1}
+    (problem,) = reader.problems
+    assert "reading ends here: " in problem
+    assert "check" in problem, "the reason is the checksum"
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,14 @@ forms, all at once on one virtual interface.
 from __future__ import annotations
 
 import bz2
+import contextlib
 import gzip
 import io
 import json
 import lzma
+import os
 import struct
+import threading
 from pathlib import Path
 
 import pytest
@@ -406,3 +409,38 @@ def test_standard_input_is_known_by_its_first_bytes_too(monkeypatch: pytest.Monk
     text = lzma.compress((FORMS / "ta.txt").read_bytes())
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
     assert [f.data for f in frames_of(*LogReader(["-"]))] == [f.data for f in log_file()]
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_pipe_that_has_a_name_is_read_from_its_beginning(tmp_path: Path, packed: bool) -> None:
+    lines = [f"({k // 1000}.{k % 1000:06d}) can0 123#{k:016X}\n" for k in range(20_000)]
+    text = "".join(lines).encode()
+    pipe = tmp_path / "pipe.log"
+    os.mkfifo(pipe)
+    stored = gzip.compress(text) if packed else text
+    writer = threading.Thread(target=pipe.write_bytes, args=[stored], daemon=True)
+    writer.start()
+    seen: list[int | None] = []
+    reader = LogReader([pipe], progress=lambda _, total: seen.append(total))
+    read = frames_of(*reader)
+    writer.join(10.0)
+    assert [frame.data for frame in read] == [k.to_bytes(8, "big") for k in range(20_000)]
+    assert reader.rejected == {}
+    assert set(seen) == {None}, "nobody knows how long a pipe is"
+
+
+def test_a_capture_in_a_pipe_is_refused_with_the_reason(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.pcap"
+    os.mkfifo(pipe)
+    stored = pcap([], 227) * 1000
+    writer = threading.Thread(target=_write_until_closed, args=[pipe, stored], daemon=True)
+    writer.start()
+    with pytest.raises(LogError, match="not from a pipe"):
+        list(LogReader([pipe]))
+    writer.join(10.0)
+    assert not writer.is_alive()
+
+
+def _write_until_closed(pipe: Path, stored: bytes) -> None:
+    with contextlib.suppress(BrokenPipeError):
+        pipe.write_bytes(stored)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from full_disk import full_after
 from imucald.can.columns import concatenate
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, CandumpWriter, FrameColumns, LogReader
 from imucald.can.python_can import can
@@ -216,6 +217,27 @@ def test_channel_names_of_other_formats_become_one_word(tmp_path: Path) -> None:
         writer.write(1.0, 1, b"", "")
     channels = [f.channel for f in frames_of(*LogReader([tmp_path / "a.log"], strict=True))]
     assert channels == ["CAN_1___", "can0"]
+
+
+@pytest.mark.parametrize("name", ["a.log", "a.log.gz"])
+@pytest.mark.parametrize("frames", [1, 100_000])
+def test_a_log_that_does_not_fit_on_the_disk_is_removed(
+    tmp_path: Path, name: str, frames: int
+) -> None:
+    (tmp_path / "target.log").write_text("old")
+    (tmp_path / "link.log").symlink_to(tmp_path / "target.log")
+    noise = np.random.default_rng(3).bytes(8 * frames)
+    some = [Frame(1.0, 1, noise[8 * k : 8 * k + 8], "can0", False) for k in range(frames)]
+    block = columns(some)
+    for place in (tmp_path / name, tmp_path / "link.log"):
+        with (
+            full_after(0 if frames == 1 else 300_000),
+            pytest.raises(LogError, match=rf"{place.name}: cannot be written: File too large"),
+            CandumpWriter(place) as writer,
+        ):
+            writer.write_columns(block)
+    # of a link, nothing is removed that somebody else made
+    assert {p.name for p in tmp_path.iterdir()} == {"link.log", "target.log"}
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:

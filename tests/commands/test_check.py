@@ -186,6 +186,20 @@ def test_an_accelerometer_that_comes_too_seldom_is_an_error(frames: Frames) -> N
     assert "every 1 s" in told(report, "error")["accelerometer"]
 
 
+def test_frames_that_all_come_twice_leave_no_accelerometer(frames: Frames) -> None:
+    twice = [chunk.take(np.repeat(np.arange(len(chunk)), 2)) for chunk in frames]
+    report = checked(twice)
+    assert not report["usable"]
+    assert "nearly all of it is rejected" in told(report, "error")["accelerometer"]
+    assert "counter_repeated" in told(report, "error")["accelerometer"]
+
+
+def test_a_log_in_which_no_time_passes_is_an_error(frames: Frames) -> None:
+    report = checked([replace(chunk, t=np.zeros(len(chunk))) for chunk in frames])
+    assert not report["usable"]
+    assert "no time passes" in told(report, "error")["log"]
+
+
 def test_exchanged_wheels_are_noticed(frames: Frames) -> None:
     def change(text: str) -> str:
         return text.replace("Left\n", "@\n").replace("Right\n", "Left\n").replace("@\n", "Right\n")

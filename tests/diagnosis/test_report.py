@@ -16,7 +16,7 @@ import made_diagnosis as made
 import numpy as np
 import pytest
 
-from html_page import Page
+from html_page import NAME_SPACES, Page
 from imucald.core.errors import ImucaldError
 from imucald.diagnosis.result import (
     GOES_AGAINST,
@@ -131,11 +131,31 @@ def test_every_signal_has_four_pictures_that_are_valid_svg(found):
         assert "nan" not in "".join(p.get("d", "") for p in root.iter(f"{SVG}path")).lower()
 
 
+@pytest.mark.parametrize("verdict", list(made.ALL))
+def test_the_contents_list_leads_to_every_section(verdict):
+    tags = Page(whole(verdict)).tags
+    headings = [attrs["id"] for tag, attrs in tags if tag == "h2"]
+    assert len(headings) >= 5
+    assert [attrs["href"] for tag, attrs in tags if tag == "a"] == [f"#{h}" for h in headings]
+
+
+def test_values_with_units_stand_under_the_mouse(found):
+    for svg in found.pictures:
+        shown = [e.text.split("\n") for e in ET.fromstring(svg).iter(f"{SVG}title")]
+        assert len(shown) >= 15
+        assert all(len(lines) >= 2 for lines in shown)
+        assert all("m/s²" in line or "rad/s" in line for lines in shown for line in lines[1:])
+    bars = [attrs.get("title") for tag, attrs in found.tags if tag == "i" and attrs.get("title")]
+    assert "before 0.312 m/s²" in bars
+    assert "after 0.101 m/s²" in bars
+
+
 def test_the_pictures_draw_the_residual_before_and_after():
     """The line of means against the driver lies where the made-up truth puts it."""
     from imucald.report.plots import AFTER, BEFORE, driver_picture
 
-    root = ET.fromstring(driver_picture(made.picture(size=0.15)))
+    svg = driver_picture(made.picture(size=0.15))
+    root = ET.fromstring(svg.replace("<svg", f"<svg {NAME_SPACES}", 1))
     heights = {}
     for path in root.iter(f"{SVG}path"):
         style = path.get("style", "").lower()
@@ -164,7 +184,7 @@ def test_nothing_is_fetched_from_anywhere(verdict):
     for _, attrs in parsed.tags:
         for name, value in attrs.items():
             if name in ("src", "href", "srcset", "action", "data", "poster"):
-                assert value.startswith("data:image/svg+xml;base64,")
+                assert value.startswith("#")
     style = re.search(r"<style>(.*?)</style>", text, re.S)[1]
     assert not re.search(r"url\(|@import", style)
     for svg in parsed.pictures:

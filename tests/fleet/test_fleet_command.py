@@ -236,3 +236,36 @@ def test_ctrl_c_finishes_what_runs_and_says_how_to_go_on(tmp_path: Path, log: Pa
     assert pq.read_table(out / "failures").num_rows == 0, "no log is blamed for the end"
     subprocess.run([*command, "--out", str(out)], env=environment(), check=True, timeout=120)
     assert tables_of(out) == tables_of(whole)
+
+
+SIGNALLED_WHILE_IT_STARTS = """
+import os, signal, sys
+from imucald import cli
+from imucald.fleet.template_client import Template
+
+begin = Template.begin
+
+
+def begin_and_signal(self):
+    begin(self)
+    os.killpg(0, signal.{name})
+
+
+Template.begin = begin_and_signal
+sys.exit(cli.main())
+"""
+
+
+@pytest.mark.parametrize(("name", "status"), [("SIGTERM", 130), ("SIGINT", 130), ("SIGKILL", -9)])
+def test_a_run_that_is_stopped_while_it_starts_ends_without_a_traceback(
+    tmp_path: Path, log: Path, name: str, status: int
+) -> None:
+    path = make_fleet(tmp_path, log, 1)
+    run = subprocess.run(
+        [sys.executable, "-c", SIGNALLED_WHILE_IT_STARTS.format(name=name),
+         "fleet", "run", "--fleet", str(path), "--out", str(tmp_path / "out")],
+        env=environment(), capture_output=True, text=True, start_new_session=True, timeout=60.0,
+        check=False,
+    )  # fmt: skip
+    said = "" if name == "SIGKILL" else "imucald: broken off. The same command goes on\n"
+    assert (run.returncode, run.stderr) == (status, said)

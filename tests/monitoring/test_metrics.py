@@ -24,6 +24,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from imucald import cli
 from imucald.core.errors import LinkError
+from imucald.service import metrics_server
 from imucald.service.asking import ask
 from imucald.service.exposition import bus_of, gathered, merged
 from imucald.service.listening import listening_at
@@ -124,6 +125,31 @@ def test_the_text_file_is_there_whole_or_not_at_all_and_everybody_may_read_it(tm
         assert "imucald_up" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("kind", ["pipe", "link", "dangling link", "folder", "socket"])
+def test_the_text_file_takes_the_place_of_no_pipe_link_folder_or_socket(tmp_path, capsys, kind):
+    target, place = tmp_path / "target.txt", tmp_path / "x.prom"
+    target.write_text("old\n")
+    with socket.socket(socket.AF_UNIX) as listening:
+        match kind:
+            case "pipe":
+                os.mkfifo(place)
+            case "link":
+                place.symlink_to(target)
+            case "dangling link":
+                place.symlink_to(tmp_path / "nothing")
+            case "folder":
+                place.mkdir()
+            case _:
+                listening.bind(str(place))
+        was = place.lstat()
+        asked = ["metrics", "--socket", str(tmp_path / "none.sock"), "--textfile", str(place)]
+        assert cli.main(asked) == 1
+    assert f"{place}: is no regular file" in capsys.readouterr().err
+    assert (place.lstat().st_ino, place.lstat().st_mode) == (was.st_ino, was.st_mode)
+    assert target.read_text() == "old\n"
+    assert {p.name for p in tmp_path.iterdir()} == {"target.txt", "x.prom"}
+
+
 @contextlib.contextmanager
 def served() -> Iterator[tuple[str, int]]:
     listening = listening_at("127.0.0.1:0")
@@ -174,6 +200,29 @@ def test_dripping_and_binary_connections_leave_a_place_after_seconds():
                 time.sleep(0.1)
         for connection in open_ones:
             connection.close()
+
+
+def test_slow_clients_lock_a_scrape_out_no_longer_than_their_limit(monkeypatch):
+    """Each sends a header's line often enough to never be idle."""
+    monkeypatch.setattr(metrics_server, "CLIENT_S", 1.0)
+    with served() as address, contextlib.ExitStack() as closing:
+        slow = [
+            closing.enter_context(socket.create_connection(address, timeout=5.0))
+            for _ in range(CLIENTS_MAX)
+        ]
+        began = time.monotonic()
+        for connection in slow:
+            connection.sendall(b"GET /metrics HTTP/1.1\r\n")
+        answers = ""
+        while not answers and time.monotonic() < began + 4.0:
+            for connection in slow:
+                with contextlib.suppress(OSError):
+                    connection.sendall(b"A: b\r\n")
+            time.sleep(0.2)
+            with contextlib.suppress(OSError):
+                answers = got(address)
+        assert answers == "x 1\n"
+        assert time.monotonic() - began > 0.8  # they did hold all places until then
 
 
 @pytest.mark.parametrize(

@@ -88,10 +88,13 @@ def write_text(name: Name, text: str) -> None:
 
 @contextmanager
 def told_when_cut(name: Name) -> Iterator[None]:
-    """Say on stderr that a file is not complete, when the body ends by an error or Ctrl-C."""
+    """Say on stderr that a file is not complete, when the body ends by an error or Ctrl-C.
+
+    Not of one that is gone, as there was no place for it.
+    """
     try:
         yield
     except BaseException:
-        if str(name) != STANDARD:
+        if str(name) != STANDARD and Path(name).exists():
             print(f"imucald: {name} is not complete", file=sys.stderr)
         raise

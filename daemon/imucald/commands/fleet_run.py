@@ -35,6 +35,16 @@ def retry(options: argparse.Namespace) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate what is not evaluated yet."""
+    stopping = _Stopping()
+    try:
+        with _signals_call(stopping):
+            return _run(options, stopping)
+    except KeyboardInterrupt:
+        print("imucald: broken off. The same command goes on", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
     from imucald.fleet.bundle import unpack
     from imucald.fleet.task import DIAGNOSE, EVALUATE
     from imucald.fleet.template_client import template_for
@@ -72,8 +82,8 @@ def run(options: argparse.Namespace) -> int:
         with _progress(options.quiet) as tell:
             work = FleetRun(fleet, store, workers, plan, tell)
             try:
-                with _stopped_by_signals(work):
-                    whole = work.go(lease)
+                stopping.work = work
+                whole = work.go(lease)
             finally:
                 workers.close()
     return _told(work.counts, whole)
@@ -123,17 +133,22 @@ def _said(plan: Plan) -> str:
     return text
 
 
-@contextmanager
-def _stopped_by_signals(work: FleetRun) -> Iterator[None]:
-    """Ctrl-C and SIGTERM: begin nothing more, finish what runs; a second one breaks off."""
+class _Stopping:
+    """What Ctrl-C and SIGTERM do: begin nothing more, finish what runs; a second breaks off."""
 
-    def stop(number: int, frame: object) -> None:
-        if work.counts.stopping:
+    work: FleetRun | None = None
+    """None: nothing runs yet, the first one breaks off."""
+
+    def __call__(self, number: int, frame: object) -> None:
+        if self.work is None or self.work.counts.stopping:
             raise KeyboardInterrupt
         text = "finishing what runs; once more breaks off"
         print(f"\nimucald: {text}", file=sys.stderr)
-        work.stop()
+        self.work.stop()
 
+
+@contextmanager
+def _signals_call(stop: _Stopping) -> Iterator[None]:
     before = {s: signal.signal(s, stop) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield

@@ -25,7 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--textfile",
         type=Path,
         metavar="FILE",
-        help="write them for node_exporter's textfile collector, whole or not at all",
+        help="write them for node_exporter's textfile collector, whole or not at all; what is no "
+        "regular file (device, pipe, link) is refused",
     )
     way.add_argument(
         "--listen",
@@ -81,12 +82,30 @@ def serve(listening: socket.socket, text: Callable[[], str]) -> None:
 
 
 def _write(path: Path, text: str) -> None:
+    """Replace a regular file or make one; raises ImucaldError, and leaves all else as it is."""
     from imucald.core.atomic_file import write_beside
     from imucald.core.errors import ImucaldError
 
     try:
+        if not _may_replace(path):
+            raise ImucaldError(
+                f"{path}: is no regular file and is left as it is (links are not followed); "
+                "name a file, or leave --textfile out to print the metrics"
+            )
         unfinished = write_beside(path, text.encode())
-        unfinished.chmod(TEXTFILE_MODE)
-        unfinished.replace(path)
+        try:
+            unfinished.chmod(TEXTFILE_MODE)
+            unfinished.replace(path)
+        finally:
+            unfinished.unlink(missing_ok=True)
     except OSError as error:
         raise ImucaldError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def _may_replace(path: Path) -> bool:
+    import stat
+
+    try:
+        return stat.S_ISREG(path.lstat().st_mode)
+    except FileNotFoundError:
+        return True

@@ -132,6 +132,7 @@ class Check:
             rows,
             self.ids,
             self.router.sample_counts,
+            self.duration,
             self._timebase.steps,
             self.bad_lines,
             self.output.can_ids,

@@ -40,14 +40,15 @@ _REMEDIES = {
 
 @dataclass(frozen=True)
 class Decoding:
-    """What there is to judge: ids seen (channel, id with flag), samples by channel, clock steps,
-    bad lines by reason."""
+    """What there is to judge: ids seen (channel, id with flag), samples by channel, duration [s],
+    clock steps, bad lines by reason."""
 
     loaded: LoadedConfig
     probes: list[Probe]
     sources: list[QuantitySource]
     ids: Mapping[tuple[str, int], int]
     samples: Mapping[str, int]
+    duration: float
     steps: int
     bad_lines: Counter[str]
     output_ids: frozenset[int]
@@ -58,6 +59,7 @@ class Decoding:
         yield from self._doubtful()
         yield from self._cycles()
         yield from self._too_slow()
+        yield from self._nothing_left()
         yield from self._costs()
         yield from self._conflicts()
 
@@ -132,6 +134,25 @@ class Decoding:
                 )
                 name = configured_name(channel)
                 yield Finding("error" if channel == "accel" else "warning", name, text)
+
+    def _nothing_left(self) -> Iterator[Finding]:
+        """An accelerometer of which the calibration can use nothing, though samples came."""
+        left = self.samples.get("accel", 0)
+        if left > 1 and self.duration == 0.0:
+            text = "no time passes: all frames have one time stamp; record with: candump -l can0"
+            yield Finding("error", "log", text)
+        ours = [p for p in self.probes if any(tap.channel == "accel" for tap in p.taps)]
+        rejected = sum((probe.rejected for probe in ours), Counter[str]())
+        for source in self.sources:
+            if source.wanted.channel == "accel":
+                rejected += source.statistics.rejected
+        # rejections take most of it, and leave less than a sample in each gap that is bridged
+        if 0 < left < min(rejected.total(), self.duration / ACCEL_GAP):
+            text = (
+                f"nearly all of it is rejected ({counts_text(rejected)}): the calibration needs a "
+                f"sample every {ACCEL_GAP:g} s, {left} came in {self.duration:.0f} s"
+            )
+            yield Finding("error", "accelerometer", text)
 
     def _costs(self) -> Iterator[Finding]:
         """What is missing, and what that costs."""

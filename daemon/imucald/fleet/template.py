@@ -28,7 +28,10 @@ def main(descriptor: int, function: str) -> None:
     function_of(function)
     gc.collect()
     gc.freeze()  # shared pages stay shared: the collector does not touch what is here
-    control.sendall(b"r")
+    try:
+        control.sendall(b"r")
+    except OSError:  # the worker ended meanwhile
+        return
     poll = select.poll()
     poll.register(control, select.POLLIN)
     while os.getppid() == worker:
@@ -39,7 +42,10 @@ def main(descriptor: int, function: str) -> None:
 
 def _serve(control: socket.socket) -> bool:
     """Fork a keeper for the next task; False where there will be none any more."""
-    message, descriptors, _, _ = socket.recv_fds(control, 1, 1)
+    try:
+        message, descriptors, _, _ = socket.recv_fds(control, 1, 1)
+    except OSError:  # the worker ended with our word unread
+        return False
     if not message:
         return False
     for descriptor in descriptors:

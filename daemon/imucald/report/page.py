@@ -6,7 +6,7 @@ import base64
 import importlib.util
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from imucald.core.errors import ImucaldError
 from imucald.diagnosis.result import Diagnosis, FoundCause, SignalPicture
 from imucald.report import numbers, titles
 from imucald.report import wording as words
+from imucald.report.contents import with_contents
 from imucald.report.model_changes import as_diff, model_changes
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ def environment() -> Environment:
         "number": numbers.number,
         "typographic": numbers.typographic,
         "breakable": _breakable,
+        "with_contents": with_contents,
     }
     return environment
 
@@ -217,17 +219,13 @@ def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
             "driver": p.driver_name,
             "touched": p.signal in touched,
             "extended": draw.is_extended(p),
-            "time": _address(draw.time_picture, p),
-            "segment": _address(draw.segment_picture, p),
-            "of_driver": _address(draw.driver_picture, p),
-            "spectrum": _address(draw.spectrum_picture, p),
+            "time": draw.time_picture(p),
+            "segment": draw.segment_picture(p),
+            "of_driver": draw.driver_picture(p),
+            "spectrum": draw.spectrum_picture(p),
         }
         for p in chosen
     ]
-
-
-def _address(draw: Callable[[SignalPicture], str], p: SignalPicture) -> str:
-    return address_of(draw(p))
 
 
 def address_of(svg: str) -> str:

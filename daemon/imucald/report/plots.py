@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from imucald.diagnosis.result import SignalPicture
 from imucald.report.decimation import clearest_segment, envelope, log_bins, trend
 from imucald.report.numbers import unit_text
-from imucald.report.svg_figures import drawn
+from imucald.report.svg_figures import drawn, without_name_space
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +64,7 @@ def spectrum_picture(p: SignalPicture) -> str:
 def _picture(
     draw: Callable[[Axes, SignalPicture], None], p: SignalPicture, size: tuple[float, float]
 ) -> str:
-    return drawn(lambda figure: draw(figure.add_subplot(), p), size)
+    return without_name_space(drawn(lambda figure: draw(figure.add_subplot(), p), size))
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,18 @@ import matplotlib as mpl
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
+from imucald.report.pointed_values import pointed_values
+
 LAYOUT_FONT = "DejaVu Sans"
 """Comes with matplotlib, so pictures are laid out alike anywhere; it is wide."""
 READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
 METADATA = ("Date", "Creator", "Format", "Type")
 PATH = re.compile(r'( d=")([^"]*)"')
 PLACE = re.compile(r'(?<= )([xy])="([-\d.]+)"')
+NAME_SPACE = re.compile(r' xmlns(:xlink)?="[^"]*"')
 NOT_TURNED = re.compile(r' transform="rotate\(-?0 [^)]*\)"')
+USED_ID = re.compile(r'(?:href="#|url\(#)([^")]*)')
+SOME_ID = re.compile(r' id="([^"]*)"')
 BETWEEN_TAGS = re.compile(r"\n\s*<")
 MARKERS = re.compile(r'<use [^>]*(style="[^"]*")/>\n(?:<use [^>]*\1/>\n){2,}')
 LONG_LINE = 40
@@ -62,7 +67,8 @@ def drawn(
         draw(figure)
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
-    return _shortened(out.getvalue())
+        values = pointed_values(figure)
+    return _shortened(out.getvalue()).replace("</svg>", f"{values}</svg>")
 
 
 def _shortened(svg: str) -> str:
@@ -73,9 +79,16 @@ def _shortened(svg: str) -> str:
     svg = svg[svg.index("<svg") :].replace(f"'{LAYOUT_FONT}'", READERS_FONTS)
     svg = PATH.sub(lambda m: f'{m[1]}{short_path(m[2])}"', svg)
     svg = PLACE.sub(lambda m: f'{m[1]}="{_number(m[2], 1)}"', NOT_TURNED.sub("", svg))
+    used = set(USED_ID.findall(svg))  # several pictures of a page would share the others
+    svg = SOME_ID.sub(lambda m: m[0] if m[1] in used else "", svg)
     svg = BETWEEN_TAGS.sub("\n<", svg)
     # Markers in a row that look the same have one style.
     return MARKERS.sub(lambda m: f"<g {m[1]}>\n{m[0].replace(' ' + m[1], '')}</g>\n", svg)
+
+
+def without_name_space(svg: str) -> str:
+    """SVG text as a part of a page: HTML needs no name space."""
+    return NAME_SPACE.sub("", svg)
 
 
 def short_path(path: str) -> str:

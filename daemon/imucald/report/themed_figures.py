@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
 from imucald.mount.estimate import MountState
+from imucald.report.svg_figures import without_name_space
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,7 +26,6 @@ STYLE: dict[Any, Any] = {
     "text.color": INK, "grid.color": GRID, "figure.facecolor": "none", "axes.facecolor": "none",
     "savefig.facecolor": "none", "hatch.color": SOFT, "axes.titlesize": 9.0,
 }  # fmt: skip
-NAME_SPACE = re.compile(r' xmlns(:xlink)?="[^"]*"')
 NICE_S = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200)
 """Steps of a time axis [s]."""
 TICKS = 9
@@ -54,8 +53,8 @@ def legend(axes: Axes) -> None:
 
 
 def themed(svg: str) -> str:
-    """Let the page say the colours, as it knows light from dark; HTML needs no name space."""
-    svg = NAME_SPACE.sub("", svg)
+    """Let the page say the colours, as it knows light from dark."""
+    svg = without_name_space(svg)
     for colour, name in THEME.items():
         svg = svg.replace(colour, f"var({name})")
     return svg

@@ -5,6 +5,7 @@ It asks the daemons' status sockets, as anybody may; nothing of the frame loop r
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 from collections.abc import Callable
@@ -66,7 +67,7 @@ class MetricsServer(ThreadingHTTPServer):
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a connection for as long as it may last."""
-        end = threading.Timer(CLIENT_S, self.shutdown_request, [request])
+        end = threading.Timer(CLIENT_S, _cut, [request])
         end.daemon = True
         end.start()
         try:
@@ -77,3 +78,9 @@ class MetricsServer(ThreadingHTTPServer):
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A client that went away is no news."""
+
+
+def _cut(request: socket.socket) -> None:
+    """End what its thread waits for; closing would not, as the thread's files keep it open."""
+    with contextlib.suppress(OSError):
+        request.shutdown(socket.SHUT_RDWR)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from imucald.api.columns import Columns
-from imucald.api.files.table_file import Tables, named, names_beside, removed, unfinished
+from imucald.api.files.table_file import Tables, given_up, named, names_beside, unfinished
 from imucald.api.interchange import arrow_schema, from_arrow, library, to_arrow
 
 
@@ -24,10 +24,14 @@ class CsvTables:
         csv = library("pyarrow.csv", "arrow")
         self._files = names_beside(path, tables)
         self._result = result_file(path)
-        self._writers = {
-            name: csv.CSVWriter(str(unfinished(self._files[name])), arrow_schema(columns, None))
-            for name, columns in tables.items()
-        }
+        self._writers: dict[str, Any] = {}
+        try:
+            for name, columns in tables.items():
+                place = str(unfinished(self._files[name]))
+                self._writers[name] = csv.CSVWriter(place, arrow_schema(columns, None))
+        except OSError:
+            self.abandon()
+            raise
 
     def add(self, name: str, rows: Columns) -> None:
         """Append rows."""
@@ -44,10 +48,7 @@ class CsvTables:
 
     def abandon(self) -> None:
         """Close and remove."""
-        for writer in self._writers.values():
-            writer.close()
-        for file in (*self._files.values(), self._result):
-            removed(file)
+        given_up(self._writers.values(), map(unfinished, (*self._files.values(), self._result)))
 
 
 def read_tables(folder: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:

@@ -18,7 +18,7 @@ import msgspec
 
 from imucald.api.columns import EVENTS, HISTORY, RAW, Columns, TableColumn, columns_from
 from imucald.api.files.mcap_schemas import SCHEMAS, TIMESTAMP
-from imucald.api.files.table_file import Tables, named, removed, unfinished
+from imucald.api.files.table_file import Tables, given_up, named, unfinished
 from imucald.api.interchange import FILE_KEY, library
 from imucald.core.errors import ImucaldError
 
@@ -70,8 +70,7 @@ class McapTables:
 
     def abandon(self) -> None:
         """Close and remove."""
-        self._file.close()
-        removed(self._path)
+        given_up([self._file], [unfinished(self._path)])
 
 
 def _topic(name: str) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.api.columns import Columns, TableColumn, columns_from
-from imucald.api.files.table_file import Tables, axes_of, named, removed, unfinished
+from imucald.api.files.table_file import Tables, axes_of, given_up, named, unfinished
 from imucald.api.interchange import library
 from imucald.core.errors import ImucaldError
 
@@ -30,6 +30,8 @@ class Mf4Tables:
 
     def __init__(self, path: Path, tables: Tables) -> None:
         self._path = path
+        # asammdf puts the ending that it wants behind any other
+        self._saving = unfinished(path).with_suffix(".mf4")
         self._asammdf = library("asammdf", "mf4")
         self._mdf = self._asammdf.MDF(version="4.10")
         self._groups: dict[str, int] = {}
@@ -58,17 +60,14 @@ class Mf4Tables:
         self._mdf.header.start_time = datetime(1970, 1, 1, tzinfo=UTC) + start
         text = json.dumps({**about, "groups": self._groups}, allow_nan=False, ensure_ascii=False)
         self._mdf.attach(text.encode(), ATTACHMENT, mime="application/json")
-        # asammdf puts the ending that it wants behind any other
-        place = unfinished(self._path).with_suffix(".mf4")
-        saved = self._mdf.save(place, overwrite=True, compression=2)
+        saved = self._mdf.save(self._saving, overwrite=True, compression=2)
         self._mdf.close()
         Path(saved).replace(unfinished(self._path))
         return [named(self._path)]
 
     def abandon(self) -> None:
         """Close and remove."""
-        self._mdf.close()
-        removed(self._path)
+        given_up([self._mdf], [self._saving, unfinished(self._path)])
 
 
 def _unit(column: TableColumn) -> str:

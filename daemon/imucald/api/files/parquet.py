@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from imucald.api.columns import Columns
-from imucald.api.files.table_file import Tables, named, names_beside, removed, unfinished
+from imucald.api.files.table_file import Tables, given_up, named, names_beside, unfinished
 from imucald.api.interchange import (
     FILE_KEY,
     PANDAS_KEY,
@@ -32,12 +32,16 @@ class ParquetTables:
         self._files = names_beside(path, tables)
         parquet = library("pyarrow.parquet", "arrow")
         self._writers: dict[str, Any] = {}
-        for name, columns in tables.items():
-            keys = file_keys(columns, {"table": name})
-            # What the drive came to is known at the end, and told then.
-            schema = arrow_schema(columns, None).with_metadata({PANDAS_KEY: keys[PANDAS_KEY]})
-            place = str(unfinished(self._files[name]))
-            self._writers[name] = parquet.ParquetWriter(place, schema, compression="zstd")
+        try:
+            for name, columns in tables.items():
+                keys = file_keys(columns, {"table": name})
+                # What the drive came to is known at the end, and told then.
+                schema = arrow_schema(columns, None).with_metadata({PANDAS_KEY: keys[PANDAS_KEY]})
+                place = str(unfinished(self._files[name]))
+                self._writers[name] = parquet.ParquetWriter(place, schema, compression="zstd")
+        except OSError:
+            self.abandon()
+            raise
 
     def add(self, name: str, rows: Columns) -> None:
         """Append rows, as row groups."""
@@ -55,10 +59,7 @@ class ParquetTables:
 
     def abandon(self) -> None:
         """Close and remove."""
-        for writer in self._writers.values():
-            writer.close()
-        for file in self._files.values():
-            removed(file)
+        given_up(self._writers.values(), map(unfinished, self._files.values()))
 
 
 def read_about(path: Path) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -70,10 +70,14 @@ def named(path: Path) -> Path:
     return path
 
 
-def removed(path: Path) -> None:
-    """Remove an unfinished file."""
-    with contextlib.suppress(OSError):
-        unfinished(path).unlink()
+def given_up(writers: Iterable[Any], files: Iterable[Path]) -> None:
+    """Close what writes, and remove unfinished files: one that cannot be closed well, too."""
+    for writer in writers:
+        with contextlib.suppress(OSError):  # what is left to write does not fit on a full disk
+            writer.close()
+    for file in files:
+        with contextlib.suppress(OSError):
+            file.unlink()
 
 
 def names_beside(path: Path, tables: Tables) -> dict[str, Path]:

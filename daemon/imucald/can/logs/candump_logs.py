@@ -23,7 +23,7 @@ from imucald.can.logs.ascii_columns import Bytes, Index, hex_bytes, runs_at
 from imucald.can.logs.candump_block import CandumpBlock, Hits
 from imucald.can.logs.candump_line import MAX_LINE_BYTES, REASONS, Line, parse_line, shown
 from imucald.can.logs.candump_shape import Layout, Shape
-from imucald.can.logs.log_format import ReadStatistics
+from imucald.can.logs.log_format import DamageError, ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
 from imucald.core.errors import LogError
 
@@ -41,6 +41,11 @@ CHUNK_FRAMES: Final = 16_384
 
 CHUNK_BLOCKS: Final = 8
 """Blocks after which they are passed on however few they are, so that progress shows."""
+
+PIECE_LINES: Final = 64
+"""Lines of a damaged file that are parsed at once."""
+
+NEWLINE: Final = 0x0A
 
 KEPT_BYTES: Final = 16 << 20
 """Freed memory that the C library may keep for reuse, above the arrays of one block (about 6 MiB
@@ -71,7 +76,6 @@ class CandumpParser:
         odd, wrong = block.settle()
         if wrong is not None:
             hits = [h.only(~wrong[h.line]) for h in hits]
-        self._statistics.frames_read += len(block) - len(odd)
         if self._statistics.first_stamp is None:
             self._stamp_first(block)
         singles: list[tuple[int, Line]] = []
@@ -79,6 +83,7 @@ class CandumpParser:
             line = self.judge(block.text(number), (place[0], place[1] + number))
             if line is not None:
                 singles.append((number, line))
+        self._statistics.frames_read += len(block) - len(odd)
         return self._columns(buf, hits, singles), len(block)
 
     def parse_rest(self, text: bytes, place: Place) -> FrameColumns:
@@ -192,9 +197,14 @@ class CandumpReader:
     ) -> Iterator[FrameColumns]:
         parser = self._parser
         name, lines = str(path), 0
-        with open_source(path) as source:
+        with self._statistics.until_damage(path), open_source(path) as source:
             blocks = TextBlocks(source, PADDING, MAX_LINE_BYTES)
             for buf, size in blocks:
+                if self._statistics.damage:
+                    for columns, count in self._cautiously(buf, size, (name, lines)):
+                        lines += count
+                        yield columns
+                    continue
                 columns, count = parser.parse(buf, size, (name, lines))
                 lines += count
                 report(blocks.bytes_read)
@@ -209,6 +219,26 @@ class CandumpReader:
                 )
             elif blocks.rest:
                 yield parser.parse_rest(blocks.rest, (name, lines))
+
+    def _cautiously(
+        self, buf: Bytes, size: int, place: Place
+    ) -> Iterator[tuple[FrameColumns, int]]:
+        """Parse a damaged file's block in small pieces: one with a sign of it is left out whole."""
+        start, lines = 0, place[1]
+        ends = np.flatnonzero(buf[:size] == NEWLINE)[PIECE_LINES - 1 :: PIECE_LINES] + 1
+        for end in [*ends.tolist(), size]:
+            if end == start:
+                continue
+            before = self._statistics.frames_read
+            columns, count = self._parser.parse(buf[start:], end - start, (place[0], lines))
+            try:
+                for t in columns.t.tolist():
+                    self._statistics.follows(t, f"{place[0]}:{lines + 1}")
+            except DamageError:
+                self._statistics.frames_read = before
+                raise
+            start, lines = end, lines + count
+            yield columns, count
 
 
 def _keep_freed_memory() -> None:

@@ -92,7 +92,7 @@ class CandumpScreenReader:
     ) -> Iterator[FrameColumns]:
         """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
         name, number, first = str(path), 0, True
-        with open_source(path) as source:
+        with self._statistics.until_damage(path), open_source(path) as source:
             blocks = TextBlocks(source, 0, MAX_LINE_BYTES)
             for buf, size in blocks:
                 lines = _COLOUR.sub(b"", buf[:size].tobytes()).splitlines()

@@ -7,7 +7,9 @@ length, channel) have lines of equal length, which are filled as a table and put
 from __future__ import annotations
 
 import gzip
+import os
 import re
+import stat
 import sys
 from contextlib import suppress
 from functools import cache
@@ -49,8 +51,9 @@ _STAMP_BYTES: Final = len("(1600000000.000000) ")
 class CandumpWriter:
     """Writes candump text to a file, a gzip file (``.gz``) or standard output ("-").
 
-    Usable as a context manager. All methods raise LogError where the file cannot be written or a
-    frame cannot be put into words.
+    Usable as a context manager. All methods raise LogError where the file cannot be written (a
+    regular file is removed then: it would keep a full disk full) or a frame cannot be put into
+    words.
     """
 
     def __init__(self, path: Path | str, fd_flags: int = CANFD_BRS) -> None:
@@ -58,8 +61,11 @@ class CandumpWriter:
         self.frames_written = 0
         self._name = str(path)
         self._fd_flags = fd_flags & 0xF
+        self._made: os.stat_result | None = None
         try:
             self._file = _open(self._name)
+            if self._name != "-":
+                self._made = os.fstat(self._file.fileno())
         except OSError as error:
             raise self._failed(error) from error
 
@@ -132,6 +138,10 @@ class CandumpWriter:
         self.frames_written += frames
 
     def _failed(self, error: OSError) -> LogError:
+        if self._made is not None and stat.S_ISREG(self._made.st_mode):
+            with suppress(OSError):
+                if os.path.samestat(Path(self._name).lstat(), self._made):
+                    Path(self._name).unlink()
         return LogError(f"{self._name}: cannot be written: {error.strerror or error}")
 
 

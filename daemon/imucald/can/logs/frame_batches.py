@@ -40,6 +40,8 @@ class FrameBatches:
         index = self._channels.index(channel)
         if index is None:
             return False
+        if self._statistics.damage:
+            self._statistics.follows(t, f"frame {self._statistics.frames_read + 1}")
         self._statistics.stamp(t)
         self._statistics.frames_read += 1
         if self.is_wanted(index, can_id, channel):

@@ -55,7 +55,7 @@ class GvretReader:
         """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
         name, number = str(path), 0
         self._places = {}
-        with open_source(path) as source:
+        with self._statistics.until_damage(path), open_source(path) as source:
             blocks = TextBlocks(source, 0, MAX_LINE_BYTES)
             for buf, size in blocks:
                 lines = buf[:size].tobytes().splitlines()

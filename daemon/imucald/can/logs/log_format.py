@@ -7,6 +7,7 @@ under the name FORMAT: `log_reader` finds it. One that python-can reads needs on
 
 from __future__ import annotations
 
+import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -15,10 +16,19 @@ from typing import ClassVar, Final, Protocol, runtime_checkable
 from imucald.can.columns import Channels, FrameColumns, IdMatch
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.text_blocks import OpenLog
+from imucald.can.logs.unpacking import damage_within
 from imucald.core.errors import LogError
 
 MAX_PROBLEMS: Final = 20
 """Texts kept: enough to see what is wrong, and bounded whatever the file holds."""
+
+DAMAGED_STEP: Final = 10.0
+"""Where bytes are known to be damaged, stamps further apart are a sign of it [s]; as much as stream
+time bridges."""
+
+
+class DamageError(Exception):
+    """The first sign of damage in a file that is known to be damaged; with its place."""
 
 
 class ReadStatistics:
@@ -33,11 +43,38 @@ class ReadStatistics:
         self.ignored: Counter[str] = Counter()
         self.rejected: Counter[str] = Counter()
         self.problems: list[str] = []
+        self.damage = ""
+        """Why the file that is being read cannot be trusted, where that is known."""
+        self._last_stamp: float | None = None
+
+    @contextlib.contextmanager
+    def until_damage(self, path: Path | str | OpenLog) -> Iterator[None]:
+        """Where a compressed file is damaged, its first bad line or step of time ends the body."""
+        self.damage = "" if isinstance(path, OpenLog) else damage_within(Path(path))
+        self._last_stamp = None
+        try:
+            yield
+        except DamageError as sign:
+            text, self.damage = f"{sign}; reading ends here: {self.damage}", ""
+            self.reject("damaged_file", text)
+        finally:
+            self.damage = ""
+
+    def follows(self, t: float, place: str) -> None:
+        """Take a stamp [s] of a damaged file; raises DamageError where it does not follow."""
+        if self._last_stamp is not None and not abs(t - self._last_stamp) <= DAMAGED_STEP:
+            raise DamageError(f"{place}: the time stamps step from {self._last_stamp} to {t}")
+        self._last_stamp = t
 
     def reject(self, reason: str, text: str) -> None:
-        """Count one rejection; `text` begins with its place. Raises LogError where strict."""
+        """Count one rejection; `text` begins with its place. Raises LogError where strict.
+
+        DamageError where the file is known to be damaged before.
+        """
         if self.strict:
             raise LogError(text)
+        if self.damage and reason != "damaged_file":
+            raise DamageError(text)
         self.rejected[reason] += 1
         if len(self.problems) < MAX_PROBLEMS:
             self.problems.append(text)

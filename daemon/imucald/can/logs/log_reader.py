@@ -22,7 +22,7 @@ from imucald.can.id_filter import IdFilters
 from imucald.can.logs.candump_line import shown
 from imucald.can.logs.candump_writer import CandumpWriter
 from imucald.can.logs.log_format import CountsTime, Cycles, LogFormat, ReadStatistics
-from imucald.can.logs.text_blocks import STDIN, OpenLog, look_at
+from imucald.can.logs.text_blocks import OpenLog, is_read_once, looked_at
 from imucald.can.logs.unpacking import first_bytes, plain_ending
 from imucald.core.errors import LogError
 
@@ -117,11 +117,11 @@ class LogReader:
             if isinstance(reader, CountsTime):
                 reader.cycles = self._cycles
         for path in self._paths:
-            head, handed = look_at(path)
-            chosen = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
-            for columns in chosen.read(handed, self._report):
-                if len(columns):
-                    yield columns
+            with looked_at(path) as (head, handed):
+                chosen = _reader_for(readers, first_bytes(head, HEAD_BYTES), path)
+                for columns in chosen.read(handed, self._report):
+                    if len(columns):
+                        yield columns
             self._bytes_before += _file_bytes(path)
             self._report(0)
 
@@ -153,7 +153,7 @@ def _reader_for(readers: Sequence[LogFormat], head: bytes, path: Path | str | Op
 
 
 def _file_bytes(path: Path | str | OpenLog) -> int:
-    if isinstance(path, OpenLog) or str(path) == STDIN:
+    if isinstance(path, OpenLog) or is_read_once(path):
         return 0
     try:
         return os.stat(path).st_size  # noqa: PTH116
@@ -162,6 +162,6 @@ def _file_bytes(path: Path | str | OpenLog) -> int:
 
 
 def _total_bytes(paths: Sequence[Path | str | OpenLog]) -> int | None:
-    if any(isinstance(path, OpenLog) or str(path) == STDIN for path in paths):
+    if any(isinstance(path, OpenLog) or is_read_once(path) for path in paths):
         return None
     return sum(_file_bytes(path) for path in paths)

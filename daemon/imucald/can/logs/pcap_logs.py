@@ -59,7 +59,7 @@ class PcapReader:
     ) -> Iterator[FrameColumns]:
         """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
         if isinstance(path, OpenLog):
-            raise LogError(f"{path}: this format is read by its file's name only")
+            raise LogError(f"{path}: this format is read from a file by its name, not from a pipe")
         with plain_file(Path(path)) as (plain, damage), plain.open("rb") as file:
             yield from self._frames(file, str(path), report)
             if damage:

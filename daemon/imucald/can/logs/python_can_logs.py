@@ -82,7 +82,7 @@ class PythonCanReader:
         as one rejection ("unreadable") and ends there, since python-can's readers cannot resume.
         """
         if isinstance(path, OpenLog):
-            raise LogError(f"{path}: this format is read by its file's name only")
+            raise LogError(f"{path}: this format is read from a file by its name, not from a pipe")
         named = Path(path)
         with plain_file(named) as (plain, damage):
             yield from self._read(named, plain, report)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import stat
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, cast
@@ -76,20 +78,39 @@ class _Looked:
         return len(given)
 
 
-def look_at(path: Path | str | OpenLog) -> tuple[bytes, Path | str | OpenLog]:
+@contextmanager
+def looked_at(
+    path: Path | str | OpenLog,
+) -> Iterator[tuple[bytes, Path | str | OpenLog]]:
     """The first bytes of a log as they are stored, and what is to be read in its place.
 
-    A pipe is asked once: what it holds is enough, and waiting for more might take for ever.
-    Raises LogError where it cannot be opened.
+    What can be read only once (a pipe, standard input) is handed on open, and closed at the end: a
+    second opening of its name would lack its beginning. An open log is asked once: what it holds
+    is enough, and waiting for more might take for ever. Raises LogError where it cannot be opened.
     """
-    with open_source(path) as source:
+    with open_source(path) as opened:
+        source: ByteSource = opened
+        if once := not isinstance(path, OpenLog) and is_read_once(path):
+            # the first bytes of a pipe may come in pieces: a buffer gathers them
+            source = io.BufferedReader(opened) if isinstance(opened, io.FileIO) else opened
         try:
             head = source.read(LOOK_BYTES) or b""
         except OSError as error:
             raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-        if isinstance(path, OpenLog) or str(path) == STDIN:
-            return head, OpenLog(_Looked(head, source), str(path))
-        return head, path
+        if once or isinstance(path, OpenLog):
+            yield head, OpenLog(_Looked(head, source), str(path))
+        else:
+            yield head, path
+
+
+def is_read_once(path: Path | str) -> bool:
+    """Whether a name is that of a pipe, a device or standard input."""
+    if str(path) == STDIN:
+        return True
+    try:
+        return not stat.S_ISREG(Path(path).stat().st_mode)
+    except OSError:
+        return False
 
 
 class _Plain:

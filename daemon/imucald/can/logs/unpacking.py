@@ -179,6 +179,30 @@ class Unpacked:
         return data
 
 
+def damage_within(path: Path) -> str:
+    """Why the bytes of a compressed file cannot be trusted; "" where they can, or it is only cut.
+
+    It is unpacked once to its checksum, which stands behind the data and comes too late for who
+    reads on the way. Nothing is known of what can be read only once.
+    """
+    if not path.is_file():
+        return ""
+    try:
+        with path.open("rb", buffering=0) as source:
+            head = source.read(MAGIC_BYTES) or b""
+            member = packed_as(head)
+            if member is None:
+                return ""
+            stream, view = Unpacked(source, head, member), memoryview(bytearray(PLAIN_BYTES))
+            while stream.readinto(view):
+                pass
+    except EOFError:
+        return ""
+    except DAMAGE as error:
+        return str(error)
+    return ""
+
+
 def first_bytes(head: bytes, count: int) -> bytes:
     """The first plain bytes of a file that begins so; nothing where that is damaged."""
     member = packed_as(head)
