@@ -1,0 +1,29 @@
+"""The first fleet file of docs/fleet.md works with the logs that the page has one simulate."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from fleet_files import CONFIG
+
+from imucald.fleet.fleet_file import load_fleet
+from imucald.fleet.listing import list_logs
+from paths import ROOT
+
+
+def test_the_first_fleet_file_of_the_page_lists_the_logs_of_its_commands(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "fleet.md").read_text()
+    written = re.findall(r"imucald simulate .*--out (\S+)", text)
+    assert len(written) > 1
+    for name in written:
+        log = tmp_path / name
+        log.parent.mkdir(parents=True)
+        log.write_text("(1.0) can0 001#00\n")
+    example = text.partition("```yaml\n")[2].partition("```")[0]
+    assert "config: car.yaml" in example
+    (tmp_path / "fleet.yaml").write_text(example.replace("car.yaml", str(CONFIG)))
+    fleet = load_fleet(tmp_path / "fleet.yaml")
+    found = {log.source.removeprefix("file://") for log in list_logs(fleet)}
+    assert {str(Path(source).relative_to(tmp_path)) for source in found} == set(written)
+    assert {fleet.named(source)[0] for source in found} == {"car-1", "car-2"}
