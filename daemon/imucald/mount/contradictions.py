@@ -20,6 +20,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.core.median import median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
@@ -118,7 +119,7 @@ class PairWatch:
     @property
     def gain(self) -> float:
         """Median of the pieces' gains."""
-        return float(np.median([g for _, g in self._pieces])) if self._pieces else 1.0
+        return median([g for _, g in self._pieces]) if self._pieces else 1.0
 
     def add(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block; x: (N,) what is sure, y: (N,) what must follow it."""

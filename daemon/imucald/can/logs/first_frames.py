@@ -13,6 +13,7 @@ from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_format import Cycles
 from imucald.can.logs.text_blocks import OpenLog, is_read_once
 from imucald.core.errors import LogError
+from imucald.core.median import median
 
 MIN_FRAMES: Final = 64
 """Fewer frames show nothing. So many with the same times and payloads, noise of sensors among them,
@@ -59,7 +60,7 @@ class FirstFrames:
         the time stamps are not in seconds."""
         if len(frames) < MIN_FRAMES:
             return
-        factor = _by_date(float(np.median(frames.t))) or self._by_cycles(frames)
+        factor = _by_date(median(frames.t.tolist())) or self._by_cycles(frames)
         if factor is not None:
             raise LogError(
                 f"{path}: its time stamps are {UNITS[factor]}, it seems, such as "
@@ -79,7 +80,7 @@ class FirstFrames:
             for index in np.unique(frames.channel[ours]).tolist():
                 if match.channel in (None, frames.channels[index]):
                     between = np.diff(frames.t[ours & (frames.channel == index)])
-                    found += [float(np.median(between)) / cycle] if len(between) else []
+                    found += [median(between.tolist()) / cycle] if len(between) else []
         if len(found) < MIN_MESSAGES:
             return None
         least, most = min(found), max(found)

@@ -1,0 +1,16 @@
+"""The median of a list. numpy's imports its masked arrays, which takes 20 ms of every start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+def median(values: Iterable[float]) -> float:
+    """Return the median; of an even number the mean of the middle two. ValueError: no value."""
+    ordered = sorted(values)
+    if not ordered:
+        raise ValueError("no value has no median")
+    middle = len(ordered) // 2
+    if len(ordered) % 2:
+        return float(ordered[middle])
+    return (ordered[middle - 1] + ordered[middle]) / 2.0
