@@ -77,7 +77,7 @@ class FirstFrames:
         found: list[float] = []
         for match, cycle in self._cycles:
             ours = ((frames.can_id ^ match.can_id) & match.full_mask) == 0
-            for index in np.unique(frames.channel[ours]).tolist():
+            for index in sorted(set(frames.channel[ours].tolist())):
                 if match.channel in (None, frames.channels[index]):
                     between = np.diff(frames.t[ours & (frames.channel == index)])
                     found += [median(between.tolist()) / cycle] if len(between) else []
