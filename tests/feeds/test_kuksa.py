@@ -139,11 +139,12 @@ def test_corrected_values_and_the_mount_become_vss_signals(tmp_path):
         databroker() as broker,
     ):
         feed = Feed(source_of(service, said), receiver_of(broker.port, said), 0.1, said.append)
-        ahead = "Vehicle.Acceleration.Longitudinal"
+        ahead, above = "Vehicle.Acceleration.Longitudinal", "Vehicle.Acceleration.Vertical"
         with fed(feed):
             wait_until(lambda: broker.values.get(ahead) is not None)
+            wait_until(lambda: broker.values.get(above) is not None)
             assert broker.values[ahead] == pytest.approx(AHEAD, abs=0.15)
-            assert broker.values["Vehicle.Acceleration.Vertical"] == pytest.approx(9.8, abs=0.15)
+            assert broker.values[above] == pytest.approx(9.8, abs=0.15)
             assert broker.values["Vehicle.AngularVelocity.Yaw"] is None
             own = "Vehicle.Private.Imucald"
             wait_until(lambda: f"{own}.Mount.DeviationZ" in broker.values)
