@@ -93,6 +93,7 @@ def assert_well_formed(out: FrameColumns) -> None:
         assert np.all(np.diff(counter) % 16 == 1)
 
 
+@pytest.mark.slow
 def test_a_million_random_frames_are_each_judged(tmp_path):
     rng = np.random.default_rng(7)
     config = load(RICH, tmp_path)

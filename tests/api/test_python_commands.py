@@ -153,6 +153,7 @@ def test_a_diagnosis_is_that_of_the_command_line(monkeypatch, tmp_path):
 # replay ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_replay_writes_what_python_writes(tmp_path, capsys):
     out = tmp_path / "out.parquet"
     text = printed(capsys, "replay", "--config", CONFIG, log(), "--write", out)

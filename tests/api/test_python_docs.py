@@ -15,6 +15,7 @@ PAGE = ROOT / "docs" / "python.md"
 NOTEBOOK = ROOT / "docs" / "first_drive.ipynb"
 
 
+@pytest.mark.slow
 def test_every_example_of_the_page_runs(tmp_path, monkeypatch):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("agg")

@@ -36,6 +36,7 @@ def test_a_stream_gives_the_same_samples_in_parts(monkeypatch):
         list(stream)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", FORMATS)
 def test_a_stream_writes_what_a_whole_drive_writes(monkeypatch, tmp_path, ending):
     monkeypatch.setattr("imucald.api.streaming.PART_ROWS", 30_000)

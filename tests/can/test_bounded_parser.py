@@ -95,6 +95,7 @@ def test_a_parser_that_crashes_is_a_database_that_was_refused(monkeypatch):
         load_database_text(HEAD, "dbc", "x")
 
 
+@pytest.mark.slow
 def test_a_parser_that_takes_for_ever_is_ended(monkeypatch):
     endless = """
 import sys, json

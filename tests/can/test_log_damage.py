@@ -269,6 +269,7 @@ def test_damage_inside_a_compressed_file_is_told(tmp_path: Path) -> None:
     assert reader.frames_read > 20_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["(%s) can0 123#%016X\n", " (%s)  can0  123   [8]  %s\n"])
 @pytest.mark.parametrize("garbled", ["\1\2\3 no line\n", "9"])
 def test_a_damaged_compressed_file_is_read_up_to_the_first_sign_of_it(

@@ -123,6 +123,7 @@ def test_frames_as_cansend_takes_them_are_read_in_the_same_way(tmp_path: Path) -
     assert reader.rejected == {"not_candump": 1}
 
 
+@pytest.mark.slow
 def test_a_plain_recording_of_a_drive_calibrates_nearly_as_well(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -345,6 +345,7 @@ def test_the_command_prints_tables_and_its_status(
     assert cli.main(["check", "--config", str(EXAMPLE), str(log)]) == 1
 
 
+@pytest.mark.slow
 def test_the_command_listens_on_a_bus(frames: Frames, capsys: pytest.CaptureFixture[str]) -> None:
     stop = threading.Event()
 

@@ -77,6 +77,7 @@ def test_gain_signals_and_what_was_not_named_are_there(found):
     assert places == sorted(places), "what pays most comes first"
 
 
+@pytest.mark.slow
 def test_a_file_that_makes_anything_worse_is_not_recommended():
     worse = made.found(gain=Gain(673.0, (590.0, 755.0), ("gyro_x",)), recommended=False)
     text = page(worse).text
@@ -84,6 +85,7 @@ def test_a_file_that_makes_anything_worse_is_not_recommended():
     assert "use it" not in text
 
 
+@pytest.mark.slow
 def test_what_is_likely_stands_apart():
     text = page(
         made.found(causes=(made.BIAS,), likely=(replace(made.ROLL, certainty="likely"),))

@@ -193,6 +193,7 @@ def test_a_few_frames_are_survived(count):
     assert discover({"car.dbc": load_database([EXAMPLE])}, frames).notes
 
 
+@pytest.mark.slow
 def test_the_command_listens_on_a_bus_and_never_sends(tmp_path, drive):
     (chunk, *_) = LogReader([drive])
     stop = threading.Event()

@@ -89,6 +89,7 @@ def test_values_read_are_values_sent():
     assert output.message_of("gyro").values(nothing) == [None, None, None, 0]
 
 
+@pytest.mark.slow
 def test_a_source_reads_status_and_bus_of_a_running_daemon(tmp_path):
     said: list[str] = []
     with calibrated(tmp_path) as (_, service):

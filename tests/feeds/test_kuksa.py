@@ -181,6 +181,7 @@ def test_signals_that_a_databroker_does_not_know_are_told_once_and_left_out(tmp_
         receiver.disconnect()
 
 
+@pytest.mark.slow
 def test_a_databroker_that_comes_late_or_goes_is_waited_for(tmp_path, monkeypatch):
     monkeypatch.setattr("imucald.feeds.feed_loop.LONGEST_PAUSE_S", 1.0)
     said: list[str] = []

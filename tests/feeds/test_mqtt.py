@@ -32,6 +32,7 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
     made.stop()
 
 
+@pytest.mark.slow
 def test_status_and_corrected_values_arrive_and_are_null_when_the_sensor_is_silent(
     tmp_path, broker
 ):
@@ -64,6 +65,7 @@ def test_status_and_corrected_values_arrive_and_are_null_when_the_sensor_is_sile
             assert "acceleration" not in later, "values are not retained"
 
 
+@pytest.mark.slow
 def test_a_broker_that_comes_late_or_goes_is_waited_for(tmp_path, broker):
     broker.stop()
     said: list[str] = []
@@ -81,6 +83,7 @@ def test_a_broker_that_comes_late_or_goes_is_waited_for(tmp_path, broker):
     broker.start()
 
 
+@pytest.mark.slow
 def test_the_last_will_says_that_a_killed_feed_is_gone(tmp_path, broker):
     with calibrated(tmp_path) as (_, service):
         path = str(service.options.status_socket)
@@ -101,6 +104,7 @@ def test_the_last_will_says_that_a_killed_feed_is_gone(tmp_path, broker):
     assert f"MQTT broker 127.0.0.1:{broker.port} takes car/#" in told
 
 
+@pytest.mark.slow
 def test_a_daemon_that_ends_is_told_and_its_values_are_not_available(tmp_path, broker):
     said: list[str] = []
     with calibrated(tmp_path) as (_, service), broker.watched("car") as heard:
@@ -114,6 +118,7 @@ def test_a_daemon_that_ends_is_told_and_its_values_are_not_available(tmp_path, b
             assert json.loads(heard["acceleration"])["quality"] == "not_available"
 
 
+@pytest.mark.slow
 def test_a_wrong_password_is_told_and_a_right_one_is_taken(tmp_path, monkeypatch):
     folder = tmp_path / "mosquitto"
     folder.mkdir()

@@ -182,6 +182,7 @@ def test_metrics_over_http_and_nothing_else(tmp_path):
             urllib.request.urlopen(request, timeout=5.0)
 
 
+@pytest.mark.slow
 def test_dripping_and_binary_connections_leave_a_place_after_seconds():
     with served() as address:
         open_ones = []
@@ -202,6 +203,7 @@ def test_dripping_and_binary_connections_leave_a_place_after_seconds():
             connection.close()
 
 
+@pytest.mark.slow
 def test_slow_clients_lock_a_scrape_out_no_longer_than_their_limit(monkeypatch):
     """Each sends a header's line often enough to never be idle."""
     monkeypatch.setattr(metrics_server, "CLIENT_S", 1.0)
@@ -265,6 +267,7 @@ def free_port() -> int:
         return int(free.getsockname()[1])
 
 
+@pytest.mark.slow
 def test_a_real_prometheus_scrapes_it_and_evaluates_the_alert_rules(tmp_path):
     program = shutil.which("prometheus")
     if program is None:
@@ -329,6 +332,7 @@ def wait_until(condition, limit: float) -> None:
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 def test_the_alert_rules_pass_their_own_tests(promtool):
     checked(promtool, "check", "rules", str(MONITORING / "imucald-alerts.yml"))
     checked(promtool, "test", "rules", str(MONITORING / "imucald-alerts.test.yml"))

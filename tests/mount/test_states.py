@@ -215,6 +215,7 @@ def test_too_little_before_says_nothing():
     assert largest_change([flow("yaw_turn", np.zeros(4), DEG)]) is None
 
 
+@pytest.mark.slow
 def test_a_moved_sensor_is_suspect_then_found_again():
     seed, start = 77, 420.0
     shift = {"t_s": start, "yaw_deg": 5.0}

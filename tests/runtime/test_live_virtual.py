@@ -144,6 +144,7 @@ def test_corrected_frames_equal_those_of_replay_byte_for_byte(bench):
     )
 
 
+@pytest.mark.slow
 def test_a_full_bus_loses_nothing_of_ours(bench):
     """8,000 frames a second, 5 % of them ours: every one is judged, and answered."""
     ours = list(rows(drive_frames().take(slice(0, 800))))

@@ -214,6 +214,7 @@ print(tried, n)
 """
 
 
+@pytest.mark.slow
 def test_thousands_of_hostile_connections_hold_up_no_frame(tmp_path):
     bench = Bench(tmp_path)
     service = bench.service()

@@ -69,6 +69,7 @@ def test_a_line_is_cut_where_a_pipe_could_block():
     assert os.read(reader, 100) == b"imucald: \\udcff is no UTF-8\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["closed", "blocked"])
 def test_the_daemon_runs_whatever_becomes_of_standard_error(how, tmp_path):
     config = shuttle.write(tmp_path, cycles=1)

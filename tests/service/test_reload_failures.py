@@ -126,6 +126,7 @@ def test_wherever_it_breaks_nothing_has_changed_and_the_next_one_works(
     assert bench.service.engine is not before[0]
 
 
+@pytest.mark.slow
 def test_the_loop_goes_on_while_a_large_database_is_read(bench, monkeypatch):
     """A parser that takes long (here: until it is let go) holds up no turn of the loop."""
     go_on, asked = threading.Event(), threading.Event()

@@ -299,6 +299,7 @@ class Manager:
                 return found
 
 
+@pytest.mark.slow
 def test_systemd_hears_ready_status_reload_stop_and_the_watchdog_from_the_loop(bench):
     manager = Manager(bench.folder)
     notifier = Notifier({"NOTIFY_SOCKET": manager.path, "WATCHDOG_USEC": "400000"})
@@ -381,6 +382,7 @@ def test_the_journal_gets_priorities(tmp_path):
     assert (tmp_path / "log").read_text() == "<3>hot\nimucald: cold\n"
 
 
+@pytest.mark.slow
 def test_the_command_answers_status_reloads_and_stops_within_a_second(bench):
     calibrated(bench)
     path = bench.folder / "socket" / "s"

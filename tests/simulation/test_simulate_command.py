@@ -112,6 +112,7 @@ def test_somewhere_to_write_is_needed(capsys):
         assert "--interface" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_drive_is_sent_onto_a_bus_in_its_time(capsys):
     options = ["--interface", "virtual", "--channel", "simulated", "--minutes", "0.02"]
     with can.Bus(interface="virtual", channel="simulated") as listener:

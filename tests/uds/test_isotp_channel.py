@@ -115,6 +115,7 @@ def test_four_gigabytes_are_not_reserved(wire):
     wire.lives()
 
 
+@pytest.mark.slow
 def test_begun_and_never_ended_requests_are_forgotten(wire):
     for _ in range(50):
         assert wire.send(first(100))[0][0] == 0x30
@@ -147,6 +148,7 @@ def test_flow_control_does_not_multiply_a_response(wire):
     assert [f[0] for f in out] == [0x10, 0x21, 0x22, 0x23, 0x24, 0x25]
 
 
+@pytest.mark.slow
 def test_a_receiver_that_says_wait_for_ever_is_given_up(wire):
     wire.send(READ_LONG)
     for _ in range(20):
@@ -211,6 +213,7 @@ def test_a_flood_is_looked_at_in_part_and_costs_little(wire):
     wire.lives()
 
 
+@pytest.mark.slow
 def test_hours_of_nonsense_leave_nothing_behind(wire):
     def nonsense() -> None:
         for i in range(1500):
