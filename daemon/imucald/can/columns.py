@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -67,6 +67,13 @@ class FrameColumns(Struct, frozen=True, eq=False):
             self.channels,
             None if self.fd is None else self.fd[index],
         )
+
+    def rows(self) -> Iterator[tuple[float, int, bytes]]:
+        """Yield the frames one by one: time [s], id with the 29-bit flag, payload."""
+        width, raw = self.data.shape[1], self.data.tobytes()
+        columns = zip(self.t.tolist(), self.can_id.tolist(), self.length.tolist(), strict=True)
+        for i, (t, can_id, length) in enumerate(columns):
+            yield t, can_id, raw[i * width : i * width + length]
 
 
 class IdMatch(Struct, frozen=True):

@@ -71,7 +71,8 @@ class SimulatedBus:
 
     def _play(self) -> None:
         began, first = time.monotonic(), None
-        for stamp, can_id, data in _frames(self._log):
+        frames = (row for chunk in LogReader([self._log]) for row in chunk.rows())
+        for stamp, can_id, data in frames:
             first = stamp if first is None else first
             t = stamp - first
             wait = began + t / self._speed - time.monotonic()
@@ -85,14 +86,6 @@ class SimulatedBus:
             )
             with contextlib.suppress(can.CanError, OSError):  # lost, as on a real bus
                 self._bus.send(message)
-
-
-def _frames(log: Path) -> Iterator[tuple[float, int, bytes]]:
-    """Frames of a log one by one: stamp [s], id with the 29-bit flag, payload."""
-    for chunk in LogReader([log]):
-        rows = zip(chunk.t.tolist(), chunk.can_id.tolist(), chunk.length.tolist(), strict=True)
-        for (t, can_id, length), data in zip(rows, chunk.data, strict=True):
-            yield t, can_id, data[:length].tobytes()
 
 
 def run_live(

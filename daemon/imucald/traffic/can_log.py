@@ -58,11 +58,7 @@ def live_frames(
 ) -> Iterator[tuple[float, int, bytes]]:
     """Frames one by one: (seconds from the drive's start, id with the 29-bit flag, payload)."""
     for block in bus_frames(drive, encoder, with_background):
-        width = block.data.shape[1]
-        raw = block.data.tobytes()
-        rows = zip(block.t.tolist(), block.can_id.tolist(), block.length.tolist(), strict=True)
-        for i, (t, can_id, length) in enumerate(rows):
-            yield t, can_id, raw[i * width : i * width + length]
+        yield from block.rows()
 
 
 def write_log(
