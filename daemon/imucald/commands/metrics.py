@@ -83,7 +83,7 @@ def serve(listening: socket.socket, text: Callable[[], str]) -> None:
 
 def _write(path: Path, text: str) -> None:
     """Replace a regular file or make one; raises ImucaldError, and leaves all else as it is."""
-    from imucald.core.atomic_file import write_beside
+    from imucald.core.atomic_file import write_file
     from imucald.core.errors import ImucaldError
 
     try:
@@ -92,12 +92,7 @@ def _write(path: Path, text: str) -> None:
                 f"{path}: is no regular file and is left as it is (links are not followed); "
                 "name a file, or leave --textfile out to print the metrics"
             )
-        unfinished = write_beside(path, text.encode())
-        try:
-            unfinished.chmod(TEXTFILE_MODE)
-            unfinished.replace(path)
-        finally:
-            unfinished.unlink(missing_ok=True)
+        write_file(path, text.encode(), TEXTFILE_MODE)
     except OSError as error:
         raise ImucaldError(f"{path}: cannot be written: {error.strerror or error}") from None
 

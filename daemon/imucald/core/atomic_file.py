@@ -17,14 +17,18 @@ MAX_ASIDE = 8
 """Files set aside under one name and word; the next takes the place of the oldest."""
 
 
-def write_file(path: Path, data: bytes) -> None:
+def write_file(path: Path, data: bytes, mode: int | None = None) -> None:
     """Replace a file by one that is on the disk; OSError where that fails (nothing is lost then).
+
+    mode: its permissions, where not those that new files get.
 
     Written beside it, forced to the disk, renamed, the folder forced too: at every instant the
     file is the old one or the new one.
     """
     unfinished = write_beside(path, data)
     try:
+        if mode is not None:
+            unfinished.chmod(mode)
         unfinished.replace(path)
     except OSError:
         _remove(unfinished)
