@@ -13,12 +13,12 @@ counts for more than `MOST`, so that one odd block decides nothing.
 The gyroscope against the accelerometer: with R known the vertical's level parts t = f / g, motion
 taken off, follow from the rates, dt_x = -q + r t_y and dt_y = p - r t_x; the motion holds r too.
 If a sign or two axes of either sensor are wrong the rates that fit are S w, with S a signed
-permutation: so the slopes of any road tell within a minute or two.
+permutation: so the slopes of any road show it within a minute or two.
 
 What this cannot see is a turn of all the accelerometer's signs: force and rate then are those of
 the mirror image of the drive, and physics are the same there. Nor can it see a vehicle that goes
-backwards all the time. Only what knows left from right tells, the vehicle's yaw rate and the
-steering; or speed: no road vehicle goes backwards as fast as `MAX_REVERSE`.
+backwards all the time. Only a signal that separates left from right shows these: the vehicle's yaw
+rate or the steering. So does speed: no road vehicle goes backwards as fast as `MAX_REVERSE`.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ TO_BE_GOOD = -math.log(1e-2)
 hundred against each the odds of any are below one in ten thousand."""
 TO_BE_FINE = -math.log(1e-4)
 TO_ACCUSE = -2.0 * math.log(1e-4)
-"""A false alarm is asked for more: blocks beside one another are not quite independent."""
+"""An accusation needs more evidence, as neighbouring blocks are not quite independent."""
 MOST, HELD = 3.0, 40.0
-"""A block's most, and where sums stop, so that what comes later can turn them."""
+"""Limits of one block and of a sum: later blocks can still change what earlier ones showed."""
 INDEPENDENT = 5.0
 """Independent values of a signal in a block: slopes and motion hang together for a second."""
 LEAST_TICKS = 60
@@ -57,7 +57,7 @@ RARELY = 4
 ENOUGH = 60
 """After so many blocks (6 min of driving) that spoke neither way they are not waited for."""
 TILT_FLOOR, RATE_FLOOR, FORCE_FLOOR = 0.003, 0.01, 0.3
-"""What no signal is better than [rad], [rad/s], [m/s^2]: nothing is read into noise."""
+"""Least noise of a signal [rad], [rad/s], [m/s^2]: smaller values count as noise."""
 SMOOTH = np.ones(11) / 11.0
 MAX_REVERSE = 11.0
 """Speed [m/s] that is not driven in reverse: its ratio is about first gear's, 13 overall with the
@@ -85,7 +85,7 @@ class Mirrored:
         self.blocks = 0
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Begin again."""
         self.sum, self.blocks = 0.0, 0
 
     def add(self, x: Array, y: Array, use: Flags) -> None:
@@ -119,7 +119,7 @@ class Alternatives:
         self._signals: frozenset[str] = frozenset()
 
     def restart(self) -> None:
-        """The mount is sought anew; of the sensors' own axes all is kept."""
+        """The mount is sought again; all that is known of the sensors' own axes is kept."""
         self._turns.forget()
         self._fastest = 0.0
 
@@ -180,7 +180,7 @@ class Alternatives:
             self._gyro = np.clip(self._gyro + ratios, -HELD, HELD)
             self._gyro_blocks += 1
 
-    def are_seen(self, least: float = TO_BE_GOOD) -> bool:
+    def are_seen(self, least: float) -> bool:
         """Whether every alternative that can be seen is ruled out by a log ratio of `least`."""
         return not self.missing(least)
 
@@ -203,8 +203,8 @@ class Alternatives:
 
     @property
     def _knows_forward(self) -> bool:
-        told = {"reverse", "steering"} & self._signals
-        return bool(told) or self._fastest > MAX_REVERSE
+        shown = {"reverse", "steering"} & self._signals
+        return bool(shown) or self._fastest > MAX_REVERSE
 
     @property
     def not_checked(self) -> tuple[str, ...]:

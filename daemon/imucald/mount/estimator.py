@@ -229,13 +229,8 @@ class FullEstimator:
 
     @property
     def _can_compare(self) -> bool:
-        """Whether there is a rotation that new blocks can be held against."""
-        solver = self._solver
-        return (
-            solver.R is not None
-            and solver.yaw_known
-            and not (self._moved and self._refit is not None)
-        )
+        """Whether new blocks can be compared with the rotation, where there is one."""
+        return self._solver.yaw_known and not (self._moved and self._refit is not None)
 
     def _turned_by_hand(self, p: SignalBlock) -> LargeChange | None:
         """A turn that is seen at once: while standing, or by the gyroscope alone."""
