@@ -19,7 +19,7 @@ TURN_S = 0.5
 """A sensor that is knocked or taken by hand turns within that time, where the gyroscope sees it."""
 CLIPPED_SHARE = 0.02
 CLIPPED_DRIVING_S = 60.0
-"""Driving within which clipping has to be told, with that share of its samples clipped."""
+"""Driving within which clipping has to be reported, with that share of its samples clipped."""
 DEG = 180.0 / math.pi
 
 
@@ -126,7 +126,7 @@ def clipped_axis(base: Base, put: Put) -> Faulty:
     count = np.concatenate([[0], np.cumsum(clipped)])
     share = (count[stop] - count[:-1]) / np.maximum(stop - np.arange(len(t)), 1)
     begins = clipped & (share >= CLIPPED_SHARE) & (driven + CLIPPED_DRIVING_S <= driven[-1])
-    if not begins.any():  # no such minute: nothing to be told
+    if not begins.any():  # no such minute: nothing to report
         return replace(faulty, onset=base.duration_s + CLIPPED_DRIVING_S)
     return replace(faulty, runs_from=float(t[int(np.argmax(begins))]))
 

@@ -2,7 +2,7 @@
 
     python -m benchmarks.public_logs --data DIR [--only NAME] [--names-taken-away]
 
-DIR holds a clone of each repository as OWNER+NAME (what is absent is told with its command); the
+DIR holds a clone of each repository as OWNER+NAME (for what is absent the command is shown); the
 logs are made below DIR/logs. Of each: the quantities that `init` finds with sign and unit beside
 the configuration by hand in `right/`, and the mount by that configuration, of the whole and of both
 halves, beside what is known.

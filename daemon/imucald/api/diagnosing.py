@@ -25,7 +25,7 @@ from imucald.report.wording import verdict
 FEW_REJECTED = 1e-4
 """Share of frames that may be rejected without a word: a damaged line or two."""
 TIME_LIMIT_S = 300.0
-"""Processor time that a diagnosis may take, where nothing else is said."""
+"""Processor time that a diagnosis may take by default [s]."""
 Share = Callable[[float, str], None]
 """Called with the share that is done (0 to 1), and what is being done."""
 
@@ -114,8 +114,8 @@ def diagnose(
     The result is that of `imucald diagnose`. logs: one drive each, with the sensor in its place.
     model: the model file to put to the test; None: a plain car with the configuration's figures
     and the mount that the drives give. time_limit_s: processor time after which what was found so
-    far is told. progress: called with the share done and what is being done; reading: with bytes.
-    strict: the first bad line raises LogError.
+    far is reported. progress: called with the share done and what is being done; reading: with
+    bytes. strict: the first bad line raises LogError.
 
     Raises ConfigError (configuration, model file, a log given twice), LogError for a log that
     cannot be read or has no usable frame, ImucaldError where nothing can be diagnosed.

@@ -92,7 +92,7 @@ def _row(drive: DriveResult) -> dict[str, Any]:
 
 
 def names_apart(logs: Sequence[str]) -> list[str]:
-    """A short name for each log: its file's, with its folder's where two files are called alike."""
+    """A short name for each log: its file's, with its folder's where two files have one name."""
     stems = [PurePath(PurePath(log).name.removesuffix(".gz")).stem or "drive" for log in logs]
     found: list[str] = []
     for log, stem in zip(logs, stems, strict=True):

@@ -1,4 +1,4 @@
-"""`imucald reset`: forget the learnt mount and begin anew."""
+"""`imucald reset`: forget the learnt mount and begin again."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def exit_status(status: Mapping[str, Any]) -> int:
 
 
 def asked(options: argparse.Namespace, request: str) -> str | int:
-    """The answer of the daemon that is meant; NOT_RUNNING, with the reason told, without one."""
+    """The answer of the daemon that is meant; NOT_RUNNING and the reason on stderr without one."""
     from imucald.service.asking import ask
 
     try:

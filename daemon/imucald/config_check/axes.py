@@ -148,7 +148,7 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
 
 
 def _turn_gain(motion: Motion, rate: Array, up: Array) -> Iterator[Finding]:
-    """Speed times yaw rate against the force across, where nothing else tells of turns."""
+    """Speed times yaw rate against the force across, where nothing else shows turns."""
     if motion.speed is None or motion.accel is None or motion.gravity is None:
         return
     n = min(len(rate), len(motion.speed), len(motion.accel))

@@ -74,8 +74,8 @@ class Problem:
         if h.pattern is not None:
             return np.zeros(len(h.keys))
         if h.directions:
-            alike = [[k for k, x in d.items() if x == 1.0] for d in h.directions]
-            return np.array([min(errors[self.table.index(keys)]) for keys in alike])
+            together = [[k for k, x in d.items() if x == 1.0] for d in h.directions]
+            return np.array([min(errors[self.table.index(keys)]) for keys in together])
         return np.asarray(errors[self.table.index(h.keys)])
 
     def widened(self, h: Hypothesis | None) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""What stands of the causes that were named: each is asked anew beside the others."""
+"""What stands of the causes that were named: each is asked again beside the others."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def let_go(state: State) -> list[str]:
 
 
 def eliminate(state: State, late: Callable[[], bool]) -> None:
-    """Backward elimination: each cause is asked anew from where the others alone lead, weakest
+    """Backward elimination: each cause is asked again from where the others alone lead, weakest
     first. A greedy start may have named a look-alike, or a slope taken at the wrong place."""
     asked: set[str] = set()
     while len(state.named) > 1 and not late():
@@ -82,7 +82,7 @@ def eliminate(state: State, late: Callable[[], bool]) -> None:
 
 
 def _without(state: State, trial: Trial) -> State:
-    """The others alone, fitted anew."""
+    """The others alone, fitted again."""
     h = trial.hypothesis
     keys = {k for d in h.directions for k in d} or set(h.keys)
     less = replace(

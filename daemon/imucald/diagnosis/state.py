@@ -89,7 +89,7 @@ class State:
 
 
 def refit(state: State) -> None:
-    """All found parameters together, the model evaluated anew where it is now."""
+    """All found parameters together, the model evaluated again where it is now."""
     for _ in range(REFITS):
         problem = state.evaluated()
         total = problem.table.gram.sum(axis=0)

@@ -23,7 +23,7 @@ SINGLE_NATS = -math.log(SINGLE)
 """A likelihood ratio on data that the fit did not see exceeds 1/p with a chance of p at most, where
 nothing is wrong (Markov)."""
 FALSE_SHARE = 0.2
-"""Of what is told as likely: one in five may be false."""
+"""Of what is called likely, one in five may be false."""
 RESAMPLED = 1000
 LEVELLED = ("accel_scale", "accel_cross_axis")
 BIAS = ("accel.bias.x", "accel.bias.y", "accel.bias.z")

@@ -2,7 +2,7 @@
 
 A course is clockwise on every receiver. It is the one signal of a bus that tells a sensor of the
 specific force from one that shows its opposite (phones do, and what calls itself a gravity vector):
-upside down and backwards, such a sensor fits speed, turns and gyroscope alike.
+upside down and backwards, such a sensor fits speed, turns and gyroscope as well.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ class Receiver(Protocol):
 
 
 class Feed:
-    """Reads and publishes until told to stop; what comes during an outage is not kept.
+    """Reads and publishes until it is stopped; what comes during an outage is not kept.
 
     period: between two readings [s].
     """

@@ -76,7 +76,7 @@ class KuksaReceiver:
         self._say(f"{self._broker} takes {len(self._types)} signals")
 
     def _type_of(self, path: str) -> Any:
-        """The data type of a signal; None, told once, where the databroker does not know it."""
+        """The data type of a signal; None, reported once, where the databroker does not know it."""
         try:
             return self._client.get_value_types([path], timeout=CALL_S)[path]
         except self._library.VSSClientError as error:

@@ -141,10 +141,10 @@ def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Arr
         spread = p_ll + noise
         gain_l, gain_r = p_ll / spread, p_lr / spread
         off = value - level
-        told = 0.5 * (off * off / spread + np.log(spread))
+        loss = 0.5 * (off * off / spread + np.log(spread))
         if not goes_on.all():
-            gain_l, gain_r, told = (np.where(goes_on, x, 0.0) for x in (gain_l, gain_r, told))
-        log -= told
+            gain_l, gain_r, loss = (np.where(goes_on, x, 0.0) for x in (gain_l, gain_r, loss))
+        log -= loss
         p_rr = p_rr - gain_r * p_lr
         p_lr = p_lr - gain_l * p_lr
         p_ll = p_ll - gain_l * p_ll

@@ -222,12 +222,12 @@ def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array,
     """
     shape = len(spans), len(series)
     sizes, variances = np.zeros(shape), np.full(shape, np.inf)
-    alike: dict[tuple[int, ...], list[tuple[int, AngleFit]]] = {}
+    by_shape: dict[tuple[int, ...], list[tuple[int, AngleFit]]] = {}
     for k, one in enumerate(series):
         fit = one.fitted() if len(one.score) > spans[0] else None
         if fit is not None:
-            alike.setdefault(fit.rows.shape, []).append((k, fit))
-    for group in alike.values():
+            by_shape.setdefault(fit.rows.shape, []).append((k, fit))
+    for group in by_shape.values():
         columns = [k for k, _ in group]
         size, known = _changes_of([fit for _, fit in group], spans)
         sizes[:, columns] = size.T

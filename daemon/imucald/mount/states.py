@@ -52,7 +52,7 @@ def reported(
     """Return the state to report for the one that the evidence gives (*usable* or *suspect*, ...).
 
     has_faults: something contradicts the estimate. is_serving: a rotation is applied already.
-    has_moved: since the mount moved nothing good was found. is_refitting: it is sought anew.
+    has_moved: since the mount moved nothing good was found. is_refitting: it is sought again.
     """
     is_good = found in GOOD
     if has_faults and (is_good or is_serving):

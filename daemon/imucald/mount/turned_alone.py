@@ -2,7 +2,7 @@
 
 Between two times at which both hardly turn, gyroscope and vehicle have turned by the same angle,
 however late one of them is. Where the gyroscope turned further, the sensor was taken or knocked.
-How the vehicle turns its own yaw rate says, or at speed the force to the left: v r is not there.
+The vehicle's turning is shown by its yaw rate, or at speed by the force to the left (v r).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ APART = 20
 STILL_RATE = 0.05
 """Below this both hardly turn [rad/s]: with 0.2 s between them that is 0.6 deg."""
 MIN_SPEED = 10.0
-"""From here on the force tells [m/s]: a turn by 6 deg in 2 s takes 0.5 m/s^2 on average there."""
+"""From this speed on the force shows a turn [m/s]: one by 6 deg in 2 s takes 0.5 m/s^2 there."""
 
 
 class Witness(Struct, frozen=True):

@@ -19,7 +19,7 @@ ALARMS = {
 """By the names of `Health`."""
 
 PASSING = frozenset({"input_rejected", "frames_lost"})
-"""Alarms that a good bus raises now and then: told, but no fault."""
+"""Alarms that a good bus raises now and then: reported, but no fault."""
 
 
 def alarms_of(health: Mapping[str, object]) -> dict[str, str]:

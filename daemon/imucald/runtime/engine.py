@@ -194,7 +194,7 @@ class Engine:
     # starting again ------------------------------------------------------------------------
 
     def restart_calibration(self) -> MountEstimator:
-        """Forget the estimate and begin anew; all counters go on. Return the former estimator."""
+        """Forget the estimate and begin again; all counters go on. Return the former estimator."""
         return self.pipeline.replace(self.new_estimator())
 
     def new_estimator(self) -> MountEstimator:

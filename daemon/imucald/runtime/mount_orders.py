@@ -1,7 +1,7 @@
 """What people may have done to the mount: reset, hold, release, set; and a tester's calibration.
 
 One implementation for all who ask: the control socket and the diagnostics on the bus. Every order
-is told with who gave it. Nothing here opens a file: what is to be kept is the service's business.
+is reported with who gave it. Nothing here opens a file: the service stores what is to be kept.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class MountOrders:
         return self._service.engine.pipeline.estimator
 
     def reset(self, who: str) -> str:
-        """Forget what was learnt, the saved state too, and begin anew; cannot be taken back."""
+        """Forget what was learnt, the saved state too, and begin again; cannot be taken back."""
         self._former = None
         self._service.engine.restart_calibration()
         self._service.forget_state()
@@ -124,7 +124,7 @@ class MountOrders:
     # a tester's calibration, which can be taken back ----------------------------------------
 
     def begin(self, who: str) -> None:
-        """Begin anew and keep the former estimator aside."""
+        """Begin again and keep the former estimator aside."""
         self._former = self._settings(), self._service.engine.restart_calibration()
         self._told(who, "the calibration is started again")
 

@@ -39,7 +39,7 @@ class Order(Struct, forbid_unknown_fields=True, tag_field="order"):
 
 
 class ResetOrder(Order, tag="reset"):
-    """Forget what was learnt and begin anew."""
+    """Forget what was learnt and begin again."""
 
 
 class HoldOrder(Order, tag="hold"):

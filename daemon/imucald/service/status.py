@@ -18,7 +18,7 @@ from imucald.service.line_server import LineServer
 from imucald.service.metrics import metrics_text
 
 READABLE_BY_ALL = 0o666
-"""It tells, it takes no orders."""
+"""It answers questions and takes no orders."""
 
 
 def default_socket(channel: str, environment: Mapping[str, str] | None = None) -> Path | None:

@@ -35,7 +35,7 @@ class ParquetTables:
         try:
             for name, columns in tables.items():
                 keys = file_keys(columns, {"table": name})
-                # What the drive came to is known at the end, and told then.
+                # The result of the drive is known, and written, at the end.
                 schema = arrow_schema(columns, None).with_metadata({PANDAS_KEY: keys[PANDAS_KEY]})
                 place = str(unfinished(self._files[name]))
                 self._writers[name] = parquet.ParquetWriter(place, schema, compression="zstd")
