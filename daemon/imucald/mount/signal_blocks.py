@@ -7,9 +7,10 @@ be interpolated between samples on both sides. Says for every tick whether it ma
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
@@ -44,8 +45,7 @@ BLOCKS_WITHOUT_SPEED = 4
 """Hops without any speed after which the estimator does without (26 s)."""
 
 
-@dataclass
-class SignalBlock:
+class SignalBlock(Struct):
     """One block, N = BLOCK_TICKS; where a flag is False, values are finite and mean nothing."""
 
     t: Array
