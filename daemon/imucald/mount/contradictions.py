@@ -63,6 +63,7 @@ class StandingFault(enum.StrEnum):
     GYRO_GAIN = "gyroscope_unit"
     SPEED_GAIN = "speed_unit"
     GYRO_AXES = "gyroscope_axes"
+    ORIENTATION = "accelerometer_against_orientation"
     NUMERICS = "numbers_out_of_range"
 
 
@@ -78,6 +79,8 @@ WORDS = {
     StandingFault.SPEED_GAIN: "the speed's unit is wrong",
     StandingFault.GYRO_AXES: "the gyroscope's axes do not fit the accelerometer's: a sign, or two "
     "axes exchanged, of one of them, or a sensor that sways in its holder",
+    StandingFault.ORIENTATION: "the sensor sits the other way round than 'orientation:' says: all "
+    "signs of the accelerometer ('sign: -1'), or that line",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
 }
 

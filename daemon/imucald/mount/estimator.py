@@ -23,7 +23,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.rotations import rotation_from_vector
+from imucald.core.rotations import Matrix3, rotation_from_vector
 from imucald.motion.ticks import TickRow
 from imucald.mount.alternatives import TO_BE_FINE, TO_BE_GOOD, Alternatives
 from imucald.mount.contradictions import WORDS, Contradictions, StandingFault
@@ -74,6 +74,12 @@ SHIFTS_ALLOWED = 1
 """After more of them in one drive the mount is loose: it is never *fine*."""
 MOST_OF_LEAN = 0.9
 """Yaw's deviation is at most in so much that of the road's lean: a covariance stays one."""
+MIRRORED = (
+    "a signal that separates left from right (yaw rate, steering angle, lateral acceleration, "
+    "heading), or 'calibration: {orientation: {up: z}}' with the axis that points up: without, an "
+    "accelerometer with all signs turned looks the same"
+)
+"""What keeps an estimate that is certain enough from being *fine* where no signal has sides."""
 FROZEN_TICKS = 40
 """Learning counts as frozen when so many of a block's ticks were not to be trusted."""
 
@@ -206,6 +212,8 @@ class FullEstimator:
         """Hold the signals against one another; a contradiction that has ended begins anew."""
         solver, signals = self._solver, self._signals
         if signals.without_speed:
+            self._faults = ()
+            self._alternatives.add_without_speed(p, solver.R, signals.seen)
             return
         R = solver.R if solver.yaw_known else None
         self._contradictions.add(
@@ -218,7 +226,8 @@ class FullEstimator:
         )
         offset = signals.steering_offset
         self._alternatives.add(self._kept, R, solver.bias, solver.gains(), signals.seen, offset)
-        before, self._faults = self._faults, self._contradictions.faults
+        before = tuple(f for f in self._faults if f is not StandingFault.ORIENTATION)
+        self._faults = self._contradictions.faults
         if self._alternatives.gyro_accused and (solver.sure() or StandingFault.GYRO_AXES in before):
             self._faults = (*self._faults, StandingFault.GYRO_AXES)
         new = [fault for fault in self._faults if fault not in before]
@@ -361,6 +370,7 @@ class FullEstimator:
         solver = self._solver
         if self._failed_for:
             self._faults = (*self._faults, StandingFault.NUMERICS)
+        self._hold_against_orientation()
         fused = solver.fused
         std = (math.inf, math.inf, math.inf)
         if fused is not None:
@@ -388,6 +398,16 @@ class FullEstimator:
         else:  # good again, but what is applied is still on the way from what was wrong
             self._state = MountState.RECALIBRATING
 
+    def _hold_against_orientation(self) -> None:
+        """A fault where the sensor is found to sit the other way round than a person said."""
+        solver, fault = self._solver, StandingFault.ORIENTATION
+        if solver.R is None or fault in self._faults:
+            return
+        if self._alternatives.contradicts_orientation(solver.R, solver.yaw_known):
+            self._faults = (*self._faults, fault)
+            if fault not in {seen for _, seen in self._faults_seen}:
+                self._faults_seen.append((self._blocks, fault))
+
     def _allowed(self, found: MountState) -> MountState:
         """No *fine* before the tests can see, and nothing good in the face of a contradiction."""
         serving = self._served.correction is not None and not self._moved
@@ -409,6 +429,8 @@ class FullEstimator:
         """Whether every test is armed, the signals were seen to agree, and little has happened."""
         if len(self._shifts) > SHIFTS_ALLOWED or not self._solver.armed:
             return False
+        if not self._alternatives.is_mirror_excluded:
+            return False
         if self._signals.without_speed:
             return True
         return self._contradictions.agreed and self._alternatives.are_seen(TO_BE_FINE)
@@ -419,6 +441,8 @@ class FullEstimator:
             return f"a mount that stays: it moved {len(self._shifts)} times in this drive"
         if not self._solver.armed:
             return "more driving, until a moved sensor would be noticed"
+        if self._alternatives.not_checked:
+            return MIRRORED
         return "more turns and changes of speed, until the signals are seen to agree"
 
     def _state_by(self, found: MountState) -> MountState:
@@ -467,7 +491,11 @@ class FullEstimator:
         self._answered = made_of, (R, covariance)
         return R, covariance
 
-    # what outlives the process; see `mount.restored`
+    # what a person says, and what outlives the process; see `mount.restored`
+
+    def take_stated_mount(self, R: Matrix3) -> None:
+        """A person states the mount: it rules out what no signal may, where it is the one found."""
+        self._alternatives.take_mount(R)
 
     @property
     def contradiction(self) -> float | None:
@@ -514,7 +542,8 @@ class FullEstimator:
             codes = {angle: codes.get(angle, Missing.AGREEMENT) for angle in ANGLES}
         if self._state is MountState.USABLE and not words:
             words = dict.fromkeys(ANGLES, self._why_not_fine())
-            codes = dict.fromkeys(ANGLES, Missing.NOTHING)
+            code = Missing.AGREEMENT if self._alternatives.not_checked else Missing.NOTHING
+            codes = dict.fromkeys(ANGLES, code)
         targets = self._settings.targets
         if self._solver.fused is None:
             return MountEstimate(
