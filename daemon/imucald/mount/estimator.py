@@ -23,6 +23,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.config.base import MAX_SPEED_DELAY
 from imucald.core.rotations import Matrix3, rotation_from_vector
 from imucald.motion.ticks import TickRow
 from imucald.mount.alternatives import TO_BE_FINE, TO_BE_GOOD, Alternatives
@@ -80,6 +81,9 @@ MIRRORED = (
     "accelerometer with all signs turned looks the same"
 )
 """What keeps an estimate that is certain enough from being *fine* where no signal has sides."""
+LATE_SPEED = (
+    f"a speed that comes sooner: it seems later than {MAX_SPEED_DELAY:g} s behind the accelerometer"
+)
 FROZEN_TICKS = 40
 """Learning counts as frozen when so many of a block's ticks were not to be trusted."""
 
@@ -196,7 +200,10 @@ class FullEstimator:
         is_young = self._solver.blocks <= EAGER_BLOCKS
         is_refitting = self._refit is not None
         if is_turn or is_young:
+            starts = self._solver.starts
             self._solver.fit()
+            if self._solver.starts > starts:  # what the forces said was said of another rotation
+                self._contradictions.forget_forces()
         if self._solver.response.segment != self._segment:
             self._segment = self._solver.response.segment
             self._solver.p_constant = P_CONSTANT_AGAIN if self._shifts else P_CONSTANT
@@ -223,6 +230,7 @@ class FullEstimator:
             R,
             signals.steering_offset,
             "yaw_rate" in signals.seen,
+            solver.delay_speed.value if solver.delay_speed.is_known else None,
         )
         offset = signals.steering_offset
         self._alternatives.add(self._kept, R, solver.bias, solver.gains(), signals.seen, offset)
@@ -421,6 +429,8 @@ class FullEstimator:
         """Why an estimate whose deviations are small enough is not good yet; None: it is."""
         if self._signals.without_speed:
             return None
+        if self._solver.delay_speed.is_beyond:
+            return LATE_SPEED
         if self._contradictions.doubtful:
             return "more bends, as signals contradict one another"
         return self._alternatives.missing(TO_BE_GOOD)
