@@ -31,6 +31,7 @@ from imucald.config_check.finding import (
     spread,
 )
 from imucald.config_check.motion import Motion, smooth
+from imucald.config_check.turning_axis import turning_axis_findings
 from imucald.config_check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
 from imucald.core.samples import GRAVITY
 from imucald.mount.alternatives import NOT_CHECKED
@@ -88,6 +89,7 @@ def judge(
     yield from _along(motion)
     if not motion.planar:
         yield from axes_findings(motion, rates)
+        yield from turning_axis_findings(motion)
     yield from (f for f in _speed_against_wheels(motion) if not (is_scaled and f.level == "ok"))
     yield from _brake(motion)
     yield from _not_checked(motion, rates, up)

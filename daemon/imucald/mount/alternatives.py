@@ -85,7 +85,7 @@ def _signed_permutations() -> Array:
     return np.array([eye, *some, *(-S for S in some), -eye])
 
 
-_TRIED = _signed_permutations()
+TRIED = _signed_permutations()
 
 
 class Mirrored:
@@ -127,7 +127,7 @@ class Alternatives:
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self._gyro = np.zeros(len(_TRIED) - 1)
+        self._gyro = np.zeros(len(TRIED) - 1)
         self._gyro_blocks = 0
         self._blocks = 0
         self._turns = Mirrored(FORCE_FLOOR)
@@ -309,7 +309,7 @@ def _left_over(
     ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float
 ) -> Array:
     """Energies (14, 2) that each alternative leaves of the level parts of the vertical [rad^2]."""
-    rates = np.matmul(rate, np.matmul(R, _TRIED).transpose(0, 2, 1))  # (14, N, 3)
+    rates = np.matmul(rate, np.matmul(R, TRIED).transpose(0, 2, 1))  # (14, N, 3)
     turning = rates[:, :, 2]
     sides = across - (gain / GRAVITY) * speed * turning
     smooth = [np.convolve(np.pad(x, 5, mode="edge"), SMOOTH, "valid") for x in (ahead, sides[0])]
