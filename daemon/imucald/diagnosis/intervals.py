@@ -73,8 +73,8 @@ def estimate(
     variance = np.maximum(np.max(spread, axis=0), 0.0)
     far = np.diag(inverse @ (_between_quarters(score) + np.diag(prior)) @ inverse)[own]
     excess = np.maximum(far - variance, 0.0)
-    more = excess + problem.model_error(h) ** 2
-    se = np.sqrt(variance + more)
+    more = problem.model_error(h) ** 2
+    se = np.sqrt(variance + excess + more)
     wander = np.sqrt(QUARTERS * excess)
     pull = _pull(problem, h, x, own, more, null or problem)
     return Estimate(x[own], se, quantile(B, questions), pull, wander)
@@ -86,8 +86,8 @@ def _pull(
     """Profile likelihood with the others in their box, so that none counts beyond its tolerance.
 
     The rise of the loss is divided by how much the blocks scatter more than the weights say
-    (sandwich over model-based variance), and by `more` (k,), the variances between quarters and of
-    the equations themselves.
+    (sandwich over model-based variance), and by `more` (k,), the variances of the equations
+    themselves.
     """
     gram, low, high = problem.widened(h)
     total = gram.sum(axis=0)
@@ -107,16 +107,19 @@ def _pull(
     inner = score.T @ score * (B / max(B - len(own) - 1, 1))
     lag = score[1:].T @ score[:-1]
     model = np.maximum(np.diag(inverse)[at], 1e-300)
-    ways = [np.diag(inverse @ way @ inverse)[at] for way in (inner, inner + lag + lag.T)]
+    scores = (inner, inner + lag + lag.T, _between_quarters(score))
+    ways = [np.diag(inverse @ way @ inverse)[at] for way in scores]
     spread = max(1.0, float(np.max((np.max(ways, axis=0) + more) / model)))
     # k parameters at once rise by k more without a reason.
     return float(np.sqrt(max(2.0 * rise / spread - (len(own) - 1), 0.0)))
 
 
 def _between_quarters(score: Array) -> Array:
-    """Scatter of the quarters' scores about their mean: what drifts from piece to piece counts by as
-    much as it moves the whole (cluster-robust; Cameron and Miller 2015). Where little tells of a
-    parameter, a quarter may say anything of it, and the whole hardly moves."""
+    """Scatter of the quarters' scores about their mean (cluster-robust; Cameron and Miller 2015).
+
+    What drifts from piece to piece counts by as much as it moves the whole. Where little tells of a
+    parameter, a quarter may say anything of it, and the whole hardly moves.
+    """
     parts = np.array([part.sum(axis=0) for part in np.array_split(score, QUARTERS)])
     if len(score) < 2 * QUARTERS:
         return np.zeros((score.shape[1], score.shape[1]))

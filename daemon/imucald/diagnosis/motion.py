@@ -18,16 +18,8 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.reading import Reader, Reference
 from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.single_track import followed_angle
 
-SLOW_MPS = 2.5
-"""Below this play and tyres decide on the yaw rate, not the steering angle."""
-RELAXATION_M = 0.4
-"""A tyre's side force builds up along so much road (a passenger car's 0.2 to 0.6 m; Pacejka, Tyre and
-Vehicle Dynamics, ch. 5)."""
-RACK_S = 0.03
-"""The wheels behind the hands: a steering gear of 6 Hz on its torsion bar, well damped (2 zeta/omega)."""
-LEVEL_MPS = 4.0
-"""The single track is solved at speeds so far apart; between two of them it is interpolated."""
 SMOOTH_STEPS = 5
 """Angular acceleration is the slope over so many steps: it is mostly noise above 1 Hz."""
 SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
@@ -235,7 +227,7 @@ class VehicleMotion:
         gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
         v = np.abs(self.v)
         steer = f.scalar("steering", self.changes)
-        steer = self._followed(steer, v, gradient)
+        steer = followed_angle(steer, v, c, gradient)
         leaning = self._leaning()
         angle = np.clip(steer / ratio, -1.2, 1.2)
         angle = angle + self.changes.get("_steering.variable_ratio", 0.0) * angle**3
@@ -253,36 +245,6 @@ class VehicleMotion:
         moved = along_vehicle(self.changes, "accel.bias")[1]
         moved += GRAVITY * along_vehicle(self.changes, "mount.turn")[0]
         return np.asarray(self.settled.leaning - moved)
-
-    def _followed(self, steer: Array, v: Array, gradient: float) -> Array:
-        """Steering angle as the yaw rate follows it, gain 1: the single track at each speed.
-
-        With S_k = a^k C_f + (-b)^k C_r and tyres that build up force with h = 1 + s sigma/v:
-        m h v_y' = C_f d - S_0 v_y/v - S_1 r/v - m h v r,   I h r' = a C_f d - S_1 v_y/v - S_2 r/v.
-        """
-        c, n = self.f.model.chassis, len(steer)
-        rear, length, m = c.rear_cornering_stiffness_npr, c.wheelbase_m, c.mass_kg
-        a, b, inertia = c.cg_to_front_m, c.cg_to_rear_m, c.yaw_inertia_kgm2
-        front = b / max(gradient * length / m + a / rear, 1e-9)
-        s0, s1, s2 = front + rear, a * front - b * rear, a * a * front + b * b * rear
-        s = 2j * np.pi * np.fft.rfftfreq(2 * n, STEP_S)
-        # Mirrored at its end, so that a drive's last angle does not run into its first.
-        spectrum = np.fft.rfft(np.concatenate([steer, steer[::-1]])) * np.exp(-RACK_S * s)
-        place = np.maximum(v, SLOW_MPS) / LEVEL_MPS
-        below = np.floor(place).astype(int)
-        made = np.zeros(n)
-        for level in range(int(below.min()), int(below.max()) + 2):
-            share = np.clip(1.0 - np.abs(place - level), 0.0, 1.0)
-            if not share.any():
-                continue
-            u = max(level * LEVEL_MPS, SLOW_MPS)
-            h = 1.0 + s * RELAXATION_M / u
-            top = a * m * h * s + rear * length / u
-            under = inertia * m * (h * s) ** 2 + h * s * (m * s2 + inertia * s0) / u
-            under += (s0 * s2 - s1 * s1) / u**2 - m * h * s1
-            response = top / under * (under[0] / top[0])
-            made += share * np.fft.irfft(spectrum * response, 2 * n)[:n]
-        return made
 
 
 def _from_middle(x: Array) -> Array:
