@@ -394,6 +394,8 @@ class FullEstimator:
             accelerometer=bool(p.ok_force.any()),
             speed=not self._signals.without_speed and bool(p.ok_speed.any()),
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
+            yaw_seen=solver.yaw_seen,
+            cross_axis=solver.cross_axis_std,
         )
         found = judged(self._known, self._state, self._settings)
         was_good = self._state in GOOD
