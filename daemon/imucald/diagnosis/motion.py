@@ -18,7 +18,7 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.reading import Reader, Reference
 from imucald.diagnosis.signals import STEP_S, Array
-from imucald.diagnosis.single_track import followed_angle
+from imucald.diagnosis.single_track import followed_angle, slip_delay
 
 SMOOTH_STEPS = 5
 """Angular acceleration is the slope over so many steps: it is mostly noise above 1 Hz."""
@@ -40,7 +40,7 @@ class VehicleMotion:
         late += changes.get("speed.delay_rate", 0.0) * (reader.knots - reader.middle_s)
         self.knots = reader.knots - late
         scale = model.speed.scale + changes.get("speed.scale", 0.0)
-        slip = changes.get("_speed.driven_slip", 0.0)
+        driven = changes.get("_speed.driven_slip", 0.0)
         v = drive.knots.values / (1.0 + scale)
         self.v = np.interp(reader.t, self.knots, v)
         self.settled = reference = reader.reference if by_inertia else None
@@ -64,15 +64,18 @@ class VehicleMotion:
         else:
             self.r = np.zeros(len(reader.t))
         kappa = rear_slip(model) + changes.get("_tyre.rear_slip", 0.0)
-        self.v_y = model.chassis.cg_to_rear_m * self.r - kappa * self.v * np.abs(self.v) * self.r
+        slip = kappa * np.abs(self.v)
+        late = slip_delay(self.v, slip, model.chassis)
+        self.v_y = model.chassis.cg_to_rear_m * self.r
+        self.v_y = self.v_y - slip * self.v * np.interp(reader.t - late, reader.t, self.r)
         slopes = np.diff(drive.knots.values) / np.diff(reader.knots)
         if reference is not None:
             slopes = reference.slopes
         self.slopes = slopes / (1.0 + scale)
-        if slip:
+        if driven:
             # Driven wheels turn faster than the vehicle moves: v_wheel = v (1 + c a).
             lead = self.v * self.held(self.slopes)
-            self.slopes = self.slopes - slip * self._mean_slopes(np.gradient(lead, STEP_S))
+            self.slopes = self.slopes - driven * self._mean_slopes(np.gradient(lead, STEP_S))
 
     def _lever(self, lever: Array) -> Array:
         """Acceleration of a point at `lever` against the body's reference: w' x l + w x (w x l)."""
