@@ -20,10 +20,17 @@ from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.faults import Fault, find_faults, spoilt
-from imucald.diagnosis.gain import gain_of
+from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.intervals import estimate, quantile
 from imucald.diagnosis.pictures import pictures_of
-from imucald.diagnosis.result import TOO_MUCH, Diagnosis, FoundCause, Structure
+from imucald.diagnosis.result import (
+    GOES_AGAINST,
+    TOO_MUCH,
+    Diagnosis,
+    FoundCause,
+    Gain,
+    Structure,
+)
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.search import search
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
@@ -36,6 +43,8 @@ LIMIT_S = 300.0
 GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
+UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
+"""Structure beside which no fit is believed."""
 HALF = 0.5
 """A file is not held to less than this share of a tolerance: one drive's pieces share warmth, load
 and weather."""
@@ -91,11 +100,8 @@ def diagnose(
     problem = state.evaluated()
     gain, signals = gain_of(before, problem, state.free, state.forwards)
     if state.shift is not None:
-        gain = replace(gain, held_out_log_likelihood=float(state.shift.gain.sum()))
+        gain = summed(state.shift.gain, gain.worse)
     sets = outcome.look_alikes(state)
-    recommended = (
-        bool(told) and not gain.worse and (gain.held_out_log_likelihood > 0.0 or not state.free)
-    )
     tell(0.95, "pictures")
     return Diagnosis(
         verdict=outcome.verdict_of(told, sets, left),
@@ -112,9 +118,19 @@ def diagnose(
         pictures=pictures_of(forwards_before, state.forwards),
         model_before=model,
         model_after=written,
-        recommended=recommended,
+        recommended=_is_recommended(told, gain, left, written != model),
         complete=not late.was,
     )
+
+
+def _is_recommended(
+    told: Sequence[FoundCause], gain: Gain, left: Sequence[Structure], changes: bool
+) -> bool:
+    """The written file predicts data that no fit saw better, or states what was read directly; and
+    the prediction is to be believed at all."""
+    if not (told and changes) or any(s.kind in UNBELIEVED for s in left):
+        return False
+    return not gain.worse and (gain.held_out_log_likelihood > 0.0 or not gain.was_fitted)
 
 
 def _left(state: State) -> tuple[Structure, ...]:

@@ -15,9 +15,10 @@ import numpy as np
 
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age
-from imucald.diagnosis.motion import SLOW_MPS, VehicleMotion
+from imucald.diagnosis.motion import VehicleMotion
 from imucald.diagnosis.reading import Reader
 from imucald.diagnosis.signals import STEP_S, Array, Mask
+from imucald.diagnosis.single_track import SLOW_MPS
 
 UNITS: Mapping[str, str] = {
     "accel_x": "m/s^2", "accel_y": "m/s^2", "accel_z": "m/s^2", "gyro_x": "rad/s",

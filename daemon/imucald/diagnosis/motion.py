@@ -18,11 +18,8 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.reading import Reader, Reference
 from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.single_track import followed_angle
 
-SLOW_MPS = 2.5
-"""Below this play and tyres decide on the yaw rate, not the steering angle."""
-RELAXATION_S = 0.03
-"""A tyre of 0.5 m relaxation length at 15 m/s."""
 SMOOTH_STEPS = 5
 """Angular acceleration is the slope over so many steps: it is mostly noise above 1 Hz."""
 SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
@@ -223,14 +220,14 @@ class VehicleMotion:
         return np.asarray(self.r)
 
     def _by_steering(self) -> Array:
-        """Single track, quasi-static and late by its lag: r = v (delta - K (f_y - v r))/(L + K v^2)
-        (Rajamani, Vehicle Dynamics and Control, ch. 2, 3)."""
+        """Single track: r = v (delta - K (f_y - v r))/(L + K v^2), where delta is the angle as the
+        vehicle follows it (Rajamani, Vehicle Dynamics and Control, ch. 2, 3)."""
         f, c = self.f, self.f.model.chassis
         ratio = c.steering_ratio + self.changes.get("chassis.steering_ratio", 0.0)
         gradient = c.understeer_gradient + self.changes.get("chassis.understeer_gradient", 0.0)
         v = np.abs(self.v)
         steer = f.scalar("steering", self.changes)
-        steer = np.interp(f.t - self._lag(v, gradient), f.t, steer)
+        steer = followed_angle(steer, v, c, gradient)
         leaning = self._leaning()
         angle = np.clip(steer / ratio, -1.2, 1.2)
         angle = angle + self.changes.get("_steering.variable_ratio", 0.0) * angle**3
@@ -248,17 +245,6 @@ class VehicleMotion:
         moved = along_vehicle(self.changes, "accel.bias")[1]
         moved += GRAVITY * along_vehicle(self.changes, "mount.turn")[0]
         return np.asarray(self.settled.leaning - moved)
-
-    def _lag(self, v: Array, gradient: float) -> Array:
-        """From steering to yaw rate: 2 zeta/omega - T_z of the single track, and the tyres' [s]."""
-        c = self.f.model.chassis
-        rear, length, m = c.rear_cornering_stiffness_npr, c.wheelbase_m, c.mass_kg
-        a, b, inertia = c.cg_to_front_m, c.cg_to_rear_m, c.yaw_inertia_kgm2
-        front = b / max(gradient * length / m + a / rear, 1e-9)
-        v = np.maximum(v, SLOW_MPS)
-        damping = (front + rear) / (m * v) + (a * a * front + b * b * rear) / (inertia * v)
-        square = front * rear * length * (length + gradient * v * v) / (m * inertia * v * v)
-        return np.asarray(damping / square - m * a * v / (rear * length) + RELAXATION_S)
 
 
 def _from_middle(x: Array) -> Array:

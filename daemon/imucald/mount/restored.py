@@ -18,6 +18,7 @@ from __future__ import annotations
 import enum
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +76,15 @@ class StoredMount:
     is_given: bool = False
 
 
+@runtime_checkable
+class TakesStatedMount(Protocol):
+    """An estimator to which it matters what a person says of the mount."""
+
+    def take_stated_mount(self, R: Matrix3) -> None:
+        """A person states R_vehicle_from_sensor."""
+        ...
+
+
 class Phase(enum.StrEnum):
     """Who serves, and why."""
 
@@ -108,6 +118,8 @@ class RestoredEstimator:
         self.joined = False
         """Whether the stored evidence goes along with the new."""
         self._has_left = False
+        if stored.is_given and isinstance(inner, TakesStatedMount):
+            inner.take_stated_mount(stored.R_vehicle_from_sensor)
         self._prior = stored.covariance + np.diag(np.square(BETWEEN_DRIVES_STD))
         self._served = SlewedRotation(HAND_OVER_RATE)
         self._served.aim(stored.R_vehicle_from_sensor)

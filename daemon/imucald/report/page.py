@@ -133,8 +133,7 @@ def _key_figures(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
             f"{titles.signal_title(name)}: {numbers.number(best.rms_before)} → "
             f"{numbers.number(best.rms_after)} {unit}",
         ))  # fmt: skip
-        advice = "use it" if diagnosis.recommended else "not recommended"
-        figures.append(("Extended model file", advice, "by what it brings alone"))
+        figures.append(("Extended model file", *words.advice_in_short(diagnosis)))
     figures.append(("Data", numbers.duration(diagnosis.duration_s), "diagnosed"))
     return figures
 
