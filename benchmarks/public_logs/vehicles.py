@@ -69,7 +69,7 @@ def tcr_civic(data: Path) -> list[Message]:
     try:
         from libxrk import aim_xrk  # type: ignore[import-not-found,unused-ignore]
     except ImportError:
-        remedy = "pip install 'imucald[public-logs]'"
+        remedy = "pip install '.[public-logs]'"
         raise ValueError(f"tcr_civic is read with libxrk: {remedy}") from None
     path = "testdata/072/TCR_EU-21_E02-LCA_Q1_HO-FK7-M5-X-S_072_A_1252.xrk"
     with tempfile.TemporaryDirectory() as folder:
