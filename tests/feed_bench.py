@@ -15,6 +15,7 @@ from imucald.feeds.daemon_source import DaemonSource
 from imucald.feeds.feed_loop import Feed
 from imucald.service.service import Service
 from service_bench import Bench, running
+from threads import in_a_thread
 
 AHEAD = 1.5
 """Acceleration of the vehicle [m/s^2], as a sensor at yaw 25 deg feels it."""
@@ -72,11 +73,8 @@ def wait_until(condition: Callable[[], object], limit: float = 10.0) -> None:
 
 @contextmanager
 def fed(feed: Feed) -> Iterator[None]:
-    thread = threading.Thread(target=feed.run)
-    thread.start()
-    try:
-        yield
-    finally:
+    def stop() -> None:
         feed.stopping = True
-        thread.join(10.0)
-        assert not thread.is_alive()
+
+    with in_a_thread(feed.run, stop, limit=10.0):
+        yield

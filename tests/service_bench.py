@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import itertools
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ from imucald.can.logs.log_reader import LogReader
 from imucald.service.journal import Journal
 from imucald.service.notify import Notifier
 from imucald.service.service import Service, ServiceOptions
+from threads import in_a_thread
 
 CHANNELS = itertools.count()
 
@@ -55,12 +55,8 @@ class Bench:
 
 @contextmanager
 def running(service: Service) -> Iterator[Service]:
-    thread = threading.Thread(target=service.run)
-    thread.start()
     try:
-        yield service
+        with in_a_thread(service.run, service.stop):
+            yield service
     finally:
-        service.stop()
-        thread.join(5.0)
-        assert not thread.is_alive()
         service.close()

@@ -160,3 +160,46 @@ def test_an_old_python_is_told_what_to_install(
 def test_a_help_installs_nothing_further(script: Any, command: str, option: str) -> None:
     assert script.extra_of(command.split()) == "report"
     assert script.extra_of([*command.split(), option]) == ""
+
+
+def installs(script: Any, *extras: str) -> list[list[str]]:
+    """What pip is called with when these extras are asked for one after the other."""
+    calls: list[list[str]] = []
+    script.make_venv = lambda: None
+    script.runs_quietly = lambda _: True
+    script.subprocess = SimpleNamespace(call=lambda command: calls.append(command[4:]) or 0)
+    for extra in extras:
+        script.prepare(extra)
+    return calls
+
+
+def test_a_further_extra_installs_its_requirements_and_builds_nothing_again(script: Any) -> None:
+    (script.ROOT / "pyproject.toml").write_text(
+        "[project]\n[project.optional-dependencies]\nreport = ['jinja2>=3.1', 'matplotlib']\n"
+    )
+    first, second = installs(script, "", "report", "report", "")
+    assert first[-2:] == ["--editable", str(script.ROOT)]
+    assert second[-2:] == ["jinja2>=3.1", "matplotlib"]
+    assert "--editable" not in second
+    assert script.is_done("report")
+
+
+def test_all_is_installed_when_the_extra_comes_first_or_the_project_file_changed(
+    script: Any,
+) -> None:
+    path = script.ROOT / "pyproject.toml"
+    path.write_text("[project]\n[project.optional-dependencies]\ndev = ['pytest']\nlive = ['x']\n")
+    (first,) = installs(script, "dev")
+    assert first[-1] == f"{script.ROOT}[dev]"
+    path.write_text(path.read_text() + "# changed\n")
+    (again,) = installs(script, "live")
+    assert again[-1] == f"{script.ROOT}[live]"
+
+
+def test_only_for_the_tests_is_all_compiled_at_once(script: Any) -> None:
+    (script.ROOT / "pyproject.toml").write_text(
+        "[project]\n[project.optional-dependencies]\ndev = ['pytest']\n"
+    )
+    plain, dev = installs(script, "", "dev")
+    assert "--no-compile" in plain
+    assert "--no-compile" not in dev

@@ -64,6 +64,8 @@ def written(path: str, default: Any) -> Any:
     """A default as it stands in a file; a key without one gets a number that all such keys take."""
     if path == "calibration.mount":
         return {"roll_deg": 1.0, "pitch_deg": 2.0, "yaw_deg": 3.0, "std_deg": 0.3}
+    if path.startswith("calibration.orientation."):
+        return "-z"
     if default is None or default is msgspec.NODEFAULT:
         return 0.3
     return list(default) if isinstance(default, tuple) else default
@@ -83,7 +85,7 @@ def test_every_key_is_read_by_the_estimator_or_told(
     if part in READ_BY_METHOD_A:
         assert bool(text) == (estimator == "full"), text
         assert not text or f"calibration.{part}: has no effect with estimator: full" in text
-    elif path == "calibration.cross_axis":
+    elif path.startswith(("calibration.cross_axis", "calibration.orientation")):
         assert bool(text) == (estimator == "published")
     elif path.startswith("attitude.") and default is not msgspec.NODEFAULT:
         idle = path in IDLE_WITH_FILTER

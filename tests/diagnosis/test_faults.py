@@ -190,3 +190,46 @@ def test_a_clock_that_wanders_still_shows_what_is_lost():
     found = causes(samples)
     assert list(found) == ["dropouts:accel"]
     assert found["dropouts:accel"].values["accel.loss"][0] == pytest.approx(0.02, abs=0.003)
+
+
+def test_a_slow_sensor_that_stays_at_its_highest_is_clipped():
+    """Ten samples a second give few at a rail, but each stay lasts."""
+    samples = drive()
+    t = np.arange(0.0, SECONDS, 0.1)
+    rng = np.random.default_rng(4)
+    smooth = np.convolve(rng.standard_normal(len(t) + 20), np.hanning(20), "valid")[: len(t)]
+    up = 9.81 + 0.1 * rng.standard_normal(len(t))
+    x = np.column_stack([smooth, 0.7 * np.roll(smooth, 900), up])
+    x = np.round(x / 0.004) * 0.004
+    slow = MODEL.with_changes({"accel.rate_hz": 10.0})
+    assert causes(samples | {"accel": Series(t, x)}, slow) == {}
+    clipped = x.copy()
+    clipped[:, 0] = np.minimum(x[:, 0], np.quantile(x[:, 0], 0.98))
+    found = causes(samples | {"accel": Series(t, clipped)}, slow)
+    assert list(found) == ["saturation:accel"]
+
+
+def test_a_sensor_that_is_stuck_across_a_stop_is_found():
+    samples = drive()
+    ts = samples["speed"].t
+    speed = np.where((ts > 110.0) & (ts < 130.0), 0.0, samples["speed"].values)
+    samples["speed"] = Series(ts, speed)
+    x = samples["gyro"].values.copy()
+    inside = (samples["gyro"].t > 105.0) & (samples["gyro"].t < 135.0)
+    x[inside] = x[np.flatnonzero(inside)[0]]
+    samples["gyro"] = Series(samples["gyro"].t, x)
+    found = causes(samples)
+    assert list(found) == ["stuck_signal:gyro"]
+    assert found["stuck_signal:gyro"].values["_gyro.stuck_s"][0] == pytest.approx(30.0, abs=1.0)
+
+
+def test_a_stuck_speed_does_not_put_the_blame_on_what_stands_still():
+    """The speed stays at 40 km/h while the vehicle stops, and its yaw rate holds still."""
+    samples = drive()
+    rng = np.random.default_rng(8)
+    t = samples["speed"].t
+    yaw = np.round(0.1 * np.sin(t / 7.0) / 0.001 + rng.standard_normal(len(t))) * 0.001
+    samples["yaw_rate"] = Series(t, np.where((t > 110.0) & (t < 150.0), 0.0, yaw))
+    stuck = (t > 100.0) & (t < 160.0)
+    samples["speed"] = Series(t, np.where(stuck, 11.0, samples["speed"].values))
+    assert "stuck_signal:yaw_rate" not in causes(samples)

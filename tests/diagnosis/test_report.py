@@ -20,6 +20,7 @@ from html_page import NAME_SPACES, Page
 from imucald.core.errors import ImucaldError
 from imucald.diagnosis.result import (
     GOES_AGAINST,
+    TOO_MUCH,
     Candidate,
     Estimated,
     Gain,
@@ -452,3 +453,19 @@ def test_the_clearest_segment_is_where_the_residual_falls():
     assert rows.start >= 3000
     assert rows.stop <= 3402
     assert rows.stop - rows.start == pytest.approx(300, abs=2)
+
+
+def test_a_fault_alone_does_not_promise_a_better_prediction():
+    read = made.found(gain=Gain(0.0, (0.0, 0.0), (), was_fitted=False))
+    text = page(read).text
+    assert "use it" not in text
+    assert "read directly" in text
+    assert "nats" not in text
+
+
+def test_beside_a_loose_sensor_no_file_is_recommended():
+    loose = Structure("accel_y", TOO_MUCH, 3.0, "1 m/s^2 is left")
+    d = made.found(structure=(loose,), recommended=False)
+    explanation = words.verdict(d).explanation
+    assert "no prediction is believed" in explanation
+    assert "use it" not in page(d).text

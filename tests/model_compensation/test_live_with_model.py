@@ -41,13 +41,6 @@ def simulated(folder: Path, estimator: str = "published") -> LoadedConfig:
     return open_config(folder / "sim.yaml")
 
 
-def rows(frames):
-    for t, can_id, length, data in zip(
-        frames.t.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
-    ):
-        yield t, can_id, data[:length].tobytes()
-
-
 @pytest.mark.slow
 def test_frames_on_a_virtual_bus_equal_those_of_replay_byte_for_byte(tmp_path):
     config = simulated(tmp_path)
@@ -56,7 +49,7 @@ def test_frames_on_a_virtual_bus_equal_those_of_replay_byte_for_byte(tmp_path):
     expected = []
     for start, stop in ((0, 7001), (7001, 24_000)):
         out = engine.columns(frames.take(slice(start, stop)))
-        expected += [(can_id, data) for _, can_id, data in rows(out)]
+        expected += [(can_id, data) for _, can_id, data in out.rows()]
 
     live = make_engine(config)
     channel = f"model-{next(CHANNELS)}"
@@ -69,7 +62,7 @@ def test_frames_on_a_virtual_bus_equal_those_of_replay_byte_for_byte(tmp_path):
         while (message := bus.recv(0.0)) is not None:
             got.append((message.arbitration_id, bytes(message.data)))
 
-    for k, (t, can_id, data) in enumerate(rows(frames)):
+    for k, (t, can_id, data) in enumerate(frames.rows()):
         bus.send(
             can.Message(
                 timestamp=t,
@@ -89,7 +82,7 @@ def test_frames_on_a_virtual_bus_equal_those_of_replay_byte_for_byte(tmp_path):
     assert got == expected
     assert live.pipeline.estimator.estimate().angles == engine.pipeline.estimator.estimate().angles
     plain = make_engine(open_config(CONFIG))
-    without = [one[1:] for one in rows(plain.columns(frames))]
+    without = [one[1:] for one in plain.columns(frames).rows()]
     assert without != expected, "the model does something"
 
 
@@ -100,7 +93,7 @@ def test_the_full_estimator_gets_the_same_ticks_live_and_in_columns(tmp_path):
     by_columns, one_by_one = make_engine(config), make_engine(config)
     for start in range(0, len(frames), 20_000):
         by_columns.columns(frames.take(slice(start, start + 20_000)), keep=False)
-    for t, can_id, data in rows(frames):
+    for t, can_id, data in frames.rows():
         one_by_one.frame(t, can_id, data)
     a, b = (e.pipeline.estimator.estimate() for e in (by_columns, one_by_one))
     assert a.R_vehicle_from_sensor is not None

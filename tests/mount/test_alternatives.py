@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from imucald.config.calibration import CalibrationSettings, OrientationSettings
 from imucald.core.rotations import rotation_from_angles
 from imucald.core.samples import GRAVITY
 from imucald.mount.alternatives import TO_ACCUSE, TO_BE_FINE, TO_BE_GOOD, Alternatives, Mirrored
+from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 from mount_settings import full
 
@@ -120,6 +123,94 @@ def test_slow_driving_does_not_tell_forwards_from_backwards_without_a_signal():
 def test_without_yaw_rate_and_steering_it_says_what_nobody_checked():
     assert looked_at(signals=frozenset({"accel", "gyro", "speed"})).not_checked
     assert not looked_at().not_checked
+
+
+ALONE = frozenset({"accel", "gyro", "speed"})
+
+
+def heading_of(p: SignalBlock, sign: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """A course, clockwise, a second late as receivers give it."""
+    late = np.interp(p.t - 1.0, p.t, p.yaw_rate)
+    return -sign * np.cumsum(late) * 0.1, YES
+
+
+def beside(
+    sign: float, *channels: str, stated: Mapping[str, str] | None = None, mirrored: bool = False
+) -> Alternatives:
+    """What the usual drive shows to one that has these signals beside the sensor; sign: theirs."""
+    calibration = CalibrationSettings(orientation=OrientationSettings(**(stated or {})))  # type: ignore[arg-type]
+    found = Alternatives(EstimatorSettings(calibration))
+    kept: list[SignalBlock] = []
+    turned = np.diag([-1.0, 1.0, -1.0]) @ R if mirrored else R
+    for k in range(40):
+        p = block(k)
+        signals = {"lateral_accel": (sign * 15.0 * p.yaw_rate, YES), "heading": heading_of(p, sign)}
+        force = -p.force if mirrored else p.force
+        kept.append(replace(p, force=force, sided={c: signals[c] for c in channels}))
+        seen = set(ALONE | set(channels))
+        found.add(kept, turned, None, (1.0, 1.0), seen, 0.0)
+    return found
+
+
+def test_the_mirror_image_fits_as_well_where_nothing_knows_left_from_right():
+    for mirrored in (False, True):
+        found = beside(1.0, mirrored=mirrored)
+        assert found.missing(TO_BE_FINE) is None
+        assert not found.is_mirror_excluded
+        assert found.not_checked
+
+
+@pytest.mark.parametrize("channel", ["lateral_accel", "heading"])
+def test_a_lateral_acceleration_or_a_course_rules_the_mirror_image_out(channel):
+    found = beside(1.0, channel)
+    assert found.is_mirror_excluded
+    assert found.missing(TO_BE_FINE) is None
+    assert not found.not_checked
+
+
+@pytest.mark.parametrize("channel", ["lateral_accel", "heading"])
+def test_signs_turned_against_a_lateral_acceleration_or_a_course_are_never_good(channel):
+    found = beside(1.0, channel, mirrored=True)
+    assert not found.is_mirror_excluded
+    assert "bends" in str(found.missing(TO_BE_GOOD))
+
+
+def test_the_axis_that_points_up_rules_the_mirror_image_out_and_contradicts_it():
+    assert R[2, 2] > 0.9  # z points up
+    sound = beside(1.0, stated={"up": "z"})
+    assert sound.is_mirror_excluded
+    assert not sound.contradicts_orientation(R, yaw_known=True)
+    turned = np.diag([-1.0, 1.0, -1.0]) @ R
+    mirrored = beside(1.0, stated={"up": "z"}, mirrored=True)
+    assert not mirrored.is_mirror_excluded
+    assert mirrored.contradicts_orientation(turned, yaw_known=False)
+
+
+def test_an_axis_that_is_nearly_level_says_nothing_of_which_way_is_up():
+    assert abs(R[2, 0]) < 0.5
+    found = beside(1.0, stated={"up": "x"})
+    assert not found.is_mirror_excluded
+    assert not found.contradicts_orientation(R, yaw_known=True)
+
+
+def test_a_stated_forward_axis_knows_forward_from_backward_at_walking_pace():
+    calibration = CalibrationSettings(orientation=OrientationSettings(forward="-y"))
+    assert R[0] @ [0.0, -1.0, 0.0] > 0.5
+    found = Alternatives(EstimatorSettings(calibration))
+    for k in range(40):
+        found.add([block(k, speed=5.0)], R, None, (1.0, 1.0), set(ALONE), 0.0)
+    assert found.missing(TO_BE_GOOD) is None
+    back = np.diag([-1.0, -1.0, 1.0]) @ R
+    assert found.contradicts_orientation(back, yaw_known=True)
+    assert not found.contradicts_orientation(back, yaw_known=False)
+
+
+def test_a_mount_that_a_person_states_counts_where_it_is_the_one_found():
+    for stated, is_excluded in ((R, True), (np.diag([-1.0, 1.0, -1.0]) @ R, False)):
+        found = Alternatives(full())
+        found.take_mount(stated)
+        found.add([block(0)], R, None, (1.0, 1.0), set(ALONE), 0.0)
+        assert found.is_mirror_excluded == is_excluded
 
 
 def test_a_block_counts_for_no_more_than_a_few_and_a_sum_can_turn():

@@ -9,12 +9,14 @@ import pytest
 from numpy.typing import NDArray
 from test_estimator import GOOD, drive, usual
 
+from imucald.config.calibration import OrientationSettings
 from imucald.core.rotations import rotation_from_vector
 from imucald.core.samples import Samples, Series
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
+from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.restored import RestoredEstimator, StoredMount
 from imucald.mount.solver import MountSolver
 from mount_settings import full
@@ -45,8 +47,10 @@ def turned(samples: Samples, at: float, vector: tuple[float, float, float]) -> S
     return out
 
 
-def states(samples: Samples, minutes: float = MINUTES) -> tuple[FullEstimator, list[MountState]]:
-    estimator, found = FullEstimator(full()), []
+def states(
+    samples: Samples, minutes: float = MINUTES, settings: EstimatorSettings | None = None
+) -> tuple[FullEstimator, list[MountState]]:
+    estimator, found = FullEstimator(settings or full()), []
     for row in ticks_from_samples(samples, 0, int(minutes * 600), {}).tolist():
         estimator.step(row)
         found.append(estimator.state)
@@ -92,12 +96,42 @@ def slowed(samples: Samples, factor: float) -> Samples:
     return {**samples, "speed": Series(series.t, factor * series.values)}
 
 
+SIDED = ("yaw_rate", "steering", "lateral_accel", "wheel_speeds", "heading")
+
+
 @pytest.mark.slow
-def test_all_accelerometer_signs_are_told_as_not_checked_where_nothing_tells_left_from_right():
-    alone = without(drive().samples, "yaw_rate", "steering", "lateral_accel", "wheel_speeds")
-    estimator, found = states(alone)
-    assert any(state in GOOD for state in found)
-    assert estimator.estimate().details["not_checked"]
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_without_left_and_right_a_drive_or_its_mirror_image_is_usable_and_never_fine(sign):
+    samples = without(drive(minutes=15.0).samples, *SIDED)
+    series = samples["accel"]
+    samples = {**samples, "accel": Series(series.t, sign * series.values)}
+    estimator, found = states(samples, minutes=15.0)
+    assert found[-1] is MountState.USABLE
+    assert MountState.FINE not in found
+    estimate = estimator.estimate()
+    assert estimate.details["not_checked"]
+    assert set(estimate.waiting_for) == {"roll", "pitch", "yaw"}
+    assert all("orientation" in text for text in estimate.waiting_for.values())
+
+
+@pytest.mark.slow
+def test_the_axis_that_points_up_makes_such_a_drive_fine_and_its_mirror_image_a_fault():
+    sound = without(drive(minutes=15.0).samples, *SIDED)
+    R = drive().truth.R_vehicle_from_sensor()
+    axis = int(np.argmax(np.abs(R[2])))
+    up = ("" if R[2, axis] > 0.0 else "-") + "xyz"[axis]
+    settings = full({"orientation": OrientationSettings(up=up)})  # type: ignore[arg-type]
+    _, found = states(sound, minutes=15.0, settings=settings)
+    assert found[-1] is MountState.FINE
+    series = sound["accel"]
+    mirrored = {**sound, "accel": Series(series.t, -series.values)}
+    estimator, found = states(mirrored, minutes=4.0, settings=settings)
+    assert not any(state in GOOD for state in found)
+    assert estimator.faults == (StandingFault.ORIENTATION.value,)
+
+
+@pytest.mark.slow
+def test_a_yaw_rate_leaves_nothing_unchecked():
     with_yaw_rate, _ = states(dict(drive().samples), minutes=0.5)
     assert not with_yaw_rate.estimate().details["not_checked"]
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 
 import cantools.database
 import numpy as np
@@ -21,6 +19,7 @@ from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine
 from imucald.service.live import Daemon, open_link
 from simulated_bus import CONFIG, drive_frames, loaded
+from threads import in_a_thread
 
 CHANNELS = itertools.count()
 HEALTH = 0x645
@@ -86,25 +85,6 @@ def bench() -> Iterator[Bench]:
     made.close()
 
 
-@contextmanager
-def in_a_thread(daemon: Daemon) -> Iterator[threading.Thread]:
-    thread = threading.Thread(target=daemon.run)
-    thread.start()
-    try:
-        yield thread
-    finally:
-        daemon.stop()
-        thread.join(5.0)
-        assert not thread.is_alive()
-
-
-def rows(frames: FrameColumns) -> Iterator[tuple[float, int, bytes]]:
-    for t, can_id, length, data in zip(
-        frames.t.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
-    ):
-        yield t, can_id, data[:length].tobytes()
-
-
 class ListReader:
     """Chunks in place of a log."""
 
@@ -122,9 +102,9 @@ def test_corrected_frames_equal_those_of_replay_byte_for_byte(bench):
     engine = make_engine(loaded("published"))
     chunks = [frames.take(slice(0, 7001)), frames.take(slice(7001, 24_000))]
     Replay(engine, ListReader(chunks), sent.append).run()
-    expected = [(can_id, data) for part in sent for _, can_id, data in rows(part)]
+    expected = [(can_id, data) for part in sent for _, can_id, data in part.rows()]
     got = []
-    for k, frame in enumerate(rows(frames)):
+    for k, frame in enumerate(frames.rows()):
         bench.send(*frame)
         if k % 7 == 0:
             bench.daemon.step(0.0)
@@ -147,8 +127,8 @@ def test_corrected_frames_equal_those_of_replay_byte_for_byte(bench):
 @pytest.mark.slow
 def test_a_full_bus_loses_nothing_of_ours(bench):
     """8,000 frames a second, 5 % of them ours: every one is judged, and answered."""
-    ours = list(rows(drive_frames().take(slice(0, 800))))
-    with in_a_thread(bench.daemon):
+    ours = list(drive_frames().take(slice(0, 800)).rows())
+    with in_a_thread(bench.daemon.run, bench.daemon.stop):
         began = time.perf_counter()
         for k, frame in enumerate(ours):
             for j in range(19):
@@ -187,7 +167,7 @@ def test_status_goes_on_when_the_bus_falls_silent():
     clock = Clock()
     bench = Bench(clock)
     try:
-        for frame in rows(drive_frames().take(slice(0, 2000))):
+        for frame in drive_frames().take(slice(0, 2000)).rows():
             bench.send(*frame)
         while bench.daemon.step(0.0):
             pass
@@ -213,14 +193,14 @@ def test_input_that_comes_back_is_calibrated_on():
     try:
         frames = drive_frames()
         first, second = frames.take(slice(0, 2000)), frames.take(slice(2000, 4000))
-        for frame in rows(first):
+        for frame in first.rows():
             bench.send(*frame)
         while bench.daemon.step(0.0):
             pass
         for _ in range(80):
             clock.now += 0.1
             bench.daemon.step(0.0)
-        for t, can_id, data in rows(second):
+        for t, can_id, data in second.rows():
             bench.send(t + 8.0, can_id, data)
         bench.received()
         while bench.daemon.step(0.0):
@@ -236,7 +216,7 @@ def test_another_sender_on_our_ids_raises_the_alarm_and_is_not_heard():
     clock = Clock()
     bench = Bench(clock)
     try:
-        frames = list(rows(drive_frames().take(slice(0, 3000))))
+        frames = list(drive_frames().take(slice(0, 3000)).rows())
         for frame in frames[:1500]:
             bench.send(*frame)
         bench.send(frames[1500][0], 0x640, bytes(8))
@@ -252,7 +232,7 @@ def test_another_sender_on_our_ids_raises_the_alarm_and_is_not_heard():
         assert bench.link.counters.conflicts == 1
         assert used == 1500
         clock.now += 11.0  # the alarm ends ten seconds after the last of them
-        later = list(rows(drive_frames().take(slice(3000, 6000))))
+        later = list(drive_frames().take(slice(3000, 6000)).rows())
         for frame in later:
             bench.send(*frame)
         while bench.daemon.step(0.0):
@@ -263,13 +243,13 @@ def test_another_sender_on_our_ids_raises_the_alarm_and_is_not_heard():
 
 
 def test_it_stops_soon_and_hears_nothing_more(bench):
-    with in_a_thread(bench.daemon) as thread:
+    with in_a_thread(bench.daemon.run, bench.daemon.stop) as thread:
         began = time.perf_counter()
         bench.daemon.stop()
         thread.join(2.0)
         assert not thread.is_alive()
         assert time.perf_counter() - began < 1.0
     bench.received()
-    bench.send(*next(rows(drive_frames())))
+    bench.send(*next(drive_frames().rows()))
     assert bench.received() == []
     assert np.isfinite(bench.engine.timebase.now)

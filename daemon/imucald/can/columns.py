@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, structs
 from numpy.typing import NDArray
 
 CAN_EFF_FLAG = 0x8000_0000
@@ -67,6 +67,10 @@ class FrameColumns(Struct, frozen=True, eq=False):
             self.channels,
             None if self.fd is None else self.fd[index],
         )
+
+    def at(self, t: NDArray[np.float64]) -> FrameColumns:
+        """Return the same frames with other times [s], (N,)."""
+        return structs.replace(self, t=t)
 
     def rows(self) -> Iterator[tuple[float, int, bytes]]:
         """Yield the frames one by one: time [s], id with the 29-bit flag, payload."""

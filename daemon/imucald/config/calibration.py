@@ -146,6 +146,16 @@ class KnownMount(Settings, frozen=True):
     std = RadiansPerAxis("std_deg")
 
 
+SensorAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
+
+
+class OrientationSettings(Settings, frozen=True):
+    """Which of the sensor's axes points roughly where, to 60 degrees: no prior, a check."""
+
+    up: SensorAxis | None = None
+    forward: SensorAxis | None = None
+
+
 class CalibrationSettings(Settings, frozen=True):
     """How the mount is found."""
 
@@ -163,6 +173,8 @@ class CalibrationSettings(Settings, frozen=True):
     """How late speed is against the accelerometer [s]; estimated when absent."""
     mount: KnownMount | None = None
     """Where the mount is known already."""
+    orientation: OrientationSettings = OrientationSettings()
+    """How the sensor sits roughly, where that is known."""
     states: StateLimits = StateLimits()
     static: StaticTestSettings = StaticTestSettings()
     straight: StraightMotionSettings = StraightMotionSettings()

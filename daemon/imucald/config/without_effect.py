@@ -109,7 +109,8 @@ def _calibration(config: Keys) -> Iterator[Rule]:
     published = calibration.estimator == "published"
     for section in ("static", "straight", "target_angle", "method_a"):
         yield (at, section), not published, "with estimator: full (method A alone reads it)"
-    yield (at, "cross_axis"), published, "with estimator: published"
+    for key in ("cross_axis", "orientation"):
+        yield (at, key), published, "with estimator: published"
     if not published:
         return
     letter = calibration.method_a.to_the_letter

@@ -138,6 +138,7 @@ class Check:
             self.output.can_ids,
         )
         vehicle = self.loaded.config.vehicle
+        stated = self.loaded.config.calibration.orientation
         planar = self.loaded.config.signals.accelerometer[0].z is None
         motion = Motion(self._means.grid(), planar)
         model = self.compensation
@@ -145,7 +146,7 @@ class Check:
         found = [
             *(Finding("note", "model", text) for text in notes),
             *decoding.findings(),
-            *judge(motion, vehicle.track, vehicle.wheelbase, vehicle.steering_ratio),
+            *judge(motion, vehicle.track, vehicle.wheelbase, vehicle.steering_ratio, stated.up),
         ]
         wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
         found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from imucald.config.calibration import SensorAxis
 from imucald.config_check.axes import (
     MIN_BRAKING,
     OTHER_UNIT,
@@ -30,8 +31,12 @@ from imucald.config_check.finding import (
     spread,
 )
 from imucald.config_check.motion import Motion, smooth
+from imucald.config_check.turning_axis import turning_axis_findings
 from imucald.config_check.yaw_rate_check import MIN_TURNING, yaw_rate_findings
 from imucald.core.samples import GRAVITY
+from imucald.mount.alternatives import NOT_CHECKED
+from imucald.mount.stated_orientation import CLEAR as CLEAR_PART
+from imucald.mount.stated_orientation import unit_vector
 
 REST_WRONG, REST_ODD = 0.25, 0.03
 """Parts by which gravity at rest may be off before it is a wrong unit, or worth a word."""
@@ -51,14 +56,20 @@ MIN_BRAKING_TICKS = 50
 
 
 def judge(
-    motion: Motion, track: float, wheelbase: float, steering_ratio: float
+    motion: Motion,
+    track: float,
+    wheelbase: float,
+    steering_ratio: float,
+    up: SensorAxis | None = None,
 ) -> Iterator[Finding]:
     """Yield everything that the motion shows about units, signs and axes.
 
     A wrong scale of accelerometer or speed is reported once and then allowed for, so that it is not
-    reported again for every signal that is compared with them.
+    reported again for every signal that is compared with them. up: the axis of the sensor that a
+    person says points up.
     """
     yield from _at_rest(motion)
+    yield from _orientation(motion, up)
     backwards = list(_reverse(motion))
     if backwards:
         yield from backwards
@@ -78,9 +89,25 @@ def judge(
     yield from _along(motion)
     if not motion.planar:
         yield from axes_findings(motion, rates)
+        yield from turning_axis_findings(motion)
     yield from (f for f in _speed_against_wheels(motion) if not (is_scaled and f.level == "ok"))
     yield from _brake(motion)
-    yield from _not_checked(motion, rates)
+    yield from _not_checked(motion, rates, up)
+
+
+def _orientation(motion: Motion, up: SensorAxis | None) -> Iterator[Finding]:
+    """Whether gravity is where a person says that it is."""
+    if up is None or motion.up is None or motion.planar:
+        return
+    part = float(motion.up @ unit_vector(up))
+    if part < -CLEAR_PART:
+        text = f"its {up} points down, and 'calibration: orientation' says up: "
+        yield Finding("error", "accelerometer", f"{text}'sign: -1' on all axes, or that line")
+    elif part > CLEAR_PART:
+        yield Finding("ok", "accelerometer", f"its {up} points up, as 'orientation' says")
+    else:
+        text = f"'calibration: orientation' says {up}, which lies nearly level: name another axis"
+        yield Finding("warning", "accelerometer", text)
 
 
 def _speed_against_wheels(motion: Motion) -> Iterator[Finding]:
@@ -102,7 +129,9 @@ def _speed_against_wheels(motion: Motion) -> Iterator[Finding]:
         yield Finding("ok", "speed", f"is that of the wheels ({ratio:.2f} times)")
 
 
-def _not_checked(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding]:
+def _not_checked(
+    motion: Motion, rates: Mapping[str, Array], up: SensorAxis | None
+) -> Iterator[Finding]:
     """What the drive, or its signals, could not show."""
     left: list[str] = []
     turning = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
@@ -110,6 +139,8 @@ def _not_checked(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding
         left.append("signs and units of what shows turns (no bends, or no such signal)")
     elif len(turning) == 1:
         left.append(f"the sign of {turning[0]} in turns (nothing beside it)")
+    if turning == ["gyroscope"] and up is None and "heading" not in motion.grid:
+        left.append(f"{NOT_CHECKED}; the mount stays usable and is never fine")
     if motion.speed is None:
         left.append("all that needs the speed")
     elif motion.change is not None and spread(motion.change) < MIN_BRAKING:

@@ -16,18 +16,31 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
 from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
-from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.blocks import TAKES, Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.faults import Fault, find_faults, spoilt
-from imucald.diagnosis.gain import gain_of
+from imucald.diagnosis.gain import gain_of, summed
+from imucald.diagnosis.held_values import held_values
 from imucald.diagnosis.intervals import estimate, quantile
+from imucald.diagnosis.patterns import patterns
 from imucald.diagnosis.pictures import pictures_of
-from imucald.diagnosis.result import TOO_MUCH, Diagnosis, FoundCause, Structure
+from imucald.diagnosis.result import (
+    GOES_AGAINST,
+    GOES_WITH_LEVEL,
+    TOO_MUCH,
+    VALUE_HELD,
+    Diagnosis,
+    FoundCause,
+    Gain,
+    Structure,
+)
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.search import search
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
+from imucald.diagnosis.standing import unsettle
 from imucald.diagnosis.state import State, final_estimates, shift_steps
+from imucald.diagnosis.trials import Trial
 from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]
@@ -36,6 +49,8 @@ LIMIT_S = 300.0
 GYRO_BIAS = tuple(f"gyro.bias.{axis}" for axis in "xyz")
 LEAST_BLOCKS = 4
 LITTLE_MIN = 10.0
+UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
+"""Structure beside which no fit is believed."""
 HALF = 0.5
 """A file is not held to less than this share of a tolerance: one drive's pieces share warmth, load
 and weather."""
@@ -84,6 +99,8 @@ def diagnose(
     left = tuple(wrong) or _left(state)
     if any(s.kind == TOO_MUCH for s in left):
         state.give_up()
+    else:
+        _doubt(state, left)
     problem = state.evaluated()
     told = _told(state, rest, faults, model)
     tell(0.88, "what the written file brings")
@@ -91,11 +108,8 @@ def diagnose(
     problem = state.evaluated()
     gain, signals = gain_of(before, problem, state.free, state.forwards)
     if state.shift is not None:
-        gain = replace(gain, held_out_log_likelihood=float(state.shift.gain.sum()))
+        gain = summed(state.shift.gain, gain.worse)
     sets = outcome.look_alikes(state)
-    recommended = (
-        bool(told) and not gain.worse and (gain.held_out_log_likelihood > 0.0 or not state.free)
-    )
     tell(0.95, "pictures")
     return Diagnosis(
         verdict=outcome.verdict_of(told, sets, left),
@@ -112,15 +126,52 @@ def diagnose(
         pictures=pictures_of(forwards_before, state.forwards),
         model_before=model,
         model_after=written,
-        recommended=recommended,
+        recommended=_is_recommended(told, gain, left, written != model),
         complete=not late.was,
     )
+
+
+def _is_recommended(
+    told: Sequence[FoundCause], gain: Gain, left: Sequence[Structure], changes: bool
+) -> bool:
+    """The written file predicts data that no fit saw better, or states what was read directly; and
+    the prediction is to be believed at all."""
+    if not (told and changes) or any(s.kind in UNBELIEVED for s in left):
+        return False
+    return not gain.worse and (gain.held_out_log_likelihood > 0.0 or not gain.was_fitted)
 
 
 def _left(state: State) -> tuple[Structure, ...]:
     """What no cause explains."""
     problem = state.evaluated()
-    return (*too_much(problem, state), *outcome.implausible(state), *what_is_left(problem, state))
+    return (
+        *too_much(problem, state),
+        *outcome.implausible(state),
+        *held_values(state.drives),
+        *patterns(problem, state.forwards),
+        *what_is_left(problem, state),
+    )
+
+
+def _doubted(left: Sequence[Structure]) -> set[str]:
+    """Sensors of which one at least does not feel what the equations say, nor any cause."""
+    sensors = {s.signal.partition("_")[0] for s in left if s.kind == VALUE_HELD}
+    for s in left:
+        if s.kind == GOES_WITH_LEVEL:
+            sensors |= set(TAKES[s.signal])
+    return sensors
+
+
+def _doubt(state: State, left: Sequence[Structure]) -> None:
+    """What shows by the readings of such a sensor is likely, and not certain."""
+    sensors = _doubted(left)
+
+    def is_touched(trial: Trial) -> bool:
+        shows = outcome.signals_of(state.table, trial.hypothesis.keys)
+        return bool(sensors & {sensor for name in shows for sensor in TAKES[name]})
+
+    if sensors:
+        unsettle(state, is_touched)
 
 
 def _silent(share: float, text: str) -> None:

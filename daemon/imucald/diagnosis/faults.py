@@ -10,17 +10,26 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
 from imucald.model.model import VehicleModel
 
+LEAST_ROWS = 100
 RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 QUICK = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 """Sensors whose noise moves them from sample to sample."""
-PILE_SAMPLES, PILE_RATIO, PILE_SD, PILE_SHARE = 30, 1.3, 5.0, 2e-4
-"""An extreme value held so often, against the level next to it, is a rail (Poisson, 5 sd)."""
+PILE_RATIO, PILE_SHARE = 1.3, 2e-4
+"""An extreme value that is held so many times as often as the levels next to it is a rail."""
+PILE_LEVELS = (3, 10)
+"""Levels below the extreme one that it is held against."""
+CHANCE = 0.01
+"""Of a drive: that a rail is told of without a reason; shared out over ends and levels."""
+FEW_STAYS = 3
+QUESTIONS = 6 * len(RAILED) * (len(PILE_LEVELS) + 1)
+"""Both ends of three axes of each signal."""
 SPOILT_S = 0.3
 MOVING_MPS = 2.0
 STUCK_S, STUCK_SLOW_S, STUCK_RUNS = 0.5, 8.0, 4.0
@@ -65,10 +74,11 @@ def find_faults(
     found: list[Fault] = []
     for name in WATCHED:
         series = samples.get(name)
-        if series is None or len(series.t) < 100:
+        if series is None or len(series.t) < LEAST_ROWS:
             continue
         piled = list(_piled(name, series, model)) if name in RAILED else []
-        found += [*piled, *_stuck(name, series, samples, moving, spoilt(piled).get(name, ()))]
+        own = (series.t, series.values) if name == "speed" else moving
+        found += [*piled, *_stuck(name, series, samples, own, spoilt(piled).get(name, ()))]
         found += _timed(name, series, model)
     return found
 
@@ -82,8 +92,14 @@ def spoilt(faults: Sequence[Fault]) -> dict[str, Spans]:
 
 
 def _moving(samples: Samples) -> tuple[Array, Array]:
+    """Speed; 0 where it is stuck itself, since nothing says then that the vehicle moves."""
     speed = samples["speed"]
-    return speed.t, speed.values
+    values = np.where(np.isfinite(speed.values), speed.values, 0.0)
+    if len(speed.t) >= LEAST_ROWS:
+        for fault in _stuck("speed", speed, samples, (speed.t, values), ()):
+            for low, high in fault.spans:
+                values = np.where((speed.t >= low) & (speed.t <= high), 0.0, values)
+    return speed.t, values
 
 
 # pile-up -----------------------------------------------------------------------------------------
@@ -120,26 +136,52 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
 
 
 def _rail(x: Array, still: Mask) -> float | None:
-    """The largest value, if samples pile up there."""
+    """The largest value, if it is met oftener than those below it, or held for longer."""
     top = float(x.max())
-    at = (x >= top - 1e-9 * max(1.0, abs(top))) & ~still
-    count = int(at.sum())
-    if count < PILE_SAMPLES or count < PILE_SHARE * len(x):
+    near = 1e-9 * max(1.0, abs(top))
+    at = (x >= top - near) & ~still
+    if at.sum() < PILE_SHARE * len(x):
         return None
+    return top if _is_crowded(x[~still], top, near) or _is_held(x, at) else None
+
+
+def _is_crowded(x: Array, top: float, near: float) -> bool:
+    """Where nothing is clipped, the end of a range is met no oftener than what lies below it: of k
+    visits there and m samples in n levels below, k is binomial with p <= 1/(n + 1). Visits are
+    counted and not samples, since a slow signal stays for some at its highest."""
+    at = x >= top - near
+    below = x[~at]
     values = np.unique(x[x > np.quantile(x, 0.9)])
     step = float(np.median(np.diff(values))) if len(values) > 2 else 0.0
-    below = x[(x < top - 1e-9 * max(1.0, abs(top))) & ~still]
-    if len(below) < PILE_SAMPLES or step == 0.0:
-        return None
-    # The level next to it: as wide as the usual step between values, the fullest of three.
+    if step == 0.0 or not len(below):
+        return False
+    visits = int(at[0]) + int((np.diff(at.astype(int)) == 1).sum())
     width = max(step, float(top - below.max()))
-    beside = max(
-        int(((below > top - (k + 1.5) * width) & (below <= top - (k + 0.5) * width)).sum())
-        for k in range(3)
-    )
-    if count > PILE_RATIO * beside + PILE_SD * np.sqrt(max(beside, 1)):
-        return top
-    return None
+    for levels in PILE_LEVELS:
+        beside = int((below > top - (levels + 0.5) * width).sum())
+        share = PILE_RATIO / (PILE_RATIO + levels)
+        if binom.sf(visits - 1, visits + beside, share) < CHANCE / QUESTIONS:
+            return True
+    return False
+
+
+def _is_held(x: Array, at: Mask) -> bool:
+    """Whether a signal stays at its highest for longer than at its other turning points: of n
+    samples on k such levels n - k are repeats, binomial with the share of repeats elsewhere. The
+    longest stay does not count: one stop must not decide."""
+    first = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0.0]))
+    level, length = x[first], np.diff(np.append(first, len(x)))
+    turns = np.zeros(len(level), dtype=bool)
+    turns[1:-1] = (level[1:-1] > level[:-2]) & (level[1:-1] > level[2:])
+    own = np.sort(length[at[first]])[:-1]
+    others = np.sort(length[turns & ~at[first]])
+    if len(own) < FEW_STAYS or len(others) < 10 * FEW_STAYS:
+        return False
+    # A standing vehicle's values stay as well.
+    others = others[: int(0.99 * len(others)) + 1]
+    share = PILE_RATIO * float(1.0 - len(others) / others.sum()) + 1.0 / float(others.sum())
+    repeats = int(own.sum() - len(own))
+    return bool(share < 1.0 and binom.sf(repeats - 1, own.sum(), share) < CHANCE / QUESTIONS)
 
 
 def _spans(t: Array, hit: Mask) -> Spans:
@@ -172,11 +214,15 @@ def _stuck(
     length = np.minimum(t[last] - t[first], (last - first) * float(np.median(np.diff(t))))
     for low, high in railed:
         length[(t[last] >= low) & (t[first] <= high)] = 0.0
-    speed = np.interp(0.5 * (t[first] + t[last]), *moving)
+    # Only while driving; a long stretch may hold stops.
+    steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > MOVING_MPS)
+    driven = np.concatenate([[0.0], np.cumsum(steps)])
+    length = np.minimum(length, driven[last] - driven[first])
     least = STUCK_S if name in QUICK else STUCK_SLOW_S
-    driving = length[speed > MOVING_MPS]
-    usual = float(np.quantile(driving, 0.99)) if len(driving) > 20 else 0.0
-    long = (length > max(least, STUCK_RUNS * usual)) & (speed > MOVING_MPS)
+    driving = length[length > 0.0]
+    # Of few stretches the longest is no measure of what is usual.
+    usual = float(np.quantile(driving, 0.99, method="lower")) if len(driving) > 20 else 0.0
+    long = length > max(least, STUCK_RUNS * usual)
     spans = [(float(t[a]), float(t[b])) for a, b in zip(first[long], last[long], strict=True)]
     if name not in QUICK:
         spans = [s for s in spans if _others_move(name, samples, s)]

@@ -61,11 +61,16 @@ def gain_of(
             worse.append(name)
     same = before.blocks == table.blocks
     if not same or not free:
-        return Gain(0.0, (0.0, 0.0), tuple(worse if free else ())), signals
+        return Gain(0.0, (0.0, 0.0), tuple(worse if free else ()), bool(free)), signals
     d = _weighted_losses(before, table) - _fold_losses(table, x)
-    spread = Z95 * float(np.sqrt(len(d)) * np.std(d, ddof=1)) if len(d) > 1 else np.inf
-    total = float(d.sum())
-    return Gain(total, (total - spread, total + spread), tuple(worse)), signals
+    return summed(d, worse), signals
+
+
+def summed(gain: Array, worse: Sequence[str] = ()) -> Gain:
+    """Nats of each block (B,) with the interval that their scatter gives."""
+    total = float(gain.sum())
+    spread = Z95 * float(np.sqrt(len(gain)) * np.std(gain, ddof=1)) if len(gain) > 1 else np.inf
+    return Gain(total, (total - spread, total + spread), tuple(worse))
 
 
 def _weighted_losses(before: Table, after: Table) -> Array:

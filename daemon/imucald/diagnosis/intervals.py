@@ -70,10 +70,12 @@ def estimate(
     lag = score[1:].T @ score[:-1]
     ways = (inner, inner + lag + lag.T, total[1:, 1:])
     spread = [np.diag(inverse @ (way + np.diag(prior)) @ inverse)[own] for way in ways]
-    se = np.sqrt(np.maximum(np.max(spread, axis=0), 0.0))
-    wander, share = _wander(gram, prior, x, own)
-    more = wander**2 * share + problem.model_error(h) ** 2
-    se = np.sqrt(se**2 + more)
+    variance = np.maximum(np.max(spread, axis=0), 0.0)
+    far = np.diag(inverse @ (_between_quarters(score) + np.diag(prior)) @ inverse)[own]
+    excess = np.maximum(far - variance, 0.0)
+    more = problem.model_error(h) ** 2
+    se = np.sqrt(variance + excess + more)
+    wander = np.sqrt(QUARTERS * excess)
     pull = _pull(problem, h, x, own, more, null or problem)
     return Estimate(x[own], se, quantile(B, questions), pull, wander)
 
@@ -84,8 +86,8 @@ def _pull(
     """Profile likelihood with the others in their box, so that none counts beyond its tolerance.
 
     The rise of the loss is divided by how much the blocks scatter more than the weights say
-    (sandwich over model-based variance), and by `more` (k,), the variances between quarters and of
-    the equations themselves.
+    (sandwich over model-based variance), and by `more` (k,), the variances of the equations
+    themselves.
     """
     gram, low, high = problem.widened(h)
     total = gram.sum(axis=0)
@@ -105,34 +107,21 @@ def _pull(
     inner = score.T @ score * (B / max(B - len(own) - 1, 1))
     lag = score[1:].T @ score[:-1]
     model = np.maximum(np.diag(inverse)[at], 1e-300)
-    ways = [np.diag(inverse @ way @ inverse)[at] for way in (inner, inner + lag + lag.T)]
+    scores = (inner, inner + lag + lag.T, _between_quarters(score))
+    ways = [np.diag(inverse @ way @ inverse)[at] for way in scores]
     spread = max(1.0, float(np.max((np.max(ways, axis=0) + more) / model)))
     # k parameters at once rise by k more without a reason.
     return float(np.sqrt(max(2.0 * rise / spread - (len(own) - 1), 0.0)))
 
 
-def _wander(gram: Array, prior: Array, x: Array, own: Sequence[int]) -> tuple[Array, Array]:
-    """Scatter of the parameters between quarters of the data beyond what each may scatter, and
-    which share of its square the mean keeps: random effects (DerSimonian and Laird 1986)."""
-    parts = np.array_split(np.arange(len(gram)), QUARTERS)
-    values, variances = [], []
-    for part in parts:
-        if len(part) < 2:
-            return np.zeros(len(own)), np.ones(len(own))
-        total = gram[part].sum(axis=0)
-        H = total[1:, 1:] + np.diag(prior)
-        H += RIDGE * np.diag(np.maximum(np.diag(H), 1e-30))
-        inverse = np.linalg.pinv(H)
-        step = inverse @ (total[1:, 0] - total[1:, 1:] @ x)
-        score = gram[part][:, 1:, 0] - gram[part][:, 1:, 1:] @ (x + step)
-        inner = np.maximum(np.diag(inverse @ (score.T @ score) @ inverse), np.diag(inverse))
-        values.append(step[list(own)])
-        variances.append(inner[list(own)])
-    w = 1.0 / np.maximum(np.array(variances), 1e-30)
-    total_w = w.sum(axis=0)
-    mean = (w * values).sum(axis=0) / total_w
-    excess = (w * (np.array(values) - mean) ** 2).sum(axis=0) - (len(parts) - 1)
-    spare = total_w - (w**2).sum(axis=0) / total_w
-    variance = np.maximum(excess, 0.0) / np.maximum(spare, 1e-30)
-    variance[spare <= 1e-9 * total_w] = 0.0
-    return np.sqrt(variance), np.asarray((w**2).sum(axis=0) / total_w**2)
+def _between_quarters(score: Array) -> Array:
+    """Scatter of the quarters' scores about their mean (cluster-robust; Cameron and Miller 2015).
+
+    What drifts from piece to piece counts by as much as it moves the whole. Where little tells of a
+    parameter, a quarter may say anything of it, and the whole hardly moves.
+    """
+    parts = np.array([part.sum(axis=0) for part in np.array_split(score, QUARTERS)])
+    if len(score) < 2 * QUARTERS:
+        return np.zeros((score.shape[1], score.shape[1]))
+    parts = parts - parts.mean(axis=0)
+    return np.asarray(parts.T @ parts * (QUARTERS / (QUARTERS - 1)))

@@ -92,12 +92,18 @@ class Gain:
     """95 % interval of that, over whole stretches."""
     worse: tuple[str, ...] = ()
     """Signals that the extended model predicts worse."""
+    was_fitted: bool = True
+    """False where nothing was fitted: what was read directly changes no prediction by itself."""
 
 
 GOES_AGAINST = "goes against the model"
 """Kind of structure where a signal moves against what is predicted."""
 TOO_MUCH = "too much is left"
 """Kind where more is left than any measured car leaves: then no fit is believed."""
+GOES_WITH_LEVEL = "goes with its own signal"
+"""Kind where what is left depends on a signal's level, direction or past."""
+VALUE_HELD = "a value is held"
+"""Kind where a sensor shows one value far oftener than those beside it."""
 NOT_PLAUSIBLE = "not plausible"
 """Kind where a cause explains the numbers, but cannot be: a cause is missing."""
 

@@ -18,7 +18,9 @@ permutation: so the slopes of any road show it within a minute or two.
 What this cannot see is a turn of all the accelerometer's signs: force and rate then are those of
 the mirror image of the drive, and physics are the same there. Nor can it see a vehicle that goes
 backwards all the time. Only a signal that separates left from right shows these: the vehicle's yaw
-rate or the steering. So does speed: no road vehicle goes backwards as fast as `MAX_REVERSE`.
+rate, steering, lateral acceleration, for the first a heading; or a person who says which axis of
+the sensor points up, or forward. So does speed for the second: no road vehicle goes backwards as
+fast as `MAX_REVERSE`. While nothing has ruled the mirror image out, nothing is *fine*.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
+from imucald.mount.stated_orientation import StatedOrientation
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -62,7 +65,16 @@ SMOOTH = np.ones(11) / 11.0
 MAX_REVERSE = 11.0
 """Speed [m/s] that is not driven in reverse: its ratio is about first gear's, 13 overall with the
 axle's, which makes 11 m/s at 4,400 revolutions a minute with wheels of 2 m around."""
-NOT_CHECKED = "all signs of the accelerometer at once: it needs a yaw rate or the steering angle"
+SLOW = 3.0
+"""Below this speed [m/s] a course is noise and a lateral acceleration small."""
+HEADING_FLOOR = 0.05
+"""Least noise of a heading [rad]: a course at 5 m/s from a receiver's speed to 0.25 m/s."""
+TURNS_IN_A_BLOCK = 1.0
+"""Independent values of a heading in a block: it holds one turn at most."""
+NOT_CHECKED = (
+    "all signs of the accelerometer at once: it needs a yaw rate, the steering angle, a lateral "
+    "acceleration, a heading, or 'calibration: {orientation: {up: ...}}'"
+)
 
 
 def _signed_permutations() -> Array:
@@ -73,14 +85,15 @@ def _signed_permutations() -> Array:
     return np.array([eye, *some, *(-S for S in some), -eye])
 
 
-_TRIED = _signed_permutations()
+TRIED = _signed_permutations()
 
 
 class Mirrored:
     """Two signals that show the same motion, against the same with opposite signs."""
 
-    def __init__(self, floor: float) -> None:
+    def __init__(self, floor: float, independent: float = INDEPENDENT) -> None:
         self._floor = BLOCK_TICKS * floor * floor
+        self._independent = independent
         self.sum = 0.0
         self.blocks = 0
 
@@ -95,7 +108,7 @@ class Mirrored:
         x, y = x[use], y[use]
         x, y = x - x.mean(), y - y.mean()
         both, cross = float(x @ x + y @ y) + self._floor, 2.0 * float(x @ y)
-        ratio = 0.5 * INDEPENDENT * math.log((both + cross) / (both - cross))
+        ratio = 0.5 * self._independent * math.log((both + cross) / (both - cross))
         self.sum = min(max(self.sum + min(max(ratio, -MOST), MOST), -HELD), HELD)
         self.blocks += 1
 
@@ -103,25 +116,43 @@ class Mirrored:
         """Whether the opposite is ruled out so far, or was looked for long enough in vain."""
         return self.sum > least or (self.blocks > ENOUGH and self.sum > -TO_BE_GOOD)
 
+    @property
+    def is_opposite(self) -> bool:
+        """Whether the opposite is much the better one."""
+        return self.sum < -TO_BE_GOOD
+
 
 class Alternatives:
     """Whether the data have spoken against every wrong sign and exchange of axes."""
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
-        self._gyro = np.zeros(len(_TRIED) - 1)
+        self._gyro = np.zeros(len(TRIED) - 1)
         self._gyro_blocks = 0
         self._blocks = 0
         self._turns = Mirrored(FORCE_FLOOR)
         self._yaw_rate = Mirrored(RATE_FLOOR)
         self._steering = Mirrored(RATE_FLOOR)
+        self._lateral = Mirrored(FORCE_FLOOR)
+        self._heading = Mirrored(HEADING_FLOOR, TURNS_IN_A_BLOCK)
+        self._stated = StatedOrientation(settings.calibration.orientation)
+        self._is_up_stated = self._is_forward_stated = False
         self._fastest = 0.0
         self._signals: frozenset[str] = frozenset()
 
     def restart(self) -> None:
         """The mount is sought again; all that is known of the sensors' own axes is kept."""
         self._turns.forget()
+        self._is_up_stated = self._is_forward_stated = False
         self._fastest = 0.0
+
+    def take_mount(self, R: Matrix3) -> None:
+        """A person states the mount."""
+        self._stated.take_mount(R)
+
+    def contradicts_orientation(self, R: Matrix3, yaw_known: bool) -> bool:
+        """Whether a person said that the sensor sits the other way round."""
+        return self._stated.contradicts(R, yaw_known)
 
     def add(
         self,
@@ -140,17 +171,39 @@ class Alternatives:
         self._blocks += 1
         if R is None:
             return
-        is_seen = self.are_seen(TO_BE_FINE)
+        self._ask_the_person(R)
+        is_seen = self.are_seen(TO_BE_FINE) and self.is_mirror_excluded
         if is_seen and self._blocks % RARELY:
             return
         blocks: Sequence[SignalBlock] = (p,)
         if self._blocks <= YOUNG and not is_seen:
             blocks = kept
             self._gyro[:], self._gyro_blocks = 0.0, 0
-            for pair in (self._turns, self._yaw_rate, self._steering):
+            for pair in self._pairs:
                 pair.forget()
         for one in blocks:
             self._take(one, R, np.zeros(3) if bias is None else bias, gains, steering_offset)
+
+    def add_without_speed(self, p: SignalBlock, R: Matrix3 | None, seen: set[str]) -> None:
+        """The same of a vehicle whose speed nobody knows: which way it turns, and no more."""
+        self._signals = frozenset(seen)
+        if R is None:
+            return
+        self._ask_the_person(R)
+        use = p.learn & p.ok_rate & ~p.rest
+        rate = p.rate @ R[2]
+        if "yaw_rate" in self._signals:
+            self._yaw_rate.add(p.yaw_rate, rate, use & p.ok_yaw)
+        self._add_heading(p, rate, use)
+
+    def _ask_the_person(self, R: Matrix3) -> None:
+        self._is_up_stated = self._stated.confirms_up(R)
+        self._is_forward_stated = self._stated.confirms_forward(R)
+
+    def _add_heading(self, p: SignalBlock, rate: Array, use: Flags) -> None:
+        if "heading" in p.sided:  # clockwise
+            heading, known = p.sided["heading"]
+            self._heading.add(TICK_S * np.cumsum(rate), -heading, use & known)
 
     def _take(
         self,
@@ -168,11 +221,16 @@ class Alternatives:
         self._turns.add(gains[1] * p.speed * rate, force[:, 1], use)
         if has_gyro and "yaw_rate" in self._signals:
             self._yaw_rate.add(p.yaw_rate, rate, use & p.ok_yaw)
-        if has_gyro or "yaw_rate" in self._signals:
+        if "steering" in self._signals and (has_gyro or "yaw_rate" in self._signals):
             s, v = self._settings, self._settings.vehicle
             vehicle = (v.steering_ratio, v.wheelbase, s.understeer)
             steered = yaw_rate_with_understeer(p.speed, p.steering - steering_offset, *vehicle)
             self._steering.add(steered, rate, use & p.ok_steering)
+        fast = use & (np.abs(p.speed) > SLOW)
+        if "lateral_accel" in p.sided:
+            lateral, known = p.sided["lateral_accel"]
+            self._lateral.add(p.speed * rate, lateral, fast & known)
+        self._add_heading(p, rate, fast)
         if has_gyro:
             ahead = (force[:, 0] - gains[0] * p.accel) / GRAVITY
             across = force[:, 1] / GRAVITY
@@ -191,7 +249,8 @@ class Alternatives:
             pairs.append(self._yaw_rate)
         if "steering" in self._signals and (self._gyro_blocks or "yaw_rate" in self._signals):
             pairs.append(self._steering)
-        if not all(pair.is_seen(least) for pair in pairs):
+        beside = (self._lateral, self._heading)
+        if not all(pair.is_seen(least) for pair in pairs) or any(p.is_opposite for p in beside):
             return "bends, until signs of sensor and vehicle are seen to agree"
         closest = float(self._gyro.min())
         is_open = self._gyro_blocks <= ENOUGH or closest <= -TO_BE_GOOD
@@ -204,14 +263,28 @@ class Alternatives:
     @property
     def _knows_forward(self) -> bool:
         shown = {"reverse", "steering"} & self._signals
-        return bool(shown) or self._fastest > MAX_REVERSE
+        is_told = self._is_forward_stated or self._lateral.sum > TO_BE_GOOD
+        return bool(shown) or is_told or self._fastest > MAX_REVERSE
+
+    @property
+    def _pairs(self) -> tuple[Mirrored, ...]:
+        return self._turns, self._yaw_rate, self._steering, self._lateral, self._heading
+
+    @property
+    def is_mirror_excluded(self) -> bool:
+        """Whether anything has shown that this is the drive and not its mirror image."""
+        if self._is_up_stated or self._is_forward_stated:
+            return True
+        sided = [self._yaw_rate, self._steering, self._lateral, self._heading]
+        if not self._gyro_blocks:  # turning is the vehicle's own yaw rate
+            sided.append(self._turns)
+        return any(pair.sum > TO_BE_FINE for pair in sided)
 
     @property
     def not_checked(self) -> tuple[str, ...]:
-        """What no signal of this vehicle can show, in words."""
-        if {"yaw_rate", "steering"} & self._signals:
-            return ()
-        return (NOT_CHECKED,)
+        """What no signal of this vehicle can show, and nobody has said, in words."""
+        shown = {"yaw_rate", "steering", "lateral_accel", "heading"} & self._signals
+        return () if shown or self.is_mirror_excluded else (NOT_CHECKED,)
 
     @property
     def gyro_accused(self) -> bool:
@@ -236,7 +309,7 @@ def _left_over(
     ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float
 ) -> Array:
     """Energies (14, 2) that each alternative leaves of the level parts of the vertical [rad^2]."""
-    rates = np.matmul(rate, np.matmul(R, _TRIED).transpose(0, 2, 1))  # (14, N, 3)
+    rates = np.matmul(rate, np.matmul(R, TRIED).transpose(0, 2, 1))  # (14, N, 3)
     turning = rates[:, :, 2]
     sides = across - (gain / GRAVITY) * speed * turning
     smooth = [np.convolve(np.pad(x, 5, mode="edge"), SMOOTH, "valid") for x in (ahead, sides[0])]

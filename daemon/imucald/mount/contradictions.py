@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from imucald.core.median import median
 from imucald.motion.straight import yaw_rate_with_understeer
+from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
 
@@ -63,6 +64,7 @@ class StandingFault(enum.StrEnum):
     GYRO_GAIN = "gyroscope_unit"
     SPEED_GAIN = "speed_unit"
     GYRO_AXES = "gyroscope_axes"
+    ORIENTATION = "accelerometer_against_orientation"
     NUMERICS = "numbers_out_of_range"
 
 
@@ -78,6 +80,8 @@ WORDS = {
     StandingFault.SPEED_GAIN: "the speed's unit is wrong",
     StandingFault.GYRO_AXES: "the gyroscope's axes do not fit the accelerometer's: a sign, or two "
     "axes exchanged, of one of them, or a sensor that sways in its holder",
+    StandingFault.ORIENTATION: "the sensor sits the other way round than 'orientation:' says: all "
+    "signs of the accelerometer ('sign: -1'), or that line",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
 }
 
@@ -179,8 +183,12 @@ class Contradictions:
         R: Array | None,
         steering_offset: float,
         measured_yaw_rate: bool,
+        late: float | None = 0.0,
     ) -> None:
-        """Take a block; turn_rate: (N,) what the estimator takes for the yaw rate [rad/s]."""
+        """Take a block; turn_rate: (N,) what the estimator takes for the yaw rate [rad/s].
+
+        late: the speed, behind the force [s]; None: not known, and the force is not asked.
+        """
         moving = p.ok_speed & (np.abs(p.speed) > MOVING)
         if own_gyro and measured_yaw_rate:
             self.yaw_rate.add(p.yaw_rate, turn_rate, p.ok_yaw & p.ok_rate & moving)
@@ -192,15 +200,24 @@ class Contradictions:
             self.steering.add(steered, turn_rate, p.ok_steering & moving & (p.ok_rate | p.ok_yaw))
         if self.yaw_rate.last_unlike and self.steering.last_unlike:  # two witnesses of one bend
             self.yaw_rate.accused = self.steering.accused = True
-        if R is not None:
-            force = p.force @ np.asarray(R).T
-            use = moving & p.ok_force & p.learn
-            turn = p.speed * turn_rate
-            turning = use & (p.ok_rate | p.ok_yaw)
-            self.turns.add(turn, force[:, 1], turning & (np.abs(turn) > TURNS))
-            self.hard_turns.add(turn, force[:, 1], turning & (np.abs(turn) > HARD_TURNS))
-            ahead = force[:, 0] - force[:, 0].mean()
-            self.speed.add(p.accel - p.accel.mean(), ahead, use)
+        if R is not None and late is not None:
+            self._add_forces(p, turn_rate, np.asarray(R), moving, round(late / TICK_S))
+
+    def _add_forces(
+        self, p: SignalBlock, turn_rate: Array, R: Array, moving: Flags, late: int
+    ) -> None:
+        """The same of the force; late: the speed [ticks]."""
+        n = len(turn_rate)
+        now = slice(max(-late, 0), n - max(late, 0))
+        then = slice(max(late, 0), n - max(-late, 0))
+        force = p.force[now] @ R.T
+        use = moving[then] & (p.ok_force & p.learn)[now]
+        turn = p.speed[then] * turn_rate[now]
+        turning = use & (p.ok_rate | p.ok_yaw)[now]
+        self.turns.add(turn, force[:, 1], turning & (np.abs(turn) > TURNS))
+        self.hard_turns.add(turn, force[:, 1], turning & (np.abs(turn) > HARD_TURNS))
+        ahead, change = force[:, 0], p.accel[then]
+        self.speed.add(change - change.mean(), ahead - ahead.mean(), use)
 
     @property
     def faults(self) -> tuple[StandingFault, ...]:

@@ -25,6 +25,10 @@ STEP = 0.025
 MIN_POWER = 2e-2
 """A window with less tells nothing [(m/s^2)^2]."""
 MIN_WINDOWS = 3
+KNOWN_STD = 0.2
+"""Below it a delay counts as known [s]: dv/dt of a manoeuvre of some seconds then correlates."""
+SEARCHED_STD = 0.1
+"""A prior narrower than this [s] states the delay: nothing is sought beyond."""
 
 
 class DelaySearch:
@@ -42,6 +46,18 @@ class DelaySearch:
         self.windows = 0
         self.value = prior.mean
         self.std = prior.std
+        self._best = prior.mean
+
+    @property
+    def is_known(self) -> bool:
+        """Whether signals that are shifted by it can be held against the force."""
+        return self.std < KNOWN_STD and not self.is_beyond
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether the best delay is the largest that is sought: the signal may well be later."""
+        is_sought = self._prior.std > SEARCHED_STD and self.std < self._prior.std
+        return is_sought and self._best >= float(self._taus[-1]) - STEP
 
     def add(self, signal: NDArray[np.complex128], force: NDArray[np.complex128]) -> None:
         """Take spectra of a window: signal (BINS,), force (BINS, 3)."""
@@ -69,6 +85,7 @@ class DelaySearch:
             bend = a - 2.0 * b + c
             if bend < 0.0:
                 tau += STEP * 0.5 * float((a - c) / bend)
+        self._best = float(self._taus[best])
         d = gain[best] / max(float(size[best]), 1e-12)
         along = (self._cross @ d) * np.exp(-1j * OMEGA * tau)
         coherence2 = np.minimum(

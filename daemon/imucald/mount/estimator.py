@@ -23,7 +23,8 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.core.rotations import rotation_from_vector
+from imucald.config.base import MAX_SPEED_DELAY
+from imucald.core.rotations import Matrix3, rotation_from_vector
 from imucald.motion.ticks import TickRow
 from imucald.mount.alternatives import TO_BE_FINE, TO_BE_GOOD, Alternatives
 from imucald.mount.contradictions import WORDS, Contradictions, StandingFault
@@ -74,6 +75,15 @@ SHIFTS_ALLOWED = 1
 """After more of them in one drive the mount is loose: it is never *fine*."""
 MOST_OF_LEAN = 0.9
 """Yaw's deviation is at most in so much that of the road's lean: a covariance stays one."""
+MIRRORED = (
+    "a signal that separates left from right (yaw rate, steering angle, lateral acceleration, "
+    "heading), or 'calibration: {orientation: {up: z}}' with the axis that points up: without, an "
+    "accelerometer with all signs turned looks the same"
+)
+"""What keeps an estimate that is certain enough from being *fine* where no signal has sides."""
+LATE_SPEED = (
+    f"a speed that comes sooner: it seems later than {MAX_SPEED_DELAY:g} s behind the accelerometer"
+)
 FROZEN_TICKS = 40
 """Learning counts as frozen when so many of a block's ticks were not to be trusted."""
 
@@ -190,7 +200,10 @@ class FullEstimator:
         is_young = self._solver.blocks <= EAGER_BLOCKS
         is_refitting = self._refit is not None
         if is_turn or is_young:
+            starts = self._solver.starts
             self._solver.fit()
+            if self._solver.starts > starts:  # what the forces said was said of another rotation
+                self._contradictions.forget_forces()
         if self._solver.response.segment != self._segment:
             self._segment = self._solver.response.segment
             self._solver.p_constant = P_CONSTANT_AGAIN if self._shifts else P_CONSTANT
@@ -206,6 +219,8 @@ class FullEstimator:
         """Hold the signals against one another; a contradiction that has ended begins anew."""
         solver, signals = self._solver, self._signals
         if signals.without_speed:
+            self._faults = ()
+            self._alternatives.add_without_speed(p, solver.R, signals.seen)
             return
         R = solver.R if solver.yaw_known else None
         self._contradictions.add(
@@ -215,10 +230,12 @@ class FullEstimator:
             R,
             signals.steering_offset,
             "yaw_rate" in signals.seen,
+            solver.delay_speed.value if solver.delay_speed.is_known else None,
         )
         offset = signals.steering_offset
         self._alternatives.add(self._kept, R, solver.bias, solver.gains(), signals.seen, offset)
-        before, self._faults = self._faults, self._contradictions.faults
+        before = tuple(f for f in self._faults if f is not StandingFault.ORIENTATION)
+        self._faults = self._contradictions.faults
         if self._alternatives.gyro_accused and (solver.sure() or StandingFault.GYRO_AXES in before):
             self._faults = (*self._faults, StandingFault.GYRO_AXES)
         new = [fault for fault in self._faults if fault not in before]
@@ -361,6 +378,7 @@ class FullEstimator:
         solver = self._solver
         if self._failed_for:
             self._faults = (*self._faults, StandingFault.NUMERICS)
+        self._hold_against_orientation()
         fused = solver.fused
         std = (math.inf, math.inf, math.inf)
         if fused is not None:
@@ -376,6 +394,8 @@ class FullEstimator:
             accelerometer=bool(p.ok_force.any()),
             speed=not self._signals.without_speed and bool(p.ok_speed.any()),
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
+            yaw_seen=solver.yaw_seen,
+            cross_axis=solver.cross_axis_std,
         )
         found = judged(self._known, self._state, self._settings)
         was_good = self._state in GOOD
@@ -387,6 +407,16 @@ class FullEstimator:
             self._moved = False
         else:  # good again, but what is applied is still on the way from what was wrong
             self._state = MountState.RECALIBRATING
+
+    def _hold_against_orientation(self) -> None:
+        """A fault where the sensor is found to sit the other way round than a person said."""
+        solver, fault = self._solver, StandingFault.ORIENTATION
+        if solver.R is None or fault in self._faults:
+            return
+        if self._alternatives.contradicts_orientation(solver.R, solver.yaw_known):
+            self._faults = (*self._faults, fault)
+            if fault not in {seen for _, seen in self._faults_seen}:
+                self._faults_seen.append((self._blocks, fault))
 
     def _allowed(self, found: MountState) -> MountState:
         """No *fine* before the tests can see, and nothing good in the face of a contradiction."""
@@ -401,6 +431,8 @@ class FullEstimator:
         """Why an estimate whose deviations are small enough is not good yet; None: it is."""
         if self._signals.without_speed:
             return None
+        if self._solver.delay_speed.is_beyond:
+            return LATE_SPEED
         if self._contradictions.doubtful:
             return "more bends, as signals contradict one another"
         return self._alternatives.missing(TO_BE_GOOD)
@@ -408,6 +440,8 @@ class FullEstimator:
     def _may_be_fine(self) -> bool:
         """Whether every test is armed, the signals were seen to agree, and little has happened."""
         if len(self._shifts) > SHIFTS_ALLOWED or not self._solver.armed:
+            return False
+        if not self._alternatives.is_mirror_excluded:
             return False
         if self._signals.without_speed:
             return True
@@ -419,6 +453,8 @@ class FullEstimator:
             return f"a mount that stays: it moved {len(self._shifts)} times in this drive"
         if not self._solver.armed:
             return "more driving, until a moved sensor would be noticed"
+        if self._alternatives.not_checked:
+            return MIRRORED
         return "more turns and changes of speed, until the signals are seen to agree"
 
     def _state_by(self, found: MountState) -> MountState:
@@ -467,7 +503,11 @@ class FullEstimator:
         self._answered = made_of, (R, covariance)
         return R, covariance
 
-    # what outlives the process; see `mount.restored`
+    # what a person says, and what outlives the process; see `mount.restored`
+
+    def take_stated_mount(self, R: Matrix3) -> None:
+        """A person states the mount: it rules out what no signal may, where it is the one found."""
+        self._alternatives.take_mount(R)
 
     @property
     def contradiction(self) -> float | None:
@@ -514,7 +554,8 @@ class FullEstimator:
             codes = {angle: codes.get(angle, Missing.AGREEMENT) for angle in ANGLES}
         if self._state is MountState.USABLE and not words:
             words = dict.fromkeys(ANGLES, self._why_not_fine())
-            codes = dict.fromkeys(ANGLES, Missing.NOTHING)
+            code = Missing.AGREEMENT if self._alternatives.not_checked else Missing.NOTHING
+            codes = dict.fromkeys(ANGLES, code)
         targets = self._settings.targets
         if self._solver.fused is None:
             return MountEstimate(

@@ -17,9 +17,11 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, vector_from_rotation
@@ -58,8 +60,7 @@ BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
 """States in which a mount is served with doubts."""
 
 
-@dataclass(frozen=True)
-class StoredMount:
+class StoredMount(Struct, frozen=True):
     """What an earlier drive found.
 
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`.
@@ -73,6 +74,15 @@ class StoredMount:
     doubted: bool = False
     evidence: SavedInformation | None = None
     is_given: bool = False
+
+
+@runtime_checkable
+class TakesStatedMount(Protocol):
+    """An estimator to which it matters what a person says of the mount."""
+
+    def take_stated_mount(self, R: Matrix3) -> None:
+        """A person states R_vehicle_from_sensor."""
+        ...
 
 
 class Phase(enum.StrEnum):
@@ -108,6 +118,8 @@ class RestoredEstimator:
         self.joined = False
         """Whether the stored evidence goes along with the new."""
         self._has_left = False
+        if stored.is_given and isinstance(inner, TakesStatedMount):
+            inner.take_stated_mount(stored.R_vehicle_from_sensor)
         self._prior = stored.covariance + np.diag(np.square(BETWEEN_DRIVES_STD))
         self._served = SlewedRotation(HAND_OVER_RATE)
         self._served.aim(stored.R_vehicle_from_sensor)

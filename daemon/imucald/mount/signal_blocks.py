@@ -7,9 +7,11 @@ be interpolated between samples on both sides. Says for every tick whether it ma
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
@@ -44,8 +46,7 @@ BLOCKS_WITHOUT_SPEED = 4
 """Hops without any speed after which the estimator does without (26 s)."""
 
 
-@dataclass
-class SignalBlock:
+class SignalBlock(Struct):
     """One block, N = BLOCK_TICKS; where a flag is False, values are finite and mean nothing."""
 
     t: Array
@@ -64,6 +65,9 @@ class SignalBlock:
     ok_steering: Flags
     had_rate: Flags  # as ok_rate, but also while the bias was not known
     gyro_bias: Array  # (3,) what was taken off the rate
+    sided: Mapping[str, tuple[Array, Flags]] = field(default_factory=dict)
+    # What else knows left from right: lateral_accel (N,) [m/s^2], heading (N,) [rad] as it comes,
+    # without jumps at north; each with where it is known.
 
     def with_gyro_bias(self, gyro_bias: Array) -> SignalBlock:
         """The same block as if that gyro bias [rad/s] (3,) had been known."""
@@ -173,6 +177,7 @@ class SignalBlockMaker:
             ok_steering=self._steering[1][mid],
             had_rate=ok_rate[mid],
             gyro_bias=self.offsets.gyro_bias,
+            sided=self._sided(t, at[mid]),
         )
         if self.without_speed:
             prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
@@ -246,6 +251,20 @@ class SignalBlockMaker:
         steered, vehicle = angle - self.steering_offset, s.vehicle
         turning = (vehicle.steering_ratio, vehicle.wheelbase, s.understeer)
         return yaw_rate_with_understeer(speed, steered, *turning), ok_angle
+
+    def _sided(self, t: Array, at: Array) -> dict[str, tuple[Array, Flags]]:
+        """Lateral acceleration and heading at times (N,), where they come."""
+        rows, found = self._rows, {}
+        has = rows[:, tk.LATERAL_ACCEL.n] > 0
+        if has.any():
+            values = rows[has, tk.LATERAL_ACCEL.mean]
+            found["lateral_accel"] = bridged(at, t[has] - 0.5 * TICK_S, values, YAW_GAP)
+        has = ~np.isnan(rows[:, tk.HEADING])
+        if has.any():
+            values = np.unwrap(rows[has, tk.HEADING])
+            found["heading"] = bridged(at, t[has] - 0.5 * TICK_S, values, SPEED_GAP)
+        self.seen.update(found)
+        return found
 
     def _rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
         """At rest: speed zero (where there is one) and the force still."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.rotations import (
@@ -75,6 +75,9 @@ SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
 """Windows after which the delay is sought: first, and then every so many."""
+START_AGAIN = 0.3
+"""A delay that is found to differ by more [s], its prior deviation, ends what was begun with the
+old one: the response to dv/dt at that delay may point anywhere, backwards too."""
 SEEN_SHARE = 1.0
 """From as much information as the prior's on what the data say of a bias is looked at."""
 SURE_STD = 0.035
@@ -102,6 +105,8 @@ class MountSolver:
         self._mask = np.zeros(WINDOW, dtype=bool)
         self.R: Matrix3 | None = None
         self.yaw_known = False
+        self.starts = 0
+        """How often a first rotation was found."""
         self.fused: Fused | None = None
         self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
@@ -236,6 +241,8 @@ class MountSolver:
             tau = self.delay_speed.search()
             late = 0.0 if self.own_gyro else self.delay_turn.search()
             was = self.response.delays
+            if abs(tau - was[0]) > START_AGAIN and not self.sure():
+                self.yaw_known = False
             if abs(tau - was[0]) > 0.02 or abs(late - was[1]) > 0.02:
                 self.response.set_delays(tau, late)
 
@@ -318,6 +325,12 @@ class MountSolver:
     def cross_axis_std(self) -> float:
         """Cross-axis error that is reckoned with (part): configured, or probable."""
         return math.hypot(self._settings.calibration.cross_axis, self._probable_cross_axis)
+
+    @property
+    def yaw_seen(self) -> float:
+        """Standard deviation of the best source of yaw alone [rad], without common errors."""
+        found = [one.variance for name, one in self.sources.items() if name.startswith("yaw_")]
+        return math.sqrt(min(found, default=math.inf))
 
     @property
     def _probable_cross_axis(self) -> float:
@@ -405,3 +418,4 @@ class MountSolver:
         yaw = -math.atan2(forward.imag, forward.real)
         self.R = rotation_from_angles(0.0, 0.0, yaw) @ level
         self.yaw_known = True
+        self.starts += 1

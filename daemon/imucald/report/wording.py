@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from imucald.diagnosis.result import (
     GOES_AGAINST,
     NOT_PLAUSIBLE,
+    TOO_MUCH,
     Candidate,
     Diagnosis,
     FoundCause,
@@ -80,12 +81,35 @@ def _advice(diagnosis: Diagnosis) -> str:
     """Whether the extended file is worth using, in so many words."""
     if not diagnosis.causes:
         return ""
+    if diagnosis.recommended and not diagnosis.gain.was_fitted:
+        return (
+            " The extended model file states what was read directly from samples and stops, and "
+            "predicts the rest as before."
+        )
     if diagnosis.recommended:
         return " The extended model file predicts better, on data that its fit did not see: use it."
+    if {s.kind for s in diagnosis.structure} & {GOES_AGAINST, TOO_MUCH}:
+        return (
+            " The extended model file is not recommended: beside what is left, no prediction is "
+            "believed."
+        )
     if diagnosis.gain.worse:
         names = in_series([signal_title(n) for n in diagnosis.gain.worse])
         return f" The extended model file is not recommended: it predicts {names} worse."
+    if not diagnosis.gain.was_fitted:
+        return " No key of the model file changes by it."
     return " The extended model file is not recommended: it brings nothing on data not fitted."
+
+
+def advice_in_short(diagnosis: Diagnosis) -> tuple[str, str]:
+    """The same as a figure: advice, and what it rests on."""
+    if diagnosis.model_after == diagnosis.model_before:
+        return "unchanged", "what was found has no key of its own in the model file"
+    if not diagnosis.recommended:
+        return "not recommended", "by what it brings alone"
+    if not diagnosis.gain.was_fitted:
+        return "states what was found", "read directly: no prediction changes"
+    return "use it", "by what it brings alone"
 
 
 def _likely(diagnosis: Diagnosis) -> str:
@@ -129,6 +153,8 @@ def gain(found: Gain) -> str:
     """Return the gain on held-out data in one line."""
     if not math.isfinite(found.held_out_log_likelihood):
         return "not known: the drives are too short to hold anything out"
+    if not found.was_fitted:
+        return "none is asked for: what was found was read directly, and not fitted"
     low, high = found.interval
     return (
         f"{number(found.held_out_log_likelihood)} nats likelier "

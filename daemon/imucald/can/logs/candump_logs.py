@@ -21,14 +21,11 @@ from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns,
 from imucald.can.id_filter import IdFilters
 from imucald.can.logs.ascii_columns import Bytes, Index, hex_bytes, runs_at
 from imucald.can.logs.candump_block import CandumpBlock, Hits
-from imucald.can.logs.candump_line import MAX_LINE_BYTES, REASONS, Line, parse_line, shown
+from imucald.can.logs.candump_line import REASONS, Line, parse_line, shown
 from imucald.can.logs.candump_shape import Layout, Shape
-from imucald.can.logs.log_format import DamageError, ReadStatistics
-from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
-from imucald.core.errors import LogError
-
-PADDING: Final = 512
-"""Bytes by which a block is longer than its text, so that runs may be read from any place."""
+from imucald.can.logs.log_format import ReadStatistics
+from imucald.can.logs.text_blocks import OpenLog
+from imucald.can.logs.text_log_reader import PADDING, Place, read_text_log
 
 MAX_SHAPES: Final = 32
 """Shapes kept; more would cost time on every line that has none of them."""
@@ -36,25 +33,7 @@ MAX_SHAPES: Final = 32
 NEW_SHAPES: Final = 16
 """Shapes learned in one block; beyond, lines are read one by one."""
 
-CHUNK_FRAMES: Final = 16_384
-"""Frames gathered from blocks before they are passed on: what follows has costs per chunk."""
-
-CHUNK_BLOCKS: Final = 8
-"""Blocks after which they are passed on however few they are, so that progress shows."""
-
-PIECE_LINES: Final = 64
-"""Lines of a damaged file that are parsed at once."""
-
-NEWLINE: Final = 0x0A
-
-KEPT_BYTES: Final = 16 << 20
-"""Freed memory that the C library may keep for reuse, above the arrays of one block (about 6 MiB
-with their copies)."""
-
 _LOG_LINE: Final = re.compile(rb"^\(\d{1,19}\.\d{1,19}\) {1,32}\S{1,32} [0-9A-Fa-f]{3,8}#", re.M)
-
-Place = tuple[str, int]
-"""File name, number of lines before."""
 
 
 class CandumpParser:
@@ -93,6 +72,10 @@ class CandumpParser:
         """
         line = self.judge(text, place, last=True)
         return self._columns(np.zeros(PADDING, np.uint8), [], [] if line is None else [(0, line)])
+
+    def end(self) -> FrameColumns:
+        """Return no frames: each had its own time stamp."""
+        return self._columns(np.zeros(PADDING, np.uint8), [], [])
 
     def judge(self, text: bytes, place: Place, last: bool = False) -> Line | None:
         """Read one line strictly and count it; return it if it is a wanted data frame."""
@@ -189,81 +172,7 @@ class CandumpReader:
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
         """Yield the wanted frames of one file in chunks, as `LogFormat.read` says."""
-        _keep_freed_memory()
-        return _gathered(self._blocks(path, report))
-
-    def _blocks(
-        self, path: Path | str | OpenLog, report: Callable[[int], None]
-    ) -> Iterator[FrameColumns]:
-        parser = self._parser
-        name, lines = str(path), 0
-        with self._statistics.until_damage(path), open_source(path) as source:
-            blocks = TextBlocks(source, PADDING, MAX_LINE_BYTES)
-            for buf, size in blocks:
-                if self._statistics.damage:
-                    for columns, count in self._cautiously(buf, size, (name, lines)):
-                        lines += count
-                        yield columns
-                    continue
-                columns, count = parser.parse(buf, size, (name, lines))
-                lines += count
-                report(blocks.bytes_read)
-                yield columns
-            if blocks.damage and not lines:
-                raise LogError(f"{name}: cannot be read: {blocks.damage}")
-            if blocks.damage:
-                # The last line is cut with the file, even where what is left of it can be read.
-                where = f"{name}:{lines + 1}"
-                self._statistics.reject(
-                    "damaged_file", f"{where}: reading ends here: {blocks.damage}"
-                )
-            elif blocks.rest:
-                yield parser.parse_rest(blocks.rest, (name, lines))
-
-    def _cautiously(
-        self, buf: Bytes, size: int, place: Place
-    ) -> Iterator[tuple[FrameColumns, int]]:
-        """Parse a damaged file's block in small pieces: one with a sign of it is left out whole."""
-        start, lines = 0, place[1]
-        ends = np.flatnonzero(buf[:size] == NEWLINE)[PIECE_LINES - 1 :: PIECE_LINES] + 1
-        for end in [*ends.tolist(), size]:
-            if end == start:
-                continue
-            before = self._statistics.frames_read
-            columns, count = self._parser.parse(buf[start:], end - start, (place[0], lines))
-            try:
-                for t in columns.t.tolist():
-                    self._statistics.follows(t, f"{place[0]}:{lines + 1}")
-            except DamageError:
-                self._statistics.frames_read = before
-                raise
-            start, lines = end, lines + count
-            yield columns, count
-
-
-def _keep_freed_memory() -> None:
-    """Let glibc reuse freed memory, instead of giving it back and faulting it in for each block.
-
-    It sets its threshold for that to the largest block it has seen freed. The array is never
-    touched, so it costs nothing; reading takes less than half the time. Elsewhere: no effect.
-    """
-    np.empty(KEPT_BYTES, np.uint8)
-
-
-def _gathered(blocks: Iterator[FrameColumns]) -> Iterator[FrameColumns]:
-    """Yield what several blocks hold as one, since rare frames make small columns."""
-    parts: list[FrameColumns] = []
-    count = frames = 0
-    for part in blocks:
-        count += 1
-        if len(part):
-            parts.append(part)
-            frames += len(part)
-        if parts and (frames >= CHUNK_FRAMES or count >= CHUNK_BLOCKS):
-            yield concatenate(parts)
-            parts, count, frames = [], 0, 0
-    if parts:
-        yield concatenate(parts)
+        return read_text_log(path, self._parser, self._statistics, report)
 
 
 _DIGIT_MASKS: Final = np.tril(np.full((2 * FD_BYTES + 1, 2 * FD_BYTES), 0xFF, np.uint8), -1).view(

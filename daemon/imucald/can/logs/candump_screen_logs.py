@@ -8,66 +8,254 @@
 With -a (text), -c (colours), -i (binary digits) and -S (last byte first) too. Without time stamps,
 and as cansend takes it (044#2A366C2BBA), time is counted from a message whose cycle is stated;
 where no such message comes, the file is refused with a remedy.
+
+Nearly all lines have one of a few shapes (`candump_screen_shape`) and are read together; any other
+goes to the strict reader of single lines (`candump_screen_line`), which decides.
 """
 
 from __future__ import annotations
 
-import itertools
 import re
-from calendar import timegm
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from time import strptime
-from typing import ClassVar, Final, NamedTuple
+from typing import ClassVar, Final
 
-from imucald.can.columns import (
-    CAN_EFF_FLAG,
-    CAN_EFF_MASK,
-    CAN_SFF_MASK,
-    CLASSIC_BYTES,
-    FD_BYTES,
-    Channels,
-    FrameColumns,
-)
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.can.columns import CAN_EFF_MASK, Channels, FrameColumns, concatenate
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.candump_line import MAX_LINE_BYTES, REASONS, Line, parse_line, shown
-from imucald.can.logs.frame_batches import FrameBatches
+from imucald.can.logs.ascii_columns import Bytes, Index, line_ends
+from imucald.can.logs.candump_line import shown
+from imucald.can.logs.candump_screen_line import (
+    AS_CANSEND,
+    PRINTED,
+    LineFault,
+    ScreenFrame,
+    frame_of_line,
+)
+from imucald.can.logs.candump_screen_shape import Found, ScreenShape
+from imucald.can.logs.candump_screen_times import CountedTimes, StampedTimes
+from imucald.can.logs.frame_batches import columns_of_frames
 from imucald.can.logs.log_format import Cycles, ReadStatistics
-from imucald.can.logs.text_blocks import OpenLog, TextBlocks, open_source
+from imucald.can.logs.text_blocks import OpenLog
+from imucald.can.logs.text_log_reader import PADDING, Place, read_text_log
 from imucald.core.errors import LogError
 
 REMEDY: Final = "record with: candump -l can0"
 
-_LINE: Final = re.compile(
-    rb"""[ ]*(?:\((?P<stamp>[0-9][0-9 .:-]{4,30})\)[ ]+)?
-    (?P<channel>[!"$-~]{1,32})[ ]+
-    (?:[RT]X[ ][B-][ ][E-][ ]+)?
-    (?P<id>[0-9A-F]{3}|[0-9A-F]{8})[ ]+\[(?P<length>[0-9]{1,2})\](?P<rest>(?:[ ].*)?)""",
-    re.VERBOSE,
-)
-_CANSEND: Final = re.compile(rb"\s*[0-9A-Fa-f]{3,8}#(?:#?[0-9A-Fa-f]|R|\s|$)")
-_COLOUR: Final = re.compile(rb"\x1b\[[0-9;]*m")
-_DELTA_SHARE: Final = 0.2
-"""Part of the steps that go back from which stamps are differences: of differences half do."""
-_ERROR_ID: Final = 0x2000_0000
-_LOOK_LINES: Final = 200
+MAX_SHAPES: Final = 32
+"""Shapes kept; more would cost time on every line that has none of them."""
+NEW_SHAPES: Final = 16
+"""Shapes learned in one block; beyond, lines are read one by one."""
+LOOK_LINES: Final = 200
 """First lines by which differences are separated from times since the start."""
 
-
-class ScreenFrame(NamedTuple):
-    """One frame; can_id with the flag for 29 bits."""
-
-    can_id: int
-    data: bytes
-    channel: str
-    fd: bool
+_COLOUR: Final = re.compile(rb"\x1b\[[0-9;]*m")
+_ESCAPE: Final = 0x1B
 
 
-class LineFault(NamedTuple):
-    """Why a line cannot be used: the reason's name, and words."""
+class CandumpScreenParser:
+    """Turns blocks of screen output into columns; keeps what it learned from block to block."""
 
-    reason: str
-    text: str
+    def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
+        self._filters = filters
+        self._channels = channels
+        self._statistics = statistics
+        self._shapes: list[ScreenShape] = []
+        self._time: StampedTimes | CountedTimes | None = None
+        self.cycles: Cycles = ()
+
+    def parse(self, buf: Bytes, size: int, place: Place) -> tuple[FrameColumns, int]:
+        """Return the wanted frames of whole lines, as `LineParser.parse` says."""
+        if (buf[:size] == _ESCAPE).any():
+            text = _COLOUR.sub(b"", buf[:size].tobytes())
+            buf, size = np.frombuffer(text + bytes(PADDING), np.uint8), len(text)
+        stops = line_ends(buf, size)
+        starts = np.concatenate([[0], stops[:-1] + 1])
+        if self._time is None:
+            few = zip(starts[:LOOK_LINES].tolist(), stops[:LOOK_LINES].tolist(), strict=True)
+            self._time = self._look([buf[a:b].tobytes() for a, b in few], place[0])
+        left, found = self._find(buf, starts, stops)
+        values = np.full(len(stops), np.nan)
+        for part in found:
+            values[part.line] = part.stamp
+        singles: list[tuple[int, ScreenFrame]] = []
+        for number in left.tolist():
+            line = buf[starts[number] : stops[number]].tobytes()
+            frame, value = self._judge(line, (place[0], place[1] + number))
+            values[number] = np.nan if value is None else value
+            if frame is not None:
+                singles.append((number, frame))
+        return self._timed([*found, self._of_singles(singles)], values), len(stops)
+
+    def parse_rest(self, text: bytes, place: Place) -> FrameColumns:
+        """Return the frame (or none) of a file's last line, which lacks its newline.
+
+        It counts only where it is whole; else it was cut.
+        """
+        line = _COLOUR.sub(b"", text)
+        if self._time is None:
+            self._time = self._look([line], place[0])
+        frame, value = self._judge(line, place, last=True)
+        values = np.array([np.nan if value is None else value])
+        singles = [] if frame is None else [(0, frame)]
+        return self._timed([self._of_singles(singles)], values)
+
+    def end(self) -> FrameColumns:
+        """Return the frames whose cycle the file's end cut; another file's stamps may differ."""
+        time, self._time = self._time, None
+        rest = time.rest() if isinstance(time, CountedTimes) else None
+        if isinstance(time, CountedTimes) and time.first is not None:
+            self._statistics.stamp(time.first)
+        return columns_of_frames([], self._channels.names) if rest is None else rest
+
+    def _look(self, first: list[bytes], name: str) -> StampedTimes | CountedTimes:
+        """How a file's stamps are meant. Raises LogError where it has none, and nothing counts."""
+        lines = [line.rstrip() for line in first]
+        matches = [PRINTED.fullmatch(line) for line in lines]
+        stamps = [m["stamp"] for m in matches if m is not None and m["stamp"] is not None]
+        if stamps:
+            return StampedTimes(stamps)
+        parsed = [frame_of_line(line, m) for line, m in zip(lines, matches, strict=True)]
+        known = [
+            (cycle, frame.can_id, frame.channel)
+            for frame in parsed
+            if isinstance(frame, ScreenFrame)
+            for match, cycle in self.cycles
+            if match.matches(frame.can_id, frame.channel)
+        ]
+        if not known:
+            text = "its frames have no time stamps, and none is of a message with a stated cycle"
+            raise LogError(f"{name}: {text}; {REMEDY}")
+        cycle, can_id, channel = min(known)
+        self._statistics.note(
+            f"{name}: no time stamps: time is counted from id 0x{can_id & CAN_EFF_MASK:X}, stated "
+            f"every {1e3 * cycle:g} ms, and is only as exact as that; {REMEDY}"
+        )
+        return CountedTimes(can_id, channel, cycle)
+
+    def _find(self, buf: Bytes, starts: Index, stops: Index) -> tuple[Index, list[Found]]:
+        """Hold every known shape against the lines, then learn new ones from what is left."""
+        left: Index = np.arange(len(stops))
+        others: list[Index] = []
+        found: list[Found] = []
+        times = self._time if isinstance(self._time, StampedTimes) else None
+        for shape in self._shapes:
+            shape.lines_found = 0
+        for shape in self._shapes:
+            if len(left):
+                left, part = shape.find(buf, starts, left, times)
+                found.append(part)
+        new = 0
+        while len(left) and new < NEW_SHAPES:
+            learned = self._learn(buf[starts[left[0]] : stops[left[0]]].tobytes())
+            first = left[0]
+            if learned is not None:
+                new += 1
+                left, part = learned.find(buf, starts, left, times)
+                found.append(part)
+            if len(left) and left[0] == first:
+                others.append(left[:1])
+                left = left[1:]
+        # The commonest first: each shape costs only the lines that follow.
+        self._shapes.sort(key=lambda shape: -shape.lines_found)
+        del self._shapes[MAX_SHAPES:]
+        return np.concatenate([*others, left]), found
+
+    def _learn(self, line: bytes) -> ScreenShape | None:
+        match = PRINTED.fullmatch(line.rstrip())
+        if match is None or not ScreenShape.can_be_of(match):
+            return None
+        frame = frame_of_line(line, match)
+        if not isinstance(frame, ScreenFrame) or not frame.data:
+            return None
+        index = self._channels.index(frame.channel)
+        if index is None:
+            return None
+        shape = ScreenShape(match, index, self._channels, self._filters.of(frame.channel))
+        if any(known.key == shape.key for known in self._shapes):
+            return None
+        self._shapes.append(shape)
+        return shape
+
+    def _judge(
+        self, text: bytes, place: Place, last: bool = False
+    ) -> tuple[ScreenFrame | None, float | None]:
+        """Read one line strictly and count it: its frame, and what its stamp spells [s]."""
+        line, time = text.rstrip(), self._time
+        if not line or line.startswith(b"\t"):  # what -e explains about an error frame
+            return None, None
+        match, value = PRINTED.fullmatch(line), None
+        if isinstance(time, StampedTimes) and match is not None and match["stamp"] is not None:
+            value = time.value(match["stamp"])
+        parsed = frame_of_line(line, match)
+        if isinstance(parsed, str):
+            self._statistics.ignore(parsed)
+            return None, value
+        if isinstance(parsed, ScreenFrame):
+            if isinstance(time, StampedTimes) and value is None:
+                words = "the time stamp is missing, or none of candump's"
+                parsed = LineFault("bad_timestamp", words)
+            elif self._channels.index(parsed.channel) is None:
+                parsed = LineFault("too_many_channels", "more than 255 channels")
+        if isinstance(parsed, ScreenFrame):
+            return parsed, value
+        reason, words = ("cut_line", "the line is cut") if last else parsed
+        where = f"{place[0]}:{place[1] + 1}"
+        self._statistics.reject(reason, f"{where}: {words}: {shown(text)}")
+        return None, value
+
+    def _of_singles(self, singles: list[tuple[int, ScreenFrame]]) -> Found:
+        """Frames that were read one by one, with their lines."""
+        names, frames = self._channels.names, [frame for _, frame in singles]
+        channel = [names.index(frame.channel) for frame in frames]
+        wanted = [self._filters.of(frame.channel).wanted(frame.can_id) for frame in frames]
+        ours = [
+            (0.0, frame.can_id, frame.data, index, frame.fd)
+            for frame, index, is_ours in zip(frames, channel, wanted, strict=True)
+            if is_ours
+        ]
+        return Found(
+            np.array([number for number, _ in singles], np.intp),
+            np.array(channel, np.uint8),
+            np.array([frame.can_id for frame in frames], np.uint32),
+            np.zeros(len(singles)),  # the block's stamps are known line by line
+            np.array(wanted, np.bool_),
+            columns_of_frames(ours, names),
+        )
+
+    def _timed(self, found: list[Found], values: NDArray[np.float64]) -> FrameColumns:
+        """The wanted frames of a block in order, with their times; counts all frames.
+
+        values: what the stamp of each line spells, NaN where there is none.
+        """
+        lines = np.concatenate([part.line[part.wanted] for part in found])
+        order = np.argsort(lines, kind="stable")
+        frames, lines = concatenate([part.frames for part in found]).take(order), lines[order]
+        every = np.concatenate([part.line for part in found])
+        self._statistics.frames_read += len(every)
+        if isinstance(self._time, StampedTimes):
+            t = self._time.times(values)
+            if len(every):
+                self._statistics.stamp(float(t[every.min()]))
+            return frames.at(t[lines])
+        assert self._time is not None  # what a block's frames are looked at for
+        return self._counted(self._time, found, frames, lines)
+
+    def _counted(
+        self, time: CountedTimes, found: list[Found], frames: FrameColumns, lines: Index
+    ) -> FrameColumns:
+        every = np.sort(np.concatenate([part.line for part in found]))
+        index = self._channels.index(time.channel)
+        ends = [p.line[(p.can_id == time.can_id) & (p.channel == index)] for p in found]
+        places, ends_at = (
+            np.searchsorted(every, at) for at in (lines, np.sort(np.concatenate(ends)))
+        )
+        timed = time.take(frames, places, ends_at, len(every))
+        if time.first is not None:
+            self._statistics.stamp(time.first)
+        return timed
 
 
 class CandumpScreenReader:
@@ -79,215 +267,21 @@ class CandumpScreenReader:
     def begins(head: bytes) -> bool:
         """Whether one of the first lines is printed by candump, or is as cansend takes it."""
         lines = _COLOUR.sub(b"", head).splitlines()
-        return any(_LINE.fullmatch(line.rstrip()) or _CANSEND.match(line) for line in lines[:50])
+        return any(
+            PRINTED.fullmatch(line.rstrip()) or AS_CANSEND.match(line) for line in lines[:50]
+        )
 
     def __init__(self, filters: IdFilters, channels: Channels, statistics: ReadStatistics) -> None:
         self._statistics = statistics
-        self._batches = FrameBatches(filters, channels, statistics)
-        self._time: _Times | _Counted = _Times([])
+        self._parser = CandumpScreenParser(filters, channels, statistics)
         self.cycles: Cycles = ()
 
     def read(
         self, path: Path | str | OpenLog, report: Callable[[int], None]
     ) -> Iterator[FrameColumns]:
-        """Yield the wanted frames of one file in batches, as `LogFormat.read` says."""
-        name, number, first = str(path), 0, True
-        with self._statistics.until_damage(path), open_source(path) as source:
-            blocks = TextBlocks(source, 0, MAX_LINE_BYTES)
-            for buf, size in blocks:
-                lines = _COLOUR.sub(b"", buf[:size].tobytes()).splitlines()
-                if first:
-                    self._time, first = self._look(lines, name), False
-                yield from self._lines(lines, name, number)
-                number += len(lines)
-                report(blocks.bytes_read)
-            rest = _COLOUR.sub(b"", blocks.rest).rstrip()
-            if first:
-                self._time = self._look([rest], name)
-            if blocks.damage:
-                text = f"{name}:{number + 1}: reading ends here: {blocks.damage}"
-                self._statistics.reject("damaged_file", text)
-            elif rest:
-                yield from self._lines([rest], name, number, last=True)
-        if isinstance(self._time, _Counted):
-            self._add(self._time.rest())
-        yield self._batches.columns()
-
-    def _look(self, lines: list[bytes], name: str) -> _Times | _Counted:
-        """How a file's stamps are meant. Raises LogError where it has none, and nothing counts."""
-        first = lines[:_LOOK_LINES]
-        matches = [m for line in first if (m := _LINE.fullmatch(line.rstrip()))]
-        stamps = [m["stamp"] for m in matches if m["stamp"] is not None]
-        if stamps:
-            return _Times(stamps)
-        frames = [f for line in first if isinstance(f := _parsed(line.rstrip()), ScreenFrame)]
-        known = [
-            (cycle, can_id, channel)
-            for can_id, _, channel, _ in frames
-            for match, cycle in self.cycles
-            if match.matches(can_id, channel)
-        ]
-        if not known:
-            text = "its frames have no time stamps, and none is of a message with a stated cycle"
-            raise LogError(f"{name}: {text}; {REMEDY}")
-        cycle, can_id, channel = min(known)
-        self._statistics.note(
-            f"{name}: no time stamps: time is counted from id 0x{can_id & CAN_EFF_MASK:X}, stated "
-            f"every {1e3 * cycle:g} ms, and is only as exact as that; {REMEDY}"
-        )
-        return _Counted(can_id, channel, cycle)
-
-    def _lines(
-        self, lines: list[bytes], name: str, before: int, last: bool = False
-    ) -> Iterator[FrameColumns]:
-        for number, line in enumerate(lines, before + 1):
-            fault = self._line(line.rstrip())
-            if fault:
-                reason, text = ("cut_line", "the line is cut") if last else fault
-                self._statistics.reject(reason, f"{name}:{number}: {text}: {shown(line)}")
-            if self._batches.is_full:
-                yield self._batches.columns()
-
-    def _line(self, line: bytes) -> LineFault | None:
-        """Take one line; the reason why it cannot be used, and its text."""
-        if not line or line.startswith(b"\t"):  # what -e explains about an error frame
-            return None
-        t, match = None, _LINE.fullmatch(line)
-        if isinstance(self._time, _Times):  # differences count whatever the line holds
-            t = None if match is None or match["stamp"] is None else self._time.of(match["stamp"])
-        parsed = _as_cansend(line) if match is None else _as_printed(match)
-        if isinstance(parsed, str):
-            self._statistics.ignore(parsed)
-            return None
-        if isinstance(parsed, LineFault):
-            return parsed
-        if isinstance(self._time, _Counted):
-            return self._add(self._time.take(parsed))
-        if t is None:
-            return LineFault("bad_timestamp", "the time stamp is missing, or none of candump's")
-        return self._add([(t, parsed)])
-
-    def _add(self, frames: list[tuple[float, ScreenFrame]]) -> LineFault | None:
-        for t, (can_id, data, channel, fd) in frames:
-            if not self._batches.add(t, can_id, data, channel, fd):
-                return LineFault("too_many_channels", "more than 255 channels")
-        return None
-
-
-def _parsed(line: bytes) -> ScreenFrame | LineFault | str:
-    """The frame of a line, why it has none, or the kind of frame that carries no data."""
-    match = _LINE.fullmatch(line)
-    return _as_cansend(line) if match is None else _as_printed(match)
-
-
-def _as_printed(match: re.Match[bytes]) -> ScreenFrame | LineFault | str:
-    channel, id_text, length_text, rest = match.group("channel", "id", "length", "rest")
-    can_id, length, rest = int(id_text, 16), int(length_text), rest.strip()
-    is_extended = len(id_text) == 8
-    if rest.startswith(b"remote request"):
-        return "remote_frame"
-    if is_extended and can_id >= _ERROR_ID:
-        return "error_frame"
-    data = _data(rest, length)
-    fd = len(length_text) == 2
-    if data is None or length > (FD_BYTES if fd else CLASSIC_BYTES):
-        return LineFault("bad_hex", f"these are not {length} bytes")
-    if not is_extended and can_id > CAN_SFF_MASK:
-        return LineFault("bad_id", "the id is not 3 digits up to 7FF")
-    can_id |= CAN_EFF_FLAG if is_extended else 0
-    return ScreenFrame(can_id, data, channel.decode("ascii"), fd)
-
-
-def _as_cansend(line: bytes) -> ScreenFrame | LineFault | str:
-    if not _CANSEND.match(line):
-        return LineFault("not_candump", "not a line that candump prints")
-    parsed = parse_line(b"(0.0) can0 " + line.strip())
-    if isinstance(parsed, Line):
-        if parsed.kind != "data":
-            return parsed.kind
-        return ScreenFrame(parsed.can_id, parsed.data, "can0", parsed.fd)
-    return LineFault(parsed or "not_candump", REASONS[parsed or "not_candump"])
-
-
-def _data(rest: bytes, length: int) -> bytes | None:
-    """The bytes of a frame, printed in one of four ways; None where there are not so many."""
-    if not length:
-        return b""
-    end = 3 * length - 1
-    if rest[2:end:3] == b" " * (length - 1) and rest[end : end + 1] in b" ":  # the usual way
-        try:
-            data = bytes.fromhex(rest[:end].decode("ascii"))
-        except ValueError:
-            return None
-        if len(data) == length:
-            return data
-    reverse = b"`" in rest[:3] or b"`" in rest[:9]
-    words = rest.partition(b"   ")[0].split(b"`" if reverse else None)[:length]
-    if len(words) != length:
-        return None
-    base = 2 if len(words[0]) == 8 else 16
-    try:
-        if any(len(w) != (8 if base == 2 else 2) for w in words):
-            return None
-        data = bytes(int(w, base) for w in words)
-    except ValueError:
-        return None
-    return data[::-1] if reverse else data
-
-
-class _Times:
-    """Time stamps [s] of one file: absolute, since the start, or differences."""
-
-    def __init__(self, first: list[bytes]) -> None:
-        small = [float(s) for s in first if re.fullmatch(rb"[0-9]{1,9}\.[0-9]+", s)]
-        back = sum(b < a for a, b in itertools.pairwise(small))
-        self._are_steps = len(small) > 1 and back > _DELTA_SHARE * (len(small) - 1)
-        self._now = 0.0
-        self._days: dict[bytes, int] = {}
-
-    def of(self, text: bytes) -> float | None:
-        """The time of a stamp; None where it is not one."""
-        if b":" in text:
-            return self._of_date(text)
-        try:
-            t = float(text)
-        except ValueError:
-            return None
-        if self._are_steps:
-            self._now += t
-            return self._now
-        return t
-
-    def _of_date(self, text: bytes) -> float | None:
-        whole, _, part = text.partition(b".")
-        if whole not in self._days:
-            try:
-                self._days = {whole: timegm(strptime(whole.decode(), "%Y-%m-%d %H:%M:%S"))}
-            except (ValueError, UnicodeDecodeError):
-                return None
-        return self._days[whole] + (float(b"0." + part) if part.isdigit() else 0.0)
-
-
-class _Counted:
-    """Time counted from the frames of one message that comes in cycles [s]."""
-
-    def __init__(self, can_id: int, channel: str, cycle: float) -> None:
-        self._clock = can_id, channel
-        self._cycle = cycle
-        self._cycles = 0
-        self._waiting: list[ScreenFrame] = []
-
-    def take(self, frame: ScreenFrame) -> list[tuple[float, ScreenFrame]]:
-        """Frames whose times are known now: spread over the cycle that has just ended."""
-        self._waiting.append(frame)
-        return self.rest() if (frame.can_id, frame.channel) == self._clock else []
-
-    def rest(self) -> list[tuple[float, ScreenFrame]]:
-        """All frames that wait, with their times."""
-        waiting, self._waiting = self._waiting, []
-        start, step = self._cycles * self._cycle, self._cycle / max(len(waiting), 1)
-        self._cycles += 1
-        return [(start + (i + 1) * step, frame) for i, frame in enumerate(waiting)]
+        """Yield the wanted frames of one file in chunks, as `LogFormat.read` says."""
+        self._parser.cycles = self.cycles
+        return read_text_log(path, self._parser, self._statistics, report)
 
 
 FORMAT = CandumpScreenReader

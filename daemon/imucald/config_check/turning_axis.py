@@ -1,0 +1,62 @@
+"""Whether bends show in the gyroscope's axes that gravity says they must."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from imucald.config_check.finding import CLEAR, MIN_TICKS, Array, Finding
+from imucald.config_check.motion import Motion, smooth
+from imucald.mount.alternatives import INDEPENDENT, TO_ACCUSE, TRIED
+from imucald.mount.signal_blocks import BLOCK_TICKS
+
+MOVING = 2.0
+"""Below this speed [m/s] there are no bends to speak of."""
+
+
+def turning_axis_findings(motion: Motion) -> Iterator[Finding]:
+    """Whether the force in bends follows the rate about the vertical, or that of another axis.
+
+    Needs neither forward nor left. The level force is regressed on dv/dt and v r, r being the rate
+    about the vertical as configured, or with a sign turned or axes exchanged: the likelihood ratio
+    of what is left over (as in `alternatives`), where the other one explains much.
+    """
+    up, gravity = motion.up, motion.gravity
+    if up is None or gravity is None or motion.accel is None or "gyro" not in motion.grid:
+        return
+    if motion.speed is None or motion.change is None:
+        return
+    rate = smooth(motion.grid["gyro"])
+    n = min(len(rate), len(motion.speed), len(motion.accel))
+    level = (motion.accel[:n] - gravity) @ (np.eye(3) - np.outer(up, up))
+    speed, change = motion.speed[:n], motion.change[:n]
+    table = np.column_stack([level, change, speed, rate[:n]])
+    table = table[np.isfinite(table).all(axis=1)]
+    table = table[np.abs(table[:, 4]) > MOVING]
+    if len(table) < MIN_TICKS:
+        return
+    level, change, speed, rate = table[:, :3], table[:, 3], table[:, 4], table[:, 5:]
+    without = _left_over(level, np.column_stack([change]))
+    left = [
+        _left_over(level, np.column_stack([change, speed * (rate @ (S.T @ up))])) for S in TRIED
+    ]
+    best = min(left)
+    if best <= 0.0 or 1.0 - best / max(without, 1e-12) < CLEAR**2:
+        return
+    independent = INDEPENDENT * len(table) / BLOCK_TICKS
+    if 0.5 * independent * 2.0 * math.log(left[0] / best) > TO_ACCUSE:
+        text = (
+            "the force in bends follows its rate about another axis than gravity's: two axes, of "
+            "it or of the accelerometer, are exchanged"
+        )
+        yield Finding("error", "gyroscope", text)
+
+
+def _left_over(signals: Array, known: Array) -> float:
+    """Energy that is left of signals (N, k) when columns (N, m) and a constant are taken off."""
+    known = np.column_stack([known, np.ones(len(known))])
+    coefficients, *_ = np.linalg.lstsq(known, signals, rcond=None)
+    left = signals - known @ coefficients
+    return float((left * left).sum())

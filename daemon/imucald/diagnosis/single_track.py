@@ -1,0 +1,63 @@
+"""How the yaw rate follows the steering angle: the linear single track with tyres' relaxation.
+
+With S_k = a^k C_f + (-b)^k C_r and tyres that build up their force by h = 1 + s sigma/v:
+
+    m h v_y' = C_f d - S_0 v_y/v - S_1 r/v - m h v r,   I h r' = a C_f d - S_1 v_y/v - S_2 r/v
+
+(Rajamani, Vehicle Dynamics and Control, ch. 2; Pacejka, Tyre and Vehicle Dynamics, ch. 5)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from imucald.diagnosis.signals import STEP_S, Array
+from imucald.model.vehicle import Chassis
+
+SLOW_MPS = 2.5
+"""Below this play and tyres decide on the yaw rate, not the steering angle."""
+RELAXATION_M = 0.4
+"""A tyre's side force builds up along so much road: cars 0.2 to 0.6 m."""
+RACK_S = 0.03
+"""The wheels behind the hands: a steering gear of 6 Hz on its torsion bar, well damped."""
+LEVEL_MPS = 4.0
+"""It is solved at speeds so far apart; between two of them the solutions are interpolated."""
+
+
+def followed_angle(steer: Array, speed: Array, chassis: Chassis, gradient: float) -> Array:
+    """Steering angle as the yaw rate follows it, with gain 1 for a steady angle.
+
+    steer (N,) [rad], speed (N,) [m/s], every `STEP_S`; gradient: of understeer [rad/(m/s^2)].
+    """
+    c, n = chassis, len(steer)
+    rear, length, m = c.rear_cornering_stiffness_npr, c.wheelbase_m, c.mass_kg
+    a, b, inertia = c.cg_to_front_m, c.cg_to_rear_m, c.yaw_inertia_kgm2
+    front = b / max(gradient * length / m + a / rear, 1e-9)
+    s0, s1, s2 = front + rear, a * front - b * rear, a * a * front + b * b * rear
+    s = 2j * np.pi * np.fft.rfftfreq(2 * n, STEP_S)
+    # Mirrored at its end, so that a drive's last angle does not run into its first.
+    spectrum = np.fft.rfft(np.concatenate([steer, steer[::-1]])) * np.exp(-RACK_S * s)
+    place = np.maximum(speed, SLOW_MPS) / LEVEL_MPS
+    made = np.zeros(n)
+    for level in range(int(place.min()), int(place.max()) + 2):
+        share = np.clip(1.0 - np.abs(place - level), 0.0, 1.0)
+        if not share.any():
+            continue
+        v = max(level * LEVEL_MPS, SLOW_MPS)
+        h = 1.0 + s * RELAXATION_M / v
+        fixed = (s0 * s2 - s1 * s1) / v**2 - m * h * s1
+        under = inertia * m * (h * s) ** 2 + h * s * (m * s2 + inertia * s0) / v + fixed
+        response = (a * m * h * s + rear * length / v) / under
+        made += share * np.fft.irfft(spectrum * response / response[0], 2 * n)[:n]
+    return made
+
+
+def slip_delay(speed: Array, slip: Array, chassis: Chassis) -> Array:
+    """(N,) by which the rear tyres' slip is behind speed times yaw rate [s].
+
+    Its force carries m l_f (v r + v_y') - I r', with v_y' = (l_r - slip v) r', and is itself behind
+    the slip by the relaxation length. slip: kappa v, sideslip a sideways acceleration [s].
+    """
+    c = chassis
+    inertia = c.yaw_inertia_kgm2 / (c.mass_kg * c.cg_to_front_m)
+    return (inertia - c.cg_to_rear_m - RELAXATION_M) / np.maximum(np.abs(speed), SLOW_MPS) + slip

@@ -1,0 +1,59 @@
+"""How a person says that the sensor sits, roughly, against the rotation that was found.
+
+The mirror image of a drive (all signs of the accelerometer turned) puts up and forward the other
+way round, a drive that goes backwards puts forward and left: either is 180 deg from the truth. So
+which axis points up, or forward, is enough to rule them out, however roughly it does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.config.calibration import OrientationSettings, SensorAxis
+from imucald.core.rotations import Matrix3
+
+Array = NDArray[np.float64]
+
+CLEAR = 0.5
+"""Part of an axis along where it is said to point that says yes, or no with the other sign: within
+60 deg. In between the axis is nearer to level (or across) than up or down."""
+FORWARD, UP = 0, 2
+
+
+class StatedOrientation:
+    """Which of the sensor's axes point up and forward, as far as a person has said it."""
+
+    def __init__(self, stated: OrientationSettings) -> None:
+        given = {UP: stated.up, FORWARD: stated.forward}
+        self._axes = {row: unit_vector(axis) for row, axis in given.items() if axis is not None}
+        self._mount: Matrix3 | None = None
+
+    def take_mount(self, R: Matrix3) -> None:
+        """A person states the whole mount; where it is not the one found, it says nothing."""
+        self._mount = R
+
+    def contradicts(self, R: Matrix3, yaw_known: bool) -> bool:
+        """Whether a stated axis points the other way in R_vehicle_from_sensor."""
+        rows = self._axes if yaw_known else self._axes.keys() & {UP}
+        return any(float(R[row] @ self._axes[row]) < -CLEAR for row in rows)
+
+    def confirms_up(self, R: Matrix3) -> bool:
+        """Whether a person said the same of which way is up."""
+        return self._confirms(R, UP)
+
+    def confirms_forward(self, R: Matrix3) -> bool:
+        """Whether a person said the same of which way is forward."""
+        return self._confirms(R, FORWARD)
+
+    def _confirms(self, R: Matrix3, row: int) -> bool:
+        axes = [self._axes[row]] if row in self._axes else []
+        axes += [] if self._mount is None else [self._mount[row]]
+        return any(float(R[row] @ axis) > CLEAR for axis in axes)
+
+
+def unit_vector(axis: SensorAxis) -> Array:
+    """The vector (3,) of "x", "-z" and so on in sensor axes."""
+    out = np.zeros(3)
+    out["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    return out
