@@ -348,7 +348,9 @@ class MountSolver:
             if name in sources:  # the bias is the same in all segments
                 one = sources[name]
                 sources[name] = replace(one, variance=one.variance - bias)
-        self.creep = creep(series, sources, self.p_constant)
+        self.creep = found = creep(series, sources, self.p_constant)
+        if found is not None:
+            self.response.follow_drift(found.probability * found.rate, found.since_middle)
 
     @property
     def armed(self) -> bool:
