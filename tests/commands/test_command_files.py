@@ -188,8 +188,8 @@ def test_run_tells_of_an_unwritable_result_before_it_opens_the_bus(told, tmp_pat
 
 
 UNSERVED = {
-    "page": (("--report", "page"), "imucald[report]"),
-    "table": (("--write", "drive.mf4"), "imucald[mf4]"),
+    "page": (("--report", "page"), ".[report]"),
+    "table": (("--write", "drive.mf4"), ".[mf4]"),
     "bus": (("--speed", "1", "--interface", "nosuch", "--channel", "x"), "nosuch"),
 }
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import LOG_HELP, add_config
+from imucald.core.extras import how_to_install
 
 if TYPE_CHECKING:
     from imucald.api.configuration import Configuration
@@ -65,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         help="write a page about the drive here, of several drives one in a folder each (needs "
-        "pip install 'imucald[report]')",
+        f"{how_to_install('report')})",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     parser.add_argument(

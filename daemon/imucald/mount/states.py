@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
@@ -16,8 +17,7 @@ NEEDED = 3
 """Launches or brakings before yaw can be usable."""
 
 
-@dataclass(frozen=True)
-class MountKnowledge:
+class MountKnowledge(Struct, frozen=True):
     """What the states are judged by; standard deviations in rad, roll without the crown."""
 
     gravity: bool = False
