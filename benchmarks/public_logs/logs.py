@@ -49,7 +49,10 @@ LOGS = (
     PublicLog("pixel_1hz", repositories.BRODOVSKY, phones.pixel_1hz),
     # from here on: the second search
     # by its gravity, its turns and its braking: about the z axis by half a turn
-    PublicLog("jeddah_car", repositories.KAU, vehicles.jeddah_car, (0.0, 0.0, 180.0), 5.0),
+    PublicLog("jeddah_hour", repositories.KAU, partial(vehicles.jeddah_car, drive="uni_home"),
+              (0.0, 0.0, 180.0), 5.0, right="jeddah_car"),
+    PublicLog("jeddah_harsh", repositories.KAU, partial(vehicles.jeddah_car, drive="harsh_data"),
+              (0.0, 0.0, 180.0), 5.0, right="jeddah_car"),
     # stated with the data: forward, right, down
     PublicLog("comma_rav4", repositories.COMMA2K19, vehicles.comma_rav4, (180.0, 0.0, 0.0), 6.0),
     PublicLog("provo_scooter", repositories.ESCOOTER, phones.provo_scooter),

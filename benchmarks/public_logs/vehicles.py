@@ -107,12 +107,12 @@ JEDDAH_LSB_PER_DEG_S = 16.4
 """MPU-6050 at +-2 g and +-2000 deg/s, the ranges that its motion processor's start sets."""
 
 
-def jeddah_car(data: Path) -> list[Message]:
-    """Car in a city and on its motorways, 60 min: hobby logger, some 4 Hz, stamps of 0.1 s.
+def jeddah_car(data: Path, drive: str) -> list[Message]:
+    """Car in a city, "uni_home" 60 min, "harsh_data" 4 min: hobby logger, 4 Hz, stamps of 0.1 s.
 
-    The file is the one that its authors cleaned; they turned the sign of Ax, which is kept here.
+    The files are those that their authors cleaned; they turned the sign of Ax, which is kept here.
     """
-    text = KAU.file(data, "Analysis_cleansing/cleaned_uni_home.csv").decode()
+    text = KAU.file(data, f"Analysis_cleansing/cleaned_{drive}.csv").decode()
     rows = list(csv.DictReader(io.StringIO(text)))
     t = np.array([_utc(row["Time"], "%Y-%m-%d %H:%M:%S.%f") for row in rows])
 

@@ -211,7 +211,8 @@ def _done(argv: Sequence[str] | None) -> int:
     try:
         return int(module.run(options))
     except ImucaldError as error:
-        print(f"imucald: {error}", file=sys.stderr)
+        for line in str(error).splitlines():
+            print(f"imucald: {line}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:
         library = (error.name or "").partition(".")[0]

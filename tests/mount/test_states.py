@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import Missing, MountState

@@ -100,6 +100,7 @@ class LiveState:
             "first_fine_s": status["first_fine_s"],
             "sits": mount.get("sits"),
             "steep": mount.get("steep"),
+            "mirrored": mount.get("mirrored"),
             "convention": ABOUT,
             "mount": [_angle(mount, n, a) for n, a in zip(ANGLES, "xyz", strict=True)],
             "reasons": [

@@ -159,8 +159,8 @@ MODEL_ERROR: dict[str, float] = {
 }  # fmt: skip
 """What the equations themselves err by, one deviation, by key or its beginning: rms of what a fit
 says where the model file is exactly right (ten drives of the second generator, seeds 1,160,000 to
-1,160,009, which judge nothing; delays, lever arms and roll are off by half as much since the tyres'
-slip is late, which no measured car has confirmed). It does not shrink with longer drives, so it is
+1,160,009, which judge nothing; delays and lever arms are off by half as much since the tyres' slip
+is late, which no measured car has confirmed). It does not shrink with longer drives, so it is
 in every deviation. A measured log beside its own GNSS speed has the speed's gain off by as much
 again."""
 LEVEL_GYRO_GAIN_ERROR = 0.018

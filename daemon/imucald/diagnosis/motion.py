@@ -176,7 +176,7 @@ class VehicleMotion:
         assert self.rate is not None
         s, c = self.f.model.suspension, self.changes
         # Of motion alone: gravity's part of the force turns with the rates themselves.
-        along, across = self._slow(self.held(self.slopes)), self.v * self.r
+        along, across = self._slow(self.held(self.slopes)), self._slow(self.v * self.r)
         roll = s.roll_gradient * float(s.body_roll) + c.get("suspension.roll_gradient", 0.0)
         squat = s.squat_gradient * float(s.squat_dive) + c.get("suspension.squat_gradient", 0.0)
         dive = s.dive_gradient * float(s.squat_dive) + c.get("suspension.dive_gradient", 0.0)
@@ -186,8 +186,8 @@ class VehicleMotion:
         # A curve's road leans inward with its curvature, which a transition curve spreads out.
         leaning -= c.get("_road.superelevation", 0.0) * np.convolve(across, TRANSITION, "same")
         nose_up = self._later(nose_up, s.pitch_damping, s.pitch_frequency_hz)
-        found["gyro_x"] = rate[:, 0] - slope(leaning)
-        found["gyro_y"] = rate[:, 1] + slope(nose_up)
+        found["gyro_x"] = rate[:, 0] - np.gradient(leaning, STEP_S)
+        found["gyro_y"] = rate[:, 1] + np.gradient(nose_up, STEP_S)
         if self.f.drive.has("yaw_rate"):
             found["gyro_z"] = self.r - self.f.scalar("yaw_rate", self.changes)
 

@@ -121,7 +121,8 @@ class PythonCanReader:
             raise
         # What python-can's readers raise on damaged files is not documented, and is anything.
         except Exception as error:
-            text = f"{path}: cannot be read: {end or error or type(error).__name__}"
+            words = "it is not text" if isinstance(error, UnicodeDecodeError) else str(error)
+            text = f"{path}: cannot be read: {end or words or type(error).__name__}"
             if self._statistics.frames_read == before:
                 raise LogError(text) from error
             self._statistics.reject("unreadable", f"{text} ({self._so_far(before)})")
