@@ -21,7 +21,7 @@ from types import ModuleType
 from typing import Any
 
 from imucald import __version__
-from imucald.commands.interrupting import interrupt
+from imucald.commands.interrupting import interrupt, is_terminated, terminate
 from imucald.core.errors import ImucaldError
 
 PROCESS_SETTINGS = {
@@ -34,6 +34,12 @@ LARGE_LIBRARIES = ("scipy",)
 """Needed for simulation and diagnosis only: an installation on a vehicle may lack them."""
 
 WRONG_USAGE = 2
+TERMINATED = 128 + signal.SIGTERM
+SIGNALS = (
+    (signal.SIGINT, signal.default_int_handler, interrupt),
+    (signal.SIGTERM, signal.SIG_DFL, terminate),
+)
+"""What a signal does where nobody has said otherwise, and what it does here."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """What writing gives where a disk is full or broken."""
 
@@ -165,18 +171,24 @@ def _parsed(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.N
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of the `imucald` command; returns the exit status."""
-    before = signal.getsignal(signal.SIGINT)
-    waits = hasattr(signal, "setitimer") and before is signal.default_int_handler  # not ignored
+    ours = {
+        number: handler
+        for number, usual, handler in SIGNALS
+        if signal.getsignal(number) is usual  # not ignored, not somebody else's
+        and threading.current_thread() is threading.main_thread()
+    }
+    before = {number: signal.signal(number, handler) for number, handler in ours.items()}
     try:
-        if waits and threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, interrupt)
         return _done(argv)
     except KeyboardInterrupt:
+        if is_terminated():
+            return TERMINATED
         print("imucald: interrupted", file=sys.stderr)
         return 130
     finally:
-        if signal.getsignal(signal.SIGINT) is interrupt:
-            signal.signal(signal.SIGINT, before)
+        for number, handler in ours.items():
+            if signal.getsignal(number) is handler:
+                signal.signal(number, before[number])
 
 
 def _done(argv: Sequence[str] | None) -> int:
@@ -199,7 +211,8 @@ def _done(argv: Sequence[str] | None) -> int:
     try:
         return int(module.run(options))
     except ImucaldError as error:
-        print(f"imucald: {error}", file=sys.stderr)
+        for line in str(error).splitlines():
+            print(f"imucald: {line}", file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:
         library = (error.name or "").partition(".")[0]

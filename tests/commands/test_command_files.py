@@ -18,6 +18,7 @@ from imucald.can.python_can import can
 from paths import ROOT
 
 START = str(ROOT / "config" / "imucald.yaml")
+DATABASE = str(ROOT / "dbc" / "imucald_example.dbc")
 
 
 HEARS_CTRL_C = """
@@ -130,7 +131,15 @@ def test_a_log_of_other_frames_is_said_to_be_one(told, tmp_path):
     log = tmp_path / "other.log"
     log.write_text("(1600000000.000000) can0 7F0#00\n")
     status, text = told(*replay(log))
-    assert status == 0
+    assert status == 1
+    assert "no usable frame of this configuration" in text
+
+
+def test_of_several_logs_one_of_other_frames_fails_the_command_too(told, log, tmp_path):
+    other = tmp_path / "other.log"
+    other.write_text("(1600000000.000000) can0 7F0#00\n")
+    status, text = told(*replay(log), str(other))
+    assert status == 1
     assert "no usable frame of this configuration" in text
 
 
@@ -188,8 +197,8 @@ def test_run_tells_of_an_unwritable_result_before_it_opens_the_bus(told, tmp_pat
 
 
 UNSERVED = {
-    "page": (("--report", "page"), "imucald[report]"),
-    "table": (("--write", "drive.mf4"), "imucald[mf4]"),
+    "page": (("--report", "page"), ".[report]"),
+    "table": (("--write", "drive.mf4"), ".[mf4]"),
     "bus": (("--speed", "1", "--interface", "nosuch", "--channel", "x"), "nosuch"),
 }
 
@@ -254,3 +263,46 @@ def test_zero_seconds_are_none_not_for_ever(told):
     began = time.monotonic()
     assert told("run", "--config", START, *bus, "--seconds", "0.01")[0] == 0
     assert time.monotonic() - began < 5.0
+
+
+@pytest.mark.parametrize("name", ["a.log", "a.asc"])
+def test_bytes_that_are_no_text_are_shown_as_bytes_and_named_so(told, tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(b"\xb6K7\xd4\x9b'" * 500)
+    status, text = told(*replay(path))
+    assert status == 1
+    assert "\\\\" not in text
+    assert "codec" not in text
+    assert ("it is not text" if name == "a.asc" else r"begins with '\xb6K7\xd4\x9b") in text
+
+
+@pytest.mark.parametrize("command", ["replay", "check", "init"])
+def test_a_folder_in_place_of_a_log_is_said_to_be_one(told, tmp_path, command):
+    """`replay` takes a folder for the logs in it; here there is none."""
+    given = ("init", "--database", DATABASE) if command == "init" else (command, "--config", START)
+    status, text = told(*given, tmp_path)
+    assert status == 1
+    assert text in (
+        f"imucald: {tmp_path}: is a folder; name one of its logs\n",
+        f"imucald: {tmp_path}: no log is there\n",
+    )
+
+
+def test_each_mistake_of_a_configuration_is_a_line_of_imucald(told, log, tmp_path):
+    wrong = tmp_path / "wrong.yaml"
+    axes = "[IMU_Accel.AccelX, IMU_Accel.AccelY]"
+    wrong.write_text(f"database: {DATABASE}\nsignals:\n  accelerometer: {axes}\n")
+    status, text = told("check", "--config", wrong, log)
+    assert status == 1
+    lines = text.splitlines()
+    assert len(lines) == 2
+    for line in lines:
+        assert line.startswith(f"imucald: {wrong}:3: signals.accelerometer[")
+        assert "must be a mapping, got a text; its keys: x, y, z (here: 'IMU_Accel.Accel" in line
+
+
+def test_a_table_that_cannot_be_written_says_why_in_the_systems_words(told, log):
+    pytest.importorskip("pyarrow")
+    status, text = told(*replay(log, "--write", "/proc/x.parquet"))  # not even root can
+    assert status == 1
+    assert text == "imucald: /proc/x.parquet: cannot be written: No such file or directory\n"

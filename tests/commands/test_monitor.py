@@ -50,6 +50,7 @@ def status(silent):
         "std_deg": {"x": 0.5, "y": 0.3, "z": 0.35},
         "sits": "x points forward, 29 deg down; y points left; z points up, 26 deg forward",
         "steep": None,
+        "mirrored": None,
         "target_std_deg": {"usable": {"x": 2.0, "y": 2.0, "z": 1.0},
                            "fine": {"x": 0.8, "y": 0.7, "z": 0.3}},
     }  # fmt: skip
@@ -130,7 +131,7 @@ def test_inputs_say_what_is_wrong_with_them(status):
 
 
 def test_an_older_daemon_without_the_new_keys_is_shown(status):
-    for key in ("sits", "steep", "target_std_deg"):
+    for key in ("sits", "steep", "mirrored", "target_std_deg"):
         del status["mount"][key]
     text = "\n".join(drawn(picture(status), 80))
     assert "±0.70°" in text

@@ -60,7 +60,10 @@ def test_shorthands_and_long_forms_are_the_same():
             "car.yaml:4: signals.speed.offset:",
         ),
         (f"{HEAD}  gyroscope: {{x: M.X, y: M.Y}}\n", "only the accelerometer may lack its z"),
-        (f"{HEAD}output:\n  ids:\n    health: 0x640\n", "two output frames have the same id"),
+        (
+            f"{HEAD}output:\n  ids:\n    health: 0x640\n",
+            "acceleration and health have the same id 0x640",
+        ),
         (f"{HEAD}output:\n  ids:\n    health: 0x20000000\n", "dir/car.yaml:6: output.ids.health:"),
         (f"{HEAD}calibration:\n  static: {{samples: 1}}\n", "calibration.static.samples:"),
         ("signals: {accelerometer: {x: M.X, y: M.Y}}\n", "dir/car.yaml:1: database: is missing"),

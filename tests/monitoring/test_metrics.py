@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import json
 import os
 import re
@@ -180,6 +181,44 @@ def test_metrics_over_http_and_nothing_else(tmp_path):
         request = urllib.request.Request(f"http://{address[0]}:{address[1]}/metrics", b"reset")
         with pytest.raises(urllib.error.HTTPError, match="501"):
             urllib.request.urlopen(request, timeout=5.0)
+
+
+def answered(address: tuple[str, int], method: str, host: str | None) -> tuple[int, str, bytes]:
+    """Status, stated length and body that a request with this Host gets."""
+    connection = http.client.HTTPConnection(*address, timeout=5.0)
+    with contextlib.closing(connection):
+        connection.putrequest(method, "/metrics", skip_host=True)
+        if host is not None:
+            connection.putheader("Host", host)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, answer.headers["Content-Length"], answer.read()
+
+
+def test_a_head_is_answered_as_a_get_without_its_text():
+    with served() as address:
+        assert answered(address, "GET", "localhost") == (200, "4", b"x 1\n")
+        assert answered(address, "HEAD", "localhost") == (200, "4", b"")
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:8131", "192.0.2.1", "[::", "a b"])
+def test_a_page_whose_name_was_made_to_point_here_reads_nothing(host):
+    with served() as address:
+        status, _, body = answered(address, "GET", host)
+        assert status == 403
+        assert b"x 1" not in body
+
+
+@pytest.mark.parametrize("host", ["localhost:8131", "127.0.0.1:8131", "[::1]:8131", "", None])
+def test_this_machine_may_call_it_by_its_names(host):
+    with served() as address:
+        assert answered(address, "GET", host)[0] == 200
+
+
+def test_one_for_a_network_is_called_by_whatever_name_the_network_has():
+    listening = listening_at("0.0.0.0:0")
+    with MetricsServer(listening, lambda: "x 1\n") as server:
+        assert server.is_named("car7.fleet.example:8131")
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.mount_words import (
     half_width,
     how_it_sits,
+    mirror_note,
     plus_minus,
     reasons_line,
     steep_note,
@@ -69,6 +70,20 @@ def test_only_a_steep_mount_has_the_note():
         note = steep_note(estimate((10, pitch, 20)))
         assert note is not None
         assert "quaternion" in note
+
+
+def test_only_a_mount_upside_down_and_backwards_that_nothing_confirmed_has_a_note():
+    unconfirmed = {"not_checked": ["all signs of the accelerometer at once"]}
+    for angles in ((5, 180, -10), (-150, 14, -174), (180, 0, 170)):
+        note = mirror_note(estimate(angles, details=unconfirmed))
+        assert note is not None, angles
+        assert "sign: -1" in note
+        assert "orientation: {up: z}" in note
+        assert mirror_note(estimate(angles, details={"not_checked": []})) is None
+    for angles in ((0, 0, 0), (180, 0, 0), (0, 0, 180), (10, 40, 90)):
+        assert mirror_note(estimate(angles, details=unconfirmed)) is None, angles
+    # as long as forward is not known, nobody can say backwards
+    assert mirror_note(estimate((0, 180, 0), (1.0, 1.0, 104.0), details=unconfirmed)) is None
 
 
 def test_equal_reasons_are_said_once_and_troubles_apart():

@@ -82,11 +82,62 @@ def test_names_of_curves_and_units_are_text() -> None:
     assert fields(svg)[3][2] == ['<i> 3.00 "&', "<b>& 3.00 <u>"]
 
 
-def test_dots_and_rules_have_no_fields() -> None:
+def test_rules_have_no_fields() -> None:
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
-        axes.plot(np.arange(50.0), np.arange(50.0), "o")
         axes.axhline(1.0)
         axes.axvline(2.0)
+        axes.plot([0.0, 1.0], [0.0, 1.0])
 
     assert fields(drawn(draw, SIZE_IN)) == []
+
+
+def test_a_strip_of_dots_says_how_many_there_are_and_where_they_lie() -> None:
+    rng = np.random.default_rng(3)
+    x = rng.uniform(-2.0, 2.0, 800)
+    y = {"as sent": 3.0 * x + rng.normal(0.0, 0.1, 800), "corrected": x}
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot(xlabel="dv/dt [m/s²]", ylabel="force [m/s²]")
+        for name, values in y.items():
+            axes.plot(x, values, "o", label=name)
+
+    found = fields(drawn(draw, SIZE_IN))
+    assert 20 < len(found) <= 6.0 * 72.0 / 7.0
+    counts = 0
+    for left, width, (where, *clouds) in found:
+        low, high = map(float, re.fullmatch(r"dv/dt (\S+) to (\S+) m/s²", where).groups())
+        assert left > 0.0
+        assert width == pytest.approx(7.0, abs=1.0)
+        middles = {}
+        for name, line in zip(y, clouds, strict=True):
+            match = re.fullmatch(rf"{name} (\S+) m/s² \((\S+) to (\S+), (\d+)\)", line)
+            middles[name] = float(match[1])
+            assert float(match[2]) <= middles[name] <= float(match[3])
+        counts += int(match[4])
+        assert low - 0.01 <= middles["corrected"] <= high + 0.01
+        assert middles["as sent"] == pytest.approx(3.0 * 0.5 * (low + high), abs=0.4)
+    assert counts == 800
+
+
+def test_a_cell_of_a_map_has_its_ends_and_its_value_and_lies_where_it_is_drawn() -> None:
+    value = np.array([[1.0, np.nan, 3.0], [4.0, 5.0, 6.0]])
+
+    def draw(figure: Figure) -> None:
+        axes = figure.add_subplot(xlabel="speed [km/h]", ylabel="turn [m/s²]")
+        cells = [0.0, 10.0, 20.0, 30.0], [-2.0, 0.0, 2.0]
+        mesh = axes.pcolormesh(*cells, value, cmap="viridis", label="left over [m/s²]")
+        figure.colorbar(mesh, ax=axes)
+
+    found = fields(drawn(draw, SIZE_IN))
+    left = "speed 0 to 10.0 km/h"
+    assert [lines for _, _, lines in found] == [
+        [left, "turn -2.00 to 0 m/s²", "left over 1.00 m/s²"],
+        ["speed 20.0 to 30.0 km/h", "turn -2.00 to 0 m/s²", "left over 3.00 m/s²"],
+        [left, "turn 0 to 2.00 m/s²", "left over 4.00 m/s²"],
+        ["speed 10.0 to 20.0 km/h", "turn 0 to 2.00 m/s²", "left over 5.00 m/s²"],
+        ["speed 20.0 to 30.0 km/h", "turn 0 to 2.00 m/s²", "left over 6.00 m/s²"],
+    ]
+    width = found[0][1]
+    starts = [start - found[0][0] for start, _, _ in found]
+    assert starts == pytest.approx([0.0, 2 * width, 0.0, width, 2 * width], abs=0.3)

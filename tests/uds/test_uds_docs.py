@@ -87,6 +87,6 @@ def test_the_key_function_of_the_page_lets_in() -> None:
     assert bench.server.security.unlocked
 
 
-@pytest.mark.parametrize("name", ["pip install 'imucald[diagnostics]'", "key_function"])
+@pytest.mark.parametrize("name", ["pip install '.[diagnostics]'", "key_function"])
 def test_what_to_do_is_said(name: str) -> None:
     assert name in PAGE

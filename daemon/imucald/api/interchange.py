@@ -13,6 +13,7 @@ import numpy as np
 
 from imucald.api.columns import Columns, TableColumn, columns_from
 from imucald.core.errors import ImucaldError
+from imucald.core.extras import how_to_install
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,7 +31,7 @@ def library(name: str, extra: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != name.partition(".")[0]:
             raise
-        text = f"this needs {name}: pip install 'imucald[{extra}]'"
+        text = f"this needs {name}: {how_to_install(extra)}"
         raise ImucaldError(text) from None
 
 

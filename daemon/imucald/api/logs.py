@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from imucald.can.logs.text_blocks import STDIN, OpenLog
+from imucald.can.logs.text_blocks import STDIN, OpenLog, folder_error
 from imucald.core.errors import LogError
 
 LogSource = str | os.PathLike[str] | Any
@@ -22,7 +22,7 @@ def opened(source: LogSource) -> Path | str | OpenLog:
     """A source as the log reader takes it. Raises LogError for what is none."""
     if isinstance(source, str | os.PathLike):
         if str(source) != STDIN and Path(source).is_dir():
-            raise LogError(f"{source}: is a folder; imucald.find_logs lists its logs")
+            raise folder_error(source)
         return source if isinstance(source, str) else Path(source)
     if not hasattr(source, "readinto") or hasattr(source, "encoding"):
         kind = type(source).__name__

@@ -50,6 +50,11 @@ def _both(first: Callable[[_T], None], second: Callable[[_T], None]) -> Callable
     return both
 
 
+def is_unused(drive: DriveResult) -> bool:
+    """Whether none of the drive's frames could be used."""
+    return UNUSED in drive.notes
+
+
 def require_frames(drive: DriveResult) -> DriveResult:
     """The drive as it is; raises NoFramesError where its logs held no frame at all."""
     if drive.frames["read"] == 0:

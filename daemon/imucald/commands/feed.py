@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from imucald.commands.options import positive
 from imucald.core.errors import ImucaldError
+from imucald.core.extras import how_to_install
 
 if TYPE_CHECKING:
     from imucald.feeds.feed_loop import Receiver
@@ -97,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     library = LIBRARIES[options.target]
     if importlib.util.find_spec(library) is None:
         extra = options.target
-        raise ImucaldError(f"feed {extra} needs a library: pip install 'imucald[{extra}]'")
+        raise ImucaldError(f"feed {extra} needs a library: {how_to_install(extra)}")
     if not 0.1 <= options.rate <= 100.0:
         raise ImucaldError("--rate must be 0.1 to 100")
     socket = _socket(options)

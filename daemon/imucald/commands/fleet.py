@@ -8,6 +8,7 @@ import importlib.util
 from pathlib import Path
 
 from imucald.core.errors import ImucaldError
+from imucald.core.extras import how_to_install
 
 LIBRARIES = ("pyarrow", "fsspec")
 ACTIONS = {
@@ -78,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     """Do the action; 0 done, 3 some logs failed, 1 the run broke off."""
     missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
     if missing:
-        text = f"fleet needs {' and '.join(missing)}: pip install 'imucald[fleet]'"
+        text = f"fleet needs {' and '.join(missing)}: {how_to_install('fleet')}"
         raise ImucaldError(text)
     module = "run" if options.action in ("run", "retry") else "read"
     action = importlib.import_module(f"imucald.commands.fleet_{module}")

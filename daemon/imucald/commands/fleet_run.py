@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from imucald.commands.interrupting import interrupt
 from imucald.core.errors import ConfigError, ImucaldError
+from imucald.core.extras import how_to_install
 
 if TYPE_CHECKING:
     from imucald.fleet.driver import Counts, FleetRun
@@ -116,7 +117,7 @@ def _workers(options: argparse.Namespace, fleet: Fleet) -> Workers:
     try:
         from imucald.fleet.dask_workers import DaskWorkers, TlsFiles
     except ModuleNotFoundError:
-        text = "--scheduler needs distributed: pip install 'imucald[fleet]'"
+        text = f"--scheduler needs distributed: {how_to_install('fleet')}"
         raise ImucaldError(text) from None
     files = (options.tls_ca, options.tls_cert, options.tls_key)
     if any(files) and not all(files):

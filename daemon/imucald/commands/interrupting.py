@@ -1,8 +1,15 @@
-"""Ctrl-C that never breaks into an import: that would wrap, print or swallow it."""
+"""Ctrl-C that never breaks into an import: that would wrap, print or swallow it. SIGTERM likewise.
+
+A command that SIGTERM ends tidies up as after Ctrl-C, and then dies of it, as who sent it expects.
+"""
 
 from __future__ import annotations
 
+import atexit
+import contextlib
+import os
 import signal
+import sys
 from types import FrameType
 
 IMPORTING = "<frozen importlib._bootstrap"
@@ -20,3 +27,31 @@ def interrupt(_: int, frame: FrameType | None) -> None:
             return
         frame = frame.f_back
     raise KeyboardInterrupt
+
+
+class _Asked:
+    """Whether SIGTERM has asked this process to end."""
+
+    to_end = False
+
+
+def terminate(number: int, frame: FrameType | None) -> None:
+    """Interrupt, and die of SIGTERM once all is tidied up: a signal handler of the main thread."""
+    _Asked.to_end = True
+    interrupt(number, frame)
+
+
+def is_terminated() -> bool:
+    """Whether SIGTERM has come."""
+    return _Asked.to_end
+
+
+@atexit.register  # the first one is the last one to be called
+def _die() -> None:
+    if not _Asked.to_end:
+        return
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    os.kill(os.getpid(), signal.SIGTERM)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from imucald.commands.options import positive
 from imucald.commands.status import add_socket_argument, find_socket
+from imucald.core.extras import how_to_install
 
 PERIOD_S = 0.5
 """The picture is made anew so often [s]."""
@@ -34,7 +35,7 @@ def add_web_argument(parser: argparse.ArgumentParser) -> None:
         const=WEB_PORT,
         metavar="PORT",
         help=f"show it on a page of this machine instead, http://127.0.0.1:{WEB_PORT} "
-        "(needs pip install 'imucald[live]')",
+        f"(needs {how_to_install('live')})",
     )
 
 

@@ -25,6 +25,7 @@ from imucald.commands.live_events import LiveEvents
 from imucald.commands.monitor_view import input_health
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.errors import ImucaldError, LinkError
+from imucald.core.extras import how_to_install
 from imucald.core.rotations import Matrix3, rows_from_quaternion, vector_from_rotation
 from imucald.mount.estimate import ANGLES
 from imucald.mount.mount_words import ABOUT, SD_95, half_width, is_trouble, reasons
@@ -99,6 +100,7 @@ class LiveState:
             "first_fine_s": status["first_fine_s"],
             "sits": mount.get("sits"),
             "steep": mount.get("steep"),
+            "mirrored": mount.get("mirrored"),
             "convention": ABOUT,
             "mount": [_angle(mount, n, a) for n, a in zip(ANGLES, "xyz", strict=True)],
             "reasons": [
@@ -187,7 +189,7 @@ def serve(path: Path, port: int, seconds: float, note: str) -> None:
     try:
         import aiohttp  # noqa: F401 - an extra: without it there is a remedy to be told
     except ImportError:
-        text = "--web needs aiohttp: install the extra, pip install 'imucald[live]'"
+        text = f"--web needs aiohttp: {how_to_install('live')}"
         raise ImucaldError(text) from None
     with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(_serve(path, port, seconds, LiveState(note)))

@@ -26,7 +26,7 @@ def mount_parts(
     mount, waiting_for: as in docs/json.md (of an older daemon too). bar: columns of the bars.
     """
     yield _table(mount, bar)
-    for key, style in (("sits", ""), ("steep", "yellow")):
+    for key, style in (("sits", ""), ("steep", "yellow"), ("mirrored", "yellow")):
         if mount.get(key):
             yield Text(mount[key], style=style)
     for names, text in reasons(waiting_for):

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import LOG_HELP, add_config
+from imucald.core.extras import how_to_install
 
 if TYPE_CHECKING:
     from imucald.api.configuration import Configuration
@@ -26,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Several logs are several drives, each replayed on its own; overlaps and mounts that "
         "differ from drive to drive are reported. With --joined they are pieces of one recording. "
-        "Exit status: 0 done (whatever the state reached), 1 nothing could be read.\n\n"
+        "Exit status: 0 done (whatever the state reached), 1 a log could not be read or has no "
+        "frame that can be used.\n\n"
         "  imucald replay --config car.yaml drive.log\n"
         "  imucald replay --config car.yaml drive.log --report page --write drive.csv\n"
         "  imucald replay --config car.yaml logs/ --json all.json"
@@ -65,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         help="write a page about the drive here, of several drives one in a folder each (needs "
-        "pip install 'imucald[report]')",
+        f"{how_to_install('report')})",
     )
     parser.add_argument("--strict", action="store_true", help="stop at the first bad line")
     parser.add_argument(
@@ -98,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
-    from imucald.api.run import require_frames
+    from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
     from imucald.runtime.summary import as_json
 
@@ -116,14 +118,14 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
 
         print_summary(drive.to_dict())
         _print_written(written)
-    return 0
+    return 1 if is_unused(drive) else 0
 
 
 def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
     """Each log is a drive; one that cannot be read is told, and the others go on."""
     from imucald.api.between_drives import notes_between
     from imucald.api.drives import DriveSet
-    from imucald.api.run import require_frames
+    from imucald.api.run import is_unused, require_frames
     from imucald.commands.files import STANDARD, write_text
     from imucald.core.errors import LogError
     from imucald.runtime.summary import as_json
@@ -144,6 +146,7 @@ def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[
             print(f"imucald: {error}", file=sys.stderr)
             failed = True
             continue
+        failed = failed or is_unused(drive)
         drives.append(drive)
         written += files
     found = DriveSet(tuple(drives), notes_between(drives))

@@ -89,9 +89,12 @@ class OutputIds(Settings, frozen=True):
     travel_deviation: CanId = 0x64C
 
     def __post_init__(self) -> None:
-        ids = structs.astuple(self)
-        if len(set(ids)) != len(ids):
-            raise ValueError("two output frames have the same id")
+        names: dict[int, str] = {}
+        for name, can_id in structs.asdict(self).items():
+            if can_id in names:
+                text = f"{names[can_id]} and {name} have the same id 0x{can_id:X}"
+                raise ValueError(f"{text}: every frame needs its own")
+            names[can_id] = name
 
 
 class Output(Settings, frozen=True):

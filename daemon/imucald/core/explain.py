@@ -29,6 +29,9 @@ _NAMES = {
 }
 _BOUNDS = {">": "greater than", ">=": "at least", "<": "less than", "<=": "at most"}
 
+SHOWN_KEYS = 4
+"""Keys of a mapping that a message names."""
+
 Mistake = tuple[Place, str]
 
 
@@ -120,9 +123,18 @@ def _reason(value: Any, kind: Any, text: str) -> str:
     if choices and not isinstance(value, list | dict):
         reason = "must be one of " + ", ".join(map(repr, choices))
     else:
-        reason = _plain(text.partition(" - at `")[0])
+        reason = _plain(text.partition(" - at `")[0]) + _keys(value, kind)
     is_plain = isinstance(value, str | int | float | bool) or value is None
     return f"{reason} (here: {value!r})" if is_plain else reason
+
+
+def _keys(value: Any, kind: Any) -> str:
+    """Which keys a mapping would have, where something else stands in its place."""
+    if isinstance(value, dict) or not (isinstance(kind, type) and issubclass(kind, Struct)):
+        return ""
+    names = [field.name for field in msgspec.structs.fields(kind)]
+    more = ", ..." if len(names) > SHOWN_KEYS else ""
+    return f"; its keys: {', '.join(names[:SHOWN_KEYS])}{more}"
 
 
 def _plain(text: str) -> str:

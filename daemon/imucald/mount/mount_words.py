@@ -24,6 +24,10 @@ EVIDENCE_KINDS = {
     "before": "earlier drives",
 }
 """What the last part of an evidence's name means."""
+MIRRORED = (
+    "upside down and backwards: if the sensor does not sit so, its accelerometer shows minus the "
+    "specific force; give its axes 'sign: -1', or say 'calibration: {orientation: {up: z}}'"
+)
 UNKNOWN_STD_DEG = math.degrees(1.0)
 """An angle with a larger standard deviation is as good as unknown [deg]."""
 
@@ -56,6 +60,20 @@ def steep_note(estimate: MountEstimate) -> str | None:
     if angles is None or quaternion is None:
         return None
     return steep_words(angles[1], quaternion)
+
+
+def mirror_note(estimate: MountEstimate) -> str | None:
+    """What must stand beside a mount upside down and backwards that nothing has confirmed.
+
+    An accelerometer that shows minus the specific force on a sensor that sits the right way round
+    gives just that mount. None where the mount is another, or where signals have confirmed it.
+    """
+    R, std = estimate.R_vehicle_from_sensor, estimate.std
+    if R is None or std is None or not estimate.details.get("not_checked"):
+        return None
+    if half_width(std[2] * DEG_PER_RAD) is None:  # which way is forward is not known yet
+        return None
+    return MIRRORED if R[0, 0] < 0.0 and R[2, 2] < 0.0 else None
 
 
 def reasons(waiting_for: Mapping[str, str]) -> Iterator[tuple[str, str]]:

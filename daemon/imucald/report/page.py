@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from imucald.core.errors import ImucaldError
+from imucald.core.extras import how_to_install
 from imucald.diagnosis.result import Diagnosis, FoundCause, SignalPicture
 from imucald.report import numbers, titles
 from imucald.report import wording as words
@@ -46,10 +47,7 @@ def require_libraries() -> None:
     """Raise ImucaldError, with the remedy, where a library that pages need is missing."""
     missing = [name for name in LIBRARIES if importlib.util.find_spec(name) is None]
     if missing:
-        raise ImucaldError(
-            f"a report needs {words.in_series(missing)}: install the extra, "
-            "pip install 'imucald[report]' (in its checkout: pip install '.[report]')"
-        )
+        raise ImucaldError(f"a report needs {words.in_series(missing)}: {how_to_install('report')}")
 
 
 def report_page(diagnosis: Diagnosis, about: About) -> str:

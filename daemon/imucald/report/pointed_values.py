@@ -1,16 +1,22 @@
-"""Values of curves under the mouse: titles of SVG, which browsers show without a script."""
+"""Values of pictures under the mouse: titles of SVG, which browsers show without a script.
+
+Of curves the point, of a map its cell, of dots how many there are in a strip and where they lie.
+"""
 
 from __future__ import annotations
 
+import itertools
 import re
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import escape
 
 import numpy as np
+from matplotlib.collections import QuadMesh
 
 from imucald.report.numbers import number
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
@@ -28,15 +34,15 @@ CLOCK = "min:s"
 
 
 def pointed_values(figure: Figure) -> str:
-    """Return SVG groups of unseen fields that lie over a drawn figure's curves, each with a title.
+    """Return SVG groups of unseen fields over what a drawn figure shows, each with a title.
 
-    A field covers the height of its axes; its title is a point of each curve with a unit, as drawn.
+    A field over curves or dots covers the height of its axes; units are as drawn.
     """
-    return "".join(map(_fields, figure.axes))
+    return "".join(_curves(axes) + _dots(axes) + _maps(axes) for axes in figure.axes)
 
 
-def _fields(axes: Axes) -> str:
-    # Rules over the whole width or height have two points; dots without a line are too many.
+def _curves(axes: Axes) -> str:
+    # Rules over the whole width or height have two points.
     curves = [c for c in axes.lines if len(_points(c)) > 2 and c.get_linestyle() != "None"]
     (left, bottom), (right, top) = _place(axes, axes.transAxes.transform([(0, 0), (1, 1)]))
     seen = [_seen(axes, curve, left, right) for curve in curves]
@@ -51,12 +57,81 @@ def _fields(axes: Axes) -> str:
     start = np.maximum(np.concatenate([[left], middle]), x - reach)
     stop = np.minimum(np.concatenate([middle, [right]]), x + reach)
     fields = [
-        f'<rect x="{a:.1f}" width="{b - a:.1f}" height="{bottom - top:.0f}">'
-        f"<title>{escape(_title(axes, at, curves, seen))}</title></rect>"
+        _field(a, b - a, 0.0, bottom - top, _title(axes, at, curves, seen))
         for a, b, at in zip(start, stop, x, strict=True)
     ]
+    return _group(fields, top)
+
+
+def _dots(axes: Axes) -> str:
+    """Strips of the clouds of dots without a line: single dots are too many, and too small."""
+    clouds = [c for c in axes.lines if len(_points(c)) > 2 and c.get_linestyle() == "None"]
+    (left, bottom), (right, top) = _place(axes, axes.transAxes.transform([(0, 0), (1, 1)]))
+    if not clouds:
+        return ""
+    edges = np.linspace(left, right, max(int((right - left) / FIELD_PT), 1) + 1)
+    seen = [_seen(axes, cloud, left, right) for cloud in clouds]
+    name, unit = _named(axes.yaxis)
+    fields = []
+    for a, b in itertools.pairwise(edges.tolist()):
+        here = [points[(x >= a) & (x < b)] for x, points in seen]
+        if not any(map(len, here)):
+            continue
+        ends = axes.transData.inverted().transform(_display(axes, np.array([[a, 0.0], [b, 0.0]])))
+        lines = [_between(axes.xaxis, *ends[:, 0].tolist())]
+        for cloud, points in zip(clouds, here, strict=True):
+            if len(points):
+                y = points[:, 1]
+                low, middle, high = (number(float(v)) for v in (y.min(), np.median(y), y.max()))
+                what = _label(cloud) or name
+                lines.append(f"{what} {middle} {unit}".strip() + f" ({low} to {high}, {len(y)})")
+        fields.append(_field(a, b - a, 0.0, bottom - top, "\n".join(lines)))
+    return _group(fields, top)
+
+
+def _maps(axes: Axes) -> str:
+    """The cells of a map that have a value; the map's label has its name and unit."""
+    fields = []
+    meshes = (c for c in axes.collections if isinstance(c, QuadMesh))
+    for mesh in filter(_label, meshes):  # the scale beside a map is one without a name
+        corners = np.asarray(mesh.get_coordinates(), float)  # (rows + 1, columns + 1, 2)
+        rows, columns = corners.shape[0] - 1, corners.shape[1] - 1
+        values: Array = np.ma.filled(np.ma.asarray(mesh.get_array(), float), np.nan)
+        values = values.reshape(rows, columns)
+        flat = axes.transData.transform(corners.reshape(-1, 2))
+        places = _place(axes, flat).reshape(corners.shape)
+        name, unit = _parts(_label(mesh))
+        for i, j in np.argwhere(np.isfinite(values)).tolist():
+            (x0, y0), (x1, y1) = corners[i, j].tolist(), corners[i + 1, j + 1].tolist()
+            (left, bottom), (right, top) = places[i, j].tolist(), places[i + 1, j + 1].tolist()
+            value = f"{name} {number(float(values[i, j]))} {unit}".strip()
+            lines = [_between(axes.xaxis, x0, x1), _between(axes.yaxis, y0, y1), value]
+            fields.append(_field(left, right - left, top, bottom - top, "\n".join(lines)))
+    return _group(fields, 0.0)
+
+
+def _field(x: float, width: float, y: float, height: float, title: str) -> str:
+    place = f'x="{x:.1f}"' + (f' y="{y:.1f}"' if y else "")
+    size = f'width="{width:.1f}" height="{height:.0f}"'
+    return f"<rect {place} {size}><title>{escape(title)}</title></rect>"
+
+
+def _group(fields: list[str], top: float) -> str:
+    if not fields:
+        return ""
     inside = "\n".join(fields)
     return f'<g class="values" transform="translate(0 {top:.1f})">\n{inside}\n</g>\n'
+
+
+def _between(axis: Axis, low: float, high: float) -> str:
+    name, unit = _named(axis)
+    return f"{name} {number(low)} to {number(high)} {unit}".strip()
+
+
+def _label(drawn: Artist) -> str:
+    """The label that a legend would show, "" for none."""
+    label = str(drawn.get_label())
+    return "" if label.startswith("_") else label
 
 
 def _points(curve: Line2D) -> Array:
@@ -68,11 +143,25 @@ def _points(curve: Line2D) -> Array:
 
 def _place(axes: Axes, display: Array) -> Array:
     """Places in the SVG [pt], y down; (N, 2)."""
+    figure, width, height = _sheet(axes)
+    share = figure.transFigure.inverted().transform(display)
+    return np.column_stack([width * share[:, 0], height * (1.0 - share[:, 1])])
+
+
+def _display(axes: Axes, place: Array) -> Array:
+    """What `_place` was made from; (N, 2)."""
+    figure, width, height = _sheet(axes)
+    share = np.column_stack([place[:, 0] / width, 1.0 - place[:, 1] / height])
+    display: Array = figure.transFigure.transform(share)
+    return display
+
+
+def _sheet(axes: Axes) -> tuple[Figure, float, float]:
+    """The figure of drawn axes, its width and height [pt]."""
     figure = axes.get_figure(root=True)
     assert figure is not None  # axes that were drawn belong to a figure
     width, height = POINTS_PER_INCH * figure.get_size_inches()
-    share = figure.transFigure.inverted().transform(display)
-    return np.column_stack([width * share[:, 0], height * (1.0 - share[:, 1])])
+    return figure, float(width), float(height)
 
 
 def _seen(axes: Axes, curve: Line2D, left: float, right: float) -> tuple[Array, Array]:
@@ -93,8 +182,7 @@ def _title(axes: Axes, at: float, curves: list[Line2D], seen: list[tuple[Array, 
         if i < 0 or abs(x[i] - at) > 0.5 * FIELD_PT:
             continue
         here = here or _where(axes, float(points[i, 0]))
-        label = str(curve.get_label())
-        name = _named(axes.yaxis)[0] if not label or label.startswith("_") else label
+        name = _label(curve) or _named(axes.yaxis)[0]
         texts.append(f"{name} {number(float(points[i, 1]))} {unit}".strip())
     return "\n".join([here, *texts])
 
@@ -111,5 +199,9 @@ def _where(axes: Axes, x: float) -> str:
 
 def _named(axis: Axis) -> tuple[str, str]:
     """Name and unit of an axis, from its label `name [unit]`."""
-    match = LABEL.fullmatch(axis.get_label_text())
-    return (match["name"], match["unit"] or "") if match else (axis.get_label_text(), "")
+    return _parts(axis.get_label_text())
+
+
+def _parts(label: str) -> tuple[str, str]:
+    match = LABEL.fullmatch(label)
+    return (match["name"], match["unit"] or "") if match else (label, "")

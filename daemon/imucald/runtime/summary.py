@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, MountEstimate
-from imucald.mount.mount_words import how_it_sits, steep_note
+from imucald.mount.mount_words import how_it_sits, mirror_note, steep_note
 from imucald.runtime.engine import Engine
 
 
@@ -86,6 +86,7 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
 def _for_people(estimate: MountEstimate) -> dict[str, Any]:
     """How the sensor sits in words, and what the deviations must fall below."""
     found: dict[str, Any] = {"sits": how_it_sits(estimate), "steep": steep_note(estimate)}
+    found["mirrored"] = mirror_note(estimate)
     if (targets := estimate.targets) is not None:
         found["target_std_deg"] = {
             goal: {a: round(s * DEG_PER_RAD, 4) for a, s in zip("xyz", std, strict=True)}

@@ -6,11 +6,13 @@ It asks the daemons' status sockets, as anybody may; nothing of the frame loop r
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import socket
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
+from urllib.parse import urlsplit
 
 from imucald import __version__
 
@@ -23,7 +25,7 @@ CONTENT = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class MetricsHandler(BaseHTTPRequestHandler):
-    """GET /metrics, and nothing else."""
+    """GET and HEAD of /metrics, and nothing else."""
 
     timeout = IDLE_S
     server_version = f"imucald/{__version__}"
@@ -32,15 +34,26 @@ class MetricsHandler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer a scrape."""
+        self.wfile.write(self._headed())
+
+    def do_HEAD(self) -> None:
+        """Answer as to GET, without the text."""
+        self._headed()
+
+    def _headed(self) -> bytes:
+        """Send the head of the answer; the text that belongs to it."""
+        if not self.server.is_named(self.headers.get("Host", "")):
+            self.send_error(403, "these metrics are for this machine only")
+            return b""
         if self.path.partition("?")[0] != "/metrics":
             self.send_error(404, "only /metrics is here")
-            return
+            return b""
         body = self.server.text().encode()
         self.send_response(200)
         self.send_header("Content-Type", CONTENT)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
-        self.wfile.write(body)
+        return body
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 - as in the library
         """Scrapes come for ever: no line for each."""
@@ -56,7 +69,22 @@ class MetricsServer(ThreadingHTTPServer):
         self.socket.close()
         self.socket = listening
         self.text = text
+        self._is_local = _is_loopback(str(self.server_address[0]))
         self._free = threading.BoundedSemaphore(CLIENTS_MAX)
+
+    def is_named(self, host: str) -> bool:
+        """Whether a request's Host may be this server's.
+
+        One for this machine only goes by an address or as localhost: any other name is that of a
+        web page whose name was made to point here, to read what its visitor's machine shows.
+        """
+        if not self._is_local:
+            return True
+        try:
+            name = urlsplit(f"//{host}").hostname
+        except ValueError:
+            return False
+        return name is None or name == "localhost" or _is_loopback(name)
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Serve a connection beside the others, or turn it away."""
@@ -84,3 +112,10 @@ def _cut(request: socket.socket) -> None:
     """End what its thread waits for; closing would not, as the thread's files keep it open."""
     with contextlib.suppress(OSError):
         request.shutdown(socket.SHUT_RDWR)
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return False

@@ -17,6 +17,7 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatc
 from imucald.config import LoadedConfig
 from imucald.config.uds import Uds
 from imucald.core.errors import ConfigError
+from imucald.core.extras import how_to_install
 from imucald.runtime.engine import Engine
 from imucald.runtime.output.output_message import OutFrame
 from imucald.service.attempt_store import AttemptStore
@@ -186,7 +187,7 @@ def checked_key_function(loaded: LoadedConfig, engine: Engine) -> KeyFunction | 
 
 
 def _lacks_isotp(loaded: LoadedConfig) -> ConfigError:
-    text = "needs the package can-isotp: pip install 'imucald[diagnostics]'"
+    text = f"needs the package can-isotp: {how_to_install('diagnostics')}"
     return loaded.error(("diagnostics", "enabled"), text)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,7 @@ LIBRARIES: Mapping[str, tuple[str, str]] = {
     ".mcap": ("mcap.writer", "mcap"),
 }
 """What each writer needs: module and extra."""
+_NUMBER = re.compile(r"\[errno (\d+)\]")
 ALL_RAW = RAW.rstrip("/")
 """Stands for all tables of samples as they came."""
 
@@ -87,5 +90,6 @@ def write_parts(
             writer.abandon()
             raise
     except OSError as error:
-        reason = error.strerror or str(error)
+        number = _NUMBER.search(str(error))  # pyarrow puts it into a sentence of its own
+        reason = os.strerror(int(number[1])) if number else error.strerror or str(error)
         raise ImucaldError(f"{path}: cannot be written: {reason}") from None

@@ -17,6 +17,7 @@ from imucald.can.link.own_echoes import Echoes
 from imucald.can.link.socketcan import MAX_BATCH, Frame
 from imucald.can.python_can import can
 from imucald.core.errors import LinkError
+from imucald.core.extras import how_to_install
 
 SEND_WAIT = 0.002
 """An adapter may block so long when its transmit queue is full [s]."""
@@ -58,7 +59,7 @@ class Adapter:
         try:
             self._bus = can.Bus(interface=interface, channel=channel, **arguments)
         except (can.CanInterfaceNotImplementedError, ImportError, TypeError) as error:
-            remedy = "; install the extra, pip install 'imucald[live]'" * ("msgpack" in str(error))
+            remedy = f"; it needs {how_to_install('live')}" * ("msgpack" in str(error))
             raise LinkError(f"interface {interface!r}: {error}{remedy}") from None
         except (can.CanError, ValueError) as error:
             raise OSError(f"interface {interface!r}, channel {channel!r}: {error}") from error

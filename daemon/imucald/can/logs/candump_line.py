@@ -143,5 +143,4 @@ def _frame_reason(frame: bytes) -> str:
 
 def shown(text: bytes) -> str:
     """Return a line as it can be shown in a message: short, printable."""
-    start = text[:60].decode("ascii", "backslashreplace")
-    return repr(start)[1:-1] + ("..." if len(text) > 60 else "")
+    return repr(text[:60])[2:-1] + ("..." if len(text) > 60 else "")

@@ -148,14 +148,14 @@ def _reader_for(readers: Sequence[LogFormat], head: bytes, path: Path | str | Op
     if ending == CSV_ENDING and head:
         first = shown(head.split(b"\n")[0].strip())
         raise LogError(
-            f"{path}: its first line is {first!r}; known are the CSV of SavvyCAN (Time Stamp,ID,"
+            f"{path}: its first line is '{first}'; known are the CSV of SavvyCAN (Time Stamp,ID,"
             "Extended,...) and of python-can (timestamp,arbitration_id,...)"
         )
     by_name = next((r for r in readers if ending in r.endings), None)
     candump = next(r for r in readers if CANDUMP_ENDING in r.endings)
     if by_name in (None, candump) and head.strip() and not _MAY_BE_CANDUMP.search(head):
         raise LogError(
-            f"{path}: not a log that is known here; it begins with {shown(head.lstrip())!r}; "
+            f"{path}: not a log that is known here; it begins with '{shown(head.lstrip())}'; "
             "record with: candump -l can0"
         )
     return by_name or candump

@@ -28,6 +28,7 @@ from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.unpacking import plain_file
 from imucald.core.errors import LogError
+from imucald.core.extras import how_to_install
 
 _PCAPNG: Final = b"\x0a\x0d\x0d\x0a"
 _PCAP: Final = (
@@ -122,7 +123,7 @@ def _opened(file: BinaryIO, name: str) -> Any:
     try:
         import dpkt  # noqa: PLC0415 - an extra
     except ImportError:
-        text = "reading captures needs the package dpkt: pip install 'imucald[logs]'"
+        text = f"reading captures needs the package dpkt: {how_to_install('logs')}"
         raise LogError(f"{name}: {text}") from None
     magic = file.read(4)
     file.seek(0)

@@ -31,6 +31,7 @@ from imucald.can.logs.mf4_end import mf4_end
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.unpacking import plain_ending, plain_file
 from imucald.core.errors import LogError
+from imucald.core.extras import how_to_install
 
 PROGRESS_FRAMES: Final = 20_000
 """Frames between two reports of progress."""
@@ -120,7 +121,8 @@ class PythonCanReader:
             raise
         # What python-can's readers raise on damaged files is not documented, and is anything.
         except Exception as error:
-            text = f"{path}: cannot be read: {end or error or type(error).__name__}"
+            words = "it is not text" if isinstance(error, UnicodeDecodeError) else str(error)
+            text = f"{path}: cannot be read: {end or words or type(error).__name__}"
             if self._statistics.frames_read == before:
                 raise LogError(text) from error
             self._statistics.reject("unreadable", f"{text} ({self._so_far(before)})")
@@ -194,7 +196,7 @@ def _open(path: Path, kind: str) -> Any:
     try:
         return with_mf4()(path)
     except ImportError:
-        text = "reading MF4 needs the package asammdf: pip install 'imucald[mf4]'"
+        text = f"reading MF4 needs the package asammdf: {how_to_install('mf4')}"
         raise LogError(f"{path}: {text}") from None
 
 

@@ -42,6 +42,11 @@ class OpenLog(Struct, frozen=True):
         return self.name
 
 
+def folder_error(path: object) -> LogError:
+    """What to say of a folder where one log is wanted."""
+    return LogError(f"{path}: is a folder; name one of its logs")
+
+
 def open_source(path: Path | str | OpenLog) -> AbstractContextManager[ByteSource]:
     """Open a file, or standard input for "-". Raises LogError."""
     if isinstance(path, OpenLog):
@@ -50,6 +55,8 @@ def open_source(path: Path | str | OpenLog) -> AbstractContextManager[ByteSource
         return nullcontext(cast(ByteSource, sys.stdin.buffer))
     try:
         return Path(path).open("rb", buffering=0)
+    except IsADirectoryError:
+        raise folder_error(path) from None
     except OSError as error:
         raise LogError(f"{path}: cannot be opened: {error.strerror}") from error
 

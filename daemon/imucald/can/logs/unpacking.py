@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from imucald.core.errors import LogError
+from imucald.core.extras import how_to_install
 
 COMPRESSED_BYTES: Final = 1 << 18
 """Compressed bytes read at once."""
@@ -86,7 +87,7 @@ class _Zstd:
         try:
             import zstandard  # noqa: PLC0415 - an extra
         except ImportError:
-            text = "Zstandard (.zst): needs the package zstandard: pip install 'imucald[logs]'"
+            text = f"Zstandard (.zst): needs the package zstandard: {how_to_install('logs')}"
             raise LogError(text) from None
         self._error = zstandard.ZstdError
         self._inner = zstandard.ZstdDecompressor().decompressobj()

@@ -82,7 +82,7 @@ function show(live) {
   const reached = ["usable", "fine"].filter((n) => live[`first_${n}_s`] !== null).map((n) => `${n} after ${clock(live[`first_${n}_s`])}`);
   byId("reached").textContent = [`${live.version}, ${live.vehicle}, up ${clock(live.uptime_s)}`, ...reached].join(", ");
   byId("sits").textContent = live.sits || "How the sensor sits is not known yet.";
-  byId("steep").textContent = live.steep || "";
+  byId("steep").textContent = [live.steep, live.mirrored].filter(Boolean).join(" ");
   const views = live.views.join("");
   if (byId("views").dataset.now !== views) { byId("views").dataset.now = views; byId("views").innerHTML = views; }
   if (byId("drawingstyle").textContent !== live.drawing_style) byId("drawingstyle").textContent = live.drawing_style;

@@ -1,0 +1,55 @@
+"""SIGTERM ends a command as it should: tidied up, all printed, dead of the signal."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+IMUCALD = [sys.executable, "-m", "imucald"]
+
+
+def ended(
+    arguments: list[str], ready: Callable[[subprocess.Popen[bytes]], bool], folder: Path
+) -> subprocess.Popen[bytes]:
+    """A command after SIGTERM, sent once `ready` says so; its TMPDIR is the folder."""
+    process = subprocess.Popen(
+        [*IMUCALD, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(folder)},
+        cwd=folder,
+    )
+    try:
+        end = time.monotonic() + 60.0
+        while not ready(process):
+            assert time.monotonic() < end
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.02)
+        process.terminate()
+        process.wait(20.0)
+    finally:
+        process.kill()
+    return process
+
+
+@pytest.mark.slow
+def test_a_live_demo_leaves_no_folder_and_what_it_showed_is_there(tmp_path: Path) -> None:
+    began: list[float] = []
+
+    def has_shown(_: subprocess.Popen[bytes]) -> bool:
+        if any(tmp_path.glob("imucald-live-*/status.sock")):
+            began.append(time.monotonic())
+        return bool(began) and time.monotonic() > began[0] + 2.0
+
+    process = ended(["demo", "--live", "--minutes", "2"], has_shown, tmp_path)
+    assert process.returncode == -signal.SIGTERM
+    assert list(tmp_path.iterdir()) == []
+    assert process.stdout is not None
+    assert b"simulated car" in process.stdout.read(), "what was shown may not stay in a buffer"
