@@ -1,7 +1,10 @@
 """Effects that the catalogue does not have, put into measured samples.
 
-All six were written when the tests of `imucald.diagnosis.adequacy` and the generator's own outside
-effects were known: they show what is seen, not what an effect that nobody thought of would do.
+By date: shaking, swing, gusts, hysteresis, dead_zone and glitches were written when the tests of
+`imucald.diagnosis.adequacy` and the generator's own outside effects were known, and seen many times
+since (hysteresis and dead_zone also before `patterns` and `held_values` were written): they show
+what is seen, not what an effect that nobody thought of would do. fading, restarts and held_speed
+were written on 2026-11-22, when the method stood, and not run before its judge.
 """
 
 from __future__ import annotations
@@ -84,6 +87,40 @@ def _glitches(s: Drive, size: float, rng: np.random.Generator, R: Array) -> floa
     return size
 
 
+def _fading(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The gyroscope's gain falls by this share within seconds of each strong turn, and recovers
+    over 20 s: a sensor that heats itself."""
+    t, x = s["gyro"].t, s["gyro"].values
+    heat, step = np.zeros(len(t)), np.diff(t, prepend=t[0])
+    load = np.minimum(np.linalg.norm(x, axis=1) / 0.2, 1.0)
+    for k in range(1, len(t)):
+        dt = min(float(step[k]), 1.0)
+        heat[k] = heat[k - 1] + dt * (load[k] * (1.0 - heat[k - 1]) / 3.0 - heat[k - 1] / 20.0)
+    _set(s, "gyro", x * (1.0 - size * heat)[:, None])
+    return size
+
+
+def _restarts(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The accelerometer starts anew every four minutes, each time with another zero (rms size)."""
+    t, x = s["accel"].t, s["accel"].values.copy()
+    for start in np.arange(t[0] + 90.0, t[-1], 240.0):
+        inside = (t >= start) & (t < start + 240.0)
+        x[inside] += size * rng.standard_normal(3)
+    _set(s, "accel", x)
+    return size
+
+
+def _held_speed(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed follows in braking, and holds back by `size` seconds when it rises."""
+    t, v = s["speed"].t, s["speed"].values
+    out = v.copy()
+    for k in range(1, len(t)):
+        keep = np.exp(-(t[k] - t[k - 1]) / size) if v[k] > out[k - 1] else 0.0
+        out[k] = keep * out[k - 1] + (1.0 - keep) * v[k]
+    _set(s, "speed", out)
+    return size
+
+
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shaking": (_shaking, 0.3, "accel"),
     "swing": (_swing, 0.4, "accel"),
@@ -91,5 +128,8 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "hysteresis": (_hysteresis, 0.2, "accel"),
     "dead_zone": (_dead_zone, 0.035, "gyro"),
     "glitches": (_glitches, 0.2, "gyro"),
+    "fading": (_fading, 0.25, "gyro"),
+    "restarts": (_restarts, 0.3, "accel"),
+    "held_speed": (_held_speed, 1.0, "speed"),
 }
 """Effect, medium size [SI], signal that it is put into."""

@@ -36,6 +36,17 @@ class Message:
     signals: tuple[Signal, ...]
 
 
+def triad(
+    id_: int, message: str, stem: str, unit: str, step: float, t: Array, values: Array,
+    axes: str = "_X _Y _Z",
+) -> Message:  # fmt: skip
+    """Three axes (n, 3) as one message; axes: endings of their names, apart or one letter each."""
+    names = axes.split() if " " in axes else list(axes)
+    return Message(id_, message, t, tuple(
+        Signal(f"{stem}{axis}", unit, step, values[:, i]) for i, axis in enumerate(names)
+    ))  # fmt: skip
+
+
 def write_log(folder: Path, messages: list[Message]) -> None:
     """`drive.log` and `car.dbc`. Values are rounded to their steps and not changed otherwise."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from benchmarks.public_logs import phones, repositories, vehicles
+from benchmarks.public_logs import bags, phones, repositories, vehicles
 from benchmarks.public_logs.frames import Message
 from benchmarks.public_logs.repositories import Repository
 
@@ -47,4 +47,20 @@ LOGS = (
     PublicLog("dtu_ugv", repositories.DTU, vehicles.dtu_ugv, (0.0, 0.0, -90.0), 3.0),
     PublicLog("phone_s24", repositories.SANTOLLAN, phones.phone_s24),
     PublicLog("pixel_1hz", repositories.BRODOVSKY, phones.pixel_1hz),
+    # from here on: the second search
+    # by its gravity, its turns and its braking: about the z axis by half a turn
+    PublicLog("jeddah_hour", repositories.KAU, partial(vehicles.jeddah_car, drive="uni_home"),
+              (0.0, 0.0, 180.0), 5.0, right="jeddah_car"),
+    PublicLog("jeddah_harsh", repositories.KAU, partial(vehicles.jeddah_car, drive="harsh_data"),
+              (0.0, 0.0, 180.0), 5.0, right="jeddah_car"),
+    # stated with the data: forward, right, down
+    PublicLog("comma_rav4", repositories.COMMA2K19, vehicles.comma_rav4, (180.0, 0.0, 0.0), 6.0),
+    PublicLog("provo_scooter", repositories.ESCOOTER, phones.provo_scooter),
+    PublicLog("doha_iphone", repositories.ROAD_SURFACE, phones.doha_iphone),
+    PublicLog("helbert_c1", repositories.INGENIEUR, phones.helbert_c1),
+    # its test sends this rotation beside the bag
+    PublicLog("husky_field", repositories.ROBOT_LOCALIZATION, bags.husky_field,
+              (90.0, 0.0, -90.0), 6.0),
+    # levelled axes: forward, left, up
+    PublicLog("kitti_0042", repositories.ODOMETRY_FUSION, bags.kitti_0042, (0.0, 0.0, 0.0), 2.0),
 )  # fmt: skip

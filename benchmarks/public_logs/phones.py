@@ -11,8 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.public_logs.frames import Array, Message, Signal
-from benchmarks.public_logs.repositories import BRODOVSKY, CLOUDPOSE, SANTOLLAN, VEHSENSE
+from benchmarks.public_logs.frames import Array, Message, Signal, triad
+from benchmarks.public_logs.repositories import (
+    BRODOVSKY,
+    CLOUDPOSE,
+    ESCOOTER,
+    INGENIEUR,
+    ROAD_SURFACE,
+    SANTOLLAN,
+    VEHSENSE,
+)
 
 SHUTTLE_START = 1542645195.0
 SHUTTLE_PARTS = ((5100.0, 7800.0), (9600.0, 12300.0))
@@ -49,12 +57,8 @@ def austin_bmw(data: Path) -> list[Message]:
         own = _column(phone, stamp)
         is_new = np.concatenate([[True], np.diff(own) > 0.0])
         t = own + np.min(logged - own)  # the app's clock is the sensor's and some waiting
-        messages.append(
-            Message(id_, name, t[is_new], tuple(
-                Signal(f"{name[-3:]}_{axis}", unit, step,
-                       _column(phone, stem.format(axis))[is_new]) for axis in "XYZ"
-            ))
-        )  # fmt: skip
+        values = _columns(phone, *(stem.format(axis) for axis in "XYZ"))[is_new]
+        messages.append(triad(id_, name, name[-3:], unit, step, t[is_new], values))
     fixes = _column(phone, "locationTimestamp_since1970(s)")
     is_new = np.concatenate([[True], np.diff(fixes) > 0.0])
     messages.append(
@@ -78,12 +82,8 @@ def paratransit_shuttle(data: Path, part: int) -> list[Message]:
         own, clock = _column(rows, "abs_timestamp") * 1e-9, _column(rows, "sys_time") * 1e-3
         inside = (clock >= SHUTTLE_START + first) & (clock < SHUTTLE_START + last)
         t = own[inside] + np.min((clock - own)[inside])
-        messages.append(
-            Message(id_, name, t, tuple(
-                Signal(f"{name[4:]}_{axis}", unit, step,
-                       _column(rows, f"raw_{axis.lower()}_{kind}")[inside]) for axis in "XYZ"
-            ))
-        )  # fmt: skip
+        values = _columns(rows, *(f"raw_{axis}_{kind}" for axis in "xyz"))[inside]
+        messages.append(triad(id_, name, name[4:], unit, step, t, values))
     fixes = [row for row in _chunks(data, folder, "gps") if row["provider"] == "gps"]
     t_gps = _column(fixes, "system_time") * 1e-3
     inside = (t_gps >= SHUTTLE_START + first) & (t_gps < SHUTTLE_START + last)
@@ -104,11 +104,8 @@ def phone_s24(data: Path) -> list[Message]:
         (0x32, "Gyr", "Gyroscope.csv", "rad/s", 0.0005),
     ):
         rows = _rows(SANTOLLAN.file(data, path))
-        messages.append(
-            Message(id_, name, _column(rows, "time") * 1e-9, tuple(
-                Signal(f"{name}_{axis}", unit, step, _column(rows, axis)) for axis in "xyz"
-            ))
-        )  # fmt: skip
+        t, values = _column(rows, "time") * 1e-9, _columns(rows, *"xyz")
+        messages.append(triad(id_, name, name, unit, step, t, values, "_x _y _z"))
     rows = _rows(SANTOLLAN.file(data, "Location.csv"))
     messages.append(
         Message(0x40, "Loc", _column(rows, "time") * 1e-9, (
@@ -127,15 +124,88 @@ def pixel_1hz(data: Path) -> list[Message]:
     t = np.array([datetime.fromisoformat(row["time"]).timestamp() for row in imu])
     t_gps = np.array([datetime.fromisoformat(row["time"]).timestamp() for row in gps])
     return [
-        Message(0x71, "Accelerometer", t, tuple(
-            Signal(name, "m/s^2", 0.002, _column(imu, name)) for name in ("a_x", "a_y", "a_z")
-        )),
-        Message(0x72, "Gyroscope", t, tuple(
-            Signal(name, "rad/s", 0.0002, _column(imu, name)) for name in ("w_x", "w_y", "w_z")
-        )),
+        triad(0x71, "Accelerometer", "a", "m/s^2", 0.002, t, _columns(imu, "a_x", "a_y", "a_z"),
+              "_x _y _z"),
+        triad(0x72, "Gyroscope", "w", "rad/s", 0.0002, t, _columns(imu, "w_x", "w_y", "w_z"),
+              "_x _y _z"),
         Message(0x73, "Location", t_gps, (
             Signal("speed", "m/s", 0.01, _column(gps, "speed"), False),
             Signal("bearing", "deg", 0.01, _column(gps, "bearing"), False),
+        )),
+    ]  # fmt: skip
+
+
+def provo_scooter(data: Path) -> list[Message]:
+    """Electric scooter, 15 min of pavements: a phone upright on its steering column, GNSS 1 Hz.
+
+    Fixes without a course (below walking pace) have none here.
+    """
+    stem = "data/pavement_data/20211016_120306/20211016_120306_"
+    accelerometer, gyroscope, fixes = (
+        _numbers(ESCOOTER.file(data, f"{stem}{kind}.csv"), ";") for kind in ("Acc", "Gyro", "GNSS")
+    )
+    has_course = fixes[:, 6] >= 0.0
+    return [
+        triad(0x120, "BMI160_A", "Acc", "m/s^2", 0.003, accelerometer[:, 0] * 1e-9,
+              accelerometer[:, 1:4], "XYZ"),
+        triad(0x121, "BMI160_G", "Gyro", "rad/s", 0.001, gyroscope[:, 0] * 1e-9,
+              gyroscope[:, 1:4], "XYZ"),
+        Message(0x130, "GNSS_SPEED", fixes[:, 0] * 1e-9, (
+            Signal("Speed", "m/s", 0.0005, fixes[:, 5], False),
+        )),
+        Message(0x131, "GNSS_HEADING", fixes[has_course, 0] * 1e-9, (
+            Signal("Heading", "deg", 0.01, fixes[has_course, 6], False),
+        )),
+    ]  # fmt: skip
+
+
+def doha_iphone(data: Path) -> list[Message]:
+    """Car, 2 min, never at rest: iPhone, gravity and user acceleration, a fix a second."""
+    lines = ROAD_SURFACE.file(data, "data/20180412_120303.csv").decode().splitlines()[1:]
+    rows = [line.split(",") for line in lines]
+    motion = np.array([[float(x) for x in row[:13]] for row in rows if row[0]])
+    fixes = np.array([[float(x) for x in row[16:22]] for row in rows if not row[0]])
+    is_new = np.concatenate([[True], np.diff(fixes[:, 5]) > 0.0])
+    return [
+        triad(0x1, "MOTION_ACC", "acc_", "g", 0.0002, motion[:, 0],
+              motion[:, 7:10] + motion[:, 10:13], "xyz"),
+        triad(0x2, "MOTION_RATE", "rot_", "rad/s", 0.0005, motion[:, 0], motion[:, 4:7], "xyz"),
+        Message(0x3, "LOCATION", fixes[is_new, 5], (
+            Signal("speed", "m/s", 0.01, fixes[is_new, 3], False),
+            Signal("course", "deg", 0.01, fixes[is_new, 4], False),
+        )),
+    ]  # fmt: skip
+
+
+WATCH_AHEAD = 2.0
+"""Seconds by which the watch's clock is set back: its speed else follows the phone's by 3 s."""
+
+
+def helbert_c1(data: Path) -> list[Message]:
+    """Citroen C1, 6 min: a phone's accelerometer in g, no gyroscope; speed of a watch, 1 Hz."""
+    try:
+        import fitparse  # type: ignore[import-untyped,import-not-found,unused-ignore]
+    except ImportError:
+        remedy = "pip install 'imucald[public-logs]'"
+        raise ValueError(f"helbert_c1 is read with fitparse: {remedy}") from None
+    folder = "data/helbert/2023_03_02/path_5"
+    text = INGENIEUR.file(data, f"{folder}/2023-03-0119.38.45.csv").decode()
+    rows = [line.split(";") for line in text.replace(",", ".").splitlines()[1:]]
+    rows = [row for row in rows if len(row) == 5]
+    clock = np.array([[float(x) for x in row[0].split(":")] for row in rows])
+    t = clock @ (3600.0, 60.0, 1.0, 1e-4)
+    fit = fitparse.FitFile(io.BytesIO(INGENIEUR.file(data, f"{folder}/D31J3853.FIT")))
+    records = [message.get_values() for message in fit.get_messages("record")]
+    speeds = [(record["timestamp"], record["enhanced_speed"]) for record in records
+              if record.get("enhanced_speed") is not None]  # fmt: skip
+    # the watch writes UTC, the phone the time of Paris in winter
+    t_watch = np.array([(at - at.replace(hour=0, minute=0, second=0)).total_seconds()
+                        for at, _ in speeds]) + 3600.0 - WATCH_AHEAD  # fmt: skip
+    values = np.array([[float(x) for x in row[1:4]] for row in rows])
+    return [
+        triad(0x11, "TOOLBOX", "gF", "g", 0.0001, t, values, "xyz"),
+        Message(0x12, "WATCH", t_watch, (
+            Signal("enhanced_speed", "m/s", 0.001, np.array([v for _, v in speeds]), False),
         )),
     ]  # fmt: skip
 
@@ -155,6 +225,17 @@ def _rows(content: bytes) -> list[dict[str, str]]:
 
 def _column(rows: list[dict[str, str]], name: str) -> Array:
     return np.array([float(row[name]) for row in rows])
+
+
+def _columns(rows: list[dict[str, str]], *names: str) -> Array:
+    return np.stack([_column(rows, name) for name in names], axis=1)
+
+
+def _numbers(content: bytes, separator: str) -> Array:
+    """The rows that begin with a digit."""
+    lines = [line.rstrip(separator) for line in content.decode().splitlines()]
+    return np.array([[float(x) for x in line.split(separator)] for line in lines
+                     if line[:1].isdigit()])  # fmt: skip
 
 
 def _clock(text: str) -> float:

@@ -75,3 +75,27 @@ SANTOLLAN = Repository(
 BRODOVSKY = Repository(
     "jbrodovsky", "research", "1d39a1961aac3cc2884477b00ae698d34ee7a37f", "none stated"
 )
+KAU = Repository(
+    "KauDriverAnalysis", "Driving-Behavior-Analysis-System",
+    "427e6dd04b0b817846252feda1b992fce059437d", "none stated",
+)  # fmt: skip
+COMMA2K19 = Repository("commaai", "comma2k19", "4c7f1a6e1957745beadc1def0e7225f559b09a2a", "MIT")
+ESCOOTER = Repository(
+    "byu-transpolab", "escooter_pavements", "6fc77bebfef540e3a7ba097ba947570d9958665b",
+    "none stated",
+)  # fmt: skip
+ROAD_SURFACE = Repository(
+    "sshaar", "Road-Surface-Feature-Identification", "797c467c329635d2daca0dbe62dd968fe122efdb",
+    "none stated",
+)  # fmt: skip
+INGENIEUR = Repository(
+    "FABallemand", "ProjetIngenieur", "c2b348dc39b932fc085f0a2525ad2a67b2aaff65", "none stated"
+)
+ROBOT_LOCALIZATION = Repository(
+    "cra-ros-pkg", "robot_localization", "1cb953379378d13b3e0935ed73d0c7407bd80543",
+    "BSD-3-Clause, Apache-2.0",
+)  # fmt: skip
+ODOMETRY_FUSION = Repository(
+    "basavarajnavalgund", "Odometry-IMU-GPS-Fusion", "48e86e285289d5ef13bb1c2b191e9cbba86b65da",
+    "none stated; KITTI's is CC-BY-NC-SA 3.0",
+)  # fmt: skip

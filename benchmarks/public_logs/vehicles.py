@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.public_logs.frames import Array, Message, Signal
-from benchmarks.public_logs.repositories import BALZER, DTU, EVERETT, XDRK
+from benchmarks.public_logs.frames import Array, Message, Signal, triad
+from benchmarks.public_logs.repositories import BALZER, COMMA2K19, DTU, EVERETT, KAU, XDRK
 
 
 def everett_roof(data: Path) -> list[Message]:
@@ -32,8 +32,8 @@ def everett_roof(data: Path) -> list[Message]:
     t_gnss = np.array([_utc(f"{row[0]} {row[1]}", "%Y/%m/%d %H:%M:%S.%f") for row in rows])
     north, east = (np.array([float(row[i]) for row in rows]) for i in (15, 16))
     return [
-        _triad(0x120, "IMU_ACC", "ACC", "g", 0.001, t, imu[:, :3]),
-        _triad(0x121, "IMU_RATE", "RATE", "deg/s", 0.004, t, imu[:, 3:6]),
+        triad(0x120, "IMU_ACC", "ACC", "g", 0.001, t, imu[:, :3]),
+        triad(0x121, "IMU_RATE", "RATE", "deg/s", 0.004, t, imu[:, 3:6]),
         Message(0x130, "GNSS_VEL", t_gnss, (
             Signal("SPEED", "m/s", 0.001, np.hypot(north, east), is_signed=False),
             Signal("COURSE", "deg", 0.01, np.degrees(np.arctan2(east, north)) % 360.0, False),
@@ -52,7 +52,7 @@ def dresden_city(data: Path) -> list[Message]:
         return np.array([float(row[name]) for row in rows])
 
     return [
-        _triad(0x10, "Accel", "a", "m/s^2", 0.002, t, _stack(column, "ax", "ay", "az"), "xyz"),
+        triad(0x10, "Accel", "a", "m/s^2", 0.002, t, _stack(column, "ax", "ay", "az"), "xyz"),
         Message(0x11, "Rates", t, tuple(
             Signal(name, "deg/s", 0.02, column(name))
             for name in ("rollrate", "pitchrate", "yawrate")
@@ -102,14 +102,79 @@ def tcr_civic(data: Path) -> list[Message]:
     ]
 
 
+JEDDAH_LSB_PER_G = 16384.0
+JEDDAH_LSB_PER_DEG_S = 16.4
+"""MPU-6050 at +-2 g and +-2000 deg/s, the ranges that its motion processor's start sets."""
+
+
+def jeddah_car(data: Path, drive: str) -> list[Message]:
+    """Car in a city, "uni_home" 60 min, "harsh_data" 4 min: hobby logger, 4 Hz, stamps of 0.1 s.
+
+    The files are those that their authors cleaned; they turned the sign of Ax, which is kept here.
+    """
+    text = KAU.file(data, f"Analysis_cleansing/cleaned_{drive}.csv").decode()
+    rows = list(csv.DictReader(io.StringIO(text)))
+    t = np.array([_utc(row["Time"], "%Y-%m-%d %H:%M:%S.%f") for row in rows])
+
+    def column(name: str) -> Array:
+        return np.array([float(row[name]) for row in rows])
+
+    acceleration = _stack(column, "Ax", "Ay", "Az") / JEDDAH_LSB_PER_G
+    rates = _stack(column, "Gx", "Gy", "Gz") / JEDDAH_LSB_PER_DEG_S
+    return [
+        triad(0x101, "MPU_ACC", "A", "g", 1.0 / JEDDAH_LSB_PER_G, t, acceleration, "xyz"),
+        triad(0x102, "MPU_GYR", "G", "deg/s", 1.0 / JEDDAH_LSB_PER_DEG_S, t, rates, "xyz"),
+        Message(0x103, "MPU_DMP", t, (Signal("Yaw", "deg", 0.01, column("Yaw")),)),
+        Message(0x110, "GPS_VTG", t, (
+            Signal("Speed", "km/h", 0.01, column("Speed(km/h)"), False),
+        )),
+    ]  # fmt: skip
+
+
+def comma_rav4(data: Path) -> list[Message]:
+    """Toyota RAV4, 1 min of a motorway: a device behind the windscreen and the car's CAN."""
+    folder = "Example_1/b0c9d2329ad1606b|2018-08-02--08-34-47/40/processed_log"
+
+    def read(path: str) -> tuple[Array, Array]:
+        t, value = (
+            np.load(io.BytesIO(COMMA2K19.file(data, f"{folder}/{path}/{name}")))
+            for name in ("t", "value")
+        )
+        return t, value
+
+    speed, steering, wheels = (
+        read(f"CAN/{name}") for name in ("speed", "steering_angle", "wheel_speed")
+    )
+    gnss = read("GNSS/live_gnss_ublox")
+    corners = ("FL", "FR", "RL", "RR")
+    return [
+        triad(0x21, "EON_ACCEL", "a", "m/s^2", 0.001, *read("IMU/accelerometer"), "123"),
+        triad(0x22, "EON_GYRO", "w", "rad/s", 0.0001, *read("IMU/gyro"), "123"),
+        Message(0xAA, "WHEEL_SPEEDS", wheels[0], tuple(
+            Signal(f"WHEEL_{corner}", "m/s", 0.002, wheels[1][:, i], False)
+            for i, corner in enumerate(corners)
+        )),
+        Message(0x25, "STEER_ANGLE_SENSOR", steering[0], (
+            Signal("STEER_ANGLE", "deg", 0.1, steering[1].ravel()),
+        )),
+        Message(0xB4, "SPEED", speed[0], (
+            Signal("VEHICLE_SPEED", "m/s", 0.002, speed[1].ravel(), False),
+        )),
+        Message(0x30, "UBLOX", gnss[0], (
+            Signal("GNSS_SPEED", "m/s", 0.005, gnss[1][:, 2], False),
+            Signal("GNSS_BEARING", "deg", 0.01, gnss[1][:, 5], False),
+        )),
+    ]  # fmt: skip
+
+
 def dtu_ugv(data: Path) -> list[Message]:
     """Ground robot, 4 min outdoors: IMU 100 Hz; speed of the GNSS/INS solution at 10 Hz."""
     imu = np.genfromtxt(io.BytesIO(DTU.file(data, "data/run4_imu.txt")), skip_header=1)
     truth = ugv_truth(data)[::10]
     speed = np.linalg.norm(truth[:, 7:10], axis=1)
     return [
-        _triad(0x51, "IMU_A", "Accel", "m/s^2", 0.001, imu[:, 0], imu[:, 4:7]),
-        _triad(0x52, "IMU_G", "Gyro", "deg/s", 0.005, imu[:, 0], imu[:, 1:4]),
+        triad(0x51, "IMU_A", "Accel", "m/s^2", 0.001, imu[:, 0], imu[:, 4:7]),
+        triad(0x52, "IMU_G", "Gyro", "deg/s", 0.005, imu[:, 0], imu[:, 1:4]),
         Message(0x60, "ODO", truth[:, 0], (Signal("Velocity", "m/s", 0.001, speed, False),)),
     ]
 
@@ -144,13 +209,3 @@ def _utc(text: str, form: str) -> float:
 
 def _stack(column: Callable[[str], Array], *names: str) -> Array:
     return np.stack([column(name) for name in names], axis=1)
-
-
-def _triad(
-    id_: int, message: str, stem: str, unit: str, step: float, t: Array, values: Array,
-    axes: str = "_X _Y _Z",
-) -> Message:  # fmt: skip
-    names = axes.split() if " " in axes else list(axes)
-    return Message(id_, message, t, tuple(
-        Signal(f"{stem}{axis}", unit, step, values[:, i]) for i, axis in enumerate(names)
-    ))  # fmt: skip

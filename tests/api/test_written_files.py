@@ -223,7 +223,7 @@ def test_a_missing_library_is_told_with_the_extra_that_brings_it(
     monkeypatch, tmp_path, library, extra, use
 ):
     _hide(monkeypatch, library)
-    with pytest.raises(imucald.ImucaldError, match=rf"needs {library}.*imucald\[{extra}\]"):
+    with pytest.raises(imucald.ImucaldError, match=rf"needs {library}.*'\.\[{extra}\]'"):
         use(drive(), tmp_path)
     assert not list(tmp_path.iterdir())
 

@@ -279,7 +279,7 @@ def test_a_missing_library_is_an_error_with_the_remedy(monkeypatch, name):
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda n, *more: None if n == name else known(n, *more)
     )
-    with pytest.raises(ImucaldError, match=rf"needs {name}: .*pip install 'imucald\[report\]'"):
+    with pytest.raises(ImucaldError, match=rf"needs {name}: .*pip install '\.\[report\]'"):
         require_libraries()
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from imucald.diagnosis.single_track import followed_angle
+from imucald.diagnosis.single_track import followed_angle, slip_delay
 from imucald.model.vehicle import Chassis
 
 SIGMA_M, RACK_S, HZ, ANGLE = 0.4, 0.03, 0.7, 0.02
@@ -15,7 +15,8 @@ SETTLED = slice(100, 250)
 
 
 def integrated(c: Chassis, v: float) -> np.ndarray:
-    """Yaw rate under a sine at the wheels: tyres that build up their force, a gear that lags."""
+    """(2, N) sideways speed of the centre of gravity and yaw rate, under a sine at the wheel: tyres
+    that build up their force, a gear that lags."""
     a, b, m, rear = c.cg_to_front_m, c.cg_to_rear_m, c.mass_kg, c.rear_cornering_stiffness_npr
     front = b / (c.understeer_gradient * c.wheelbase_m / m + a / rear)
 
@@ -30,13 +31,13 @@ def integrated(c: Chassis, v: float) -> np.ndarray:
             (hands - angle) / RACK_S,
         ]
 
-    return solve_ivp(rates, (0.0, T[-1]), np.zeros(5), t_eval=T, rtol=1e-6).y[1]
+    return solve_ivp(rates, (0.0, T[-1]), np.zeros(5), t_eval=T, rtol=1e-6).y[:2]
 
 
 @pytest.mark.parametrize("v", [6.0, 17.0, 30.0])
 def test_yaw_rate_follows_the_steering_as_an_integrated_vehicle_does(v):
     c = Chassis()
-    true = integrated(c, v)[SETTLED]
+    true = integrated(c, v)[1, SETTLED]
     gain = v / (c.wheelbase_m + c.understeer_gradient * v * v)
     steer = ANGLE * np.sin(2.0 * np.pi * HZ * T)
     followed = followed_angle(steer, np.full(len(T), v), c, c.understeer_gradient)
@@ -48,3 +49,17 @@ def test_yaw_rate_follows_the_steering_as_an_integrated_vehicle_does(v):
 def test_a_steady_angle_is_followed_by_itself():
     followed = followed_angle(np.full(600, 0.3), np.linspace(0.0, 40.0, 600), Chassis(), 0.002)
     assert followed == pytest.approx(np.full(600, 0.3))
+
+
+@pytest.mark.parametrize("v", [17.0, 30.0])
+def test_rear_slip_is_behind_the_sideways_force(v):
+    """Without the delay three times as much is left of the sideways speed."""
+    c, speed = Chassis(), np.full(len(T), v)
+    v_y, r = integrated(c, v)
+    slip = c.mass_kg * c.cg_to_front_m / (c.wheelbase_m * c.rear_cornering_stiffness_npr) * v
+
+    def left(late):
+        made = c.cg_to_rear_m * r - slip * v * np.interp(T - late, T, r)
+        return np.std((v_y - made)[SETTLED]) / np.std(slip * v * r[SETTLED])
+
+    assert left(slip_delay(speed, slip, c)) < left(0.0) / 3.0

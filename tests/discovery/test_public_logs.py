@@ -8,10 +8,13 @@ import cantools
 import numpy as np
 import pytest
 from benchmarks.public_logs import __main__ as command
+from benchmarks.public_logs import diagnosed
 from benchmarks.public_logs.frames import START, Message, Signal, write_log
 from benchmarks.public_logs.logs import LOGS
 
 from imucald.config import load_config
+from imucald.core.errors import EstimateError
+from imucald.model.model import VehicleModel
 
 
 def test_written_columns_are_read_back_in_their_unit_and_order(tmp_path):
@@ -58,3 +61,43 @@ def test_absent_repositories_are_told_with_their_command_and_fail(tmp_path, monk
 @pytest.mark.parametrize("log", LOGS, ids=lambda log: log.name)
 def test_every_log_has_a_configuration_by_hand(log):
     assert load_config(log.configuration).config.signals.accelerometer[0].x is not None
+
+
+class _Cause:
+    def __init__(self, name):
+        self.name = name
+
+
+class _Diagnosis:
+    def __init__(self, certain, likely):
+        self.causes, self.likely = [_Cause(c) for c in certain], [_Cause(c) for c in likely]
+        self.look_alikes, self.verdict = [], "found"
+
+
+@pytest.mark.parametrize(
+    ("certain", "likely", "words"),
+    [
+        (["gyro_scale"], [], "named (verdict found)"),
+        ([], ["gyro_scale"], "likely (verdict found)"),
+        ([], [], "MISSED (verdict found)"),
+        (["dropouts"], [], "MISSED; CERTAIN BESIDE IT: dropouts (verdict found)"),
+        (["gyro_scale", "dropouts"], ["road"],
+         "named; CERTAIN BESIDE IT: dropouts; likely too: road (verdict found)"),
+    ],
+)  # fmt: skip
+def test_a_hidden_effect_is_named_likely_or_missed_and_other_names_are_told(
+    certain, likely, words, monkeypatch
+):
+    monkeypatch.setattr(diagnosed, "diagnose", lambda *_: _Diagnosis(certain, likely))
+    assert diagnosed._said({}, VehicleModel(), ("gyro_scale",)) == words
+
+
+def test_certain_causes_of_a_log_without_an_effect_and_refusals_are_told(monkeypatch):
+    monkeypatch.setattr(diagnosed, "diagnose", lambda *_: _Diagnosis(["dropouts"], []))
+    assert diagnosed._said({}, VehicleModel(), ()) == "certain: dropouts (verdict found)"
+
+    def too_short(*_):
+        raise EstimateError("less than four stretches")
+
+    monkeypatch.setattr(diagnosed, "diagnose", too_short)
+    assert diagnosed._said({}, VehicleModel(), ()) == "refused: less than four stretches"

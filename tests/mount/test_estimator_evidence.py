@@ -15,6 +15,8 @@ from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
+from imucald.mount.evidence_rows import GAINS, ROWS
+from imucald.mount.evidence_scores import left_over, less_angle
 from imucald.mount.evidence_spectra import Measured
 from imucald.mount.fusion import CommonCovariance, CommonError, fuse
 from imucald.mount.gravity_observer import GravityObserver
@@ -107,6 +109,29 @@ def test_response_finds_yaw_pitch_and_roll():
         piece = pieces[name]
         assert math.sqrt(piece.variance) < 0.4 * DEG
         assert piece.value == pytest.approx(error[axis], abs=3.0 * math.sqrt(piece.variance))
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_what_a_turned_window_leaves_over_is_noise_once_its_angle_is_taken_off(axis):
+    rng = np.random.default_rng(11)
+    a, v = smooth(rng, sp.WINDOW, 6.0), smooth(rng, sp.WINDOW, 4.0)
+    error = np.zeros(3)
+    error[axis] = 3.0 * DEG
+    force = np.stack([a, v, np.zeros(sp.WINDOW)], axis=1)
+    signals = np.zeros((sp.WINDOW, sp.MEASURED))
+    signals[:, :3] = force - np.cross(error, force) + 0.01 * rng.standard_normal((sp.WINDOW, 3))
+    signals[:, Measured.DVDT], signals[:, Measured.LATERAL] = a, v
+    signals[:, Measured.DVDT_REMAINING], signals[:, Measured.LATERAL_REMAINING] = a, v
+    s = sp.spectra(signals, np.ones(sp.WINDOW, dtype=bool))
+    P = sp.in_vehicle_axes(sp.band_products(s, 0.0, 0.0)[None], np.eye(3))
+    gains = np.zeros((len(GAINS), sp.BANDS))
+    gains[:2] = 1.0
+    left = left_over(P, gains)
+    known = [row for row, spec in enumerate(ROWS[:4]) if spec.axis == axis]
+    without = less_angle(left, P, gains, error[None])[known].sum(axis=2)
+    assert (without < 0.1 * left[known].sum(axis=2)).all()
+    opposite = less_angle(left, P, gains, -error[None])[known].sum(axis=2)
+    assert (opposite > 2.0 * left[known].sum(axis=2)).all()
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import Missing, MountState
@@ -48,6 +49,17 @@ def test_a_state_is_left_only_well_beyond_its_limit(state, limit):
     assert judged(just_over, MountState.LEVELLED, SETTINGS) != state
     assert judged(just_over, state, SETTINGS) == state
     assert judged(known(math.degrees(limit) * (SLACK + 0.05)), state, SETTINGS) != state
+
+
+def test_a_cross_axis_error_that_no_driving_makes_less_is_the_reason_for_yaw():
+    usable = replace(known(0.4), yaw_seen=0.05 * DEG)
+    text, code = waiting_for(replace(usable, cross_axis=0.008), SETTINGS)["yaw"]
+    assert "0.8 % of cross-axis error" in text
+    assert "accelerometer_bias" in text
+    assert code == Missing.OTHER
+    assert waiting_for(replace(usable, cross_axis=0.001), SETTINGS)["yaw"][0] == "more driving"
+    still = replace(known(0.4), yaw_seen=0.4 * DEG, cross_axis=0.008)
+    assert waiting_for(still, SETTINGS)["yaw"][0] == "more driving"
 
 
 def test_one_reason_per_angle():

@@ -67,7 +67,7 @@ def test_a_module_that_fails_when_it_is_imported_is_told(tmp_path, monkeypatch):
 
 def test_without_the_package_the_remedy_is_told(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "isotp", None)
-    with pytest.raises(ConfigError, match=r"pip install 'imucald\[diagnostics\]'"):
+    with pytest.raises(ConfigError, match=r"pip install '\.\[diagnostics\]'"):
         made(tmp_path, "\ndiagnostics: {enabled: true}\n")
 
 

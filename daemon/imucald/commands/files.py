@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -70,9 +69,11 @@ def _check_output(path: Path) -> None:
 
 def with_origin(svg: str, command: str) -> str:
     """The picture with the command that makes it, in its metadata."""
+    from html import escape  # a few commands draw
+
     head, opening, rest = svg.partition("<svg")
     tag, end, body = rest.partition(">")
-    return f"{head}{opening}{tag}{end}\n<metadata>{html.escape(command)}</metadata>{body}"
+    return f"{head}{opening}{tag}{end}\n<metadata>{escape(command)}</metadata>{body}"
 
 
 def write_text(name: Name, text: str) -> None:

@@ -24,9 +24,9 @@ channel            shape   meaning
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 GRAVITY = 9.80665
@@ -50,8 +50,7 @@ CHANNEL_WIDTH: Mapping[str, int] = {
 """How many numbers a sample of each channel has."""
 
 
-@dataclass(frozen=True)
-class Series:
+class Series(Struct, frozen=True):
     """Samples of one channel, in time order.
 
     t: (N,) seconds, never decreasing. values: (N,) or (N, width), SI units, finite.

@@ -169,10 +169,10 @@ def _rows(
         count = max(1, int(2.0 * f.rows * STEP_S * top[name]))
         tilt = None
         if name in base.tilt:
-            tilt = np.stack([_cosine(z, mask, count) for z in base.tilt[name]], axis=2)
+            tilt = np.stack([cosine(z, mask, count) for z in base.tilt[name]], axis=2)
         good = mask.mean(axis=1) >= LEAST_SHARE
         made[name] = _Rows(
-            _cosine(x, mask, count), np.zeros((f.blocks, count, len(keys))), tilt, good,
+            cosine(x, mask, count), np.zeros((f.blocks, count, len(keys))), tilt, good,
             f.rows * STEP_S,
         )  # fmt: skip
     for j, key in enumerate(keys):
@@ -181,11 +181,11 @@ def _rows(
         for name, rows in made.items():
             change = (settled.of[name] - moved.of[name]) / step
             if np.any(change):
-                rows.X[:, :, j] = _cosine(change, masks[name], rows.y.shape[1])
+                rows.X[:, :, j] = cosine(change, masks[name], rows.y.shape[1])
     return made
 
 
-def _cosine(x: Array, mask: Mask, count: int) -> Array:
+def cosine(x: Array, mask: Mask, count: int) -> Array:
     """First coefficients of a block's cosine transform, without rows that were not there."""
     made: Array = dct(np.where(mask, x, 0.0), type=2, axis=1, norm="ortho")[:, :count]
     return made
@@ -216,7 +216,7 @@ def _weighed(
     free = np.zeros(len(keys))
     for _ in range(PASSES):
         left = _without_tilt(parts, free)
-        weights = {name: _weights(left[name], rows.good) for name, rows in parts.items()}
+        weights = {name: noise_weights(left[name], rows.good) for name, rows in parts.items()}
         gram = _gram(parts, weights)
         total = np.asarray(sum(gram.values())).sum(axis=0)
         ridge = np.diag(1.0 / wide**2)
@@ -257,7 +257,7 @@ def _tilt_of(rows: _Rows) -> Array:
     return rows.tilt
 
 
-def _weights(left: Array, good: Mask) -> Array:
+def noise_weights(left: Array, good: Mask) -> Array:
     """1 over the noise: spectrum as the median over blocks, loud blocks weighed down."""
     if not good.any():
         return np.zeros_like(left)

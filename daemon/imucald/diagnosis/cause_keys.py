@@ -145,7 +145,7 @@ def model_error(model: VehicleModel, key: str) -> float:
     if key.startswith("gyro.scale."):
         upright = float(abs(mount_of(model)[2, int(key[-1])]))
         return float(np.hypot(stated * upright, LEVEL_GYRO_GAIN_ERROR * (1.0 - upright**2) ** 0.5))
-    return stated
+    return stated * abs(value(model, key)) if PARAMETERS[key].relative else stated
 
 
 # writing -----------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ import numpy as np
 
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age
-from imucald.diagnosis.motion import VehicleMotion
+from imucald.diagnosis.motion import VehicleMotion, slope
 from imucald.diagnosis.reading import Reader
 from imucald.diagnosis.signals import STEP_S, Array, Mask
 from imucald.diagnosis.single_track import SLOW_MPS
@@ -109,7 +109,7 @@ class Forward(Reader):
         """(B, 2) mean of u over each block as the forces tell it, without the gyroscope's carry."""
         motion = VehicleMotion(self, {}, False)
         x = motion.force[:, 0] + motion.r * motion.v_y - motion.held(motion.slopes)
-        y = motion.force[:, 1] - motion.v * motion.r - np.gradient(motion.v_y, STEP_S)
+        y = motion.force[:, 1] - motion.v * motion.r - slope(motion.v_y)
         means = [self._blocks(part).mean(axis=1) / GRAVITY for part in (x, y)]
         return np.column_stack(means)
 

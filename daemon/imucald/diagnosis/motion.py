@@ -18,10 +18,10 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.reading import Reader, Reference
 from imucald.diagnosis.signals import STEP_S, Array
-from imucald.diagnosis.single_track import followed_angle
+from imucald.diagnosis.single_track import followed_angle, slip_delay
 
 SMOOTH_STEPS = 5
-"""Angular acceleration is the slope over so many steps: it is mostly noise above 1 Hz."""
+"""What comes of the speed's slopes, and the road's lean, are smoothed over so many steps."""
 SMOOTHER = np.ones(SMOOTH_STEPS) / SMOOTH_STEPS
 TRANSITION_S = 2.0
 """Superelevation is built up along the transition curve: two seconds of travel (desirable length
@@ -40,7 +40,7 @@ class VehicleMotion:
         late += changes.get("speed.delay_rate", 0.0) * (reader.knots - reader.middle_s)
         self.knots = reader.knots - late
         scale = model.speed.scale + changes.get("speed.scale", 0.0)
-        slip = changes.get("_speed.driven_slip", 0.0)
+        driven = changes.get("_speed.driven_slip", 0.0)
         v = drive.knots.values / (1.0 + scale)
         self.v = np.interp(reader.t, self.knots, v)
         self.settled = reference = reader.reference if by_inertia else None
@@ -64,15 +64,18 @@ class VehicleMotion:
         else:
             self.r = np.zeros(len(reader.t))
         kappa = rear_slip(model) + changes.get("_tyre.rear_slip", 0.0)
-        self.v_y = model.chassis.cg_to_rear_m * self.r - kappa * self.v * np.abs(self.v) * self.r
+        slip = kappa * np.abs(self.v)
+        late = slip_delay(self.v, slip, model.chassis)
+        self.v_y = model.chassis.cg_to_rear_m * self.r
+        self.v_y = self.v_y - slip * self.v * np.interp(reader.t - late, reader.t, self.r)
         slopes = np.diff(drive.knots.values) / np.diff(reader.knots)
         if reference is not None:
             slopes = reference.slopes
         self.slopes = slopes / (1.0 + scale)
-        if slip:
+        if driven:
             # Driven wheels turn faster than the vehicle moves: v_wheel = v (1 + c a).
             lead = self.v * self.held(self.slopes)
-            self.slopes = self.slopes - slip * self._mean_slopes(np.gradient(lead, STEP_S))
+            self.slopes = self.slopes - driven * self._mean_slopes(np.gradient(lead, STEP_S))
 
     def _lever(self, lever: Array) -> Array:
         """Acceleration of a point at `lever` against the body's reference: w' x l + w x (w x l)."""
@@ -80,7 +83,7 @@ class VehicleMotion:
         w = self.rate
         turning = np.empty_like(w)
         for i in range(3):
-            turning[:, i] = np.convolve(np.gradient(w[:, i], STEP_S), SMOOTHER, "same")
+            turning[:, i] = slope(w[:, i])
         made: Array = np.cross(turning, lever) + np.cross(w, np.cross(w, lever))
         return made
 
@@ -115,7 +118,7 @@ class VehicleMotion:
         f, force = self.f, self.force.copy()
         x = force[:, 0]
         if self.f.has_turning:
-            force[:, 1] = self.v * self.r + np.gradient(self.v_y, STEP_S)
+            force[:, 1] = self.v * self.r + slope(self.v_y)
         if self.rate is not None:
             u, turned = self._gravity()
             u = u + np.repeat(tilt[:, 0] + 1j * tilt[:, 1], f.rows) * turned
@@ -152,7 +155,7 @@ class VehicleMotion:
 
     def lateral(self, found: dict[str, Array], tilt: dict[str, tuple[Array, Array]]) -> None:
         """Sideways force against speed times yaw rate."""
-        y = self.force[:, 1] - self.v * self.r - np.gradient(self.v_y, STEP_S)
+        y = self.force[:, 1] - self.v * self.r - slope(self.v_y)
         if self.rate is None:
             one = np.ones(len(y))
             tilt["accel_y"] = self._two(0.0 * one, -GRAVITY * one)
@@ -245,6 +248,14 @@ class VehicleMotion:
         moved = along_vehicle(self.changes, "accel.bias")[1]
         moved += GRAVITY * along_vehicle(self.changes, "mount.turn")[0]
         return np.asarray(self.settled.leaning - moved)
+
+
+def slope(x: Array) -> Array:
+    """Slope of x (N,) on the grid [1/s], to fourth order: right to 0.5 % up to 1 Hz, where the
+    difference of two neighbours loses 6.5 %."""
+    padded = np.concatenate([x[:1], x[:1], x, x[-1:], x[-1:]])
+    near, far = padded[3:-1] - padded[1:-3], padded[4:] - padded[:-4]
+    return np.asarray((8.0 * near - far) / (12.0 * STEP_S))
 
 
 def _from_middle(x: Array) -> Array:

@@ -57,7 +57,7 @@ def told_trial(
         )
     sd = max(abs(p.value - p.stated) / max(p.std, 1e-30) for p in parameters.values())
     return FoundCause(
-        h.name, parameters, _signals(state.table, h.keys),
+        h.name, parameters, signals_of(state.table, h.keys),
         {"held_out_nats": trial.shown, "sigma": sd, "quantile": trial.estimate.quantile},
         BY_NAME[h.name].sentence,
         certainty,
@@ -65,7 +65,7 @@ def told_trial(
     )  # fmt: skip
 
 
-def _signals(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
+def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
     """Equations in which the parameters show, by their share of the information."""
     if table is None:
         return ()
@@ -154,7 +154,7 @@ def told_shift(shift: FittedShift, table: Table) -> FoundCause:
     )
     sigma = float(np.max(np.abs(shift.turn) / shift.se))
     return FoundCause(
-        name, parameters, _signals(table, KEYS),
+        name, parameters, signals_of(table, KEYS),
         {"held_out_nats": shift.shown, "sigma": sigma, "quantile": shift.quantile}, text,
         "certain", ("either side of it is another drive: nothing else was asked of this one",),
     )  # fmt: skip
@@ -214,7 +214,7 @@ def implausible(state: State) -> tuple[Structure, ...]:
         key = t.hypothesis.keys[i]
         x = float(t.estimate.value[i])
         low, high = t.plausible[i]
-        signal = (_signals(state.table, [key]) or ("accel_x",))[0]
+        signal = (signals_of(state.table, [key]) or ("accel_x",))[0]
         text = (
             f"{t.hypothesis.name.replace('_', ' ')} with {key} off by {x:.3g} "
             f"{PARAMETERS[key].unit} explains the numbers, but is not physically plausible "

@@ -50,3 +50,14 @@ def followed_angle(steer: Array, speed: Array, chassis: Chassis, gradient: float
         response = (a * m * h * s + rear * length / v) / under
         made += share * np.fft.irfft(spectrum * response / response[0], 2 * n)[:n]
     return made
+
+
+def slip_delay(speed: Array, slip: Array, chassis: Chassis) -> Array:
+    """(N,) by which the rear tyres' slip is behind speed times yaw rate [s].
+
+    Its force carries m l_f (v r + v_y') - I r', with v_y' = (l_r - slip v) r', and is itself behind
+    the slip by the relaxation length. slip: kappa v, sideslip a sideways acceleration [s].
+    """
+    c = chassis
+    inertia = c.yaw_inertia_kgm2 / (c.mass_kg * c.cg_to_front_m)
+    return (inertia - c.cg_to_rear_m - RELAXATION_M) / np.maximum(np.abs(speed), SLOW_MPS) + slip

@@ -110,3 +110,14 @@ def demote(state: State) -> None:
     for trial in list(state.named):
         if trial.hypothesis.pattern is None and not asked_again(state, trial).outside:
             _drop(state, _without(state, trial), trial)
+
+
+def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
+    """Causes that stand where something is left that no cause explains are likely, not certain:
+    the fit gives them what the other thing makes."""
+    for trial in list(state.named):
+        if trial.hypothesis.pattern is None and doubts(trial):
+            less = _without(state, trial)
+            _drop(state, less, trial)
+            state.doubtful.remove(trial)
+            state.likely.append(trial)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, IdMatch
@@ -18,8 +17,7 @@ from imucald.inputs.triad_assembler import TapSamples, TriadAssembler, in_row_or
 Rows = NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
-class ColumnSamples(Series):
+class ColumnSamples(Series, frozen=True, eq=False):
     """A series that knows which row of the chunk each sample came from; row: (N,) int64."""
 
     row: Rows = field(default_factory=lambda: np.zeros(0, np.int64))

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from imucald import config as cfg
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK, CAN_SFF_MASK, IdMatch
@@ -49,8 +48,7 @@ class LoadedDatabase(Struct):
     place: Place
 
 
-@dataclass
-class _MessageSignals:
+class _MessageSignals(Struct):
     """What is asked of one message."""
 
     message: Message

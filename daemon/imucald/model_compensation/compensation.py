@@ -171,7 +171,7 @@ class ModelCompensation:
                 delays[channel] = DelayPrior(0.0, std)
         roads = (terms.bank_rms / settings.slope_std, terms.grade_rms / settings.slope_std)
         understeer = chassis.understeer
-        return replace(
+        return structs.replace(
             settings,
             vehicle=self._vehicle(settings.vehicle, stated),
             crown_mean=self._crown_mean(stated),
@@ -188,7 +188,7 @@ class ModelCompensation:
         calibration = settings.calibration
         if "speed" in self.terms.latency:
             calibration = structs.replace(calibration, speed_delay=0.0)
-        return replace(
+        return structs.replace(
             settings,
             calibration=calibration,
             vehicle=self._vehicle(settings.vehicle, stated),

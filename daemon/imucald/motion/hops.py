@@ -8,7 +8,6 @@ replay many at once; both go through `hop_rows`, so they give the same bits.
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 from msgspec import Struct
@@ -53,7 +52,7 @@ class Carry(Struct):
         self.run[:] = 0
 
 
-class HopRows(Struct, frozen=True, dict=True):
+class HopRows(Struct, frozen=True):
     """Figures of H hops: count (H,), the others (H, axes), of extremes (H, 2, axes).
 
     mean: of the samples. level: mean size of the change from sample to sample. step: smallest
@@ -75,12 +74,6 @@ class HopRows(Struct, frozen=True, dict=True):
     samples: Array
     edges: Index
     before: Array
-
-    @cached_property
-    def plain(self) -> list[tuple[list[list[float]], list[list[int]], list[float]]]:
-        """Of each hop top, on_top (2, axes) and step (axes), as plain numbers."""
-        columns = (self.top.tolist(), self.on_top.tolist(), self.step.tolist())
-        return list(zip(*columns, strict=True))
 
 
 def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:

@@ -7,13 +7,14 @@ again, and stays. What is played twice to the last bit, such as a recording in a
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.motion.hops import SIDES, HopRows
-from imucald.motion.sensor_judges import Runs, StuckAxis
+from imucald.motion.sensor_judges import Runs
 
 Array = NDArray[np.float64]
 
@@ -68,20 +69,22 @@ class _Pile(Struct):
 class _Top(Struct):
     """A value that nothing has gone beyond since hop `born`.
 
-    on: samples on it, below: one and two steps below, as far as they are tops of their hops.
+    on: samples on it, one_below, two_below: as many steps below, as far as they are tops of their
+    hops.
     """
 
     value: float
     born: int
     on: int
-    below: list[int]
+    one_below: int
+    two_below: int
     pile: _Pile | None = None
 
     @property
     def is_piled_up(self) -> bool:
         """Whether more samples are on it than a tail has there."""
         at_it = 0 if self.pile is None else self.pile.at_it
-        return at_it >= LEAST_AT_EXTREME and at_it > PILE * max(self.below)
+        return at_it >= LEAST_AT_EXTREME and at_it > PILE * max(self.one_below, self.two_below)
 
 
 class Rail:
@@ -93,24 +96,27 @@ class Rail:
     counts. It is no rail when a value lies beyond.
 
     surprise: -log of the chance of what is seen if there is none [nats], as far as it has been
-    left again: an axis that sticks is none. value: for which it is.
+    left again: an axis that sticks is none. value: for which it is. recent: tops of the last hops
+    of driving.
     """
 
     def __init__(self, side: int, axis: int) -> None:
         self._side, self._axis = side, axis
         self._tops: list[_Top] = []  # their values fall
+        self.recent: deque[float] = deque(maxlen=TAIL_HOPS)
         self._rail = -math.inf
         self._changed = False
         self.found = False
         self.surprise, self.value = 0.0, math.inf
 
-    def step(self, rows: HopRows, h: int, hop: int, runs: Runs, recent: Array) -> None:
+    def step(
+        self, value: float, on: int, rows: HopRows, h: int, hop: int, step: float, runs: Runs
+    ) -> bool:
         """Take hop h of the rows, the `hop`th of driving; -1 where the vehicle stands.
 
-        runs: of the axis. recent: (TAIL_HOPS, 2, axes), tops of the last hops of driving.
+        value, on: its top, and the samples on it. step: smallest change of the axis so far, runs:
+        its runs. Returns whether the surprise has to be weighed anew.
         """
-        tops, on_top, steps = rows.plain[h]
-        value, step = tops[self._side][self._axis], steps[self._axis]
         if self.found and value > self._rail + 0.5 * step:
             self.found = False
         if value > self.value:
@@ -118,21 +124,18 @@ class Rail:
         if hop < 0:
             while self._tops and self._tops[-1].value < value:
                 self._tops.pop()
-        else:
-            top = self._reached(value, on_top[self._side][self._axis], step, hop)
-            if top.pile is not None or top.born < hop or top.on >= LONG_STAY:
-                if top.pile is None:
-                    top.pile = _Pile(runs.rate())
-                self._take(top, top.pile, rows, h, hop, runs, recent)
-                self._changed = True
-        if self._changed:
-            self._weigh(rows, h, recent)
+            return self._changed
+        self.recent.append(value)
+        top = self._reached(value, on, step, hop)
+        if top.pile is not None or top.born < hop or top.on >= LONG_STAY:
+            if top.pile is None:
+                top.pile = _Pile(runs.rate())
+            self._take(top, top.pile, rows, h, hop, step, runs)
+            self._changed = True
+        return self._changed
 
-    def _weigh(self, rows: HopRows, h: int, recent: Array) -> None:
+    def weigh(self, rows: HopRows, h: int) -> None:
         """Of the values that may be a rail the one for which most speaks."""
-        ends = recent[:, :, self._axis].max(axis=0)
-        if float(ends.sum()) < LEAST_STEPS * float(rows.step[h, self._axis]):
-            return
         last = float(rows.samples[self._axis, rows.edges[h + 1] - 1])
         now = last if self._side == 0 else -last
         # once it is left, nothing changes before the next arrival
@@ -153,27 +156,34 @@ class Rail:
 
         on: samples of the hop on it.
         """
-        tops, below = self._tops, [0, 0]
+        tops, one_below, two_below = self._tops, 0, 0
+        one_step, two_steps = 1.5 * step, 2.5 * step
         while tops and tops[-1].value < value:
             old = tops.pop()
-            steps = _steps(value - old.value, step)
-            if steps == 1:
-                below = [below[0] + old.on, below[1] + old.below[0]]
-            elif steps == 2:
-                below[1] += old.on
-        if tops and tops[-1].value == value:
-            tops[-1].on += on  # those below it were added when they came
-            return tops[-1]
-        new = _Top(value, hop, on, below)
-        if tops and (steps := _steps(tops[-1].value - value, step)) < 3:
-            tops[-1].below[steps - 1] += on
+            lower = value - old.value
+            if lower < one_step:
+                one_below += old.on
+                two_below += old.one_below
+            elif lower < two_steps:
+                two_below += old.on
+        if tops:
+            last = tops[-1]
+            if last.value == value:
+                last.on += on  # those below it were added when they came
+                return last
+            lower = last.value - value
+            if lower < one_step:
+                last.one_below += on
+            elif lower < two_steps:
+                last.two_below += on
+        new = _Top(value, hop, on, one_below, two_below)
         if len(tops) == REMEMBERED:
             del tops[next((k for k, one in enumerate(tops) if one.pile is None), 0)]
         tops.append(new)
         return new
 
     def _take(
-        self, top: _Top, pile: _Pile, rows: HopRows, h: int, hop: int, runs: Runs, recent: Array
+        self, top: _Top, pile: _Pile, rows: HopRows, h: int, hop: int, step: float, runs: Runs
     ) -> None:
         """Weigh the samples of a hop that are on its top."""
         pile.rate = pile.rate or runs.rate()
@@ -185,7 +195,7 @@ class Rail:
         if is_arrival:
             pile.arrivals += 1
             if pile.arrivals > 1:
-                pile.met += self._coincidence(top, float(rows.step[h, self._axis]), hop, recent)
+                pile.met += self._coincidence(top, step, hop)
 
     def _fresh(self, rows: HopRows, h: int, value: float, pile: _Pile) -> bool:
         """Count the samples of a hop on the value that are new, not those that were sent twice."""
@@ -205,12 +215,12 @@ class Rail:
                 pile.stays += bool(own[k] == value)
         return pile.at_it > at_it
 
-    def _coincidence(self, top: _Top, step: float, hop: int, recent: Array) -> float:
+    def _coincidence(self, top: _Top, step: float, hop: int) -> float:
         """-log of the chance that one more peak of the tail meets the same step [nats]."""
         n = min(hop - top.born + 1, TAIL_HOPS)
         if n < LEAST_TAIL_HOPS:
             return 0.0
-        peaks = recent[np.arange(hop - n + 1, hop + 1) % TAIL_HOPS, self._side, self._axis]
+        peaks = np.array(self.recent)[-n:]
         on = int(np.count_nonzero(peaks == top.value))
         broad = min(BROAD * on, n)
         low = float(np.partition(peaks, n - broad)[n - broad])
@@ -233,39 +243,43 @@ def _more_often(stays: int, of: int, rate: float) -> float:
     return of * (share * (math.log(share) + rate) + left)
 
 
-def _steps(difference: float, step: float) -> int:
-    """Steps between two values: 1, 2, or 3 for more."""
-    if difference < 1.5 * step:
-        return 1
-    return 2 if difference < 2.5 * step else 3
+class AxisRails:
+    """Both rails of an axis."""
 
-
-class Rails:
-    """All rails of a sensor."""
-
-    def __init__(self, axes: int) -> None:
-        self._rails = [[Rail(side, axis) for side in range(SIDES)] for axis in range(axes)]
-        self._recent = np.full((TAIL_HOPS, SIDES, axes), -math.inf)
+    def __init__(self, axis: int) -> None:
+        self._high, self._low = (Rail(side, axis) for side in range(SIDES))
         self._hops = 0
-        self.found = ""
 
-    def step(self, rows: HopRows, h: int, moving: bool, stuck: list[StuckAxis]) -> None:
-        """Look at hop h, which has samples; `found` names the axes on a rail."""
+    def step(
+        self,
+        rows: HopRows,
+        h: int,
+        moving: bool,
+        runs: Runs,
+        step: float,
+        tops: tuple[float, float],
+        on_tops: tuple[int, int],
+    ) -> bool:
+        """Take hop h, which has samples; return whether the axis is on a rail.
+
+        runs, step, tops, on_tops: of the axis, as `HopRows` has step, top and on_top.
+        """
+        high, low = self._high, self._low
         hop = -1
         if moving:
             hop = self._hops
-            self._recent[hop % TAIL_HOPS] = rows.top[h]
             self._hops += 1
-        found = ""
-        for name, (high, low), judge in zip("xyz", self._rails, stuck, strict=False):
-            high.step(rows, h, hop, judge.moving, self._recent)
-            low.step(rows, h, hop, judge.moving, self._recent)
-            if high.surprise > 0.0 or low.surprise > 0.0:
-                both = high.surprise + low.surprise > BOTH_ENDS
-                for rail in (high, low):
-                    is_sure = rail.surprise > SURPRISE or (both and rail.surprise > 0.0)
-                    if is_sure and not rail.found:
-                        rail.on_rail()
-            if high.found or low.found:
-                found += name
-        self.found = found
+        is_high = high.step(tops[0], on_tops[0], rows, h, hop, step, runs)
+        is_low = low.step(tops[1], on_tops[1], rows, h, hop, step, runs)
+        if (is_high or is_low) and max(high.recent) + max(low.recent) >= LEAST_STEPS * step:
+            if is_high:
+                high.weigh(rows, h)
+            if is_low:
+                low.weigh(rows, h)
+        if high.surprise > 0.0 or low.surprise > 0.0:
+            both = high.surprise + low.surprise > BOTH_ENDS
+            for rail in (high, low):
+                is_sure = rail.surprise > SURPRISE or (both and rail.surprise > 0.0)
+                if is_sure and not rail.found:
+                    rail.on_rail()
+        return high.found or low.found

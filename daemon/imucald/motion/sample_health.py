@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
-from imucald.motion.hops import HOP_S, HOP_TICKS, Carry, HopRows, hop_rows
-from imucald.motion.rails import Rails
+from imucald.motion.hops import HOP_S, HOP_TICKS, SIDES, Carry, HopRows, hop_rows
+from imucald.motion.rails import AxisRails
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
     RATE_HOPS,
@@ -55,8 +55,7 @@ Faults = Mapping[SignalFault, str]
 """Faults and the axes that have them, such as {stuck: "y"}."""
 
 
-@dataclass
-class FaultEvent:
+class FaultEvent(Struct):
     """A fault that was told: since and until stream time [s]; None while it lasts."""
 
     channel: str
@@ -85,7 +84,7 @@ class _Sensor:
         self.pending: list[Sequence[float]] = []
         self.carry = Carry.none(axes)
         self.stuck = [StuckAxis(NOISE[channel]) for _ in range(axes)]
-        self.rails = Rails(axes)
+        self.rails = [AxisRails(axis) for axis in range(axes)]
         self._wild = Lasting(FORCE_HOPS if channel == "accel" else RATE_HOPS)
         self._unit = UnitChange(_UNITS[channel], axes) if channel in _UNITS else None
         self.faults: dict[SignalFault, str] = {}
@@ -124,28 +123,36 @@ class _Sensor:
             wild[some] = self._wild.step(turning_wildly(rows.mean[some]))
         if self._unit is not None:
             wild[some] |= self._unit.step(rows.level[some], other[some])
-        columns = (moving, rows.count, rows.ended, rows.longest, rows.run, rows.step, wild)
-        found: list[dict[SignalFault, str] | None] = []
-        for h, (moves, count, *axes, is_wild) in enumerate(
-            zip(*(column.tolist() for column in columns), strict=True)
-        ):
-            if count == 0:
-                found.append(None)
-                continue
-            faults: dict[SignalFault, str] = {}
-            self.rails.step(rows, h, moves, self.stuck)
-            stuck = [
-                judge.step(moves, count, *one)
-                for judge, *one in zip(self.stuck, *axes, strict=True)
-            ]
-            if True in stuck:
-                faults[SignalFault.STUCK] = "".join(AXES[i] for i, s in enumerate(stuck) if s)
-            if self.rails.found:
-                faults[SignalFault.SATURATED] = self.rails.found
-            if is_wild:
-                faults[SignalFault.IMPLAUSIBLE] = AXES[: self.axes]
-            found.append(faults)
-        return found
+        moves, counts = moving.tolist(), rows.count.tolist()
+        each = [self._judge_axis(axis, rows, moves, counts) for axis in range(self.axes)]
+        shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _) in enumerate(each)]
+        shown += [(SignalFault.SATURATED, AXES[i], on) for i, (_, on) in enumerate(each)]
+        shown += [(SignalFault.IMPLAUSIBLE, AXES[: self.axes], wild.tolist())]
+        found: list[dict[SignalFault, str]] = [{} for _ in counts]
+        for fault, axes, flags in shown:
+            if True in flags:
+                for h, flag in enumerate(flags):
+                    if flag:
+                        found[h][fault] = found[h].get(fault, "") + axes
+        return [faults if count else None for faults, count in zip(found, counts, strict=True)]
+
+    def _judge_axis(
+        self, axis: int, rows: HopRows, moves: list[bool], counts: list[int]
+    ) -> tuple[list[bool], list[bool]]:
+        """At the end of which hops an axis is stuck, and on a rail; False without samples."""
+        judge, rails = self.stuck[axis], self.rails[axis]
+        columns = [x[:, axis].tolist() for x in (rows.ended, rows.longest, rows.run, rows.step)]
+        of_sides = [
+            zip(*(x[:, side, axis].tolist() for side in range(SIDES)), strict=True)
+            for x in (rows.top, rows.on_top)
+        ]
+        stuck, saturated = [False] * len(counts), [False] * len(counts)
+        of_hops = zip(moves, counts, *columns, *of_sides, strict=True)
+        for h, (moving, count, ended, longest, run, step, tops, on_tops) in enumerate(of_hops):
+            if count:
+                saturated[h] = rails.step(rows, h, moving, judge.moving, step, tops, on_tops)
+                stuck[h] = judge.step(moving, count, ended, longest, run, step)
+        return stuck, saturated
 
 
 class SampleHealth:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, Rows, angles_from_rotation, quaternion_from_rotation
@@ -51,8 +51,7 @@ class Missing(enum.IntEnum):
     OTHER = 15
 
 
-@dataclass(frozen=True)
-class Targets:
+class Targets(Struct, frozen=True):
     """Standard deviations [rad] about the vehicle's x, y, z below which a state is reached.
 
     They hold for `MountEstimate.std`: that about x contains the road's crown.
@@ -62,8 +61,7 @@ class Targets:
     fine: tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class MountEstimate:
+class MountEstimate(Struct, frozen=True, dict=True):
     """One state of knowledge about the mount.
 
     R_vehicle_from_sensor: (3, 3), or None before there is any estimate.

@@ -394,6 +394,8 @@ class FullEstimator:
             accelerometer=bool(p.ok_force.any()),
             speed=not self._signals.without_speed and bool(p.ok_speed.any()),
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
+            yaw_seen=solver.yaw_seen,
+            cross_axis=solver.cross_axis_std,
         )
         found = judged(self._known, self._state, self._settings)
         was_good = self._state in GOOD
@@ -449,10 +451,10 @@ class FullEstimator:
         """Why an estimate whose deviations are small enough is not *fine*."""
         if len(self._shifts) > SHIFTS_ALLOWED:
             return f"a mount that stays: it moved {len(self._shifts)} times in this drive"
-        if not self._solver.armed:
-            return "more driving, until a moved sensor would be noticed"
         if self._alternatives.not_checked:
             return MIRRORED
+        if not self._solver.armed:
+            return "more driving, until a moved sensor would be noticed"
         return "more turns and changes of speed, until the signals are seen to agree"
 
     def _state_by(self, found: MountState) -> MountState:
@@ -550,10 +552,11 @@ class FullEstimator:
         if self._state is MountState.LEVELLED and (held := self._hold_back()) is not None:
             words = {angle: words.get(angle, held) for angle in ANGLES}
             codes = {angle: codes.get(angle, Missing.AGREEMENT) for angle in ANGLES}
-        if self._state is MountState.USABLE and not words:
-            words = dict.fromkeys(ANGLES, self._why_not_fine())
-            code = Missing.AGREEMENT if self._alternatives.not_checked else Missing.NOTHING
-            codes = dict.fromkeys(ANGLES, code)
+        has_no_sides = bool(self._alternatives.not_checked)
+        if self._state is MountState.USABLE and (has_no_sides or not words):
+            code = Missing.AGREEMENT if has_no_sides else Missing.NOTHING
+            words = dict.fromkeys(ANGLES, self._why_not_fine()) | words
+            codes = dict.fromkeys(ANGLES, code) | codes
         targets = self._settings.targets
         if self._solver.fused is None:
             return MountEstimate(

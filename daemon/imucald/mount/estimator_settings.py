@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
+
+from msgspec import Struct, field
 
 from imucald.config.calibration import CalibrationSettings
 from imucald.config.vehicle import VehicleSettings
@@ -23,8 +24,7 @@ from imucald.mount.priors import (
 )
 
 
-@dataclass(frozen=True)
-class DelayPrior:
+class DelayPrior(Struct, frozen=True):
     """Lateness of a vehicle signal against the accelerometer, before data speak [s].
 
     Positive: the signal arrives late. Sought within mean +- 4 std, and what can be configured.
@@ -43,8 +43,7 @@ class Limits(NamedTuple):
     fine_tilt: float
 
 
-@dataclass(frozen=True)
-class MountSettings:
+class MountSettings(Struct, frozen=True):
     """What both estimators take from the configuration, and what a model file knows better.
 
     crown_mean: mean lean of the roads towards the kerb (tangent); None: the configuration's.
@@ -84,8 +83,7 @@ class MountSettings:
         )
 
 
-@dataclass(frozen=True)
-class EstimatorSettings(MountSettings):
+class EstimatorSettings(MountSettings, frozen=True):
     """What the user sets, what a model file says, and priors that nobody sets. SI units, rad."""
 
     OWN_LIMITS = Limits(

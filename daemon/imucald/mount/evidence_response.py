@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.mount import evidence_spectra as sp
 from imucald.mount.evidence_rows import GAINS, MAX_REGRESSORS, P_ROW, ROLL_ROW, ROWS
-from imucald.mount.evidence_scores import left_over, renewed_gains, scores
+from imucald.mount.evidence_scores import left_over, less_angle, renewed_gains, scores
 from imucald.mount.evidence_spectra import (
     BAND_WIDTH,
     BANDS,
@@ -73,6 +73,8 @@ FORCE_PRIOR, RATE_PRIOR = 0.2**2, 0.02**2
 MEAN_SHARE = 1.0
 """The mean of a window counts as no less noisy than that share of the band above: what is not
 known of the bias is in all windows alike, so that what they leave over does not show it."""
+LEAST_DRIFT = 0.005
+"""A drift that comes to less [rad], 0.3 deg, over the windows kept does not change weights."""
 _PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
 _FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
 
@@ -99,6 +101,7 @@ class ResponseEvidence:
         self._R, self._fitted = np.eye(3), False
         self.delays = (0.0, 0.0)
         self.series: list[ScoreSeries] = []
+        self._drift, self._drift_middle = np.zeros(3), np.zeros(3)
         self.without_speed = False
 
     @property
@@ -127,6 +130,16 @@ class ResponseEvidence:
         self._products[k] = sp.band_products(s, *self.delays)
         self._block_number[k] = self.blocks
         self._n += 1
+
+    def follow_drift(self, rate: Array, since_middle: Array) -> None:
+        """Weigh windows about an angle that drifts; so far they counted as outliers for it.
+
+        rate: (3,) [rad/segment]; since_middle: (3,) segments from where the angle is its mean.
+        """
+        was = self._drift
+        self._drift, self._drift_middle = rate, self.segment - since_middle
+        if np.abs((rate - was) * since_middle).max() > LEAST_DRIFT:
+            self._scored = 0
 
     def set_delays(self, speed: float, turn: float) -> None:
         """Form the kept windows' products afresh with other delays [s]."""
@@ -222,10 +235,10 @@ class ResponseEvidence:
         """Score the windows that are not scored yet; all of them also renew levels and gains."""
         first = self._scored
         P = sp.in_vehicle_axes(self._products[first : self._n], R, self.without_speed)
-        weight = self._weights(left_over(P, self.gains))
+        weight = self._weights(self._left_over(P))
         if first == 0:
             self.gains = renewed_gains(P, weight)
-            left = left_over(P, self.gains)
+            left = self._left_over(P)
             weight = self._weights(left)
             self._renew_evenness(left)
             self._renew_levels(P, weight, left)
@@ -233,6 +246,15 @@ class ResponseEvidence:
         use = slice(first, self._n)
         self._score[:, use], self._normal[:, use] = scores(P, weight, self.gains)
         self._scored = self._n
+
+    def _left_over(self, P: Array) -> Array:
+        """Power that the last windows leave over, less what a drift of the angles makes of it."""
+        left = left_over(P, self.gains)
+        segment = self._block_number[self._n - P.shape[1] : self._n] / GROUP
+        angle = self._drift * (segment[:, None] - self._drift_middle)
+        if np.abs(angle).max() < LEAST_DRIFT:
+            return left
+        return less_angle(left, P, self.gains, angle)
 
     def _weights(self, left: Array) -> Array:
         dof = 2.0 * BAND_WIDTH

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from imucald.mount.evidence_spectra import BANDS, Term
 
 X_ROW, Y_ROW, PITCH_ROW, ROLL_ROW, P_ROW, Q_ROW = range(6)
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(Struct, frozen=True):
     """One regression: which row answers to what; the first regressor carries the angle.
 
     share, few: the variance is taken that much larger, and by `few` over the number of road

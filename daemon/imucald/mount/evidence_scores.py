@@ -91,6 +91,23 @@ def left_over(P: Array, gains: Array) -> Array:
     return np.maximum(out, 0.0, out=out)
 
 
+_ANGLE = [term for term in _TERMS if _PLACES[term[0]][1] == 0]
+_ANGLE_PAIR = np.array([pair for _, _, _, pair, _ in _ANGLE])
+_ANGLE_START = np.searchsorted([row for _, row, _, _, _ in _ANGLE], np.arange(len(ROWS)))
+_ANGLE_POWER = np.array([PAIR[spec.regressors[0], spec.regressors[0]] for spec in ROWS])
+_ANGLE_AXIS = np.array([spec.axis for spec in ROWS])
+
+
+def less_angle(left: Array, P: Array, gains: Array, angle: Array) -> Array:
+    """What is left over (6, n, BANDS) once each window's own angle (n, 3) [rad] is taken off."""
+    one = np.ones(BANDS)
+    sign = np.array([one if gain < 0 else -gains[gain] for *_, gain in _ANGLE])
+    target = np.add.reduceat(P[_ANGLE_PAIR] * sign[:, None, :], _ANGLE_START, axis=0)
+    answer = factors(gains)[:, 0][:, None, :] * angle.T[_ANGLE_AXIS][:, :, None]
+    out: Array = np.maximum(left + answer * (answer * P[_ANGLE_POWER] - 2.0 * target), 0.0)
+    return out
+
+
 _GAIN_ROW = np.array([row for row, *_ in GAINS])
 _GAIN_POWER = np.array([PAIR[signal, signal] for _, _, signal, *_ in GAINS])
 _GAIN_CROSS = np.array([PAIR[target, signal] for _, target, signal, *_ in GAINS])

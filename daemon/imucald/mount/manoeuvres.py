@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -17,8 +16,7 @@ HARD_TICKS = 5
 """It must last that long."""
 
 
-@dataclass
-class _Counter:
+class _Counter(Struct):
     """Counts stretches above a level that last; the level must be left in between."""
 
     level: float

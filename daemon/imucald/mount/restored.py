@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, vector_from_rotation
@@ -59,8 +60,7 @@ BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
 """States in which a mount is served with doubts."""
 
 
-@dataclass(frozen=True)
-class StoredMount:
+class StoredMount(Struct, frozen=True):
     """What an earlier drive found.
 
     R_vehicle_from_sensor: (3, 3). covariance: (3, 3) [rad^2], as in `MountEstimate`.

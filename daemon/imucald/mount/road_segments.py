@@ -7,9 +7,8 @@ road segment (sandwich; White, Econometrica 48, 1980), neighbours' covariance in
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.mount.evidence_rows import MAX_REGRESSORS, ROWS, WITHOUT_SPEED
@@ -28,8 +27,7 @@ MIN_INFORMATION = 50.0
 """Less than this [1/rad^2], 8 deg, is not worth a source."""
 
 
-@dataclass
-class AngleEvidence:
+class AngleEvidence(Struct):
     """What one source says about one angle: value [rad], variance, road segments in it."""
 
     value: float

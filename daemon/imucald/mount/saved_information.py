@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -50,8 +49,7 @@ class SavedSource(Struct, frozen=True):
     information: Array
 
 
-@dataclass(frozen=True)
-class SavedInformation:
+class SavedInformation(Struct, frozen=True):
     """All kinds. R: the rotation they are about, crown still in it (see `MountSolver`)."""
 
     R: Matrix3

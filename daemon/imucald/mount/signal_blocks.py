@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
@@ -45,8 +46,7 @@ BLOCKS_WITHOUT_SPEED = 4
 """Hops without any speed after which the estimator does without (26 s)."""
 
 
-@dataclass
-class SignalBlock:
+class SignalBlock(Struct):
     """One block, N = BLOCK_TICKS; where a flag is False, values are finite and mean nothing."""
 
     t: Array

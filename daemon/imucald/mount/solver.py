@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.rotations import (
@@ -327,6 +327,12 @@ class MountSolver:
         return math.hypot(self._settings.calibration.cross_axis, self._probable_cross_axis)
 
     @property
+    def yaw_seen(self) -> float:
+        """Standard deviation of the best source of yaw alone [rad], without common errors."""
+        found = [one.variance for name, one in self.sources.items() if name.startswith("yaw_")]
+        return math.sqrt(min(found, default=math.inf))
+
+    @property
     def _probable_cross_axis(self) -> float:
         return math.sqrt(math.fsum(p * scale * scale for scale, p in self._cross_axis))
 
@@ -342,7 +348,9 @@ class MountSolver:
             if name in sources:  # the bias is the same in all segments
                 one = sources[name]
                 sources[name] = replace(one, variance=one.variance - bias)
-        self.creep = creep(series, sources, self.p_constant)
+        self.creep = found = creep(series, sources, self.p_constant)
+        if found is not None:
+            self.response.follow_drift(found.probability * found.rate, found.since_middle)
 
     @property
     def armed(self) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
@@ -16,8 +17,7 @@ NEEDED = 3
 """Launches or brakings before yaw can be usable."""
 
 
-@dataclass(frozen=True)
-class MountKnowledge:
+class MountKnowledge(Struct, frozen=True):
     """What the states are judged by; standard deviations in rad, roll without the crown."""
 
     gravity: bool = False
@@ -30,6 +30,10 @@ class MountKnowledge:
     accelerometer: bool = True
     speed: bool = True
     frozen: bool = False
+    yaw_seen: float = math.inf
+    """What the best source of yaw alone is off by, all common errors of the sensor left out."""
+    cross_axis: float = 0.0
+    """Cross-axis error of the accelerometer that is reckoned with (part)."""
 
 
 def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> MountState:
@@ -105,6 +109,10 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
         return text, Missing.ACCELERATION
     if known.std[2] > s.limits.usable_yaw:
         return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
+    if known.yaw_seen < s.limits.fine_yaw < known.cross_axis:  # no driving makes that less
+        text = f"{100.0 * known.cross_axis:.1f} % of cross-axis error is reckoned with in the "
+        keys = "accelerometer ('accelerometer_bias' and 'cross_axis' of its data sheet may be less)"
+        return text + keys, Missing.OTHER
     return "more driving", Missing.MORE_DRIVING
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from imucald.can.columns import FrameColumns
 from imucald.can.logs.log_reader import LogReader
@@ -22,8 +22,7 @@ SLICE_S = 0.05
 """Longest sleep of a paced replay [s]."""
 
 
-@dataclass
-class Replay:
+class Replay(Struct):
     """One replay of logs through an engine.
 
     sink: takes the output frames; without one they are not even encoded. speed: None is as fast as

@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from msgspec.structs import asdict
+
 from imucald import __version__
 from imucald.can.link.link import Link
 from imucald.runtime.engine import Engine
@@ -63,7 +65,7 @@ def running_status(
     return found | {
         "version": __version__,
         "quality": engine.pipeline.quality,
-        "health": dataclasses.asdict(engine.health()),
+        "health": asdict(engine.health()),
         "frames_given_out": engine.sent,
         "saved_state": NOT_SAVED if store is None else store.status(),
         "process": process_figures() | {"log_lines_dropped": lost_lines},

@@ -6,12 +6,13 @@ systemd's watchdog hears comes from the loop that corrects frames and from nothi
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
+
+from msgspec.structs import asdict
 
 from imucald.can.link.link import Link, LinkCounters, LinkEvent
 from imucald.config import LoadedConfig
@@ -285,7 +286,7 @@ class Service:
         self._rates.update(self.engine.router.sample_counts, now)
         if self._companion is not None and self._companion.poll():
             self.journal.say("what serves the metrics has ended; all else goes on", WARNING)
-        self._alarms.update(dataclasses.asdict(self.engine.health()), now - self._began)
+        self._alarms.update(asdict(self.engine.health()), now - self._began)
         rejected = self.engine.router.rejected
         if (total := rejected.total()) > self._rejected:
             self._rejected = total

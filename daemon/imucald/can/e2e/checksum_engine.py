@@ -7,6 +7,7 @@ columns give the same number.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -144,6 +145,7 @@ class Checksum:
         return result
 
 
+@cache
 def _table(polynomial: int, width: int) -> tuple[int, ...]:
     """CRC table, most significant bit first; polynomial 0 gives XOR (the byte itself)."""
     if polynomial == 0:

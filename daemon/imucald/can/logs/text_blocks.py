@@ -7,11 +7,11 @@ import stat
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, cast
 
 import numpy as np
+from msgspec import Struct
 
 from imucald.can.logs.ascii_columns import Bytes
 from imucald.can.logs.unpacking import (
@@ -32,8 +32,7 @@ LOOK_BYTES: Final = 1 << 14
 """First bytes that are looked at to know a format."""
 
 
-@dataclass(frozen=True)
-class OpenLog:
+class OpenLog(Struct, frozen=True):
     """A log that somebody else has opened, and closes; name: for messages, and its ending."""
 
     source: ByteSource

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 
-import msgspec
+from msgspec.structs import replace
 
 from imucald.mount.estimator_settings import Limits, MountSettings
 
 
-@dataclass(frozen=True)
-class PublishedSettings(MountSettings):
+class PublishedSettings(MountSettings, frozen=True):
     """Settings of the published solver and of what stands on top of it. SI units.
 
     The defaults include what goes beyond the publication; `to_the_letter` leaves that out.
@@ -32,13 +30,11 @@ class PublishedSettings(MountSettings):
     def to_the_letter(self) -> PublishedSettings:
         """The same without what goes beyond the publication."""
         c = self.calibration
-        calibration = msgspec.structs.replace(
+        calibration = replace(
             c,
-            static=msgspec.structs.replace(c.static, average_stops=False),
-            straight=msgspec.structs.replace(c.straight, lateral_limit=0.0),
-            target_angle=msgspec.structs.replace(
-                c.target_angle, subtract_lateral=False, remove_offset_after=0.0
-            ),
+            static=replace(c.static, average_stops=False),
+            straight=replace(c.straight, lateral_limit=0.0),
+            target_angle=replace(c.target_angle, subtract_lateral=False, remove_offset_after=0.0),
         )
         return replace(
             self,

@@ -8,10 +8,10 @@ frames are the same bytes, counters included.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.config import Config
@@ -56,8 +56,7 @@ _HEALTH_FLAGS = (
 _MAIN = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag"}
 
 
-@dataclass(frozen=True)
-class Health:
+class Health(Struct, frozen=True):
     """What the health frame says besides the calibration, and which of the sensors is faulty."""
 
     accelerometer_missing: bool = False

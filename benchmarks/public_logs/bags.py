@@ -1,0 +1,84 @@
+"""Converters of recordings that are ROS bags: topics to messages."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.public_logs.frames import Array, Message, Signal, triad
+from benchmarks.public_logs.repositories import ODOMETRY_FUSION, ROBOT_LOCALIZATION, Repository
+
+
+def husky_field(data: Path) -> list[Message]:
+    """Skid-steered robot outdoors, 6.6 min at up to 1 m/s: IMU 30 Hz, odometry of wheels 10 Hz."""
+    imu, odometry = _topics(
+        ROBOT_LOCALIZATION, data, "test/test1.bag", "/imu/data", "/husky_velocity_controller/odom"
+    )
+    twist = np.array([[m.twist.twist.linear.x, m.twist.twist.angular.z] for m in odometry])
+    return [
+        *_imu(imu, _stamps(imu)),
+        Message(0x60, "ODOM", _stamps(odometry), (
+            Signal("linear_x", "m/s", 0.0005, twist[:, 0]),
+            Signal("angular_z", "rad/s", 0.0005, twist[:, 1]),
+        )),
+    ]  # fmt: skip
+
+
+def kitti_0042(data: Path) -> list[Message]:
+    """KITTI 2011_10_03_drive_0042, 2 min of a motorway: the OXTS unit's levelled axes, 10 Hz."""
+    imu, velocity = _topics(
+        ODOMETRY_FUSION, data, "0042_odom.bag", "/kitti/oxts/imu", "/kitti/oxts/gps/vel"
+    )
+    q = np.array([[getattr(m.orientation, axis) for axis in "xyzw"] for m in imu])
+    yaw = np.arctan2(
+        2.0 * (q[:, 3] * q[:, 2] + q[:, 0] * q[:, 1]), 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2)
+    )
+    forward = np.array([m.twist.linear.x for m in velocity])
+    return [
+        *_imu(imu, _stamps(imu)),
+        Message(0x60, "OXTS_VEL", _stamps(velocity), (Signal("vf", "m/s", 0.002, forward),)),
+        Message(0x61, "OXTS_POSE", _stamps(imu), (Signal("yaw", "rad", 0.0002, yaw),)),
+    ]  # fmt: skip
+
+
+def _imu(imu: list[Any], t: Array) -> list[Message]:
+    """Accelerations and rates of sensor_msgs/Imu."""
+    acceleration, rates = (
+        np.array([[getattr(getattr(m, name), axis) for axis in "xyz"] for m in imu])
+        for name in ("linear_acceleration", "angular_velocity")
+    )
+    return [
+        triad(0x50, "IMU_LINEAR", "linear_", "m/s^2", 0.001, t, acceleration, "xyz"),
+        triad(0x51, "IMU_ANGULAR", "angular_", "rad/s", 0.0002, t, rates, "xyz"),
+    ]
+
+
+def _stamps(messages: list[Any]) -> Array:
+    return np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in messages])
+
+
+def _topics(repository: Repository, data: Path, path: str, *topics: str) -> list[list[Any]]:
+    """Messages of the topics, topic by topic, in their order."""
+    try:
+        from rosbags.rosbag1 import Reader  # type: ignore[import-not-found,unused-ignore]
+        from rosbags.typesys import (  # type: ignore[import-not-found,unused-ignore]
+            Stores,
+            get_typestore,
+        )
+    except ImportError:
+        remedy = "pip install 'imucald[public-logs]'"
+        raise ValueError(f"{path} is read with rosbags: {remedy}") from None
+    store = get_typestore(Stores.ROS1_NOETIC)
+    found: dict[str, list[Any]] = {topic: [] for topic in topics}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "recording.bag"
+        file.write_bytes(repository.file(data, path))
+        with Reader(file) as bag:
+            wanted = [connection for connection in bag.connections if connection.topic in found]
+            for connection, _, raw in bag.messages(wanted):
+                message = store.deserialize_ros1(raw, connection.msgtype)
+                found[connection.topic].append(message)
+    return [found[topic] for topic in topics]

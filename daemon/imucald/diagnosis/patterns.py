@@ -1,0 +1,185 @@
+"""What an equation leaves over as a function of its own signal: bent, one-sided, or with memory.
+
+A model that is linear in its errors leaves nothing that depends on the level, the direction or the
+last large value of a signal, whatever its parameters. What does is no cause of the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imucald.core.samples import GRAVITY
+from imucald.diagnosis.blocks import LEAST_SHARE, cosine, noise_weights
+from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.forward import UNITS, Forward
+from imucald.diagnosis.intervals import quantile
+from imucald.diagnosis.result import GOES_WITH_LEVEL, Structure
+from imucald.diagnosis.score import Problem, fitted, without_best
+from imucald.diagnosis.signals import STEP_S, Array
+from imucald.diagnosis.trials import SINGLE_NATS
+
+ASKED = ("accel_x", "accel_y", "gyro_z", "lateral_accel", "longitudinal_accel")
+"""Equations that know their signal from another sensor."""
+ZERO: Mapping[str, str] = {"gyro_z": "gyro.bias.z", "accel_x": "accel.bias.x",
+                           "accel_y": "accel.bias.y"}  # fmt: skip
+"""A zero error that a correct file may have: less than that is not told of."""
+LEAST_BLOCKS = 8
+LARGE = (0.5, 1.0, 2.0)
+"""Times its rms: from where on a value may leave something behind."""
+SHAPES = {
+    "bent": "is less steep for large values than for small ones",
+    "one-sided": "differs between one side and the other",
+    "steeper": "grows faster than the value",
+    "by direction": "depends on whether the value rises or falls",
+    **{f"memory {x:g}": "keeps the sign of the last large value" for x in LARGE},
+}
+
+
+@dataclass(frozen=True)
+class ShapeRows:
+    """Blocks of one equation, transformed. Residual (B, K), shapes (B, K, 2 + k): the value itself,
+    its slope, and k more; beside them the tilt (B, K, Z)."""
+
+    y: Array
+    X: Array
+    tilt: Array
+    rows: int
+    """Samples a block."""
+
+
+def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Structure]:
+    """Residuals that depend on their own signal in a way that is not linear.
+
+    Each shape is fitted beside value, slope and the block's tilt. Told is what is beyond chance
+    (Student's t of the scatter between blocks, 1 % over all that is asked), larger than the zero
+    error that a correct file may have, and not owed to one block.
+    """
+    x = fitted(problem)
+    changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
+    parts: dict[str, list[ShapeRows]] = {}
+    for f in forwards:
+        for name, rows in _of_drive(f, changes, problem.table.top_hz):
+            parts.setdefault(name, []).append(rows)
+    grams = {name: _gram(own) for name, own in parts.items()}
+    asked = sum(len(gram) >= LEAST_BLOCKS for gram, _ in grams.values()) * len(SHAPES)
+    found = []
+    for name, (gram, size) in grams.items():
+        if len(gram) >= LEAST_BLOCKS:
+            found += _strongest(name, gram, size, asked)
+    return found
+
+
+def _of_drive(
+    f: Forward, changes: Mapping[str, float], top_hz: Mapping[str, float]
+) -> list[tuple[str, ShapeRows]]:
+    masks, residuals = f.usable(), f.residuals(changes)
+    measured = f.measured()
+    made = []
+    for name in ASKED:
+        if name not in residuals.of or name not in measured:
+            continue
+        good = masks[name].mean(axis=1) >= LEAST_SHARE
+        count = max(1, int(2.0 * f.rows * STEP_S * top_hz[name]))
+        own = measured[name] - np.median(measured[name])
+        shapes = [x.reshape(f.blocks, f.rows) for x in _shapes(own, top_hz[name]).T]
+        tilt = residuals.tilt.get(name, (np.ones((f.blocks, f.rows)),))
+        y, X, Z = (
+            np.stack([cosine(x, masks[name], count) for x in some], axis=2)[good]
+            for some in ([residuals.of[name]], shapes, tilt)
+        )
+        made.append((name, ShapeRows(y[:, :, 0], X, Z, f.rows)))
+    return made
+
+
+def _gram(parts: Sequence[ShapeRows]) -> tuple[Array, Array]:
+    """Matrices (B, P, P) of whitened rows, residual first, the tilt projected out; and the mean
+    squares (B, P) in their units."""
+    A = np.concatenate([np.concatenate([p.y[:, :, None], p.X], axis=2) for p in parts])
+    Z = np.concatenate([p.tilt for p in parts])
+    A = _without(A, Z)
+    squares = np.sum(A**2, axis=1) / parts[0].rows
+    # What is left beside value and slope is the noise.
+    total = np.einsum("bki,bkj->ij", A[:, :, :3], A[:, :, :3])
+    line = np.linalg.lstsq(total[1:, 1:], total[1:, 0], rcond=None)[0]
+    left = A[:, :, 0] - A[:, :, 1:3] @ line
+    w = noise_weights(left, np.ones(len(A), dtype=bool))[:, :, None]
+    A = _without(A * w, Z * w)
+    return np.swapaxes(A, 1, 2) @ A, squares
+
+
+def _without(A: Array, Z: Array) -> Array:
+    inner = np.swapaxes(Z, 1, 2) @ Z
+    inner = (
+        inner
+        + 1e-9
+        * np.eye(Z.shape[2])
+        * np.maximum(np.trace(inner, axis1=1, axis2=2), 1.0)[:, None, None]
+    )
+    return np.asarray(A - Z @ np.linalg.solve(inner, np.swapaxes(Z, 1, 2) @ A))
+
+
+def _shapes(x: Array, top_hz: float) -> Array:
+    """(N, 2 + k): value and slope, then what is asked of. The usual size is the signal's rms."""
+    n = max(1, round(0.5 / (top_hz * STEP_S)))
+    smooth = np.convolve(x, np.ones(n) / n, "same")
+    size = max(float(np.sqrt(np.mean(smooth**2))), 1e-12)
+    z = smooth / size
+    slope = np.gradient(z, STEP_S)
+    quick = np.tanh(slope / max(float(np.std(slope)), 1e-12))
+    rows = np.arange(len(z))
+    last = [np.sign(z[np.maximum.accumulate(np.where(np.abs(z) > x, rows, 0))]) for x in LARGE]
+    return np.column_stack([z, slope, z / (1.0 + np.abs(z)), z**2, z * np.abs(z), quick, *last])
+
+
+def _strongest(name: str, gram: Array, squares: Array, asked: int) -> list[Structure]:
+    q = quantile(len(gram), asked)
+    best: tuple[float, str, float] | None = None
+    for k, shape in enumerate(SHAPES):
+        index = [0, 1, 2, 3 + k]
+        value, se, gain = _fit(gram[:, index][:, :, index])
+        size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
+        sure = abs(value) / se
+        if sure > q and gain > SINGLE_NATS and size > _least(name) and (not best or sure > best[0]):
+            best = sure, shape, size
+    if best is None:
+        return []
+    sigma, shape, size = best
+    text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
+    return [Structure(name, GOES_WITH_LEVEL, sigma, text)]
+
+
+def _least(name: str) -> float:
+    row = PARAMETERS.get(ZERO.get(name, ""))
+    return row.tolerance if row is not None else 0.003 * GRAVITY
+
+
+def _fit(gram: Array) -> tuple[float, float, float]:
+    """Of the last column beside the others: value, deviation between blocks, and nats on blocks
+    that its fit did not see. gram: (B, 1 + P, 1 + P), residual first."""
+    B = len(gram)
+    total = gram.sum(axis=0)
+    value, whole = _solved(total), total[1:, 1:]
+    score = gram[:, 1:, 0] - gram[:, 1:, 1:] @ value
+    inverse = np.linalg.pinv(whole)
+    inner = score.T @ score * (B / max(B - len(value), 1))
+    lag = score[1:].T @ score[:-1]
+    ways = (inner, inner + lag + lag.T, whole)
+    se = float(np.sqrt(max(float((inverse @ way @ inverse)[-1, -1]) for way in ways)))
+    gain = np.empty(B)
+    for b in range(B):
+        rest = total - gram[b]
+        with_it, without = _solved(rest), np.append(_solved(rest[:-1, :-1]), 0.0)
+        gain[b] = 0.5 * (_loss(gram[b], without) - _loss(gram[b], with_it))
+    return float(value[-1]), se, without_best(gain)
+
+
+def _solved(gram: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=None)[0])
+
+
+def _loss(gram: Array, x: Array) -> float:
+    z = np.concatenate([[1.0], -x])
+    return float(z @ gram @ z)

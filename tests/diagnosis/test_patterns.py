@@ -1,0 +1,86 @@
+"""Values that are held, and residuals that depend on their own signal."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucald.core.samples import Series
+from imucald.diagnosis.held_values import held_values
+from imucald.diagnosis.patterns import LARGE, SHAPES, ShapeRows, _gram, _shapes, _strongest
+from imucald.diagnosis.signals import drive_of
+
+SECONDS = 300.0
+BLOCKS, ROWS = 40, 64
+
+
+def drive(dead=0.0, lsb=0.0005, noise=0.01):
+    """A gyroscope that shows no rate below `dead` [rad/s], in steps of `lsb`."""
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, SECONDS, 0.01)
+    slow = np.column_stack([0.1 * np.sin(t / k) for k in (3.0, 5.0, 7.0)])
+    gyro = slow + noise * rng.standard_normal((len(t), 3))
+    gyro = np.sign(gyro) * np.maximum(np.abs(gyro) - dead, 0.0)
+    accel = rng.standard_normal((len(t), 3))
+    accel[:, 2] += 9.81
+    at = np.arange(0.0, SECONDS, 0.1)
+    return drive_of(
+        {
+            "accel": Series(t, np.round(accel / 0.01) * 0.01),
+            "gyro": Series(t, np.round(gyro / lsb) * lsb),
+            "speed": Series(at, 15.0 + np.sin(at)),
+        }
+    )
+
+
+def test_a_dead_zone_is_a_value_that_is_held():
+    found = held_values([drive(dead=0.03)])
+    assert {s.signal for s in found} == {"gyro_x", "gyro_y", "gyro_z"}
+    assert all("0 rad/s" in s.text for s in found)
+
+
+@pytest.mark.parametrize(("lsb", "noise"), [(0.0005, 0.01), (0.02, 0.004)])
+def test_a_sound_sensor_holds_no_value_nor_does_a_coarse_one(lsb, noise):
+    assert held_values([drive(lsb=lsb, noise=noise)]) == []
+
+
+def left_over(kind: str, size: float, seed: int = 5):
+    """Blocks of a residual of unit noise with a shape in it. Truth by its own formula."""
+    rng = np.random.default_rng(seed)
+    n = BLOCKS * ROWS
+    x = np.convolve(rng.standard_normal(n + 8), np.ones(9) / 3.0, "valid")
+    held, state = np.zeros(n), 0.0
+    for k in range(n):
+        state = float(np.sign(x[k])) if abs(x[k]) > np.std(x) else state
+        held[k] = state
+    made = {"line": x, "memory": held, "bent": np.tanh(2.0 * x)}[kind]
+    y = 0.05 * rng.standard_normal(n) + size * made
+    shapes = _shapes(x, 1.0).reshape(BLOCKS, ROWS, -1)
+    tilt = np.ones((BLOCKS, ROWS, 1))
+    return _gram([ShapeRows(y.reshape(BLOCKS, ROWS), shapes, tilt, ROWS)])
+
+
+@pytest.mark.parametrize("kind", ["memory", "bent"])
+def test_what_depends_on_its_own_signal_is_seen(kind):
+    gram, squares = left_over(kind, 0.15)
+    found = _strongest("accel_x", gram, squares, len(SHAPES))
+    assert len(found) == 1
+    assert found[0].signal == "accel_x"
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_linear_in_its_signal_is_no_pattern(seed):
+    gram, squares = left_over("line", 0.3, seed)
+    assert _strongest("accel_x", gram, squares, len(SHAPES)) == []
+
+
+def test_less_than_a_correct_zero_may_be_is_not_reported():
+    gram, squares = left_over("memory", 0.02)
+    assert _strongest("accel_x", gram, squares, len(SHAPES)) == []
+
+
+def test_memory_is_that_of_the_last_large_value():
+    x = np.array([0.0, 0.1, 3.0, 0.1, -0.1, -3.0, -0.1, 0.2] * 4)
+    memory = _shapes(x, 4.0)[:, -len(LARGE) :]
+    assert memory[3, 1] == 1.0
+    assert memory[7, 1] == -1.0
