@@ -82,12 +82,13 @@ def test_names_of_curves_and_units_are_text() -> None:
     assert fields(svg)[3][2] == ['<i> 3.00 "&', "<b>& 3.00 <u>"]
 
 
-def test_rules_have_no_fields() -> None:
+def test_rules_and_error_bars_have_no_fields() -> None:
     def draw(figure: Figure) -> None:
         axes = figure.add_subplot()
         axes.axhline(1.0)
         axes.axvline(2.0)
         axes.plot([0.0, 1.0], [0.0, 1.0])
+        axes.errorbar(np.arange(9.0), np.arange(9.0), xerr=np.ones(9), fmt="o", label="x")
 
     assert fields(drawn(draw, SIZE_IN)) == []
 

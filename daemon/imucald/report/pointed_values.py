@@ -65,7 +65,8 @@ def _curves(axes: Axes) -> str:
 
 def _dots(axes: Axes) -> str:
     """Strips of the clouds of dots without a line: single dots are too many, and too small."""
-    clouds = [c for c in axes.lines if len(_points(c)) > 2 and c.get_linestyle() == "None"]
+    lone = [c for c in axes.lines if len(_points(c)) > 2 and c.get_linestyle() == "None"]
+    clouds = list(filter(_label, lone))  # those of error bars are without: each stands in its row
     (left, bottom), (right, top) = _place(axes, axes.transAxes.transform([(0, 0), (1, 1)]))
     if not clouds:
         return ""
