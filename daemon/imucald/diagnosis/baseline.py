@@ -17,6 +17,7 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis.recording import Recording
 from imucald.model.model import VehicleModel
+from imucald.mount.estimate import MountEstimate
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.estimators import estimator_for
 from imucald.runtime.pipeline import Pipeline
@@ -68,22 +69,39 @@ def _rates(recordings: Sequence[Recording]) -> Mapping[str, float]:
 
 
 def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
-    """Mount angles from the daemon's estimator; the drives are run one after another."""
+    """Mount angles from the daemon's estimator; the drives are run one after another.
+
+    Where the end knows none, as after a sensor that swayed and is sought again, the surest estimate
+    on the way counts.
+    """
     pipeline = Pipeline(estimator_for(loaded.config))
     start = 0.0
+    estimates: list[MountEstimate] = []
     for samples in drives:
         last = max(float(s.t[-1]) for s in samples.values() if len(s.t))
         moved = {name: type(s)(s.t + start, s.values) for name, s in samples.items()}
-        pipeline.run(moved, {}, start + last, with_snapshots=False)
+        _, snapshots = pipeline.run(moved, {}, start + last)
+        estimates += [snapshot.estimate for snapshot in snapshots]
         start = math.ceil(start + last + 1.0)
         pipeline.gap(int(start * 10))
-    estimate = pipeline.estimator.estimate()
-    angles, std = estimate.angles, estimate.std
-    if angles is None or std is None or math.degrees(max(std)) > LARGEST_STD_DEG:
-        why = reasons_line(estimate.waiting_for)
+    final = pipeline.estimator.estimate()
+    known = [final] if _is_known(final) else [one for one in estimates if _is_known(one)]
+    if not known:
+        why = reasons_line(final.waiting_for)
         raise EstimateError(
             "the drives do not say how the sensor sits, so there is no model to compare with; "
             f"give one with --model ({why or 'see imucald replay'})"
         )
+    angles = min(known, key=_uncertainty).angles
+    assert angles is not None
     roll, pitch, yaw = (math.degrees(angle) for angle in angles)
     return {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}
+
+
+def _is_known(estimate: MountEstimate) -> bool:
+    return estimate.angles is not None and _uncertainty(estimate) <= LARGEST_STD_DEG
+
+
+def _uncertainty(estimate: MountEstimate) -> float:
+    """The largest deviation of an angle [deg]."""
+    return math.inf if estimate.std is None else math.degrees(max(estimate.std))

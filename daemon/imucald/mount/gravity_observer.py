@@ -81,6 +81,11 @@ def _turned(step: Array) -> Array:
     return turn
 
 
+def _sizes(vectors: Array) -> Array:
+    """Of vectors (N, 3)."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=1)))
+
+
 _REMAINING = {with_gyro: _followed(pull) for with_gyro, pull in _PULL.items()}
 
 
@@ -134,17 +139,24 @@ class GravityObserver:
         self._note_holes(p.ok_rate)
         before = np.zeros((3, 3)) if self._state is None else self._state[:, 1:]
         states = self._carry(turn, force, self._use, pull)
+        gravity = GRAVITY * states[:, :, 0]
+        answer = _EYE - states[:, :, 1:4]  # to a bias
+        answered = np.zeros(3) if bias is None else answer @ bias
         if motion is not None and p.ok_rate.any():
+            innovation = force - gravity
+            unexplained = innovation - answered
             if sure:
-                self._learn_bias(p, states, force, motion)
+                share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
+                noise2 = FORCE_NOISE * FORCE_NOISE + share2
+                self._learn_bias(p, answer, innovation, noise2)
                 if self._settling:
                     self.steps.restart()
                 else:
-                    self._detect_step(p, before, states, force, motion, bias)
-            self._follow_drift(p, states, force, bias, pull)
-        lone: Array = p.force - GRAVITY * states[:, :, 0]
-        if bias is not None:
-            lone -= (_EYE - states[:, :, 1:4]) @ bias
+                    weight = (self._use & p.ok_rate) / noise2
+                    weight /= np.maximum(_sizes(unexplained) / (2.0 * FORCE_LARGE), 1.0)
+                    self.steps.add(before, answer, states[:, :, 4:], self._end, unexplained, weight)
+            self._follow_drift(p, states[-1, :, 0], unexplained, pull)
+        lone: Array = p.force - gravity - answered
         return lone
 
     def _note_holes(self, ok_rate: Flags) -> None:
@@ -230,12 +242,11 @@ class GravityObserver:
         self._taken = state
         return out
 
-    def _follow_drift(
-        self, p: SignalBlock, states: Array, force: Array, bias: Array | None, pull: float
-    ) -> None:
+    def _follow_drift(self, p: SignalBlock, up: Array, innovation: Array, pull: float) -> None:
         """Gyro bias about the level axes, from the innovation that it keeps up (Mahony's integral).
 
         Held against the pull k, a rate error d leaves the innovation e / g with k u x e / g = d.
+        up: (3,) at the end.
         """
         if p.rest.any():
             self.drift *= 0.5  # at rest it is measured
@@ -243,27 +254,18 @@ class GravityObserver:
         use = p.learn & p.ok_speed
         if self._n < 300 or use.sum() < 0.8 * len(use):
             return
-        innovation = force - GRAVITY * states[:, :, 0]
-        if bias is not None:
-            innovation = innovation - (_EYE - states[:, :, 1:4]) @ bias
         mean = np.clip(innovation.mean(axis=0), -FORCE_LARGE, FORCE_LARGE) / GRAVITY
-        (ux, uy, uz), (mx, my, mz) = states[-1, :, 0].tolist(), mean.tolist()
+        (ux, uy, uz), (mx, my, mz) = up.tolist(), mean.tolist()
         across = np.array([uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx])
         self.drift += across * (pull / TICK_S * len(p.t) * TICK_S / DRIFT_S)
 
-    def _learn_bias(self, p: SignalBlock, states: Array, force: Array, motion: Array) -> None:
+    def _learn_bias(self, p: SignalBlock, answer: Array, innovation: Array, noise2: Array) -> None:
+        """Take a block: answer (N, 3, 3) to a bias, innovation (N, 3), its usual square (N,)."""
         use = p.learn & p.ok_speed & ~p.rest
-        if not use.any() or self._n < 100:
+        if not use.any() or self._n < 100 or np.abs(answer).max() < 0.02:
             return
-        answer = _EYE - states[:, :, 1:4]
-        size = np.abs(answer).max(axis=(1, 2))
-        if size.max() < 0.02:
-            return
-        share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
-        weight = use / (FORCE_NOISE * FORCE_NOISE + share2)
-        innovation = force - GRAVITY * states[:, :, 0]
-        size = np.sqrt((innovation * innovation).sum(axis=1))
-        weight /= np.maximum(size / FORCE_LARGE, 1.0)
+        weight = use / noise2
+        weight /= np.maximum(_sizes(innovation) / FORCE_LARGE, 1.0)
         weighted = answer * weight[:, None, None]
         self._open_information += np.einsum("nki,nkj->ij", weighted, answer)
         self._open_score += np.einsum("nki,nk->i", weighted, innovation)
@@ -273,24 +275,6 @@ class GravityObserver:
             self._open_information = np.zeros((3, 3))
             self._open_score = np.zeros(3)
             self._open_ticks = 0
-
-    def _detect_step(
-        self,
-        p: SignalBlock,
-        before: Array,
-        states: Array,
-        force: Array,
-        motion: Array,
-        bias: Array | None,
-    ) -> None:
-        innovation = force - GRAVITY * states[:, :, 0]
-        if bias is not None:
-            innovation = innovation - (_EYE - states[:, :, 1:4]) @ bias
-        share2 = (FORCE_SHARE * FORCE_SHARE) * (motion * motion).sum(axis=1)
-        weight = (self._use & p.ok_rate) / (FORCE_NOISE * FORCE_NOISE + share2)
-        size = np.sqrt((innovation * innovation).sum(axis=1))
-        weight /= np.maximum(size / (2.0 * FORCE_LARGE), 1.0)
-        self.steps.add(before, states, self._end, innovation, weight)
 
     def bias(self, prior_std: float) -> tuple[Array, Array]:
         """Accelerometer bias [m/s^2] (3,) and covariance (3, 3), sandwich over 40 s segments."""

@@ -102,12 +102,19 @@ class GravityStepDetector:
         self.history = GravityStepHistory()
 
     def add(
-        self, before: Array, states: Array, end: Array, innovation: Array, weight: Array
+        self,
+        before: Array,
+        answer: Array,
+        left: Array,
+        end: Array,
+        innovation: Array,
+        weight: Array,
     ) -> None:
         """Take a block.
 
-        before: B at its beginning (3, 3); states: (N, 3, 7) of `GravityObserver`; end: what is left
-        of the state at the beginning (3, 3). innovation: (N, 3); weight: (N,).
+        before: B at its beginning (3, 3); answer: I - B (N, 3, 3); left: what is left of the state
+        at the beginning (N, 3, 3), end: the same at its end (3, 3). innovation: (N, 3); weight:
+        (N,).
         """
         for kept in (self._start, self._score, self._information):
             kept[1:] = kept[:-1].copy()
@@ -115,8 +122,8 @@ class GravityStepDetector:
         self._start[0] = before
         self._blocks += 1
         n = len(weight)
-        carried = (states[:, :, 4:].reshape(3 * n, 3) @ self._start).reshape(AGES, n, 3, 3)
-        answer = ((np.eye(3) - states[:, :, 1:4]) + carried).reshape(AGES, 3 * n, 3)
+        carried = (left.reshape(3 * n, 3) @ self._start).reshape(AGES, n, 3, 3)
+        answer = (answer + carried).reshape(AGES, 3 * n, 3)
         weights = np.repeat(weight, 3)
         weighted = (answer * weights[:, None]).transpose(0, 2, 1)
         self._score += weighted @ innovation.reshape(3 * n)
