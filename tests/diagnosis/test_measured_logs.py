@@ -105,3 +105,9 @@ def test_a_remount_hidden_in_a_measured_drive_is_found_as_one():
         middle, abs=60.0
     )
     assert not {"accel_scale", "wheel_speed_scale", "gyro_scale", "gyro_bias"} & set(shift)
+
+
+def test_a_phone_that_sways_in_its_holder_to_the_end_still_has_a_mount_to_begin_with():
+    """At its end the estimator seeks the mount again; gravity lies along the phone's x axis."""
+    _, model = log("vehsense_2017_10_25_1829")
+    assert mount_of(model)[2] == pytest.approx([1.0, 0.0, 0.0], abs=0.1)
