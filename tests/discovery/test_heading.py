@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import cantools
 import numpy as np
@@ -13,6 +14,9 @@ from imucald import cli
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
 from imucald.discovery import GatheredFrames, Proposal, discover
+from imucald.discovery.evidence import Relation
+from imucald.discovery.heading import HeadingFit, doubt_what_is_turned
+from imucald.discovery.proposal import Choice, Proposed
 from paths import ROOT
 
 EXAMPLE = ROOT / "dbc" / "imucald_example.dbc"
@@ -111,3 +115,32 @@ def test_without_a_name_that_tells_a_compass_all_that_has_sides_is_unsure(drive,
         choice = proposal.choice(quantity)
         assert choice is not None, quantity
         assert not choice.is_sure, quantity
+
+
+def _fit(sense, reverses=False):
+    return HeadingFit(SimpleNamespace(path="GPS.Course"), Relation(sense * 0.95), 0, reverses)
+
+
+def _choice(quantity, sign, doubt=""):
+    sources = {axis: Proposed(f"IMU.{axis}", sign=sign) for axis in "xyz"}
+    return Choice(quantity, sources, "", doubt)
+
+
+@pytest.mark.parametrize(
+    ("sense", "reverses", "gyro_sign", "gyro_doubt", "doubted"),
+    [
+        (+1, False, -1, "no turn shows its sign", {"accelerometer", "gyroscope"}),
+        (+1, False, +1, "no turn shows its sign", {"gyroscope"}),
+        (+1, False, -1, "", set()),
+        (-1, False, -1, "", {"gyroscope"}),
+        (+1, True, -1, "", {"gyroscope"}),
+        (-1, False, +1, "", set()),
+    ],
+)
+def test_a_heading_proves_nothing_of_what_was_turned_before_it(
+    sense, reverses, gyro_sign, gyro_doubt, doubted
+):
+    accelerometer = _choice("accelerometer", 1)
+    gyroscope = _choice("gyroscope", gyro_sign, gyro_doubt)
+    doubt_what_is_turned(accelerometer, gyroscope, _fit(sense, reverses))
+    assert {c.quantity for c in (accelerometer, gyroscope) if c.doubt} == doubted

@@ -35,6 +35,14 @@ PERHAPS_REVERSED = (
     "{heading} turns counter-clockwise beside it: if that is a compass course, this sensor shows"
     " minus the specific force, and all three axes get 'sign: -1'"
 )
+ONLY_AS_TURNED = (
+    "{heading} is clockwise only with the gyroscope turned, which is unsure: with the gyroscope as"
+    " it is, this sensor shows minus the specific force, and all three axes get 'sign: -1'"
+)
+TURNED_TO_FIT = (
+    "it is turned to fit the accelerometer, and {heading} turns counter-clockwise beside both: an"
+    " axis of the accelerometer may have the wrong sign instead"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +116,24 @@ def heading_choice(
         f"{sense}{late})",
         doubt,
     )
+
+
+def doubt_what_is_turned(
+    accelerometer: Choice, gyroscope: Choice | None, fit: HeadingFit | None
+) -> None:
+    """Mark what a heading cannot tell where all signs of the gyroscope were turned before.
+
+    They are turned to fit the accelerometer, so the heading speaks of both at once: agreement with
+    an unsure turn does not prove the accelerometer, and disagreement does not prove the turn.
+    """
+    if fit is None or gyroscope is None:
+        return
+    if not all(source.sign < 0 for source in gyroscope.sources.values()):
+        return
+    if fit.is_reversed or fit.relation.sign < 0:
+        gyroscope.doubt = gyroscope.doubt or TURNED_TO_FIT.format(heading=fit.candidate.path)
+    elif gyroscope.doubt:
+        accelerometer.doubt = ONLY_AS_TURNED.format(heading=fit.candidate.path)
 
 
 def hold_against_heading(

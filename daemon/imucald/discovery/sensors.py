@@ -11,7 +11,12 @@ from imucald.discovery.candidates import SeenSignal
 from imucald.discovery.evidence import Relation
 from imucald.discovery.gyro_axes import AS_IT_IS, fit_gyroscope, right_handed_orders, signed
 from imucald.discovery.gyro_choice import axes_of, gyroscope_choice
-from imucald.discovery.heading import HeadingFit, fit_heading, hold_against_heading
+from imucald.discovery.heading import (
+    HeadingFit,
+    doubt_what_is_turned,
+    fit_heading,
+    hold_against_heading,
+)
 from imucald.discovery.names import hint
 from imucald.discovery.planar import find_planar
 from imucald.discovery.proposal import Alternative, Choice, Proposed, source_of
@@ -91,6 +96,7 @@ class Sensors:
         gyro = self._choose_gyroscope(reference)
         heading = fit_heading(reference, self._free())
         self.heading = hold_against_heading(reference, accelerometer, heading)
+        doubt_what_is_turned(accelerometer, gyro, self.heading)
         if not best.unit.is_stated and not (reference.speed and reference.speed.is_believed):
             accelerometer.doubt = "three signals of 1 g, but no unit is stated and no motion shows"
         self._found += [gyro, self._magnetometer(), speed]

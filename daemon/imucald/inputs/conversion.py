@@ -81,7 +81,7 @@ class Conversion(Struct, frozen=True):
 
     def array(
         self, raw: NDArray[np.generic], physical: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.int8]]:
         """Values (N,) in SI (NaN where rejected) and codes (N,)."""
         if self.unit.dimension == "flag":
             values = self._flags(physical)
@@ -90,7 +90,7 @@ class Conversion(Struct, frozen=True):
                 values = ((physical + self.offset) * self.unit.factor + self.unit.offset) * (
                     self.sign
                 )
-        codes = np.zeros(len(physical), dtype=np.uint8)
+        codes = np.zeros(len(physical), dtype=np.int8)
         with np.errstate(invalid="ignore"):
             codes[~((self.low <= physical) & (physical <= self.high))] = 4
             codes[~((-self.limit <= values) & (values <= self.limit))] = 4
