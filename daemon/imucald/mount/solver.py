@@ -11,13 +11,10 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import (
     Matrix3,
-    levelling_rotation,
     orthonormalised,
-    rotation_from_angles,
     rotation_from_vector,
 )
 from imucald.core.samples import GRAVITY
-from imucald.motion.ticks import TICK_S
 from imucald.mount.block_yaw import BlockMotion
 from imucald.mount.common_errors import common_errors, cross_axis_errors
 from imucald.mount.creep import P_CONSTANT, Creep, creep
@@ -25,10 +22,12 @@ from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
-from imucald.mount.evidence_spectra import MEASURED, RATE, SPEED_RATE, WINDOW, Measured, spectra
+from imucald.mount.first_rotation import first_rotation
 from imucald.mount.fusion import CERTAIN, CommonCovariance, Fused, fuse, fuse_weighing
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
+from imucald.mount.lever_arm import LeverArm
+from imucald.mount.motion_window import MotionWindow
 from imucald.mount.past_drives import PastDrives
 from imucald.mount.priors import BIAS_DRIFT_STD, CROSS_AXIS
 from imucald.mount.road_segments import AngleEvidence
@@ -51,22 +50,8 @@ from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 
 Array = NDArray[np.float64]
 
-_TAKEN = [
-    Measured.DVDT_2,
-    Measured.LATERAL_2,
-    Measured.YAW_2,
-    Measured.DVDT_ABS,
-    Measured.DVDT_LATERAL,
-    Measured.DVDT_REMAINING,
-    Measured.LATERAL_REMAINING,
-]
-"""Terms that are not taken off the force before the vertical follows it."""
-MIN_POWER = 1e-3
-"""A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
 CROSS_FALL_SHARE, SLOPE_SHARE = 1.7, 1.5
 """Superelevation, squat and leaning of the body widen the spread of slopes."""
-SIGN_SURE = 0.3
-"""Correlation of lateral force and turning from which forward is told from backward."""
 NO_GYRO_SHARE = 1.5
 """Without a gyroscope slopes stay in the force: variances are so much larger."""
 PRINCIPAL_STD = 0.008
@@ -101,8 +86,7 @@ class MountSolver:
         self.own_gyro = True
         self.turn_rate: Array = np.zeros(BLOCK_TICKS)
         self.lone: Array = np.zeros((BLOCK_TICKS, 3))
-        self._window = np.zeros((WINDOW, MEASURED))
-        self._mask = np.zeros(WINDOW, dtype=bool)
+        self._window = MotionWindow()
         self.R: Matrix3 | None = None
         self.yaw_known = False
         self.starts = 0
@@ -122,8 +106,7 @@ class MountSolver:
         self.response.delays = (self.delay_speed.value, 0.0)
         self._gains_of: Array | None = None
         self._gains = (0.0, 0.0)
-        self._lever_arm = np.array(settings.lever_arm)
-        self._last_rate: Array | None = None
+        self._lever_arm = LeverArm(np.array(settings.lever_arm))
 
     def start_from(self, other: MountSolver) -> None:
         """Begin with another's rotation, gains and delay, but without its evidence."""
@@ -137,16 +120,15 @@ class MountSolver:
     def gap(self) -> None:
         """Time jumped."""
         self.vertical.restart()
-        self._window[:] = 0.0
-        self._mask[:] = False
-        self._last_rate = None
+        self._window.restart()
+        self._lever_arm.restart()
 
     def add(self, p: SignalBlock) -> tuple[Array, Array]:
         """Take a block; return dv/dt and v r (N,), zero where they are not to be trusted."""
         self.blocks += 1
         R = self.R if self.yaw_known else None
-        if R is not None and self._lever_arm.any():
-            p = replace(p, force=p.force - self._carried(p, R))
+        if R is not None and self._lever_arm:
+            p = replace(p, force=p.force - self._lever_arm.force(p, R))
         up = self.vertical.up
         r = self._turn_rate(p, up)
         turn = p.speed * r
@@ -161,7 +143,8 @@ class MountSolver:
         self.lone = lone
         self.gravity.add(p, turn)
         segment = self.response.segment
-        self._slide(p, lone, turn, r)
+        self._window.add(p, lone, turn, r, self.vertical)
+        self._take_window()
         if self.response.segment != segment:
             self.gravity.close_segment()
             self._began.append(self.blocks)
@@ -177,19 +160,6 @@ class MountSolver:
         turn = gains[1] * p.speed * self.turn_rate
         force = self.lone @ R.T
         return BlockMotion(force, gains[0] * p.accel, turn, self.turn_rate, delay.value, delay.std)
-
-    def _carried(self, p: SignalBlock, R: Matrix3) -> Array:
-        """Force at the end of the known lever arm more than at its root, sensor axes (N, 3).
-
-        dw/dt x l + w x (w x l); the derivative is a central difference, which is not late.
-        """
-        rate = p.rate @ R.T
-        before = rate[:1] if self._last_rate is None else self._last_rate
-        self._last_rate = rate[-1:]
-        change = np.gradient(np.concatenate([before, rate]), TICK_S, axis=0)[1:]
-        arm = self._lever_arm
-        carried = np.cross(change, arm) + np.cross(rate, np.cross(rate, arm))
-        return np.asarray((carried * p.ok_rate[:, None]) @ R)
 
     def sure(self) -> bool:
         """Whether yaw is known well enough for what is left over to speak of the bias."""
@@ -210,27 +180,11 @@ class MountSolver:
             self._gains = tuple(of[:2, 2:6].mean(axis=1).tolist())
         return self._gains
 
-    def _slide(self, p: SignalBlock, lone: Array, turn: Array, r: Array) -> None:
-        w, m = self._window, self._mask
-        w[:-BLOCK_TICKS] = w[BLOCK_TICKS:].copy()
-        m[:-BLOCK_TICKS] = m[BLOCK_TICKS:].copy()
-        w[-BLOCK_TICKS:, :3] = lone
-        w[-BLOCK_TICKS:, Measured.DVDT] = p.accel
-        w[-BLOCK_TICKS:, Measured.LATERAL] = turn
-        rate = p.rate * p.ok_rate[:, None]
-        w[-BLOCK_TICKS:, SPEED_RATE] = rate * p.speed[:, None]
-        w[-BLOCK_TICKS:, RATE] = rate
-        a = p.accel
-        terms = np.stack([a * a, turn * turn, r * r, a * np.abs(a), a * turn, a, turn], axis=1)
-        w[-BLOCK_TICKS:, _TAKEN] = self.vertical.remaining(terms, p)
-        w[-BLOCK_TICKS:, Measured.DVDT_YAW] = a * r
-        w[-BLOCK_TICKS:, Measured.LATERAL_YAW] = turn * r
-        m[-BLOCK_TICKS:] = p.learn & p.ok_speed & (not self.vertical.seeking)
-        if m.sum() < 64:
-            return
-        s = spectra(w, m, keep_mean=self.own_gyro and self.yaw_known)
-        power = s[:, 3:5].real ** 2 + s[:, 3:5].imag ** 2
-        if not self.response.without_speed and power.sum() < MIN_POWER * BLOCK_TICKS:
+    def _take_window(self) -> None:
+        """The window goes to the responses and to the delays; those are sought now and then."""
+        keep_mean = self.own_gyro and self.yaw_known
+        s = self._window.spectra(keep_mean, needs_motion=not self.response.without_speed)
+        if s is None:
             return
         self.response.add(s)
         self.delay_speed.add(s[:, 3], s[:, :3])
@@ -257,7 +211,8 @@ class MountSolver:
         )
         bias, bias_cov = self.vertical.bias(spread)
         if not self.yaw_known:
-            self._start()
+            self.R, self.yaw_known = first_rotation(self.gravity, self.response)
+            self.starts += self.yaw_known and not self.response.without_speed
         for _ in range(2 if self.blocks < SETTLED_BLOCKS else 1):
             if self.R is None:
                 return
@@ -399,23 +354,3 @@ class MountSolver:
         sources = saved_sources(self.sources, series, self.fused.error, self._tilt_bias)
         now = SavedInformation(self.R, self.response.without_speed, sources)
         return together(None if self.past_drives is None else self.past_drives.kept, now)
-
-    def _start(self) -> None:
-        """Find a first rotation: level by gravity, yaw from the direction of the responses."""
-        level = levelling_rotation(self.gravity.mean_force())
-        self.R = level
-        if self.response.without_speed:
-            direction, sureness = self.response.principal_direction(level)
-            if self.response.windows >= 6 and sureness > SIGN_SURE:
-                self.R = rotation_from_angles(0.0, 0.0, -direction) @ level
-                self.yaw_known = True
-            return
-        to_a, to_v, power_a, power_v = self.response.direction_sums()
-        a, v = level @ to_a, level @ to_v
-        forward = complex(a[0], a[1]) + complex(v[1], -v[0])
-        if self.response.windows < 2 or power_a + power_v < 20.0:
-            return
-        yaw = -math.atan2(forward.imag, forward.real)
-        self.R = rotation_from_angles(0.0, 0.0, yaw) @ level
-        self.yaw_known = True
-        self.starts += 1
