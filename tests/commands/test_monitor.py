@@ -21,7 +21,8 @@ from imucald.commands.live_events import LiveEvents
 from imucald.commands.monitor_view import monitor_picture
 from imucald.commands.status_view import picture
 from imucald.service.journal import Journal
-from imucald.service.service import Service, ServiceOptions
+from imucald.service.service import Service
+from imucald.service.service_options import ServiceOptions
 from simulated_bus import CONFIG
 
 REASON = "acceleration or braking above 1 m/s2 (2 of 3 seen), and then a little more of it"

@@ -14,8 +14,9 @@ from imucald.core.samples import Series
 from imucald.motion import ticks as tk
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountEstimate, MountState
-from imucald.mount.estimator import SLEW_RATE, FullEstimator
+from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
+from imucald.mount.served_mount import SLEW_RATE
 from imucald.simulation import random_model, simulate
 from imucald.simulation.drive import Drive
 from mount_settings import full

@@ -86,7 +86,7 @@ def turned(mount: StoredMount, degrees: tuple[float, float, float]) -> StoredMou
 def test_it_says_what_the_estimate_said():
     """Fused by itself, without what changes between drives, it gives the mount it came from."""
     settings = driven()._settings
-    scales = driven()._solver._cross_axis
+    scales = driven()._solver._cross_axis.scales
     assert sum(p for _, p in scales) == pytest.approx(1.0)
     sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
     kept = evidence()

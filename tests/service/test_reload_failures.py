@@ -13,9 +13,11 @@ import pytest
 
 import shuttle
 from imucald.can.dbc import bounded_parser
-from imucald.service import service as service_module
+from imucald.service import parts as parts_module
+from imucald.service.calibration_store import CalibrationStore
 from imucald.service.journal import Journal
-from imucald.service.service import Service, ServiceOptions
+from imucald.service.service import Service
+from imucald.service.service_options import ServiceOptions
 
 OTHER_VEHICLE = "vehicle: {id: another}\ndatabase:"
 
@@ -42,9 +44,9 @@ class Bench:
             service.link,
             service.daemon.link,
             service.loaded,
-            service.uds,
-            service.dtc_store,
-            service.calibration_store,
+            service.parts.diagnostics.uds,
+            service.parts.diagnostics.dtc_store,
+            service.parts.calibration_store,
             service.daemon.stopping,
         )
 
@@ -93,12 +95,12 @@ def test_a_configuration_that_is_no_file_any_more_changes_nothing(what, bench):
 @pytest.mark.parametrize(
     ("owner", "name"),
     [
-        (service_module, "open_config"),
-        (service_module, "make_engine"),
-        (service_module, "open_link"),
-        (service_module, "behind_the_known"),
-        (service_module.CalibrationStore, "restore"),
-        (Service, "_new_uds"),
+        (parts_module, "open_config"),
+        (parts_module, "make_engine"),
+        (parts_module, "open_link"),
+        (parts_module, "behind_the_known"),
+        (CalibrationStore, "restore"),
+        (parts_module.PartsMaker, "_new_diagnostics"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

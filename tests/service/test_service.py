@@ -25,7 +25,8 @@ from imucald.mount.restored import RestoredEstimator
 from imucald.service.asking import ask
 from imucald.service.journal import Journal
 from imucald.service.notify import Notifier
-from imucald.service.service import Service, ServiceOptions
+from imucald.service.service import Service
+from imucald.service.service_options import ServiceOptions
 from imucald.service.status import StatusServer, default_socket
 from service_bench import Bench, running
 
@@ -176,7 +177,7 @@ def test_a_state_that_cannot_be_written_is_told_once_and_stops_nothing(bench):
     bench.drive(service)
     for _ in range(3):
         service._every_second(time.monotonic())
-        service.calibration_store.writer.flush(2.0)
+        service.parts.calibration_store.writer.flush(2.0)
     service._every_second(time.monotonic())
     saved = service.status()["saved_state"]
     assert saved["failures"] >= 2
@@ -191,17 +192,17 @@ def test_an_estimate_that_does_not_change_is_saved_once(bench):
     bench.drive(service)
     for _ in range(3):
         service._every_second(time.monotonic())
-        assert service.calibration_store.writer.flush(2.0)
+        assert service.parts.calibration_store.writer.flush(2.0)
     assert service.status()["saved_state"]["saves"] == 1
     service.close()
-    assert service.calibration_store.writer.saves == 1
+    assert service.parts.calibration_store.writer.saves == 1
 
 
 def test_a_disk_that_hangs_does_not_hold_the_loop_or_the_stop(bench, monkeypatch):
     service = bench.service()
     bench.drive(service)
     release = threading.Event()
-    monkeypatch.setattr(service.calibration_store.store, "save", lambda _: release.wait(10.0))
+    monkeypatch.setattr(service.parts.calibration_store.store, "save", lambda _: release.wait(10.0))
     began = time.monotonic()
     service._every_second(began)
     assert time.monotonic() - began < 0.2
@@ -449,7 +450,7 @@ def test_a_status_socket_that_nobody_asked_for_is_no_reason_not_to_start(bench):
 def test_a_save_that_fails_for_any_reason_is_seen_and_made_up_for(bench, monkeypatch):
     service = bench.service()
     bench.drive(service)
-    store = service.calibration_store
+    store = service.parts.calibration_store
     with monkeypatch.context() as broken:
         broken.setattr(store.store, "save", lambda *_: float("no number"))
         service._every_second(time.monotonic())

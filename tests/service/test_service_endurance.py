@@ -17,7 +17,8 @@ import pytest
 import shuttle
 from imucald.can.logs.log_reader import LogReader
 from imucald.service.figures import process_figures
-from imucald.service.service import Service, ServiceOptions
+from imucald.service.service import Service
+from imucald.service.service_options import ServiceOptions
 
 pytestmark = pytest.mark.slow
 
@@ -81,8 +82,8 @@ def drive(folder: Path) -> dict[str, Any]:
                 now[0] = start + k + 1.0
                 service._chores(now[0])
             now[0] = start + length
-        assert service.calibration_store is not None
-        assert service.calibration_store.writer.flush(5.0)
+        assert service.parts.calibration_store is not None
+        assert service.parts.calibration_store.writer.flush(5.0)
         gc.collect()
         return process_figures()
 
@@ -90,8 +91,8 @@ def drive(folder: Path) -> dict[str, Any]:
     after = drive_until(WARM_UP_S + MEASURED_S)
     quality = service.engine.pipeline.quality
     service.close()
-    assert service.calibration_store is not None
-    saves = service.calibration_store.writer.saves
+    assert service.parts.calibration_store is not None
+    saves = service.parts.calibration_store.writer.saves
     return {"before": before, "after": after, "quality": quality, "saves": saves}
 
 

@@ -19,7 +19,8 @@ from imucald.core.atomic_file import free_name, write_file
 from imucald.core.errors import ImucaldError
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.folder_lock import FolderInUseError, FolderLock
-from imucald.service.service import Service, ServiceOptions
+from imucald.service.service import Service
+from imucald.service.service_options import ServiceOptions
 from imucald.service.state_file import MAGIC, VERSION, SavedState, StateKey, StateStore, encoded
 
 KEY = StateKey("car", "imu")

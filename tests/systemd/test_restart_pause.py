@@ -15,7 +15,8 @@ import pytest
 import shuttle
 from imucald import cli
 from imucald.can.link.link import Frame
-from imucald.service.service import Service, ServiceOptions
+from imucald.service.service import Service
+from imucald.service.service_options import ServiceOptions
 from imucald.service.start_count import StartCount, start_count_file
 from paths import ROOT
 

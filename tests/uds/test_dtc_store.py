@@ -127,7 +127,11 @@ def test_a_tester_finds_the_codes_of_the_last_run(tmp_path):
     with UdsBench(tmp_path, config) as bench:
         bench.play(1.0)
         bench.send(0x640, bytes(8))
-        bench.wait_for(lambda: bool(bench.service.uds.server.dtcs.find(0xDA1181).status & 0x08))
+        bench.wait_for(
+            lambda: bool(
+                bench.service.parts.diagnostics.uds.server.dtcs.find(0xDA1181).status & 0x08
+            )
+        )
     with UdsBench(tmp_path, config) as bench, asking(bench.tester_bus) as client:
         found = client.get_dtc_by_status_mask(0x08).service_data.dtcs
         assert 0xDA1181 in {d.id for d in found}

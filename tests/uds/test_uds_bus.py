@@ -123,7 +123,7 @@ def test_a_moving_vehicle_or_one_whose_speed_is_not_known_is_not_reset(bench, cl
 
 def test_speed_that_is_long_ago_is_not_known(bench, client):
     bench.play(STANDING_S)
-    host = bench.service.uds.host
+    host = bench.service.parts.diagnostics.uds.host
     assert host.standing
     unlocked(client)
     bench.wait_for(lambda: host.standing is None)  # the clock goes on without frames
@@ -163,7 +163,7 @@ def test_a_stopped_calibration_takes_the_former_back_byte_for_byte(bench, client
 
 def test_a_reset_forgets_the_saved_state_too(bench, client):
     bench.play(27.5)
-    store = bench.service.calibration_store.store
+    store = bench.service.parts.calibration_store.store
     bench.wait_for(lambda: store.load().state is not None)
     unlocked(client)
     client.start_routine(RESET)
@@ -172,7 +172,7 @@ def test_a_reset_forgets_the_saved_state_too(bench, client):
 
 
 def test_codes_follow_the_inputs_and_can_be_cleared(bench, client):
-    memory = bench.service.uds.server.dtcs
+    memory = bench.service.parts.diagnostics.uds.server.dtcs
     inputs = {0x5A1287, 0x5A1387, 0x5A1487}
 
     def failing() -> set[int]:
@@ -236,7 +236,7 @@ def test_off_it_is_not_there(tmp_path):
     config = with_diagnostics(tmp_path)
     config.write_text(config.read_text().replace("enabled: true", "enabled: false"))
     with UdsBench(tmp_path, config) as bench, asking(bench.tester_bus, request_timeout=0.5) as ask:
-        assert bench.service.uds is None
+        assert bench.service.parts.diagnostics.uds is None
         assert bench.service.status()["diagnostics"] is None
         with pytest.raises(TimeoutException):
             ask.tester_present()
@@ -261,7 +261,7 @@ def test_a_reload_changes_the_identifiers_and_keeps_the_rest(tmp_path):
             assert read(ask, 0xF190) == (VIN,)
         config.write_text(text.replace("enabled: true", "enabled: false"))
         bench.service.ask_reload()
-        bench.wait_for(lambda: bench.service.uds is None)
+        bench.wait_for(lambda: bench.service.parts.diagnostics.uds is None)
 
 
 @pytest.mark.parametrize(

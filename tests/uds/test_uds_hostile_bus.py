@@ -149,7 +149,7 @@ def test_spoofed_responses_of_ours_are_no_requests(bench):
         bench.send(RESPONSE, bytes.fromhex(text))
         bench.send(REQUEST, bytes.fromhex(text))
     settled(bench)
-    server = bench.service.uds.server
+    server = bench.service.parts.diagnostics.uds.server
     assert server.counters.requests == 0
     assert not server.security.unlocked
 
@@ -215,7 +215,7 @@ def test_a_flood_of_hostile_frames_neither_delays_the_sensor_nor_fills_the_memor
             reader.join()
     assert sent > 1000
     assert bench.service.engine.router.sample_counts["accel"] == samples + 100
-    counters = bench.service.uds.channel.counters
+    counters = bench.service.parts.diagnostics.uds.channel.counters
     assert counters["dropped"] > 0
     assert counters["transport_failed"] == 0
     assert grown < 200_000
@@ -223,4 +223,4 @@ def test_a_flood_of_hostile_frames_neither_delays_the_sensor_nor_fills_the_memor
         time.sleep(0.5)
         assert client.read_data_by_identifier_first(0xFD0C)[1] == counters["dropped"]
     assert bench.service.engine.pipeline.quality == 0
-    assert not bench.service.uds.server.security.unlocked
+    assert not bench.service.parts.diagnostics.uds.server.security.unlocked

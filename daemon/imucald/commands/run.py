@@ -80,7 +80,8 @@ def run(options: argparse.Namespace) -> int:
     from imucald.core.file_cache import keep_databases
     from imucald.runtime.summary import as_json
     from imucald.service.journal import WARNING, Journal
-    from imucald.service.service import Service, ServiceOptions
+    from imucald.service.service import Service
+    from imucald.service.service_options import ServiceOptions
     from imucald.service.start_count import end_count, start_count_file
     from imucald.service.status import default_socket
 

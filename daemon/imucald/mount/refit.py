@@ -7,6 +7,7 @@ after a shift the last minutes are all that counts.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ KEPT_BLOCKS = 55
 class Refit:
     """Feeds kept blocks to a new solver; new blocks queue up behind them."""
 
-    def __init__(self, fresh: MountSolver, blocks: list[SignalBlock], gyro_bias: Array) -> None:
+    def __init__(self, fresh: MountSolver, blocks: Iterable[SignalBlock], gyro_bias: Array) -> None:
         self.fresh = fresh
         self._queue = deque(blocks)
         self._gyro_bias = gyro_bias

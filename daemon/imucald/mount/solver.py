@@ -11,26 +11,25 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import (
     Matrix3,
-    levelling_rotation,
     orthonormalised,
-    rotation_from_angles,
     rotation_from_vector,
 )
 from imucald.core.samples import GRAVITY
-from imucald.motion.ticks import TICK_S
 from imucald.mount.block_yaw import BlockMotion
-from imucald.mount.common_errors import common_errors, cross_axis_errors
+from imucald.mount.common_errors import common_errors
 from imucald.mount.creep import P_CONSTANT, Creep, creep
+from imucald.mount.cross_axis import CrossAxisFusion
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
-from imucald.mount.evidence_spectra import MEASURED, RATE, SPEED_RATE, WINDOW, Measured, spectra
-from imucald.mount.fusion import CERTAIN, CommonCovariance, Fused, fuse, fuse_weighing
+from imucald.mount.first_rotation import first_rotation
+from imucald.mount.fusion import Fused
 from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
+from imucald.mount.lever_arm import LeverArm
+from imucald.mount.motion_window import MotionWindow
 from imucald.mount.past_drives import PastDrives
-from imucald.mount.priors import BIAS_DRIFT_STD, CROSS_AXIS
 from imucald.mount.road_segments import AngleEvidence
 from imucald.mount.saved_information import (
     GRAVITY_KINDS,
@@ -48,29 +47,12 @@ from imucald.mount.shift import (
     largest_change,
 )
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
+from imucald.mount.source_variances import widened
 
 Array = NDArray[np.float64]
 
-_TAKEN = [
-    Measured.DVDT_2,
-    Measured.LATERAL_2,
-    Measured.YAW_2,
-    Measured.DVDT_ABS,
-    Measured.DVDT_LATERAL,
-    Measured.DVDT_REMAINING,
-    Measured.LATERAL_REMAINING,
-]
-"""Terms that are not taken off the force before the vertical follows it."""
-MIN_POWER = 1e-3
-"""A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
 CROSS_FALL_SHARE, SLOPE_SHARE = 1.7, 1.5
 """Superelevation, squat and leaning of the body widen the spread of slopes."""
-SIGN_SURE = 0.3
-"""Correlation of lateral force and turning from which forward is told from backward."""
-NO_GYRO_SHARE = 1.5
-"""Without a gyroscope slopes stay in the force: variances are so much larger."""
-PRINCIPAL_STD = 0.008
-"""What the principal axis may be off [rad]: the force across the vehicle is not only noise."""
 SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
@@ -78,8 +60,6 @@ DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
 START_AGAIN = 0.3
 """A delay that is found to differ by more [s], its prior deviation, ends what was begun with the
 old one: the response to dv/dt at that delay may point anywhere, backwards too."""
-SEEN_SHARE = 1.0
-"""From as much information as the prior's on what the data say of a bias is looked at."""
 SURE_STD = 0.035
 """Yaw this well known [rad] leaves little of the motion over."""
 
@@ -101,8 +81,7 @@ class MountSolver:
         self.own_gyro = True
         self.turn_rate: Array = np.zeros(BLOCK_TICKS)
         self.lone: Array = np.zeros((BLOCK_TICKS, 3))
-        self._window = np.zeros((WINDOW, MEASURED))
-        self._mask = np.zeros(WINDOW, dtype=bool)
+        self._window = MotionWindow()
         self.R: Matrix3 | None = None
         self.yaw_known = False
         self.starts = 0
@@ -111,9 +90,7 @@ class MountSolver:
         self.sources: dict[str, AngleEvidence] = {}
         self.bias: Array | None = None
         self.blocks = 0
-        self._sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
-        self._is_configured = settings.calibration.cross_axis > 0.0  # then in the common errors
-        self._cross_axis = CERTAIN if self._is_configured else CROSS_AXIS
+        self._cross_axis = CrossAxisFusion(settings)
         self.past_drives: PastDrives | None = None
         self.creep: Creep | None = None
         self.p_constant = P_CONSTANT
@@ -122,8 +99,7 @@ class MountSolver:
         self.response.delays = (self.delay_speed.value, 0.0)
         self._gains_of: Array | None = None
         self._gains = (0.0, 0.0)
-        self._lever_arm = np.array(settings.lever_arm)
-        self._last_rate: Array | None = None
+        self._lever_arm = LeverArm(np.array(settings.lever_arm))
 
     def start_from(self, other: MountSolver) -> None:
         """Begin with another's rotation, gains and delay, but without its evidence."""
@@ -137,16 +113,15 @@ class MountSolver:
     def gap(self) -> None:
         """Time jumped."""
         self.vertical.restart()
-        self._window[:] = 0.0
-        self._mask[:] = False
-        self._last_rate = None
+        self._window.restart()
+        self._lever_arm.restart()
 
     def add(self, p: SignalBlock) -> tuple[Array, Array]:
         """Take a block; return dv/dt and v r (N,), zero where they are not to be trusted."""
         self.blocks += 1
         R = self.R if self.yaw_known else None
-        if R is not None and self._lever_arm.any():
-            p = replace(p, force=p.force - self._carried(p, R))
+        if R is not None and self._lever_arm:
+            p = replace(p, force=p.force - self._lever_arm.force(p, R))
         up = self.vertical.up
         r = self._turn_rate(p, up)
         turn = p.speed * r
@@ -161,7 +136,8 @@ class MountSolver:
         self.lone = lone
         self.gravity.add(p, turn)
         segment = self.response.segment
-        self._slide(p, lone, turn, r)
+        self._window.add(p, lone, turn, r, self.vertical)
+        self._take_window()
         if self.response.segment != segment:
             self.gravity.close_segment()
             self._began.append(self.blocks)
@@ -177,19 +153,6 @@ class MountSolver:
         turn = gains[1] * p.speed * self.turn_rate
         force = self.lone @ R.T
         return BlockMotion(force, gains[0] * p.accel, turn, self.turn_rate, delay.value, delay.std)
-
-    def _carried(self, p: SignalBlock, R: Matrix3) -> Array:
-        """Force at the end of the known lever arm more than at its root, sensor axes (N, 3).
-
-        dw/dt x l + w x (w x l); the derivative is a central difference, which is not late.
-        """
-        rate = p.rate @ R.T
-        before = rate[:1] if self._last_rate is None else self._last_rate
-        self._last_rate = rate[-1:]
-        change = np.gradient(np.concatenate([before, rate]), TICK_S, axis=0)[1:]
-        arm = self._lever_arm
-        carried = np.cross(change, arm) + np.cross(rate, np.cross(rate, arm))
-        return np.asarray((carried * p.ok_rate[:, None]) @ R)
 
     def sure(self) -> bool:
         """Whether yaw is known well enough for what is left over to speak of the bias."""
@@ -210,27 +173,11 @@ class MountSolver:
             self._gains = tuple(of[:2, 2:6].mean(axis=1).tolist())
         return self._gains
 
-    def _slide(self, p: SignalBlock, lone: Array, turn: Array, r: Array) -> None:
-        w, m = self._window, self._mask
-        w[:-BLOCK_TICKS] = w[BLOCK_TICKS:].copy()
-        m[:-BLOCK_TICKS] = m[BLOCK_TICKS:].copy()
-        w[-BLOCK_TICKS:, :3] = lone
-        w[-BLOCK_TICKS:, Measured.DVDT] = p.accel
-        w[-BLOCK_TICKS:, Measured.LATERAL] = turn
-        rate = p.rate * p.ok_rate[:, None]
-        w[-BLOCK_TICKS:, SPEED_RATE] = rate * p.speed[:, None]
-        w[-BLOCK_TICKS:, RATE] = rate
-        a = p.accel
-        terms = np.stack([a * a, turn * turn, r * r, a * np.abs(a), a * turn, a, turn], axis=1)
-        w[-BLOCK_TICKS:, _TAKEN] = self.vertical.remaining(terms, p)
-        w[-BLOCK_TICKS:, Measured.DVDT_YAW] = a * r
-        w[-BLOCK_TICKS:, Measured.LATERAL_YAW] = turn * r
-        m[-BLOCK_TICKS:] = p.learn & p.ok_speed & (not self.vertical.seeking)
-        if m.sum() < 64:
-            return
-        s = spectra(w, m, keep_mean=self.own_gyro and self.yaw_known)
-        power = s[:, 3:5].real ** 2 + s[:, 3:5].imag ** 2
-        if not self.response.without_speed and power.sum() < MIN_POWER * BLOCK_TICKS:
+    def _take_window(self) -> None:
+        """The window goes to the responses and to the delays; those are sought now and then."""
+        keep_mean = self.own_gyro and self.yaw_known
+        s = self._window.spectra(keep_mean, needs_motion=not self.response.without_speed)
+        if s is None:
             return
         self.response.add(s)
         self.delay_speed.add(s[:, 3], s[:, :3])
@@ -250,69 +197,38 @@ class MountSolver:
         """Fit the rotation to all evidence so far."""
         if not self.gravity.known:
             return
-        s = self._settings
-        cross = s.calibration.cross_axis
-        spread = math.sqrt(
-            s.calibration.accelerometer_bias**2 + BIAS_DRIFT_STD**2 + (GRAVITY * cross) ** 2
-        )
-        bias, bias_cov = self.vertical.bias(spread)
+        bias, bias_cov = self.vertical.bias(self._cross_axis.bias_spread)
         if not self.yaw_known:
-            self._start()
+            self.R, self.yaw_known = first_rotation(self.gravity, self.response)
+            self.starts += self.yaw_known and not self.response.without_speed
         for _ in range(2 if self.blocks < SETTLED_BLOCKS else 1):
             if self.R is None:
                 return
-            sources = self.response.fit(self.R) if self.yaw_known else {}
-            gains = self.gains() if self.yaw_known else (0.0, 0.0)
-            ex, ey = self.gravity.tilt(self.R, bias, gains)
-            b = self.R @ bias_cov @ self.R.T / GRAVITY**2
-            known = self.yaw_known and not self.response.without_speed
-            slope = self.gravity.variance(s.slope_std, s.slope_length, 0.1 if known else 1.0)
-            if "roll_axis" in sources and "roll_turn" in sources:
-                # both see the same noise, the pitch rate of the road: the better one speaks
-                worse = max(("roll_axis", "roll_turn"), key=lambda k: sources[k].variance)
-                sources[worse] = AngleEvidence(
-                    sources[worse].value, sources[worse].variance * 1e4, 0.0
-                )
-            sources["roll_gravity"] = AngleEvidence(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
-            sources["pitch_gravity"] = AngleEvidence(ey, SLOPE_SHARE * slope + b[0, 0], 0.0)
-            if not self.own_gyro:
-                for name in ("yaw_dvdt", "yaw_turn", "pitch_dvdt", "roll_turn"):
-                    if name in sources:
-                        wide = NO_GYRO_SHARE * sources[name].variance
-                        sources[name] = replace(sources[name], variance=wide)
-            if self.response.without_speed and "yaw_dvdt" in sources:
-                source = sources["yaw_dvdt"]
-                sources["yaw_dvdt"] = replace(source, variance=source.variance + PRINCIPAL_STD**2)
-            self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
-            if self._is_configured:
-                fused = fuse(sources, self._sharing, self._cross_axis)
-            else:
-                size = float(np.linalg.norm(self.gravity.mean_force())) / GRAVITY - 1.0
-                seen = [(size, spread / GRAVITY), *self._seen_as_bias(bias, bias_cov, spread)]
-                fused, self._cross_axis = fuse_weighing(sources, self._sharing, CROSS_AXIS, seen)
+            sources = self._sources(self.R, bias, bias_cov)
+            force = self.gravity.mean_force()
+            fused = self._cross_axis.fused(sources, self.R, force, bias, bias_cov)
             if self.past_drives is not None:
-                fused = self.past_drives.fused(
-                    sources, self.R, self._tilt_bias, self._probable_cross_axis
-                )
+                probable = self._cross_axis.probable
+                fused = self.past_drives.fused(sources, self.R, self._tilt_bias, probable)
             self.R = orthonormalised(rotation_from_vector(fused.error) @ self.R)
             self.sources, self.fused = sources, fused
-        self.bias, self.bias_cov = bias, bias_cov
+        self.bias = bias
 
-    def _seen_as_bias(
-        self, bias: Array, covariance: Array, spread: float
-    ) -> list[tuple[float, float]]:
-        """Level parts of the bias over g, with their deviations: cross-axis errors of gravity
-        come out as one. What the prior has drawn them to zero by is taken back."""
-        assert self.R is not None
-        values = (self.R @ bias).tolist()
-        variances = np.diag(self.R @ covariance @ self.R.T).tolist()
-        found = []
-        for value, variance in zip(values[:2], variances[:2], strict=True):
-            data = 1.0 / variance - 1.0 / (spread * spread)
-            if data > SEEN_SHARE / (spread * spread):
-                own = math.hypot(spread, math.sqrt(1.0 / data))
-                found.append((value / (variance * data) / GRAVITY, own / GRAVITY))
-        return found
+    def _sources(self, R: Matrix3, bias: Array, bias_cov: Array) -> dict[str, AngleEvidence]:
+        """What responses and gravity say of the error of R, each by itself."""
+        s, without_speed = self._settings, self.response.without_speed
+        sources: dict[str, AngleEvidence] = {}
+        gains, missed = (0.0, 0.0), 1.0
+        if self.yaw_known:
+            sources = widened(self.response.fit(R), self.own_gyro, without_speed)
+            gains, missed = self.gains(), 1.0 if without_speed else 0.1
+        ex, ey = self.gravity.tilt(R, bias, gains)
+        slope = self.gravity.variance(s.slope_std, s.slope_length, missed)
+        b = R @ bias_cov @ R.T / GRAVITY**2
+        sources["roll_gravity"] = AngleEvidence(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
+        sources["pitch_gravity"] = AngleEvidence(ey, SLOPE_SHARE * slope + b[0, 0], 0.0)
+        self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
+        return sources
 
     def step(self) -> GravityStep | None:
         """A step in gravity that the gyroscope did not see, in the last minute; for every block."""
@@ -324,17 +240,13 @@ class MountSolver:
     @property
     def cross_axis_std(self) -> float:
         """Cross-axis error that is reckoned with (part): configured, or probable."""
-        return math.hypot(self._settings.calibration.cross_axis, self._probable_cross_axis)
+        return self._cross_axis.std
 
     @property
     def yaw_seen(self) -> float:
         """Standard deviation of the best source of yaw alone [rad], without common errors."""
         found = [one.variance for name, one in self.sources.items() if name.startswith("yaw_")]
         return math.sqrt(min(found, default=math.inf))
-
-    @property
-    def _probable_cross_axis(self) -> float:
-        return math.sqrt(math.fsum(p * scale * scale for scale, p in self._cross_axis))
 
     def follow_creep(self) -> None:
         """See whether the mount creeps; once a road segment."""
@@ -399,23 +311,3 @@ class MountSolver:
         sources = saved_sources(self.sources, series, self.fused.error, self._tilt_bias)
         now = SavedInformation(self.R, self.response.without_speed, sources)
         return together(None if self.past_drives is None else self.past_drives.kept, now)
-
-    def _start(self) -> None:
-        """Find a first rotation: level by gravity, yaw from the direction of the responses."""
-        level = levelling_rotation(self.gravity.mean_force())
-        self.R = level
-        if self.response.without_speed:
-            direction, sureness = self.response.principal_direction(level)
-            if self.response.windows >= 6 and sureness > SIGN_SURE:
-                self.R = rotation_from_angles(0.0, 0.0, -direction) @ level
-                self.yaw_known = True
-            return
-        to_a, to_v, power_a, power_v = self.response.direction_sums()
-        a, v = level @ to_a, level @ to_v
-        forward = complex(a[0], a[1]) + complex(v[1], -v[0])
-        if self.response.windows < 2 or power_a + power_v < 20.0:
-            return
-        yaw = -math.atan2(forward.imag, forward.real)
-        self.R = rotation_from_angles(0.0, 0.0, yaw) @ level
-        self.yaw_known = True
-        self.starts += 1

@@ -1,0 +1,66 @@
+"""What an estimate must pass beside small deviations before it is good, and before it is *fine*.
+
+Deviations say how well the evidence knows the mount if its signals are what the configuration says
+and the mount stays. Whether that is so is asked here: of `signal_checks`, of the tests for a moved
+sensor, and of the speed's delay.
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from imucald.config.base import MAX_SPEED_DELAY
+from imucald.mount.mount_changes import MountChanges
+from imucald.mount.signal_checks import SignalChecks
+from imucald.mount.solver import MountSolver
+
+MIRRORED = (
+    "a signal that separates left from right (yaw rate, steering angle, lateral acceleration, "
+    "heading), or 'calibration: {orientation: {up: z}}' with the axis that points up: without, an "
+    "accelerometer with all signs turned looks the same"
+)
+"""What keeps an estimate that is certain enough from being *fine* where no signal has sides."""
+LATE_SPEED = (
+    f"a speed that comes sooner: it seems later than {MAX_SPEED_DELAY:g} s behind the accelerometer"
+)
+
+
+class Acceptance(Struct, frozen=True):
+    """The questions to an estimate, of what is known now."""
+
+    solver: MountSolver
+    checks: SignalChecks
+    changes: MountChanges
+    has_speed: bool
+
+    def missing_to_be_good(self) -> str | None:
+        """What an estimate whose deviations are small enough lacks to be good, in words."""
+        if not self.has_speed:
+            return None
+        if self.solver.delay_speed.is_beyond:
+            return LATE_SPEED
+        return self.checks.missing_to_be_good()
+
+    def may_be_fine(self) -> bool:
+        """Whether every test is armed, the signals were seen to agree, and little has happened."""
+        if self.changes.is_loose or not self.solver.armed:
+            return False
+        if not self.checks.is_mirror_excluded:
+            return False
+        return not self.has_speed or self.checks.have_agreed
+
+    def missing_to_be_fine(self) -> str:
+        """What an estimate whose deviations are small enough lacks to be *fine*, in words."""
+        if self.changes.is_loose:
+            times = len(self.changes.history)
+            return f"a mount that stays: it moved {times} times in this drive"
+        if self.has_no_sides:
+            return MIRRORED
+        if not self.solver.armed:
+            return "more driving, until a moved sensor would be noticed"
+        return "more turns and changes of speed, until the signals are seen to agree"
+
+    @property
+    def has_no_sides(self) -> bool:
+        """Whether no signal of this vehicle tells the drive from its mirror image."""
+        return bool(self.checks.not_checked)

@@ -1,0 +1,85 @@
+"""What stands beside an estimate for those who look closer: `MountEstimate.details`.
+
+Angles in degrees where the key says so, all else in SI; `t` counts the blocks of the drive [s].
+"""
+
+from __future__ import annotations
+
+import math
+
+from imucald.mount.creep import BELIEVED, Creep
+from imucald.mount.estimate import ANGLES
+from imucald.mount.evidence_response import GROUP
+from imucald.mount.mount_changes import MountChanges
+from imucald.mount.signal_blocks import BLOCK_S, SignalBlockMaker
+from imucald.mount.signal_checks import SignalChecks
+from imucald.mount.solver import MountSolver
+from imucald.mount.states import MountKnowledge
+
+SEGMENTS_PER_H = 3600.0 / (GROUP * BLOCK_S)
+"""Road segments in an hour of driving."""
+
+
+def estimate_details(
+    solver: MountSolver,
+    signals: SignalBlockMaker,
+    known: MountKnowledge,
+    changes: MountChanges,
+    checks: SignalChecks,
+    steering: tuple[float, float] | None,
+) -> dict[str, object]:
+    """Return the details of an estimate.
+
+    steering: zero offset of the steering-wheel angle and its deviation [rad], where it is known.
+    """
+    fused, bias = solver.fused, solver.bias
+    return {
+        "evidence_share": {} if fused is None else fused.shares,
+        "evidence_std_deg": {
+            name: math.degrees(math.sqrt(source.variance))
+            for name, source in solver.sources.items()
+        },
+        "accel_bias": [] if bias is None else bias.tolist(),
+        "gyro_bias": signals.offsets.gyro_bias.tolist(),
+        "yaw_rate_offset": signals.offsets.yaw_rate,
+        "steering_offset": None if steering is None else steering[0],
+        "steering_offset_std": None if steering is None else steering[1],
+        "speed_delay": solver.delay_speed.value,
+        "speed_delay_std": solver.delay_speed.std,
+        "gain_dvdt": solver.gains()[0],
+        "gain_turn": solver.gains()[1],
+        "launches_and_brakings": known.straight,
+        "left_turns": known.lefts,
+        "right_turns": known.rights,
+        "stops": known.stops,
+        "distance": solver.gravity.metres,
+        "shifts": [
+            {
+                "t": block * BLOCK_S,
+                "angle": ANGLES[shift.axis],
+                "size_deg": math.degrees(shift.size),
+                "deviations": shift.deviations,
+            }
+            for block, shift in changes.history
+        ],
+        "creep": creep_details(solver.creep),
+        "cross_axis_std": solver.cross_axis_std,
+        "faults": [{"t": block * BLOCK_S, "fault": fault.value} for block, fault in checks.history],
+        "not_checked": list(checks.not_checked),
+        "frozen_ticks": dict(signals.health.counts),
+    }
+
+
+def creep_details(creep: Creep | None) -> dict[str, dict[str, float]]:
+    """Angles that creep: how fast by the time of driving, how far so far, how sure that is."""
+    if creep is None:
+        return {}
+    return {
+        angle: {
+            "deg_per_h": math.degrees(float(creep.rate[i])) * SEGMENTS_PER_H,
+            "moved_deg": math.degrees(float(creep.moved[i])),
+            "probability": float(creep.probability[i]),
+        }
+        for i, angle in enumerate(ANGLES)
+        if creep.probability[i] > BELIEVED
+    }

@@ -1,0 +1,171 @@
+"""The solver whose rotation counts, and how another takes its place.
+
+A solver begins anew in four ways: without any hint (`begin_without_rotation`), as the speed came or
+went, to go through the first minutes a second time (`look_again`), and with what came after a
+change of the mount (`begin_after_change`). The last two go through kept blocks, a little per tick,
+while the old one still counts.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.manoeuvres import Manoeuvres
+from imucald.mount.offsets import Offsets
+from imucald.mount.refit import KEPT_BLOCKS, Refit
+from imucald.mount.saved_information import SavedInformation
+from imucald.mount.signal_blocks import SignalBlock
+from imucald.mount.solver import MountSolver
+
+Array = NDArray[np.float64]
+
+KNOWN_REST_TICKS = 25.0
+"""Ticks at rest from which the gyro bias counts as known."""
+FIRST_LOOK_BLOCKS = 14
+"""The second look takes at least that many blocks (90 s)."""
+LAST_LOOK_BLOCKS = 28
+"""Without a rest to know the gyro bias from, it waits no longer than that (3 min)."""
+
+
+class RestartableSolver:
+    """A `MountSolver` with what it takes to begin anew.
+
+    now: the solver that counts. kept: the last blocks (350 s). driven: manoeuvres behind its
+    rotation. has_looked_again: it has gone through its first minutes twice, or need not.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._settings = settings
+        self.now = MountSolver(settings)
+        self.kept: deque[SignalBlock] = deque(maxlen=KEPT_BLOCKS)
+        self.driven = Manoeuvres()
+        self.has_looked_again = False
+        self._refit: Refit | None = None
+        self._follows_change = False
+        self._segment = 0
+
+    @property
+    def is_refitting(self) -> bool:
+        """Whether another solver goes through kept blocks and is to take over."""
+        return self._refit is not None
+
+    @property
+    def is_outdated(self) -> bool:
+        """Whether the solver that counts still is one of the mount before a change."""
+        return self._refit is not None and self._follows_change
+
+    @property
+    def can_compare(self) -> bool:
+        """Whether new blocks can be compared with a rotation."""
+        return self.now.R is not None and self.now.yaw_known and not self.is_outdated
+
+    def take(self, p: SignalBlock, without_speed: bool) -> None:
+        """Take a block; without_speed: nobody knows the vehicle's speed."""
+        self.kept.append(p)
+        if without_speed != self.now.response.without_speed:  # evidence of another kind
+            self.now = self._new(without_speed)
+        self.driven.add(*self.now.add(p))
+        if self._refit is not None:
+            self._refit.push(p)
+
+    def step(self) -> None:
+        """Go on by one tick with the solver that is to take over."""
+        if self._refit is None:
+            return
+        done = self._refit.step()
+        if done is None:
+            self.now, self._refit = self._refit.fresh, None
+        elif self._follows_change:
+            self.driven.add(*done)
+
+    def fit(self) -> bool:
+        """Fit the rotation to all evidence so far; return whether it is a first one."""
+        starts = self.now.starts
+        self.now.fit()
+        return self.now.starts > starts
+
+    def follow_creep(self, has_shifted: bool) -> None:
+        """See once a road segment whether the mount creeps; has_shifted: it did in this drive."""
+        if self.now.response.segment != self._segment:
+            self._segment = self.now.response.segment
+            self.now.p_constant = P_CONSTANT_AGAIN if has_shifted else P_CONSTANT
+            self.now.follow_creep()
+
+    def gap(self) -> None:
+        """Time jumped."""
+        if self._refit is not None and self._follows_change:
+            self.now = self._refit.fresh  # what came before the change must not return
+        self.now.gap()
+        self._refit = None
+        self.kept.clear()
+
+    def begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
+        """Begin anew from these blocks: not even the rotation so far is a hint."""
+        self.now = self._new(self.now.response.without_speed)
+        self._refit = None
+        self.has_looked_again = True
+        self.driven = Manoeuvres()
+        for p in blocks:
+            self.driven.add(*self.now.add(p))
+
+    def begin_after_change(self, blocks: Iterable[SignalBlock], offsets: Offsets) -> None:
+        """Begin anew from the blocks after a small change of the mount."""
+        self.now.past_drives = None  # it is about the mount before
+        self.has_looked_again = True
+        self.driven = Manoeuvres()
+        self._begin_refit(blocks, offsets, follows_change=True)
+
+    def look_again(self, offsets: Offsets) -> None:
+        """Once gyro bias and rotation are known, go through the first minutes again."""
+        is_bias_known = offsets.gyro_ticks >= KNOWN_REST_TICKS
+        is_long_enough = len(self.kept) >= FIRST_LOOK_BLOCKS
+        is_late = len(self.kept) >= LAST_LOOK_BLOCKS
+        if self.now.sure() and is_long_enough and (is_bias_known or is_late):
+            self.has_looked_again = True
+            self._begin_refit(self.kept, offsets, follows_change=False)
+
+    def _new(self, without_speed: bool) -> MountSolver:
+        solver = MountSolver(self._settings)
+        solver.response.without_speed = without_speed
+        return solver
+
+    def _begin_refit(
+        self, blocks: Iterable[SignalBlock], offsets: Offsets, follows_change: bool
+    ) -> None:
+        fresh = MountSolver(self._settings)
+        fresh.start_from(self.now)
+        self._refit = Refit(fresh, blocks, offsets.gyro_bias.copy())
+        self._follows_change = follows_change
+
+    # past drives ----------------------------------------------------------------------------
+
+    @property
+    def contradiction(self) -> float | None:
+        """Chi-square (3) of past drives' evidence against this one's; None without any."""
+        past = self.now.past_drives
+        return None if past is None else past.contradiction
+
+    def saved_information(self) -> SavedInformation | None:
+        """What all evidence comes to, for the next start; None where there is too little."""
+        return None if self.is_outdated else self.now.kept()
+
+    def join(self, kept: SavedInformation) -> None:
+        """Go on with what past drives found as well."""
+        for solver in self._solvers():
+            solver.join(kept)
+        self.now.fit()
+
+    def drop_past_drives(self) -> None:
+        """Go on with this drive's evidence alone."""
+        for solver in self._solvers():
+            solver.past_drives = None
+        self.now.fit()
+
+    def _solvers(self) -> list[MountSolver]:
+        return [self.now] if self._refit is None else [self.now, self._refit.fresh]

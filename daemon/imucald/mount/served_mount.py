@@ -1,0 +1,77 @@
+"""The state that is reported for a mount, and the rotation that is applied under it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from imucald.core.rotations import Matrix3
+from imucald.mount.acceptance import Acceptance
+from imucald.mount.estimate import Correction, MountState
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.hysteresis import GOOD
+from imucald.mount.slewing import SlewedRotation
+from imucald.mount.states import MountKnowledge, judged, reported
+
+SLEW_RATE = math.radians(0.5)
+"""The applied rotation turns no faster than this [rad/s]."""
+
+
+class ServedMount:
+    """Judges the knowledge after each block, and follows a good rotation tick by tick.
+
+    state: what is reported. has_moved: the mount has moved, and nothing good was applied since.
+    """
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._settings = settings
+        self._slewed = SlewedRotation(SLEW_RATE)
+        self.state = MountState.WAITING
+        self.has_moved = False
+
+    @property
+    def correction(self) -> Correction | None:
+        """The rotation to apply now, or None."""
+        return self._slewed.correction
+
+    @property
+    def is_turning(self) -> bool:
+        """Whether the next tick changes what is applied."""
+        return self._slewed.is_moving
+
+    def step(self) -> None:
+        """Go on by one tick."""
+        self._slewed.step()
+
+    def judge(
+        self,
+        known: MountKnowledge,
+        acceptance: Acceptance,
+        has_faults: bool,
+        is_refitting: bool,
+        rotation: Callable[[], Matrix3],
+    ) -> None:
+        """Find the state after a block; where it is good, turn towards the rotation.
+
+        has_faults: something contradicts the estimate. is_refitting: it is sought again.
+        rotation: R_vehicle_from_sensor (3, 3) of the evidence so far.
+        """
+        was_good, is_serving = self.state in GOOD, self.correction is not None
+        found = self._accepted(judged(known, self.state, self._settings), acceptance)
+        self.state = reported(found, has_faults, is_serving, self.has_moved, is_refitting)
+        if self.state not in GOOD:
+            return
+        self._slewed.aim(rotation())
+        if was_good or self._slewed.has_arrived:
+            self.has_moved = False
+        else:  # good again, but what is applied is still on the way from what was wrong
+            self.state = MountState.RECALIBRATING
+
+    def _accepted(self, found: MountState, acceptance: Acceptance) -> MountState:
+        """No *fine* before the tests can see, and nothing good in the face of a contradiction."""
+        is_serving = self.correction is not None and not self.has_moved
+        if found in GOOD and not is_serving and acceptance.missing_to_be_good() is not None:
+            return MountState.LEVELLED
+        if found is MountState.FINE and not acceptance.may_be_fine():
+            return MountState.USABLE
+        return found
