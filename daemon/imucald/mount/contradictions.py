@@ -50,6 +50,9 @@ MAX_BLOCKS = 40
 TURNS, HARD_TURNS = 1.2, 2.0
 """Sizes of v r [m/s^2] from which the force in turns is asked for its sign, and for its gain: a
 bend banked by 8 % takes 0.8 m/s^2 of it away (AASHTO, superelevation)."""
+NOISE = 3.0
+"""A block in which the turn rate's own noise makes v r of a third of those sizes is not asked: what
+goes beyond them there is noise that was picked out, and no bend."""
 MOVING = 2.0
 """Below this speed [m/s] steering and turning say little of one another."""
 
@@ -84,6 +87,13 @@ WORDS = {
     "signs of the accelerometer ('sign: -1'), or that line",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
 }
+
+
+def _own_noise(signal: Array) -> float:
+    """Deviation of what is white in an even signal (N,): from the middle between its neighbours a
+    value differs by 1 + 1/4 + 1/4 times its variance. A vehicle turns for seconds."""
+    left = signal[1:-1] - 0.5 * (signal[:-2] + signal[2:])
+    return math.sqrt(float(left @ left) / (1.5 * len(left)))
 
 
 class PairWatch:
@@ -214,8 +224,11 @@ class Contradictions:
         use = moving[then] & (p.ok_force & p.learn)[now]
         turn = p.speed[then] * turn_rate[now]
         turning = use & (p.ok_rate | p.ok_yaw)[now]
-        self.turns.add(turn, force[:, 1], turning & (np.abs(turn) > TURNS))
-        self.hard_turns.add(turn, force[:, 1], turning & (np.abs(turn) > HARD_TURNS))
+        noise = NOISE * _own_noise(turn_rate) * float(np.abs(p.speed).max())
+        if noise < TURNS:
+            self.turns.add(turn, force[:, 1], turning & (np.abs(turn) > TURNS))
+        if noise < HARD_TURNS:
+            self.hard_turns.add(turn, force[:, 1], turning & (np.abs(turn) > HARD_TURNS))
         ahead, change = force[:, 0], p.accel[then]
         self.speed.add(change - change.mean(), ahead - ahead.mean(), use)
 

@@ -154,6 +154,7 @@ class GravityObserver:
                 else:
                     weight = (self._use & p.ok_rate) / noise2
                     weight /= np.maximum(_sizes(unexplained) / (2.0 * FORCE_LARGE), 1.0)
+                    self.steps.follow_walk(p.rate_walk * PULL_S)
                     self.steps.add(before, answer, states[:, :, 4:], self._end, unexplained, weight)
             self._follow_drift(p, states[-1, :, 0], unexplained, pull)
         lone: Array = p.force - gravity - answered

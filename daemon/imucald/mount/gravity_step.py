@@ -7,6 +7,11 @@ C(t) d = (I - B(t)) d, where B follows the equation of the vertical from zero at
 is fitted by least squares for each of the last blocks' beginnings as the time of the step (a
 generalised likelihood ratio test, Willsky and Jones, IEEE Trans. Autom. Control 21, 1976). How
 large d is without any step is learnt from the drive itself, for every age and axis.
+
+A gyroscope that sends seldom lets the vertical walk by itself (`gyro_walk`), and d with it. Walking
+by q a second and pulled back with the time constant T, the vertical is off with a covariance of
+q T / 2 exp(-|t - s| / T); a fit of d exp(-t / T) to that has the variance q T, once it is longer
+than T, and less before. So g^2 q T is in the spread of d, beside what the drive has told.
 """
 
 from __future__ import annotations
@@ -88,6 +93,7 @@ class GravityStepDetector:
         self._score = np.zeros((AGES, 3))
         self._information = np.zeros((AGES, 3, 3))
         self._square = np.full((AGES, 2), SPREAD_PRIOR**2)
+        self._walked = np.zeros((3, 3))
         self._blocks = 0
         self._seen = 0
         self.history = GravityStepHistory()
@@ -95,11 +101,17 @@ class GravityStepDetector:
     def start_from(self, other: GravityStepDetector) -> None:
         """Begin with another's experience of what is usual, but without its candidates."""
         self._square, self._seen = other._square.copy(), other._seen
+        self._walked = other._walked.copy()
 
     def restart(self) -> None:
         """The vertical starts anew: no candidate reaches back beyond."""
         self._blocks = 0
         self.history = GravityStepHistory()
+
+    def follow_walk(self, walked: Array) -> None:
+        """Take how far the vertical walks by itself in a block until it is pulled back (3, 3)
+        [rad^2], sensor axes: the mean of the blocks that a step may have been in."""
+        self._walked += (walked - self._walked) / AGES
 
     def add(
         self,
@@ -143,7 +155,9 @@ class GravityStepDetector:
         size = np.asarray(
             np.linalg.solve(information + prior, score[:, :, None])[:, :, 0], np.float64
         )
-        usual = self._square[:ages]
+        # a turn about y moves gravity ahead, one about x aside
+        walked = (R @ self._walked @ R.T).diagonal()[1::-1]
+        usual = self._square[:ages] + GRAVITY * GRAVITY * walked
         deviations = size / np.sqrt(usual + OTHER_AXIS * usual[:, ::-1])
         self._learn(size, ages)
         if self._seen < SETTLED or ages < FIRST_AGE:

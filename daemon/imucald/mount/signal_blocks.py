@@ -20,6 +20,7 @@ from imucald.motion.standstill import ZERO_SPEED, is_parked
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S, TickRow, empty_rows
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.gyro_walk import sampling_walk
 from imucald.mount.offsets import Offsets
 
 Array = NDArray[np.float64]
@@ -68,6 +69,8 @@ class SignalBlock(Struct):
     sided: Mapping[str, tuple[Array, Flags]] = field(default_factory=dict)
     # What else knows left from right: lateral_accel (N,) [m/s^2], heading (N,) [rad] as it comes,
     # without jumps at north; each with where it is known.
+    rate_walk: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    # what samples that come seldom add to the angle, sensor axes [rad^2/s], see `gyro_walk`
 
     def with_gyro_bias(self, gyro_bias: Array) -> SignalBlock:
         """The same block as if that gyro bias [rad/s] (3,) had been known."""
@@ -109,6 +112,7 @@ class SignalBlockMaker:
         self.steering_offset = 0.0
         self._reverse = 0.0
         self._rest_run = 0
+        self._rate_walk = np.zeros((3, 3))
         new = slice(BEFORE, BEFORE + BLOCK_TICKS)
         self.health = SignalHealth(new, settings.calibration.full_scale, settings.vehicle.track)
         self.seen: set[str] = set()
@@ -178,6 +182,7 @@ class SignalBlockMaker:
             had_rate=ok_rate[mid],
             gyro_bias=self.offsets.gyro_bias,
             sided=self._sided(t, at[mid]),
+            rate_walk=self._rate_walk,
         )
         if self.without_speed:
             prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
@@ -200,6 +205,8 @@ class SignalBlockMaker:
         else:
             times = t[has] - rows[has, columns.age]
             values = rows[has, mean]
+        if signal == "gyro":
+            self._rate_walk = sampling_walk(times, values, ACCEL_GAP)
         return bridged(at, times, values, ACCEL_GAP)
 
     def _speed(self, t: Array, at: Array) -> tuple[Array, Flags]:

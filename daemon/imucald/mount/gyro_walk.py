@@ -1,0 +1,43 @@
+"""How the angle walks that is summed from a gyroscope which sends seldom.
+
+Such a sensor says what the rate was at an instant, and not its mean since the sample before. What
+shakes faster than half of its rate is then taken for slow turning (aliasing), and adds up: with
+e_i the part of a sample that has nothing to do with its neighbours, and h_i the time that it
+stands for, the angle walks by the sum of h_i e_i. How large e is the samples say themselves: from
+the line between its neighbours one differs by r_i = e_i - a e_(i-1) - b e_(i+1), a + b = 1, so
+that E[r r'] = (1 + a^2 + b^2) E[e e']. Quick turning that is really there counts as well: the walk
+is rather too large than too small.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.motion.ticks import TICK_S
+
+Array = NDArray[np.float64]
+
+SELDOM = 1.5 * TICK_S
+"""From so much on, between samples, some tick has none of its own [s]."""
+
+
+def sampling_walk(times: Array, rates: Array, longest: float) -> Array:
+    """What samples (M, 3) [rad/s] at times (M,) add to the angle's variance (3, 3) [rad^2/s].
+
+    Zero where samples come at least once a tick. longest: holes beyond are not bridged [s].
+    """
+    if len(times) < 3:
+        return np.zeros((3, 3))
+    gaps = np.diff(times)
+    before, after = gaps[:-1], gaps[1:]
+    stands_for = 0.5 * (before + after)
+    use = (stands_for > SELDOM) & (np.maximum(before, after) <= longest)
+    if not use.any():
+        return np.zeros((3, 3))
+    b = before[use] / (before[use] + after[use])
+    a = 1.0 - b
+    left = rates[1:-1][use] - a[:, None] * rates[:-2][use] - b[:, None] * rates[2:][use]
+    weight = stands_for[use] ** 2 / (1.0 + a * a + b * b)
+    out: Array = (left * weight[:, None]).T @ left / float(stands_for.sum())
+    return out

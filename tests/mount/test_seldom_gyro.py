@@ -1,0 +1,137 @@
+"""A gyroscope that sends seldom lets the vertical walk, and noise in a turn rate is no bend."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from imucald.core.rotations import rotation_from_vector
+from imucald.core.samples import GRAVITY, Series
+from imucald.motion.ticks import ticks_from_samples
+from imucald.mount.contradictions import Contradictions, StandingFault
+from imucald.mount.gravity_observer import GravityObserver
+from imucald.mount.gravity_step import GravityStep
+from imucald.mount.gyro_walk import sampling_walk
+from imucald.mount.signal_blocks import ACCEL_GAP, BLOCK_TICKS, SignalBlockMaker
+from mount_settings import full
+from signal_block import block
+
+Array = NDArray[np.float64]
+
+SPACING = 0.24
+SHAKING = 0.1
+"""What the samples hold of quick shaking [rad/s], rms."""
+
+
+def test_the_walk_of_white_samples_is_their_variance_times_the_time_between_them() -> None:
+    rng = np.random.default_rng(1)
+    times = SPACING * np.arange(4000) + 0.02 * rng.uniform(size=4000)
+    sizes = np.array([0.1, 0.05, 0.0])
+    rates = sizes * rng.standard_normal((4000, 3))
+    walk = sampling_walk(times, rates, ACCEL_GAP)
+    assert np.diag(walk) == pytest.approx(sizes**2 * SPACING, rel=0.1)
+    summed = np.cumsum(rates * np.gradient(times)[:, None], axis=0)
+    apart = summed[25::25] - summed[:-25:25]  # 6 s
+    assert np.var(apart[:, 0]) == pytest.approx(walk[0, 0] * 25 * SPACING, rel=0.3)
+
+
+def test_slow_turning_and_samples_in_every_tick_make_no_walk() -> None:
+    times = SPACING * np.arange(400)
+    slow = 0.1 * np.sin(2.0 * np.pi * 0.05 * times)[:, None] * np.ones(3)
+    assert np.abs(sampling_walk(times, slow, ACCEL_GAP)).max() < 1e-6
+    rng = np.random.default_rng(2)
+    often = 0.1 * np.arange(400)
+    assert not sampling_walk(often, rng.standard_normal((400, 3)), ACCEL_GAP).any()
+    assert not sampling_walk(times[:2], slow[:2], ACCEL_GAP).any()
+
+
+@pytest.mark.parametrize(("spacing", "walks"), [(SPACING, True), (0.01, False)])
+def test_blocks_say_how_far_the_angle_walks(spacing: float, walks: bool) -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 20.0, spacing)
+    force = np.tile([0.0, 0.0, GRAVITY], (len(t), 1))
+    samples = {
+        "accel": Series(t, force),
+        "gyro": Series(t, SHAKING * rng.standard_normal((len(t), 3))),
+        "speed": Series(t, np.full(len(t), 10.0)),
+    }
+    maker, found = SignalBlockMaker(full()), []
+    for row in ticks_from_samples(samples, 0, 200, {}).tolist():
+        if maker.push(row):
+            found.append(maker.block().rate_walk)
+    assert found
+    if walks:
+        expected = SHAKING**2 * SPACING
+        assert 0.3 < np.trace(found[-1]) / (3.0 * expected) < 3.0
+    else:
+        assert not found[-1].any()
+
+
+def seldom_sampled(
+    seed: int, is_said: bool, turned: Array | None = None, rough_from: int = 91
+) -> list[GravityStep | None]:
+    """Level road, a gyroscope that holds shaking as if it were turning, 13 minutes.
+
+    is_said: whether blocks say what walk that makes. turned: of the sensor, after 100 blocks.
+    rough_from: the block from which the road is rough.
+    """
+    rng = np.random.default_rng(seed)
+    tracker, found = GravityObserver(), []
+    R_moved = np.eye(3) if turned is None else rotation_from_vector(turned)
+    ticks = 0.1 * np.arange(BLOCK_TICKS)
+    times = SPACING * np.arange(-1, 29)
+    for k in range(120):
+        size = SHAKING if k >= rough_from else 0.1 * SHAKING
+        samples = size * rng.standard_normal((len(times), 3))
+        rate = np.column_stack([np.interp(ticks, times, samples[:, i]) for i in range(3)])
+        force = np.tile([0.0, 0.0, GRAVITY], (BLOCK_TICKS, 1))
+        force += 0.05 * rng.standard_normal(force.shape)
+        if k >= 100:
+            force = force @ R_moved
+        walk = sampling_walk(times, samples, ACCEL_GAP) if is_said else np.zeros((3, 3))
+        p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate, rate_walk=walk)
+        tracker.advance(p, np.zeros((BLOCK_TICKS, 3)), None, sure=True)
+        found.append(tracker.steps.found(np.eye(3)))
+    return found
+
+
+def test_a_walk_of_the_vertical_is_no_step_in_gravity() -> None:
+    wrong = [any(seldom_sampled(seed, is_said=False)) for seed in range(4)]
+    right = [any(seldom_sampled(seed, is_said=True)) for seed in range(4)]
+    assert any(wrong), "without the walk this is taken for a step, else the test shows nothing"
+    assert not any(right)
+
+
+def test_a_step_far_beyond_the_walk_is_still_found() -> None:
+    found = seldom_sampled(
+        1, is_said=True, turned=np.array([math.radians(15.0), 0.0, 0.0]), rough_from=999
+    )
+    assert not any(found[:100])
+    assert any(found[100:])
+
+
+def bends(noise: float, sign: float) -> tuple[StandingFault, ...]:
+    """Faults after ten minutes of gentle bends at 20 m/s, with noise in the turn rate [rad/s]."""
+    rng, watch = np.random.default_rng(4), Contradictions(full())
+    t = 0.1 * np.arange(BLOCK_TICKS)
+    for _ in range(90):
+        r = 0.1 * np.sin(0.5 * t + rng.uniform(0.0, 6.0)) * rng.uniform(0.1, 1.0)
+        force = np.column_stack([np.zeros(BLOCK_TICKS), sign * 20.0 * r, np.full(BLOCK_TICKS, 9.8)])
+        force[:, 1] += 0.1 * rng.standard_normal(BLOCK_TICKS)
+        seen = r + noise * rng.standard_normal(BLOCK_TICKS)
+        p = block(force=force, speed=np.full(BLOCK_TICKS, 20.0))
+        watch.add(p, seen, True, np.eye(3), 0.0, False, 0.0)
+    return watch.faults
+
+
+def test_noise_of_the_turn_rate_is_no_bend_that_the_force_contradicts() -> None:
+    assert bends(noise=0.2, sign=1.0) == ()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_force_to_the_wrong_side_is_still_a_contradiction(noise: float) -> None:
+    assert bends(noise, sign=-1.0) == (StandingFault.FORCE_TURNS,)
+    assert bends(noise, sign=1.0) == ()
