@@ -186,6 +186,17 @@ def test_an_accelerometer_that_comes_too_seldom_is_an_error(frames: Frames) -> N
     assert "every 1 s" in told(report, "error")["accelerometer"]
 
 
+@pytest.mark.parametrize("late", [2.0, 3.0])
+def test_a_speed_too_late_for_the_calibration_is_named(frames: Frames, late: float) -> None:
+    shifted = []
+    for chunk in frames:
+        t = chunk.t + np.where(chunk.can_id == 0x1A0, late, 0.0)
+        order = np.argsort(t, kind="stable")
+        shifted.append(replace(chunk.take(order), t=t[order]))
+    warned = told(checked(shifted), "warning")
+    assert "s behind the accelerometer; up to 1.2 s are allowed for" in warned["speed"]
+
+
 def test_frames_that_all_come_twice_leave_no_accelerometer(frames: Frames) -> None:
     twice = [chunk.take(np.repeat(np.arange(len(chunk)), 2)) for chunk in frames]
     report = checked(twice)
