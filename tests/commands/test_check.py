@@ -241,7 +241,27 @@ def test_what_is_missing_is_told_with_its_cost(frames: Frames) -> None:
     report = checked(frames, change)
     assert report["usable"]
     assert "first motion" in told(report, "warning")["speed"]
-    assert "steady angles" in told(report, "note")["gyroscope"]
+    assert "no drive makes the mount usable" in told(report, "warning")["gyroscope"]
+    published = checked(frames, lambda text: change(text) + "calibration: {estimator: published}\n")
+    assert "steady angles" in told(published, "note")["gyroscope"]
+
+
+@pytest.mark.parametrize(
+    "turns",
+    [
+        "yaw_rate: ESC_Dynamics.YawRate",
+        "steering_wheel_angle: EPS_SteeringAngle.SteeringWheelAngle",
+    ],
+)
+def test_a_signal_that_shows_turns_stands_in_for_the_gyroscope(frames: Frames, turns: str) -> None:
+    def change(text: str) -> str:
+        head, _, rest = text.partition("signals:\n")
+        kept = [*rest.splitlines()[:4], "  speed: ESC_Speed.VehicleSpeed", f"  {turns}"]
+        return head + "signals:\n" + "\n".join(kept) + "\n"
+
+    report = checked(frames, change)
+    assert "gyroscope" not in told(report, "warning")
+    assert "turns are taken from" in told(report, "note")["gyroscope"]
 
 
 def test_a_message_that_does_not_come_is_told(frames: Frames) -> None:
