@@ -20,6 +20,7 @@ from imucald.can.python_can import can
 from imucald.commands.check_view import print_report
 from imucald.config import parse_config
 from imucald.config_check import Check
+from imucald.core.rotations import rotation_from_angles
 from imucald.runtime.session import make_engine, open_config
 from imucald.simulation import random_model, simulate
 from imucald.traffic.can_log import EPOCH_S, bus_frames
@@ -504,6 +505,35 @@ def test_a_bus_of_another_vehicle_is_one_error_with_its_ids(frames: Frames) -> N
     (finding,) = report["findings"]
     assert finding["level"] == "error"
     assert "0x7A1 on can0" in finding["text"]
+
+
+def test_a_stated_axis_is_held_against_gravity_and_the_change_of_speed(frames: Frames) -> None:
+    mount = random_model(6, standing_first=True).mount
+    angles = (mount.roll_deg, mount.pitch_deg, mount.yaw_deg)
+    R = rotation_from_angles(*map(math.radians, angles))
+    axes = [(sign, name) for name in "xyz" for sign in ("", "-")]
+
+    def pointing(row: int) -> dict[str, str]:
+        parts = {f"{s}{n}": R[row]["xyz".index(n)] * (-1.0 if s else 1.0) for s, n in axes}
+        return {
+            "there": max(parts, key=parts.__getitem__),
+            "away": min(parts, key=parts.__getitem__),
+        }
+
+    def stating(**keys: str) -> dict[str, Any]:
+        line = ", ".join(f"{key}: {axis}" for key, axis in keys.items())
+        return checked(frames, lambda t: t + f"\ncalibration: {{orientation: {{{line}}}}}\n")
+
+    up, forward = pointing(2), pointing(0)
+    right = stating(up=up["there"], forward=forward["there"])
+    assert right["usable"]
+    assert "points forward, as 'orientation' says" in told(right, "ok")["accelerometer"]
+    back = told(stating(up=up["there"], forward=forward["away"]), "error")["accelerometer"]
+    assert f"its {forward['away']} points back" in back
+    assert "sign: -1" not in back
+    mirrored = told(stating(up=up["away"], forward=forward["away"]), "error")["accelerometer"]
+    assert "'sign: -1' on all axes" in mirrored
+    assert "points back" not in mirrored
 
 
 def test_what_could_not_be_judged_is_listed(frames: Frames) -> None:

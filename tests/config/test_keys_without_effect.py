@@ -167,6 +167,14 @@ def test_what_can_never_be_met_is_an_error(
     assert loaded(changes).config is not None
 
 
+@pytest.mark.parametrize("forward", ["z", "-z"])
+def test_one_axis_that_points_up_and_forward_is_an_error(forward: str) -> None:
+    changes = {"calibration.orientation.up": "z", "calibration.orientation.forward": forward}
+    with pytest.raises(ConfigError, match=rf"orientation: up: z and .* {forward} name"):
+        loaded(changes)
+    assert loaded(changes | {"calibration.orientation.forward": "-x"}).config is not None
+
+
 def test_shipped_and_plain_files_say_nothing() -> None:
     assert not told({})
     assert len(ALL) > 60

@@ -196,18 +196,18 @@ def test_the_axis_that_points_up_rules_the_mirror_image_out_and_contradicts_it()
     assert R[2, 2] > 0.9  # z points up
     sound = beside(1.0, stated={"up": "z"})
     assert sound.is_mirror_excluded
-    assert not sound.contradicts_orientation(R, yaw_known=True)
+    assert sound.contradicted_orientation(R, yaw_known=True) is None
     turned = np.diag([-1.0, 1.0, -1.0]) @ R
     mirrored = beside(1.0, stated={"up": "z"}, mirrored=True)
     assert not mirrored.is_mirror_excluded
-    assert mirrored.contradicts_orientation(turned, yaw_known=False)
+    assert mirrored.contradicted_orientation(turned, yaw_known=False) == "up"
 
 
 def test_an_axis_that_is_nearly_level_says_nothing_of_which_way_is_up():
     assert abs(R[2, 0]) < 0.5
     found = beside(1.0, stated={"up": "x"})
     assert not found.is_mirror_excluded
-    assert not found.contradicts_orientation(R, yaw_known=True)
+    assert found.contradicted_orientation(R, yaw_known=True) is None
 
 
 def test_a_stated_forward_axis_knows_forward_from_backward_at_walking_pace():
@@ -218,8 +218,8 @@ def test_a_stated_forward_axis_knows_forward_from_backward_at_walking_pace():
         found.add([block(k, speed=5.0)], R, None, (1.0, 1.0), set(ALONE), 0.0)
     assert found.missing(TO_BE_GOOD) is None
     back = np.diag([-1.0, -1.0, 1.0]) @ R
-    assert found.contradicts_orientation(back, yaw_known=True)
-    assert not found.contradicts_orientation(back, yaw_known=False)
+    assert found.contradicted_orientation(back, yaw_known=True) == "forward"
+    assert found.contradicted_orientation(back, yaw_known=False) is None
 
 
 def test_a_mount_that_a_person_states_counts_where_it_is_the_one_found():

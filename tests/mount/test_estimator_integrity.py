@@ -131,6 +131,17 @@ def test_the_axis_that_points_up_makes_such_a_drive_fine_and_its_mirror_image_a_
 
 
 @pytest.mark.slow
+def test_a_stated_forward_axis_that_points_back_is_a_fault_that_no_sign_mends():
+    R = drive().truth.R_vehicle_from_sensor()
+    axis = int(np.argmax(np.abs(R[0])))
+    forward = ("-" if R[0, axis] > 0.0 else "") + "xyz"[axis]
+    settings = full({"orientation": OrientationSettings(forward=forward)})  # type: ignore[arg-type]
+    estimator, _ = states(dict(drive().samples), minutes=4.0, settings=settings)
+    assert estimator.faults == (StandingFault.FORWARD.value,)
+    assert all("sign: -1" not in text for text in estimator.estimate().waiting_for.values())
+
+
+@pytest.mark.slow
 def test_a_yaw_rate_leaves_nothing_unchecked():
     with_yaw_rate, _ = states(dict(drive().samples), minutes=0.5)
     assert not with_yaw_rate.estimate().details["not_checked"]

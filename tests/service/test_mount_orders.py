@@ -206,6 +206,31 @@ def test_a_configured_mount_that_is_too_vague_is_refused_with_its_line(bench, ca
     assert "shuttle.yaml:" in text
 
 
+@pytest.mark.parametrize(
+    ("roll", "yaw", "words"),
+    [(180, 0, "puts z down, and 'orientation' says up: z"), (0, 180, "puts x back"), (30, 40, "")],
+)
+def test_a_stated_mount_that_contradicts_the_orientation_is_refused(
+    bench, capsys, roll, yaw, words
+):
+    orientation = "orientation: {up: z, forward: x}"
+    bench.edit("estimator: published", "estimator: full")
+    bench.edit("accelerometer_bias: 0.02", f"accelerometer_bias: 0.02\n  {orientation}")
+    service = bench.service()
+    mount = KnownMount(float(roll), 0.0, float(yaw), 0.5)
+    if words:
+        with pytest.raises(OrderError, match=words):
+            service.orders.set_mount(mount, ME)
+    else:
+        assert "in force" in service.orders.set_mount(mount, ME)
+    service.close()
+    stated = f"mount: {{roll_deg: {roll}, pitch_deg: 0, yaw_deg: {yaw}, std_deg: 0.5}}"
+    bench.edit(orientation, f"{orientation}\n  {stated}")
+    assert cli.main(["run", "--check", "--config", str(bench.config)]) == (78 if words else 0)
+    text = capsys.readouterr().err
+    assert f"calibration.mount: {words}" in text if words else "calibration.mount" not in text
+
+
 def test_a_reload_keeps_a_hold(bench):
     service = bench.service()
     bench.drive(service)

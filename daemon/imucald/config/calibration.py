@@ -150,7 +150,8 @@ SensorAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
 
 
 class OrientationSettings(Settings, frozen=True):
-    """Which of the sensor's axes points roughly where, to 60 degrees: no prior, a check."""
+    """Which of the sensor's axes points roughly where: within 60 degrees confirms, beyond 120 is a
+    fault. No prior, a check."""
 
     up: SensorAxis | None = None
     forward: SensorAxis | None = None

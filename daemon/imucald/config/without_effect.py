@@ -69,8 +69,12 @@ LEANING = (
 
 
 def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
-    """Places of keys of method A that no sample can ever meet, each with what they need."""
+    """Places of keys that no sensor or sample can ever meet, each with what they need."""
     calibration, signals = config.calibration, config.signals
+    up, forward = calibration.orientation.up, calibration.orientation.forward
+    if up is not None and forward is not None and up[-1] == forward[-1]:
+        text = f"up: {up} and forward: {forward} name one axis: up and forward are never one"
+        yield ("calibration", "orientation"), text
     if not _is_level(config):
         for i, sensor in enumerate(signals.parallel):
             if sensor.z is None:

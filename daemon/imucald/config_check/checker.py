@@ -146,7 +146,7 @@ class Check:
         found = [
             *(Finding("note", "model", text) for text in notes),
             *decoding.findings(),
-            *judge(motion, vehicle.track, vehicle.wheelbase, vehicle.steering_ratio, stated.up),
+            *judge(motion, vehicle.track, vehicle.wheelbase, vehicle.steering_ratio, stated),
         ]
         wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
         found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]

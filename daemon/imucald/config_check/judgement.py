@@ -12,10 +12,11 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from imucald.config.calibration import SensorAxis
+from imucald.config.calibration import OrientationSettings, SensorAxis
 from imucald.config_check.axes import (
     MIN_BRAKING,
     OTHER_UNIT,
+    Response,
     axes_findings,
     best_response,
     speed_findings,
@@ -54,22 +55,25 @@ up to 10 % more (UN R39)."""
 MIN_BRAKING_TICKS = 50
 """Ticks with and without brake that a judgement of it needs: 5 s."""
 
+NOT_STATED = OrientationSettings()
+
 
 def judge(
     motion: Motion,
     track: float,
     wheelbase: float,
     steering_ratio: float,
-    up: SensorAxis | None = None,
+    stated: OrientationSettings = NOT_STATED,
 ) -> Iterator[Finding]:
     """Yield everything that the motion shows about units, signs and axes.
 
     A wrong scale of accelerometer or speed is reported once and then allowed for, so that it is not
-    reported again for every signal that is compared with them. up: the axis of the sensor that a
-    person says points up.
+    reported again for every signal that is compared with them. stated: how a person says that the
+    sensor sits.
     """
     yield from _at_rest(motion)
-    yield from _orientation(motion, up)
+    of_up = list(_up(motion, stated.up))
+    yield from of_up
     backwards = list(_reverse(motion))
     if backwards:
         yield from backwards
@@ -80,6 +84,8 @@ def judge(
         response = best_response(motion, motion.turn_rates(track, wheelbase, steering_ratio))
         if response is not None:
             yield from speed_findings(response)
+            if not any(finding.level == "error" for finding in of_up):  # that is the mirror image
+                yield from _forward(response, stated.forward)
             gain = float(np.linalg.norm(response.along))
             if is_wrong(gain):
                 motion = motion.scaled(speed=gain)
@@ -92,10 +98,10 @@ def judge(
         yield from turning_axis_findings(motion)
     yield from (f for f in _speed_against_wheels(motion) if not (is_scaled and f.level == "ok"))
     yield from _brake(motion)
-    yield from _not_checked(motion, rates, up)
+    yield from _not_checked(motion, rates, stated)
 
 
-def _orientation(motion: Motion, up: SensorAxis | None) -> Iterator[Finding]:
+def _up(motion: Motion, up: SensorAxis | None) -> Iterator[Finding]:
     """Whether gravity is where a person says that it is."""
     if up is None or motion.up is None or motion.planar:
         return
@@ -108,6 +114,22 @@ def _orientation(motion: Motion, up: SensorAxis | None) -> Iterator[Finding]:
     else:
         text = f"'calibration: orientation' says {up}, which lies nearly level: name another axis"
         yield Finding("warning", "accelerometer", text)
+
+
+def _forward(response: Response, forward: SensorAxis | None) -> Iterator[Finding]:
+    """Whether the force of a rising speed is where a person says that forward is."""
+    if forward is None:
+        return
+    ahead = response.along / np.linalg.norm(response.along)
+    part = float(ahead @ unit_vector(forward))
+    if part < -CLEAR_PART:
+        text = f"its {forward} points back, and 'calibration: orientation' says forward: {forward}"
+        yield Finding("error", "accelerometer", f"{text}; correct that line")
+    elif part > CLEAR_PART:
+        yield Finding("ok", "accelerometer", f"its {forward} points forward, as 'orientation' says")
+    else:
+        text = f"'calibration: orientation' says forward: {forward}, which points across, or up"
+        yield Finding("warning", "accelerometer", f"{text}: name another axis")
 
 
 def _speed_against_wheels(motion: Motion) -> Iterator[Finding]:
@@ -130,7 +152,7 @@ def _speed_against_wheels(motion: Motion) -> Iterator[Finding]:
 
 
 def _not_checked(
-    motion: Motion, rates: Mapping[str, Array], up: SensorAxis | None
+    motion: Motion, rates: Mapping[str, Array], stated: OrientationSettings
 ) -> Iterator[Finding]:
     """What the drive, or its signals, could not show."""
     left: list[str] = []
@@ -139,7 +161,7 @@ def _not_checked(
         left.append("signs and units of what shows turns (no bends, or no such signal)")
     elif len(turning) == 1:
         left.append(f"the sign of {turning[0]} in turns (nothing beside it)")
-    if turning == ["gyroscope"] and up is None and "heading" not in motion.grid:
+    if turning == ["gyroscope"] and stated == NOT_STATED and "heading" not in motion.grid:
         left.append(f"{NOT_CHECKED}; the mount stays usable and is never fine")
     if motion.speed is None:
         left.append("all that needs the speed")

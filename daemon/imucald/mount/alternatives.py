@@ -37,7 +37,7 @@ from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
-from imucald.mount.stated_orientation import StatedOrientation
+from imucald.mount.stated_orientation import Stated, StatedOrientation
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -154,9 +154,9 @@ class Alternatives:
         """A person states the mount."""
         self._stated.take_mount(R)
 
-    def contradicts_orientation(self, R: Matrix3, yaw_known: bool) -> bool:
-        """Whether a person said that the sensor sits the other way round."""
-        return self._stated.contradicts(R, yaw_known)
+    def contradicted_orientation(self, R: Matrix3, yaw_known: bool) -> Stated | None:
+        """Which axis a person said to point the other way; None: none."""
+        return self._stated.contradicted(R, yaw_known)
 
     def add(
         self,

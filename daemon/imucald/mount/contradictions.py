@@ -68,6 +68,7 @@ class StandingFault(enum.StrEnum):
     SPEED_GAIN = "speed_unit"
     GYRO_AXES = "gyroscope_axes"
     ORIENTATION = "accelerometer_against_orientation"
+    FORWARD = "forward_against_orientation"
     NUMERICS = "numbers_out_of_range"
 
 
@@ -83,8 +84,10 @@ WORDS = {
     StandingFault.SPEED_GAIN: "the speed's unit is wrong",
     StandingFault.GYRO_AXES: "the gyroscope's axes do not fit the accelerometer's: a sign, or two "
     "axes exchanged, of one of them, or a sensor that sways in its holder",
-    StandingFault.ORIENTATION: "the sensor sits the other way round than 'orientation:' says: all "
+    StandingFault.ORIENTATION: "the axis that 'orientation: {up: ...}' names points down: all "
     "signs of the accelerometer ('sign: -1'), or that line",
+    StandingFault.FORWARD: "the axis that 'orientation: {forward: ...}' names points back: that "
+    "line is wrong, or the reverse signal",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
 }
 

@@ -25,8 +25,8 @@ EVIDENCE_KINDS = {
 }
 """What the last part of an evidence's name means."""
 MIRRORED = (
-    "upside down and backwards: if the sensor does not sit so, its accelerometer shows minus the "
-    "specific force; give its axes 'sign: -1', or say 'calibration: {orientation: {up: z}}'"
+    "upside down and backwards: if the sensor sits so, say 'calibration: {orientation: {up: AXIS}}'"
+    "; if not, its accelerometer shows minus the specific force: give its axes 'sign: -1'"
 )
 UNKNOWN_STD_DEG = math.degrees(1.0)
 """An angle with a larger standard deviation is as good as unknown [deg]."""
@@ -73,7 +73,10 @@ def mirror_note(estimate: MountEstimate) -> str | None:
         return None
     if half_width(std[2] * DEG_PER_RAD) is None:  # which way is forward is not known yet
         return None
-    return MIRRORED if R[0, 0] < 0.0 and R[2, 2] < 0.0 else None
+    if not (R[0, 0] < 0.0 and R[2, 2] < 0.0):
+        return None
+    up = max(range(3), key=lambda i: abs(R[2, i]))
+    return MIRRORED.replace("AXIS", ("-" if R[2, up] < 0.0 else "") + "xyz"[up])
 
 
 def reasons(waiting_for: Mapping[str, str]) -> Iterator[tuple[str, str]]:

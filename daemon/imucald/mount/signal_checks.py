@@ -15,11 +15,17 @@ from imucald.mount.contradictions import Contradictions, StandingFault
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.solver import MountSolver
+from imucald.mount.stated_orientation import Stated
 
 STUCK_BLOCKS = 40
 """While a contradiction stands the rotation is sought anew every 4 min: the mount may move."""
 FOUND_ANEW = frozenset({StandingFault.FORCE_TURNS, StandingFault.FORCE_SPEED})
 """Faults that end by a rotation that was found while they stood: that one stays."""
+
+AGAINST_A_PERSON: dict[Stated, StandingFault] = {
+    "up": StandingFault.ORIENTATION,
+    "forward": StandingFault.FORWARD,
+}
 
 
 class SignalChecks:
@@ -61,7 +67,7 @@ class SignalChecks:
             solver.delay_speed.value if solver.delay_speed.is_known else None,
         )
         self._alternatives.add(kept, R, solver.bias, solver.gains(), signals.seen, offset)
-        before = tuple(f for f in self.standing if f is not StandingFault.ORIENTATION)
+        before = tuple(f for f in self.standing if f not in AGAINST_A_PERSON.values())
         self.standing = self._contradictions.faults
         if self._alternatives.gyro_accused and (solver.sure() or StandingFault.GYRO_AXES in before):
             self.accuse(StandingFault.GYRO_AXES)
@@ -77,13 +83,14 @@ class SignalChecks:
 
     def hold_against_orientation(self, solver: MountSolver, block: int) -> None:
         """A fault where the sensor is found to sit the other way round than a person said."""
-        fault = StandingFault.ORIENTATION
-        if solver.R is None or fault in self.standing:
+        if solver.R is None:
             return
-        if self._alternatives.contradicts_orientation(solver.R, solver.yaw_known):
-            self.accuse(fault)
-            if fault not in {seen for _, seen in self.history}:
-                self.history.append((block, fault))
+        stated = self._alternatives.contradicted_orientation(solver.R, solver.yaw_known)
+        if stated is None or (fault := AGAINST_A_PERSON[stated]) in self.standing:
+            return
+        self.accuse(fault)
+        if fault not in {seen for _, seen in self.history}:
+            self.history.append((block, fault))
 
     def forget_forces(self) -> None:
         """What the forces said was said of another rotation."""

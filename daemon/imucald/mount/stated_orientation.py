@@ -3,9 +3,13 @@
 The mirror image of a drive (all signs of the accelerometer turned) puts up and forward the other
 way round, a drive that goes backwards puts forward and left: either is 180 deg from the truth. So
 which axis points up, or forward, is enough to rule them out, however roughly it does.
+
+An axis within 60 deg of where it is said to point confirms, one beyond 120 deg contradicts.
 """
 
 from __future__ import annotations
+
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +23,7 @@ CLEAR = 0.5
 """Part of an axis along where it is said to point that says yes, or no with the other sign: within
 60 deg. In between the axis is nearer to level (or across) than up or down."""
 FORWARD, UP = 0, 2
+Stated = Literal["up", "forward"]
 
 
 class StatedOrientation:
@@ -33,10 +38,13 @@ class StatedOrientation:
         """A person states the whole mount; where it is not the one found, it says nothing."""
         self._mount = R
 
-    def contradicts(self, R: Matrix3, yaw_known: bool) -> bool:
-        """Whether a stated axis points the other way in R_vehicle_from_sensor."""
-        rows = self._axes if yaw_known else self._axes.keys() & {UP}
-        return any(float(R[row] @ self._axes[row]) < -CLEAR for row in rows)
+    def contradicted(self, R: Matrix3, yaw_known: bool) -> Stated | None:
+        """The key whose axis points the other way in R_vehicle_from_sensor; up before forward."""
+        rows: tuple[tuple[int, Stated], ...] = ((UP, "up"), (FORWARD, "forward"))
+        for row, key in rows if yaw_known else rows[:1]:
+            if row in self._axes and float(R[row] @ self._axes[row]) < -CLEAR:
+                return key
+        return None
 
     def confirms_up(self, R: Matrix3) -> bool:
         """Whether a person said the same of which way is up."""

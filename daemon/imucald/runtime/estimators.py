@@ -10,13 +10,14 @@ import numpy as np
 from msgspec.structs import replace
 
 from imucald.config import Config
-from imucald.config.calibration import KnownMount
+from imucald.config.calibration import CalibrationSettings, KnownMount
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import rotation_from_angles
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountEstimator, MountState, Targets
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.restored import RestoredEstimator, StoredMount
+from imucald.mount.stated_orientation import StatedOrientation
 
 if TYPE_CHECKING:
     from imucald.model_compensation import ModelCompensation
@@ -80,6 +81,19 @@ def known_mount(mount: KnownMount, targets: Targets | None) -> StoredMount:
             state = MountState.FINE
     R = rotation_from_angles(mount.roll, mount.pitch, mount.yaw)
     return StoredMount(R, np.diag(std**2), state, is_given=True)
+
+
+def against_orientation(mount: KnownMount | None, calibration: CalibrationSettings) -> str | None:
+    """What a stated mount and `orientation` contradict one another in, in words; None: nothing."""
+    if mount is None or calibration.estimator == "published":  # that does not read `orientation`
+        return None
+    R = rotation_from_angles(mount.roll, mount.pitch, mount.yaw)
+    key = StatedOrientation(calibration.orientation).contradicted(R, yaw_known=True)
+    if key is None:
+        return None
+    axis = calibration.orientation.up if key == "up" else calibration.orientation.forward
+    other = "down" if key == "up" else "back"
+    return f"puts {axis} {other}, and 'orientation' says {key}: {axis}; one of both is wrong"
 
 
 def published_settings(config: Config) -> PublishedSettings:

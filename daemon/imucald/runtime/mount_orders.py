@@ -18,7 +18,7 @@ from imucald.mount.estimate import MountEstimator
 from imucald.mount.mount_in_force import held, released, without_stored
 from imucald.mount.restored import RestoredEstimator
 from imucald.runtime.engine import Engine
-from imucald.runtime.estimators import known_mount
+from imucald.runtime.estimators import against_orientation, known_mount
 
 TESTER: Final = "a tester on the bus"
 
@@ -111,6 +111,9 @@ class MountOrders:
     def set_mount(self, mount: KnownMount, who: str) -> str:
         """Put a mount that is known in force. Raises OrderError where it is too vague."""
         self._refuse_where_configured()
+        calibration = self._service.loaded.config.calibration
+        if (text := against_orientation(mount, calibration)) is not None:
+            raise OrderError(f"this mount {text}")
         learning = self._learning()
         try:
             stored = known_mount(mount, learning.estimate().targets)

@@ -15,7 +15,7 @@ from imucald.core.errors import ConfigError, EstimateError
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import MountEstimator
 from imucald.runtime.engine import Engine
-from imucald.runtime.estimators import estimator_for
+from imucald.runtime.estimators import against_orientation, estimator_for
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.pipeline import Snapshot
@@ -61,6 +61,8 @@ def make_engine(
     router = compile_router(loaded)
     output = OutputFrames(config)
     _refuse_shared_ids(loaded, output, router.matches)
+    if (text := against_orientation(config.calibration.mount, config.calibration)) is not None:
+        raise loaded.error(("calibration", "mount"), text)
     compensation = open_compensation(loaded)
     stated = loaded.keys_in("vehicle")
 
