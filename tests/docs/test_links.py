@@ -18,6 +18,12 @@ PAGES = [
 ]
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_page_installs_from_an_index_that_does_not_have_the_package(page: Path) -> None:
+    found = re.findall(r"pip install '?\"?imucald\b.*", page.read_text())
+    assert found == []
+
+
 def anchors(page: Path) -> set[str]:
     """Anchors of a page: headings in lower case, blanks as hyphens, without other signs."""
     text = re.sub(r"^( *)```.*?^\1```", "", page.read_text(), flags=re.M | re.S)
