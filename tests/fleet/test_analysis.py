@@ -108,6 +108,19 @@ def test_remounts_are_not_denied_where_the_drives_are_too_few_to_find_one(
     assert f"sensors moved between drives: {answer}" in text
 
 
+def test_an_angle_of_a_type_that_two_vehicles_do_not_show_is_said_not_to_be_known(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows = analysed(columns_of(2, 2, offset=lambda v, _: (0.0, 0.0, 40.0 * v)))
+    (kind,) = rows["analysis/types"]
+    assert kind["ci95_z_deg"] > 180.0
+    print_analysis({name: table_of(name, rows[name], ANALYSIS[name]) for name in ANALYSIS})
+    text = capsys.readouterr().out
+    line = next(row for row in text.splitlines() if row.startswith(f"{kind['vehicle_type']} "))
+    assert "not known" in line
+    assert f"{kind['ci95_z_deg']:.2f}" not in line
+
+
 def test_an_outlier_is_judged_by_the_others_and_widens_nothing() -> None:
     def offset(v: int, d: int) -> tuple[float, float, float]:
         return (0.0, 0.0, 40.0) if v in (3, 4) else (0.0, 0.0, 0.0)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.fleet.analysis.remounts import why_not_known
+from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -68,6 +69,10 @@ def _turn(row: dict[str, Any]) -> str:
     return f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} deg (q {row['q']:.2g})"
 
 
+def _angle(value: float, half: float) -> str:
+    return f"{value:+.2f} +-{half:.2f}" if half < UNKNOWN_HALF_DEG else "not known"
+
+
 def _types(rows: Sequence[dict[str, Any]]) -> Table:
     from rich.table import Table
 
@@ -77,7 +82,7 @@ def _types(rows: Sequence[dict[str, Any]]) -> Table:
     for row in rows:
         spread = " ".join(f"{row[f'tau_{axis}_deg']:.2f}" for axis in "xyz")
         angles = (
-            f"{row[f'{angle}_deg']:+.2f} +-{row[f'ci95_{axis}_deg']:.2f}"
+            _angle(row[f"{angle}_deg"], row[f"ci95_{axis}_deg"])
             for angle, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
         )
         counts = (str(row["vehicles"]), str(row["drives"]))

@@ -15,6 +15,7 @@ from imucald.fleet.analysis.remounts import why_not_known
 from imucald.fleet.compaction import read_tables
 from imucald.fleet.reading import read_analysis
 from imucald.fleet.store import Store
+from imucald.mount.mount_words import UNKNOWN_HALF_DEG
 from imucald.report.page import address_of, environment, require_libraries
 
 MAX_ROWS = 60
@@ -57,6 +58,7 @@ def fleet_page(store: Store) -> str:
             ("Failed logs", f"{len(failures)}", f"of {tables['sources'].num_rows}"),
         ],
         types=analysis["types"][:MAX_ROWS],
+        unknown_half=UNKNOWN_HALF_DEG,
         remounts_not_known=unknown,
         remounts=sorted(found, key=lambda r: r["q"])[:MAX_ROWS],
         outliers=sorted(analysis["outliers"], key=lambda r: r["q"])[:MAX_ROWS],

@@ -30,6 +30,8 @@ MIRRORED = (
 )
 UNKNOWN_STD_DEG = math.degrees(1.0)
 """An angle with a larger standard deviation is as good as unknown [deg]."""
+UNKNOWN_HALF_DEG = SD_95 * UNKNOWN_STD_DEG
+"""The same of half of a 95 % interval [deg]."""
 
 
 def half_width(std_deg: float | None) -> float | None:
