@@ -79,7 +79,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed",
         type=float,
         default=1.0,
-        help="with --interface: so many times as fast as real (default: 1)",
+        help="with --interface: so many times as fast as real (default: 1); a daemon that "
+        "listens takes time as it passes and finds no mount at another speed than 1",
     )
     parser.add_argument(
         "--write-model",
