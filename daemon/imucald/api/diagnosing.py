@@ -119,7 +119,8 @@ def diagnose(
     bytes. strict: the first bad line raises LogError.
 
     Raises ConfigError (configuration, model file, a log given twice), LogError for a log that
-    cannot be read, has no usable frame or holds the drive of another one, ImucaldError where nothing can be diagnosed.
+    cannot be read, has no usable frame or holds the drive of another one, ImucaldError where
+    nothing can be diagnosed.
     """
     names = [str(log) for log in pieces(logs)]
     twice = {name for name in names if names.count(name) > 1}
