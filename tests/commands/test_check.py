@@ -206,6 +206,29 @@ def test_frames_that_all_come_twice_leave_no_accelerometer(frames: Frames) -> No
     assert "counter_repeated" in told(report, "error")["accelerometer"]
 
 
+def test_half_of_the_frames_doubled_is_an_error_where_most_are_rejected(frames: Frames) -> None:
+    random = np.random.default_rng(8)
+    twice = [
+        chunk.take(np.repeat(np.arange(len(chunk)), random.integers(1, 3, len(chunk))))
+        for chunk in frames
+    ]
+    report = checked(twice)
+    row = next(m for m in report["messages"] if m["name"] == "IMU_Accel")
+    assert sum(row["rejected"].values()) > 0.8 * row["frames"], "what is planted"
+    assert not report["usable"]
+    assert "most of its frames are rejected" in told(report, "error")["accelerometer"]
+
+
+def test_a_few_frames_that_come_twice_are_no_error(frames: Frames) -> None:
+    random = np.random.default_rng(9)
+    again = [1 + (random.random(len(chunk)) < 0.001) for chunk in frames]
+    few = [
+        chunk.take(np.repeat(np.arange(len(chunk)), n))
+        for chunk, n in zip(frames, again, strict=True)
+    ]
+    assert checked(few)["usable"]
+
+
 def test_a_log_in_which_no_time_passes_is_an_error(frames: Frames) -> None:
     report = checked([replace(chunk, t=np.zeros(len(chunk))) for chunk in frames])
     assert not report["usable"]

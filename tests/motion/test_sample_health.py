@@ -201,6 +201,38 @@ def test_a_change_of_unit_is_told_within_two_seconds(
     assert SignalFault.IMPLAUSIBLE in health.faults[channel]
 
 
+@pytest.mark.parametrize("channel", ["accel", "gyro"])
+@pytest.mark.parametrize("share", [0.9, 0.9999, 2.0])
+def test_an_axis_that_was_stuck_for_long_is_on_no_rail_afterwards(
+    channel: str, share: float
+) -> None:
+    """At a value of its own range, at its largest, and beyond."""
+    samples = drive(400.0)
+    y = samples[channel].values[:, 1]
+    value = float(y[np.argsort(y)[min(int(share * len(y)), len(y) - 1)]])
+    value *= max(share, 1.0)
+
+    def hold(t: np.ndarray, values: np.ndarray) -> None:
+        values[(t >= 150.0) & (t < 270.0), 1] = value
+
+    health = watched(edited(samples, channel, hold))
+    assert (channel, "stuck", "y") in told(health), "nothing is tested otherwise"
+    assert "saturated" not in {fault for _, fault, _ in told(health)}
+    assert not health.faults, "it is sound again"
+
+
+def test_an_axis_that_was_stuck_at_its_rail_is_told_by_later_bends() -> None:
+    samples = drive(400.0)
+    rail = float(np.quantile(samples["accel"].values[:, 1], 0.99))
+
+    def clip(t: np.ndarray, values: np.ndarray) -> None:
+        values[(t >= 40.0) & (t < 60.0), 1] = rail
+        values[:, 1] = values[:, 1].clip(None, rail)
+
+    health = watched(edited(samples, "accel", clip))
+    assert health.faults["accel"][SignalFault.SATURATED] == "y"
+
+
 def test_a_unit_that_is_put_right_is_used_again() -> None:
     def change(t: np.ndarray, values: np.ndarray) -> None:
         values[(t >= 90.0) & (t < 110.0)] *= 57.3

@@ -146,8 +146,11 @@ class Decoding:
         if left > 1 and self.duration == 0.0:
             text = "no time passes: all frames have one time stamp; record with: candump -l can0"
             yield Finding("error", "log", text)
-        ours = [p for p in self.probes if any(tap.channel == "accel" for tap in p.taps)]
-        rejected = sum((probe.rejected for probe in ours), Counter[str]())
+        ours = [
+            p for p in self.probes if any(tap.channel == "accel" for tap in p.taps) and p.frames
+        ]
+        refused = sum((probe.rejected for probe in ours), Counter[str]())
+        rejected = refused.copy()
         for source in self.sources:
             if source.wanted.channel == "accel":
                 rejected += source.statistics.rejected
@@ -156,6 +159,13 @@ class Decoding:
             text = (
                 f"nearly all of it is rejected ({counts_text(rejected)}): the calibration needs a "
                 f"sample every {ACCEL_GAP:g} s, {left} came in {self.duration:.0f} s"
+            )
+            yield Finding("error", "accelerometer", text)
+        elif left and all(2 * p.rejected.total() > p.frames for p in ours):
+            text = (
+                f"most of its frames are rejected ({refused.total()} of "
+                f"{sum(p.frames for p in ours)}: {counts_text(refused)}): the calibration does not "
+                "learn from a sensor that cannot be trusted"
             )
             yield Finding("error", "accelerometer", text)
 

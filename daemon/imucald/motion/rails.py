@@ -49,7 +49,7 @@ class _Pile(Struct):
     rate: -log of the chance that a sample equals the one before, as it was known before [nats].
     at_it: samples on the value; stays: of them, those that equal the one before. met: -log of the
     chance that its arrivals meet in one step [nats]. seen: samples, each with the one before it, so
-    that what comes again to the last bit counts once.
+    that what comes again to the last bit counts once. before: at_it and stays at the last arrival.
     """
 
     rate: float
@@ -58,12 +58,20 @@ class _Pile(Struct):
     arrivals: int = 0
     last: int = -2
     met: float = 0.0
-    seen: set[bytes] = field(default_factory=set)
+    seen: dict[bytes, None] = field(default_factory=dict)  # in the order in which they came
+    before: tuple[int, int] = (0, 0)
 
     @property
     def surprise(self) -> float:
         """-log of the chance of all that was seen [nats]."""
         return self.met + STAYS_COUNT * _more_often(self.stays, self.at_it, self.rate)
+
+    def count_stay_once(self) -> None:
+        """Of all samples since the last arrival let one count."""
+        at_it, self.stays = self.before
+        self.at_it = min(self.at_it, at_it + 1)
+        while len(self.seen) > self.at_it:
+            self.seen.popitem()
 
 
 class _Top(Struct):
@@ -96,8 +104,8 @@ class Rail:
     counts. It is no rail when a value lies beyond.
 
     surprise: -log of the chance of what is seen if there is none [nats], as far as it has been
-    left again: an axis that sticks is none. value: for which it is. recent: tops of the last hops
-    of driving.
+    left again: an axis that sticks is none, and has arrived once when that has ended. value: for
+    which it is. recent: tops of the last hops of driving.
     """
 
     def __init__(self, side: int, axis: int) -> None:
@@ -133,6 +141,12 @@ class Rail:
             self._take(top, top.pile, rows, h, hop, step, runs)
             self._changed = True
         return self._changed
+
+    def stick(self, value: float) -> None:
+        """The axis is stuck at a value: what stays there is the axis, and no rail holds it."""
+        top = self._tops[-1] if self._tops else None
+        if top is not None and top.value == value and top.pile is not None:
+            top.pile.count_stay_once()
 
     def weigh(self, rows: HopRows, h: int) -> None:
         """Of the values that may be a rail the one for which most speaks."""
@@ -187,8 +201,10 @@ class Rail:
     ) -> None:
         """Weigh the samples of a hop that are on its top."""
         pile.rate = pile.rate or runs.rate()
-        fresh = self._fresh(rows, h, top.value, pile)
         is_arrival = hop - pile.last > 1
+        if is_arrival:
+            pile.before = pile.at_it, pile.stays
+        fresh = self._fresh(rows, h, top.value, pile)
         pile.last = hop
         if not fresh:
             return
@@ -209,7 +225,7 @@ class Rail:
             if len(seen) == MOST_SAMPLES or (two[:, 0] == two[:, 1]).all():
                 continue
             known = len(seen)
-            seen.add(two.tobytes())
+            seen[two.tobytes()] = None
             if len(seen) > known:
                 pile.at_it += 1
                 pile.stays += bool(own[k] == value)
@@ -255,6 +271,7 @@ class AxisRails:
         rows: HopRows,
         h: int,
         moving: bool,
+        stuck: bool,
         runs: Runs,
         step: float,
         tops: tuple[float, float],
@@ -262,11 +279,15 @@ class AxisRails:
     ) -> bool:
         """Take hop h, which has samples; return whether the axis is on a rail.
 
+        stuck: whether it was stuck when the hop began; such a hop says nothing of rails.
         runs, step, tops, on_tops: of the axis, as `HopRows` has step, top and on_top.
         """
         high, low = self._high, self._low
         hop = -1
-        if moving:
+        if stuck:
+            high.stick(tops[0])
+            low.stick(tops[1])
+        elif moving:
             hop = self._hops
             self._hops += 1
         is_high = high.step(tops[0], on_tops[0], rows, h, hop, step, runs)

@@ -150,7 +150,9 @@ class _Sensor:
         of_hops = zip(moves, counts, *columns, *of_sides, strict=True)
         for h, (moving, count, ended, longest, run, step, tops, on_tops) in enumerate(of_hops):
             if count:
-                saturated[h] = rails.step(rows, h, moving, judge.moving, step, tops, on_tops)
+                saturated[h] = rails.step(
+                    rows, h, moving, judge.stuck, judge.moving, step, tops, on_tops
+                )
                 stuck[h] = judge.step(moving, count, ended, longest, run, step)
         return stuck, saturated
 

@@ -25,6 +25,7 @@ from imucald.motion.physical_limits import (
     saturated_axes,
 )
 from imucald.motion.stuck import StuckSensor, StuckSpeed
+from imucald.motion.stuck_yaw_rate import StuckYawRate
 from imucald.motion.ticks import ACCEL, GYRO, TICK_S, WHEEL_SPREAD
 
 Array = NDArray[np.float64]
@@ -94,6 +95,7 @@ class SignalHealth:
             "gyro": StuckSensor(GYRO.n, GYRO.x, moving=False),
         }
         self._speed = StuckSpeed()
+        self._yaw_rate = StuckYawRate()
         self.counts: Counter[str] = Counter()
         self.found: dict[tuple[str, SignalFault], Flags] = {}
 
@@ -102,6 +104,7 @@ class SignalHealth:
         for sensor in self._sensors.values():
             sensor.restart()
         self._speed.restart()
+        self._yaw_rate.restart()
         self.found = {}
 
     def drop_impossible(self, rows: Array) -> None:
@@ -122,6 +125,14 @@ class SignalHealth:
             flags = self._speed.flags(rows, self._new.stop - self._new.start)
         else:
             flags = self._sensors[signal].flags(rows)
+        return self._told_stuck(signal, flags)
+
+    def stuck_yaw_rate(self, rows: Array, turning: Array, driving: Flags) -> Flags:
+        """Ticks (N,) at which the yaw rate is stuck; see `StuckYawRate`."""
+        flags = self._yaw_rate.flags(rows, turning, driving, self._new.stop - self._new.start)
+        return self._told_stuck("yaw_rate", flags)
+
+    def _told_stuck(self, signal: str, flags: Flags) -> Flags:
         self.found[signal, SignalFault.STUCK] = flags
         self._count(SignalFault.STUCK, flags[self._new])
         return flags

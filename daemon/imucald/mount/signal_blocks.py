@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
 from imucald.motion.signal_health import SignalHealth
-from imucald.motion.standstill import ZERO_SPEED, is_parked
+from imucald.motion.standstill import DRIVING_SPEED, ZERO_SPEED, is_parked
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S, TickRow, empty_rows
 from imucald.mount.estimator_settings import EstimatorSettings
@@ -251,6 +251,7 @@ class SignalBlockMaker:
         has = rows[:, tk.YAW_RATE.n] > 0
         if has.any():
             self.seen.add("yaw_rate")
+            has &= ~self._stuck_yaw_rate()
             return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE.mean], YAW_GAP)
         s = self._settings
         if not s.uses_steering or not ok_angle.any():
@@ -258,6 +259,26 @@ class SignalBlockMaker:
         steered, vehicle = angle - self.steering_offset, s.vehicle
         turning = (vehicle.steering_ratio, vehicle.wheelbase, s.understeer)
         return yaw_rate_with_understeer(speed, steered, *turning), ok_angle
+
+    def _stuck_yaw_rate(self) -> Flags:
+        """Ticks of the rows at which the yaw rate stands still and steering or gyroscope does not.
+
+        Where there is steering it alone is asked: a sensor that is turned by hand turns too.
+        """
+        rows, v = self._rows, self._settings.vehicle
+        speed = np.where(rows[:, tk.SPEED.n] > 0, rows[:, tk.SPEED.mean], 0.0)
+        if "steering" in self.seen:
+            known = rows[:, tk.STEERING.n] > 0
+            angle = np.where(known, rows[:, tk.STEERING.mean] - self.steering_offset, 0.0)
+            turning = (v.steering_ratio, v.wheelbase, self._settings.understeer)
+            turns = yaw_rate_with_understeer(speed, angle, *turning)
+        else:
+            known = (rows[:, tk.GYRO.n] > 0) & (rows[:, tk.ACCEL.n] > 0)
+            force = rows[known, tk.ACCEL.x : tk.ACCEL.z + 1].sum(axis=0)
+            up = force / max(math.sqrt(force @ force), 1.0)
+            rate = rows[:, tk.GYRO.x : tk.GYRO.z + 1] @ up
+            turns = np.where(known, rate, 0.0)
+        return self.health.stuck_yaw_rate(rows, turns, known & (np.abs(speed) > DRIVING_SPEED))
 
     def _sided(self, t: Array, at: Array) -> dict[str, tuple[Array, Flags]]:
         """Lateral acceleration and heading at times (N,), where they come."""

@@ -1,0 +1,112 @@
+"""A yaw rate of the vehicle bus that stays as it was while the vehicle turns.
+
+What it says is exactly the same for longer than its runs of equal values usually last, and another
+signal, the steering or the gyroscope, has turned in that time by several of its steps. On a
+straight road a coarse yaw rate may say the same for minutes: nothing has turned there.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.motion.stuck import MIN_RUNS, MIN_STUCK_S, RUNS_REMEMBERED, TIMES_USUAL, quantile
+from imucald.motion.ticks import TICK_S, YAW_RATE
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+SAME_RATE = 1e-9
+"""Means over nine and ten equal samples differ by rounding [rad/s]."""
+TURNED = 0.05
+"""The other signal moves by so much at least [rad/s]: 2.9 deg/s, a bend, and not the shaking of a
+gyroscope or a tired steering wheel on a straight road."""
+STEPS = 3.0
+"""... and by so many steps: rounding holds a value back by one, a sender's dead band by two."""
+LARGE = 0.9
+"""So many of the changes are no larger than what counts as a step: means over ticks split steps."""
+SMOOTH = np.full(10, 0.1)
+"""The other signal is taken as means over a second: vibration is no turn."""
+
+
+class StuckYawRate:
+    """Flags ticks at which the yaw rate is stuck while the vehicle turns."""
+
+    def __init__(self) -> None:
+        self._runs = np.zeros((RUNS_REMEMBERED, 2))
+        """Of those that ended: how long was driven in them [ticks], the change after [rad/s]."""
+        self._ended = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Time jumped: the run before is over."""
+        self._value, self._lasted = math.nan, 0.0
+        self._low, self._high = math.nan, math.nan
+
+    def flags(self, rows: Array, turning: Array, driving: Flags, leaving: int) -> Flags:
+        """Ticks (N,) with a yaw rate that is stuck; rows: (N, COLUMNS), `leaving` leave next.
+
+        turning: (N,) yaw rate by another signal [rad/s]. driving: (N,) where that is known, and the
+        vehicle drives.
+        """
+        out = np.zeros(len(rows), dtype=bool)
+        at = np.flatnonzero(rows[:, YAW_RATE.n] > 0)
+        if not len(at):
+            return out
+        value = rows[at, YAW_RATE.mean]
+        change = np.abs(value[1:] - value[:-1])
+        last = np.append(np.flatnonzero(change > SAME_RATE), len(at) - 1)
+        first = np.append(0, last[:-1] + 1)
+        begins, ends = at[first], at[last]
+        turned = np.where(driving, np.convolve(turning, SMOOTH, mode="same"), math.nan)
+        low, high = np.fmin.reduceat(turned, begins), np.fmax.reduceat(turned, begins)
+        driven = np.append(0.0, np.cumsum(driving))
+        lasted = driven[ends + 1] - driven[begins]
+        if abs(value[0] - self._value) <= SAME_RATE:
+            lasted[0] += self._lasted
+            low[0], high[0] = np.fmin(low[0], self._low), np.fmax(high[0], self._high)
+        limit, least = self._limits()
+        stuck = (lasted > limit) & (high - low > least)
+        for begin, end in zip(begins[stuck].tolist(), ends[stuck].tolist(), strict=True):
+            out[begin : end + 1] = True
+        over = ~stuck & (ends < leaving) & (lasted > 0.0)
+        over[-1] = False
+        after = last[over]
+        self._remember(lasted[over] + driven[at[after + 1]] - driven[at[after] + 1], change[after])
+        self._carry(value[first], begins, ends, driven, turned, leaving)
+        return out
+
+    def _carry(
+        self, values: Array, begins: Array, ends: Array, driven: Array, turned: Array, leaving: int
+    ) -> None:
+        """Keep what is known of the run that goes on, up to the first tick of the next call."""
+        crossing = np.flatnonzero((begins < leaving) & (leaving <= ends))
+        if not len(crossing):
+            self.restart()
+            return
+        i = int(crossing[0])
+        begin, value = int(begins[i]), float(values[i])
+        of_before = i == 0 and abs(value - self._value) <= SAME_RATE
+        lasted, low, high = self._lasted, self._low, self._high
+        if not of_before:
+            lasted, low, high = 0.0, math.nan, math.nan
+        gone = turned[begin:leaving]
+        self._value, self._lasted = value, lasted + float(driven[leaving] - driven[begin])
+        self._low = float(np.fmin(low, np.fmin.reduce(gone)))
+        self._high = float(np.fmax(high, np.fmax.reduce(gone)))
+
+    def _remember(self, lasted: Array, change: Array) -> None:
+        place = (self._ended + np.arange(len(lasted))) % RUNS_REMEMBERED
+        self._runs[place, 0], self._runs[place, 1] = lasted, change
+        self._ended += len(lasted)
+
+    def _limits(self) -> tuple[float, float]:
+        """A run of more ticks, with more turning [rad/s], is stuck; none, until it is known."""
+        if self._ended < MIN_RUNS:
+            return math.inf, math.inf
+        lasted, change = self._runs[: self._ended].T
+        usual = float(lasted @ lasted / lasted.sum())
+        least = max(TURNED, STEPS * quantile(change, LARGE))
+        return max(MIN_STUCK_S / TICK_S, TIMES_USUAL * usual), least
