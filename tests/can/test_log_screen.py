@@ -6,6 +6,7 @@ The truth is the list of frames from which the lines are printed here.
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from imucald.can.logs import candump_screen_line, candump_screen_logs
 from imucald.can.logs.log_reader import CAN_EFF_FLAG, IdMatch, LogReader
+from imucald.core.errors import LogError
 from log_text import Frame, frames_of
 
 CLOCK = 0x123
@@ -65,6 +67,9 @@ def difference(frame: Frame, before: Frame, _: Frame) -> str:
 
 STAMPS = [absolute, date, since_start, difference]
 
+CHANGES = [(a, b) for pair in product(STAMPS[:2], STAMPS[2:]) for a, b in (pair, pair[::-1])]
+"""From a form to one that a line shows to be another."""
+
 
 def text_of(frames: list[Frame], stamp) -> list[str]:  # type: ignore[no-untyped-def]
     before = [frames[0], *frames]
@@ -101,6 +106,40 @@ def test_common_lines_are_read_together_and_give_their_frames(
         exact + 1e-6 * (stamp is date)
     )
     assert len(singly) < 40  # one for each shape
+
+
+@pytest.mark.parametrize("count", [400, 6000])
+@pytest.mark.parametrize(("first", "second"), CHANGES)
+def test_stamps_that_change_their_form_end_the_reading_at_that_line(
+    tmp_path: Path, first, second, count: int
+) -> None:
+    frames = drive(2 * count)
+    path = tmp_path / "a.txt"
+    lines = text_of(frames[:count], first) + text_of(frames[count:], second)
+    path.write_text("".join(f"{line}\n" for line in lines))
+    place = rf"a\.txt:{count + 1}: .*time stamps? .*another form"
+    with pytest.raises(LogError, match=place):
+        list(LogReader([path]))
+    with pytest.raises(LogError, match=place):
+        list(LogReader([path], strict=True))
+
+
+@pytest.mark.parametrize(("stamp", "damaged"), [(absolute, " (14365.249713)"),
+                                                (difference, " (1436509052.249713)")])  # fmt: skip
+def test_a_few_stamps_of_another_form_are_rejected(tmp_path: Path, stamp, damaged: str) -> None:
+    frames = drive(600)
+    path = tmp_path / "a.txt"
+    lines = text_of(frames, stamp)
+    for k in (0, 299, 300, 301, 599):
+        lines[k] = printed(frames[k], damaged)
+    path.write_text("".join(f"{line}\n" for line in lines))
+    reader = LogReader([path])
+    found = frames_of(*reader)
+    assert [f.data for f in found] == [f.data for k, f in enumerate(frames)
+                                       if k not in (0, 299, 300, 301, 599)]  # fmt: skip
+    assert reader.rejected == {"bad_timestamp": 5}
+    assert "another form" in reader.problems[0]
+    assert found[-1].t - found[0].t < frames[-1].t - frames[0].t
 
 
 def test_plain_lines_are_read_together_and_spread_over_the_cycle(

@@ -186,12 +186,46 @@ def test_an_accelerometer_that_comes_too_seldom_is_an_error(frames: Frames) -> N
     assert "every 1 s" in told(report, "error")["accelerometer"]
 
 
+@pytest.mark.parametrize("late", [2.0, 3.0])
+def test_a_speed_too_late_for_the_calibration_is_named(frames: Frames, late: float) -> None:
+    shifted = []
+    for chunk in frames:
+        t = chunk.t + np.where(chunk.can_id == 0x1A0, late, 0.0)
+        order = np.argsort(t, kind="stable")
+        shifted.append(replace(chunk.take(order), t=t[order]))
+    warned = told(checked(shifted), "warning")
+    assert "s behind the accelerometer; up to 1.2 s are allowed for" in warned["speed"]
+
+
 def test_frames_that_all_come_twice_leave_no_accelerometer(frames: Frames) -> None:
     twice = [chunk.take(np.repeat(np.arange(len(chunk)), 2)) for chunk in frames]
     report = checked(twice)
     assert not report["usable"]
     assert "nearly all of it is rejected" in told(report, "error")["accelerometer"]
     assert "counter_repeated" in told(report, "error")["accelerometer"]
+
+
+def test_half_of_the_frames_doubled_is_an_error_where_most_are_rejected(frames: Frames) -> None:
+    random = np.random.default_rng(8)
+    twice = [
+        chunk.take(np.repeat(np.arange(len(chunk)), random.integers(1, 3, len(chunk))))
+        for chunk in frames
+    ]
+    report = checked(twice)
+    row = next(m for m in report["messages"] if m["name"] == "IMU_Accel")
+    assert sum(row["rejected"].values()) > 0.8 * row["frames"], "what is planted"
+    assert not report["usable"]
+    assert "most of its frames are rejected" in told(report, "error")["accelerometer"]
+
+
+def test_a_few_frames_that_come_twice_are_no_error(frames: Frames) -> None:
+    random = np.random.default_rng(9)
+    again = [1 + (random.random(len(chunk)) < 0.001) for chunk in frames]
+    few = [
+        chunk.take(np.repeat(np.arange(len(chunk)), n))
+        for chunk, n in zip(frames, again, strict=True)
+    ]
+    assert checked(few)["usable"]
 
 
 def test_a_log_in_which_no_time_passes_is_an_error(frames: Frames) -> None:
@@ -230,7 +264,27 @@ def test_what_is_missing_is_told_with_its_cost(frames: Frames) -> None:
     report = checked(frames, change)
     assert report["usable"]
     assert "first motion" in told(report, "warning")["speed"]
-    assert "steady angles" in told(report, "note")["gyroscope"]
+    assert "no drive makes the mount usable" in told(report, "warning")["gyroscope"]
+    published = checked(frames, lambda text: change(text) + "calibration: {estimator: published}\n")
+    assert "steady angles" in told(published, "note")["gyroscope"]
+
+
+@pytest.mark.parametrize(
+    "turns",
+    [
+        "yaw_rate: ESC_Dynamics.YawRate",
+        "steering_wheel_angle: EPS_SteeringAngle.SteeringWheelAngle",
+    ],
+)
+def test_a_signal_that_shows_turns_stands_in_for_the_gyroscope(frames: Frames, turns: str) -> None:
+    def change(text: str) -> str:
+        head, _, rest = text.partition("signals:\n")
+        kept = [*rest.splitlines()[:4], "  speed: ESC_Speed.VehicleSpeed", f"  {turns}"]
+        return head + "signals:\n" + "\n".join(kept) + "\n"
+
+    report = checked(frames, change)
+    assert "gyroscope" not in told(report, "warning")
+    assert "turns are taken from" in told(report, "note")["gyroscope"]
 
 
 def test_a_message_that_does_not_come_is_told(frames: Frames) -> None:

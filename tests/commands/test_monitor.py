@@ -160,6 +160,15 @@ def test_events_are_told_once_with_the_time_of_day(silent, status):
     assert moved.clock == time.strftime("%H:%M:%S", time.localtime(moved.at))
 
 
+def test_a_mount_that_nothing_has_confirmed_is_not_called_usable(silent, status):
+    stated = copy.deepcopy(status) | {"state": "restored", "quality": 1}
+    for one, is_said in ((stated, False), (status, True)):
+        text = "\n".join(drawn(picture(one), 140))
+        told = [event.text for event in events_of(one).events]
+        assert ("usable after" in text) == is_said
+        assert ("usable for the first time" in told) == is_said
+
+
 # the page --------------------------------------------------------------------------------------
 
 

@@ -101,7 +101,7 @@ def test_the_other_verdicts_are_told_and_are_no_failure(asked, said, log, verdic
 
 def test_each_log_is_a_drive_of_its_own(asked, said, log, tmp_path):
     second = tmp_path / "second.log"
-    second.write_bytes(log.read_bytes())
+    assert cli.main(["simulate", "--minutes", "0.2", "--seed", "2", "--out", str(second)]) == 0
     assert said(log, second)[0] == 0
     assert len(asked["drives"]) == 2
     assert asked["drives"][0] == asked["recordings"][0].samples
@@ -271,6 +271,22 @@ def test_the_same_log_twice_is_a_mistake(asked, said, log, tmp_path):
     text = refused(said, asked, log, tmp_path / "." / log.name)
     assert "given twice" in text
     assert "given twice" in refused(said, asked, "-", "-")
+
+
+@pytest.mark.parametrize("change", [
+    lambda text: text,
+    lambda text: text.replace(b" can0 ", b" can7 "),
+    lambda text: text.replace(b"(16000", b"(16111"),
+    lambda text: text[: len(text) // 2],
+    lambda text: b"".join(text.splitlines(keepends=True)[:4000]) + b"".join(
+        text.splitlines(keepends=True)[4020:]
+    ),
+])  # fmt: skip
+def test_one_recording_under_two_names_is_refused(asked, said, log, tmp_path, change):
+    second = tmp_path / "second.log"
+    second.write_bytes(change(log.read_bytes()))
+    text = refused(said, asked, log, second)
+    assert f"{second}: is the same recording as {log}" in text
 
 
 def test_a_wrong_model_file_is_told_with_its_line(asked, said, log, tmp_path):

@@ -7,6 +7,7 @@ import pytest
 
 from imucald.core.samples import Series
 from imucald.diagnosis.faults import find_faults, spoilt
+from imucald.diagnosis.outcome import told_fault
 from imucald.model.model import VehicleModel
 
 MODEL = VehicleModel().with_changes({"accel.rate_hz": 100.0, "speed.rate_hz": 10.0})
@@ -144,6 +145,21 @@ def test_frames_that_come_twice_are_no_faster_clock():
     assert found["duplicated_frames:accel"].values["_accel.doubled"][0] == pytest.approx(
         0.01, abs=0.002
     )
+
+
+def test_the_text_of_a_fault_names_its_signal():
+    samples = drive()
+    samples["yaw_rate"] = Series(samples["gyro"].t, samples["gyro"].values[:, 2])
+    for name in ("accel", "yaw_rate"):
+        t, x = samples[name].t, samples[name].values
+        again = np.random.default_rng(6).random(len(t)) < 0.01
+        times = np.concatenate([t, t[again] + 0.001])
+        order = np.argsort(times, kind="stable")
+        samples[name] = Series(times[order], np.concatenate([x, x[again]])[order])
+    found = causes(samples)
+    texts = {name: told_fault(fault, VehicleModel()).text for name, fault in found.items()}
+    assert texts["duplicated_frames:accel"].startswith("Accelerometer: ")
+    assert texts["duplicated_frames:yaw_rate"].startswith("Yaw rate: ")
 
 
 @pytest.mark.parametrize(("ppm", "found"), [(1500.0, True), (60.0, False), (50_000.0, False)])

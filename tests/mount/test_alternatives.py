@@ -103,6 +103,23 @@ def test_a_wrong_sign_or_exchange_of_the_gyroscope_is_seen_and_nothing_is_good(s
     assert not found.are_seen(TO_BE_GOOD)
 
 
+@pytest.mark.parametrize("has_yaw_rate", [False, True])
+def test_without_a_signal_that_shows_turns_the_missing_signal_is_named(has_yaw_rate):
+    found, kept = Alternatives(full()), []
+    signals = {"accel", "speed", *(["yaw_rate"] if has_yaw_rate else [])}
+    for k in range(40):
+        ok_yaw = YES if has_yaw_rate else ~YES
+        kept.append(replace(block(k), ok_rate=~YES, ok_steering=~YES, ok_yaw=ok_yaw))
+        found.add(kept, None if k < 5 else R, None, (1.0, 1.0), signals, 0.0)
+    text = found.missing(TO_BE_GOOD)
+    if has_yaw_rate:
+        assert text is None
+        found.restart()
+        assert "bends" in found.missing(TO_BE_GOOD)
+    else:
+        assert "a gyroscope, a yaw rate or a steering angle" in text
+
+
 def test_a_flat_straight_road_says_nothing_either_way():
     found = looked_at(rough=0.0, bend=0.0)
     assert not found.are_seen(TO_BE_GOOD)

@@ -96,3 +96,19 @@ def test_thirty_thousand_shuffled_stamps_take_a_tick_each_and_no_square_of_time(
     assert sum(len(segment.t) for segment in segments) == len(stamps)
     new_maxima = np.count_nonzero(np.diff(np.maximum.accumulate(stamps)) > 10.0)
     assert base.now < 0.11 * base.steps + 10.0 * (new_maxima + 1) + 150.0
+
+
+def test_stamps_that_leap_ahead_at_each_frame_take_a_tick_each():
+    stamps = np.cumsum(np.full(30_000, 1.6e9))
+    base = TimeBase()
+    t = np.concatenate([segment.t for segment in base.segments(stamps)])
+    assert base.steps == len(stamps) - 1
+    assert base.now <= 0.1 * len(stamps) + 11.0
+    assert (np.diff(t) > 0.0).all()
+
+
+def test_a_second_of_frames_is_followed_by_a_whole_hole():
+    base = TimeBase()
+    for stamp in (0.0, 0.5, 1.0):
+        base.stream_time(stamp)
+    assert base.stream_time(500.0)[0] > 11.0

@@ -78,6 +78,42 @@ def test_a_hold_keeps_the_mount_through_a_contradicting_drive_and_a_restart(benc
     again.close()
 
 
+def first_times(service: Service) -> tuple[float | None, float | None]:
+    status = service.status()
+    return status["first_usable_s"], status["first_fine_s"]
+
+
+def test_no_order_but_a_reset_moves_the_time_at_which_the_mount_became_usable(bench):
+    service = bench.service()
+    bench.drive(service)
+    bench.drive(service)
+    first = first_times(service)
+    assert first[0] is not None
+    service.orders.hold(ME)
+    assert first_times(service) == first
+    service.orders.release(ME)
+    assert first_times(service) == first
+    service.orders.set_mount(KNOWN, ME)
+    assert first_times(service) == first
+    service.orders.begin(TESTER)
+    assert first_times(service) == (None, None)
+    assert service.orders.return_to_former(TESTER)
+    assert first_times(service) == first
+    service.orders.reset(ME)
+    assert first_times(service) == (None, None)
+    service.close()
+
+
+def test_a_reload_that_keeps_the_mount_keeps_the_time_at_which_it_became_usable(bench):
+    service = bench.service()
+    bench.drive(service)
+    first = first_times(service)
+    service.reload()
+    assert first_times(service) == first
+    assert first[0] is not None
+    service.close()
+
+
 def test_orders_that_cannot_be_carried_out_say_why_and_change_nothing(bench):
     service = bench.service()
     estimator = service.engine.pipeline.estimator

@@ -13,6 +13,7 @@ from imucald.simulation import load_model, random_model
 from imucald.simulation import simulate as run_model
 from imucald.traffic.can_log import live_frames
 from imucald.traffic.drive_encoder import BusEncoder, example_config
+from paths import ROOT
 
 
 def simulate(tmp_path, *options):
@@ -140,3 +141,28 @@ def test_the_shipped_example_configuration_is_the_packages_own():
         or ours.database_path(ours.config.database[0]).read_text()
         == theirs.database_path(theirs.config.database[0]).read_text()
     )
+
+
+def test_the_drive_keeps_to_the_side_that_the_configuration_states(tmp_path, capsys):
+    text = (ROOT / "config" / "examples" / "passenger_car.yaml").read_text()
+    text = text.replace("../../dbc", str(ROOT / "dbc"))
+    config, model = tmp_path / "car.yaml", tmp_path / "model.yaml"
+
+    def side(stated, *options):
+        config.write_text(text.replace("driving_side: right", f"driving_side: {stated}"))
+        options = ("--config", str(config), *options)
+        status, _, truth = simulate(tmp_path, "--minutes", "0.02", *options)
+        assert status == 0
+        return json.loads(truth.read_text())["model"]["route"]["driving_side"]
+
+    assert side("left") == "left"
+    assert side("unknown") == "right", "the default of a model"
+    assert side("left", "--set", "route.driving_side=right") == "right"
+    model.write_text("road: {crown_mean: 0.02}\n")
+    assert side("left", "--model", str(model)) == "left"
+    assert "warning" not in capsys.readouterr().err
+    model.write_text("route: {driving_side: right}\n")
+    assert side("left", "--model", str(model)) == "right"
+    assert "the model file counts" in capsys.readouterr().err
+    assert side("left", "--model", str(model), "--set", "route.driving_side=left") == "left"
+    assert "warning" not in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,10 +13,10 @@ from imucald.api.configuration import Configuration, PathLike
 from imucald.api.html import html_table
 from imucald.api.logs import pieces
 from imucald.api.run import Progress
-from imucald.core.errors import ConfigError, EstimateError, ImucaldError
+from imucald.core.errors import ConfigError, EstimateError, ImucaldError, LogError
 from imucald.diagnosis.baseline import baseline_model
 from imucald.diagnosis.diagnose import diagnose as diagnosed
-from imucald.diagnosis.recording import Recording, read_samples
+from imucald.diagnosis.recording import Recording, is_same_recording, read_samples
 from imucald.diagnosis.result import Diagnosis
 from imucald.model.model import VehicleModel, load_model
 from imucald.report.model_changes import model_changes, value_text
@@ -118,7 +119,8 @@ def diagnose(
     bytes. strict: the first bad line raises LogError.
 
     Raises ConfigError (configuration, model file, a log given twice), LogError for a log that
-    cannot be read or has no usable frame, ImucaldError where nothing can be diagnosed.
+    cannot be read, has no usable frame or holds the drive of another one, ImucaldError where
+    nothing can be diagnosed.
     """
     names = [str(log) for log in pieces(logs)]
     twice = {name for name in names if names.count(name) > 1}
@@ -138,6 +140,7 @@ def diagnosis_of(
     progress: Share | None = None,
 ) -> DiagnosisResult:
     """Diagnose drives that have been read; see `diagnose`."""
+    _refuse_same(logs, recordings)
     drives = [recording.samples for recording in recordings]
     notes = [note for recording in recordings for note in _reading_notes(recording)]
     try:
@@ -162,6 +165,17 @@ def diagnosis_of(
         diagnosis=found,
         durations_s=tuple(recording.duration_s for recording in recordings),
     )
+
+
+def _refuse_same(logs: Sequence[str], recordings: Sequence[Recording]) -> None:
+    """Raise LogError where two logs hold one drive: it would be taken for independent evidence."""
+    drives = list(zip(logs, recordings, strict=True))
+    for (one, first), (other, second) in itertools.combinations(drives, 2):
+        if is_same_recording(first, second):
+            raise LogError(
+                f"{other}: is the same recording as {one}: its evidence would count twice; "
+                "leave one of them out"
+            )
 
 
 def _reading_notes(recording: Recording) -> list[str]:

@@ -53,7 +53,7 @@ class LiveEvents:
             if key not in self._told:
                 self._told.add(key)
                 found.append(LiveEvent(began + event.t, event.kind, event.text))
-        if first:
+        if first and status["state"] != "restored":  # not confirmed, and in force
             found += [
                 LiveEvent(began + status[f"first_{name}_s"], "state", f"{name} for the first time")
                 for name in ("usable", "fine")

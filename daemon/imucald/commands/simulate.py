@@ -106,8 +106,9 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("--speed must be positive")
     inputs = [name for name in (options.config, options.model) if name]
     check_files(inputs, (options.out, _truth_beside(options.out), options.write_model))
-    model = chosen_model(options)
-    encoder = BusEncoder(load_config(options.config) if options.config else example_config())
+    config = load_config(options.config) if options.config else example_config()
+    model = chosen_model(options, config.config.vehicle.driving_side if options.config else None)
+    encoder = BusEncoder(config)
     drive = simulate(model, options.seed, options.minutes)
     if options.out is not None:
         _write_log(options, drive, encoder)
@@ -153,8 +154,11 @@ def _send(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> Non
     print(f"{options.channel}: {frames} frames sent")
 
 
-def chosen_model(options: argparse.Namespace) -> VehicleModel:
-    """Return the model that the options ask for: file or drawn, then changed."""
+def chosen_model(options: argparse.Namespace, side: str | None = None) -> VehicleModel:
+    """Return the model that the options ask for: file or drawn, then changed.
+
+    side: that the configuration states. `--set` and a model file that states one go before it.
+    """
     from imucald.model.model import load_model
     from imucald.simulation.random_model import random_model
 
@@ -162,7 +166,10 @@ def chosen_model(options: argparse.Namespace) -> VehicleModel:
         model = load_model(options.model)
     else:
         model = random_model(options.seed, options.route or "mixed")
+    asked = dict(_change(text) for text in options.changes)
     changes: dict[str, Any] = {}
+    if side in ("left", "right") and _SIDE not in asked:
+        changes[_SIDE] = _side(options, model, side)
     if options.model and options.route:
         changes["route.kind"] = options.route
     if options.mount:
@@ -174,10 +181,31 @@ def chosen_model(options: argparse.Namespace) -> VehicleModel:
         shifts = [_numbers("--shift", text, 4) for text in options.shift]
         shifts.sort()
         changes["mount.shifts"] = [dict(zip(keys, shift, strict=True)) for shift in shifts]
-    changes |= dict(_change(text) for text in options.changes)
+    changes |= asked
     return model.with_changes(changes) if changes else model
 
 
+def _side(options: argparse.Namespace, model: VehicleModel, side: str) -> str:
+    """The side of the road: the configuration's, unless the model file states one."""
+    from imucald.core.yaml_lines import read_yaml_file
+
+    if not options.model:
+        return side
+    data, _ = read_yaml_file(options.model, "model file")
+    section, key = _SIDE.split(".")
+    if key not in ((data or {}).get(section) or {}):
+        return side
+    stated = model.route.driving_side
+    if stated != side:
+        print(
+            f"imucald: warning: {options.model} drives on the {stated}, {options.config} states "
+            f"'driving_side: {side}'; the model file counts",
+            file=sys.stderr,
+        )
+    return stated
+
+
+_SIDE = "route.driving_side"
 _ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 
 

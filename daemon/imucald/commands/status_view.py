@@ -52,7 +52,7 @@ def headline(status: Mapping[str, Any]) -> Text:
     text.append(f"   corrected frames: {quality}", style="not bold")
     if status.get("held"):
         text.append("   held: nothing is learnt", style="bold yellow")
-    for name in ("usable", "fine"):
+    for name in ("usable", "fine") if state != "restored" else ():
         if (after := status[f"first_{name}_s"]) is not None:
             text.append(f"   {name} after {_time(after)}", style="not bold")
     return text

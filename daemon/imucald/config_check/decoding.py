@@ -25,7 +25,12 @@ SLOWEST = {"accel": ACCEL_GAP, "gyro": ACCEL_GAP, "speed": SPEED_GAP}
 
 _NO_SPEED = "missing: yaw takes longer and is less certain; "
 _NO_GYRO = "pitch and roll get nothing from turns, and no corrected angular rate is sent"
-_NO_TURNS = "so are yaw rate and steering angle: only steady angles show straight motion"
+_NO_TURNS = "so are yaw rate and steering angle"
+_STEADY = "only steady angles show straight motion"
+_NEVER = (
+    "no bend can show that the signs are right, so that no drive makes the mount usable; configure "
+    "one of the three, or 'estimator: published'; a stated mount ('calibration: mount') serves too"
+)
 _NO_REVERSE = "missing: reversing reads as braking, which costs some accuracy"
 _NO_SIDE = "unknown: a road crown reads as mount roll (about 0.7 deg); say left or right"
 _REMEDIES = {
@@ -141,8 +146,11 @@ class Decoding:
         if left > 1 and self.duration == 0.0:
             text = "no time passes: all frames have one time stamp; record with: candump -l can0"
             yield Finding("error", "log", text)
-        ours = [p for p in self.probes if any(tap.channel == "accel" for tap in p.taps)]
-        rejected = sum((probe.rejected for probe in ours), Counter[str]())
+        ours = [
+            p for p in self.probes if any(tap.channel == "accel" for tap in p.taps) and p.frames
+        ]
+        refused = sum((probe.rejected for probe in ours), Counter[str]())
+        rejected = refused.copy()
         for source in self.sources:
             if source.wanted.channel == "accel":
                 rejected += source.statistics.rejected
@@ -151,6 +159,13 @@ class Decoding:
             text = (
                 f"nearly all of it is rejected ({counts_text(rejected)}): the calibration needs a "
                 f"sample every {ACCEL_GAP:g} s, {left} came in {self.duration:.0f} s"
+            )
+            yield Finding("error", "accelerometer", text)
+        elif left and all(2 * p.rejected.total() > p.frames for p in ours):
+            text = (
+                f"most of its frames are rejected ({refused.total()} of "
+                f"{sum(p.frames for p in ours)}: {counts_text(refused)}): the calibration does not "
+                "learn from a sensor that cannot be trusted"
             )
             yield Finding("error", "accelerometer", text)
 
@@ -163,7 +178,7 @@ class Decoding:
         if not self._has("speed"):
             yield Finding("warning", "speed", _NO_SPEED + self._direction_without_speed())
         if not self._has("gyro"):
-            yield Finding("note", "gyroscope", self._without_gyro())
+            yield self._without_gyro()
         elif not self._has("yaw_rate"):
             yield Finding("note", "yaw_rate", "missing: turns are taken from the gyroscope")
         if self._has("speed") and not self._has("reverse"):
@@ -178,12 +193,15 @@ class Decoding:
             return "turns and the first motion after a stop separate forward from backward"
         return "only the first motion after a stop separates forward from backward"
 
-    def _without_gyro(self) -> str:
+    def _without_gyro(self) -> Finding:
         for channel in ("yaw_rate", "steering"):
             if self._has(channel):
-                word = configured_name(channel)
-                return f"missing: turns are taken from {word}; {_NO_GYRO}"
-        return f"missing, and {_NO_TURNS}; {_NO_GYRO}"
+                text = f"missing: turns are taken from {configured_name(channel)}; {_NO_GYRO}"
+                return Finding("note", "gyroscope", text)
+        missing = f"missing, and {_NO_TURNS}: "
+        if self.loaded.config.calibration.estimator == "published":
+            return Finding("note", "gyroscope", f"{missing}{_STEADY}; {_NO_GYRO}")
+        return Finding("warning", "gyroscope", missing + _NEVER)
 
     def _conflicts(self) -> Iterator[Finding]:
         for can_id in sorted(self.output_ids):

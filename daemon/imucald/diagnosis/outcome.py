@@ -102,14 +102,20 @@ def _against(state: State, trial: Trial) -> list[str]:
     return said
 
 
+_SENSORS = {"accel": "Accelerometer", "gyro": "Gyroscope"}
+
+
 def told_fault(fault: Fault, model: VehicleModel) -> FoundCause:
     """A fault that shows in samples and stamps."""
     parameters = {}
     for key, (x, std, unit) in fault.values.items():
         stated = math.nan if key.startswith("_") else _stated(model, key)
         parameters[key] = Estimated(x, std, unit, stated if math.isfinite(stated) else 0.0)
+    # Several signals may have the fault, and then their texts are one.
+    name = _SENSORS.get(fault.signal, fault.signal.replace("_", " ").capitalize())
+    text = f"{name}: {fault.text[:1].lower()}{fault.text[1:]}"
     return FoundCause(
-        fault.cause, parameters, (fault.signal,), {"held_out_nats": fault.score}, fault.text
+        fault.cause, parameters, (fault.signal,), {"held_out_nats": fault.score}, text
     )
 
 

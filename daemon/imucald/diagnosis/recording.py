@@ -27,6 +27,10 @@ Array = NDArray[np.float64]
 TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 """Keys of the configuration that may name several sensors, each in axes of its own."""
 
+SAME_CHANGES = 64
+"""The noise of a sensor, so often new, never comes twice: as for frames in `can.logs.first_frames`.
+A sensor that shows one value all the time it stands says nothing."""
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -95,6 +99,21 @@ def read_samples(
         planar=loaded.config.signals.accelerometer[0].z is None,
         problems=tuple(reader.problems),
     )
+
+
+def is_same_recording(one: Recording, other: Recording) -> bool:
+    """Whether two recordings begin with the same samples of the accelerometer.
+
+    Names, interfaces, time stamps and formats of the logs do not count, nor where one of them ends.
+    """
+    if "accel" not in one.samples or "accel" not in other.samples:
+        return False
+    first, second = one.samples["accel"].values, other.samples["accel"].values
+    n = min(len(first), len(second))
+    differs = (first[:n] != second[:n]).any(axis=1)
+    same = int(np.argmax(differs)) if differs.any() else n
+    changes = (np.diff(first[:same], axis=0) != 0.0).any(axis=1)
+    return int(np.count_nonzero(changes)) >= SAME_CHANGES
 
 
 class _Kept:

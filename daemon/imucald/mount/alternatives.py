@@ -76,6 +76,9 @@ NOT_CHECKED = (
     "acceleration, a heading, or 'calibration: {orientation: {up: ...}}'"
 )
 
+NO_TURNS = "a gyroscope, a yaw rate or a steering angle: no other signal shows turns"
+"""Without turns nothing separates a right-handed sensor from a left-handed one."""
+
 
 def _signed_permutations() -> Array:
     """The identity, then all ways to exchange two axes, to turn one sign, or all (14, 3, 3)."""
@@ -129,7 +132,7 @@ class Alternatives:
         self._settings = settings
         self._gyro = np.zeros(len(TRIED) - 1)
         self._gyro_blocks = 0
-        self._blocks = 0
+        self._blocks = self._taken = 0
         self._turns = Mirrored(FORCE_FLOOR)
         self._yaw_rate = Mirrored(RATE_FLOOR)
         self._steering = Mirrored(RATE_FLOOR)
@@ -143,6 +146,7 @@ class Alternatives:
     def restart(self) -> None:
         """The mount is sought again; all that is known of the sensors' own axes is kept."""
         self._turns.forget()
+        self._taken = 0
         self._is_up_stated = self._is_forward_stated = False
         self._fastest = 0.0
 
@@ -178,7 +182,7 @@ class Alternatives:
         blocks: Sequence[SignalBlock] = (p,)
         if self._blocks <= YOUNG and not is_seen:
             blocks = kept
-            self._gyro[:], self._gyro_blocks = 0.0, 0
+            self._gyro[:], self._gyro_blocks, self._taken = 0.0, 0, 0
             for pair in self._pairs:
                 pair.forget()
         for one in blocks:
@@ -213,6 +217,7 @@ class Alternatives:
         gains: tuple[float, float],
         steering_offset: float,
     ) -> None:
+        self._taken += 1
         use = p.learn & p.ok_speed
         force = (p.force - bias) @ R.T
         has_gyro = np.count_nonzero(use & p.ok_rate) >= LEAST_TICKS
@@ -250,6 +255,8 @@ class Alternatives:
         if "steering" in self._signals and (self._gyro_blocks or "yaw_rate" in self._signals):
             pairs.append(self._steering)
         beside = (self._lateral, self._heading)
+        if self._taken > YOUNG and not (self._turns.blocks or self._gyro_blocks):
+            return NO_TURNS
         if not all(pair.is_seen(least) for pair in pairs) or any(p.is_opposite for p in beside):
             return "bends, until signs of sensor and vehicle are seen to agree"
         closest = float(self._gyro.min())

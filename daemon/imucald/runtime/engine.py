@@ -195,7 +195,7 @@ class Engine:
 
     def restart_calibration(self) -> MountEstimator:
         """Forget the estimate and begin again; all counters go on. Return the former estimator."""
-        return self.pipeline.replace(self.new_estimator())
+        return self.pipeline.replace(self.new_estimator(), afresh=True)
 
     def new_estimator(self) -> MountEstimator:
         """One that knows nothing yet, behind the mount that the configuration states.

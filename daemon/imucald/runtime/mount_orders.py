@@ -22,6 +22,9 @@ from imucald.runtime.estimators import known_mount
 
 TESTER: Final = "a tester on the bus"
 
+FirstTimes = tuple[float | None, float | None]
+"""Stream times [s] at which a mount became usable, and fine."""
+
 
 class OrderError(ImucaldError):
     """An order that cannot be carried out now: why, and what can be done."""
@@ -58,7 +61,7 @@ class MountOrders:
 
     def __init__(self, service: OrderedService) -> None:
         self._service = service
-        self._former: tuple[object, MountEstimator] | None = None
+        self._former: tuple[object, MountEstimator, FirstTimes] | None = None
 
     @property
     def is_held(self) -> bool:
@@ -125,14 +128,19 @@ class MountOrders:
 
     def begin(self, who: str) -> None:
         """Begin again and keep the former estimator aside."""
-        self._former = self._settings(), self._service.engine.restart_calibration()
+        pipeline = self._service.engine.pipeline
+        first = pipeline.first_usable, pipeline.first_fine
+        self._former = self._settings(), self._service.engine.restart_calibration(), first
         self._told(who, "the calibration is started again")
 
     def return_to_former(self, who: str) -> bool:
         """Take the former estimator back, unless it was made for other settings."""
         if self._former is None or self._former[0] != self._settings():
             return False
-        self._service.engine.resume_calibration(self._former[1])
+        _, estimator, first = self._former
+        self._service.engine.resume_calibration(estimator)
+        pipeline = self._service.engine.pipeline
+        pipeline.first_usable, pipeline.first_fine = first
         self._former = None
         self._told(who, "the former calibration is taken back")
         return True

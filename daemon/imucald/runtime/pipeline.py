@@ -168,11 +168,15 @@ class Pipeline:
             self._preprocessor.gap()
         return snapshots
 
-    def replace(self, estimator: MountEstimator) -> MountEstimator:
-        """Go on with another estimator from the open tick on; return the one so far."""
+    def replace(self, estimator: MountEstimator, afresh: bool = False) -> MountEstimator:
+        """Go on with another estimator from the open tick on; return the one so far.
+
+        afresh: the mount so far is forgotten, and with it since when it has been good.
+        """
         former, self.estimator = self.estimator, estimator
         self.correction = estimator.correction
-        self.first_usable = self.first_fine = None
+        if afresh:
+            self.first_usable = self.first_fine = None
         self._judge()
         return former
 

@@ -4,7 +4,8 @@ Stamps are wall clock. They come a little out of order, stand still, and step wh
 clock. Small disorder is flattened; a step (or a long hole) begins a new segment at the next tick,
 and whoever differences over time is informed. A hole lasts `FORWARD_STEP` of stream time at most.
 Where stamps have been before, a jump forward is no hole: a shuffled log takes a tick for each of
-its jumps, not the hundred of a hole.
+its jumps, not the hundred of a hole. All holes together last `HOLE_SHARE` times as long as what is
+between them, so that stamps that leap ahead at every frame take no hours.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ BACKWARD_STEP = 1.0
 FORWARD_STEP = 10.0
 """A stamp newer than this is a clock step or a hole: nothing is carried across it [s]. Where stamps
 have been before, one newer than `BACKWARD_STEP` is a step."""
+
+HOLE_SHARE = 10.0
+"""A second of frames for each whole hole, after a first one: more than that is no drive."""
 
 
 class TimeSegment(Struct, frozen=True):
@@ -46,6 +50,7 @@ class TimeBase:
         self._highest = -math.inf  # stamp, of all segments
         self._now = 0.0  # stream time
         self._frame = 0.0  # stream time of the newest stamp
+        self._holes = 0.0  # stream time of all jumps, holes among them
 
     @property
     def now(self) -> float:
@@ -116,8 +121,12 @@ class TimeBase:
     def _begin_segment(self, stamp: float) -> None:
         self.steps += 1
         self._highest = max(self._highest, self._newest)
-        is_hole = stamp > self._highest + FORWARD_STEP
-        resume = self._frame + FORWARD_STEP if is_hole else self._now
+        hole = 0.0
+        if stamp > self._highest + FORWARD_STEP:
+            left = FORWARD_STEP + HOLE_SHARE * (self._frame - self._holes) - self._holes
+            hole = max(min(FORWARD_STEP, left), 0.0)
+        resume = max(self._now, self._frame + hole)
         self._newest = stamp
-        self._now = (math.floor(max(resume, self._now) * TICK_RATE) + 1) / TICK_RATE
+        self._now = (math.floor(resume * TICK_RATE) + 1) / TICK_RATE
+        self._holes += self._now - self._frame
         self._offset = stamp - self._now

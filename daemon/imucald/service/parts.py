@@ -77,7 +77,8 @@ class PartsMaker:
         """The parts at the start, the saved state restored. Raises ConfigError, LinkError."""
         store = self._new_calibration_store(loaded, engine)
         if store is not None:
-            engine.pipeline.replace(store.restore(engine.pipeline.estimator))
+            restored = store.restore(engine.pipeline.estimator)
+            engine.pipeline.replace(restored, afresh=True)
             restore_check(engine, store.saved_check)
         diagnostics = self._new_diagnostics(loaded, engine, UdsDiagnostics())
         return Parts(
@@ -97,7 +98,10 @@ class PartsMaker:
                 link = self._new_link(loaded, engine, diagnostics)
             engine.timebase, engine.pipeline.k = old.timebase, old.pipeline.k
             estimator, store = self._estimator_after(parts, loaded, engine)
-            engine.pipeline.replace(estimator)
+            engine.pipeline.replace(estimator, afresh=True)
+            if estimator is old.pipeline.estimator:
+                engine.pipeline.first_usable = old.pipeline.first_usable
+                engine.pipeline.first_fine = old.pipeline.first_fine
             engine.output.prepare()
         except BaseException:
             if link is not parts.link:

@@ -144,7 +144,7 @@ class CandumpScreenParser:
         for shape in self._shapes:
             shape.lines_found = 0
         for shape in self._shapes:
-            if len(left):
+            if len(left) and (times is None or times.fits(shape.stamp)):
                 left, part = shape.find(buf, starts, left, times)
                 found.append(part)
         new = 0
@@ -167,6 +167,8 @@ class CandumpScreenParser:
         match = PRINTED.fullmatch(line.rstrip())
         if match is None or not ScreenShape.can_be_of(match):
             return None
+        if isinstance(self._time, StampedTimes) and not self._time.fits(match["stamp"]):
+            return None
         frame = frame_of_line(line, match)
         if not isinstance(frame, ScreenFrame) or not frame.data:
             return None
@@ -187,15 +189,19 @@ class CandumpScreenParser:
         if not line or line.startswith(b"\t"):  # what -e explains about an error frame
             return None, None
         match, value = PRINTED.fullmatch(line), None
+        words = "the time stamp is missing, or none of candump's"
         if isinstance(time, StampedTimes) and match is not None and match["stamp"] is not None:
-            value = time.value(match["stamp"])
+            if time.fits(match["stamp"]):
+                value = time.value(match["stamp"])
+            else:
+                words = "the time stamp has another form than those before"
+                time.other(place[0], place[1] + 1)
         parsed = frame_of_line(line, match)
         if isinstance(parsed, str):
             self._statistics.ignore(parsed)
             return None, value
         if isinstance(parsed, ScreenFrame):
             if isinstance(time, StampedTimes) and value is None:
-                words = "the time stamp is missing, or none of candump's"
                 parsed = LineFault("bad_timestamp", words)
             elif self._channels.index(parsed.channel) is None:
                 parsed = LineFault("too_many_channels", "more than 255 channels")

@@ -92,6 +92,8 @@ class ScreenShape:
         self._ids = ids
         self._fd = len(match["length"]) == 2
         self.lines_found = 0
+        self.stamp: bytes | None = match["stamp"]
+        """Of the line it was learned from."""
         self._head = match.start("rest") + len(rest) - len(rest.lstrip(b" "))
         self._most = FD_BYTES if self._fd else CLASSIC_BYTES
         self._id = np.arange(*match.span("id"))

@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from imucald.can.columns import FrameColumns, concatenate
 from imucald.can.logs.ascii_columns import Index
+from imucald.core.errors import LogError
 
+SECONDS_DIGITS: Final = 10
+"""Digits before the point with which candump prints seconds since 1970 (``%010llu``), also those of
+a clock that was never set; others have three, or as many as they need."""
+OTHER_LINES: Final = 64
+"""So many lines in a row with stamps of another form are no damage: another recording follows."""
 DELTA_SHARE: Final = 0.2
 """Part of the steps that go back from which stamps are differences: of differences half do."""
 
@@ -23,11 +29,35 @@ class StampedTimes:
 
     def __init__(self, first: list[bytes]) -> None:
         """first: the first stamps of the file."""
+        # One of three may be damaged.
+        self._are_absolute = sorted(_is_absolute(stamp) for stamp in first[:3])[len(first[:3]) // 2]
         small = [float(s) for s in first if re.fullmatch(rb"[0-9]{1,9}\.[0-9]+", s)]
         back = sum(b < a for a, b in itertools.pairwise(small))
-        self._are_steps = len(small) > 1 and back > DELTA_SHARE * (len(small) - 1)
+        back_often = len(small) > 1 and back > DELTA_SHARE * (len(small) - 1)
+        self._are_steps = back_often and not self._are_absolute
+        self._others = self._last_other = 0
         self._now = 0.0
         self._days: dict[bytes, int] = {}
+
+    def fits(self, stamp: bytes | None) -> bool:
+        """Whether a stamp, if there is one, has the form of the file's first ones: time of day, or
+        not."""
+        return stamp is None or _is_absolute(stamp) == self._are_absolute
+
+    def other(self, name: str, line: int) -> None:
+        """Take note of a line whose stamp does not fit. Raises LogError where all do from one on.
+
+        name: of the file; line: its number.
+        """
+        self._others = self._others + 1 if line == self._last_other + 1 else 1
+        self._last_other = line
+        if self._others >= OTHER_LINES:
+            kinds = "seconds since 1970 or a date", "since the start or differences"
+            before, after = kinds if self._are_absolute else kinds[::-1]
+            raise LogError(
+                f"{name}:{line - OTHER_LINES + 1}: from here on the time stamps have another form "
+                f"({before} before, {after} now): give each recording in a file of its own"
+            )
 
     def value(self, text: bytes) -> float | None:
         """The number or the date [s] that a stamp spells; None where it is neither."""
@@ -64,6 +94,11 @@ class StampedTimes:
         self._now = float(t[-1]) if len(t) else self._now
         t[missing] = np.nan
         return t
+
+
+def _is_absolute(stamp: bytes) -> bool:
+    """Whether a stamp is a date or counts from 1970."""
+    return b":" in stamp or len(stamp.partition(b".")[0]) >= SECONDS_DIGITS
 
 
 class CountedTimes:

@@ -80,9 +80,10 @@ class ReadStatistics:
             self.problems.append(text)
 
     def note(self, text: str) -> None:
-        """Tell of something that limits what a log is worth. Raises LogError where strict."""
+        """Tell of something that limits what a log is worth. Raises LogError where strict, which
+        says that this, and no bad line, is the reason."""
         if self.strict:
-            raise LogError(text)
+            raise LogError(f"{text} (a strict reading ends here: it takes no such log)")
         self.problems.append(text)
 
     def stamp(self, t: float) -> None:
