@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from imucald.motion import ticks as tk
+from imucald.motion.signal_health import SignalHealth
 from imucald.motion.stuck import StuckSpeed
 from imucald.motion.ticks import empty_rows
 from imucald.mount.signal_blocks import BEFORE, BLOCK_TICKS, KEEP
@@ -90,3 +91,57 @@ def test_standing_is_not_being_stuck():
 def test_a_speed_that_never_changed_is_not_called_stuck():
     """A simulated or configured constant: there is nothing to hold it against."""
     assert not flagged(np.full(TICKS, 12.0)).any()
+
+
+def flagged_with_wheels(speed: NDArray[np.float64], wheels: NDArray[np.float64]) -> np.ndarray:
+    """At which ticks the speed is stuck; wheels: (N, 4), their speeds as the bus has them."""
+    rows = empty_rows(len(speed) + KEEP)
+    rows[KEEP:, tk.SPEED.mean], rows[KEEP:, tk.WHEEL_SPREAD.mean] = speed, np.ptp(wheels, axis=1)
+    rows[KEEP:, tk.SPEED.n] = rows[KEEP:, tk.WHEEL_SPREAD.n] = 5
+    health = SignalHealth(slice(BEFORE, BEFORE + BLOCK_TICKS))
+    out = np.zeros(len(rows), dtype=bool)
+    for first in range(0, len(rows) - KEEP - BLOCK_TICKS + 1, BLOCK_TICKS):
+        flags = health.stuck("speed", rows[first : first + KEEP + BLOCK_TICKS])
+        out[first + BEFORE : first + BEFORE + BLOCK_TICKS] = flags[BEFORE : BEFORE + BLOCK_TICKS]
+    return out[KEEP:]
+
+
+def launches(step: float, least: float = 0.0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Speed, and wheels, of two minutes: 20 s of standing and 40 s of driving, twice.
+
+    step: of both [m/s]. least: below, wheels and speed are silent [m/s].
+    """
+    t = np.arange(1200) * 0.1
+    true = np.clip(np.minimum(t % 60.0 - 20.0, 60.0 - t % 60.0), 0.0, 12.0 + np.sin(0.3 * t))
+    bend = 0.3 * np.sin(0.4 * t) * np.array([[1.0], [-1.0], [0.9], [-0.9]])
+    noise = 0.02 * np.random.default_rng(1).standard_normal((4, len(t)))
+    wheels = np.where(true > least, true + (true > 0.0) * (bend + noise), 0.0).T
+    return np.round(np.where(true > least, true, 0.0) / step) * step, np.round(wheels / step) * step
+
+
+@pytest.mark.parametrize("step", [0.003, 0.01, 0.03])
+def test_a_speed_that_stays_zero_while_the_wheels_turn_is_stuck(step: float) -> None:
+    speed, wheels = launches(step)
+    speed[700:] = 0.0
+    found = flagged_with_wheels(speed, wheels)
+    end = len(found) - len(found) % BLOCK_TICKS - KEEP
+    assert not found[:790].any()
+    assert found[810:end].mean() > 0.95
+    standing = flagged_with_wheels(np.zeros(1200), np.zeros((1200, 4)))
+    assert not standing.any()
+
+
+@pytest.mark.parametrize("step", [0.003, 0.03, 0.3])
+@pytest.mark.parametrize("least", [0.0, 1.1])
+def test_stops_and_launches_of_a_sound_speed_are_not_stuck(step: float, least: float) -> None:
+    assert not flagged_with_wheels(*launches(step, least)).any()
+
+
+def test_a_speed_that_begins_later_than_the_wheels_is_not_stuck() -> None:
+    speed, wheels = launches(0.01)
+    assert not flagged_with_wheels(np.where(speed < 1.1, 0.0, speed), wheels).any()
+
+
+def test_wheels_that_differ_while_they_stand_accuse_nothing() -> None:
+    offsets = np.tile([0.0, 0.1, 0.2, 0.0], (1200, 1))
+    assert not flagged_with_wheels(np.zeros(1200), offsets).any()

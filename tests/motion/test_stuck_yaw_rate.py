@@ -79,6 +79,17 @@ def test_a_yaw_rate_that_stays_while_the_vehicle_turns_is_not_used(
     assert found[3800:].all(), "after, it is sound again"
 
 
+def test_a_fine_yaw_rate_that_stays_in_a_gentle_bend_is_not_used() -> None:
+    """Two degrees a second for eight seconds, which would pass for a sensor turned by 16 deg."""
+    true = true_yaw_rate(straight=slice(2400, 3600))
+    true[3000:3080] += 2.0 * DEG
+    told = rounded(true, 0.01 * DEG, 0.1 * DEG)
+    told[2990:3090] = told[2990]
+    found = known(told, true)
+    assert found[:2980].all()
+    assert not found[3005:3075].any()
+
+
 @pytest.mark.parametrize("steering", [True, False])
 @pytest.mark.parametrize("step", [0.01, 0.1, 0.5, 1.0, 2.0])
 def test_a_sound_yaw_rate_is_used_however_coarse(step: float, steering: bool) -> None:

@@ -24,7 +24,7 @@ from imucald.motion.physical_limits import (
     ROAD_FORCE,
     saturated_axes,
 )
-from imucald.motion.stuck import StuckSensor, StuckSpeed
+from imucald.motion.stuck import StuckSensor, StuckSpeed, zero_while_wheels_turn
 from imucald.motion.stuck_yaw_rate import StuckYawRate
 from imucald.motion.ticks import ACCEL, GYRO, TICK_S, WHEEL_SPREAD
 
@@ -123,6 +123,7 @@ class SignalHealth:
         """Ticks (N,) at which "accel", "gyro" or "speed" is stuck; rows: (N, COLUMNS)."""
         if signal == "speed":
             flags = self._speed.flags(rows, self._new.stop - self._new.start)
+            flags |= zero_while_wheels_turn(rows)
         else:
             flags = self._sensors[signal].flags(rows)
         return self._told_stuck(signal, flags)

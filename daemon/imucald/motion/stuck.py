@@ -44,6 +44,11 @@ FINE = 0.1
 """So many of the changes are finer than what counts as the signal's step: rounding splits steps."""
 SAME_SPEED = 1e-6
 """[m/s]"""
+TURNING_WHEELS = 15
+"""Ticks in which wheels turn and the speed is zero that make it stuck: a speed that begins at
+4 km/h (inductive wheel sensors) is zero for a second of a launch at 1 m/s^2."""
+WHEELS_WITHIN = np.ones(41)
+"""They are counted within 2 s to both sides: of coarse wheel speeds not every tick's change."""
 
 
 class StuckSensor:
@@ -181,6 +186,24 @@ class StuckSpeed:
         usual = float(lasted @ lasted / lasted.sum())  # as seen at any time: long ones weigh more
         step = quantile(change, FINE)
         return max(MIN_STUCK_S, step / STEADIEST, TIMES_USUAL * usual)
+
+
+def zero_while_wheels_turn(rows: Array) -> Flags:
+    """Ticks (N,) with a speed of zero around which the wheels turn; rows: (N, COLUMNS).
+
+    Wheels that stand say the same, whatever their offsets; so a spread of their speeds that changes
+    from tick to tick is that of wheels that turn.
+    """
+    out = np.zeros(len(rows), dtype=bool)
+    zero = (rows[:, tk.SPEED.n] > 0) & (np.abs(rows[:, tk.SPEED.mean]) <= SAME_SPEED)
+    at = np.flatnonzero(rows[:, tk.WHEEL_SPREAD.n] > 0)
+    if len(at) < TURNING_WHEELS or not zero.any():
+        return out
+    spread = rows[at, tk.WHEEL_SPREAD.mean]
+    turning = np.zeros(len(rows))
+    turning[at[1:]] = np.abs(np.diff(spread)) > SAME_SPEED
+    near = np.convolve(turning * zero, WHEELS_WITHIN, mode="same")
+    return np.asarray(zero & (near > TURNING_WHEELS - 0.5))
 
 
 def quantile(values: Array, share: float) -> float:

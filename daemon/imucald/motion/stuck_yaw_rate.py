@@ -20,9 +20,9 @@ Flags = NDArray[np.bool_]
 
 SAME_RATE = 1e-9
 """Means over nine and ten equal samples differ by rounding [rad/s]."""
-TURNED = 0.05
-"""The other signal moves by so much at least [rad/s]: 2.9 deg/s, a bend, and not the shaking of a
-gyroscope or a tired steering wheel on a straight road."""
+TURNED = 0.008
+"""The other signal moves by so much at least [rad/s]: that comes to 3 deg in the 6.4 s of a block,
+which would be taken for a sensor that was turned. A fine yaw rate does not stay the same at all."""
 STEPS = 3.0
 """... and by so many steps: rounding holds a value back by one, a sender's dead band by two."""
 LARGE = 0.9
