@@ -18,12 +18,12 @@ FORMATS = ("parquet", "csv", "mf4", "mcap")
 
 
 def test_a_stream_gives_the_same_samples_in_parts(monkeypatch):
-    monkeypatch.setattr("imucald.api.streaming.PART_ROWS", 10_000)
+    monkeypatch.setattr("imucald.api.streaming.PART_ROWS", 30_000)
     stream = imucald.stream(config(), log())
     with pytest.raises(imucald.ImucaldError, match="has not ended"):
         _ = stream.result
     parts = list(stream)
-    assert len(parts) > 3
+    assert len(parts) > 2
     for name in ("accel", "gyro", "raw/speed"):
         for i, array in enumerate(drive().tables[name].arrays):
             joined = np.concatenate([p.tables[name].arrays[i] for p in parts if name in p.tables])
@@ -39,7 +39,7 @@ def test_a_stream_gives_the_same_samples_in_parts(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", FORMATS)
 def test_a_stream_writes_what_a_whole_drive_writes(monkeypatch, tmp_path, ending):
-    monkeypatch.setattr("imucald.api.streaming.PART_ROWS", 10_000)
+    monkeypatch.setattr("imucald.api.streaming.PART_ROWS", 30_000)
     imucald.stream(config(), log()).write(
         tmp_path / f"s.{ending}", ("accel", "history", "raw/speed")
     )
