@@ -177,6 +177,7 @@ def test_only_the_quantities_that_are_named_are_written(tmp_path):
     assert not (tmp_path / "a.csv").exists()
 
 
+@pytest.mark.slow
 def test_several_logs_are_a_row_each_and_a_bad_one_stops_no_other(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("COLUMNS", raising=False)  # of whoever runs the tests: notes would be folded
     folder = tmp_path / "logs"

@@ -256,6 +256,7 @@ def test_signs_of_a_measured_car_with_a_two_axis_sensor_are_found():
     assert signs["yaw_rate"] == {"": 1}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (SHARED_DATA / "css_canmod_164").exists(), reason="measured drives absent")
 def test_speed_of_obd_answers_is_offered_as_bytes():
     folder = SHARED_DATA / "css_canmod_164"

@@ -42,6 +42,7 @@ def evaluated(fleet: Path, out: Path) -> int:
     return main(["fleet", "run", "--fleet", str(fleet), "--out", str(out), "--quiet"])
 
 
+@pytest.mark.slow
 def test_every_reader_sees_the_same_table(done: Path) -> None:
     duckdb, pl, pd = (pytest.importorskip(n) for n in ("duckdb", "polars", "pandas"))
     for table in ("drives", "events", "failures", "analysis/vehicles", "analysis/types"):

@@ -231,6 +231,7 @@ def second_drive(mount: StoredMount) -> tuple[RestoredEstimator, set[MountState]
     return restored, states, joined
 
 
+@pytest.mark.slow
 def test_after_a_restart_it_goes_on_from_there():
     restored, states, joined = second_drive(stored())
     assert joined

@@ -216,6 +216,7 @@ def random_mount_error(seed: int, settings: PublishedSettings) -> tuple[MountSta
     return estimate.state, abs(yaw), math.degrees(estimate.std[2])
 
 
+@pytest.mark.slow
 def test_a4_claim_2_alone_the_accelerometer_and_nothing_else() -> None:
     """Four drives with steady turns, which agree as well as straight motion does."""
     found = [random_mount_error(seed, published(use_speed=False)) for seed in (4, 5, 6, 7)]
