@@ -79,15 +79,17 @@ class SignalChecks:
 
     def accuse(self, fault: StandingFault) -> None:
         """Let a fault stand, until the next block is taken."""
-        self.standing = (*self.standing, fault)
+        if fault not in self.standing:
+            self.standing = (*self.standing, fault)
 
     def hold_against_orientation(self, solver: MountSolver, block: int) -> None:
         """A fault where the sensor is found to sit the other way round than a person said."""
         if solver.R is None:
             return
         stated = self._alternatives.contradicted_orientation(solver.R, solver.yaw_known)
-        if stated is None or (fault := AGAINST_A_PERSON[stated]) in self.standing:
+        if stated is None:
             return
+        fault = AGAINST_A_PERSON[stated]
         self.accuse(fault)
         if fault not in {seen for _, seen in self.history}:
             self.history.append((block, fault))
