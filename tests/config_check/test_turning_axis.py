@@ -7,7 +7,7 @@ import functools
 import numpy as np
 import pytest
 
-from imucald.config.calibration import SensorAxis
+from imucald.config.calibration import OrientationSettings, SensorAxis
 from imucald.config_check.finding import Finding
 from imucald.config_check.judgement import judge
 from imucald.config_check.motion import Motion, TickMeans
@@ -42,7 +42,7 @@ def motion(**changes: np.ndarray) -> Motion:
 
 
 def findings(up: SensorAxis | None = None, **changes: np.ndarray) -> list[Finding]:
-    return list(judge(motion(**changes), 1.5, 2.7, 16.0, up))
+    return list(judge(motion(**changes), 1.5, 2.7, 16.0, OrientationSettings(up=up)))
 
 
 EXCHANGED = {
