@@ -5,7 +5,7 @@ By date: shaking, swing, gusts, hysteresis, dead_zone and glitches were written 
 since (hysteresis and dead_zone also before `patterns` and `held_values` were written): they show
 what is seen, not what an effect that nobody thought of would do. fading, restarts and held_speed
 were written on 2026-11-22, when the method stood, and not run before its judge. wheel_slip,
-loose_contact and heated_gain were written on 2026-11-22 at 19:10, before anything of the tests was
+loose_contact and heated_gain were written on 2026-11-22 at 19:08, before anything of the tests was
 changed that day, and not run before the judge of draw 14.
 """
 
