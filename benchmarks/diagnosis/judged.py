@@ -137,8 +137,8 @@ def outside(lines: Sequence[Line], null_lines: Sequence[Line]) -> Iterator[str]:
     if hard:
         yield (
             f"- Too small at any size tried for a test that does not know their shape (deviations "
-            f"of the ideal filter, needed): {said}; seen in {sum(map(is_right, hard))}, a wrong name "
-            f"in {sum(bool(wrong_names(x)) for x in hard)}."
+            f"of the ideal filter, needed): {said}; seen in {sum(map(is_right, hard))}, a wrong "
+            f"name in {sum(bool(wrong_names(x)) for x in hard)}."
         )
 
 

@@ -260,7 +260,7 @@ def test_a_dead_zone_repeats_itself_and_is_neither_a_second_frame_nor_stuck():
     rate[(t % 60.0) < 25.0] = 0.0
     rate = np.sign(rate) * np.maximum(np.abs(rate) - 0.035, 0.0)
     made = {
-        "accel": Series(t, rng.standard_normal((len(t), 3)) + [0.0, 0.0, 9.81]),
+        "accel": Series(t, rng.standard_normal((len(t), 3)) + np.array([0.0, 0.0, 9.81])),
         "gyro": Series(t, rate),
         "speed": Series(t, 15.0 + np.sin(t)),
     }
