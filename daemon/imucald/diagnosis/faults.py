@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
@@ -239,7 +240,7 @@ def _stuck(
     )  # fmt: skip
 
 
-def _is_shown_often(t: Array, table: Array, first: Array, span: tuple[float, float]) -> bool:
+def _is_shown_often(t: Array, table: Array, first: NDArray[Any], span: tuple[float, float]) -> bool:
     """Whether what a sensor shows in a stretch is what most of its other stays are at: a dead zone,
     and no sensor that is stuck. first: rows at which a stay begins."""
     inside = (t >= span[0]) & (t <= span[1])
