@@ -90,9 +90,10 @@ class Ideal:
         self.tilt = {n: self._stack(n, z) for n, z in base.tilt.items()}
         y = {n: self._cosine(n, x) for n, x in base.of.items()}
         X = self._columns(f)
+        nothing = {n: x[:, :, :0] for n, x in X.items()}
         self.weights = {n: np.ones_like(y[n]) for n in y}
-        for _ in range(PASSES):
-            left = {n: self._without(n, y[n], X[n]) for n in y}
+        for columns in (nothing, *[X] * PASSES):
+            left = {n: self._without(n, y[n], columns[n]) for n in y}
             self.weights = {n: noise_weights(left[n], self.good[n]) for n in y}
         self.y, self.X = y, X
 
@@ -120,7 +121,8 @@ class Ideal:
         return np.stack([self._cosine(name, z) for z in some], axis=2)
 
     def _columns(self, f: Forward) -> dict[str, Array]:
-        """(B, K, P) of each equation: what a wrong parameter of the model file makes of it."""
+        """(B, K, P) of each equation: what a parameter makes of it that is wrong by all that a
+        vehicle or a sensor can have."""
         f.settle(f.tilts(f.residuals({}), self.masks))
         settled = f.residuals({}, by_inertia=True).of
         made: dict[str, list[Array]] = {n: [] for n in self.base}
@@ -130,7 +132,7 @@ class Ideal:
             step = tolerance(self.model, key) or row.tolerance
             moved = f.residuals({key: step}, by_inertia=True).of
             for n in self.base:
-                change = settled[n] - moved[n]
+                change = (settled[n] - moved[n]) * max(map(abs, row.plausible)) / step
                 if np.any(change):
                     made[n].append(self._cosine(n, change))
         return {
@@ -152,7 +154,8 @@ class Ideal:
         left: Array = A[:, :, 0]
         if X.shape[2]:
             flat = A.reshape(-1, A.shape[2])
-            x = np.linalg.lstsq(flat[:, 1:], flat[:, 0], rcond=1e-9)[0]
+            inner = flat[:, 1:].T @ flat[:, 1:] + np.eye(X.shape[2])
+            x = np.linalg.solve(inner, flat[:, 1:].T @ flat[:, 0])
             left = left - A[:, :, 1:] @ x
         return np.asarray(np.divide(left, w, out=np.zeros_like(left), where=w > 0.0))
 
