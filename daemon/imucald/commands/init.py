@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, positive
+from imucald.commands.options import LOG_HELP, positive, print_problems
 
 if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
@@ -135,8 +135,7 @@ def _read(logs: list[str], databases: Mapping[str, Database]) -> GatheredFrames:
     with progress_bar("init") as progress:
         reader = LogReader(logs, None, False, progress, list(stated_cycles(databases)))
         recording = GatheredFrames.of(reader)
-    for text in reader.problems:
-        print(f"imucald: {text}", file=sys.stderr)
+    print_problems(reader.problems)
     return recording
 
 

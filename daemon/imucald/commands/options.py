@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from imucald.api.configuration import Configuration
 
 LOG_HELP = (
     "candump output in any form ('-' for standard input), ASC, BLF, TRC, MF4, CSV of SavvyCAN or "
@@ -34,6 +40,21 @@ def add_config(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="database to use in place of the configuration's (repeat for several)",
     )
+
+
+def configuration(options: argparse.Namespace) -> Configuration:
+    """The configuration that the options of `add_config` name; its warnings go to stderr."""
+    from imucald.api.configuration import Configuration
+
+    found = Configuration.load(options.config, options.database)
+    print_problems(f"warning: {text}" for text in found.warnings)
+    return found
+
+
+def print_problems(texts: Iterable[str]) -> None:
+    """What is wrong with a configuration or a log, a line each on stderr."""
+    for text in texts:
+        print(f"imucald: {text}", file=sys.stderr)
 
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
