@@ -11,15 +11,16 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
-from imucald.diagnosis.signals import DUPLICATE_SHARE, Array, Mask, Spans, duplicates
+from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
 from imucald.diagnosis.stuck import Fault, stuck
+from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
 from imucald.model.model import VehicleModel
 
 LEAST_ROWS = 100
 RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
-PILE_RATIO, PILE_SHARE = 1.3, 2e-4
-"""An extreme value that is held so many times as often as the levels next to it is a rail."""
+PILE_SHARE = 2e-4
+"""A rail is met in so many of the samples."""
 PILE_LEVELS = (3, 10)
 """Levels below the extreme one that it is held against."""
 CHANCE = 0.01
@@ -121,21 +122,18 @@ def _rail(x: Array, still: Mask) -> float | None:
 
 
 def _is_crowded(x: Array, top: float, near: float) -> bool:
-    """Where nothing is clipped, the end of a range is met no oftener than what lies below it: of k
-    visits there and m samples in n levels below, k is binomial with p <= 1/(n + 1). Visits are
-    counted and not samples, since a slow signal stays for some at its highest."""
+    """Whether a value is met oftener than the levels below it: the end of a range is not, where
+    nothing is clipped."""
     at = x >= top - near
     below = x[~at]
     values = np.unique(x[x > np.quantile(x, 0.9)])
     step = float(np.median(np.diff(values))) if len(values) > 2 else 0.0
     if step == 0.0 or not len(below):
         return False
-    visits = int(at[0]) + int((np.diff(at.astype(int)) == 1).sum())
     width = max(step, float(top - below.max()))
     for levels in PILE_LEVELS:
         beside = int((below > top - (levels + 0.5) * width).sum())
-        share = PILE_RATIO / (PILE_RATIO + levels)
-        if binom.sf(visits - 1, visits + beside, share) < CHANCE / QUESTIONS:
+        if visited_too_often(at, beside, levels, CHANCE / QUESTIONS):
             return True
     return False
 
@@ -179,8 +177,6 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
     message = getattr(model, name)
     period = float(np.median(np.diff(series.t)))
     again = duplicates(series, period)
-    if not _comes_twice(series, again):
-        again = np.diff(series.t, prepend=-np.inf) <= 0.0
     doubled = int(again.sum())
     if doubled >= DOUBLED_FEWEST and doubled > DOUBLED_TOLERANCE * len(again):
         share = doubled / len(again)
@@ -222,24 +218,6 @@ def _timed(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
             f"The cycle is {1000 * cycle:.5g} ms, {off:+.0f} ppm off what the model file states.",
             {f"{name}.clock_drift_ppm": ppm}, (), abs(off) / CLOCK_PPM * 10.0,
         )  # fmt: skip
-
-
-def _comes_twice(series: Series, again: Mask) -> bool:
-    """Whether frames repeat the one before them whatever it says. A sensor that shows one value for
-    a while does so too in two frames that come close together: that value is left out, and the
-    others must be repeated oftener than in frames that come in time (binomial)."""
-    table = series.values.reshape(len(again), -1)
-    if again.sum() < DOUBLED_FEWEST:
-        return True
-    values, count = np.unique(table[again], axis=0, return_counts=True)
-    others = (table != values[np.argmax(count)]).any(axis=1)[1:]
-    same = (np.diff(table, axis=0) == 0.0).all(axis=1)
-    soon = np.diff(series.t) < DUPLICATE_SHARE * float(np.median(np.diff(series.t)))
-    in_time = others & ~soon
-    usual = PILE_RATIO * float(same[in_time].mean()) if in_time.any() else 0.0
-    twice, asked = int((same & soon & others).sum()), int((soon & others).sum())
-    share = min(usual + 1.0 / len(again), 1.0)
-    return bool(twice and binom.sf(twice - 1, asked, share) < CHANCE / len(WATCHED))
 
 
 def _has_other_rate(steps: Array) -> bool:

@@ -18,7 +18,7 @@ QUICK = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 MOVING_MPS = 2.0
 STUCK_S, STUCK_SLOW_S, STUCK_RUNS = 0.5, 8.0, 4.0
 """A quick sensor is stuck from so long on, a slow one; and only if so many times the usual."""
-FEW_RUNS = 20
+FEW_RUNS, FEW_STAYS = 20, 3
 PARTNER_SHARE = 0.5
 """A slow signal is stuck where others go on moving by this share of their usual spread."""
 
@@ -73,6 +73,7 @@ def stuck(
     spans = [(float(t[a]), float(t[b])) for a, b in zip(first[long], last[long], strict=True)]
     if name not in QUICK:
         spans = [s for s in spans if _others_move(name, samples, s)]
+    spans = [s for s in spans if not _is_shown_often(t, table, first, s)]
     total = sum(b - a for a, b in spans)
     if not spans or (name not in QUICK and total < STUCK_SLOW_S):
         return
@@ -108,6 +109,17 @@ def _usual_of(values: Array, length: Array, k: int) -> float:
     """The same of the value that is held: what a sensor shows again and again, for a while each
     time (a dead zone, a default), is not what it was stuck at."""
     return _usual(length[(values == values[k]).all(axis=1)])
+
+
+def _is_shown_often(t: Array, table: Array, first: Index, span: tuple[float, float]) -> bool:
+    """Whether what a sensor shows in a stretch is what most of its other stays are at: a dead zone,
+    and no sensor that is stuck. first: rows at which a stay begins."""
+    inside = (t >= span[0]) & (t <= span[1])
+    value = table[inside][0]
+    others = first[~inside[first]]
+    if len(others) < FEW_STAYS:
+        return False
+    return bool((table[others] == value).all(axis=1).mean() > 0.5)
 
 
 def _jumps_when_released(x: Array, last: int) -> bool:
