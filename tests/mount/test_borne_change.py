@@ -50,7 +50,7 @@ def solver(std_deg: float, found: Shift | None = None) -> Any:
     [(0.9, 0.1, True), (1.1, 0.1, False), (-1.1, 0.3, True), (-1.3, 0.3, False)],
 )
 def test_a_change_within_a_degree_or_four_deviations_misleads_nobody(degrees, std, bearable):
-    assert changes().is_bearable(shift(YAW, degrees), variance(std)) is bearable
+    assert changes().is_bearable(shift(YAW, degrees), solver(std), 70) is bearable
 
 
 def test_the_interval_of_95_percent_reaches_from_the_old_angle_to_the_new_one():

@@ -207,36 +207,24 @@ class FullEstimator:
     def _take_change(self, found: MountChange) -> None:
         """The sensor was moved: what came in the blocks after is all that counts."""
         after = blocks_since(found, self._solvers.kept)
-        if self._misleads_nobody(found):
-            if self._changes.bear(found, self._signals.blocks):
+        changes, block = self._changes, self._signals.blocks
+        if self.state in GOOD and changes.is_bearable(found, self._solver, block):
+            if changes.bear(found, block):
                 self._solvers.begin_beside(after, self._signals.offsets)
             return
-        self._changes.history.append((self._signals.blocks, found))
+        changes.history.append((block, found))
         if abs(found.size) > AFRESH:
             self._begin_without_rotation(after)
             return
         self._served.has_moved = True
-        self._changes.restart()
+        changes.restart()
         self._solvers.begin_after_change(after, self._signals.offsets)
-
-    def _misleads_nobody(self, found: MountChange) -> bool:
-        """Whether what is served as good stays within the alert limit after a change."""
-        fused = self._solver.fused
-        if self.state not in GOOD or fused is None:
-            return False
-        return self._changes.is_bearable(found, fused.variance + self._moving())
 
     def _take_beside(self) -> None:
         """Go on with what came after a change that misled nobody, once it knows the mount."""
-        solvers, limits = self._solvers, self._settings.limits
-        if not solvers.has_beside and self._served.has_arrived:
+        if not self._solvers.has_beside and self._served.has_arrived:
             self._changes.borne[:] = 0.0  # what is applied is the mount of now
-        beside = solvers.beside
-        if beside is None or beside.fused is None or not beside.yaw_known:
-            return
-        roll, pitch, yaw = np.sqrt(beside.fused.variance).tolist()
-        if max(roll, pitch) < limits.usable_tilt and yaw < limits.usable_yaw:
-            solvers.take_beside()
+        if self._solvers.take_beside(self._settings.limits):
             self._changes.follow()
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:

@@ -92,8 +92,11 @@ class MountChanges:
             self._probability[found.axis] = probability(found.excess)
         return None if found is None or found.excess < 1.0 else found
 
-    def is_bearable(self, found: MountChange, variance: Array) -> bool:
-        """Whether what is applied misleads nobody after a change; variance: (3,) of it, stated."""
+    def is_bearable(self, found: MountChange, solver: MountSolver, blocks: int) -> bool:
+        """Whether what is applied misleads nobody after a change, with the deviation stated now."""
+        if solver.fused is None:
+            return False
+        variance = solver.fused.variance + self.variance(solver, blocks)
         stated = ALERT_DEVIATIONS * math.sqrt(float(variance[found.axis]))
         return abs(found.size) <= max(ALERT_LIMIT, stated)
 

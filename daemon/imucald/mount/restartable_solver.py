@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
-from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.estimator_settings import EstimatorSettings, Limits
 from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.offsets import Offsets
 from imucald.mount.refit import KEPT_BLOCKS, Refit
@@ -155,10 +155,16 @@ class RestartableSolver:
         fresh.past_drives = None  # it is about the mount before
         self._beside = Refit(fresh, blocks, offsets.gyro_bias.copy())
 
-    def take_beside(self) -> None:
-        """Let the solver beside count from now on."""
-        if self.beside is not None:
-            self.now, self._beside = self.beside, None
+    def take_beside(self, limits: Limits) -> bool:
+        """Let the solver beside count from now on, where it is usable; return whether it does."""
+        beside = self.beside
+        if beside is None or beside.fused is None or not beside.yaw_known:
+            return False
+        roll, pitch, yaw = np.sqrt(beside.fused.variance).tolist()
+        if max(roll, pitch) >= limits.usable_tilt or yaw >= limits.usable_yaw:
+            return False
+        self.now, self._beside = beside, None
+        return True
 
     def look_again(self, offsets: Offsets) -> None:
         """Once gyro bias and rotation are known, go through the first minutes again."""
