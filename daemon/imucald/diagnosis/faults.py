@@ -15,6 +15,7 @@ from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
+from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
 from imucald.model.model import VehicleModel
 
 LEAST_ROWS = 100
@@ -22,8 +23,8 @@ RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 QUICK = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 """Sensors whose noise moves them from sample to sample."""
-PILE_RATIO, PILE_SHARE = 1.3, 2e-4
-"""An extreme value that is held so many times as often as the levels next to it is a rail."""
+PILE_SHARE = 2e-4
+"""A rail is met in so many of the samples."""
 PILE_LEVELS = (3, 10)
 """Levels below the extreme one that it is held against."""
 CHANCE = 0.01
@@ -147,21 +148,18 @@ def _rail(x: Array, still: Mask) -> float | None:
 
 
 def _is_crowded(x: Array, top: float, near: float) -> bool:
-    """Where nothing is clipped, the end of a range is met no oftener than what lies below it: of k
-    visits there and m samples in n levels below, k is binomial with p <= 1/(n + 1). Visits are
-    counted and not samples, since a slow signal stays for some at its highest."""
+    """Whether a value is met oftener than the levels below it: the end of a range is not, where
+    nothing is clipped."""
     at = x >= top - near
     below = x[~at]
     values = np.unique(x[x > np.quantile(x, 0.9)])
     step = float(np.median(np.diff(values))) if len(values) > 2 else 0.0
     if step == 0.0 or not len(below):
         return False
-    visits = int(at[0]) + int((np.diff(at.astype(int)) == 1).sum())
     width = max(step, float(top - below.max()))
     for levels in PILE_LEVELS:
         beside = int((below > top - (levels + 0.5) * width).sum())
-        share = PILE_RATIO / (PILE_RATIO + levels)
-        if binom.sf(visits - 1, visits + beside, share) < CHANCE / QUESTIONS:
+        if visited_too_often(at, beside, levels, CHANCE / QUESTIONS):
             return True
     return False
 
