@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.public_logs.frames import Array, BusRecording
 from benchmarks.public_logs.repositories import CSS
+from imucald.api.interchange import library
 
 CSS_PARTS = (
     "00000001-60FEB68B", "00000002-60FEB8E3", "00000003-60FEBB3B", "00000004-60FEBD93",
@@ -32,14 +33,11 @@ def css_165(data: Path) -> BusRecording:
 
 def _frames_of_mf4(content: bytes) -> tuple[Array, list[str]]:
     """Times [s] of its clock and the frames of its first group; bus 1 is can0."""
-    try:
-        from asammdf import MDF  # type: ignore[import-not-found,unused-ignore]
-    except ImportError:
-        raise ValueError("css_165 is read with asammdf: pip install '.[mf4]'") from None
+    asammdf = library("asammdf", "mf4")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "part.mf4"
         path.write_bytes(content)
-        with MDF(path) as file:
+        with asammdf.MDF(path) as file:
             frames = file.get("CAN_DataFrame", group=0)
     samples = frames.samples
     columns = [samples[f"CAN_DataFrame.{name}"].tolist()
