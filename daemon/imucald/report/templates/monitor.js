@@ -3,7 +3,7 @@
 const byId = (id) => document.getElementById(id);
 const escaped = (text) => String(text ?? "").replace(/[&<>"]/g, (c) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" })[c]);
 const half = (x) => (x === null || x === undefined ? "-" : `±${x.toFixed(2)}°`);
-const clock = (s) => { const w = Math.round(s); return `${Math.floor(w / 60)}:${String(w % 60).padStart(2, "0")}`; };
+const clock = (s) => { const w = Math.floor(s); return `${Math.floor(w / 60)}:${String(w % 60).padStart(2, "0")}`; };
 const WIDEST = 16, NARROWEST = 0.1;  // degrees: bars are on a log scale, as on the terminal
 const part = (x) => Math.min(Math.max(Math.log(Math.max(x, NARROWEST) / NARROWEST) / Math.log(WIDEST / NARROWEST), 0.02), 1);
 
