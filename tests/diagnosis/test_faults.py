@@ -249,3 +249,20 @@ def test_a_stuck_speed_does_not_put_the_blame_on_what_stands_still():
     stuck = (t > 100.0) & (t < 160.0)
     samples["speed"] = Series(t, np.where(stuck, 11.0, samples["speed"].values))
     assert "stuck_signal:yaw_rate" not in causes(samples)
+
+
+def test_a_dead_zone_repeats_itself_and_is_neither_a_second_frame_nor_stuck():
+    """Stamps of a bus: some frames come early. Below 2 deg/s the gyroscope shows nothing."""
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 300.0, 0.1)
+    t[1::40] -= 0.08
+    rate = 0.05 * np.sin(t[:, None] / np.array([3.0, 5.0, 7.0]))
+    rate[(t % 60.0) < 25.0] = 0.0
+    rate = np.sign(rate) * np.maximum(np.abs(rate) - 0.035, 0.0)
+    made = {
+        "accel": Series(t, rng.standard_normal((len(t), 3)) + np.array([0.0, 0.0, 9.81])),
+        "gyro": Series(t, rate),
+        "speed": Series(t, 15.0 + np.sin(t)),
+    }
+    found = {fault.cause for fault in find_faults(made, VehicleModel())}
+    assert not found & {"duplicated_frames", "stuck_signal"}

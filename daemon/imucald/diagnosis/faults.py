@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
@@ -226,6 +227,7 @@ def _stuck(
     spans = [(float(t[a]), float(t[b])) for a, b in zip(first[long], last[long], strict=True)]
     if name not in QUICK:
         spans = [s for s in spans if _others_move(name, samples, s)]
+    spans = [s for s in spans if not _is_shown_often(t, table, first, s)]
     total = sum(b - a for a, b in spans)
     if not spans or (name not in QUICK and total < STUCK_SLOW_S):
         return
@@ -236,6 +238,17 @@ def _stuck(
         f"of driving, from {spans[0][0]:.0f} s on.",
         {f"{name}.stuck": gaps}, tuple(spans), 5.0 * total / max(least, 1.0),
     )  # fmt: skip
+
+
+def _is_shown_often(t: Array, table: Array, first: NDArray[Any], span: tuple[float, float]) -> bool:
+    """Whether what a sensor shows in a stretch is what most of its other stays are at: a dead zone,
+    and no sensor that is stuck. first: rows at which a stay begins."""
+    inside = (t >= span[0]) & (t <= span[1])
+    value = table[inside][0]
+    others = first[~inside[first]]
+    if len(others) < FEW_STAYS:
+        return False
+    return bool((table[others] == value).all(axis=1).mean() > 0.5)
 
 
 def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool:

@@ -26,7 +26,7 @@ EVIDENCE_KINDS = {
     "before": "earlier drives",
 }
 """What the last part of an evidence's name means."""
-MIRRORED = (
+UPSIDE_DOWN = (
     "upside down and backwards: if the sensor sits so, say 'calibration: {orientation: {up: AXIS}}'"
     "; if not, its accelerometer shows minus the specific force: give its axes 'sign: -1'"
 )
@@ -93,7 +93,7 @@ def mirror_note(estimate: MountEstimate) -> str | None:
     if not (R[0, 0] < 0.0 and R[2, 2] < 0.0):
         return None
     up = max(range(3), key=lambda i: abs(R[2, i]))
-    return MIRRORED.replace("AXIS", ("-" if R[2, up] < 0.0 else "") + "xyz"[up])
+    return UPSIDE_DOWN.replace("AXIS", ("-" if R[2, up] < 0.0 else "") + "xyz"[up])
 
 
 def reasons(waiting_for: Mapping[str, str]) -> Iterator[tuple[str, str]]:
