@@ -103,7 +103,7 @@ def input_health(status: Mapping[str, Any], channel: str, rate: float | None) ->
         return words, "bold red"
     if not rate:
         return "silent", "red"
-    return ("sound" if faults is not None else "comes"), "green"
+    return ("sound" if faults is not None else "received"), "green"
 
 
 def events_table(events: Sequence[LiveEvent]) -> Table:

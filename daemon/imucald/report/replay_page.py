@@ -124,12 +124,11 @@ def _mount_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for angle, axis, turn in zip(ANGLES, "xyz", TURNS_ABOUT, strict=True):
         targets = mount.get("target_std_deg")
-        target = "" if targets is None else (
-            f"usable below {plus_minus(targets['usable'][axis])}, "
-            f"fine below {plus_minus(targets['fine'][axis])}"
+        goals = ("-", "-") if targets is None else (
+            plus_minus(targets["usable"][axis]), plus_minus(targets["fine"][axis])
         )  # fmt: skip
         of_turn = plus_minus(mount["std_deg"][axis])
-        rows.append((angle, *angle_cells(mount, angle), turn, of_turn, target))
+        rows.append((angle, *angle_cells(mount, angle), turn, of_turn, *goals))
     return rows
 
 
@@ -167,12 +166,12 @@ def _sources(details: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str,
     rows = []
     for name, std in (details.get("evidence_std_deg") or {}).items():
         parts = [
-            (angle, f"{100.0 * of[name]:.0f} %")
+            (angle, f"{100.0 * of[name]:.0f}\N{NO-BREAK SPACE}%")
             for angle, of in shares.items()
             if of.get(name, 0.0) >= 0.005
         ]
         kind = EVIDENCE_KINDS.get(name.rpartition("_")[2], "")
-        title = name.replace("_", " ")
+        angle = name.rpartition("_")[0] if kind else name.replace("_", " ")
         alone = "says nothing yet" if half_width(std) is None else plus_minus(std)
-        rows.append((title if not kind else f"{title} ({kind})", alone, parts))
+        rows.append((f"{angle}, from {kind}" if kind else angle, alone, parts))
     return rows
