@@ -102,6 +102,11 @@ class _Help(argparse.HelpFormatter):
 class _ByGroups(_Help):
     """Lists commands under the headings of their groups."""
 
+    def format_help(self) -> str:
+        """Leave room for the longest name, which argparse counts without its indent."""
+        self._action_max_length += 2
+        return super().format_help()
+
     def _format_action(self, action: argparse.Action) -> str:
         text = super()._format_action(action)
         heading = next((h for h, group in GROUPS.items() if action.dest == next(iter(group))), "")

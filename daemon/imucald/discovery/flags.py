@@ -146,7 +146,7 @@ def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
     if levers:
         yield (
             f"reverse: not seen in the recording. If {' or '.join(levers[:MAX_ALTERNATIVES])} "
-            f"tells it, add 'reverse: {{signal: {levers[0]}, equals: VALUE}}' under 'signals'."
+            f"has it, add 'reverse: {{signal: {levers[0]}, equals: VALUE}}' under 'signals'."
         )
 
 
