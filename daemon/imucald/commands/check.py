@@ -13,6 +13,7 @@ from imucald.commands.options import (
     configuration,
     positive,
     print_problems,
+    refuse_log_and_bus,
 )
 
 if TYPE_CHECKING:
@@ -53,14 +54,10 @@ def run(options: argparse.Namespace) -> int:
     from imucald.api.checking import check, check_report
     from imucald.commands.files import check_files
     from imucald.commands.terminal import progress_bar
-    from imucald.core.errors import ConfigError
     from imucald.runtime.summary import as_json
     from imucald.service.start_check import check_start
 
-    if options.logs and (options.interface or options.channel):
-        raise ConfigError("either LOG or --interface and --channel: not both")
-    if not options.seconds > 0:
-        raise ConfigError("--seconds must be positive")
+    refuse_log_and_bus(options)
     check_files((options.config, *options.database, *options.logs), ())
     config = configuration(options)
     check_start(config.loaded)

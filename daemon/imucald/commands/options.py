@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from imucald.core.errors import ConfigError
+
 if TYPE_CHECKING:
     from imucald.api.configuration import Configuration
 
@@ -55,6 +57,12 @@ def print_problems(texts: Iterable[str]) -> None:
     """What is wrong with a configuration or a log, a line each on stderr."""
     for text in texts:
         print(f"imucald: {text}", file=sys.stderr)
+
+
+def refuse_log_and_bus(options: argparse.Namespace) -> None:
+    """Raise ConfigError where both a recording and a bus are named."""
+    if options.logs and (options.interface or options.channel):
+        raise ConfigError("either LOG or --interface and --channel: not both")
 
 
 def add_bus(parser: argparse.ArgumentParser) -> None:
