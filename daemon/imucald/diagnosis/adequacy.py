@@ -87,12 +87,13 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
     power = power[power > 0.0]
     # One block must not decide: the one in which a sensor is knocked belongs to no mount.
     power = power[: len(power) - max(1, round(len(power) / 15))]
-    left = float(np.sqrt(power.mean())) if len(power) else 0.0
+    left = float(np.sqrt(power[-1])) if len(power) else 0.0
     limit = float(np.hypot(MOST_LEFT_MPS2, _noise(state, problem.table.top_hz[name])))
     if left <= limit:
         return []
     text = (
-        f"{left:.2g} m/s^2 is left of the sideways force whatever is fitted, where gusty air and "
+        f"{left:.2g} m/s^2 and more is left of the sideways force in one of fifteen segments, "
+        f"whatever is fitted, where gusty air and "
         f"the accelerometer's noise leave {limit:.2g}: the sensor is not fixed to the vehicle, or "
         "something acts on it that neither speed nor turning shows"
     )

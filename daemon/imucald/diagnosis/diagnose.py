@@ -18,6 +18,7 @@ from imucald.diagnosis import outcome
 from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
 from imucald.diagnosis.blocks import TAKES, Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
+from imucald.diagnosis.chance import beyond_chance
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.faults import Fault, find_faults, spoilt
 from imucald.diagnosis.gain import gain_of, summed
@@ -27,7 +28,7 @@ from imucald.diagnosis.patterns import patterns
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
     GOES_AGAINST,
-    GOES_WITH_LEVEL,
+    NOT_PLAUSIBLE,
     TOO_MUCH,
     VALUE_HELD,
     Diagnosis,
@@ -38,6 +39,7 @@ from imucald.diagnosis.result import (
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.search import search
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
+from imucald.diagnosis.stability import unstable
 from imucald.diagnosis.standing import unsettle
 from imucald.diagnosis.state import State, final_estimates, shift_steps
 from imucald.diagnosis.trials import Trial
@@ -148,7 +150,7 @@ def _left(state: State) -> tuple[Structure, ...]:
         *too_much(problem, state),
         *outcome.implausible(state),
         *held_values(state.drives),
-        *patterns(problem, state.forwards),
+        *beyond_chance([*patterns(problem, state.forwards), *unstable(problem, state)]),
         *what_is_left(problem, state),
     )
 
@@ -157,7 +159,7 @@ def _doubted(left: Sequence[Structure]) -> set[str]:
     """Sensors of which one at least does not feel what the equations say, nor any cause."""
     sensors = {s.signal.partition("_")[0] for s in left if s.kind == VALUE_HELD}
     for s in left:
-        if s.kind == GOES_WITH_LEVEL:
+        if s.kind not in (VALUE_HELD, NOT_PLAUSIBLE):
             sensors |= set(TAKES[s.signal])
     return sensors
 

@@ -6,16 +6,17 @@ last large value of a signal, whatever its parameters. What does is no cause of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.blocks import LEAST_SHARE, cosine, noise_weights
 from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.chance import Question
 from imucald.diagnosis.forward import UNITS, Forward
-from imucald.diagnosis.intervals import quantile
 from imucald.diagnosis.result import GOES_WITH_LEVEL, Structure
 from imucald.diagnosis.score import Problem, fitted, without_best
 from imucald.diagnosis.signals import STEP_S, Array
@@ -29,11 +30,17 @@ ZERO: Mapping[str, str] = {"gyro_z": "gyro.bias.z", "accel_x": "accel.bias.x",
 LEAST_BLOCKS = 8
 LARGE = (0.5, 1.0, 2.0)
 """Times its rms: from where on a value may leave something behind."""
+LATE = "late"
+DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
+    "accel_x": PARAMETERS["speed.delay_s"].tolerance
+}
+"""By which a signal of the equation may be late in a correct file [s]."""
 SHAPES = {
     "bent": "is less steep for large values than for small ones",
     "one-sided": "differs between one side and the other",
     "steeper": "grows faster than the value",
     "by direction": "depends on whether the value rises or falls",
+    LATE: "is later on one side than on the other",
     **{f"memory {x:g}": "keeps the sign of the last large value" for x in LARGE},
 }
 
@@ -50,12 +57,11 @@ class ShapeRows:
     """Samples a block."""
 
 
-def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Structure]:
+def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
     """Residuals that depend on their own signal in a way that is not linear.
 
-    Each shape is fitted beside value, slope and the block's tilt. Told is what is beyond chance
-    (Student's t of the scatter between blocks, 1 % over all that is asked), larger than the zero
-    error that a correct file may have, and not owed to one block.
+    Each shape is fitted beside value, slope and the block's tilt. Large is what is larger than the
+    zero error that a correct file may have, or later than its delay, and not owed to one block.
     """
     x = fitted(problem)
     changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
@@ -64,12 +70,12 @@ def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Structure]:
         for name, rows in _of_drive(f, changes, problem.table.top_hz):
             parts.setdefault(name, []).append(rows)
     grams = {name: _gram(own) for name, own in parts.items()}
-    asked = sum(len(gram) >= LEAST_BLOCKS for gram, _ in grams.values()) * len(SHAPES)
-    found = []
-    for name, (gram, size) in grams.items():
-        if len(gram) >= LEAST_BLOCKS:
-            found += _strongest(name, gram, size, asked)
-    return found
+    return [
+        question
+        for name, (gram, size) in grams.items()
+        if len(gram) >= LEAST_BLOCKS
+        for question in _asked(name, gram, size)
+    ]
 
 
 def _of_drive(
@@ -129,26 +135,26 @@ def _shapes(x: Array, top_hz: float) -> Array:
     z = smooth / size
     slope = np.gradient(z, STEP_S)
     quick = np.tanh(slope / max(float(np.std(slope)), 1e-12))
+    slope *= size
     rows = np.arange(len(z))
     last = [np.sign(z[np.maximum.accumulate(np.where(np.abs(z) > x, rows, 0))]) for x in LARGE]
-    return np.column_stack([z, slope, z / (1.0 + np.abs(z)), z**2, z * np.abs(z), quick, *last])
+    shapes = [z / (1.0 + np.abs(z)), z**2, z * np.abs(z), quick, slope * np.sign(z), *last]
+    return np.column_stack([smooth, slope, *shapes])
 
 
-def _strongest(name: str, gram: Array, squares: Array, asked: int) -> list[Structure]:
-    q = quantile(len(gram), asked)
-    best: tuple[float, str, float] | None = None
+def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
     for k, shape in enumerate(SHAPES):
         index = [0, 1, 2, 3 + k]
         value, se, gain = _fit(gram[:, index][:, :, index])
+        sigma = abs(value) / max(se, 1e-300)
         size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
-        sure = abs(value) / se
-        if sure > q and gain > SINGLE_NATS and size > _least(name) and (not best or sure > best[0]):
-            best = sure, shape, size
-    if best is None:
-        return []
-    sigma, shape, size = best
-    text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
-    return [Structure(name, GOES_WITH_LEVEL, sigma, text)]
+        # One side is late by `value` seconds and the other early.
+        is_large = abs(value) > DELAY_S[name] if shape == LATE else size > _least(name)
+        text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
+        yield Question(
+            float(2.0 * student.sf(sigma, len(gram) - 1)), gain > SINGLE_NATS and is_large,
+            Structure(name, GOES_WITH_LEVEL, sigma, text),
+        )  # fmt: skip
 
 
 def _least(name: str) -> float:
