@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
@@ -227,7 +226,7 @@ def _stuck(
     spans = [(float(t[a]), float(t[b])) for a, b in zip(first[long], last[long], strict=True)]
     if name not in QUICK:
         spans = [s for s in spans if _others_move(name, samples, s)]
-    spans = [s for s in spans if not _is_shown_often(t, table, first, s)]
+    spans = [s for s in spans if not _is_shown_often(t, table, same, s)]
     total = sum(b - a for a, b in spans)
     if not spans or (name not in QUICK and total < STUCK_SLOW_S):
         return
@@ -240,15 +239,15 @@ def _stuck(
     )  # fmt: skip
 
 
-def _is_shown_often(t: Array, table: Array, first: NDArray[Any], span: tuple[float, float]) -> bool:
-    """Whether what a sensor shows in a stretch is what most of its other stays are at: a dead zone,
-    and no sensor that is stuck. first: rows at which a stay begins."""
+def _is_shown_often(t: Array, table: Array, same: Mask, span: tuple[float, float]) -> bool:
+    """Whether what a sensor shows in a stretch is what it mostly repeats elsewhere: a dead zone,
+    and no sensor that is stuck. same: (N - 1,) rows that repeat the one before."""
     inside = (t >= span[0]) & (t <= span[1])
     value = table[inside][0]
-    others = first[~inside[first]]
-    if len(others) < FEW_STAYS:
+    repeats = same & ~inside[1:]
+    if repeats.sum() < FEW_STAYS:
         return False
-    return bool((table[others] == value).all(axis=1).mean() > 0.5)
+    return bool((table[1:][repeats] == value).all(axis=1).mean() > 0.5)
 
 
 def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool:

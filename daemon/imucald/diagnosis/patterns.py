@@ -30,6 +30,8 @@ ZERO: Mapping[str, str] = {"gyro_z": "gyro.bias.z", "accel_x": "accel.bias.x",
 LEAST_BLOCKS = 8
 LARGE = (0.5, 1.0, 2.0)
 """Times its rms: from where on a value may leave something behind."""
+SHAKEN_S = (1.0, 3.0, 10.0)
+"""From what the grid resolves to what a block's tilt does not take."""
 LATE = "late"
 DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
     "accel_x": PARAMETERS["speed.delay_s"].tolerance
@@ -42,6 +44,7 @@ SHAPES = {
     "by direction": "depends on whether the value rises or falls",
     LATE: "is later on one side than on the other",
     **{f"memory {x:g}": "keeps the sign of the last large value" for x in LARGE},
+    **{f"shaken {x:g}": f"goes with how much the sensor is shaken in {x:g} s" for x in SHAKEN_S},
 }
 
 
@@ -83,6 +86,7 @@ def _of_drive(
 ) -> list[tuple[str, ShapeRows]]:
     masks, residuals = f.usable(), f.residuals(changes)
     measured = f.measured()
+    shaken = [_shaken(f, seconds) for seconds in SHAKEN_S]
     made = []
     for name in ASKED:
         if name not in residuals.of or name not in measured:
@@ -90,7 +94,8 @@ def _of_drive(
         good = masks[name].mean(axis=1) >= LEAST_SHARE
         count = max(1, int(2.0 * f.rows * STEP_S * top_hz[name]))
         own = measured[name] - np.median(measured[name])
-        shapes = [x.reshape(f.blocks, f.rows) for x in _shapes(own, top_hz[name]).T]
+        columns = [*_shapes(own, top_hz[name]).T, *shaken]
+        shapes = [x.reshape(f.blocks, f.rows) for x in columns]
         tilt = residuals.tilt.get(name, (np.ones((f.blocks, f.rows)),))
         y, X, Z = (
             np.stack([cosine(x, masks[name], count) for x in some], axis=2)[good]
@@ -142,14 +147,32 @@ def _shapes(x: Array, top_hz: float) -> Array:
     return np.column_stack([smooth, slope, *shapes])
 
 
+def _shaken(f: Forward, seconds: float) -> Array:
+    """(N,) mean square of the accelerometer's steps about each time, 1 from the smoothest twentieth
+    of the drive to the roughest."""
+    accel = f.drive.channels["accel"]
+    power = np.sum(np.diff(accel.values, axis=0) ** 2, axis=1)
+    area = np.concatenate([[0.0], np.cumsum(power)])
+    first, last = (np.searchsorted(accel.t[1:], f.t + x * seconds) for x in (-0.5, 0.5))
+    mean = (area[last] - area[first]) / np.maximum(last - first, 1)
+    low, high = np.quantile(mean, [0.05, 0.95])
+    return np.asarray((mean - low) / max(float(high - low), 1e-12))
+
+
 def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
     for k, shape in enumerate(SHAPES):
         index = [0, 1, 2, 3 + k]
         value, se, gain = _fit(gram[:, index][:, :, index])
         sigma = abs(value) / max(se, 1e-300)
         size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
-        # One side is late by `value` seconds and the other early.
-        is_large = abs(value) > DELAY_S[name] if shape == LATE else size > _least(name)
+        if shape == LATE:
+            # One side is late by `value` seconds and the other early.
+            is_large = abs(value) > DELAY_S[name]
+        elif shape.startswith("shaken"):
+            # From one end of what a zero may be to the other.
+            is_large, size = abs(value) > 2.0 * _least(name), abs(value)
+        else:
+            is_large = size > _least(name)
         text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
         yield Question(
             float(2.0 * student.sf(sigma, len(gram) - 1)), gain > SINGLE_NATS and is_large,
