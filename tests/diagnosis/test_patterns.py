@@ -8,7 +8,7 @@ import pytest
 from imucald.core.samples import Series
 from imucald.diagnosis.chance import beyond_chance
 from imucald.diagnosis.held_values import held_values
-from imucald.diagnosis.patterns import LARGE, ShapeRows, _asked, _gram, _shapes
+from imucald.diagnosis.patterns import LARGE, SHAKEN_S, ShapeRows, _asked, _gram, _shapes
 from imucald.diagnosis.signals import drive_of
 
 SECONDS = 300.0
@@ -59,7 +59,8 @@ def left_over(kind: str, size: float, seed: int = 5):
         kind
     ]
     y = 0.05 * rng.standard_normal(n) + size * made
-    shapes = _shapes(x, 1.0).reshape(BLOCKS, ROWS, -1)
+    of_signal, shaken = _shapes(x, 1.0), rng.random((n, len(SHAKEN_S)))
+    shapes = np.concatenate([of_signal, shaken], axis=1).reshape(BLOCKS, ROWS, -1)
     tilt = np.ones((BLOCKS, ROWS, 1))
     return _gram([ShapeRows(y.reshape(BLOCKS, ROWS), shapes, tilt, ROWS)])
 

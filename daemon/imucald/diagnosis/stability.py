@@ -20,6 +20,7 @@ from imucald.diagnosis.result import DIFFERS, WANDERS, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, box_fit
 from imucald.diagnosis.signals import STEP_S, Array, DriveSignals
 from imucald.diagnosis.state import State
+from imucald.mount.mount_words import SD_95
 
 ASKED = ("bias", "scale", "offset")
 """Endings of what every sensor has. Delays, lever arm and springs also take what the equations of
@@ -79,7 +80,7 @@ def _wandering(
         beaten += (_shared(s[order]) >= got).sum(axis=0)
     sd = np.sqrt(np.maximum(got, 0.0) / np.maximum(_shared(h), 1e-300))
     for k, j in enumerate(asked):
-        key, tau = problem.table.keys[j], float(problem.table.tolerance[j])
+        key, tau = problem.table.keys[j], _may_be(problem, j)
         p = float((1.0 + beaten[k]) / (DRAWS + 1.0))
         text = (
             f"{key} wanders by {sd[k]:.2g} {PARAMETERS[key].unit} from piece to piece of the drive"
@@ -120,9 +121,14 @@ def _conditional(
             ratio = float(u.sum() ** 2 / max(float(u @ u), 1e-300))
             t = np.sqrt(ratio * (B - 1) / max(B - ratio, 1e-9))
             key, value = problem.table.keys[j], float(u.sum() / information)
-            size = abs(value) / (EITHER_SIDE * float(problem.table.tolerance[j]))
+            size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
             text = f"{key} differs by {value:+.2g} {PARAMETERS[key].unit} between {name} segments"
             yield _question(problem, key, DIFFERS, float(2.0 * student.sf(t, B - 1)), size, text)
+
+
+def _may_be(problem: Problem, j: int) -> float:
+    """By how much a correct file may be wrong, with what the equations err by."""
+    return float(problem.table.tolerance[j] + SD_95 * problem.table.model_error[j])
 
 
 def _question(problem: Problem, key: str, kind: str, p: float, size: float, text: str) -> Question:
