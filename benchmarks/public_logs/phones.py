@@ -21,6 +21,7 @@ from benchmarks.public_logs.repositories import (
     SANTOLLAN,
     VEHSENSE,
 )
+from imucald.api.interchange import library
 
 SHUTTLE_START = 1542645195.0
 SHUTTLE_PARTS = ((5100.0, 7800.0), (9600.0, 12300.0))
@@ -183,11 +184,7 @@ WATCH_AHEAD = 2.0
 
 def helbert_c1(data: Path) -> list[Message]:
     """Citroen C1, 6 min: a phone's accelerometer in g, no gyroscope; speed of a watch, 1 Hz."""
-    try:
-        import fitparse  # type: ignore[import-untyped,import-not-found,unused-ignore]
-    except ImportError:
-        remedy = "pip install 'imucald[public-logs]'"
-        raise ValueError(f"helbert_c1 is read with fitparse: {remedy}") from None
+    fitparse = library("fitparse", "public-logs")
     folder = "data/helbert/2023_03_02/path_5"
     text = INGENIEUR.file(data, f"{folder}/2023-03-0119.38.45.csv").decode()
     rows = [line.split(";") for line in text.replace(",", ".").splitlines()[1:]]

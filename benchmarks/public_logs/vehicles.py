@@ -15,6 +15,7 @@ import numpy as np
 
 from benchmarks.public_logs.frames import Array, Message, Signal, triad
 from benchmarks.public_logs.repositories import BALZER, COMMA2K19, DTU, EVERETT, KAU, XDRK
+from imucald.api.interchange import library
 
 
 def everett_roof(data: Path) -> list[Message]:
@@ -66,16 +67,12 @@ def dresden_city(data: Path) -> list[Message]:
 
 def tcr_civic(data: Path) -> list[Message]:
     """Honda Civic TCR, 3 min of a qualifying session: the logger's sensors and the car's CAN."""
-    try:
-        from libxrk import aim_xrk  # type: ignore[import-not-found,unused-ignore]
-    except ImportError:
-        remedy = "pip install '.[public-logs]'"
-        raise ValueError(f"tcr_civic is read with libxrk: {remedy}") from None
+    libxrk = library("libxrk", "public-logs")
     path = "testdata/072/TCR_EU-21_E02-LCA_Q1_HO-FK7-M5-X-S_072_A_1252.xrk"
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "session.xrk"
         file.write_bytes(XDRK.file(data, path))
-        channels = aim_xrk(str(file)).channels
+        channels = libxrk.aim_xrk(str(file)).channels
 
     def message(id_: int, name: str, unit: str, step: float, *names: str,
                 signed: bool = True) -> Message:  # fmt: skip

@@ -49,6 +49,7 @@ def status(silent):
         "roll_deg": 14.4, "pitch_deg": 28.6, "yaw_deg": -10.6,
         "quaternion_wxyz": [0.9546, 0.1431, 0.2331, -0.1182],
         "std_deg": {"x": 0.5, "y": 0.3, "z": 0.35},
+        "angle_std_deg": {"roll": 0.56, "pitch": 0.31, "yaw": 0.44},
         "sits": "x points forward, 29 deg down; y points left; z points up, 26 deg forward",
         "steep": None,
         "mirrored": None,
@@ -132,7 +133,7 @@ def test_inputs_say_what_is_wrong_with_them(status):
 
 
 def test_an_older_daemon_without_the_new_keys_is_shown(status):
-    for key in ("sits", "steep", "mirrored", "target_std_deg"):
+    for key in ("sits", "steep", "mirrored", "target_std_deg", "angle_std_deg"):
         del status["mount"][key]
     text = "\n".join(drawn(picture(status), 80))
     assert "±0.70°" in text

@@ -74,6 +74,7 @@ def test_the_page_says_how_the_sensor_sits_and_what_happened(page):
     for axis, angle in zip("xyz", ("roll", "pitch", "yaw"), strict=True):
         assert f"{result['mount'][f'{angle}_deg']:+.2f}°" in words
         assert f"±{2 * result['mount']['std_deg'][axis]:.2f}°" in words
+        assert f"±{2 * result['mount']['angle_std_deg'][angle]:.2f}°" in words
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from imucald.api.drive import DriveResult
+from imucald.can.logs.first_frames import IS_THE_SAME
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.rotations import vector_from_rotation
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
@@ -33,7 +34,7 @@ def _overlaps(drives: Sequence[DriveResult]) -> Iterator[str]:
         if latest is not None:
             shared = ((latest.end_us or 0) - (drive.start_us or 0)) / 1e6
             if _is_same(latest, drive):
-                yield f"{_name(drive)} is the same recording as {_name(latest)}"
+                yield f"{_name(drive)} {IS_THE_SAME} {_name(latest)}"
             elif shared > 0.0:
                 yield f"{_name(drive)} begins {shared:.1f} s before {_name(latest)} ends"
         if latest is None or (drive.end_us or 0) > (latest.end_us or 0):

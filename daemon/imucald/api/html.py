@@ -7,7 +7,7 @@ from html import escape
 from typing import Any
 
 from imucald.api.mount import MountResult
-from imucald.mount.mount_words import CONVENTION, plus_minus
+from imucald.mount.mount_words import CONVENTION, angle_text
 
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -16,11 +16,6 @@ def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = ("".join(f"<td>{escape(text)}</td>" for text in row) for row in rows)
     body = "".join(f"<tr>{line}</tr>" for line in lines)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def angle_text(value: float | None, std: float | None) -> str:
-    """An angle with its interval, for people."""
-    return "-" if value is None else f"{value:+.2f}° {plus_minus(std)}"
 
 
 def drive_html(
@@ -36,7 +31,7 @@ def drive_html(
     angles: list[tuple[str, str, str]] = []
     for i, angle in enumerate(("roll", "pitch", "yaw")):
         value = None if mount is None else float(getattr(mount, f"{angle}_deg"))
-        std = None if mount is None else mount.std_deg[i]
+        std = None if mount is None else mount.angle_std_deg[i]
         angles.append((angle, angle_text(value, std), summary["waiting_for"].get(angle, "")))
     found = html_table(("angle", CONVENTION, "waiting for"), angles)
     return f"<p><b>{escape(title)}</b></p>{found}<p>tables: {escape(', '.join(tables))}</p>"

@@ -18,7 +18,7 @@ BESIDE = 120
 """Columns from which inputs and events stand side by side."""
 BESIDE_INPUTS = 50
 LEAST_EVENTS = 3
-TABLE_COLUMNS = 49
+TABLE_COLUMNS = 66
 """Columns of the mount table without its bars."""
 LONGEST_BAR, SHORTEST_BAR = 48, 12
 FACTS = ("now", "losses", "rejected", "process")

@@ -14,7 +14,7 @@ from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
 
-MIRRORED = (
+NO_SIDES = (
     "a signal that separates left from right (yaw rate, steering angle, lateral acceleration, "
     "heading), or 'calibration: {orientation: {up: z}}' with the axis that points up: without, an "
     "accelerometer with all signs turned looks the same"
@@ -55,7 +55,7 @@ class Acceptance(Struct, frozen=True):
             times = len(self.changes.history)
             return f"a mount that stays: it moved {times} times in this drive"
         if self.has_no_sides:
-            return MIRRORED
+            return NO_SIDES
         if not self.solver.armed:
             return "more driving, until a moved sensor would be noticed"
         return "more turns and changes of speed, until the signals are seen to agree"

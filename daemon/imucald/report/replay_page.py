@@ -13,6 +13,8 @@ from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import (
     ABOUT,
     EVIDENCE_KINDS,
+    TURNS_ABOUT,
+    angle_cells,
     half_width,
     plus_minus,
     reasons_line,
@@ -109,17 +111,17 @@ def _rotation(estimate: MountEstimate | None) -> Any:
     return estimate.R_vehicle_from_sensor if known else None
 
 
-def _mount_rows(mount: Mapping[str, Any]) -> list[tuple[str, str, str, str]]:
+def _mount_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Angle, its value and ±; turn about a vehicle axis, its ± and what that must fall below."""
     rows = []
-    for angle, axis in zip(ANGLES, "xyz", strict=True):
-        std = mount["std_deg"][axis]
-        value = mount[f"{angle}_deg"] if half_width(std) is not None else None
+    for angle, axis, turn in zip(ANGLES, "xyz", TURNS_ABOUT, strict=True):
         targets = mount.get("target_std_deg")
         target = "" if targets is None else (
             f"usable below {plus_minus(targets['usable'][axis])}, "
             f"fine below {plus_minus(targets['fine'][axis])}"
         )  # fmt: skip
-        rows.append((angle, "-" if value is None else f"{value:+.2f}°", plus_minus(std), target))
+        of_turn = plus_minus(mount["std_deg"][axis])
+        rows.append((angle, *angle_cells(mount, angle), turn, of_turn, target))
     return rows
 
 

@@ -12,7 +12,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 
@@ -31,8 +31,10 @@ _XYZ = "xyz"
 class McapTables:
     """Writes MCAP: a topic for each table."""
 
+    needs: ClassVar = ("mcap.writer", "mcap")
+
     def __init__(self, path: Path, tables: Tables) -> None:
-        writer = library("mcap.writer", "mcap")
+        writer = library(*self.needs)
         self._path = path
         self._file = unfinished(path).open("wb")
         self._writer = writer.Writer(self._file)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from imucald import __version__
 from imucald.api.columns import RAW, Columns, TableColumn
@@ -25,6 +25,9 @@ Tables = Mapping[str, tuple[TableColumn, ...]]
 
 class TableWriter(Protocol):
     """Writes tables to a file, or to several beside each other."""
+
+    needs: ClassVar[tuple[str, str]]
+    """The library that it writes with: module, and the extra that brings it."""
 
     def __init__(self, path: Path, tables: Tables) -> None: ...
 
@@ -78,6 +81,21 @@ def given_up(writers: Iterable[Any], files: Iterable[Path]) -> None:
     for file in files:
         with contextlib.suppress(OSError):
             file.unlink()
+
+
+def opened(files: Mapping[str, Path], open_one: Callable[[str, str], Any]) -> dict[str, Any]:
+    """A writer for each table's unfinished file; where one cannot be opened none is left behind.
+
+    files: of each table, as it is named in the end. open_one: takes a table's name and a path.
+    """
+    writers: dict[str, Any] = {}
+    try:
+        for name, file in files.items():
+            writers[name] = open_one(name, str(unfinished(file)))
+    except OSError:
+        given_up(writers.values(), map(unfinished, files.values()))
+        raise
+    return writers
 
 
 def names_beside(path: Path, tables: Tables) -> dict[str, Path]:
