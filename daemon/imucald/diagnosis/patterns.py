@@ -17,7 +17,7 @@ from imucald.diagnosis.blocks import LEAST_SHARE, cosine, noise_weights
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.chance import Question
 from imucald.diagnosis.forward import UNITS, Forward
-from imucald.diagnosis.result import GOES_WITH_LEVEL, Structure
+from imucald.diagnosis.result import GOES_WITH_LEVEL, GOES_WITH_SHAKING, Structure
 from imucald.diagnosis.score import Problem, fitted, without_best
 from imucald.diagnosis.signals import STEP_S, Array
 from imucald.diagnosis.trials import SINGLE_NATS
@@ -29,7 +29,8 @@ ZERO: Mapping[str, str] = {"gyro_z": "gyro.bias.z", "accel_x": "accel.bias.x",
 """A zero error that a correct file may have: less than that is not told of."""
 LEAST_BLOCKS = 8
 LARGE = (0.5, 1.0, 2.0)
-"""Times its rms: from where on a value may leave something behind."""
+"""Times its rms: from where on a value may leave something behind. Octaves, of which one lies
+within a factor of 1.4 of any such level: the sign is then mostly the same."""
 SHAKEN_S = (1.0, 3.0, 10.0)
 """From what the grid resolves to what a block's tilt does not take."""
 LATE = "late"
@@ -165,18 +166,20 @@ def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
         value, se, gain = _fit(gram[:, index][:, :, index])
         sigma = abs(value) / max(se, 1e-300)
         size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
+        kind = GOES_WITH_LEVEL
         if shape == LATE:
             # One side is late by `value` seconds and the other early.
             is_large = abs(value) > DELAY_S[name]
         elif shape.startswith("shaken"):
             # From one end of what a zero may be to the other.
-            is_large, size = abs(value) > 2.0 * _least(name), abs(value)
+            kind, size = GOES_WITH_SHAKING, abs(value)
+            is_large = size > 2.0 * _least(name)
         else:
             is_large = size > _least(name)
         text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
         yield Question(
             float(2.0 * student.sf(sigma, len(gram) - 1)), gain > SINGLE_NATS and is_large,
-            Structure(name, GOES_WITH_LEVEL, sigma, text),
+            Structure(name, kind, sigma, text),
         )  # fmt: skip
 
 
