@@ -19,7 +19,7 @@ MIN_RUNS = 50
 """Before so many nothing is called stuck."""
 
 
-class Runs(NamedTuple):
+class EqualRuns(NamedTuple):
     """Runs of equal values: places (M,) of the first and last of each; `change`: (N - 1,), the
     size of the change after each value."""
 
@@ -28,11 +28,11 @@ class Runs(NamedTuple):
     change: Array
 
 
-def runs_of(values: Array, same: float) -> Runs:
+def runs_of(values: Array, same: float) -> EqualRuns:
     """The runs in values (N,), N > 0, that differ by no more than `same` from one to the next."""
     change = np.abs(values[1:] - values[:-1])
     last = np.append(np.flatnonzero(change > same), len(values) - 1)
-    return Runs(np.append(0, last[:-1] + 1), last, change)
+    return EqualRuns(np.append(0, last[:-1] + 1), last, change)
 
 
 class UsualRuns:

@@ -113,7 +113,7 @@ def _rotation(estimate: MountEstimate | None) -> Any:
 
 def _mount_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:
     """Angle, its value and ±; turn about a vehicle axis, its ± and what that must fall below."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for angle, axis, turn in zip(ANGLES, "xyz", TURNS_ABOUT, strict=True):
         targets = mount.get("target_std_deg")
         target = "" if targets is None else (
