@@ -145,6 +145,21 @@ def test_a_log_without_a_usable_drive_has_a_page_too(tmp_path):
     assert not math.isnan(len(words))
 
 
+@pytest.mark.slow
+def test_several_drives_have_a_page_each_in_a_folder_of_their_own(moved, tmp_path):
+    lines = moved[1].read_text().splitlines(keepends=True)
+    logs = [tmp_path / "mon.log", tmp_path / "tue.log"]
+    for log, first in zip(logs, (0, len(lines) // 2), strict=True):
+        log.write_text("".join(lines[first : first + 20_000]))
+    folder = tmp_path / "pages"
+    arguments = ["replay", "--config", str(CONFIG), *map(str, logs), "--report", str(folder)]
+    assert cli.main([*arguments, "--quiet"]) == 0
+    assert sorted(file.parent.name for file in folder.glob("*/index.html")) == ["mon", "tue"]
+    for log in logs:
+        page = Page((folder / log.stem / "index.html").read_text())
+        assert any(log.name in text for text in page.texts)
+
+
 def test_a_place_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):
     taken = tmp_path / "taken"
     taken.write_text("")

@@ -16,7 +16,7 @@ from imucald.mount.estimate import BETWEEN_DRIVES_STD
 CLOCK_SET_US = 946_684_800_000_000
 """Year 2000: a log that begins earlier has no time of day, it counts from its own start."""
 LIKELY = 1e-3
-"""A difference of two mounts that chance gives less often than once in a thousand pairs is told."""
+"""Two mounts that chance makes so different in fewer than one of a thousand pairs are reported."""
 GOOD = ("usable", "fine")
 
 

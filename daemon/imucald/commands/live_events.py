@@ -32,8 +32,8 @@ class LiveEvent:
 class LiveEvents:
     """Gathers events; oldest first in `events`.
 
-    What the daemon tells of earlier times is placed by its own clock, so a monitor that is started
-    late shows it too.
+    What the daemon reports of earlier times is placed by its own clock, so a monitor that is
+    started late shows it too.
     """
 
     def __init__(self) -> None:

@@ -23,7 +23,8 @@ from imucald.config_check.motion import Motion, shifted, smooth
 from imucald.config_check.yaw_rate_check import MIN_TURNING
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.alternatives import TO_ACCUSE, TO_BE_FINE, gyro_ratios
+from imucald.mount.gyro_alternatives import gyro_ratios
+from imucald.mount.log_ratios import TO_ACCUSE, TO_BE_FINE
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 MIN_BRAKING = 0.25

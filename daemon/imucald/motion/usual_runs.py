@@ -1,4 +1,4 @@
-"""EqualRuns of equal values of one signal: where they are, and how long they usually last."""
+"""Runs of equal values of one signal: where they are, and how long they usually last."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MIN_RUNS = 50
 
 
 class EqualRuns(NamedTuple):
-    """EqualRuns of equal values: places (M,) of the first and last of each; `change`: (N - 1,), the
+    """Runs of equal values: places (M,) of the first and last of each; `change`: (N - 1,), the
     size of the change after each value."""
 
     first: Places

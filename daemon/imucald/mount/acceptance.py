@@ -62,5 +62,5 @@ class Acceptance(Struct, frozen=True):
 
     @property
     def has_no_sides(self) -> bool:
-        """Whether no signal of this vehicle tells the drive from its mirror image."""
+        """Whether no signal of this vehicle distinguishes the drive from its mirror image."""
         return bool(self.checks.not_checked)

@@ -40,7 +40,7 @@ CERTAIN: Sequence[tuple[float, float]] = ((0.0, 1.0),)
 class CommonCovariance:
     """Covariance that sources have with one another (and with themselves) from shared errors.
 
-    scaled: errors that are as large as a scale says, which only `fuse` is told.
+    scaled: errors that are as large as a scale says, which only `fuse` is given.
     """
 
     def __init__(self, shared: Sequence[CommonError], scaled: Sequence[CommonError] = ()) -> None:

@@ -21,7 +21,7 @@ CROSS_AXIS = ((0.001, 0.15), (0.005, 0.2), (0.01, 0.25), (0.02, 0.25), (0.04, 0.
 sheet of a bare part states 2 % (MPU-6050), others 1 %: half of all units are taken to have that.
 The rest are assumptions: a third was set at the end of its line, to a tenth of 1 % or to a half;
 one in seven is soldered, glued and bent to four times as much. How far sources contradict one
-another, the size of gravity and the bias that it seems to have then tell more
+another, the size of gravity and the bias that it seems to have then show more
 (`fusion.weighed_scales`)."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.

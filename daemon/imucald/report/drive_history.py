@@ -46,7 +46,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class DriveMotion:
-    """Means over half a second, in vehicle axes where not said otherwise; (N,) and (N, 3), SI.
+    """Means over half a second, in vehicle axes where not stated otherwise; (N,) and (N, 3), SI.
 
     raw: the accelerometer in its own axes. corrected: as given out; NaN where not available.
     dvdt, turn: change of speed, and speed times yaw rate; NaN where not known.

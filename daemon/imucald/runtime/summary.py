@@ -1,4 +1,4 @@
-"""What a run came to, as the JSON that tools rely on and as a table for people."""
+"""What a run came to, as the JSON that tools rely on."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imucald.runtime.engine import Engine
 
 
 class RunCounts(Struct, frozen=True):
-    """Frames of a run: read at all, and rejected by reason."""
+    """Frames of a run: read at all, used, and rejected by reason."""
 
     read: int
     used: int

@@ -1,4 +1,4 @@
-"""What the service tells of itself in short: the status line, and what the process takes."""
+"""What the service reports of itself in short: the status line, and what the process takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""CSV: a file for each table, units in the columns' names; `drive.result.json` tells the rest."""
+"""CSV: a file for each table, units in the columns' names; `drive.result.json` holds the rest."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from imucald.api.interchange import arrow_schema, from_arrow, library, to_arrow
 
 
 def result_file(path: Path) -> Path:
-    """The file that tells what CSV has no place for."""
+    """The file for what CSV has no place for."""
     return path.with_name(f"{path.stem}.result.json")
 
 

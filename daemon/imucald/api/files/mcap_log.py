@@ -210,7 +210,7 @@ def _plain_schema(columns: tuple[TableColumn, ...]) -> dict[str, Any]:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a file tells of itself. Raises ImucaldError for one that imucald did not write."""
+    """What a file states about itself. Raises ImucaldError for one that imucald did not write."""
     with path.open("rb") as file:
         for record in library("mcap.reader", "mcap").make_reader(file).iter_metadata():
             if record.name == FILE_KEY:

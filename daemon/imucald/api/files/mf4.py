@@ -110,7 +110,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a file tells of itself."""
+    """What a file states about itself."""
     with opened(path) as mdf:
         (found,) = [a for a in mdf.attachments if str(a.file_name) == ATTACHMENT]
         about: dict[str, Any] = json.loads(found.extract())

@@ -69,7 +69,7 @@ class ParquetTables:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a file tells of itself. Raises ImucaldError for one that imucald did not write."""
+    """What a file states about itself. Raises ImucaldError for one that imucald did not write."""
     keys = library(*ParquetTables.needs).read_metadata(path).metadata or {}
     text = keys.get(FILE_KEY.encode())
     if text is None:

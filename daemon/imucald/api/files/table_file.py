@@ -1,4 +1,4 @@
-"""What every format is: a writer of tables in pieces; and what is told about them in the file."""
+"""What every format is: a writer of tables in pieces; and what the file states about them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from imucald.api.columns import RAW, Columns, TableColumn
 from imucald.core.errors import ImucaldError
 
 VERSION = 1
-"""Of what is told about tables; keys are only added."""
+"""Of what a file states about its tables; keys are only added."""
 UNFINISHED = ".unfinished"
 VEHICLE_AXES = "vehicle: x forward, y left, z up (ISO 8855)"
 SENSOR_AXES = "sensor"
@@ -36,7 +36,7 @@ class TableWriter(Protocol):
         ...
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
-        """Write what is told about the tables; give the files their names, and return them."""
+        """Write what the file states about its tables; name the files, and return them."""
         ...
 
     def abandon(self) -> None:
@@ -50,13 +50,13 @@ def axes_of(table: str) -> str:
 
 
 def about_tables(tables: Tables, drive: Mapping[str, Any]) -> dict[str, Any]:
-    """What a file tells of its tables; drive: of the drive that they are of."""
+    """What a file states about its tables; drive: of the drive that they are of."""
     columns = {name: [[c.name, c.unit, c.kind] for c in cs] for name, cs in tables.items()}
     return {"version": VERSION, "imucald": __version__, "tables": columns, "drive": dict(drive)}
 
 
 def tables_of(about: Mapping[str, Any]) -> dict[str, tuple[TableColumn, ...]]:
-    """The tables that a file tells of. Raises ImucaldError for a file of a later version."""
+    """The tables that a file states. Raises ImucaldError for a file of a later version."""
     if about["version"] != VERSION:
         raise ImucaldError(f"it was written by a later imucald ({about['imucald']})")
     return {name: tuple(TableColumn(*c) for c in cs) for name, cs in about["tables"].items()}
