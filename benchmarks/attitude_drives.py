@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 Event = tuple[float, str, Sequence[float]]
 ORDER = ("reverse", "speed", "heading", "gyro", "mag", "accel")
 TRIADS = ("gyro", "mag", "accel")
-VEHICLE_FROM_TEXT = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 import threading
 import time
@@ -19,12 +20,17 @@ from threads import in_a_thread
 
 AHEAD = 1.5
 """Acceleration of the vehicle [m/s^2], as a sensor at yaw 25 deg feels it."""
+NOISE = 0.01
+"""Of each axis [m/s^2]."""
 
 
-def sensor_frame(ahead: float = AHEAD) -> bytes:
-    """Accelerometer frame of a level sensor at yaw 25 deg in a vehicle that accelerates."""
-    x, y = 0.90630779 * ahead, -0.42261826 * ahead
-    return struct.pack("<4h", round(x / 0.002), round(y / 0.002), round(9.80665 / 0.002), 0)
+def sensor_frame(noise: random.Random) -> bytes:
+    """Accelerometer frame of a level sensor at yaw 25 deg in a vehicle that accelerates.
+
+    With the noise of a real one: the daemon takes a sensor without any for a stuck one.
+    """
+    force = (0.90630779 * AHEAD, -0.42261826 * AHEAD, 9.80665)
+    return struct.pack("<4h", *(round(noise.gauss(one, NOISE) / 0.002) for one in force), 0)
 
 
 @contextmanager
@@ -43,10 +49,11 @@ def traffic(channel: str, rate: float = 100.0) -> Iterator[threading.Event]:
     silent, ended = threading.Event(), threading.Event()
 
     def send() -> None:
+        noise = random.Random(1)
         with can.Bus(interface="virtual", channel=channel) as bus:
             while not ended.wait(1.0 / rate):
                 if not silent.is_set():
-                    data = sensor_frame()
+                    data = sensor_frame(noise)
                     bus.send(can.Message(arbitration_id=0x200, data=data, is_extended_id=False))
 
     thread = threading.Thread(target=send)

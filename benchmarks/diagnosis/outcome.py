@@ -9,11 +9,13 @@ import pickle
 import resource
 import time
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from benchmarks.diagnosis.cases import MINUTES, Case
+from benchmarks.diagnosis.ideal import FACTORS, Ideal, Seen
 from benchmarks.diagnosis.measured_logs import STATE, extended, read_log
 from benchmarks.diagnosis.outside_effects import OUTSIDE
 from benchmarks.diagnosis.real_effects import EFFECTS, with_effect
@@ -99,16 +101,15 @@ def _measured(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
     pieces = log.pieces(case.pieces)
     model = _model(case)
     samples = pieces[case.piece]
-    seed = int(hashlib.sha256(case.key.encode()).hexdigest()[:8], 16)
-    rng = np.random.default_rng(seed)
-    R = mount_of(model)
+    rng, R = _rng(case), mount_of(model)
     if case.part == "outside":
-        put, size, needs = OUTSIDE[case.effect]
-        if needs not in samples:
+        made = of_medium_size(case)
+        if made is None:
             return {}, model, ("unknown",), None
-        changed = dict(samples)
-        put(changed, size, rng, R)
-        return changed, model, ("unknown",), None
+        changed, size, seen = made
+        truth = {"size": size, "shows_in": seen.equation, "ideal": round(seen.ideal, 2),
+                 "needed": round(seen.needed, 2)}  # fmt: skip
+        return changed, model, ("unknown",), truth
     if not case.effect:
         return samples, model, (), None
     effect = EFFECTS[case.effect]
@@ -116,6 +117,42 @@ def _measured(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
         return {}, model, effect.right, None
     changed, x = with_effect(samples, case.effect, effect.sizes[case.level], rng, R)
     return changed, model, effect.right, {"key": effect.key, "value": x}
+
+
+def of_medium_size(case: Case) -> tuple[Samples, float, Seen] | None:
+    """A piece with an effect that the catalogue lacks, its size and what is there to be seen.
+
+    The size is the effect's own, or up to three times it where a test that knows nothing of its
+    shape could not see it (`ideal`). None: the signal is not there.
+    """
+    samples = read_log(case.log).pieces(case.pieces)[case.piece]
+    put, size, needs = OUTSIDE[case.effect]
+    if needs not in samples:
+        return None
+    model = _model(case)
+    try:
+        ideal = _ideal(case.log, case.pieces, case.piece)
+    except EstimateError:
+        return None
+    made = []
+    for factor in FACTORS:
+        changed = dict(samples)
+        put(changed, factor * size, _rng(case), mount_of(model))
+        seen = ideal.of(changed)[0]
+        made.append((changed, factor * size, seen))
+        if seen.ratio >= 1.0:
+            return made[-1]
+    return made[0]
+
+
+@cache
+def _ideal(log: str, pieces: int, piece: int) -> Ideal:
+    case = Case("outside", log, pieces=pieces, piece=piece)
+    return Ideal(read_log(log).pieces(pieces)[piece], _model(case))
+
+
+def _rng(case: Case) -> np.random.Generator:
+    return np.random.default_rng(int(hashlib.sha256(case.key.encode()).hexdigest()[:8], 16))
 
 
 def _model(case: Case) -> VehicleModel:

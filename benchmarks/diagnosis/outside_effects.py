@@ -4,7 +4,10 @@ By date: shaking, swing, gusts, hysteresis, dead_zone and glitches were written 
 `imucald.diagnosis.adequacy` and the generator's own outside effects were known, and seen many times
 since (hysteresis and dead_zone also before `patterns` and `held_values` were written): they show
 what is seen, not what an effect that nobody thought of would do. fading, restarts and held_speed
-were written on 2026-11-22, when the method stood, and not run before its judge.
+were written on 2026-11-22, when the method stood, and not run before its judge. wheel_slip,
+loose_contact and heated_gain were written on 2026-11-22 at 19:08, before anything of the tests was
+changed that day, and not run before the judge of draw 14. Since then (19:20) all are put in on the
+sensor's own levels: before, a gain made every value but 0 a level of its own, which gave it away.
 """
 
 from __future__ import annotations
@@ -21,7 +24,19 @@ Array = NDArray[np.float64]
 
 
 def _set(s: Drive, name: str, values: Array) -> None:
-    s[name] = Series(s[name].t, values)
+    """In the sensor's own levels: what acts on it acts before its converter."""
+    old = s[name].values.reshape(len(values), -1).T
+    new = values.reshape(len(values), -1).T
+    columns = [_on_levels(x, y) for x, y in zip(old, new, strict=True)]
+    s[name] = Series(s[name].t, np.column_stack(columns).reshape(values.shape))
+
+
+def _on_levels(old: Array, new: Array) -> Array:
+    levels = np.unique(old)
+    if len(levels) < 3:
+        return new
+    step = float(np.quantile(np.diff(levels), 0.1))
+    return np.asarray(levels[0] + np.round((new - levels[0]) / step) * step)
 
 
 def _shaking(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
@@ -121,6 +136,47 @@ def _held_speed(s: Drive, size: float, rng: np.random.Generator, R: Array) -> fl
     return size
 
 
+def _wheel_slip(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The driven wheels spin when the vehicle pulls away hard: for two seconds at the beginning of
+    every strong acceleration the speed is too high, by this share at most."""
+    t, v = s["speed"].t, s["speed"].values
+    grid = np.arange(t[0], t[-1], 0.1)
+    smooth = np.convolve(np.interp(grid, t, v), np.ones(20) / 20.0, "same")
+    pull = np.gradient(smooth, 0.1)
+    pulling = pull[pull > 0.2]
+    strong = pull > (np.quantile(pulling, 0.8) if len(pulling) else np.inf)
+    out = v.copy()
+    for start in grid[1:][strong[1:] & ~strong[:-1]]:
+        at = (t - start) / 2.0
+        inside = (at > 0.0) & (at < 1.0)
+        out[inside] = v[inside] * (1.0 + size * np.sin(np.pi * at[inside]) ** 2)
+    _set(s, "speed", out)
+    return size
+
+
+def _loose_contact(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A connector opens for `size` seconds twice a minute, and the accelerometer says 0 on all
+    axes."""
+    t, x = s["accel"].t, s["accel"].values.copy()
+    for start in np.arange(t[0], t[-1], 30.0):
+        at = start + rng.uniform(0.0, 30.0 - size)
+        x[(t >= at) & (t < at + size)] = 0.0
+    _set(s, "accel", x)
+    return size
+
+
+def _heated_gain(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A heater beside the gyroscope goes on and off every two minutes; its gain follows by this
+    share within half a minute."""
+    t, x = s["gyro"].t, s["gyro"].values
+    on = np.floor((t - t[0]) / 120.0) % 2.0
+    warm, step = np.zeros(len(t)), np.minimum(np.diff(t, prepend=t[0]), 1.0)
+    for k in range(1, len(t)):
+        warm[k] = warm[k - 1] + (on[k] - warm[k - 1]) * step[k] / 30.0
+    _set(s, "gyro", x * (1.0 + rng.choice([-1.0, 1.0]) * size * warm)[:, None])
+    return size
+
+
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shaking": (_shaking, 0.3, "accel"),
     "swing": (_swing, 0.4, "accel"),
@@ -131,5 +187,8 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "fading": (_fading, 0.25, "gyro"),
     "restarts": (_restarts, 0.3, "accel"),
     "held_speed": (_held_speed, 1.0, "speed"),
+    "wheel_slip": (_wheel_slip, 0.15, "speed"),
+    "loose_contact": (_loose_contact, 0.3, "accel"),
+    "heated_gain": (_heated_gain, 0.15, "gyro"),
 }
 """Effect, medium size [SI], signal that it is put into."""

@@ -33,7 +33,6 @@ class Effect:
     key: str = ""
     """Parameter whose interval should hold the number; empty: none is compared."""
     needs: tuple[str, ...] = ()
-    least_min: float = 0.0
 
 
 def _direction(rng: np.random.Generator) -> Array:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -167,11 +166,3 @@ def _turn(found: Mapping[int, Number], right: Mapping[int, Number]) -> np.ndarra
                 return None
             turn[i, k] = np.sign(a.factor / b.factor)
     return turn if (np.abs(turn).sum(axis=0) == 1).all() else None
-
-
-def uncommented_alternatives(text: str) -> Iterator[str]:
-    """The alternatives of a file, each as its own line would read."""
-    for line in text.splitlines():
-        match = re.match(r"\s*# unsure: (\w+: .*)", line)
-        if match:
-            yield match[1]

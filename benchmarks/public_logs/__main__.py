@@ -27,6 +27,7 @@ from benchmarks.public_logs.logs import LOGS, PublicLog
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
 from imucald.config import load_config
+from imucald.core.errors import ImucaldError
 from imucald.core.rotations import rotation_from_angles, vector_from_rotation
 from imucald.discovery import GatheredFrames, as_yaml, discover
 
@@ -58,7 +59,7 @@ def main() -> int:
             continue
         try:
             folder = _made(log, options.data)
-        except ValueError as error:
+        except (ValueError, ImucaldError) as error:
             print(f"{log.name}: {error}")
             absent.append(log)
             continue

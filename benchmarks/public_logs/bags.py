@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks.public_logs.frames import Array, Message, Signal, triad
 from benchmarks.public_logs.repositories import ODOMETRY_FUSION, ROBOT_LOCALIZATION, Repository
+from imucald.api.interchange import library
 
 
 def husky_field(data: Path) -> list[Message]:
@@ -62,21 +63,13 @@ def _stamps(messages: list[Any]) -> Array:
 
 def _topics(repository: Repository, data: Path, path: str, *topics: str) -> list[list[Any]]:
     """Messages of the topics, topic by topic, in their order."""
-    try:
-        from rosbags.rosbag1 import Reader  # type: ignore[import-not-found,unused-ignore]
-        from rosbags.typesys import (  # type: ignore[import-not-found,unused-ignore]
-            Stores,
-            get_typestore,
-        )
-    except ImportError:
-        remedy = "pip install 'imucald[public-logs]'"
-        raise ValueError(f"{path} is read with rosbags: {remedy}") from None
-    store = get_typestore(Stores.ROS1_NOETIC)
+    bags, types = (library(f"rosbags.{part}", "public-logs") for part in ("rosbag1", "typesys"))
+    store = types.get_typestore(types.Stores.ROS1_NOETIC)
     found: dict[str, list[Any]] = {topic: [] for topic in topics}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "recording.bag"
         file.write_bytes(repository.file(data, path))
-        with Reader(file) as bag:
+        with bags.Reader(file) as bag:
             wanted = [connection for connection in bag.connections if connection.topic in found]
             for connection, _, raw in bag.messages(wanted):
                 message = store.deserialize_ros1(raw, connection.msgtype)

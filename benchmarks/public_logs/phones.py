@@ -17,10 +17,12 @@ from benchmarks.public_logs.repositories import (
     CLOUDPOSE,
     ESCOOTER,
     INGENIEUR,
+    POTHOLES,
     ROAD_SURFACE,
     SANTOLLAN,
     VEHSENSE,
 )
+from imucald.api.interchange import library
 
 SHUTTLE_START = 1542645195.0
 SHUTTLE_PARTS = ((5100.0, 7800.0), (9600.0, 12300.0))
@@ -183,11 +185,7 @@ WATCH_AHEAD = 2.0
 
 def helbert_c1(data: Path) -> list[Message]:
     """Citroen C1, 6 min: a phone's accelerometer in g, no gyroscope; speed of a watch, 1 Hz."""
-    try:
-        import fitparse  # type: ignore[import-untyped,import-not-found,unused-ignore]
-    except ImportError:
-        remedy = "pip install 'imucald[public-logs]'"
-        raise ValueError(f"helbert_c1 is read with fitparse: {remedy}") from None
+    fitparse = library("fitparse", "public-logs")
     folder = "data/helbert/2023_03_02/path_5"
     text = INGENIEUR.file(data, f"{folder}/2023-03-0119.38.45.csv").decode()
     rows = [line.split(";") for line in text.replace(",", ".").splitlines()[1:]]
@@ -208,6 +206,24 @@ def helbert_c1(data: Path) -> list[Message]:
             Signal("enhanced_speed", "m/s", 0.001, np.array([v for _, v in speeds]), False),
         )),
     ]  # fmt: skip
+
+
+def pittsburgh(data: Path, trips: tuple[int, ...]) -> list[Message]:
+    """Car in a city, trips of 5 to 7 min: an iPhone at 5 Hz in g, GPS speed 1 Hz held in between.
+
+    iOS writes a speed of -1 where it has none; such rows are no fixes.
+    """
+    rows = np.concatenate([
+        _numbers(POTHOLES.file(data, f"Pothole/trip{trip}_sensors.csv"), ",") for trip in trips
+    ])  # fmt: skip
+    t, places = rows[:, 0], rows[:, 1:4]
+    is_new = np.concatenate([[True], np.any(np.diff(places, axis=0) != 0.0, axis=1)])
+    is_new &= rows[:, 3] >= 0.0
+    return [
+        triad(0x41, "ACCEL", "accelerometer", "g", 0.0002, t, rows[:, 4:7], "XYZ"),
+        triad(0x42, "GYRO", "gyro", "rad/s", 0.0002, t, rows[:, 7:10], "XYZ"),
+        Message(0x43, "GPS", t[is_new], (Signal("speed", "m/s", 0.01, rows[is_new, 3], False),)),
+    ]
 
 
 def _chunks(data: Path, folder: str, stem: str) -> list[dict[str, str]]:

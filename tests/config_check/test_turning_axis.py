@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from imucald.config.calibration import OrientationSettings, SensorAxis
+from imucald.config.vehicle import VehicleSettings
 from imucald.config_check.finding import Finding
 from imucald.config_check.judgement import judge
 from imucald.config_check.motion import Motion, TickMeans
@@ -42,7 +43,8 @@ def motion(**changes: np.ndarray) -> Motion:
 
 
 def findings(up: SensorAxis | None = None, **changes: np.ndarray) -> list[Finding]:
-    return list(judge(motion(**changes), 1.5, 2.7, 16.0, OrientationSettings(up=up)))
+    vehicle = VehicleSettings(track=1.5, wheelbase=2.7, steering_ratio=16.0)
+    return list(judge(motion(**changes), vehicle, OrientationSettings(up=up)))
 
 
 EXCHANGED = {
@@ -96,4 +98,4 @@ def test_an_axis_that_is_said_to_point_up_and_does_not_is_an_error_or_a_warning(
     down = findings("z", accel=-np.eye(3))
     assert any("points down" in f.text for f in down if f.level == "error")
     level = findings("x")
-    assert any("nearly level" in f.text for f in level if f.level == "warning")
+    assert any("neither up nor down" in f.text for f in level if f.level == "warning")

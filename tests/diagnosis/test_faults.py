@@ -81,6 +81,50 @@ def test_a_value_on_a_rail_is_clipped_and_not_stuck():
     assert list(causes(samples)) == ["saturation:gyro"]
 
 
+def test_a_signal_of_one_number_is_on_its_rail_at_either_end():
+    """Many short visits above show the rail; one long one below is the same rail."""
+    samples = drive()
+    t = samples["gyro"].t
+    x = 0.3 * np.sin(t / 3.0) + samples["gyro"].values[:, 2]
+    x[(t > 200.0) & (t < 203.0)] = -1.0
+    rail = float(np.quantile(x, 0.97))
+    samples["yaw_rate"] = Series(t, np.clip(x, -rail, rail))
+    assert list(causes(samples)) == ["saturation:yaw_rate"]
+
+
+def test_a_dead_zone_is_neither_stuck_nor_sent_twice():
+    """It shows one value for seconds, again and again, also in frames that come close together."""
+    samples = drive()
+    t, x = samples["gyro"].t.copy(), samples["gyro"].values
+    t[1::50] = t[:-1:50] + 0.0005
+    turning = 0.06 * (np.sin(t / 2.0) + 0.8 * np.sin(t / 5.3))[:, None]
+    x = 0.2 * (x - x.mean(axis=0)) + [0.1, 0.1, 1.0] * turning
+    samples["gyro"] = Series(t, np.sign(x) * np.maximum(np.abs(x) - 0.06, 0.0))
+    assert causes(samples) == {}
+    again = np.random.default_rng(6).random(len(t)) < 0.01
+    times = np.concatenate([t, t[again] + 0.0005])
+    order = np.argsort(times, kind="stable")
+    values = np.concatenate([samples["gyro"].values, samples["gyro"].values[again]])[order]
+    samples["gyro"] = Series(times[order], values)
+    assert "duplicated_frames:gyro" in causes(samples)
+
+
+def test_a_cruise_behind_a_filter_is_not_stuck():
+    """The filter takes the levels away; a speed that is held there goes on elsewhere."""
+    samples = drive()
+    t = samples["speed"].t
+    v = 15.0 + 3.0 * np.sin(t / 11.0) + 0.01 * np.random.default_rng(4).standard_normal(len(t))
+    cruise = (t > 200.0) & (t < 230.0)
+    v[cruise] = v[np.flatnonzero(cruise)[0]]
+    late = t >= 230.0
+    moved = v.copy()
+    moved[late] += v[np.flatnonzero(cruise)[0]] - v[np.flatnonzero(late)[0]]
+    samples["speed"] = Series(t, moved)
+    assert causes(samples) == {}
+    samples["speed"] = Series(t, v)
+    assert list(causes(samples)) == ["stuck_signal:speed"]
+
+
 def test_frames_that_do_not_come_are_lost_and_not_stuck():
     """Two frames of one value on either side of a hole of 8 s."""
     samples = drive()
@@ -249,3 +293,20 @@ def test_a_stuck_speed_does_not_put_the_blame_on_what_stands_still():
     stuck = (t > 100.0) & (t < 160.0)
     samples["speed"] = Series(t, np.where(stuck, 11.0, samples["speed"].values))
     assert "stuck_signal:yaw_rate" not in causes(samples)
+
+
+def test_a_dead_zone_repeats_itself_and_is_neither_a_second_frame_nor_stuck():
+    """Stamps of a bus: some frames come early. Below 2 deg/s the gyroscope shows nothing."""
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 300.0, 0.1)
+    t[1::40] -= 0.08
+    rate = 0.05 * np.sin(t[:, None] / np.array([3.0, 5.0, 7.0]))
+    rate[(t % 60.0) < 25.0] = 0.0
+    rate = np.sign(rate) * np.maximum(np.abs(rate) - 0.035, 0.0)
+    made = {
+        "accel": Series(t, rng.standard_normal((len(t), 3)) + np.array([0.0, 0.0, 9.81])),
+        "gyro": Series(t, rate),
+        "speed": Series(t, 15.0 + np.sin(t)),
+    }
+    found = {fault.cause for fault in find_faults(made, VehicleModel())}
+    assert not found & {"duplicated_frames", "stuck_signal"}

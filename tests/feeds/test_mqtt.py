@@ -54,6 +54,8 @@ def test_status_and_corrected_values_arrive_and_are_null_when_the_sensor_is_sile
             assert status["mount"]["yaw_deg"] == pytest.approx(truth["yaw_deg"], abs=0.01)
             expected = 2.0 * truth["std_deg"]["z"]
             assert status["mount"]["plus_minus_deg"]["z"] == pytest.approx(expected, abs=0.01)
+            of_yaw = status["mount"]["angle_plus_minus_deg"]["yaw"]
+            assert of_yaw == pytest.approx(2.0 * truth["angle_std_deg"]["yaw"], abs=0.01)
             assert heard["online"] == "1"
             silent.set()
             wait_until(lambda: json.loads(heard["acceleration"])["x"] is None)

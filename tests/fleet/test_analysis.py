@@ -121,6 +121,15 @@ def test_an_angle_of_a_type_that_two_vehicles_do_not_show_is_said_not_to_be_know
     assert f"{kind['ci95_z_deg']:.2f}" not in line
 
 
+def test_the_interval_of_an_angle_is_its_own_where_the_sensor_is_turned_by_90_deg() -> None:
+    centre = Rotation.from_euler("ZYX", (90.0, 0.0, 0.0), degrees=True)
+    (kind,) = analysed(columns_of(12, 3, centre=centre))["analysis/types"]
+    assert kind["ci95_x_deg"] > 1.5 * kind["ci95_y_deg"]  # the crown of the road
+    assert kind["ci95_pitch_deg"] == pytest.approx(kind["ci95_x_deg"], rel=0.02)
+    assert kind["ci95_roll_deg"] == pytest.approx(kind["ci95_y_deg"], rel=0.1)
+    assert kind["ci95_yaw_deg"] == pytest.approx(kind["ci95_z_deg"], rel=0.02)
+
+
 def test_an_outlier_is_judged_by_the_others_and_widens_nothing() -> None:
     def offset(v: int, d: int) -> tuple[float, float, float]:
         return (0.0, 0.0, 40.0) if v in (3, 4) else (0.0, 0.0, 0.0)

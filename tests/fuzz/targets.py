@@ -66,6 +66,7 @@ STATUS: dict[str, Any] = {
     "mount": {
         **{f"{angle}_deg": 1.5 for angle in ("roll", "pitch", "yaw")},
         "std_deg": dict.fromkeys("xyz", 0.1),
+        "angle_std_deg": dict.fromkeys(("roll", "pitch", "yaw"), 0.1),
     },
     "signals": {"accel": {"samples": 100}},
     "frames": {"rejected": {"checksum": 2}},

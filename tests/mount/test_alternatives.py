@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from imucald.config.calibration import CalibrationSettings, OrientationSettings
 from imucald.core.rotations import rotation_from_angles
 from imucald.core.samples import GRAVITY
-from imucald.mount.alternatives import TO_ACCUSE, TO_BE_FINE, TO_BE_GOOD, Alternatives, Mirrored
+from imucald.mount.alternatives import Alternatives
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.log_ratios import TO_ACCUSE, TO_BE_FINE, TO_BE_GOOD, Mirrored
 from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 from mount_settings import full
 

@@ -57,7 +57,7 @@ def made(
     F = forces(R, E)
     bias = 0.1 * rng.standard_normal(3)
     level = R @ bias / GRAVITY
-    # force to the left of a vehicle that only speeds up: a sensor turned to the right, and so on
+    # a force to the left of a vehicle that only speeds up: a sensor turned to the right, and so on
     found = {
         "yaw_dvdt": -F[1, 0],
         "yaw_turn": F[0, 1],

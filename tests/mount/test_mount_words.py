@@ -104,9 +104,9 @@ def test_the_line_for_systemd_has_now_target_and_words():
         ),
         "up",
     )
-    assert line.startswith("usable; roll +5.00 ±1.00°; ")
-    assert "yaw -10.60 ±0.70° (fine below ±0.60°)" in line
-    assert "pitch -0.00 ±0.80°;" in line or "pitch +0.00 ±0.80°;" in line
+    assert line.startswith("usable; roll +5.00 ±0.99°; ")
+    assert "yaw -10.60 ±0.70°; ± 95 %; to be fine: turn about z below ±0.60° (now ±0.70°);" in line
+    assert "pitch -0.00 ±0.81°;" in line or "pitch +0.00 ±0.81°;" in line
     assert "± 95 %" in line
     assert "x points forward, 11 deg right" in line
     assert line.endswith("waiting for yaw: more driving")

@@ -7,14 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from imucald.core.samples import Samples, Series
+from imucald.core.samples import GRAVITY, Samples, Series
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.block_yaw import ARM, FLOOR, BlockMotion, block_yaw
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
+from imucald.mount.large_change import LATE_TICKS, LargeChange, LargeChangeDetector
 from imucald.mount.signal_blocks import BLOCK_TICKS
 from imucald.mount.turned_alone import FORCE, YAW_RATE, TurnedAlone
 from imucald.simulation import Drive, random_model, simulate
+from mount_settings import full
+from signal_block import block
 
 T = np.arange(BLOCK_TICKS) * 0.1
 ALL = np.ones(BLOCK_TICKS, dtype=bool)
@@ -125,6 +128,58 @@ def test_nothing_is_held_against_what_was_before_a_hole() -> None:
     ok = ALL & (np.abs(T - 3.2) > 0.3)
     assert alone.add(knock(3.0, 10.0), NONE, ok) == 0.0
     assert math.radians(10.0) > YAW_RATE.least
+
+
+# while the vehicle stands ----------------------------------------------------------------------
+
+
+def standing(
+    tilt_deg: np.ndarray, ahead: np.ndarray, rest: np.ndarray, yaw_rate_deg: float = 0.0
+) -> list[LargeChange]:
+    """What is found in blocks of ticks (N,) with a sensor that pitches and a force ahead."""
+    found, detector = [], LargeChangeDetector(full())
+    tilt = np.radians(tilt_deg)
+    down = GRAVITY * np.sin(tilt) + ahead
+    force = np.stack([down, 0.0 * down, GRAVITY * np.cos(tilt)], axis=1)
+    rate = np.tile([0.0, 0.0, math.radians(yaw_rate_deg)], (len(tilt), 1))
+    for k in range(0, len(tilt), BLOCK_TICKS):
+        part = slice(k, k + BLOCK_TICKS)
+        one = block(0.1 * k, force=force[part], rate=rate[part], rest=rest[part], speed=NONE)
+        change = detector.while_standing(one, np.eye(3))
+        found += [] if change is None else [change]
+    return found
+
+
+STOOD = 4 * BLOCK_TICKS
+TICKS = np.arange(STOOD)
+STANDS = TICKS >= 20
+
+
+@pytest.mark.parametrize("moves_off", [3 * BLOCK_TICKS - 6, 3 * BLOCK_TICKS, 3 * BLOCK_TICKS - 20])
+def test_a_vehicle_that_moves_off_before_its_speed_says_so_tilts_no_sensor(moves_off: int) -> None:
+    ahead = 1.5 * ((moves_off <= TICKS) & (moves_off + 60 > TICKS))
+    rest = STANDS & (moves_off + LATE_TICKS > TICKS)
+    assert not standing(np.zeros(STOOD), ahead, rest)
+
+
+@pytest.mark.parametrize("at", [70, 90, 120, 127, 140])
+def test_a_sensor_that_is_tilted_while_standing_is_told_within_ten_seconds(at: int) -> None:
+    (found,) = standing(5.0 * (at <= TICKS), np.zeros(STOOD), STANDS)
+    assert found.axis == 1
+    assert abs(math.degrees(found.size)) == pytest.approx(5.0, abs=0.1)
+    within = BLOCK_TICKS * (at // BLOCK_TICKS + 2)
+    assert standing((5.0 * (at <= TICKS))[:within], NONE[:1].repeat(within), STANDS[:within])
+
+
+def test_two_stops_on_different_slopes_are_no_tilt() -> None:
+    rest = STANDS & ((TICKS < 100) | (TICKS >= 150))
+    assert not standing(5.0 * (TICKS >= 125), np.zeros(STOOD), rest)
+
+
+def test_a_sensor_that_turns_about_the_vertical_while_standing_is_told() -> None:
+    turned = standing(np.zeros(STOOD), np.zeros(STOOD), STANDS, yaw_rate_deg=2.0)
+    assert turned
+    assert {one.axis for one in turned} == {2}
 
 
 # the whole estimator ---------------------------------------------------------------------------

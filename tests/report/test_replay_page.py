@@ -68,12 +68,13 @@ def test_the_page_says_how_the_sensor_sits_and_what_happened(page):
     text, result = page
     words = " ".join(Page(text).texts)
     assert result["mount"]["sits"] in words
-    assert "the sensor was moved: pitch by" in words
+    assert re.search(r"the sensor was moved: [+-][0-9.]+ deg about y \(pitch\)", words)
     for state in ("levelled", "usable", "suspect", "recalibrating"):
         assert re.search(rf"\b{state}: ", words), state
     for axis, angle in zip("xyz", ("roll", "pitch", "yaw"), strict=True):
         assert f"{result['mount'][f'{angle}_deg']:+.2f}°" in words
         assert f"±{2 * result['mount']['std_deg'][axis]:.2f}°" in words
+        assert f"±{2 * result['mount']['angle_std_deg'][angle]:.2f}°" in words
 
 
 @pytest.mark.slow
@@ -129,7 +130,7 @@ def test_changes_of_state_and_what_is_told_come_in_order():
     texts = [e.text for e in events]
     assert texts[1] == "the speed's unit is wrong"
     assert texts[2] == "gyro stuck (y), for 2 s"
-    assert texts[3] == "the sensor was moved: pitch by -3.2 deg"
+    assert texts[3] == "the sensor was moved: -3.2 deg about y (pitch)"
     assert texts[-1].endswith("waiting for yaw: more driving")
 
 
@@ -142,6 +143,21 @@ def test_a_log_without_a_usable_drive_has_a_page_too(tmp_path):
     assert "Nothing is known yet" in words
     assert "never usable" in words
     assert not math.isnan(len(words))
+
+
+@pytest.mark.slow
+def test_several_drives_have_a_page_each_in_a_folder_of_their_own(moved, tmp_path):
+    lines = moved[1].read_text().splitlines(keepends=True)
+    logs = [tmp_path / "mon.log", tmp_path / "tue.log"]
+    for log, first in zip(logs, (0, len(lines) // 2), strict=True):
+        log.write_text("".join(lines[first : first + 20_000]))
+    folder = tmp_path / "pages"
+    arguments = ["replay", "--config", str(CONFIG), *map(str, logs), "--report", str(folder)]
+    assert cli.main([*arguments, "--quiet"]) == 0
+    assert sorted(file.parent.name for file in folder.glob("*/index.html")) == ["mon", "tue"]
+    for log in logs:
+        page = Page((folder / log.stem / "index.html").read_text())
+        assert any(log.name in text for text in page.texts)
 
 
 def test_a_place_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):

@@ -46,7 +46,7 @@ def test_the_summary_has_the_documented_keys_and_counts(log):
         "signals",
     }  # fmt: skip
     assert set(result["mount"]) == {
-        "roll_deg", "pitch_deg", "yaw_deg", "quaternion_wxyz", "std_deg",
+        "roll_deg", "pitch_deg", "yaw_deg", "quaternion_wxyz", "std_deg", "angle_std_deg",
         "covariance_deg2", "sits", "steep", "mirrored", "target_std_deg",
     }  # fmt: skip
     frames = drive_frames()

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from imucald.api.drive import DriveResult
+from imucald.can.logs.first_frames import IS_THE_SAME
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.rotations import vector_from_rotation
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
@@ -15,7 +16,7 @@ from imucald.mount.estimate import BETWEEN_DRIVES_STD
 CLOCK_SET_US = 946_684_800_000_000
 """Year 2000: a log that begins earlier has no time of day, it counts from its own start."""
 LIKELY = 1e-3
-"""A difference of two mounts that chance gives less often than once in a thousand pairs is told."""
+"""Two mounts that chance makes so different in fewer than one of a thousand pairs are reported."""
 GOOD = ("usable", "fine")
 
 
@@ -33,7 +34,7 @@ def _overlaps(drives: Sequence[DriveResult]) -> Iterator[str]:
         if latest is not None:
             shared = ((latest.end_us or 0) - (drive.start_us or 0)) / 1e6
             if _is_same(latest, drive):
-                yield f"{_name(drive)} is the same recording as {_name(latest)}"
+                yield f"{_name(drive)} {IS_THE_SAME} {_name(latest)}"
             elif shared > 0.0:
                 yield f"{_name(drive)} begins {shared:.1f} s before {_name(latest)} ends"
         if latest is None or (drive.end_us or 0) > (latest.end_us or 0):

@@ -1,4 +1,4 @@
-"""The columns of each table: name, unit, kind. A unit is told in the name, too.
+"""The columns of each table: name, unit, kind. A unit stands in the name, too.
 
 Columns are only added, never renamed or given another meaning.
 """

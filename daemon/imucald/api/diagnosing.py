@@ -13,7 +13,8 @@ from imucald.api.configuration import Configuration, PathLike
 from imucald.api.html import html_table
 from imucald.api.logs import pieces
 from imucald.api.run import Progress
-from imucald.core.errors import ConfigError, EstimateError, ImucaldError, LogError
+from imucald.can.logs.first_frames import same_recording
+from imucald.core.errors import ConfigError, EstimateError, ImucaldError
 from imucald.diagnosis.baseline import baseline_model
 from imucald.diagnosis.diagnose import diagnose as diagnosed
 from imucald.diagnosis.recording import Recording, is_same_recording, read_samples
@@ -172,10 +173,7 @@ def _refuse_same(logs: Sequence[str], recordings: Sequence[Recording]) -> None:
     drives = list(zip(logs, recordings, strict=True))
     for (one, first), (other, second) in itertools.combinations(drives, 2):
         if is_same_recording(first, second):
-            raise LogError(
-                f"{other}: is the same recording as {one}: its evidence would count twice; "
-                "leave one of them out"
-            )
+            raise same_recording(other, one)
 
 
 def _reading_notes(recording: Recording) -> list[str]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 from imucald.api.drive import DriveResult
-from imucald.api.html import angle_text, html_table
+from imucald.api.html import html_table
 from imucald.api.interchange import library
-from imucald.mount.mount_words import CONVENTION
+from imucald.mount.mount_words import CONVENTION, angle_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,14 +61,11 @@ class DriveSet:
         """What a notebook shows."""
         rows = []
         for row in self.rows():
-            angles = [angle_text(row[f"{a}_deg"], row[f"std_{x}_deg"]) for a, x in _WITH_AXES]
+            angles = [angle_text(row[f"{a}_deg"], row[f"std_{a}_deg"]) for a in ANGLES]
             rows.append([row["log"], f"{row['duration_s']:.1f}", row["state"], *angles])
         table = html_table(("log", "s", "state", *ANGLES), rows)
         notes = [[note] for note in self.notes]
         return f"{table}<p>{CONVENTION}</p>{html_table(('notes',), notes)}"
-
-
-_WITH_AXES = tuple(zip(ANGLES, "xyz", strict=True))
 
 
 def log_names(drive: DriveResult) -> str:
@@ -88,6 +86,9 @@ def _row(drive: DriveResult) -> dict[str, Any]:
         found[f"{angle}_deg"] = None if mount is None else float(getattr(mount, f"{angle}_deg"))
     for i, axis in enumerate("xyz"):
         found[f"std_{axis}_deg"] = None if mount is None else mount.std_deg[i]
+    for i, angle in enumerate(ANGLES):
+        std = math.inf if mount is None else mount.angle_std_deg[i]
+        found[f"std_{angle}_deg"] = std if math.isfinite(std) else None
     return found
 
 

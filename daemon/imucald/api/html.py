@@ -7,7 +7,8 @@ from html import escape
 from typing import Any
 
 from imucald.api.mount import MountResult
-from imucald.mount.mount_words import CONVENTION, plus_minus
+from imucald.core.clock_words import clock
+from imucald.mount.mount_words import CONVENTION, angle_text
 
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -18,11 +19,6 @@ def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def angle_text(value: float | None, std: float | None) -> str:
-    """An angle with its interval, for people."""
-    return "-" if value is None else f"{value:+.2f}° {plus_minus(std)}"
-
-
 def drive_html(
     logs: Sequence[str],
     mount: MountResult | None,
@@ -31,12 +27,12 @@ def drive_html(
 ) -> str:
     """A drive: its state, the three angles, its tables."""
     usable = summary["first_usable_s"]
-    since = "never usable" if usable is None else f"usable after {usable:.1f} s"
+    since = "never usable" if usable is None else f"usable after {clock(usable)}"
     title = f"{', '.join(logs)}: {summary['state']}, {since}, {summary['duration_s']:.1f} s"
     angles: list[tuple[str, str, str]] = []
     for i, angle in enumerate(("roll", "pitch", "yaw")):
         value = None if mount is None else float(getattr(mount, f"{angle}_deg"))
-        std = None if mount is None else mount.std_deg[i]
+        std = None if mount is None else mount.angle_std_deg[i]
         angles.append((angle, angle_text(value, std), summary["waiting_for"].get(angle, "")))
     found = html_table(("angle", CONVENTION, "waiting for"), angles)
     return f"<p><b>{escape(title)}</b></p>{found}<p>tables: {escape(', '.join(tables))}</p>"

@@ -1,4 +1,4 @@
-"""Tables for other libraries: Arrow, pandas, polars, and the keys that tell units in files."""
+"""Tables for other libraries: Arrow, pandas, polars, and the keys that state units in files."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def units(columns: tuple[TableColumn, ...]) -> dict[str, str]:
 
 def file_keys(columns: tuple[TableColumn, ...], about: Mapping[str, Any]) -> dict[str, str]:
     """Keys for a file or a schema; about: what the table is."""
-    told = {**about, "units": units(columns)}
-    text = json.dumps(told, allow_nan=False, ensure_ascii=False)
-    attributes = json.dumps({"units": told["units"], "table": about.get("table", "")})
+    stated = {**about, "units": units(columns)}
+    text = json.dumps(stated, allow_nan=False, ensure_ascii=False)
+    attributes = json.dumps({"units": stated["units"], "table": about.get("table", "")})
     return {FILE_KEY: text, PANDAS_KEY: attributes}
 
 

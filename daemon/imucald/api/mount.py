@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from imucald.core.angles import DEG_PER_RAD
+from imucald.core.angles import DEG_PER_RAD, RAD_PER_DEG
 from imucald.core.rotations import angles_from_rotation, quaternion_from_rotation
+from imucald.mount.angle_deviations import angle_deviations
 from imucald.mount.estimate import MountEstimate
 from imucald.mount.mount_words import plus_minus
 
@@ -84,6 +85,15 @@ class MountResult:
         x, y, z = np.sqrt(np.diag(self.covariance_deg2)).tolist()
         return x, y, z
 
+    @property
+    def angle_std_deg(self) -> tuple[float, float, float]:
+        """Standard deviations of roll, pitch and yaw themselves [deg]; inf where not known."""
+        covariance = self.covariance_deg2 * RAD_PER_DEG**2
+        if not np.isfinite(covariance).all():
+            return math.inf, math.inf, math.inf
+        roll, pitch, yaw = angle_deviations(self.matrix, covariance.tolist())
+        return roll * DEG_PER_RAD, pitch * DEG_PER_RAD, yaw * DEG_PER_RAD
+
     def apply(self, xyz: ArrayLike) -> Array:
         """Turn vectors in sensor axes (..., 3) into vehicle axes, same shape and unit."""
         turned: Array = np.asarray(xyz, dtype=float) @ self.matrix.T
@@ -98,7 +108,7 @@ class MountResult:
         angles = zip(
             ("roll", "pitch", "yaw"),
             (self.roll_deg, self.pitch_deg, self.yaw_deg),
-            self.std_deg,
+            self.angle_std_deg,
             strict=True,
         )
         return f"Mount({', '.join(f'{n} {v:+.2f}° {plus_minus(s)}' for n, v, s in angles)})"

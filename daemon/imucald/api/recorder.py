@@ -1,4 +1,4 @@
-"""Takes what an engine tells while it replays, and makes tables of it."""
+"""Takes what an engine gives while it replays, and makes tables of it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,6 @@ class Recorder:
 
     def __init__(self, signals: bool) -> None:
         self._signals = signals
-        self._snapshots: list[tuple[float, Snapshot]] = []
         self._states: list[str] = []
         self._rows: list[list[float]] = []
         self._blocks: list[Array] = []

@@ -20,7 +20,7 @@ PART_ROWS = 150_000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DrivePart(TableAccess):
-    """A stretch of a drive: the samples from `from_s` to `to_s`, as in `DriveResult`.
+    """A part of a drive: the samples from `from_s` to `to_s`, as in `DriveResult`.
 
     A table that has no sample here is absent; history and events come with the result.
     """

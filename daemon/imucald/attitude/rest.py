@@ -67,7 +67,7 @@ class _TriadSums:
 
 
 class RestingGyro:
-    """Takes samples of both sensors in any one axes; says the zero error when a rest has told it.
+    """Takes samples of both sensors in any one axes; gives the zero error once a rest has shown it.
 
     The first rest must last `check` (the sensor check of method C); from then on `start` is enough
     where a speed says that the vehicle stands. Without a speed only what is as still as a parked
@@ -95,7 +95,7 @@ class RestingGyro:
     def gyro(self, t: float, rate: Vector, stands: bool | None, is_first: bool) -> Vector | None:
         """Take a rate [rad/s] at t [s]; return the zero error where this ends a long enough rest.
 
-        stands: what the speed says; None: it says nothing. is_first: none has been told before.
+        stands: what the speed says; None: it says nothing. is_first: none has been given before.
         """
         if stands is False:
             self.begin()

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Look, then tell."""
+    """Look, then report."""
     from imucald.api.checking import check, check_report
     from imucald.api.configuration import Configuration
     from imucald.commands.files import check_files

@@ -9,6 +9,7 @@ knows nothing but ``imucald_out.dbc``, and believes a frame only with a good cou
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from imucald.can.columns import CAN_EFF_FLAG, CAN_EFF_MASK
 from imucald.can.python_can import can
 from imucald.config import LoadedConfig, parse_config
-from imucald.core.rotations import Matrix3, angles_from_rotation, vector_from_rotation
+from imucald.core.rotations import Matrix3, angles_from_rotation
 from imucald.inputs.wiring import compile_router
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import SD_95
@@ -60,10 +61,7 @@ _channel_numbers = itertools.count()
 
 @dataclass(frozen=True)
 class Angle:
-    """One mount angle beside the truth [rad].
-
-    std, error: of a turn about the vehicle's axis of that name, the error from truth to estimate.
-    """
+    """One mount angle beside the truth [rad]; std: of this angle; error: estimate less truth."""
 
     name: str
     estimate: float
@@ -236,18 +234,13 @@ def _rms(error: NDArray[np.float64]) -> float:
 
 
 def angles_beside(estimate: MountEstimate, truth: Matrix3) -> list[Angle]:
-    """Those of roll, pitch and yaw that are known at all (see `UNKNOWN_STD`), beside the truth.
-
-    Error and deviation are turns about the vehicle's x, y and z axis, as everywhere: they hold at
-    any pitch, where differences of angles do not.
-    """
-    R, std = estimate.R_vehicle_from_sensor, estimate.std
+    """Those of roll, pitch and yaw that are known at all (see `UNKNOWN_STD`), beside the truth."""
+    R, std = estimate.R_vehicle_from_sensor, estimate.angle_std
     if R is None or std is None:
         return []
     here, real = angles_from_rotation(R), angles_from_rotation(truth)
-    error = vector_from_rotation(R @ truth.T)
     return [
-        Angle(name, here[i], std[i], real[i], float(error[i]))
+        Angle(name, here[i], std[i], real[i], math.remainder(here[i] - real[i], 2.0 * math.pi))
         for i, name in enumerate(ANGLES)
         if std[i] < UNKNOWN_STD
     ]

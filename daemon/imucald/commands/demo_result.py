@@ -12,13 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.demo_drive import LAST_S, Angle, Demonstration, angles_beside
-from imucald.commands.demo_picture import Picture, clock, degrees, interval
+from imucald.commands.demo_picture import Picture, degrees, interval
 from imucald.commands.files import with_origin
 from imucald.commands.terminal import plain_console
 from imucald.core.angles import DEG_PER_RAD
+from imucald.core.clock_words import clock
 from imucald.core.errors import ImucaldError
 from imucald.mount.mount_words import (
-    AXES,
     CONVENTION,
     how_it_sits,
     plus_minus,
@@ -60,7 +60,7 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
     console.print()
     if angles:
         console.print(_result_table(angles))
-        console.print(Text(f"{CONVENTION}; ± and 'turned off': {AXES}", style="dim"))
+        console.print(Text(CONVENTION, style="dim"))
         if sits := how_it_sits(demo.estimate()):
             console.print(f"The sensor: {sits}.")
         if steep := steep_note(demo.estimate()):
@@ -79,7 +79,7 @@ def print_result(demo: Demonstration, waited: float, console: Console | None = N
 def _result_table(angles: list[Angle]) -> Table:
     table = Table(box=None, pad_edge=False)
     table.add_column("mount")
-    for name in ("estimate", "± 95 %", "truth", "turned off"):
+    for name in ("estimate", "± 95 %", "truth", "error"):
         table.add_column(name, justify="right", min_width=9)
     table.add_column("truth inside?")
     for angle in angles:
@@ -103,8 +103,8 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
     fine = "" if best is None else f", fine after {clock(best)}"
     targets = demo.estimate().targets
     if best is None and targets is not None:
-        roll, pitch, yaw = (plus_minus(s * DEG_PER_RAD, 1) for s in targets.fine)
-        fine = f" (fine below roll {roll}, pitch {pitch}, yaw {yaw})"
+        x, y, z = (plus_minus(s * DEG_PER_RAD, 1) for s in targets.fine)
+        fine = f" (fine below {x} about x, {y} about y, {z} about z)"
     lines = [
         f"State {name}: {usable}{fine} of {clock(demo.now)} driven, in {waited:.0f} s.",
         f"{demo.sent} frames received, {demo.engine.router.rejected.total()} rejected; "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,8 +13,6 @@ if TYPE_CHECKING:
     from imucald.api.configuration import Configuration
     from imucald.diagnosis.recording import Recording
     from imucald.diagnosis.result import Diagnosis
-
-PAGE = "index.html"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help=f"write a page with pictures there ({PAGE}; needs the extra 'report')",
+        help="write a page with pictures there (index.html; needs the extra 'report')",
     )
     parser.add_argument(
         "--write-model",
@@ -66,11 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, diagnose, then tell in every way that was asked for."""
+    """Read, diagnose, then report in every way that was asked for."""
     from imucald.api.configuration import Configuration
     from imucald.api.diagnosing import diagnosis_of
     from imucald.commands.diagnose_view import share_bar
     from imucald.commands.files import STANDARD, write_text
+    from imucald.runtime.summary import as_json
     from imucald.simulation import load_model
 
     _check(options)
@@ -83,24 +81,25 @@ def run(options: argparse.Namespace) -> int:
         limit = options.time_limit
         found = diagnosis_of(config, options.logs, recordings, model, limit, progress)
     if options.json:
-        text = json.dumps(found.to_dict(), indent=2, allow_nan=False, ensure_ascii=False)
-        write_text(options.json, f"{text}\n")
+        write_text(options.json, as_json(found.to_dict()))
     if options.write_model:
         write_text(options.write_model, found.model_text())
+    files = [options.json, options.write_model]
     if options.report:
-        _write_report(found.diagnosis, options)
+        files.append(_write_report(found.diagnosis, options))
     if STANDARD not in (options.json, options.write_model) and not options.quiet:
         from imucald.commands.diagnose_view import print_diagnosis
 
         print_diagnosis(found.diagnosis)
-        _print_written(options)
+        for file in filter(None, files):
+            print(f"written: {file}")
     return 0
 
 
 def _check(options: argparse.Namespace) -> None:
     """Raise ImucaldError for what would fail later, before any work."""
     from imucald.commands.files import STANDARD, check_files
-    from imucald.core.errors import ConfigError, ImucaldError
+    from imucald.core.errors import ConfigError
 
     seen: dict[object, str] = {}
     for log in options.logs:
@@ -110,14 +109,12 @@ def _check(options: argparse.Namespace) -> None:
         seen[place] = log
     outputs = [options.json, options.write_model]
     if options.report:
+        from imucald.commands.report_folder import PAGE, check_report_folder
+
         folder = options.report
-        if folder.exists() and not folder.is_dir():
-            raise ImucaldError(f"{folder}: cannot be written: Not a directory")
+        check_report_folder(folder)
         # A folder that is made only at the end is checked by its name in the folder above.
         outputs.append(folder / PAGE if folder.exists() else folder)
-        from imucald.report.page import require_libraries
-
-        require_libraries()
     models = [options.model] if options.model else []
     inputs = (options.config, *options.database, *models, *options.logs)
     check_files(inputs, outputs)
@@ -134,31 +131,10 @@ def _read(config: Configuration, log: str, options: argparse.Namespace) -> Recor
     return recording
 
 
-def _write_report(diagnosis: Diagnosis, options: argparse.Namespace) -> None:
-    import time
+def _write_report(diagnosis: Diagnosis, options: argparse.Namespace) -> Path:
+    from imucald.commands.report_folder import about_now, write_page
+    from imucald.report.page import report_page
 
-    from imucald import __version__
-    from imucald.commands.files import write_text
-    from imucald.core.errors import ImucaldError
-    from imucald.report.page import About, report_page
-
-    about = About(
-        logs=["/".join(Path(log).parts[-2:]) for log in options.logs],
-        config=options.config.name,
-        model=options.model.name if options.model else "plain car, mount from these drives",
-        made=f"{time.strftime('%Y-%m-%d %H:%M')}, imucald {__version__}",
-    )
-    page = report_page(diagnosis, about)
-    try:
-        options.report.mkdir(exist_ok=True)
-    except OSError as error:
-        raise ImucaldError(
-            f"{options.report}: cannot be written: {error.strerror or error}"
-        ) from None
-    write_text(options.report / PAGE, page)
-
-
-def _print_written(options: argparse.Namespace) -> None:
-    for name in (options.json, options.write_model, options.report and options.report / PAGE):
-        if name:
-            print(f"written: {name}")
+    model = options.model.name if options.model else "plain car, mount from these drives"
+    about = about_now(options.logs, options.config, model)
+    return write_page(options.report, report_page(diagnosis, about))

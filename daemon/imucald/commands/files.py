@@ -88,7 +88,7 @@ def write_text(name: Name, text: str) -> None:
 
 
 @contextmanager
-def told_when_cut(name: Name) -> Iterator[None]:
+def reported_when_cut(name: Name) -> Iterator[None]:
     """Say on stderr that a file is not complete, when the body ends by an error or Ctrl-C.
 
     Not of one that is gone, as there was no place for it.

@@ -82,8 +82,8 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
         plan = planned(fleet, store, logs, how)
         print(_said(plan), file=sys.stderr)
         workers = _workers(options, fleet)
-        with _progress(options.quiet) as tell:
-            work = FleetRun(fleet, store, workers, plan, tell)
+        with _progress(options.quiet) as report:
+            work = FleetRun(fleet, store, workers, plan, report)
             try:
                 stopping.work = work
                 whole = work.go(lease)
@@ -174,13 +174,13 @@ def _line(counts: Counts) -> str:
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
-    """Yield what is told how far the run is: a line on a terminal, else one a minute."""
+    """Yield what takes how far the run is: a line on a terminal, else one a minute."""
     import time
 
     terminal = sys.stderr.isatty()
     last = [0.0 if terminal else time.monotonic()]
 
-    def tell(counts: Counts) -> None:
+    def report(counts: Counts) -> None:
         now = time.monotonic()
         if quiet or now - last[0] < (0.5 if terminal else 60.0):
             return
@@ -189,7 +189,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
         start = "\r\x1b[K" if terminal else "imucald: "
         print(f"{start}{_line(counts)}", end=end, file=sys.stderr, flush=True)
 
-    yield tell
+    yield report
     if terminal and not quiet:
         print("\r\x1b[K", end="", file=sys.stderr)
 

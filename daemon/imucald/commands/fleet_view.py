@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from imucald.commands.terminal import plain_console, plain_where_needed
 from imucald.fleet.analysis.remounts import why_not_known
-from imucald.mount.mount_words import UNKNOWN_HALF_DEG
+from imucald.mount.estimate import ANGLES
+from imucald.mount.mount_words import CONVENTION, UNKNOWN_HALF_DEG
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -24,6 +25,7 @@ def print_analysis(tables: Mapping[str, pa.Table]) -> None:
     console = plain_console()
     rows = {name.rpartition("/")[2]: table.to_pylist() for name, table in tables.items()}
     console.print(_types(rows["types"]))
+    console.print(CONVENTION)
     found = [row for row in rows["remounts"] if row["found"]]
     bad = [row for row in rows["groups"] if row["verdict"] == "bad"]
     design = [row for row in rows["causes"] if row["verdict"] == "design"]
@@ -69,8 +71,9 @@ def _turn(row: dict[str, Any]) -> str:
     return f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} deg (q {row['q']:.2g})"
 
 
-def _angle(value: float, half: float) -> str:
-    return f"{value:+.2f} +-{half:.2f}" if half < UNKNOWN_HALF_DEG else "not known"
+def _angle(value: float, half: float | None) -> str:
+    known = half is not None and half < UNKNOWN_HALF_DEG
+    return f"{value:+.2f}° ±{half:.2f}°" if known else "not known"
 
 
 def _types(rows: Sequence[dict[str, Any]]) -> Table:
@@ -81,10 +84,7 @@ def _types(rows: Sequence[dict[str, Any]]) -> Table:
         table.add_column(title, overflow="fold")
     for row in rows:
         spread = " ".join(f"{row[f'tau_{axis}_deg']:.2f}" for axis in "xyz")
-        angles = (
-            _angle(row[f"{angle}_deg"], row[f"ci95_{axis}_deg"])
-            for angle, axis in (("roll", "x"), ("pitch", "y"), ("yaw", "z"))
-        )
+        angles = (_angle(row[f"{a}_deg"], row[f"ci95_{a}_deg"]) for a in ANGLES)
         counts = (str(row["vehicles"]), str(row["drives"]))
         table.add_row(row["vehicle_type"], *counts, *angles, f"{spread} deg")
     return table

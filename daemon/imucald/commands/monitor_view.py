@@ -18,7 +18,7 @@ BESIDE = 120
 """Columns from which inputs and events stand side by side."""
 BESIDE_INPUTS = 50
 LEAST_EVENTS = 3
-TABLE_COLUMNS = 49
+TABLE_COLUMNS = 68
 """Columns of the mount table without its bars."""
 LONGEST_BAR, SHORTEST_BAR = 48, 12
 FACTS = ("now", "losses", "rejected", "process")
@@ -105,7 +105,7 @@ def input_health(status: Mapping[str, Any], channel: str, rate: float | None) ->
         return words, "bold red"
     if not rate:
         return "silent", "red"
-    return ("sound" if faults is not None else "comes"), "green"
+    return ("sound" if faults is not None else "received"), "green"
 
 
 def events_table(events: Sequence[LiveEvent]) -> Table:

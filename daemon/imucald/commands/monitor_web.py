@@ -28,7 +28,15 @@ from imucald.core.errors import ImucaldError, LinkError
 from imucald.core.extras import how_to_install
 from imucald.core.rotations import Matrix3, rows_from_quaternion, vector_from_rotation
 from imucald.mount.estimate import ANGLES
-from imucald.mount.mount_words import ABOUT, SD_95, half_width, is_trouble, reasons
+from imucald.mount.mount_words import (
+    ABOUT,
+    SD_95,
+    TURNS_ABOUT,
+    angle_cells,
+    half_width,
+    is_trouble,
+    reasons,
+)
 from imucald.report.drawing import STYLE, view_drawings
 from imucald.service.asking import ask
 
@@ -102,7 +110,7 @@ class LiveState:
             "steep": mount.get("steep"),
             "mirrored": mount.get("mirrored"),
             "convention": ABOUT,
-            "mount": [_angle(mount, n, a) for n, a in zip(ANGLES, "xyz", strict=True)],
+            "mount": [_angle(mount, i) for i in range(len(ANGLES))],
             "reasons": [
                 {"who": who, "text": text, "trouble": is_trouble(text)}
                 for who, text in reasons(status["waiting_for"])
@@ -159,11 +167,16 @@ def _matrix(quaternion: Sequence[float]) -> Matrix3:
     return np.array(rows_from_quaternion((w, x, y, z))).reshape(3, 3)
 
 
-def _angle(mount: Mapping[str, Any], name: str, axis: str) -> dict[str, Any]:
-    half, targets = half_width(mount["std_deg"][axis]), mount.get("target_std_deg")
+def _angle(mount: Mapping[str, Any], i: int) -> dict[str, Any]:
+    """A row: an angle with its ±, and the turn about a vehicle axis with its own and targets."""
+    name, axis = ANGLES[i], "xyz"[i]
+    targets = mount.get("target_std_deg")
     goals = {} if targets is None else {goal: SD_95 * of[axis] for goal, of in targets.items()}
-    value = mount[f"{name}_deg"] if half is not None else None
-    return {"name": name, "value": value, "half": half, "targets": goals}
+    value, spread = angle_cells(mount, name)
+    return {
+        "name": name, "value": value, "spread": spread,
+        "turn": TURNS_ABOUT[i], "half": half_width(mount["std_deg"][axis]), "targets": goals,
+    }  # fmt: skip
 
 
 def _input(status: Mapping[str, Any], channel: str, row: Mapping[str, Any]) -> dict[str, Any]:

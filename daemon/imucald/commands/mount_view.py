@@ -10,7 +10,16 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.mount.estimate import ANGLES
-from imucald.mount.mount_words import ABOUT, SD_95, half_width, is_trouble, plus_minus, reasons
+from imucald.mount.mount_words import (
+    ABOUT,
+    SD_95,
+    TURNS_ABOUT,
+    angle_cells,
+    half_width,
+    is_trouble,
+    plus_minus,
+    reasons,
+)
 
 WIDEST_DEG, NARROWEST_DEG = 16.0, 0.1
 """Intervals that fill a bar, and that leave it empty (log scale)."""
@@ -42,18 +51,15 @@ def _table(mount: Mapping[str, Any], bar: int) -> Table:
     table.add_column("mount", min_width=6)
     table.add_column("angle", justify="right", min_width=8)
     table.add_column("± 95 %", justify="right", min_width=7)
+    table.add_column("about", min_width=9)
+    table.add_column("± 95 %", justify="right", min_width=7)
     if bar:
         table.add_column("")
     table.add_column("target")
-    for angle, axis in zip(ANGLES, "xyz", strict=True):
+    for angle, axis, turn in zip(ANGLES, "xyz", TURNS_ABOUT, strict=True):
         std = mount["std_deg"][axis]
         goal, limit = _target(mount, axis, std)
-        value = mount[f"{angle}_deg"] if half_width(std) is not None else None
-        cells: list[str | Text] = [
-            angle,
-            "-" if value is None else f"{value:+.2f}°",
-            plus_minus(std),
-        ]
+        cells: list[str | Text] = [angle, *angle_cells(mount, angle), turn, plus_minus(std)]
         if bar:
             cells.append(interval_bar(std, limit, bar))
         reached = std is not None and limit is not None and std < limit

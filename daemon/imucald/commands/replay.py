@@ -122,7 +122,7 @@ def _one(options: argparse.Namespace, config: Configuration, logs: Sequence[str]
 
 
 def _several(options: argparse.Namespace, config: Configuration, logs: Sequence[str]) -> int:
-    """Each log is a drive; one that cannot be read is told, and the others go on."""
+    """Each log is a drive; one that cannot be read is reported, and the others go on."""
     from imucald.api.between_drives import notes_between
     from imucald.api.drives import DriveSet
     from imucald.api.run import is_unused, require_frames
@@ -187,7 +187,7 @@ def _replayed(
                 for _ in stream:
                     pass
         except LogError:
-            if not stream.ended:  # one without a frame has a result, and is told after it
+            if not stream.ended:  # one without a frame has a result, and is reported after it
                 raise
         return stream.result, written
 
@@ -208,14 +208,13 @@ def _paths(path: Path | None, logs: Sequence[str]) -> list[Path | None]:
 def _folders(folder: Path | None, logs: Sequence[str]) -> list[Path | None]:
     """The folder of each drive's page, in the one that was named."""
     from imucald.api.drives import names_apart
-    from imucald.core.errors import ImucaldError
 
     if folder is None:
         return [None] * len(logs)
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise ImucaldError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    from imucald.commands.report_folder import check_report_folder, make_folder
+
+    check_report_folder(folder)
+    make_folder(folder)
     return [folder / name for name in names_apart(logs)]
 
 
@@ -265,10 +264,10 @@ def _check(options: argparse.Namespace, logs: Sequence[str]) -> None:
         require_format(options.write)
     written = _paths(options.write, logs) if several else [options.write]
     check_files(inputs, (options.out, options.json, *written))
-    if several and (options.out or options.report or options.speed is not None):
+    if several and (options.out or options.speed is not None):
         raise ConfigError(
-            "several logs are several drives: --out, --report and --speed take one, or the pieces "
-            "of one with --joined"
+            "several logs are several drives: --out and --speed take one, or the pieces of one "
+            "with --joined"
         )
 
 
@@ -278,7 +277,7 @@ def _sink(options: argparse.Namespace, config: Configuration) -> Iterator[Sink |
     from contextlib import ExitStack
 
     from imucald.can.logs.log_reader import CandumpWriter
-    from imucald.commands.files import told_when_cut
+    from imucald.commands.files import reported_when_cut
 
     with ExitStack() as stack:
         sinks: list[Sink] = []
@@ -291,7 +290,7 @@ def _sink(options: argparse.Namespace, config: Configuration) -> Iterator[Sink |
             sinks.append(lambda frames: send_columns(link, frames))
         if options.out:
             writer = stack.enter_context(CandumpWriter(options.out))
-            stack.enter_context(told_when_cut(options.out))
+            stack.enter_context(reported_when_cut(options.out))
             sinks.append(writer.write_columns)
 
         def everywhere(frames: FrameColumns) -> None:

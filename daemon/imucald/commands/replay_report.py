@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from imucald import __version__
-from imucald.commands.files import write_text
+from imucald.commands.report_folder import about_now, check_report_folder, write_page
 from imucald.core.errors import ImucaldError
 from imucald.report.drive_history import DriveHistory
-from imucald.report.page import About, require_libraries
 from imucald.report.replay_page import replay_page
-
-PAGE = "index.html"
 
 
 class ReplayReport:
@@ -28,9 +23,7 @@ class ReplayReport:
         logs: Sequence[str],
         folder: Path,
     ) -> None:
-        require_libraries()
-        if folder.exists() and not folder.is_dir():
-            raise ImucaldError(f"{folder}: cannot be written: Not a directory")
+        check_report_folder(folder)
         if not folder.parent.is_dir():
             raise ImucaldError(f"{folder}: cannot be written: no directory {folder.parent}")
         self.history = DriveHistory()
@@ -39,18 +32,7 @@ class ReplayReport:
     def write(self, result: Mapping[str, Any], problems: Sequence[str]) -> None:
         """Write the page. Raises ImucaldError where that cannot be."""
         options = self._options
-        about = About(
-            logs=["/".join(Path(log).parts[-2:]) for log in self._logs],
-            config=options.config.name,
-            model="",
-            made=f"{time.strftime('%Y-%m-%d %H:%M')}, imucald {__version__}",
-        )
-        page = replay_page(self.history, result, problems, about)
-        try:
-            self._folder.mkdir(exist_ok=True)
-        except OSError as error:
-            reason = error.strerror or error
-            raise ImucaldError(f"{self._folder}: cannot be written: {reason}") from None
-        write_text(self._folder / PAGE, page)
+        about = about_now(self._logs, options.config, model="")
+        file = write_page(self._folder, replay_page(self.history, result, problems, about))
         if not options.quiet:
-            print(f"imucald: written: {self._folder / PAGE}", file=sys.stderr)
+            print(f"imucald: written: {file}", file=sys.stderr)

@@ -123,11 +123,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _write_log(options: argparse.Namespace, drive: Drive, encoder: BusEncoder) -> None:
-    from imucald.commands.files import told_when_cut, write_text
+    from imucald.commands.files import reported_when_cut, write_text
     from imucald.commands.terminal import countdown
     from imucald.traffic.can_log import write_log
 
-    with countdown("writing", drive.duration_s) as progress, told_when_cut(options.out):
+    with countdown("writing", drive.duration_s) as progress, reported_when_cut(options.out):
         frames = write_log(drive, options.out, encoder, options.background, progress)
     truth = _truth_beside(options.out)
     if truth is None:

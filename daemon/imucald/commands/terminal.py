@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
+from imucald.core.clock_words import clock
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -135,7 +137,7 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
     from rich.table import Table
 
     from imucald.mount.estimate import ANGLES
-    from imucald.mount.mount_words import CONVENTION, plus_minus
+    from imucald.mount.mount_words import CONVENTION, angle_text
 
     plain_where_needed()
     console = plain_console()
@@ -144,12 +146,10 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
     for name in ("s", "state", *ANGLES):
         table.add_column(name, justify="left" if name == "state" else "right")
     for row in rows:
-        values = [_number(row[f"{angle}_deg"], "+.2f", "") for angle in ANGLES]
-        widths = [plus_minus(row[f"std_{axis}_deg"]) for axis in "xyz"]
-        angles = [f"{value} {width}" for value, width in zip(values, widths, strict=True)]
+        angles = [angle_text(row[f"{angle}_deg"], row[f"std_{angle}_deg"]) for angle in ANGLES]
         table.add_row(row["log"], f"{row['duration_s']:.0f}", row["state"], *angles)
     console.print(table)
-    console.print(f"degrees; {CONVENTION}")
+    console.print(CONVENTION)
     for note in notes:
         console.print(note)
 
@@ -172,7 +172,7 @@ def _beside(result: Mapping[str, Any]) -> Iterator[str]:
 
 def _since(result: Mapping[str, Any]) -> str:
     parts = [
-        f"{name} after {result[key]:.1f} s"
+        f"{name} after {clock(result[key])}"
         for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
         if result[key] is not None
     ]

@@ -1,4 +1,4 @@
-"""JSON schema of the configuration, with what is said of each key in the settings' docstrings.
+"""JSON schema of the configuration, with what the settings' docstrings state of each key.
 
 Only `imucald schema` needs it.
 """

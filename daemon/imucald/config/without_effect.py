@@ -1,4 +1,4 @@
-"""Keys that the file gives and nothing reads, the other keys being what they are: told, with why.
+"""Keys that the file gives and nothing reads, the other keys being as they are: reported, with why.
 
 A key that cannot ever be met is an error (`impossible`); one that is merely idle is a warning.
 """
@@ -91,9 +91,9 @@ def impossible(config: Keys) -> Iterator[tuple[Place, str]]:
         missing = sorted({needs[n] for g in groups for n in g if not there.get(n, True)})
         text = f"no motion is ever straight without {' and '.join(missing)}"
         yield ("calibration", "straight", "recognise_by"), text
-    told = {"speed": has_speed, "brake": signals.brake is not None}
+    known = {"speed": has_speed, "brake": signals.brake is not None}
     sources = calibration.target_angle.sign_from
-    if not any(told.get(source, True) for source in sources):
+    if not any(known.get(source, True) for source in sources):
         missing = sorted(f"signals.{source}" for source in sources)
         text = f"nothing separates forward from backward without {' or '.join(missing)}"
         yield ("calibration", "target_angle", "sign_from"), text

@@ -23,7 +23,8 @@ from imucald.config_check.motion import Motion, shifted, smooth
 from imucald.config_check.yaw_rate_check import MIN_TURNING
 from imucald.core.samples import GRAVITY
 from imucald.motion.ticks import TICK_S
-from imucald.mount.alternatives import TO_ACCUSE, TO_BE_FINE, gyro_ratios
+from imucald.mount.gyro_alternatives import gyro_ratios
+from imucald.mount.log_ratios import TO_ACCUSE, TO_BE_FINE
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 MIN_BRAKING = 0.25
@@ -93,7 +94,7 @@ def best_response(motion: Motion, rates: Mapping[str, Array]) -> Response | None
     return best if best is not None and best.explained >= CLEAR**2 else None
 
 
-def speed_findings(response: Response) -> Iterator[Finding]:
+def speed_findings(response: Response, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
     """Whether changes of speed show in the accelerometer as they should, and how late.
 
     The regression on the speed is too small where the speed is noisy or its delay changes, the
@@ -104,7 +105,8 @@ def speed_findings(response: Response) -> Iterator[Finding]:
         text = "too noisy, or too unevenly late: the accelerometer does not show its size"
         yield Finding("note", "speed", text)
     elif not 1.0 / ODD_SPEED < gain < ODD_SPEED:
-        text = f"its changes are {gain_guess(1.0 / gain)} (against the accelerometer)"
+        guess = gain_guess(1.0 / gain, unit_advice.get("speed"))
+        text = f"its changes are {guess} (against the accelerometer)"
         yield Finding(
             "error" if not 1.0 / OTHER_UNIT < gain < OTHER_UNIT else "warning", "speed", text
         )
@@ -123,14 +125,16 @@ def speed_findings(response: Response) -> Iterator[Finding]:
         yield Finding("note", "speed", text)
 
 
-def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Finding]:
+def axes_findings(
+    motion: Motion, rates: Mapping[str, Array], unit_advice: Mapping[str, str]
+) -> Iterator[Finding]:
     """Whether accelerometer and gyroscope make sense as right-handed sets of the same axes."""
     up = motion.up
     if up is None:
         return
     yield from _rotation_axis(motion, rates, up)
     if list(rates) == ["gyroscope"]:
-        yield from _turn_gain(motion, rates["gyroscope"], up)
+        yield from _turn_gain(motion, rates["gyroscope"], up, unit_advice.get("gyroscope"))
     response = best_response(motion, rates)
     if response is None or np.linalg.norm(response.across) < 1.0 / WRONG_GAIN:
         return
@@ -147,7 +151,9 @@ def axes_findings(motion: Motion, rates: Mapping[str, Array]) -> Iterator[Findin
         yield Finding("ok", "accelerometer", "forward, left and up are a right-handed set")
 
 
-def _turn_gain(motion: Motion, rate: Array, up: Array) -> Iterator[Finding]:
+def _turn_gain(
+    motion: Motion, rate: Array, up: Array, unit_advice: str | None
+) -> Iterator[Finding]:
     """Speed times yaw rate against the force across, where nothing else shows turns."""
     if motion.speed is None or motion.accel is None or motion.gravity is None:
         return
@@ -163,7 +169,8 @@ def _turn_gain(motion: Motion, rate: Array, up: Array) -> Iterator[Finding]:
     if float(np.std(level[rows] @ across)) < MIN_ACROSS * size or abs(gain[1]) < CLEAR:
         return
     if not 1.0 / OTHER_UNIT < size < OTHER_UNIT:
-        text = f"its rate times the speed is {gain_guess(1.0 / size)} (against the force in turns)"
+        guess = gain_guess(1.0 / size, unit_advice)
+        text = f"its rate times the speed is {guess} (against the force in turns)"
         yield Finding("error", "gyroscope", f"{text}; or the speed's unit is wrong")
 
 

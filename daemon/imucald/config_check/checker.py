@@ -26,7 +26,7 @@ from imucald.config_check.motion import Motion, TickMeans
 from imucald.config_check.not_judged import not_judged
 from imucald.config_check.source import id_text, message_row, quantity_row, sources
 from imucald.config_check.statistics import Probe
-from imucald.config_check.unit_advice import with_stated_units
+from imucald.config_check.unit_advice import unit_advice
 from imucald.inputs.wiring import compile_router
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.session import make_engine, open_compensation
@@ -131,20 +131,19 @@ class Check:
             self.bad_lines,
             self.output.can_ids,
         )
-        vehicle = self.loaded.config.vehicle
-        stated = self.loaded.config.calibration.orientation
-        planar = self.loaded.config.signals.accelerometer[0].z is None
+        config = self.loaded.config
+        planar = config.signals.accelerometer[0].z is None
         motion = Motion(self._means.grid(), planar)
         model = self.compensation
         notes = () if model is None else model.notes_for(self.router.channels)
         found = [
             *(Finding("note", "model", text) for text in notes),
             *decoding.findings(),
-            *judge(motion, vehicle.track, vehicle.wheelbase, vehicle.steering_ratio, stated),
+            *judge(motion, config.vehicle, config.calibration.orientation, unit_advice(rows)),
         ]
         wrong = {f.quantity for f in found if f.level == "error"}  # says more than its health
         found += [f for f in health_findings(self._health.events) if f.quantity not in wrong]
-        return [*with_stated_units(found, rows), *not_judged(rows, found)]
+        return [*found, *not_judged(rows, found)]
 
     def report(self) -> dict[str, Any]:
         """Everything, as docs/json.md describes it."""

@@ -31,9 +31,6 @@ _FACTORS = (
     (1000.0, "thousandths"),
 )
 
-SET_UNIT = "set 'unit:'"
-"""The advice where the configuration states no unit (else see `unit_advice`)."""
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -53,13 +50,13 @@ def is_wrong(gain: float) -> bool:
     return not 1.0 / WRONG_GAIN < abs(gain) < WRONG_GAIN
 
 
-def gain_guess(ratio: float) -> str:
-    """Words for a gain that should be one."""
-    size = abs(ratio)
+def gain_guess(ratio: float, unit_advice: str | None) -> str:
+    """Words for a gain that should be one; unit_advice: of a unit that is stated already."""
+    size, unit_advice = abs(ratio), unit_advice or "set 'unit:'"
     words = f"{size:.3g} times too much" if size > 1.0 else f"{1.0 / size:.3g} times too little"
     for factor, guess in _FACTORS:
         if abs(math.log(max(size, 1.0 / size) / factor)) < math.log(1.15):
-            return f"{words}, as {guess} would be; {SET_UNIT}"
+            return f"{words}, as {guess} would be; {unit_advice}"
     return f"{words}; check its unit and scale"
 
 

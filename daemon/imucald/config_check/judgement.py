@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 
 import numpy as np
 
 from imucald.config.calibration import OrientationSettings, SensorAxis
+from imucald.config.vehicle import VehicleSettings
 from imucald.config_check.axes import (
     MIN_BRAKING,
     OTHER_UNIT,
-    Response,
     axes_findings,
     best_response,
     speed_findings,
@@ -56,23 +57,26 @@ MIN_BRAKING_TICKS = 50
 """Ticks with and without brake that a judgement of it needs: 5 s."""
 
 NOT_STATED = OrientationSettings()
+UP_REMEDY = "set 'sign: -1' on all axes, or correct that line"
+FORWARD_REMEDY = "correct that line"
 
 
 def judge(
     motion: Motion,
-    track: float,
-    wheelbase: float,
-    steering_ratio: float,
+    vehicle: VehicleSettings,
     stated: OrientationSettings = NOT_STATED,
+    unit_advice: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[Finding]:
     """Yield everything that the motion shows about units, signs and axes.
 
     A wrong scale of accelerometer or speed is reported once and then allowed for, so that it is not
     reported again for every signal that is compared with them. stated: how a person says that the
-    sensor sits.
+    sensor sits. unit_advice: of quantities with a stated unit (see `unit_advice`).
     """
-    yield from _at_rest(motion)
-    of_up = list(_up(motion, stated.up))
+    yield from _at_rest(motion, unit_advice.get("accelerometer"))
+    of_up: list[Finding] = []
+    if motion.up is not None and not motion.planar:
+        of_up += _stated_axis(stated.up, "up", motion.up, "down", UP_REMEDY)
     yield from of_up
     backwards = list(_reverse(motion))
     if backwards:
@@ -81,58 +85,55 @@ def judge(
     is_scaled = False
     if not motion.planar and motion.gravity is not None:
         motion = motion.scaled(accel=GRAVITY / float(np.linalg.norm(motion.gravity)))
-        response = best_response(motion, motion.turn_rates(track, wheelbase, steering_ratio))
+        response = best_response(motion, motion.turn_rates(vehicle))
         if response is not None:
-            yield from speed_findings(response)
-            if not any(finding.level == "error" for finding in of_up):  # that is the mirror image
-                yield from _forward(response, stated.forward)
+            yield from speed_findings(response, unit_advice)
             gain = float(np.linalg.norm(response.along))
+            if not any(finding.level == "error" for finding in of_up):  # that is the mirror image
+                ahead = response.along / gain
+                yield from _stated_axis(stated.forward, "forward", ahead, "back", FORWARD_REMEDY)
             if is_wrong(gain):
                 motion = motion.scaled(speed=gain)
                 is_scaled = True
-    rates = motion.turn_rates(track, wheelbase, steering_ratio)
-    yield from yaw_rate_findings(rates)
-    yield from _along(motion)
+    rates = motion.turn_rates(vehicle)
+    yield from yaw_rate_findings(rates, unit_advice)
+    yield from _along(motion, unit_advice)
     if not motion.planar:
-        yield from axes_findings(motion, rates)
+        yield from axes_findings(motion, rates, unit_advice)
         yield from turning_axis_findings(motion)
-    yield from (f for f in _speed_against_wheels(motion) if not (is_scaled and f.level == "ok"))
+    yield from (
+        f
+        for f in _speed_against_wheels(motion, unit_advice.get("speed"))
+        if not (is_scaled and f.level == "ok")
+    )
     yield from _brake(motion)
     yield from _not_checked(motion, rates, stated)
 
 
-def _up(motion: Motion, up: SensorAxis | None) -> Iterator[Finding]:
-    """Whether gravity is where a person says that it is."""
-    if up is None or motion.up is None or motion.planar:
+def _stated_axis(
+    stated: SensorAxis | None, direction: str, found: Array, opposite: str, remedy: str
+) -> Iterator[Finding]:
+    """Whether the axis that a person states for a direction is where the direction is found.
+
+    direction: "up" or "forward"; found: (3,) of unit length, sensor axes; opposite: of the
+    direction, in words; remedy: where the axis points there.
+    """
+    if stated is None:
         return
-    part = float(motion.up @ unit_vector(up))
+    part = float(found @ unit_vector(stated))
+    line = f"'calibration: orientation' says {direction}: {stated}"
     if part < -CLEAR_PART:
-        text = f"its {up} points down, and 'calibration: orientation' says up: "
-        yield Finding("error", "accelerometer", f"{text}'sign: -1' on all axes, or that line")
+        text = f"its {stated} points {opposite}, and {line}; {remedy}"
+        yield Finding("error", "accelerometer", text)
     elif part > CLEAR_PART:
-        yield Finding("ok", "accelerometer", f"its {up} points up, as 'orientation' says")
+        text = f"its {stated} points {direction}, as 'orientation' says"
+        yield Finding("ok", "accelerometer", text)
     else:
-        text = f"'calibration: orientation' says {up}, which lies nearly level: name another axis"
+        text = f"{line}, which is neither {direction} nor {opposite}: name another axis"
         yield Finding("warning", "accelerometer", text)
 
 
-def _forward(response: Response, forward: SensorAxis | None) -> Iterator[Finding]:
-    """Whether the force of a rising speed is where a person says that forward is."""
-    if forward is None:
-        return
-    ahead = response.along / np.linalg.norm(response.along)
-    part = float(ahead @ unit_vector(forward))
-    if part < -CLEAR_PART:
-        text = f"its {forward} points back, and 'calibration: orientation' says forward: {forward}"
-        yield Finding("error", "accelerometer", f"{text}; correct that line")
-    elif part > CLEAR_PART:
-        yield Finding("ok", "accelerometer", f"its {forward} points forward, as 'orientation' says")
-    else:
-        text = f"'calibration: orientation' says forward: {forward}, which points across, or up"
-        yield Finding("warning", "accelerometer", f"{text}: name another axis")
-
-
-def _speed_against_wheels(motion: Motion) -> Iterator[Finding]:
+def _speed_against_wheels(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
     """Both are measured at the wheels; they agree within a few per cent but for a wrong unit."""
     if motion.speed is None or "wheel_speeds" not in motion.grid:
         return
@@ -144,7 +145,9 @@ def _speed_against_wheels(motion: Motion) -> Iterator[Finding]:
         return
     ratio = float(np.median(speed[fast] / wheels[fast]))
     if not 1.0 / OTHER_UNIT < ratio < OTHER_UNIT:
-        yield Finding("error", "speed", f"against the wheels' speeds {gain_guess(ratio)}")
+        yield Finding(
+            "error", "speed", f"against the wheels' speeds {gain_guess(ratio, unit_advice)}"
+        )
     elif abs(ratio - 1.0) > WHEELS_DIFFER:
         yield Finding("warning", "speed", f"is {ratio:.2f} times the wheels' speeds")
     else:
@@ -173,7 +176,7 @@ def _not_checked(
         yield Finding("note", "check", f"not checked: {text}")
 
 
-def _at_rest(motion: Motion) -> Iterator[Finding]:
+def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
     gravity = motion.gravity
     if gravity is None or motion.accel is None:
         return
@@ -188,7 +191,7 @@ def _at_rest(motion: Motion) -> Iterator[Finding]:
     ratio = size / GRAVITY
     text = f"{size:.2f} m/s² {when} (gravity is {GRAVITY:.2f})"
     if abs(ratio - 1.0) > REST_WRONG:
-        yield Finding("error", "accelerometer", f"{text}: {gain_guess(ratio)}")
+        yield Finding("error", "accelerometer", f"{text}: {gain_guess(ratio, unit_advice)}")
     elif abs(ratio - 1.0) > REST_ODD:
         yield Finding("warning", "accelerometer", f"{text}: scale or a large bias?")
     else:
@@ -204,7 +207,7 @@ def _at_rest(motion: Motion) -> Iterator[Finding]:
             yield Finding("warning", "gyroscope", text)
 
 
-def _along(motion: Motion) -> Iterator[Finding]:
+def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:
     """Signals that must follow the change of speed."""
     if motion.change is None or spread(motion.change) < MIN_BRAKING:
         return
@@ -224,8 +227,8 @@ def _along(motion: Motion) -> Iterator[Finding]:
             text = "is negative when the vehicle accelerates; set 'sign: -1'"
             yield Finding("warning", name, text)
         elif is_wrong(gain):
-            text = f"against the change of speed {gain_guess(gain)}"
-            yield Finding("warning", name, text)
+            guess = gain_guess(gain, unit_advice.get(name))
+            yield Finding("warning", name, f"against the change of speed {guess}")
         else:
             yield Finding("ok", name, f"follows the change of speed (gain {gain:.2f})")
 

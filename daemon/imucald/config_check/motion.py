@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from imucald.config.vehicle import VehicleSettings
 from imucald.core.samples import CHANNEL_WIDTH, Samples
 from imucald.motion.standstill import ZERO_SPEED_SMOOTHED
 from imucald.motion.ticks import TICK_RATE
@@ -156,7 +157,7 @@ class Motion:
         mean = np.asarray(self.accel[rows].mean(axis=0))
         return mean if np.linalg.norm(mean) > 0.0 else None
 
-    def turn_rates(self, track: float, wheelbase: float, steering_ratio: float) -> dict[str, Array]:
+    def turn_rates(self, vehicle: VehicleSettings) -> dict[str, Array]:
         """Each witness of the yaw rate (n,) [rad/s], positive to the left, by its quantity's name.
 
         The gyro's is its part about the vertical, less its mean at rest.
@@ -175,12 +176,12 @@ class Motion:
             right_less_left = 0.5 * (wheels[:, 1] - wheels[:, 0] + wheels[:, 3] - wheels[:, 2])
             if not np.nanmin(wheels, initial=0.0) < 0.0:  # magnitudes, as nearly all vehicles send
                 right_less_left = right_less_left * self._direction()
-            found["wheel_speeds"] = smooth(right_less_left) / track
+            found["wheel_speeds"] = smooth(right_less_left) / vehicle.track
         if self.speed is None:
             return found
         if "steering" in grid:
-            angle = smooth(grid["steering"]) / steering_ratio
-            found["steering_wheel_angle"] = self.speed * angle / wheelbase
+            angle = smooth(grid["steering"]) / vehicle.steering_ratio
+            found["steering_wheel_angle"] = self.speed * angle / vehicle.wheelbase
         fast = np.where(np.abs(self.speed) > 3.0, self.speed, np.nan)
         if "lateral_accel" in grid:
             found["lateral_acceleration"] = smooth(grid["lateral_accel"]) / fast

@@ -9,7 +9,8 @@ import numpy as np
 
 from imucald.config_check.finding import CLEAR, MIN_TICKS, Array, Finding
 from imucald.config_check.motion import Motion, smooth
-from imucald.mount.alternatives import INDEPENDENT, TO_ACCUSE, TRIED
+from imucald.mount.gyro_alternatives import TRIED
+from imucald.mount.log_ratios import INDEPENDENT, TO_ACCUSE
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
 MOVING = 2.0

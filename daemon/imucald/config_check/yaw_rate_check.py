@@ -22,7 +22,9 @@ MIN_TURNING_TO_FOLLOW = 0.04
 """The same from which a signal that does not follow is reported [rad/s]: a city."""
 
 
-def yaw_rate_findings(rates: Mapping[str, Array]) -> Iterator[Finding]:
+def yaw_rate_findings(
+    rates: Mapping[str, Array], unit_advice: Mapping[str, str]
+) -> Iterator[Finding]:
     """Compare all witnesses of the yaw rate with the first one that turns."""
     names = [name for name, rate in rates.items() if spread(rate) > MIN_TURNING]
     if len(names) < 2:
@@ -37,18 +39,18 @@ def yaw_rate_findings(rates: Mapping[str, Array]) -> Iterator[Finding]:
             text = f"hardly follows {reference} in turns (correlation {correlation:+.2f})"
             yield Finding("error", name, text)
     yield from _signs(gains)
-    yield from _gains(gains)
+    yield from _gains(gains, unit_advice)
 
 
-def _gains(gains: Mapping[str, float]) -> Iterator[Finding]:
+def _gains(gains: Mapping[str, float], unit_advice: Mapping[str, str]) -> Iterator[Finding]:
     """Of three witnesses or more the middle one is believed; of two the first."""
     sizes = {name: abs(gain) for name, gain in gains.items()}
     middle = float(np.median(list(sizes.values()))) if len(sizes) > 2 else 1.0
     for name, size in sizes.items():
         if is_wrong(size / middle):
             against = ", ".join(other for other in sizes if other != name)
-            text = f"against {against} in turns {gain_guess(size / middle)}"
-            yield Finding("error", name, text)
+            guess = gain_guess(size / middle, unit_advice.get(name))
+            yield Finding("error", name, f"against {against} in turns {guess}")
 
 
 def _signs(gains: Mapping[str, float]) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Small files that a power cut cannot spoil: written whole or not at all, read with a checksum.
+"""Small files that a power cut cannot damage: written whole or not at all, read with a checksum.
 
 A file is one line of text (what it is, then the SHA-256 of the rest) and a body of bytes.
 """

@@ -1,4 +1,4 @@
-"""What validation found wrong, said to the one who wrote the file.
+"""What validation found wrong, in words for the one who wrote the file.
 
 msgspec stops at the first mistake. Here the data are gone through field by field, each checked by
 msgspec alone, so that all mistakes are reported at once, each at its place. Loaded only when there

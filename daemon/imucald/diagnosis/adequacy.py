@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from imucald.diagnosis.cause_keys import mount_of
 from imucald.diagnosis.forward import Forward
-from imucald.diagnosis.result import GOES_AGAINST, TOO_MUCH, Structure
+from imucald.diagnosis.result import GOES_AGAINST, GOES_WITH_SHAKING, TOO_MUCH, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
 from imucald.diagnosis.signals import STEP_S, Array, Mask
 from imucald.diagnosis.state import State
@@ -272,4 +272,4 @@ def _shaken(problem: Problem, state: State) -> list[Structure]:
         f"{SD_95 * trial.estimate.se[i]:.2g} m/s^2 from smooth to shaken segments"
     )
     size = float(abs(trial.estimate.value[i]) / trial.estimate.se[i])
-    return [Structure(f"accel_{'xyz'[i]}", "goes with shaking", size, text)]
+    return [Structure(f"accel_{'xyz'[i]}", GOES_WITH_SHAKING, size, text)]

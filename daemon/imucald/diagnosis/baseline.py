@@ -76,25 +76,24 @@ def _mount(loaded: LoadedConfig, drives: Sequence[Samples]) -> dict[str, float]:
     """
     pipeline = Pipeline(estimator_for(loaded.config))
     start = 0.0
-    estimates: list[MountEstimate] = []
+    surest: MountEstimate | None = None
     for samples in drives:
         last = max(float(s.t[-1]) for s in samples.values() if len(s.t))
         moved = {name: type(s)(s.t + start, s.values) for name, s in samples.items()}
         _, snapshots = pipeline.run(moved, {}, start + last)
-        estimates += [snapshot.estimate for snapshot in snapshots]
+        known = [s.estimate for s in snapshots if _is_known(s.estimate)]
+        surest = min(filter(None, [surest, *known]), key=_uncertainty, default=None)
         start = math.ceil(start + last + 1.0)
         pipeline.gap(int(start * 10))
     final = pipeline.estimator.estimate()
-    known = [final] if _is_known(final) else [one for one in estimates if _is_known(one)]
-    if not known:
+    best = final if _is_known(final) else surest
+    if best is None or best.angles is None:
         why = reasons_line(final.waiting_for)
         raise EstimateError(
             "the drives do not say how the sensor sits, so there is no model to compare with; "
             f"give one with --model ({why or 'see imucald replay'})"
         )
-    angles = min(known, key=_uncertainty).angles
-    assert angles is not None
-    roll, pitch, yaw = (math.degrees(angle) for angle in angles)
+    roll, pitch, yaw = (math.degrees(angle) for angle in best.angles)
     return {"mount.roll_deg": roll, "mount.pitch_deg": pitch, "mount.yaw_deg": yaw}
 
 

@@ -35,7 +35,6 @@ DELAYED = ("speed", "wheel_speeds", "steering", "yaw_rate", "lateral_accel", "lo
 OFF_DIAGONAL = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
 BUTTERWORTH_S_HZ = math.sqrt(2.0) / (2.0 * math.pi)
 """Delay of a second-order Butterworth low-pass well below its cut-off, times the cut-off."""
-SMALLEST_STEP_DEG = 0.05
 
 
 @dataclass(frozen=True)

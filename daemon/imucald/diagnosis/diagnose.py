@@ -16,10 +16,11 @@ from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
 from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
-from imucald.diagnosis.blocks import TAKES, Table
+from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.direct import Rest, rest_of
-from imucald.diagnosis.faults import Fault, find_faults, spoilt
+from imucald.diagnosis.doubts import doubt
+from imucald.diagnosis.faults import find_faults, spoilt
 from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.held_values import held_values
 from imucald.diagnosis.intervals import estimate, quantile
@@ -27,9 +28,7 @@ from imucald.diagnosis.patterns import patterns
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
     GOES_AGAINST,
-    GOES_WITH_LEVEL,
     TOO_MUCH,
-    VALUE_HELD,
     Diagnosis,
     FoundCause,
     Gain,
@@ -38,9 +37,8 @@ from imucald.diagnosis.result import (
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.search import search
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
-from imucald.diagnosis.standing import unsettle
 from imucald.diagnosis.state import State, final_estimates, shift_steps
-from imucald.diagnosis.trials import Trial
+from imucald.diagnosis.stuck import Fault
 from imucald.model.model import VehicleModel
 
 Progress = Callable[[float, str], None]
@@ -100,7 +98,7 @@ def diagnose(
     if any(s.kind == TOO_MUCH for s in left):
         state.give_up()
     else:
-        _doubt(state, left)
+        doubt(state, left, faults)
     problem = state.evaluated()
     told = _told(state, rest, faults, model)
     tell(0.88, "what the written file brings")
@@ -151,27 +149,6 @@ def _left(state: State) -> tuple[Structure, ...]:
         *patterns(problem, state.forwards),
         *what_is_left(problem, state),
     )
-
-
-def _doubted(left: Sequence[Structure]) -> set[str]:
-    """Sensors of which one at least does not feel what the equations say, nor any cause."""
-    sensors = {s.signal.partition("_")[0] for s in left if s.kind == VALUE_HELD}
-    for s in left:
-        if s.kind == GOES_WITH_LEVEL:
-            sensors |= set(TAKES[s.signal])
-    return sensors
-
-
-def _doubt(state: State, left: Sequence[Structure]) -> None:
-    """What shows by the readings of such a sensor is likely, and not certain."""
-    sensors = _doubted(left)
-
-    def is_touched(trial: Trial) -> bool:
-        shows = outcome.signals_of(state.table, trial.hypothesis.keys)
-        return bool(sensors & {sensor for name in shows for sensor in TAKES[name]})
-
-    if sensors:
-        unsettle(state, is_touched)
 
 
 def _silent(share: float, text: str) -> None:

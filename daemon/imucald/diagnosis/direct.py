@@ -35,7 +35,6 @@ class Rest:
     kelvin: float = 0.0
     """Temperature of the stops less that at which the file's zero holds, mean [K]."""
     per_kelvin: Array | None = None
-    per_kelvin_se: Array | None = None
     """Slope of the stops over the temperature; None where it hardly changes."""
 
     def honest(self, model: VehicleModel) -> Array:
@@ -85,20 +84,17 @@ def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int)
         return Rest(mean, np.full(3, LEAST_SE), 3.0, n, float(np.mean(warmth)))
     se = np.maximum(np.std(table, axis=0, ddof=1) / np.sqrt(n), FINEST_SE)
     q = float(student.ppf(1.0 - CHANCE / (2.0 * max(questions, 1)), n - 1))
-    slope, slope_se = _slope(np.array(warmth), table)
-    return Rest(mean, se, min(q, 10.0), n, float(np.mean(warmth)), slope, slope_se)
+    slope = _slope(np.array(warmth), table)
+    return Rest(mean, se, min(q, 10.0), n, float(np.mean(warmth)), slope)
 
 
 LEAST_KELVIN = 4.0
 
 
-def _slope(kelvin: Array, table: Array) -> tuple[Array | None, Array | None]:
+def _slope(kelvin: Array, table: Array) -> Array | None:
     """Regression of the stops on the temperature."""
     n = len(kelvin)
     if n < FEW_STOPS + 2 or np.ptp(kelvin) < LEAST_KELVIN:
-        return None, None
+        return None
     x = kelvin - kelvin.mean()
-    slope = x @ table / (x @ x)
-    left = table - table.mean(axis=0) - np.outer(x, slope)
-    se = np.sqrt(np.maximum((left**2).sum(axis=0) / (n - 2), FINEST_SE**2) / (x @ x))
-    return slope, se
+    return np.asarray(x @ table / (x @ x))

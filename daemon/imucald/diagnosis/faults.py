@@ -6,23 +6,21 @@ Each is direct evidence. What it spoils is kept from the fit.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
+from imucald.diagnosis.stuck import Fault, stuck
+from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
 from imucald.model.model import VehicleModel
 
 LEAST_ROWS = 100
 RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
-QUICK = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
-"""Sensors whose noise moves them from sample to sample."""
-PILE_RATIO, PILE_SHARE = 1.3, 2e-4
-"""An extreme value that is held so many times as often as the levels next to it is a rail."""
+PILE_SHARE = 2e-4
+"""A rail is met in so many of the samples."""
 PILE_LEVELS = (3, 10)
 """Levels below the extreme one that it is held against."""
 CHANCE = 0.01
@@ -31,11 +29,6 @@ FEW_STAYS = 3
 QUESTIONS = 6 * len(RAILED) * (len(PILE_LEVELS) + 1)
 """Both ends of three axes of each signal."""
 SPOILT_S = 0.3
-MOVING_MPS = 2.0
-STUCK_S, STUCK_SLOW_S, STUCK_RUNS = 0.5, 8.0, 4.0
-"""A quick sensor is stuck from so long on, a slow one; and only if so many times the usual."""
-PARTNER_SHARE = 0.5
-"""A slow signal is stuck where others go on moving by this share of their usual spread."""
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Frames that a bus and a logger may lose without a fault."""
 PAUSE_S = 10.0
@@ -47,23 +40,6 @@ is asked for each value (OBD-II) has none."""
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
 """Two crystals of +-100 ppm over temperature and age. Further off than 1 % the model file states
 another rate: that is no fault."""
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A fault of one signal."""
-
-    cause: str
-    signal: str
-    values: Mapping[str, tuple[float, float, str]]
-    """Key to value, deviation, unit."""
-    text: str
-    changes: Mapping[str, Any]
-    """What the model file says of it from now on."""
-    spans: Spans = ()
-    """Stretches [s] that must not be used."""
-    score: float = 50.0
-    """Evidence in nats, as far as it can be said."""
 
 
 def find_faults(
@@ -78,7 +54,7 @@ def find_faults(
             continue
         piled = list(_piled(name, series, model)) if name in RAILED else []
         own = (series.t, series.values) if name == "speed" else moving
-        found += [*piled, *_stuck(name, series, samples, own, spoilt(piled).get(name, ()))]
+        found += [*piled, *stuck(name, series, samples, own, piled)]
         found += _timed(name, series, model)
     return found
 
@@ -96,7 +72,7 @@ def _moving(samples: Samples) -> tuple[Array, Array]:
     speed = samples["speed"]
     values = np.where(np.isfinite(speed.values), speed.values, 0.0)
     if len(speed.t) >= LEAST_ROWS:
-        for fault in _stuck("speed", speed, samples, (speed.t, values), ()):
+        for fault in stuck("speed", speed, samples, (speed.t, values)):
             for low, high in fault.spans:
                 values = np.where((speed.t >= low) & (speed.t <= high), 0.0, values)
     return speed.t, values
@@ -146,21 +122,18 @@ def _rail(x: Array, still: Mask) -> float | None:
 
 
 def _is_crowded(x: Array, top: float, near: float) -> bool:
-    """Where nothing is clipped, the end of a range is met no oftener than what lies below it: of k
-    visits there and m samples in n levels below, k is binomial with p <= 1/(n + 1). Visits are
-    counted and not samples, since a slow signal stays for some at its highest."""
+    """Whether a value is met oftener than the levels below it: the end of a range is not, where
+    nothing is clipped."""
     at = x >= top - near
     below = x[~at]
     values = np.unique(x[x > np.quantile(x, 0.9)])
     step = float(np.median(np.diff(values))) if len(values) > 2 else 0.0
     if step == 0.0 or not len(below):
         return False
-    visits = int(at[0]) + int((np.diff(at.astype(int)) == 1).sum())
     width = max(step, float(top - below.max()))
     for levels in PILE_LEVELS:
         beside = int((below > top - (levels + 0.5) * width).sum())
-        share = PILE_RATIO / (PILE_RATIO + levels)
-        if binom.sf(visits - 1, visits + beside, share) < CHANCE / QUESTIONS:
+        if visited_too_often(at, beside, levels, CHANCE / QUESTIONS):
             return True
     return False
 
@@ -194,69 +167,6 @@ def _spans(t: Array, hit: Mask) -> Spans:
     last = np.concatenate([cuts, [len(at) - 1]])
     return tuple((float(at[a] - SPOILT_S / 3), float(at[b] + SPOILT_S / 3))
                  for a, b in zip(first, last, strict=True))  # fmt: skip
-
-
-# stuck -------------------------------------------------------------------------------------------
-
-
-def _stuck(
-    name: str, series: Series, samples: Samples, moving: tuple[Array, Array], railed: Spans
-) -> Iterator[Fault]:
-    """Frames that come with one value while the vehicle moves; zeros at rest are natural, and so is
-    one value on a rail."""
-    t, table = series.t, series.values.reshape(len(series.t), -1)
-    same = (np.diff(table, axis=0) == 0.0).all(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
-    first, last = edges[::2], edges[1::2]
-    if not len(first):
-        return
-    # Frames that do not come are another fault.
-    length = np.minimum(t[last] - t[first], (last - first) * float(np.median(np.diff(t))))
-    for low, high in railed:
-        length[(t[last] >= low) & (t[first] <= high)] = 0.0
-    # Only while driving; a long stretch may hold stops.
-    steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > MOVING_MPS)
-    driven = np.concatenate([[0.0], np.cumsum(steps)])
-    length = np.minimum(length, driven[last] - driven[first])
-    least = STUCK_S if name in QUICK else STUCK_SLOW_S
-    driving = length[length > 0.0]
-    # Of few stretches the longest is no measure of what is usual.
-    usual = float(np.quantile(driving, 0.99, method="lower")) if len(driving) > 20 else 0.0
-    long = length > max(least, STUCK_RUNS * usual)
-    spans = [(float(t[a]), float(t[b])) for a, b in zip(first[long], last[long], strict=True)]
-    if name not in QUICK:
-        spans = [s for s in spans if _others_move(name, samples, s)]
-    total = sum(b - a for a, b in spans)
-    if not spans or (name not in QUICK and total < STUCK_SLOW_S):
-        return
-    gaps = tuple({"start_s": max(a, 0.0), "duration_s": b - a} for a, b in spans)
-    yield Fault(
-        "stuck_signal", name, {f"_{name}.stuck_s": (total, 0.0, "s")},
-        f"Frames come, but the value does not change for {total:.1f} s in {len(spans)} pieces "
-        f"of driving, from {spans[0][0]:.0f} s on.",
-        {f"{name}.stuck": gaps}, tuple(spans), 5.0 * total / max(least, 1.0),
-    )  # fmt: skip
-
-
-def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool:
-    """Whether what should move with a signal goes on moving in a stretch."""
-    if name == "speed":
-        partner = samples["accel"]
-    else:
-        known = samples.get("yaw_rate") or samples.get("gyro")
-        if known is None:
-            return False
-        partner = known
-    table = partner.values.reshape(len(partner.t), -1)
-    bins = np.floor(partner.t).astype(int)
-    inside = (partner.t >= span[0]) & (partner.t <= span[1])
-    seconds = np.array([np.bincount(bins - bins[0], c) for c in table.T]).T
-    count = np.maximum(np.bincount(bins - bins[0]), 1)[:, None]
-    means = seconds / count
-    here = np.unique(bins[inside] - bins[0])
-    if len(here) < 4:
-        return False
-    return bool(np.any(np.std(means[here], axis=0) > PARTNER_SHARE * np.std(means, axis=0)))
 
 
 # stamps ------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from imucald.diagnosis.signals import Array
 
 Z95 = 1.959964
 WORSE_SE = 2.0
-LEFT_SE, LEFT_SHARE = 3.0, 0.3
+LEFT_SE = 3.0
 
 
 def found_by_fold(problem: Problem, free: Sequence[str]) -> Array:

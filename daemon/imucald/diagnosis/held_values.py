@@ -13,6 +13,7 @@ from scipy.stats import binom
 
 from imucald.diagnosis.result import VALUE_HELD, Structure
 from imucald.diagnosis.signals import Array, DriveSignals
+from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
 
 SENSORS = ("accel", "gyro")
 MOVING_MPS = 2.0
@@ -21,7 +22,6 @@ BESIDE = 3
 FINE = 3.0
 """From sample to sample a sensor must move by so many of its levels: then each is as likely as the
 next, whatever the vehicle does."""
-RATIO = 1.3
 CHANCE = 0.01
 LEAST_ROWS = 300
 
@@ -79,13 +79,11 @@ def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
     beside = int(counts[near].max()) if near.any() else 0
     chance = CHANCE / (questions * len(levels))
     is_there = x == value
-    # Visits: a sensor that hardly moves stays for some samples at any value.
-    visits = int((np.diff(is_there.astype(int)) == 1).sum())
-    is_crowded = binom.sf(visits - 1, visits + beside, RATIO / (RATIO + 1.0)) < chance
+    is_crowded = visited_too_often(is_there, beside, 1, chance)
     again = x[1:] == x[:-1]
-    usual = min(RATIO * float(again[~is_there[:-1]].mean()) + 1.0 / len(x), 1.0)
+    usual = min(PILE_RATIO * float(again[~is_there[:-1]].mean()) + 1.0 / len(x), 1.0)
     stays = int(again[is_there[:-1]].sum())
-    is_kept = count > RATIO * beside and binom.sf(stays - 1, count, usual) < chance
+    is_kept = count > PILE_RATIO * beside and binom.sf(stays - 1, count, usual) < chance
     if not (is_crowded or is_kept):
         return None
     return float(value) + 0.0, count / len(x), count / max(beside, 1)

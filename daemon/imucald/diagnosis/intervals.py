@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from imucald.diagnosis.score import RIDGE, Hypothesis, Problem, box_fit
+from imucald.diagnosis.sandwich import QUARTERS, between_quarters, ridge, scatters, variances
+from imucald.diagnosis.score import Hypothesis, Problem, box_fit
 from imucald.diagnosis.signals import Array
 
 ERROR_RATE = 0.01
 """Of a drive: the chance that anything is named without a reason."""
-QUARTERS = 4
 
 
 @dataclass(frozen=True)
@@ -62,22 +62,19 @@ def estimate(
     prior = np.zeros(len(low))
     others = np.setdiff1d(np.arange(len(low)), own)
     prior[others] = 3.0 / np.maximum(0.5 * (high - low)[others], 1e-30) ** 2
-    H = total[1:, 1:] + np.diag(prior) + RIDGE * np.diag(np.maximum(np.diag(total[1:, 1:]), 1e-30))
+    H = total[1:, 1:] + np.diag(prior) + ridge(total[1:, 1:])
     inverse = np.linalg.pinv(H)
     score = gram[:, 1:, 0] - gram[:, 1:, 1:] @ x
-    B = len(gram)
-    inner = score.T @ score * (B / max(B - len(own) - 1, 1))
-    lag = score[1:].T @ score[:-1]
-    ways = (inner, inner + lag + lag.T, total[1:, 1:])
-    spread = [np.diag(inverse @ (way + np.diag(prior)) @ inverse)[own] for way in ways]
+    ways = (*scatters(score, len(own) + 1), total[1:, 1:])
+    spread = [variances(inverse, way + np.diag(prior))[own] for way in ways]
     variance = np.maximum(np.max(spread, axis=0), 0.0)
-    far = np.diag(inverse @ (_between_quarters(score) + np.diag(prior)) @ inverse)[own]
+    far = variances(inverse, between_quarters(score) + np.diag(prior))[own]
     excess = np.maximum(far - variance, 0.0)
     more = problem.model_error(h) ** 2
     se = np.sqrt(variance + excess + more)
     wander = np.sqrt(QUARTERS * excess)
     pull = _pull(problem, h, x, own, more, null or problem)
-    return Estimate(x[own], se, quantile(B, questions), pull, wander)
+    return Estimate(x[own], se, quantile(len(gram), questions), pull, wander)
 
 
 def _pull(
@@ -100,28 +97,11 @@ def _pull(
     inside = np.union1d(inside, own)
     at = [int(np.flatnonzero(inside == i)[0]) for i in own]
     part = H[np.ix_(inside, inside)]
-    part = part + RIDGE * np.diag(np.maximum(np.diag(part), 1e-30))
-    inverse = np.linalg.pinv(part)
+    inverse = np.linalg.pinv(part + ridge(part))
     score = (gram[:, 1:, 0] - gram[:, 1:, 1:] @ x)[:, inside]
-    B = len(gram)
-    inner = score.T @ score * (B / max(B - len(own) - 1, 1))
-    lag = score[1:].T @ score[:-1]
     model = np.maximum(np.diag(inverse)[at], 1e-300)
-    scores = (inner, inner + lag + lag.T, _between_quarters(score))
-    ways = [np.diag(inverse @ way @ inverse)[at] for way in scores]
-    spread = max(1.0, float(np.max((np.max(ways, axis=0) + more) / model)))
+    ways = (*scatters(score, len(own) + 1), between_quarters(score))
+    spreads = [variances(inverse, way)[at] for way in ways]
+    spread = max(1.0, float(np.max((np.max(spreads, axis=0) + more) / model)))
     # k parameters at once rise by k more without a reason.
     return float(np.sqrt(max(2.0 * rise / spread - (len(own) - 1), 0.0)))
-
-
-def _between_quarters(score: Array) -> Array:
-    """Scatter of the quarters' scores about their mean (cluster-robust; Cameron and Miller 2015).
-
-    What drifts from piece to piece counts by as much as it moves the whole. Where little tells of a
-    parameter, a quarter may say anything of it, and the whole hardly moves.
-    """
-    parts = np.array([part.sum(axis=0) for part in np.array_split(score, QUARTERS)])
-    if len(score) < 2 * QUARTERS:
-        return np.zeros((score.shape[1], score.shape[1]))
-    parts = parts - parts.mean(axis=0)
-    return np.asarray(parts.T @ parts * (QUARTERS / (QUARTERS - 1)))

@@ -11,7 +11,6 @@ from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import value
 from imucald.diagnosis.causes import BY_NAME, PARAMETERS
 from imucald.diagnosis.direct import Rest
-from imucald.diagnosis.faults import Fault
 from imucald.diagnosis.result import (
     NOT_PLAUSIBLE,
     TOO_MUCH,
@@ -25,7 +24,8 @@ from imucald.diagnosis.result import (
 )
 from imucald.diagnosis.shift import KEYS, FittedShift
 from imucald.diagnosis.state import State
-from imucald.diagnosis.trials import SINGLE_NATS, Trial, questions
+from imucald.diagnosis.stuck import Fault
+from imucald.diagnosis.trials import LEVELLED, SINGLE_NATS, Trial, questions
 from imucald.model.model import VehicleModel
 from imucald.mount.mount_words import SD_95
 
@@ -235,6 +235,9 @@ def look_alikes(state: State) -> tuple[tuple[str, ...], ...]:
     sets = []
     for trial in state.named:
         others = [t.hypothesis.name for t in state.rivals.get(trial.hypothesis.name, [])]
+        if trial.hypothesis.name == "accel_bias":
+            # At one g another element of a gain that is off is a zero error.
+            others += [t.hypothesis.name for t in state.named if t.hypothesis.name in LEVELLED]
         others = [n for n in dict.fromkeys(others) if n != trial.hypothesis.name]
         if others:
             sets.append((trial.hypothesis.name, *others))

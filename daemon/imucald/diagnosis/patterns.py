@@ -17,6 +17,7 @@ from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import UNITS, Forward
 from imucald.diagnosis.intervals import quantile
 from imucald.diagnosis.result import GOES_WITH_LEVEL, Structure
+from imucald.diagnosis.sandwich import scatters, variances
 from imucald.diagnosis.score import Problem, fitted, without_best
 from imucald.diagnosis.signals import STEP_S, Array
 from imucald.diagnosis.trials import SINGLE_NATS
@@ -159,17 +160,14 @@ def _least(name: str) -> float:
 def _fit(gram: Array) -> tuple[float, float, float]:
     """Of the last column beside the others: value, deviation between blocks, and nats on blocks
     that its fit did not see. gram: (B, 1 + P, 1 + P), residual first."""
-    B = len(gram)
     total = gram.sum(axis=0)
     value, whole = _solved(total), total[1:, 1:]
     score = gram[:, 1:, 0] - gram[:, 1:, 1:] @ value
     inverse = np.linalg.pinv(whole)
-    inner = score.T @ score * (B / max(B - len(value), 1))
-    lag = score[1:].T @ score[:-1]
-    ways = (inner, inner + lag + lag.T, whole)
-    se = float(np.sqrt(max(float((inverse @ way @ inverse)[-1, -1]) for way in ways)))
-    gain = np.empty(B)
-    for b in range(B):
+    ways = (*scatters(score, len(value)), whole)
+    se = float(np.sqrt(max(float(variances(inverse, way)[-1]) for way in ways)))
+    gain = np.empty(len(gram))
+    for b in range(len(gram)):
         rest = total - gram[b]
         with_it, without = _solved(rest), np.append(_solved(rest[:-1, :-1]), 0.0)
         gain[b] = 0.5 * (_loss(gram[b], without) - _loss(gram[b], with_it))

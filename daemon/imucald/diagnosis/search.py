@@ -65,9 +65,14 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
     demote(state)
     if state.doubtful:
         state.last = _trials(state.evaluated(), state, [*skip, *dropped])
-    known = {t.hypothesis.name for t in (*state.named, *state.likely)}
+    known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}
     if state.shift is None:
-        state.likely += [t for t in likeliest(state.last) if t.hypothesis.name not in known]
+        state.likely = [
+            t
+            for t in likeliest(state.last)
+            if t.hypothesis.name not in known
+            and all(_is_form_of(t, other) for other in _alike(t, state.last))
+        ]
 
 
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
@@ -77,14 +82,22 @@ def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
 
 
 def _winner(trials: Sequence[Trial]) -> Trial | None:
-    """The one with most gain of those that pass; of one cause's forms the simplest that does."""
+    """The one with most gain of those that pass; of one cause's forms the simplest that does, also
+    of a cause that is part of it: a delay that grows is told where its growth pays by itself."""
     passing = [t for t in trials if t.named]
     if not passing:
         return None
     best = max(passing, key=lambda t: t.gain.sum())
-    same = [t for t in passing if t.hypothesis.name == best.hypothesis.name]
+    same = [t for t in passing if _is_form_of(t, best)]
     simple = [t for t in same if _is_near(best, t)]
     return min(simple, key=lambda t: (len(t.hypothesis.keys), -t.gain.sum()))
+
+
+def _is_form_of(t: Trial, best: Trial) -> bool:
+    """Whether it is the same cause, or frees some of the same parameters and no other."""
+    one, all_of = t.hypothesis, best.hypothesis
+    is_part = one.is_plain and all_of.is_plain and set(one.keys) < set(all_of.keys)
+    return one.name == all_of.name or is_part
 
 
 def _nearly(problem: Problem, state: State) -> Trial | None:

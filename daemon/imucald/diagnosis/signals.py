@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binom
 
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples, Series
@@ -26,6 +27,8 @@ GAP_PERIODS = 3.5
 SHORTEST_GAP_S = 0.35
 DUPLICATE_SHARE = 0.3
 """The same value within this share of the period is the same frame sent twice."""
+CHANCE = 0.01
+"""Of taking for duplicates what a sensor that often repeats a value sends too soon."""
 STANDING_MPS = 0.05
 FASTEST_REST_RADPS = np.radians(0.3)
 """rms by which a gyroscope may move about its mean at rest: an idling engine stays below."""
@@ -129,7 +132,11 @@ def duplicates(series: Series, period: float) -> Mask:
     again = np.zeros(len(t), dtype=bool)
     if len(t) > 1:
         soon = np.diff(t) < DUPLICATE_SHARE * period
-        again[1:] = soon & (np.diff(values, axis=0) == 0.0).all(axis=1)
+        same = (np.diff(values, axis=0) == 0.0).all(axis=1)
+        # A sensor with a dead zone repeats itself at any distance: that is no second frame.
+        usual = float(same[~soon].mean()) if (~soon).any() else 0.0
+        if binom.sf((soon & same).sum() - 1, soon.sum(), usual) < CHANCE:
+            again[1:] = soon & same
         again[1:] |= np.diff(t) <= 0.0
     return again
 

@@ -106,18 +106,20 @@ def _drop(state: State, less: State, trial: Trial) -> None:
 
 
 def demote(state: State) -> None:
-    """What would not be named again beside all others does not stand."""
+    """What would not be named again beside all others does not stand, nor what may be beyond the
+    plausible: then something else explains it."""
     for trial in list(state.named):
-        if trial.hypothesis.pattern is None and not asked_again(state, trial).outside:
-            _drop(state, _without(state, trial), trial)
+        if trial.hypothesis.pattern is None:
+            again = asked_again(state, trial)
+            if not (again.outside and again.is_surely_plausible):
+                _drop(state, _without(state, trial), trial)
 
 
 def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
-    """Causes that stand where something is left that no cause explains are likely, not certain:
-    the fit gives them what the other thing makes."""
+    """Causes that something else may make are not ruled out, and no more: the fit gives them what
+    the other thing makes."""
     for trial in list(state.named):
         if trial.hypothesis.pattern is None and doubts(trial):
-            less = _without(state, trial)
-            _drop(state, less, trial)
-            state.doubtful.remove(trial)
-            state.likely.append(trial)
+            _drop(state, _without(state, trial), trial)
+    state.doubtful += [t for t in state.likely if doubts(t)]
+    state.likely = [t for t in state.likely if not doubts(t)]

@@ -72,6 +72,14 @@ class Trial:
         return bool(np.all((np.abs(v) <= tau) | ((v >= low) & (v <= high))))
 
     @property
+    def is_surely_plausible(self) -> bool:
+        """The same by a deviation at least, as for the tolerance."""
+        v, half = self.estimate.value, self.estimate.se
+        low, high = self.plausible.T
+        within = (v - half >= low) & (v + half <= high)
+        return bool(np.all((np.abs(v) <= self.tolerance) | within))
+
+    @property
     def is_testable(self) -> bool:
         """The data tell its parameters more sharply than plausibility does."""
         e = self.estimate
@@ -80,8 +88,7 @@ class Trial:
     @property
     def could_be(self) -> bool:
         """Pays, with a value beyond its tolerance: a rival need not be sure of itself."""
-        e = self.estimate
-        far = (np.abs(e.value) > self.reach + e.se)[: self.hypothesis.lead or None]
+        far = (np.abs(self.estimate.value) > self.reach)[: self.hypothesis.lead or None]
         return self.shown > SINGLE_NATS and bool(np.any(far)) and self.is_testable
 
     @property
@@ -203,5 +210,5 @@ def likeliest(trials: Sequence[Trial]) -> list[Trial]:
     return [
         t
         for t, x in zip(best[:count], share[:count], strict=True)
-        if x >= 1.0 - FALSE_SHARE and t.is_suspect and t.is_plausible and t.is_testable
+        if x >= 1.0 - FALSE_SHARE and t.is_suspect and t.is_surely_plausible and t.is_testable
     ]

@@ -69,7 +69,6 @@ def find_planar(
     reference.sides_from = why
     reference.along = best.second.smooth * (best.unit.factor * best.relation.sign)
     reference.turn = sign * across.first.smooth * yaw_unit.factor
-    reference.turn_from = across.first.path
     sources = {
         "x": source_of(best.second, best.unit.name, best.relation.sign),
         "y": source_of(across.second, across.unit.name, sign * across.relation.sign),

@@ -82,7 +82,6 @@ class KnownMotion:
     along: Array | None = None
     lateral: Array | None = None
     turn: Array | None = None
-    turn_from: str = ""
     sides_from: str = ""
     """What separates left from right."""
 

@@ -47,8 +47,6 @@ from imucald.discovery.wheels import wheel_sets
 MAX_TRIADS = 6
 """Triads that are held against every speed, where no unit shows which is the accelerometer."""
 MAX_ALTERNATIVES = 3
-REST_RATE = 5.0
-"""Largest zero error of a gyroscope [deg/s]."""
 
 
 class Sensors:
@@ -182,7 +180,7 @@ class Sensors:
             standing = _standing(reference)
             if standing is not None:
                 rate = rate - np.nanmean(rate[standing])
-            reference.turn, reference.turn_from = rate, "the gyroscope about up"
+            reference.turn = rate
             if not reference.sides_from:
                 reference.sides_from = "the gyroscope, taken as right-handed"
         return choice

@@ -54,7 +54,7 @@ class Turning:
         if reference.turn is None and reference.lateral is not None and reference.speed is not None:
             turn = reference.lateral / reference.speed.moving
             choice = find_scalar(YAW_RATE, turn, free, reference.sides_from)
-            reference.turn, reference.turn_from = _turn_of(choice, free, turn)
+            reference.turn = _turn_of(choice, free, turn)
             return choice
         return find_scalar(YAW_RATE, reference.turn, free, reference.sides_from)
 
@@ -99,17 +99,15 @@ class Turning:
             self.vehicle.append(("steering_ratio", f"{metres / WHEELBASE:.1f}", text))
 
 
-def _turn_of(
-    choice: Choice | None, free: Sequence[SeenSignal], otherwise: Array
-) -> tuple[Array, str]:
+def _turn_of(choice: Choice | None, free: Sequence[SeenSignal], otherwise: Array) -> Array:
     """The yaw rate that was found, else what the accelerometer shows of it."""
     if choice is not None and choice.is_sure:
         source = choice.sources[""]
         candidate = next(c for c in free if c.path == source.signal)
         factor = factor_of(source.unit or candidate.unit, "angular_rate")
         if factor is not None:
-            return candidate.smooth * (factor * source.sign), source.signal
-    return otherwise, "the accelerometer's lateral axis over speed"
+            return candidate.smooth * (factor * source.sign)
+    return otherwise
 
 
 def _turning_metres(angle: Array, curvature: Array, speed: Array) -> float | None:

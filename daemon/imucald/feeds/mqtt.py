@@ -13,7 +13,7 @@ from imucald.core.errors import ConfigError
 from imucald.feeds.daemon_source import Reading, Say
 from imucald.feeds.feed_loop import LONGEST_PAUSE_S
 from imucald.mount.mount_words import SD_95
-from imucald.runtime.alarms import alarms_of
+from imucald.runtime.alarms import present_alarms
 
 PASSWORD = "IMUCALD_MQTT_PASSWORD"
 """Environment variable; a password does not belong on a command line."""
@@ -121,7 +121,7 @@ def status_content(reading: Reading) -> dict[str, Any]:
     status = reading.status
     if status is None:
         return {"at": round(reading.at, 3), "running": False}
-    mount, std = status["mount"], status["mount"]["std_deg"]
+    mount = status["mount"]
     return {
         "at": round(reading.at, 3),
         "running": True,
@@ -130,14 +130,19 @@ def status_content(reading: Reading) -> dict[str, Any]:
         "held": bool(status.get("held")),
         "mount": {
             **{f"{a}_deg": mount[f"{a}_deg"] for a in ("roll", "pitch", "yaw")},
-            "plus_minus_deg": {a: None if s is None else SD_95 * s for a, s in std.items()},
+            "plus_minus_deg": _halves(mount["std_deg"]),
+            "angle_plus_minus_deg": _halves(mount.get("angle_std_deg", {})),
             "quaternion_wxyz": mount["quaternion_wxyz"],
             "sits": mount["sits"],
         },
         "waiting_for": status["waiting_for"],
-        "alarms": list(alarms_of(status["health"])),
+        "alarms": list(present_alarms(status)),
         "bus": status["link"]["state"],
     }
+
+
+def _halves(std: Mapping[str, float | None]) -> dict[str, float | None]:
+    return {name: None if s is None else SD_95 * s for name, s in std.items()}
 
 
 def corrected_content(

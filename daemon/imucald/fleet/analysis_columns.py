@@ -19,6 +19,11 @@ _MOUNT = (
     *floats("deg", "mount as intrinsic Z-Y-X angles", *_ANGLES),
     *_xyz("deg", "half of its 95 % interval, crown included", "ci95_{}_deg"),
 )
+_OF_ANGLES = (
+    "deg",
+    "half of the 95 % interval of the angle itself, crown included; none where it is not known",
+)
+_CI95_OF_ANGLES = floats(*_OF_ANGLES, *(f"ci95_{name}" for name in _ANGLES))
 _TEST = (
     *floats("", "chance of so much without a cause", "p"),
     *floats("", "share of false ones among all with a q so small", "q"),
@@ -37,6 +42,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *_xyz("deg", "lower end of its 95 % interval", "drive_low_{}_deg"),
         *_xyz("deg", "upper end", "drive_high_{}_deg"),
         *floats("deg", "of the road crown, common to all, in the roll intervals", "crown_std_deg"),
+        *_CI95_OF_ANGLES,
     ),
     "analysis/vehicles": (
         *texts(
@@ -57,6 +63,8 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *_xyz("deg", "first segment beside its type, found batches taken out", "d_{}_deg"),
         *_TEST,
         Column("outlier", "flag", "", "stands out from its type"),
+        *_CI95_OF_ANGLES,
+        *floats(*_OF_ANGLES, *(f"shrunk_ci95_{name}" for name in _ANGLES)),
     ),
     "analysis/segments": (
         *texts(vehicle="name"),
@@ -66,6 +74,7 @@ ANALYSIS: Final[dict[str, tuple[Column, ...]]] = {
         *texts(first_log_key="its first drive", last_log_key="its last drive"),
         Column("drives", "integer", "", "of the segment"),
         *_MOUNT,
+        *_CI95_OF_ANGLES,
     ),
     "analysis/remounts": (
         *texts(

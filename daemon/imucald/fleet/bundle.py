@@ -68,7 +68,7 @@ class _Folder:
 
 
 FOLDER_VARIABLE = "IMUCALD_FLEET_BUNDLES"
-"""Tells children where their worker has unpacked bundles."""
+"""Names to children where their worker has unpacked bundles."""
 
 
 def unpack(bundles: Mapping[str, Bundle]) -> None:

@@ -67,7 +67,7 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
     os.close(answer)
     with contextlib.suppress(OSError):
         os.setpgid(child, child)  # it does so too; whoever is first
-    told, ended = _watch(child, answers, asked, began + task.limits.time_s)
+    answered, ended = _watch(child, answers, asked, began + task.limits.time_s)
     os.killpg(child, signal.SIGKILL)
     usage = _reaped(child)
     if usage is None:
@@ -75,23 +75,23 @@ def _guarded(task: Task, asked: socket.socket) -> Outcome:
         return Outcome("timeout", text)
     status, cpu_s, peak = usage
     cost = Cost(time.monotonic() - began, cpu_s, peak)
-    outcome = _verdict(told, ended, status, task, _last_words(words))
+    outcome = _verdict(answered, ended, status, task, _last_words(words))
     return msgspec.structs.replace(outcome, cost=cost)
 
 
 def _watch(child: int, answers: int, asked: socket.socket, until: float) -> tuple[bytes, bool]:
-    """Return what the child said, and whether it ended by itself before its time was up."""
+    """Return what the child answered, and whether it ended by itself before its time was up."""
     poll = select.poll()
     poll.register(answers, select.POLLIN)
     poll.register(asked, select.POLLHUP | select.POLLERR)
-    said = bytearray()
-    while (left := until - time.monotonic()) > 0.0 and len(said) <= MAX_ANSWER:
+    answer = bytearray()
+    while (left := until - time.monotonic()) > 0.0 and len(answer) <= MAX_ANSWER:
         for descriptor, event in poll.poll(left * 1000.0):
             if descriptor == answers:
                 block = os.read(answers, BLOCK)
                 if not block:
-                    return bytes(said), True
-                said += block
+                    return bytes(answer), True
+                answer += block
             elif event & (select.POLLHUP | select.POLLERR):  # nobody waits for the answer
                 os.killpg(child, signal.SIGKILL)
                 os._exit(1)
@@ -114,11 +114,11 @@ def _last_words(words: int) -> str:
     return os.pread(words, LAST_WORDS, max(size - LAST_WORDS, 0)).decode("utf-8", "replace")
 
 
-def _verdict(told: bytes, ended: bool, status: int, task: Task, words: str) -> Outcome:
+def _verdict(answered: bytes, ended: bool, status: int, task: Task, words: str) -> Outcome:
     code = os.waitstatus_to_exitcode(status)
-    if told:
+    if answered:
         try:
-            return msgspec.json.decode(told, type=Outcome)
+            return msgspec.json.decode(answered, type=Outcome)
         except msgspec.DecodeError:
             return Outcome("crashed", "its answer was cut off", exit_code=code)
     if not ended:

@@ -22,7 +22,7 @@ def evaluate_and_diagnose(task: Task) -> Outcome:
 
 
 def _diagnosed(config: Configuration, path: Path) -> dict[str, Any]:
-    """The certain causes as a JSON list; None where nothing can be said of the drive."""
+    """The certain causes as a JSON list; None where the drive cannot be diagnosed."""
     try:
         found = diagnose(config, path)
     except EstimateError:

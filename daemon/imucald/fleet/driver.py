@@ -67,9 +67,9 @@ class FleetRun:
         store: Store,
         workers: Workers,
         plan: Plan,
-        tell: Callable[[Counts], None] = lambda _: None,
+        report: Callable[[Counts], None] = lambda _: None,
     ) -> None:
-        self._fleet, self._store, self._workers, self._tell = fleet, store, workers, tell
+        self._fleet, self._store, self._workers, self._report = fleet, store, workers, report
         self._logs: dict[str, Log] = {task.source: log for task, log in plan.tasks}
         self._waiting = deque(task for task, _ in plan.tasks)
         self._again: deque[Task] = deque()
@@ -121,7 +121,7 @@ class FleetRun:
             if due or len(self._rows["sources"]) >= FLUSH_ROWS:
                 self._flush()
             lease.beat()
-            self._tell(self.counts)
+            self._report(self.counts)
 
     def _take(self, task: Task, outcome: Outcome) -> None:
         if outcome.kind == OTHER_CODE:

@@ -62,7 +62,7 @@ class Store:
         """Make a file that must not be there yet; False where it is.
 
         Exclusive where the storage can do that (local, memory, S3); elsewhere two that come within
-        the same instant may both be told True.
+        the same instant may both get True.
         """
         place = self._place(name)
         if self.local:

@@ -1,4 +1,4 @@
-"""Raw expressions: values and conditions computed from a frame's bytes, for what no database tells.
+"""Raw expressions: values and conditions from a frame's bytes, for what no database describes.
 
 An OBD-II answer to service 01 PID 0x0D is ``when: "data[1] == 0x41 and data[2] == 0x0D"`` and
 ``value: "data[3]"``. The language is Python's arithmetic and comparison on ``data[i]`` (one byte),

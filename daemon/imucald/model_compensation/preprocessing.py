@@ -53,7 +53,7 @@ class PreprocessingChain:
         }
 
     def gap(self) -> None:
-        """Time jumped (the pipeline tells the ticks by itself)."""
+        """Time jumped (the pipeline restarts the ticks itself)."""
         self.sensors.gap()
         if self.vehicle is not None:
             self.vehicle.gap()

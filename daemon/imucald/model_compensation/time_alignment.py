@@ -2,7 +2,7 @@
 
 Each channel is held back until the latest one has come: whole ticks by keeping rows, the rest by
 the age that a tick states for its samples. So a known delay need not be learnt, and hurts nothing
-that is not told of delays. Only the estimator waits; samples are corrected as they come.
+that is given no delays. Only the estimator waits; samples are corrected as they come.
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ class TimeAlignment:
 def alignment_shifts(latency: Mapping[str, float]) -> dict[str, float]:
     """How long each channel is held back [s], so that all are as late as the latest.
 
-    latency: by channel [s]; one not told of is as late as the accelerometer. The accelerometer is
-    held back by whole ticks, so that its ticks stay what they are. Empty: nothing to do.
+    latency: by channel [s]; one that is absent is as late as the accelerometer. The accelerometer
+    is held back by whole ticks, so that its ticks stay what they are. Empty: nothing to do.
     """
     accel = latency.get("accel", 0.0)
     most = max((late - accel for late in latency.values()), default=0.0)

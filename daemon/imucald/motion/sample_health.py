@@ -133,7 +133,7 @@ class _Sensor(_Judged):
         if self.channel == "gyro":
             wild[some] = self._wild.step(turning_wildly(rows.mean[some]))
         if self._unit is not None:
-            wild[some] |= self._unit.step(rows.level[some], other[some])
+            wild[some] |= self._unit.step(rows.level[some], other[some], moving[some])
         moves, counts = moving.tolist(), rows.count.tolist()
         each = [self._judge_axis(axis, rows, moves, counts) for axis in range(self.axes)]
         shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _) in enumerate(each)]

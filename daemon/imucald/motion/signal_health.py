@@ -129,15 +129,15 @@ class SignalHealth:
             self.stuck_now["speed"] = bool(flags[self._new].any())
         else:
             flags = self._sensors[signal].flags(rows)
-        return self._told_stuck(signal, flags)
+        return self._note_stuck(signal, flags)
 
     def stuck_yaw_rate(self, rows: Array, turning: Array, driving: Flags) -> Flags:
         """Ticks (N,) at which the yaw rate is stuck; see `StuckYawRate`."""
         flags = self._yaw_rate.flags(rows, turning, driving, self._new.stop - self._new.start)
         self.stuck_now["yaw_rate"] = bool(flags[self._new].any())
-        return self._told_stuck("yaw_rate", flags)
+        return self._note_stuck("yaw_rate", flags)
 
-    def _told_stuck(self, signal: str, flags: Flags) -> Flags:
+    def _note_stuck(self, signal: str, flags: Flags) -> Flags:
         self.found[signal, SignalFault.STUCK] = flags
         self._count(SignalFault.STUCK, flags[self._new])
         return flags

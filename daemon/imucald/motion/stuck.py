@@ -1,6 +1,6 @@
-"""Signals that are stuck: a sensor or a sender that says the same again and again.
+"""Signals that are stuck: a sensor or a sender that repeats one value.
 
-What they say is wrong by as much as the truth has changed, and at the end they jump. Three kinds
+The value is wrong by as much as the truth has changed, and at the end it jumps. Three kinds
 of signal, three tests: a sensor's noise always moves (`StuckSensor`, over blocks of ticks;
 `HeldForce`, tick by tick), a speed that is rounded does not (`StuckSpeed`).
 `model_compensation.held_repeats` finds nothing: it keeps a stuck sensor recognisable.
@@ -17,6 +17,7 @@ from imucald.core.rotations import Vector
 from imucald.motion import ticks as tk
 from imucald.motion.standstill import DRIVING_SPEED, ROLLING_SPEED
 from imucald.motion.ticks import ACCEL, TICK_S, TickRow
+from imucald.motion.usual_runs import MIN_STUCK_S, TIMES_USUAL, UsualRuns, runs_of
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -31,15 +32,8 @@ STUCK_HOLE = 4
 """Ticks from one sample to the next, at most: 2.5 Hz."""
 SAME = 1e-9
 """Means over nine and ten equal samples differ by rounding [m/s^2, rad/s]."""
-MIN_STUCK_S = 1.2
-"""Nothing shorter is called stuck."""
 STEADIEST = 0.01
 """No vehicle on a road keeps its speed better than that [m/s^2]."""
-TIMES_USUAL = 4.0
-"""And so many times the usual run."""
-RUNS_REMEMBERED = 200
-MIN_RUNS = 50
-"""Before so many nothing is called stuck."""
 FINE = 0.1
 """So many of the changes are finer than what counts as the signal's step: rounding splits steps."""
 SAME_SPEED = 1e-6
@@ -52,13 +46,13 @@ WHEELS_WITHIN = np.ones(41)
 
 
 class StuckSensor:
-    """Flags ticks of a sensor that has said the same for STUCK_TICKS or longer, also in motion.
+    """Flags ticks of a sensor that repeats one value for STUCK_TICKS or longer, also in motion.
 
     At rest a coarse sensor may well be still; one that got stuck before the vehicle stopped is
     stuck there. The tick after it is flagged as well: its mean may be half of stuck samples.
 
     count, first: columns of its samples' number and of its first axis. moving: whether the vehicle
-    is taken to move where no speed has been heard.
+    is taken to move where no speed was received.
     """
 
     def __init__(self, count: int, first: int, moving: bool) -> None:
@@ -66,7 +60,7 @@ class StuckSensor:
         self._held: Array | None = None  # (3,) values at which it is stuck
 
     def restart(self) -> None:
-        """Time jumped: what it says next is new."""
+        """Time jumped: its next value is new."""
         self._held = None
 
     def flags(self, rows: Array) -> Flags:
@@ -83,10 +77,10 @@ class StuckSensor:
     def _flag_runs(
         self, rows: Array, at: NDArray[np.int64], values: Array, same: Flags, flags: Flags
     ) -> None:
-        said = rows[:, tk.SPEED.n] > 0
-        heard = np.maximum.accumulate(np.where(said, np.arange(len(rows)), 0))
-        moving = np.abs(rows[heard, tk.SPEED.mean]) > ROLLING_SPEED
-        moving = np.where(rows[heard, tk.SPEED.n] > 0, moving, self._moving and not said.any())
+        received = rows[:, tk.SPEED.n] > 0
+        latest = np.maximum.accumulate(np.where(received, np.arange(len(rows)), 0))
+        moving = np.abs(rows[latest, tk.SPEED.mean]) > ROLLING_SPEED
+        moving = np.where(rows[latest, tk.SPEED.n] > 0, moving, self._moving and not received.any())
         edges = np.flatnonzero(np.diff(np.concatenate(([0], same.astype(np.int8), [0]))))
         for first, last in edges.reshape(-1, 2):
             part = slice(at[first], at[last] + 1)
@@ -126,15 +120,14 @@ def one_more(flags: Flags) -> Flags:
 class StuckSpeed:
     """Flags ticks at which the speed is stuck while the vehicle drives.
 
-    How long a sound speed says the same depends on its resolution: to stay within one step s for T
-    seconds a vehicle has to keep its acceleration under s / T. A sender that repeats each value
+    How long a sound speed keeps one value depends on its resolution: to stay within one step s for
+    T seconds a vehicle has to keep its acceleration under s / T. A sender that repeats each value
     some times has longer runs all the time; those do not count. Both are learnt.
     """
 
     def __init__(self) -> None:
-        self._runs = np.zeros((RUNS_REMEMBERED, 2))
-        """Of those that ended while driving: how long they lasted [s], the change after [m/s]."""
-        self._ended = 0
+        self._ended = UsualRuns()
+        """While driving: how long they lasted [s], the change after [m/s]."""
         self._value, self._lasted = math.nan, 0.0
 
     def restart(self) -> None:
@@ -148,9 +141,7 @@ class StuckSpeed:
         if not len(at):
             return out
         speed = rows[at, tk.SPEED.mean]
-        change = np.abs(speed[1:] - speed[:-1])
-        last = np.append(np.flatnonzero(change > SAME_SPEED), len(at) - 1)
-        first = np.append(0, last[:-1] + 1)
+        first, last, change = runs_of(speed, SAME_SPEED)
         begins, ends = at[first], at[last]
         lasted = (ends - begins) * TICK_S
         if abs(speed[0] - self._value) <= SAME_SPEED:
@@ -163,7 +154,7 @@ class StuckSpeed:
         over = driving & ~stuck & (ends < leaving)
         over[-1] = False
         after = last[over]
-        self._remember(lasted[over] + (at[after + 1] - at[after]) * TICK_S, change[after])
+        self._ended.add(lasted[over] + (at[after + 1] - at[after]) * TICK_S, change[after])
         self._value = math.nan
         crossing = np.flatnonzero((begins < leaving) & (leaving <= ends))
         if len(crossing):
@@ -173,26 +164,19 @@ class StuckSpeed:
             self._lasted = float(lasted[i]) - float(ends[i] - kept) * TICK_S
         return one_more(out)
 
-    def _remember(self, lasted: Array, change: Array) -> None:
-        place = (self._ended + np.arange(len(lasted))) % RUNS_REMEMBERED
-        self._runs[place, 0], self._runs[place, 1] = lasted, change
-        self._ended += len(lasted)
-
     def _limit(self) -> float:
         """A run longer than that is stuck [s]; never, until the signal is known."""
-        if self._ended < MIN_RUNS:
+        if not self._ended.known:
             return math.inf
-        lasted, change = self._runs[: self._ended].T
-        usual = float(lasted @ lasted / lasted.sum())  # as seen at any time: long ones weigh more
-        step = quantile(change, FINE)
-        return max(MIN_STUCK_S, step / STEADIEST, TIMES_USUAL * usual)
+        step = self._ended.change(FINE)
+        return max(MIN_STUCK_S, step / STEADIEST, TIMES_USUAL * self._ended.usual)
 
 
 def zero_while_wheels_turn(rows: Array) -> Flags:
     """Ticks (N,) with a speed of zero around which the wheels turn; rows: (N, COLUMNS).
 
-    Wheels that stand say the same, whatever their offsets; so a spread of their speeds that changes
-    from tick to tick is that of wheels that turn.
+    Wheels that stand give one speed each, whatever their offsets; so a spread of their speeds that
+    changes from tick to tick is that of wheels that turn.
     """
     out = np.zeros(len(rows), dtype=bool)
     zero = (rows[:, tk.SPEED.n] > 0) & (np.abs(rows[:, tk.SPEED.mean]) <= SAME_SPEED)
@@ -204,12 +188,3 @@ def zero_while_wheels_turn(rows: Array) -> Flags:
     turning[at[1:]] = np.abs(np.diff(spread)) > SAME_SPEED
     near = np.convolve(turning * zero, WHEELS_WITHIN, mode="same")
     return np.asarray(zero & (near > TURNING_WHEELS - 0.5))
-
-
-def quantile(values: Array, share: float) -> float:
-    """As numpy.quantile, which loads its masked arrays for it (7 ms, 1.2 MiB)."""
-    ordered = np.sort(values).tolist()
-    place = share * (len(ordered) - 1)
-    low = int(place)
-    high = min(low + 1, len(ordered) - 1)
-    return float(ordered[low] + (place - low) * (ordered[high] - ordered[low]))

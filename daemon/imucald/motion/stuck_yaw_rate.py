@@ -1,8 +1,8 @@
 """A yaw rate of the vehicle bus that stays as it was while the vehicle turns.
 
-What it says is exactly the same for longer than its runs of equal values usually last, and another
+Its value is exactly the same for longer than its runs of equal values usually last, and another
 signal, the steering or the gyroscope, has turned in that time by several of its steps. On a
-straight road a coarse yaw rate may say the same for minutes: nothing has turned there.
+straight road a coarse yaw rate may keep one value for minutes: nothing has turned there.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.motion.stuck import MIN_RUNS, MIN_STUCK_S, RUNS_REMEMBERED, TIMES_USUAL, quantile
 from imucald.motion.ticks import TICK_S, YAW_RATE
+from imucald.motion.usual_runs import MIN_STUCK_S, TIMES_USUAL, Places, UsualRuns, runs_of
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -35,9 +35,8 @@ class StuckYawRate:
     """Flags ticks at which the yaw rate is stuck while the vehicle turns."""
 
     def __init__(self) -> None:
-        self._runs = np.zeros((RUNS_REMEMBERED, 2))
-        """Of those that ended: how long was driven in them [ticks], the change after [rad/s]."""
-        self._ended = 0
+        self._ended = UsualRuns()
+        """How long was driven in them [ticks], the change after [rad/s]."""
         self.restart()
 
     def restart(self) -> None:
@@ -56,9 +55,7 @@ class StuckYawRate:
         if not len(at):
             return out
         value = rows[at, YAW_RATE.mean]
-        change = np.abs(value[1:] - value[:-1])
-        last = np.append(np.flatnonzero(change > SAME_RATE), len(at) - 1)
-        first = np.append(0, last[:-1] + 1)
+        first, last, change = runs_of(value, SAME_RATE)
         begins, ends = at[first], at[last]
         turned = np.where(driving, np.convolve(turning, SMOOTH, mode="same"), math.nan)
         low, high = np.fmin.reduceat(turned, begins), np.fmax.reduceat(turned, begins)
@@ -74,12 +71,18 @@ class StuckYawRate:
         over = ~stuck & (ends < leaving) & (lasted > 0.0)
         over[-1] = False
         after = last[over]
-        self._remember(lasted[over] + driven[at[after + 1]] - driven[at[after] + 1], change[after])
+        self._ended.add(lasted[over] + driven[at[after + 1]] - driven[at[after] + 1], change[after])
         self._carry(value[first], begins, ends, driven, turned, leaving)
         return out
 
     def _carry(
-        self, values: Array, begins: Array, ends: Array, driven: Array, turned: Array, leaving: int
+        self,
+        values: Array,
+        begins: Places,
+        ends: Places,
+        driven: Array,
+        turned: Array,
+        leaving: int,
     ) -> None:
         """Keep what is known of the run that goes on, up to the first tick of the next call."""
         crossing = np.flatnonzero((begins < leaving) & (leaving <= ends))
@@ -97,16 +100,9 @@ class StuckYawRate:
         self._low = float(np.fmin(low, np.fmin.reduce(gone)))
         self._high = float(np.fmax(high, np.fmax.reduce(gone)))
 
-    def _remember(self, lasted: Array, change: Array) -> None:
-        place = (self._ended + np.arange(len(lasted))) % RUNS_REMEMBERED
-        self._runs[place, 0], self._runs[place, 1] = lasted, change
-        self._ended += len(lasted)
-
     def _limits(self) -> tuple[float, float]:
         """A run of more ticks, with more turning [rad/s], is stuck; none, until it is known."""
-        if self._ended < MIN_RUNS:
+        if not self._ended.known:
             return math.inf, math.inf
-        lasted, change = self._runs[: self._ended].T
-        usual = float(lasted @ lasted / lasted.sum())
-        least = max(TURNED, STEPS * quantile(change, LARGE))
-        return max(MIN_STUCK_S / TICK_S, TIMES_USUAL * usual), least
+        least = max(TURNED, STEPS * self._ended.change(LARGE))
+        return max(MIN_STUCK_S / TICK_S, TIMES_USUAL * self._ended.usual), least

@@ -14,7 +14,7 @@ from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_checks import SignalChecks
 from imucald.mount.solver import MountSolver
 
-MIRRORED = (
+NO_SIDES = (
     "a signal that separates left from right (yaw rate, steering angle, lateral acceleration, "
     "heading), or 'calibration: {orientation: {up: z}}' with the axis that points up: without, an "
     "accelerometer with all signs turned looks the same"
@@ -55,12 +55,12 @@ class Acceptance(Struct, frozen=True):
             times = len(self.changes.history)
             return f"a mount that stays: it moved {times} times in this drive"
         if self.has_no_sides:
-            return MIRRORED
+            return NO_SIDES
         if not self.solver.armed:
             return "more driving, until a moved sensor would be noticed"
         return "more turns and changes of speed, until the signals are seen to agree"
 
     @property
     def has_no_sides(self) -> bool:
-        """Whether no signal of this vehicle tells the drive from its mirror image."""
+        """Whether no signal of this vehicle distinguishes the drive from its mirror image."""
         return bool(self.checks.not_checked)

@@ -38,13 +38,13 @@ P_CONSTANT = 0.5
 P_CONSTANT_AGAIN = 0.2
 """The same once a shift was found in the drive."""
 BELIEVED = 0.995
-"""Probability from which creep is told."""
+"""Probability from which creep is reported."""
 MOST = 20
 """Road segments are joined to so many at most."""
 FEWEST = 3
 LATE = 0.5
-"""What is told of a segment is a window's length in the middle, half a segment old, and is served
-until the next one ends."""
+"""What is reported of a segment is a window's length in the middle, half a segment old, and is
+served until the next one ends."""
 PRIOR_SEGMENTS = 6.0
 """The spread from segment to segment is taken as the source's own with that weight."""
 HIDDEN = 0.4

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 STEP = 0.025
 """Grid of candidates [s]."""
 MIN_POWER = 2e-2
-"""A window with less tells nothing [(m/s^2)^2]."""
+"""A window with less shows nothing [(m/s^2)^2]."""
 MIN_WINDOWS = 3
 KNOWN_STD = 0.2
 """Below it a delay counts as known [s]: dv/dt of a manoeuvre of some seconds then correlates."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, Rows, angles_from_rotation, quaternion_from_rotation
 from imucald.motion.ticks import TickRow
+from imucald.mount.angle_deviations import angle_deviations
 
 ANGLES = ("roll", "pitch", "yaw")
 BETWEEN_DRIVES_STD = (math.radians(0.3), math.radians(0.3), math.radians(0.15))
@@ -104,6 +105,13 @@ class MountEstimate(Struct, frozen=True, dict=True):
             return None
         x, y, z = (math.sqrt(max(float(self.covariance[i, i]), 0.0)) for i in range(3))
         return x, y, z
+
+    @cached_property
+    def angle_std(self) -> tuple[float, float, float] | None:
+        """Standard deviations [rad] of roll, pitch and yaw themselves; inf where not known."""
+        if self.R_vehicle_from_sensor is None or self.covariance is None:
+            return None
+        return angle_deviations(self.R_vehicle_from_sensor, self.covariance.tolist())
 
 
 Correction = Rows

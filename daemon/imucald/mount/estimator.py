@@ -11,7 +11,8 @@ What happens, in order:
 4. `MountSolver.fit` turns all evidence so far into one rotation with variances.
 5. Once gyro bias and rotation are known, `RestartableSolver` goes through the first minutes again.
 6. After that `MountChanges` holds every block against what was known before it. A sensor that was
-   moved makes the mount suspect; the solver starts again from what came after the change.
+   moved makes the mount suspect; the solver starts again from what came after the change. Where the
+   change misleads nobody, it is told and in the interval until a second solver knows the new mount.
 7. `ServedMount` gives the state, with hysteresis, and follows a good rotation without a jump.
    `MountEstimate` says all of it, and what each angle waits for.
 """
@@ -110,7 +111,7 @@ class FullEstimator:
     def step(self, tick: TickRow) -> None:
         """Take one tick."""
         self._served.step()
-        if self._solvers.is_refitting:
+        if self._solvers.is_catching_up:
             self._solvers.step()
             self._estimate = None
         if self._signals.push(tick):
@@ -119,7 +120,7 @@ class FullEstimator:
 
     def quiet_ticks(self) -> int:
         """Of the next ticks so many are only kept, see `mount.estimate.KeepsTicks`."""
-        if self._solvers.is_refitting or self._served.is_turning:
+        if self._solvers.is_catching_up or self._served.is_turning:
             return 0
         return self._signals.until_block - 1
 
@@ -161,6 +162,7 @@ class FullEstimator:
         is_young = solvers.now.blocks <= EAGER_BLOCKS
         if (is_turn or is_young) and solvers.fit():
             self._checks.forget_forces()  # what the forces said was said of another rotation
+        self._take_beside()
         solvers.follow_creep(has_shifted=bool(changes.history))
         if self._look_for_large_change(p, turned) or is_refitting:
             return
@@ -209,14 +211,26 @@ class FullEstimator:
 
     def _take_change(self, found: MountChange) -> None:
         """The sensor was moved: what came in the blocks after is all that counts."""
-        self._changes.history.append((self._signals.blocks, found))
         after = blocks_since(found, self._solvers.kept)
+        changes, block = self._changes, self._signals.blocks
+        if self.state in GOOD and changes.is_bearable(found, self._solver, block):
+            if changes.bear(found, block):
+                self._solvers.begin_beside(after, self._signals.offsets)
+            return
+        changes.history.append((block, found))
         if abs(found.size) > AFRESH:
             self._begin_without_rotation(after)
             return
         self._served.has_moved = True
-        self._changes.restart()
+        changes.restart()
         self._solvers.begin_after_change(after, self._signals.offsets)
+
+    def _take_beside(self) -> None:
+        """Go on with what came after a change that misled nobody, once it knows the mount."""
+        if not self._solvers.has_beside and self._served.has_arrived:
+            self._changes.borne[:] = 0.0  # what is applied is the mount of now
+        if self._solvers.take_beside(self._settings.limits):
+            self._changes.follow()
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
         """Begin anew from these blocks: not even the rotation so far is a hint."""

@@ -1,4 +1,4 @@
-"""What the full estimator is told about sensor, vehicle and road: priors, limits, delays.
+"""What the full estimator is given about sensor, vehicle and road: priors, limits, delays.
 
 Every figure is a prior or a promise that the intervals rest on; `priors` says where each comes
 from.

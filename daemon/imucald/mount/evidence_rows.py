@@ -57,7 +57,7 @@ ROWS = (
 )
 """In the order of X_ROW .. Q_ROW."""
 WITHOUT_SPEED = (Y_ROW, P_ROW, Q_ROW)
-"""What can be said without speed: the principal axis, and the axis of rotation."""
+"""What can be found without speed: the principal axis, and the axis of rotation."""
 TARGETS = (Term.FORCE_X, Term.FORCE_Y, Term.FORCE_Z, Term.FORCE_Z, Term.ROLL_RATE, Term.PITCH_RATE)
 GX, GY, GQ, GX_QUARTER, GY_QUARTER, GP_QUARTER, GQ_QUARTER = range(7)
 GAINS = (

@@ -11,7 +11,7 @@ large d is without any step is learnt from the drive itself, for every age and a
 A gyroscope that sends seldom lets the vertical walk by itself (`gyro_walk`), and d with it. Walking
 by q a second and pulled back with the time constant T, the vertical is off with a covariance of
 q T / 2 exp(-|t - s| / T); a fit of d exp(-t / T) to that has the variance q T, once it is longer
-than T, and less before. So g^2 q T is in the spread of d, beside what the drive has told.
+than T, and less before. So g^2 q T is in the spread of d, beside what the drive has shown.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ AGES = 10
 FIRST_AGE = 4
 """Younger candidates take a gust or a bad road for a step."""
 SPREAD_PRIOR, SPREAD_WEIGHT = 0.05, 20.0
-"""Size of d without a step [m/s^2], and its weight in blocks until the drive has told."""
+"""Size of d without a step [m/s^2], and its weight in blocks until the drive has shown it."""
 SPREAD_MEMORY = 600.0
 """Hops over which the spread is learnt (an hour)."""
 SETTLED = 45

@@ -23,7 +23,7 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.block_yaw import BlockMotion, block_yaw
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
-from imucald.mount.turned_alone import FORCE, MIN_SPEED, YAW_RATE, TurnedAlone
+from imucald.mount.turned_alone import DEVIATIONS, FORCE, MIN_SPEED, YAW_RATE, TurnedAlone
 
 Array = NDArray[np.float64]
 
@@ -56,6 +56,10 @@ STANDING_TURN = math.radians(3.0)
 """A vehicle that stands does not turn or tilt by so much [rad]; people getting in make a half."""
 STANDING_TICKS = 12
 """Ticks of standing that its tilt is known from."""
+LATE_TICKS = 22
+"""A vehicle that moves off is felt before its speed says so: for the longest delay of a speed
+(`MAX_SPEED_DELAY`, 1.2 s) and for as long as wheel sensors are silent (up to 1 m/s, `standstill`,
+at 1 m/s^2). So the last ticks of standing are looked at only once more of them have come."""
 
 
 class LargeChange(Struct, frozen=True):
@@ -84,8 +88,13 @@ class LargeChangeDetector:
         self._metres = np.zeros(0)
         self._weight = np.zeros((0, 3))  # of tilt (metres and a little), of yaw (information)
         self._R: Matrix3 | None = None
+        self._forget_standing()
+
+    def _forget_standing(self) -> None:
+        """The vehicle has moved, or nobody knows whether it has."""
         self._stopped_at: Array | None = None
         self._turned = np.zeros(3)
+        self._standing = np.zeros((0, 6))  # force and rate of ticks not looked at yet
 
     def forget(self, blocks: int) -> None:
         """Keep only the last blocks."""
@@ -188,7 +197,7 @@ class LargeChangeDetector:
         return best
 
     def while_driving(
-        self, p: SignalBlock, motion: BlockMotion, has_yaw_rate: bool
+        self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_yaw_rate: bool
     ) -> LargeChange | None:
         """A turn of a sensor that the vehicle did not make with it."""
         if has_yaw_rate:
@@ -196,28 +205,29 @@ class LargeChangeDetector:
         else:
             ok = p.ok_force & p.ok_speed & (np.abs(p.speed) > MIN_SPEED)
             vehicle, by = motion.force[:, 1] / np.where(ok, p.speed, 1.0), FORCE
+        by = by.beside(float(R[2] @ p.rate_walk @ R[2]))
         turned = self._alone.add(motion.turn_rate, vehicle, p.ok_rate & ok, by)
         if turned == 0.0:
             return None
-        return LargeChange(2, turned, turned / (by.least / 6.0), 1)
+        return LargeChange(2, turned, turned / (by.least / DEVIATIONS), 1)
 
     def while_standing(self, p: SignalBlock, R: Matrix3) -> LargeChange | None:
         """A turn, or a tilt, of a sensor whose vehicle stands."""
         rest = p.rest & p.ok_force
-        if not rest.any():
-            self._stopped_at = None
-            self._turned[:] = 0.0
+        first = 0
+        if not rest.all():  # it has moved within the block: another stop, if any
+            self._forget_standing()
+            first = int(np.flatnonzero(~rest)[-1]) + 1
+        ticks = np.concatenate([p.force, p.rate * p.ok_rate[:, None]], axis=1)[first:]
+        standing = np.concatenate([self._standing, ticks])
+        known = len(standing) - LATE_TICKS
+        if known < STANDING_TICKS:
+            self._standing = standing
             return None
-        last = int(np.flatnonzero(~rest)[-1]) + 1 if not rest.all() else 0
-        if last > 0:  # it has moved within the block: another stop
-            self._stopped_at = None
-            self._turned[:] = 0.0
-        if len(rest) - last < STANDING_TICKS:
-            return None
-        force, rate = p.force[last:], p.rate[last:] * p.ok_rate[last:, None]
-        began = force[:STANDING_TICKS].mean(axis=0)
+        self._standing = standing[known:]
+        force, rate = standing[:known, :3], standing[:known, 3:]
         if self._stopped_at is None:
-            self._stopped_at = began
+            self._stopped_at = force[:STANDING_TICKS].mean(axis=0)
         self._turned += rate.sum(axis=0) * TICK_S
         now = force[-STANDING_TICKS:].mean(axis=0)
         cross = R @ np.cross(now, self._stopped_at)

@@ -17,7 +17,7 @@ HARD_TICKS = 5
 
 
 class _Counter(Struct):
-    """Counts stretches above a level that last; the level must be left in between."""
+    """Counts intervals of time above a level that last; the level must be left in between."""
 
     level: float
     count: int = 0

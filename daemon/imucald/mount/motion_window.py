@@ -24,7 +24,7 @@ from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlock
 Array = NDArray[np.float64]
 
 MIN_POWER = 1e-3
-"""A window with less squared motion per tick [(m/s^2)^2] tells nothing."""
+"""A window with less squared motion per tick [(m/s^2)^2] shows nothing."""
 LEAST_TICKS = BLOCK_TICKS
 """Nor does one with fewer ticks to learn from."""
 _TAKEN = [
@@ -75,10 +75,10 @@ class MotionWindow:
         m[new] = p.learn & p.ok_speed & (not vertical.seeking)
 
     def spectra(self, keep_mean: bool, needs_motion: bool) -> Spectra | None:
-        """Spectra (BINS, MEASURED) of the window; None where it tells nothing.
+        """Spectra (BINS, MEASURED) of the window; None where it shows nothing.
 
         keep_mean: the means of the columns count as well. needs_motion: without motion by the
-        speed it tells nothing.
+        speed it shows nothing.
         """
         if self._mask.sum() < LEAST_TICKS:
             return None

@@ -27,19 +27,34 @@ NEAR_SHIFT = 0.8
 """While a change comes to so much of the threshold, every block is followed by a fit again."""
 SHIFTS_ALLOWED = 1
 """After more of them in one drive the mount is loose."""
+ALERT_LIMIT = math.radians(1.0)
+"""An angle that is off by less misleads nobody [rad], ..."""
+ALERT_DEVIATIONS = 4.0
+"""... nor one that is off by less than so many stated deviations (docs/integrity.md)."""
+COVERING = 0.5
+"""Share of a change that the deviation is, while the rotation of before is applied: the interval of
+95 % then reaches from there to the new one."""
+NORMAL_LEVEL = 4.4
+"""What the thresholds of `shift` are worth, as so many deviations of a normal variable: one false
+alarm in 300 h and angle, with 140 road segments an hour and two independent spans each, is a chance
+of 1.2e-5, two-sided."""
 
 
 class MountChanges:
     """Tests of a drive for a moved sensor.
 
     history: each change that was taken, with the number of its block. is_near: whether a change
-    that is none yet comes near the threshold.
+    that is none yet comes near the threshold. borne: by how much each angle has moved (3,) [rad]
+    since what is applied was found, where that misleads nobody.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._large = LargeChangeDetector(settings)
         self.history: list[tuple[int, MountChange]] = []
         self.is_near = False
+        self.borne = np.zeros(3)
+        self._doubted = np.zeros(3)
+        self._probability = np.zeros(3)
 
     def at_once(
         self, p: SignalBlock, solver: MountSolver, signals: SignalBlockMaker
@@ -52,7 +67,7 @@ class MountChanges:
         change = self._large.while_standing(p, solver.R)
         if change is None and solver.own_gyro and not signals.without_speed:
             motion = solver.motion(p, solver.R)
-            change = self._large.while_driving(p, motion, "yaw_rate" in signals.seen)
+            change = self._large.while_driving(p, solver.R, motion, "yaw_rate" in signals.seen)
         return change
 
     def add(self, p: SignalBlock, solver: MountSolver, has_speed: bool) -> None:
@@ -70,8 +85,30 @@ class MountChanges:
         if step is not None or not thoroughly:
             return step
         found = solver.largest_change()
+        self._doubted[:] = 0.0
         self.is_near = found is not None and found.excess > NEAR_SHIFT
+        if found is not None:
+            self._doubted[found.axis] = found.size
+            self._probability[found.axis] = probability(found.excess)
         return None if found is None or found.excess < 1.0 else found
+
+    def is_bearable(self, found: MountChange, solver: MountSolver, blocks: int) -> bool:
+        """Whether what is applied misleads nobody after a change, with the deviation stated now."""
+        if solver.fused is None:
+            return False
+        variance = solver.fused.variance + self.variance(solver, blocks)
+        stated = ALERT_DEVIATIONS * math.sqrt(float(variance[found.axis]))
+        return abs(found.size) <= max(ALERT_LIMIT, stated)
+
+    def bear(self, found: MountChange, block: int) -> bool:
+        """Take a change that misleads nobody; return whether it was not known yet."""
+        borne = float(self.borne[found.axis])
+        is_new = borne == 0.0 or borne * found.size < 0.0
+        if is_new:
+            self.history.append((block, found))
+        if is_new or abs(found.size) > abs(borne):
+            self.borne[found.axis] = found.size
+        return is_new
 
     def skip(self) -> None:
         """Blocks come that cannot be compared with any rotation."""
@@ -79,8 +116,14 @@ class MountChanges:
 
     def restart(self) -> None:
         """What comes next is another mounting, compared with nothing before."""
+        self.follow()
+        self.borne[:] = 0.0
+
+    def follow(self) -> None:
+        """Another solver knows the mounting since a change that is still borne."""
         self._large.restart()
         self.is_near = False
+        self._doubted[:] = 0.0
 
     @property
     def is_loose(self) -> bool:
@@ -95,6 +138,8 @@ class MountChanges:
     def variance(self, solver: MountSolver, blocks: int) -> Array:
         """Variance (3,) [rad^2] from a mount that moves: as it creeps, or as it has moved so far.
 
+        A change that is borne is in it, and one that is none yet, as probable as it is, where the
+        deviation is not that large already: evidence that is spread by a change widens it too.
         Each shift starts the evidence anew, so that creep hardly shows in what is left. A mount
         that was found turned the same way again and again goes on at that rate. blocks: of the
         whole drive.
@@ -103,7 +148,20 @@ class MountChanges:
         for axis, moved in enumerate(self.shifted_again()):
             since = moved / blocks * 0.5 * solver.blocks
             more[axis] = max(more[axis], since * since)
+        known = more if solver.fused is None else more + solver.fused.variance
+        for size, part in ((self._doubted, self._probability), (self.borne, np.ones(3))):
+            missing = np.maximum(np.square(COVERING * size) - known, 0.0)
+            widened = np.minimum(part * size * size, missing)
+            more, known = more + widened, known + widened
         return more
+
+
+def probability(excess: float) -> float:
+    """How probable a change is that comes to that share of its threshold.
+
+    At the threshold as probable as not; below it the odds are those of a normal variable.
+    """
+    return 1.0 / (1.0 + math.exp(0.5 * NORMAL_LEVEL**2 * (1.0 - min(excess, 1.0) ** 2)))
 
 
 def blocks_since(change: MountChange, kept: Sequence[SignalBlock]) -> list[SignalBlock]:

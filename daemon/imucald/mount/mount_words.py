@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.orientation_words import leaning_words, sits_words, steep_words
@@ -13,9 +14,10 @@ from imucald.mount.estimate import MountEstimate
 SD_95 = 2.0
 """Half of a 95 % interval in standard deviations, everywhere that people read "±"."""
 CONVENTION = "± is 95 % (two standard deviations)"
-AXES = "turns about the vehicle's x, y and z axis"
-ABOUT = f"{CONVENTION}, {AXES}"
+ABOUT = f"{CONVENTION}; targets are for turns about the vehicle's axes"
 """Stands once on each screen that shows a mount."""
+TURNS_ABOUT = ("x (roll)", "y (pitch)", "z (yaw)")
+"""Turns about the vehicle's axes, which states are judged by, and what they are called there."""
 EVIDENCE_KINDS = {
     "turn": "turns",
     "dvdt": "acceleration",
@@ -24,7 +26,7 @@ EVIDENCE_KINDS = {
     "before": "earlier drives",
 }
 """What the last part of an evidence's name means."""
-MIRRORED = (
+UPSIDE_DOWN = (
     "upside down and backwards: if the sensor sits so, say 'calibration: {orientation: {up: AXIS}}'"
     "; if not, its accelerometer shows minus the specific force: give its axes 'sign: -1'"
 )
@@ -45,6 +47,19 @@ def plus_minus(std_deg: float | None, digits: int = 2, unit: str = "°") -> str:
     """A standard deviation [deg] as people read it, "±0.71°"; "-" where nothing is known."""
     half = half_width(std_deg)
     return "-" if half is None else f"±{half:.{digits}f}{unit}"
+
+
+def angle_text(value: float | None, std_deg: float | None) -> str:
+    """An angle and its standard deviation [deg] as people read them, "+14.23° ±0.71°"."""
+    known = value is not None and half_width(std_deg) is not None
+    return f"{value:+.2f}° {plus_minus(std_deg)}" if known else "-"
+
+
+def angle_cells(mount: Mapping[str, Any], angle: str) -> tuple[str, str]:
+    """The same in two cells; mount: as in docs/json.md (of an older daemon too: without ±)."""
+    text = angle_text(mount[f"{angle}_deg"], mount.get("angle_std_deg", {}).get(angle))
+    value, _, spread = text.partition(" ")
+    return value, spread or "-"
 
 
 def how_it_sits(estimate: MountEstimate) -> str | None:
@@ -78,7 +93,7 @@ def mirror_note(estimate: MountEstimate) -> str | None:
     if not (R[0, 0] < 0.0 and R[2, 2] < 0.0):
         return None
     up = max(range(3), key=lambda i: abs(R[2, i]))
-    return MIRRORED.replace("AXIS", ("-" if R[2, up] < 0.0 else "") + "xyz"[up])
+    return UPSIDE_DOWN.replace("AXIS", ("-" if R[2, up] < 0.0 else "") + "xyz"[up])
 
 
 def reasons(waiting_for: Mapping[str, str]) -> Iterator[tuple[str, str]]:

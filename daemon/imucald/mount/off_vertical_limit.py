@@ -1,7 +1,7 @@
 """The 25 degree limit: gravity, through the mount, points further off the vertical than any road.
 
 Looked at in blocks while learning (`is_off_vertical`), and tick by tick for a mount that is only
-served (`PlumbLine`). There a few seconds tell while the vehicle stands; while it drives, or where
+served (`PlumbLine`). There a few seconds do while the vehicle stands; while it drives, or where
 nobody knows, it takes half a minute, over which no vehicle keeps up the 0.5 g that would look the
 same.
 """

@@ -29,6 +29,11 @@ class Refit:
         self._queue = deque(blocks)
         self._gyro_bias = gyro_bias
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether blocks are waiting."""
+        return bool(self._queue)
+
     def push(self, p: SignalBlock) -> None:
         """Queue a new block."""
         self._queue.append(p)

@@ -32,6 +32,7 @@ class ReportedRotation:
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
         self._made_of: tuple[object, ...] | None = None
+        self._moving: Array = np.zeros(3)
         self._last: tuple[Matrix3, Array] = np.eye(3), np.eye(3)
 
     def of(self, solver: MountSolver, moving: Array) -> tuple[Matrix3, Array]:
@@ -40,8 +41,10 @@ class ReportedRotation:
         solver: it has fitted a rotation. moving: variance (3,) [rad^2] from a mount that moves.
         """
         made_of = (solver.R, solver.fused, solver.creep, solver.yaw_known)
-        if self._made_of is None or not all(map(operator.is_, self._made_of, made_of)):
-            self._made_of, self._last = made_of, self._of(solver, moving)
+        is_made = self._made_of is not None and all(map(operator.is_, self._made_of, made_of))
+        if not is_made or not np.array_equal(self._moving, moving):
+            self._made_of, self._moving = made_of, moving
+            self._last = self._of(solver, moving)
         return self._last
 
     def _of(self, solver: MountSolver, moving: Array) -> tuple[Matrix3, Array]:

@@ -1,9 +1,10 @@
 """The solver whose rotation counts, and how another takes its place.
 
-A solver begins anew in four ways: without any hint (`begin_without_rotation`), as the speed came or
-went, to go through the first minutes a second time (`look_again`), and with what came after a
-change of the mount (`begin_after_change`). The last two go through kept blocks, a little per tick,
-while the old one still counts.
+A solver begins anew in five ways: without any hint (`begin_without_rotation`), as the speed came or
+went, to go through the first minutes a second time (`look_again`), with what came after a change of
+the mount (`begin_after_change`), and with the same beside the old one, which counts until the new
+one knows enough (`begin_beside`). The last three go through kept blocks, a little per tick, while
+the old one still counts.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from imucald.mount.creep import P_CONSTANT, P_CONSTANT_AGAIN
-from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.estimator_settings import EstimatorSettings, Limits
 from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.offsets import Offsets
 from imucald.mount.refit import KEPT_BLOCKS, Refit
@@ -48,12 +49,29 @@ class RestartableSolver:
         self.has_looked_again = False
         self._refit: Refit | None = None
         self._follows_change = False
+        self._beside: Refit | None = None
         self._segment = 0
 
     @property
     def is_refitting(self) -> bool:
         """Whether another solver goes through kept blocks and is to take over."""
         return self._refit is not None
+
+    @property
+    def is_catching_up(self) -> bool:
+        """Whether another solver has kept blocks to go through at the next tick."""
+        return self._refit is not None or (self._beside is not None and self._beside.is_behind)
+
+    @property
+    def has_beside(self) -> bool:
+        """Whether a change is borne: another solver learns from what came after it."""
+        return self._beside is not None
+
+    @property
+    def beside(self) -> MountSolver | None:
+        """The solver that knows only what came after a change, while the old one counts."""
+        beside = self._beside
+        return None if beside is None or beside.is_behind else beside.fresh
 
     @property
     def is_outdated(self) -> bool:
@@ -69,14 +87,21 @@ class RestartableSolver:
         """Take a block; without_speed: nobody knows the vehicle's speed."""
         self.kept.append(p)
         if without_speed != self.now.response.without_speed:  # evidence of another kind
-            self.now = self._new(without_speed)
+            self.now, self._beside = self._new(without_speed), None
         self.driven.add(*self.now.add(p))
         if self._refit is not None:
             self._refit.push(p)
+        if self._beside is not None:
+            was_behind = self._beside.is_behind
+            self._beside.push(p)
+            if not was_behind:
+                self._beside.step()
 
     def step(self) -> None:
         """Go on by one tick with the solver that is to take over."""
         if self._refit is None:
+            if self._beside is not None and self._beside.is_behind:
+                self._beside.step()
             return
         done = self._refit.step()
         if done is None:
@@ -88,6 +113,8 @@ class RestartableSolver:
         """Fit the rotation to all evidence so far; return whether it is a first one."""
         starts = self.now.starts
         self.now.fit()
+        if self.beside is not None:
+            self.beside.fit()
         return self.now.starts > starts
 
     def follow_creep(self, has_shifted: bool) -> None:
@@ -102,13 +129,13 @@ class RestartableSolver:
         if self._refit is not None and self._follows_change:
             self.now = self._refit.fresh  # what came before the change must not return
         self.now.gap()
-        self._refit = None
+        self._refit = self._beside = None
         self.kept.clear()
 
     def begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
         """Begin anew from these blocks: not even the rotation so far is a hint."""
         self.now = self._new(self.now.response.without_speed)
-        self._refit = None
+        self._refit = self._beside = None
         self.has_looked_again = True
         self.driven = Manoeuvres()
         for p in blocks:
@@ -120,6 +147,24 @@ class RestartableSolver:
         self.has_looked_again = True
         self.driven = Manoeuvres()
         self._begin_refit(blocks, offsets, follows_change=True)
+
+    def begin_beside(self, blocks: Iterable[SignalBlock], offsets: Offsets) -> None:
+        """Let another solver learn from the blocks after a change, while this one counts."""
+        fresh = MountSolver(self._settings)
+        fresh.start_from(self.now)
+        fresh.past_drives = None  # it is about the mount before
+        self._beside = Refit(fresh, blocks, offsets.gyro_bias.copy())
+
+    def take_beside(self, limits: Limits) -> bool:
+        """Let the solver beside count from now on, where it is usable; return whether it does."""
+        beside = self.beside
+        if beside is None or beside.fused is None or not beside.yaw_known:
+            return False
+        roll, pitch, yaw = np.sqrt(beside.fused.variance).tolist()
+        if max(roll, pitch) >= limits.usable_tilt or yaw >= limits.usable_yaw:
+            return False
+        self.now, self._beside = beside, None
+        return True
 
     def look_again(self, offsets: Offsets) -> None:
         """Once gyro bias and rotation are known, go through the first minutes again."""
@@ -141,7 +186,7 @@ class RestartableSolver:
         fresh = MountSolver(self._settings)
         fresh.start_from(self.now)
         self._refit = Refit(fresh, blocks, offsets.gyro_bias.copy())
-        self._follows_change = follows_change
+        self._follows_change, self._beside = follows_change, None
 
     # past drives ----------------------------------------------------------------------------
 
@@ -153,7 +198,7 @@ class RestartableSolver:
 
     def saved_information(self) -> SavedInformation | None:
         """What all evidence comes to, for the next start; None where there is too little."""
-        return None if self.is_outdated else self.now.kept()
+        return None if self.is_outdated or self.has_beside else self.now.kept()
 
     def join(self, kept: SavedInformation) -> None:
         """Go on with what past drives found as well."""

@@ -215,10 +215,10 @@ def _source(name: str, content: Mapping[str, Any]) -> SavedSource:
     n = len(score)
     if n > MAX_SEGMENTS or abs(value) > math.pi or variance <= 0.0 or bias < 0.0:
         raise ValueError(f"{name} is out of range")
-    told = _numbers(information, n)
-    if min(told, default=0.0) < 0.0:
+    informations = _numbers(information, n)
+    if min(informations, default=0.0) < 0.0:
         raise ValueError(f"{name} has negative information")
-    return SavedSource(value, variance, bias, np.array(_numbers(score, n)), np.array(told))
+    return SavedSource(value, variance, bias, np.array(_numbers(score, n)), np.array(informations))
 
 
 def _numbers(values: object, n: int) -> list[float]:

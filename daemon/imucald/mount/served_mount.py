@@ -35,6 +35,11 @@ class ServedMount:
         return self._slewed.correction
 
     @property
+    def has_arrived(self) -> bool:
+        """Whether what is applied is the rotation that was found last."""
+        return self._slewed.has_arrived
+
+    @property
     def is_turning(self) -> bool:
         """Whether the next tick changes what is applied."""
         return self._slewed.is_moving

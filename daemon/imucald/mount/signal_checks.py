@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from imucald.core.rotations import Matrix3
-from imucald.mount.alternatives import TO_BE_FINE, TO_BE_GOOD, Alternatives
+from imucald.mount.alternatives import Alternatives
 from imucald.mount.contradictions import Contradictions, StandingFault
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.log_ratios import TO_BE_FINE, TO_BE_GOOD
 from imucald.mount.signal_blocks import SignalBlock, SignalBlockMaker
 from imucald.mount.solver import MountSolver
 from imucald.mount.stated_orientation import Stated
@@ -83,7 +84,7 @@ class SignalChecks:
             self.standing = (*self.standing, fault)
 
     def hold_against_orientation(self, solver: MountSolver, block: int) -> None:
-        """A fault where the sensor is found to sit the other way round than a person said."""
+        """A fault where the sensor is found to sit the other way round than is stated."""
         if solver.R is None:
             return
         stated = self._alternatives.contradicted_orientation(solver.R, solver.yaw_known)
@@ -95,7 +96,7 @@ class SignalChecks:
             self.history.append((block, fault))
 
     def forget_forces(self) -> None:
-        """What the forces said was said of another rotation."""
+        """What the forces showed was about another rotation."""
         self._contradictions.forget_forces()
 
     def restart(self) -> None:
@@ -125,5 +126,5 @@ class SignalChecks:
 
     @property
     def not_checked(self) -> tuple[str, ...]:
-        """What no signal of this vehicle can show, and nobody has said, in words."""
+        """What no signal of this vehicle can show, and nobody has stated, in words."""
         return self._alternatives.not_checked

@@ -4,7 +4,7 @@ The mirror image of a drive (all signs of the accelerometer turned) puts up and 
 way round, a drive that goes backwards puts forward and left: either is 180 deg from the truth. So
 which axis points up, or forward, is enough to rule them out, however roughly it does.
 
-An axis within 60 deg of where it is said to point confirms, one beyond 120 deg contradicts.
+An axis within 60 deg of where it is stated to point confirms, one beyond 120 deg contradicts.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from imucald.core.rotations import Matrix3
 Array = NDArray[np.float64]
 
 CLEAR = 0.5
-"""Part of an axis along where it is said to point that says yes, or no with the other sign: within
-60 deg. In between the axis is nearer to level (or across) than up or down."""
+"""Part of an axis along where it is stated to point that confirms, with the other sign contradicts:
+within 60 deg. In between the axis is nearer to level (or across) than up or down."""
 FORWARD, UP = 0, 2
 Stated = Literal["up", "forward"]
 
 
 class StatedOrientation:
-    """Which of the sensor's axes point up and forward, as far as a person has said it."""
+    """Which of the sensor's axes point up and forward, as far as a person has stated it."""
 
     def __init__(self, stated: OrientationSettings) -> None:
         given = {UP: stated.up, FORWARD: stated.forward}
@@ -35,7 +35,7 @@ class StatedOrientation:
         self._mount: Matrix3 | None = None
 
     def take_mount(self, R: Matrix3) -> None:
-        """A person states the whole mount; where it is not the one found, it says nothing."""
+        """A person states the whole mount; where it is not the one found, it confirms nothing."""
         self._mount = R
 
     def contradicted(self, R: Matrix3, yaw_known: bool) -> Stated | None:
@@ -47,11 +47,11 @@ class StatedOrientation:
         return None
 
     def confirms_up(self, R: Matrix3) -> bool:
-        """Whether a person said the same of which way is up."""
+        """Whether a person stated the same way up."""
         return self._confirms(R, UP)
 
     def confirms_forward(self, R: Matrix3) -> bool:
-        """Whether a person said the same of which way is forward."""
+        """Whether a person stated the same way forward."""
         return self._confirms(R, FORWARD)
 
     def _confirms(self, R: Matrix3, row: int) -> bool:

@@ -198,7 +198,7 @@ def _candidates(diagnosis: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _pictures(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Those that tell most first: touched by a cause or by what is left, then by size."""
+    """Those that show most first: touched by a cause or by what is left, then by size."""
     from imucald.report import plots as draw  # noqa: PLC0415 - loads matplotlib
 
     touched = {name for cause in diagnosis.causes for name in cause.signals}

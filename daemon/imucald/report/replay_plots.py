@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.rotations import vector_from_rotation
-from imucald.mount.estimate import ANGLES, MountState
-from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95
+from imucald.mount.estimate import MountState
+from imucald.mount.mount_words import EVIDENCE_KINDS, SD_95, TURNS_ABOUT
 from imucald.report.drive_events import Event
 from imucald.report.drive_history import DriveHistory, Moment
 from imucald.report.svg_figures import drawn
@@ -137,7 +137,7 @@ def _draw_angle(
     for mark in events[:MAX_MARKS]:
         axes.axvline(mark.event.t, color=SOFT, lw=0.7, ls=(0, (1, 2)))
     axes.set_ylim(-size, size)
-    axes.set_ylabel(f"{ANGLES[axis]}, about {'xyz'[axis]} [deg]")
+    axes.set_ylabel(f"about {TURNS_ABOUT[axis]} [deg]")
     axes.yaxis.set_major_locator(MaxNLocator(5))
 
 

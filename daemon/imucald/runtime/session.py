@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
-    """Load a configuration, see `config_with`; keys without effect are told on standard error."""
+    """Load a configuration, see `config_with`; reports keys without effect on standard error."""
     loaded = config_with(path, databases)
     for line in loaded.idle_keys():
         print(f"imucald: warning: {line}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What a run came to, as the JSON that tools rely on and as a table for people."""
+"""What a run came to, as the JSON that tools rely on."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from imucald.runtime.engine import Engine
 
 
 class RunCounts(Struct, frozen=True):
-    """Frames of a run: read at all, and rejected by reason."""
+    """Frames of a run: read at all, used, and rejected by reason."""
 
     read: int
     used: int
@@ -71,8 +71,11 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
     }
     result["quaternion_wxyz"] = None if quaternion is None else [round(q, 8) for q in quaternion]
     result["std_deg"] = {
-        axis: None if std is None or not math.isfinite(std[i]) else round(std[i] * DEG_PER_RAD, 4)
-        for i, axis in enumerate("xyz")
+        axis: _degrees(None if std is None else std[i]) for i, axis in enumerate("xyz")
+    }
+    of_angles = estimate.angle_std
+    result["angle_std_deg"] = {
+        name: _degrees(None if of_angles is None else of_angles[i]) for i, name in enumerate(ANGLES)
     }
     covariance = estimate.covariance
     result["covariance_deg2"] = (
@@ -81,6 +84,10 @@ def mount_dict(estimate: MountEstimate) -> dict[str, Any]:
         else [[round(v, 8) for v in row] for row in (covariance * DEG_PER_RAD**2).tolist()]
     )
     return result | _for_people(estimate)
+
+
+def _degrees(std: float | None) -> float | None:
+    return None if std is None or not math.isfinite(std) else round(std * DEG_PER_RAD, 4)
 
 
 def _for_people(estimate: MountEstimate) -> dict[str, Any]:

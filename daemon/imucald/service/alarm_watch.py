@@ -1,4 +1,4 @@
-"""Tells when an alarm begins and when it is over, a line each, and never in floods."""
+"""Reports when an alarm begins and when it is over, a line each, and never in floods."""
 
 from __future__ import annotations
 

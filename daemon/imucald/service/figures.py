@@ -1,4 +1,4 @@
-"""What the service tells of itself in short: the status line, and what the process takes."""
+"""What the service reports of itself in short: the status line, and what the process takes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from imucald.core.angles import DEG_PER_RAD
 from imucald.mount.estimate import ANGLES, MountEstimate
-from imucald.mount.mount_words import half_width, how_it_sits, plus_minus, reasons_line
+from imucald.mount.mount_words import how_it_sits, plus_minus, reasons_line
 
 NOT_SAVED: dict[str, Any] = {
     "folder": None,
@@ -27,19 +27,15 @@ NOT_SAVED: dict[str, Any] = {
 def status_line(estimate: MountEstimate, link: str) -> str:
     """One line for `systemctl status`."""
     parts = [estimate.state.name.lower()]
-    angles, std, targets = estimate.angles, estimate.std, estimate.targets
+    angles, std = estimate.angles, estimate.angle_std
     if angles is not None and std is not None:
-        known = [
-            (name, angle * DEG_PER_RAD, s * DEG_PER_RAD, i)
-            for i, (name, angle, s) in enumerate(zip(ANGLES, angles, std, strict=True))
-            if half_width(s * DEG_PER_RAD) is not None
-        ]
-        for name, angle, s, i in known:
-            text = f"{name} {angle:+.2f} {plus_minus(s)}"
-            if targets is not None and s >= (fine := targets.fine[i] * DEG_PER_RAD):
-                text += f" (fine below {plus_minus(fine)})"
-            parts.append(text)
+        for name, angle, s in zip(ANGLES, angles, std, strict=True):
+            spread = plus_minus(s * DEG_PER_RAD)
+            known = f"{angle * DEG_PER_RAD:+.2f} {spread}" if spread != "-" else "not known"
+            parts.append(f"{name} {known}")
         parts.append("± 95 %")
+        if missing := _to_be_fine(estimate):
+            parts.append(missing)
         if sits := how_it_sits(estimate):
             parts.append(sits)
     if waiting := reasons_line(estimate.waiting_for):
@@ -47,6 +43,19 @@ def status_line(estimate: MountEstimate, link: str) -> str:
     if link != "up":
         parts.insert(0, f"bus {link}")
     return "; ".join(parts)
+
+
+def _to_be_fine(estimate: MountEstimate) -> str:
+    """Which turns about the vehicle's axes are above their target; empty where none is."""
+    std, targets = estimate.std, estimate.targets
+    if std is None or targets is None:
+        return ""
+    missing = [
+        f"{axis} below {plus_minus(fine * DEG_PER_RAD)} (now {plus_minus(s * DEG_PER_RAD)})"
+        for axis, s, fine in zip("xyz", std, targets.fine, strict=True)
+        if not s < fine
+    ]
+    return f"to be fine: turn about {', about '.join(missing)}" if missing else ""
 
 
 def process_figures() -> dict[str, Any]:

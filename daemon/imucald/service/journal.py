@@ -19,7 +19,7 @@ LEVELS = {ERROR: "error", WARNING: "warning", NOTICE: "notice", INFO: "info"}
 EVENTS_KEPT = 200
 """Lines that `imucald events` shows; the journal has all of them."""
 SELDOM_S = 30.0
-"""Lines of one kind that may come without end are told so often at most [s]."""
+"""Lines of one kind that may come without end are written so often at most [s]."""
 LINE_BYTES = 4000
 """A line is cut there: a pipe that takes anything takes 4096 bytes at once."""
 

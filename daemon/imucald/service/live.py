@@ -101,7 +101,7 @@ class Extra(Protocol):
 
 
 class Daemon:
-    """Runs an engine on a link until told to stop.
+    """Runs an engine on a link until asked to stop.
 
     clock: monotonic [s]. extra: also served, frames of its ids are not the engine's.
     """

@@ -1,4 +1,4 @@
-"""What systemd is told: ready, reloading, stopping, a status line, and that the loop still turns.
+"""What systemd gets: ready, reloading, stopping, a status line, and that the loop still turns.
 
 The protocol of sd_notify(3): datagrams of NAME=value lines to the socket that systemd names in the
 environment. Without that name nothing is sent. Sending never blocks and never fails: a service
@@ -58,7 +58,7 @@ class Notifier:
             self._send(f"STATUS={line}")
 
     def feed(self) -> None:
-        """To be called by the loop that matters; tells systemd now and then that it turns."""
+        """To be called by the loop that matters; notifies systemd now and then that it turns."""
         now = self._clock()
         if self._period and now >= self._next_feed:
             self._next_feed = now + self._period

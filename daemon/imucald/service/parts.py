@@ -20,7 +20,7 @@ from imucald.service.background_writer import Say
 from imucald.service.calibration_store import CalibrationStore
 from imucald.service.identity import state_key
 from imucald.service.live import open_link
-from imucald.service.reload_changes import behind_the_known, estimates_alike, listens_otherwise
+from imucald.service.reload_changes import behind_the_known, keeps_estimator, listens_otherwise
 from imucald.service.sensor_check import restore_check, saved_check
 from imucald.service.service_options import ServiceOptions
 from imucald.service.state_file import StateStore
@@ -130,7 +130,7 @@ class PartsMaker:
                 return restored, store  # another sensor or vehicle: what was found is not of it
             return behind_the_known(old, new), store
         restore_check(engine, saved_check(running))
-        if estimates_alike(parts.loaded, loaded):
+        if keeps_estimator(parts.loaded, loaded):
             old.gap()
             return old, store
         return behind_the_known(old, new), store

@@ -21,7 +21,7 @@ def listens_otherwise(
     )
 
 
-def estimates_alike(old: LoadedConfig, new: LoadedConfig) -> bool:
+def keeps_estimator(old: LoadedConfig, new: LoadedConfig) -> bool:
     """Whether the running estimator is the one that the new configuration would make."""
     a, b = old.config, new.config
     return (a.calibration, a.vehicle, a.signals) == (b.calibration, b.vehicle, b.signals)

@@ -14,7 +14,7 @@ Read = TypeVar("Read")
 
 
 class Reloading(Generic[Read]):
-    """A reload from the wish to its end. What fails is told, and what runs goes on as it was.
+    """A reload from its request to its end. A failure is reported, and what runs goes on as it was.
 
     read: reads and parses, which may take long; touches nothing that runs. take_over: lets what was
     read take the place of what runs, all of it or nothing.
@@ -29,12 +29,12 @@ class Reloading(Generic[Read]):
     ) -> None:
         self._read, self._take_over = read, take_over
         self._journal, self._notifier = journal, notifier
-        self._is_wanted = False
+        self._is_requested = False
         self._preparing: Prepared[Read] | None = None
 
     def ask(self) -> None:
         """Reload soon; safe in a signal handler."""
-        self._is_wanted = True
+        self._is_requested = True
 
     def now(self) -> None:
         """Reload at once."""
@@ -44,8 +44,8 @@ class Reloading(Generic[Read]):
     def poll(self) -> None:
         """Begin a reload that was asked for, beside the loop; take over what is prepared."""
         if self._preparing is None:
-            if self._is_wanted:
-                self._is_wanted = False
+            if self._is_requested:
+                self._is_requested = False
                 self._notifier.reloading()
                 self._preparing = Prepared.beside(self._read)
         elif self._preparing.is_done:

@@ -10,21 +10,17 @@ import time
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from msgspec.structs import asdict
-
-from imucald.can.link.link import Link, LinkCounters, LinkEvent
+from imucald.can.link.link import Link, LinkCounters
 from imucald.config import LoadedConfig
 from imucald.core.errors import ImucaldError
-from imucald.mount.mount_words import reasons_line
 from imucald.runtime.engine import Engine
 from imucald.runtime.input_health import LinkHealth
 from imucald.runtime.mount_orders import TESTER, MountOrders
-from imucald.runtime.pipeline import Snapshot
-from imucald.service.alarm_watch import AlarmWatch
+from imucald.service.announcements import Announcements
 from imucald.service.figures import status_line
 from imucald.service.folder_lock import FolderLock
 from imucald.service.identity import state_key
-from imucald.service.journal import INFO, NOTICE, WARNING, Journal
+from imucald.service.journal import NOTICE, WARNING, Journal
 from imucald.service.live import Daemon
 from imucald.service.notify import Notifier
 from imucald.service.parts import Listeners, PartsMaker
@@ -40,8 +36,6 @@ CHORE_S = 0.1
 """The loop turns to everything but frames so often [s]."""
 SECOND_S = 1.0
 """Rates and the status line are made so often [s]."""
-_QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full"})
-"""Kinds of link events that are no warnings, or that the link tells seldom by itself."""
 
 
 class Companion(Protocol):
@@ -75,13 +69,11 @@ class Service:
         self._began = self._next_second = clock()
         self._next_chore = self._next_look = clock()
         self._check_wanted = False
-        self._announced: object = None
-        self._rejected = 0
         self._rates = InputRates(clock())
         self._start_count = StartCount(options.start_count)
         self.orders = MountOrders(self)
-        self._alarms = AlarmWatch(self.journal)
-        listeners = Listeners(self._snapshot, self._link_event, self._link_health, self.journal.say)
+        self._announcements = own = Announcements(self.journal)
+        listeners = Listeners(own.snapshot, own.link_event, self._link_health, self.journal.say)
         self._maker = PartsMaker(self, options, listeners, clock)
         self._reloading = Reloading(self._maker.read, self._take_over, self.journal, self.notifier)
         loaded, engine = self._maker.read()
@@ -144,7 +136,7 @@ class Service:
     def run(self, seconds: float = float("inf")) -> None:
         """Loop until `stop`, or for so many seconds."""
         self.journal.say(f"listening on {self.link.interface} {self.link.channel}")
-        self._tell_model()
+        self._announcements.model(self.engine)
         self.notifier.ready()
         end = self._clock() + seconds
         daemon, clock = self.daemon, self._clock
@@ -181,9 +173,9 @@ class Service:
         if before.link is not now.link:
             before.link.close()
         self._rates.restart()
-        self._rejected = 0
+        self._announcements.restart_counts()
         self.journal.say(f"{self.options.config} was read again", NOTICE)
-        self._tell_model()
+        self._announcements.model(now.engine)
 
     def close(self) -> None:
         """Save the state, let go of bus and socket."""
@@ -199,7 +191,7 @@ class Service:
         self._release()
 
     def _between(self) -> None:
-        """Within a batch of frames: tell the watchdog, and whoever asks, that the loop goes on."""
+        """Within a batch of frames: show the watchdog, and whoever asks, that the loop goes on."""
         now = self._clock()
         if now >= self._next_look:
             self._next_look = now + CHORE_S
@@ -229,12 +221,7 @@ class Service:
         self._rates.update(engine.router.sample_counts, now)
         if self._companion is not None and self._companion.poll():
             self.journal.say("what serves the metrics has ended; all else goes on", WARNING)
-        self._alarms.update(asdict(engine.health()), now - self._began)
-        rejected = engine.router.rejected
-        if (total := rejected.total()) > self._rejected:
-            self._rejected = total
-            text = ", ".join(f"{reason} {n}" for reason, n in sorted(rejected.items()))
-            self.journal.seldom("rejected", f"rejected so far: {text}", WARNING)
+        self._announcements.update(engine, now - self._began)
 
     # what diagnostics and orders ask for ----------------------------------------------------
 
@@ -288,31 +275,10 @@ class Service:
         """Write what a tester did into the log."""
         self.journal.seldom(text.partition(":")[0], text, WARNING)
 
-    # telling -------------------------------------------------------------------------------
-
-    def _tell_model(self) -> None:
-        """Say what of the model file is used, and what is not."""
-        preprocessing = self.engine.preprocessing
-        if preprocessing is not None:
-            self.journal.say(preprocessing.words())
-            for note in preprocessing.notes:
-                self.journal.say(f"not used of the model: {note}", NOTICE)
+    # what it reports -----------------------------------------------------------------------
 
     def _link_health(self) -> LinkHealth:
         return self.daemon.link_health() if hasattr(self, "daemon") else LinkHealth()
-
-    def _link_event(self, event: LinkEvent) -> None:
-        self.journal.say(event.text, INFO if event.kind in _QUIET_EVENTS else WARNING)
-
-    def _snapshot(self, snapshot: Snapshot) -> None:
-        """Say each change of state in one line."""
-        estimate = snapshot.estimate
-        if estimate.state is self._announced:
-            return
-        self._announced = estimate.state
-        waiting = reasons_line(estimate.waiting_for)
-        text = f"{estimate.state.name.lower()} at {snapshot.t:.1f} s"
-        self.journal.say(text + (waiting and f" ({waiting})"), NOTICE)
 
     def result(self) -> dict[str, Any]:
         """Summary of the run (see docs/json.md), with the link's counters."""

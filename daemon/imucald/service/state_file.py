@@ -1,4 +1,4 @@
-"""The saved state: what a drive found, kept so that no power cut can spoil it.
+"""The saved state: what a drive found, kept so that no power cut can damage it.
 
 Two files take turns (``.0`` and ``.1``), each with a generation number; a save replaces the older
 one: written beside it, forced to the disk, renamed, the folder forced too. So the newest or the one

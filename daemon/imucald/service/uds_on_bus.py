@@ -118,7 +118,7 @@ class BusUds:
         return self.channel.poll()
 
     def status(self) -> dict[str, Any]:
-        """What `imucald status` tells of it."""
+        """What `imucald status` shows of it."""
         server, counters = self.server, self.server.counters
         return {
             "session": server.session.name.lower(),

@@ -130,7 +130,7 @@ IDENTIFIERS: Mapping[int, Identifier] = {
 
 
 class ReadData:
-    """The service. own: identifiers that the server itself can tell."""
+    """The service. own: identifiers that the server itself can answer."""
 
     def __init__(self, host: Host, own: Mapping[int, Identifier]) -> None:
         self._host = host

@@ -16,7 +16,7 @@ from imucald.can.columns import CAN_EFF_FLAG, CAN_SFF_MASK
 from imucald.core.partial_import import standing_in
 
 MAX_REQUEST: Final = 128
-"""Longest request [bytes]: twice the longest that has a meaning; others are told "overflow"."""
+"""Longest request [bytes]: twice the longest that has a meaning; others get "overflow"."""
 FRAMES_PER_SECOND: Final = 500.0
 """Frames that are looked at, on average: many times what a tester sends, little work for us."""
 FRAMES_AT_ONCE: Final = 200.0

@@ -23,7 +23,7 @@ class Security:
     key_function: None refuses everybody. random: so many unpredictable bytes.
     attempts: wrong keys that are borne before the delay [s]. clock: monotonic [s].
     wrong: keys that were wrong in a row when it was last switched off; after any, the delay passes
-    before the first key is taken (ISO 14229-1). on_count: told each new number of them.
+    before the first key is taken (ISO 14229-1). on_count: called with each new number of them.
     Attempts are counted over all sessions: a new session is no new chance.
     """
 

@@ -42,7 +42,7 @@ S3_S: Final = 5.0
 P2_MS: Final = 50
 """A response is on its way within that time [ms]: one turn of the daemon's loop at most."""
 P2_STAR_10MS: Final = 500
-"""The same after "response pending", which is never said [10 ms]."""
+"""The same after "response pending", which is never sent [10 ms]."""
 
 NOT_TOLD_TO_ALL: Final = frozenset(
     {

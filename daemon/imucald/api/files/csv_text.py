@@ -1,37 +1,41 @@
-"""CSV: a file for each table, units in the columns' names; `drive.result.json` tells the rest."""
+"""CSV: a file for each table, units in the columns' names; `drive.result.json` holds the rest."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from imucald.api.columns import Columns
-from imucald.api.files.table_file import Tables, given_up, named, names_beside, unfinished
+from imucald.api.files.table_file import (
+    Tables,
+    given_up,
+    named,
+    names_beside,
+    opened,
+    unfinished,
+)
 from imucald.api.interchange import arrow_schema, from_arrow, library, to_arrow
 
 
 def result_file(path: Path) -> Path:
-    """The file that tells what CSV has no place for."""
+    """The file for what CSV has no place for."""
     return path.with_name(f"{path.stem}.result.json")
 
 
 class CsvTables:
     """Writes CSV: what is not known is empty, times are ISO 8601 in UTC."""
 
+    needs: ClassVar = ("pyarrow.csv", "arrow")
+
     def __init__(self, path: Path, tables: Tables) -> None:
-        csv = library("pyarrow.csv", "arrow")
+        csv = library(*self.needs)
         self._files = names_beside(path, tables)
         self._result = result_file(path)
-        self._writers: dict[str, Any] = {}
-        try:
-            for name, columns in tables.items():
-                place = str(unfinished(self._files[name]))
-                self._writers[name] = csv.CSVWriter(place, arrow_schema(columns, None))
-        except OSError:
-            self.abandon()
-            raise
+        self._writers = opened(
+            self._files, lambda name, path: csv.CSVWriter(path, arrow_schema(tables[name], None))
+        )
 
     def add(self, name: str, rows: Columns) -> None:
         """Append rows."""
@@ -53,7 +57,7 @@ class CsvTables:
 
 def read_tables(folder: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
     """The tables of all files that were written together."""
-    csv = library("pyarrow.csv", "arrow")
+    csv = library(*CsvTables.needs)
     found: dict[str, Columns] = {}
     for name, columns in tables.items():
         types = {field.name: field.type for field in arrow_schema(columns, None)}

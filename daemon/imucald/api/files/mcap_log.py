@@ -12,7 +12,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 
@@ -31,8 +31,10 @@ _XYZ = "xyz"
 class McapTables:
     """Writes MCAP: a topic for each table."""
 
+    needs: ClassVar = ("mcap.writer", "mcap")
+
     def __init__(self, path: Path, tables: Tables) -> None:
-        writer = library("mcap.writer", "mcap")
+        writer = library(*self.needs)
         self._path = path
         self._file = unfinished(path).open("wb")
         self._writer = writer.Writer(self._file)
@@ -208,7 +210,7 @@ def _plain_schema(columns: tuple[TableColumn, ...]) -> dict[str, Any]:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a file tells of itself. Raises ImucaldError for one that imucald did not write."""
+    """What a file states about itself. Raises ImucaldError for one that imucald did not write."""
     with path.open("rb") as file:
         for record in library("mcap.reader", "mcap").make_reader(file).iter_metadata():
             if record.name == FILE_KEY:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,13 @@ SIGNATURE = b"MDF     "
 class Mf4Tables:
     """Writes MF4; the master channel is `t_s`, and `time` is in microseconds since 1970."""
 
+    needs: ClassVar = ("asammdf", "mf4")
+
     def __init__(self, path: Path, tables: Tables) -> None:
         self._path = path
         # asammdf puts the ending that it wants behind any other
         self._saving = unfinished(path).with_suffix(".mf4")
-        self._asammdf = library("asammdf", "mf4")
+        self._asammdf = library(*self.needs)
         self._mdf = self._asammdf.MDF(version="4.10")
         self._groups: dict[str, int] = {}
 
@@ -91,7 +93,7 @@ def _close_half_made(error: Exception) -> None:
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """Open a file. Raises ImucaldError for one that imucald did not write."""
-    asammdf = library("asammdf", "mf4")
+    asammdf = library(*Mf4Tables.needs)
     with path.open("rb") as file:
         if file.read(len(SIGNATURE)) != SIGNATURE:
             raise ImucaldError(f"{path}: is no MF4 file")
@@ -108,7 +110,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a file tells of itself."""
+    """What a file states about itself."""
     with opened(path) as mdf:
         (found,) = [a for a in mdf.attachments if str(a.file_name) == ATTACHMENT]
         about: dict[str, Any] = json.loads(found.extract())

@@ -5,10 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from imucald.api.columns import Columns
-from imucald.api.files.table_file import Tables, given_up, named, names_beside, unfinished
+from imucald.api.files.table_file import (
+    Tables,
+    given_up,
+    named,
+    names_beside,
+    opened,
+    unfinished,
+)
 from imucald.api.interchange import (
     FILE_KEY,
     PANDAS_KEY,
@@ -27,21 +34,20 @@ ROW_GROUP = 100_000
 class ParquetTables:
     """Writes Parquet."""
 
+    needs: ClassVar = ("pyarrow.parquet", "arrow")
+
     def __init__(self, path: Path, tables: Tables) -> None:
         self._tables = dict(tables)
         self._files = names_beside(path, tables)
-        parquet = library("pyarrow.parquet", "arrow")
-        self._writers: dict[str, Any] = {}
-        try:
-            for name, columns in tables.items():
-                keys = file_keys(columns, {"table": name})
-                # The result of the drive is known, and written, at the end.
-                schema = arrow_schema(columns, None).with_metadata({PANDAS_KEY: keys[PANDAS_KEY]})
-                place = str(unfinished(self._files[name]))
-                self._writers[name] = parquet.ParquetWriter(place, schema, compression="zstd")
-        except OSError:
-            self.abandon()
-            raise
+        parquet = library(*self.needs)
+
+        def writer(name: str, path: str) -> Any:
+            keys = file_keys(tables[name], {"table": name})
+            # The result of the drive is known, and written, at the end.
+            schema = arrow_schema(tables[name], None).with_metadata({PANDAS_KEY: keys[PANDAS_KEY]})
+            return parquet.ParquetWriter(path, schema, compression="zstd")
+
+        self._writers = opened(self._files, writer)
 
     def add(self, name: str, rows: Columns) -> None:
         """Append rows, as row groups."""
@@ -63,8 +69,8 @@ class ParquetTables:
 
 
 def read_about(path: Path) -> dict[str, Any]:
-    """What a file tells of itself. Raises ImucaldError for one that imucald did not write."""
-    keys = library("pyarrow.parquet", "arrow").read_metadata(path).metadata or {}
+    """What a file states about itself. Raises ImucaldError for one that imucald did not write."""
+    keys = library(*ParquetTables.needs).read_metadata(path).metadata or {}
     text = keys.get(FILE_KEY.encode())
     if text is None:
         raise ImucaldError(f"{path}: was not written by imucald")
@@ -74,7 +80,7 @@ def read_about(path: Path) -> dict[str, Any]:
 
 def read_tables(folder: Path, about: Mapping[str, Any], tables: Tables) -> dict[str, Columns]:
     """The tables of all files that were written together."""
-    parquet = library("pyarrow.parquet", "arrow")
+    parquet = library(*ParquetTables.needs)
     return {
         name: from_arrow(parquet.read_table(folder / about["files"][name]), columns)
         for name, columns in tables.items()

@@ -1,20 +1,20 @@
-"""What every format is: a writer of tables in pieces; and what is told about them in the file."""
+"""What every format is: a writer of tables in pieces; and what the file states about them."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from imucald import __version__
 from imucald.api.columns import RAW, Columns, TableColumn
 from imucald.core.errors import ImucaldError
 
 VERSION = 1
-"""Of what is told about tables; keys are only added."""
+"""Of what a file states about its tables; keys are only added."""
 UNFINISHED = ".unfinished"
 VEHICLE_AXES = "vehicle: x forward, y left, z up (ISO 8855)"
 SENSOR_AXES = "sensor"
@@ -26,6 +26,9 @@ Tables = Mapping[str, tuple[TableColumn, ...]]
 class TableWriter(Protocol):
     """Writes tables to a file, or to several beside each other."""
 
+    needs: ClassVar[tuple[str, str]]
+    """The library that it writes with: module, and the extra that brings it."""
+
     def __init__(self, path: Path, tables: Tables) -> None: ...
 
     def add(self, name: str, rows: Columns) -> None:
@@ -33,7 +36,7 @@ class TableWriter(Protocol):
         ...
 
     def finish(self, about: Mapping[str, Any]) -> list[Path]:
-        """Write what is told about the tables; give the files their names, and return them."""
+        """Write what the file states about its tables; name the files, and return them."""
         ...
 
     def abandon(self) -> None:
@@ -47,13 +50,13 @@ def axes_of(table: str) -> str:
 
 
 def about_tables(tables: Tables, drive: Mapping[str, Any]) -> dict[str, Any]:
-    """What a file tells of its tables; drive: of the drive that they are of."""
+    """What a file states about its tables; drive: of the drive that they are of."""
     columns = {name: [[c.name, c.unit, c.kind] for c in cs] for name, cs in tables.items()}
     return {"version": VERSION, "imucald": __version__, "tables": columns, "drive": dict(drive)}
 
 
 def tables_of(about: Mapping[str, Any]) -> dict[str, tuple[TableColumn, ...]]:
-    """The tables that a file tells of. Raises ImucaldError for a file of a later version."""
+    """The tables that a file states. Raises ImucaldError for a file of a later version."""
     if about["version"] != VERSION:
         raise ImucaldError(f"it was written by a later imucald ({about['imucald']})")
     return {name: tuple(TableColumn(*c) for c in cs) for name, cs in about["tables"].items()}
@@ -78,6 +81,21 @@ def given_up(writers: Iterable[Any], files: Iterable[Path]) -> None:
     for file in files:
         with contextlib.suppress(OSError):
             file.unlink()
+
+
+def opened(files: Mapping[str, Path], open_one: Callable[[str, str], Any]) -> dict[str, Any]:
+    """A writer for each table's unfinished file; where one cannot be opened none is left behind.
+
+    files: of each table, as it is named in the end. open_one: takes a table's name and a path.
+    """
+    writers: dict[str, Any] = {}
+    try:
+        for name, file in files.items():
+            writers[name] = open_one(name, str(unfinished(file)))
+    except OSError:
+        given_up(writers.values(), map(unfinished, files.values()))
+        raise
+    return writers
 
 
 def names_beside(path: Path, tables: Tables) -> dict[str, Path]:

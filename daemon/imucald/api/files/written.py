@@ -24,13 +24,6 @@ FORMATS: Mapping[str, type[TableWriter]] = {
     ".mcap": McapTables,
 }
 """Writers by the ending of the file's name."""
-LIBRARIES: Mapping[str, tuple[str, str]] = {
-    ".parquet": ("pyarrow.parquet", "arrow"),
-    ".csv": ("pyarrow.csv", "arrow"),
-    ".mf4": ("asammdf", "mf4"),
-    ".mcap": ("mcap.writer", "mcap"),
-}
-"""What each writer needs: module and extra."""
 _NUMBER = re.compile(r"\[errno (\d+)\]")
 ALL_RAW = RAW.rstrip("/")
 """Stands for all tables of samples as they came."""
@@ -46,8 +39,7 @@ def format_of(path: Path) -> type[TableWriter]:
 
 def require_format(path: Path) -> None:
     """Raise ImucaldError, with the remedy, where a file of this name could not be written."""
-    format_of(path)
-    library(*LIBRARIES[path.suffix.lower()])
+    library(*format_of(path).needs)
 
 
 def chosen(tables: Tables, quantities: Sequence[str] | str | None) -> Tables:

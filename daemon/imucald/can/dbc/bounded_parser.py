@@ -101,9 +101,9 @@ def _limit(memory: int, seconds: int) -> None:
 
 
 def _why(done: subprocess.CompletedProcess[bytes], memory: int, seconds: int) -> str:
-    said = done.stderr.decode("utf-8", "replace").strip().splitlines()
-    if done.returncode == 1 and said:
-        return said[-1]
+    messages = done.stderr.decode("utf-8", "replace").strip().splitlines()
+    if done.returncode == 1 and messages:
+        return messages[-1]
     return (
         f"cannot be read with {memory // 2**20} MiB of memory and {seconds} s of processor time; "
         "leave in it the messages that are used, or allow more memory (MemoryMax= of the unit)"

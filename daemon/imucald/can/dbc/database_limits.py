@@ -64,10 +64,10 @@ def _refuse_sym_positions(text: str, source: str) -> None:
     """Refuse a position or length of a SYM signal that is too large; a line is looked at once."""
     at = 0
     for line in text.split("\n"):
-        said = line.partition("/")[0]
-        signal = _SYM_SIGNAL.search(said)
+        text = line.partition("/")[0]
+        signal = _SYM_SIGNAL.search(text)
         if signal:
-            for number in _SYM_NUMBER.finditer(said, signal.end()):
+            for number in _SYM_NUMBER.finditer(text, signal.end()):
                 _refuse_number(number.group(1), MAX_BITS, text, at, source)
         at += len(line) + 1
 

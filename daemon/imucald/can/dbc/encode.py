@@ -48,7 +48,7 @@ class EncodePlan:
         self._encode = self._generate()
 
     def encode(self, values: Sequence[float | None]) -> bytes:
-        """Payload of one frame; EncodeError where a value cannot be said."""
+        """Payload of one frame; EncodeError where a value cannot be encoded."""
         try:
             return self._encode(values)
         except (TypeError, ValueError, OverflowError):
@@ -61,7 +61,7 @@ class EncodePlan:
         return bytes(payload)
 
     def encode_columns(self, columns: Sequence[ArrayLike]) -> Columns:
-        """Payloads (N, size) of N frames; EncodeError where a value cannot be said."""
+        """Payloads (N, size) of N frames; EncodeError where a value cannot be encoded."""
         if len(columns) != len(self._encoders):
             text = f"{len(columns)} columns for {len(self._encoders)} signals"
             raise EncodeError(f"{self.message.name}: {text}")

@@ -58,7 +58,7 @@ class SignalEncoder:
         return [f"    b{i} = round({raw})", f"    b{i} = b{i}{mask} if {test} else bits_{i}(v{i})"]
 
     def bits(self, value: float | None) -> int:
-        """Bits of one value; EncodeError where it cannot be said."""
+        """Bits of one value; EncodeError where it cannot be encoded."""
         if value is not None and math.isfinite(value):
             raw = value if self._is_identity else (value - self._offset) / self._scale
             if self.is_float:

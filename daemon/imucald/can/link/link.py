@@ -151,7 +151,7 @@ class Link:
         return []
 
     def _sorted(self, port: Port, frames: list[Frame]) -> list[Frame]:
-        """Return the frames that are wanted; count and tell what the others mean."""
+        """Return the frames that are wanted; count the others and report what they mean."""
         if self.state is LinkState.DOWN:
             self._check(port)  # frames from before it went down may still come
         wanted = []
@@ -313,7 +313,7 @@ class Link:
         self._enter(LinkState.UP, f"{self.channel} is up again")
 
     def _enter(self, state: LinkState, text: str) -> None:
-        """Change the state, and tell if it is another one."""
+        """Change the state, and report it if it is another one."""
         self.state = state
         if state is not self._announced_state:
             self._announced_state = state

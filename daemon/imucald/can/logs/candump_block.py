@@ -130,7 +130,6 @@ class CandumpBlock:
         if not right.all():
             other = lines[~right]
             lines, starts, runs = lines[right], starts[right], runs[right]
-        shape.lines_found += len(lines)
         place = starts + shape.head_bytes
         ends = self._ends if len(lines) == len(self) else self._ends[lines]
         left = _Lines(lines, place, ends - place, shape.behind(runs))

@@ -19,19 +19,14 @@ import numpy as np
 
 from imucald.can.columns import CLASSIC_BYTES, FD_BYTES, Channels, FrameColumns, concatenate
 from imucald.can.id_filter import IdFilters
-from imucald.can.logs.ascii_columns import Bytes, Index, hex_bytes, runs_at
+from imucald.can.logs.ascii_columns import Bytes, hex_bytes, runs_at
 from imucald.can.logs.candump_block import CandumpBlock, Hits
 from imucald.can.logs.candump_line import REASONS, Line, parse_line, shown
 from imucald.can.logs.candump_shape import Layout, Shape
+from imucald.can.logs.known_shapes import KnownShapes
 from imucald.can.logs.log_format import ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.text_log_reader import PADDING, Place, read_text_log
-
-MAX_SHAPES: Final = 32
-"""Shapes kept; more would cost time on every line that has none of them."""
-
-NEW_SHAPES: Final = 16
-"""Shapes learned in one block; beyond, lines are read one by one."""
 
 _LOG_LINE: Final = re.compile(rb"^\(\d{1,19}\.\d{1,19}\) {1,32}\S{1,32} [0-9A-Fa-f]{3,8}#", re.M)
 
@@ -43,7 +38,7 @@ class CandumpParser:
         self._filters = filters
         self._channels = channels
         self._statistics = statistics
-        self._shapes: list[Shape] = []
+        self._shapes = KnownShapes[Shape, Hits](self._shape_of)
 
     def parse(self, buf: Bytes, size: int, place: Place) -> tuple[FrameColumns, int]:
         """Return the wanted frames of `buf[:size]`, whole lines, and the number of lines.
@@ -51,7 +46,7 @@ class CandumpParser:
         `buf` is (size + PADDING,) or longer. Raises LogError at a bad line of a strict reading.
         """
         block = CandumpBlock(buf, size)
-        hits = self._find(block)
+        _, hits = self._shapes.find(len(block), block.text, block.find)
         odd, wrong = block.settle()
         if wrong is not None:
             hits = [h.only(~wrong[h.line]) for h in hits]
@@ -105,41 +100,15 @@ class CandumpParser:
                 self._statistics.stamp(line.t)
                 return
 
-    def _find(self, block: CandumpBlock) -> list[Hits]:
-        """Hold every known shape against the lines, then learn new ones from what is left."""
-        left: Index = np.arange(len(block))
-        hits: list[Hits] = []
-        for shape in self._shapes:
-            shape.lines_found = 0
-        for shape in self._shapes:
-            if not len(left):
-                break
-            left, found = block.find(shape, left)
-            hits += found
-        new = 0
-        while len(left) and new < NEW_SHAPES:
-            shape_or_none = self._learn(block.text(left[0]))
-            if shape_or_none is None:
-                left = left[1:]
-                continue
-            new += 1
-            left, found = block.find(shape_or_none, left)
-            hits += found
-        # The commonest first: with several channels each shape costs only those that follow.
-        self._shapes.sort(key=lambda shape: -shape.lines_found)
-        del self._shapes[MAX_SHAPES:]
-        return hits
-
-    def _learn(self, text: bytes) -> Shape | None:
+    def _shape_of(self, text: bytes) -> Shape | None:
         line = parse_line(text)
         if not isinstance(line, Line):
             return None
-        layout = Layout(*line.layout, line.channel)
         index = self._channels.index(line.channel)
-        if index is None or any(shape.layout == layout for shape in self._shapes):
+        if index is None:
             return None
-        self._shapes.append(Shape(layout, index, self._filters.of(line.channel)))
-        return self._shapes[-1]
+        layout = Layout(*line.layout, line.channel)
+        return Shape(layout, index, self._filters.of(line.channel))
 
     def _columns(
         self, buf: Bytes, hits: list[Hits], singles: list[tuple[int, Line]]

@@ -37,6 +37,7 @@ from imucald.can.logs.candump_screen_line import (
 from imucald.can.logs.candump_screen_shape import Found, ScreenShape
 from imucald.can.logs.candump_screen_times import CountedTimes, StampedTimes
 from imucald.can.logs.frame_batches import columns_of_frames
+from imucald.can.logs.known_shapes import KnownShapes
 from imucald.can.logs.log_format import Cycles, ReadStatistics
 from imucald.can.logs.text_blocks import OpenLog
 from imucald.can.logs.text_log_reader import PADDING, Place, read_text_log
@@ -44,10 +45,6 @@ from imucald.core.errors import LogError
 
 REMEDY: Final = "record with: candump -l can0"
 
-MAX_SHAPES: Final = 32
-"""Shapes kept; more would cost time on every line that has none of them."""
-NEW_SHAPES: Final = 16
-"""Shapes learned in one block; beyond, lines are read one by one."""
 LOOK_LINES: Final = 200
 """First lines by which differences are separated from times since the start."""
 
@@ -62,7 +59,7 @@ class CandumpScreenParser:
         self._filters = filters
         self._channels = channels
         self._statistics = statistics
-        self._shapes: list[ScreenShape] = []
+        self._shapes = KnownShapes[ScreenShape, Found](self._shape_of)
         self._time: StampedTimes | CountedTimes | None = None
         self.cycles: Cycles = ()
 
@@ -136,34 +133,21 @@ class CandumpScreenParser:
         return CountedTimes(can_id, channel, cycle)
 
     def _find(self, buf: Bytes, starts: Index, stops: Index) -> tuple[Index, list[Found]]:
-        """Hold every known shape against the lines, then learn new ones from what is left."""
-        left: Index = np.arange(len(stops))
-        others: list[Index] = []
-        found: list[Found] = []
+        """The lines that have none of the known shapes, and the frames of the others."""
         times = self._time if isinstance(self._time, StampedTimes) else None
-        for shape in self._shapes:
-            shape.lines_found = 0
-        for shape in self._shapes:
-            if len(left) and (times is None or times.fits(shape.stamp)):
-                left, part = shape.find(buf, starts, left, times)
-                found.append(part)
-        new = 0
-        while len(left) and new < NEW_SHAPES:
-            learned = self._learn(buf[starts[left[0]] : stops[left[0]]].tobytes())
-            first = left[0]
-            if learned is not None:
-                new += 1
-                left, part = learned.find(buf, starts, left, times)
-                found.append(part)
-            if len(left) and left[0] == first:
-                others.append(left[:1])
-                left = left[1:]
-        # The commonest first: each shape costs only the lines that follow.
-        self._shapes.sort(key=lambda shape: -shape.lines_found)
-        del self._shapes[MAX_SHAPES:]
-        return np.concatenate([*others, left]), found
 
-    def _learn(self, line: bytes) -> ScreenShape | None:
+        def of_shape(shape: ScreenShape, lines: Index) -> tuple[Index, list[Found]]:
+            if times is not None and not times.fits(shape.stamp):
+                return lines, []
+            left, found = shape.find(buf, starts, lines, times)
+            return left, [found]
+
+        def text(line: int) -> bytes:
+            return buf[starts[line] : stops[line]].tobytes()
+
+        return self._shapes.find(len(stops), text, of_shape)
+
+    def _shape_of(self, line: bytes) -> ScreenShape | None:
         match = PRINTED.fullmatch(line.rstrip())
         if match is None or not ScreenShape.can_be_of(match):
             return None
@@ -175,11 +159,7 @@ class CandumpScreenParser:
         index = self._channels.index(frame.channel)
         if index is None:
             return None
-        shape = ScreenShape(match, index, self._channels, self._filters.of(frame.channel))
-        if any(known.key == shape.key for known in self._shapes):
-            return None
-        self._shapes.append(shape)
-        return shape
+        return ScreenShape(match, index, self._channels, self._filters.of(frame.channel))
 
     def _judge(
         self, text: bytes, place: Place, last: bool = False

@@ -91,7 +91,6 @@ class ScreenShape:
         self._channel, self._channels = index, channels
         self._ids = ids
         self._fd = len(match["length"]) == 2
-        self.lines_found = 0
         self.stamp: bytes | None = match["stamp"]
         """Of the line it was learned from."""
         self._head = match.start("rest") + len(rest) - len(rest.lstrip(b" "))
@@ -111,8 +110,11 @@ class ScreenShape:
         literal[self._digits] = 0
         text = np.frombuffer(line[: self._head].ljust(8 * self._words, b"\0"), np.uint8)
         self._literal, self._text = literal.view("<u8"), (text & literal).view("<u8")
-        self.key = self._text.tobytes(), self._digits.tobytes()
-        """What tells it from other shapes."""
+
+    @property
+    def key(self) -> tuple[bytes, bytes]:
+        """What distinguishes it from other shapes."""
+        return self._text.tobytes(), self._digits.tobytes()
 
     @staticmethod
     def can_be_of(match: re.Match[bytes]) -> bool:
@@ -152,7 +154,6 @@ class ScreenShape:
         if times is not None:
             stamp = self._stamps(buf, starts[lines], values, times)
             right &= ~np.isnan(stamp)
-        self.lines_found = int(np.count_nonzero(right))
         ours = right & wanted
         frames = FrameColumns(
             np.zeros(np.count_nonzero(ours)),
@@ -165,7 +166,7 @@ class ScreenShape:
         )
         found = Found(
             lines[right],
-            np.full(self.lines_found, self._channel, np.uint8),
+            np.full(np.count_nonzero(right), self._channel, np.uint8),
             can_id[right].astype(np.uint32),
             stamp[right],
             wanted[right],

@@ -52,7 +52,6 @@ class Shape:
         self.layout = layout
         self.channel_index = channel_index
         self.ids = ids
-        self.lines_found = 0
         a, b = layout.seconds, layout.fraction
         digits = b"(" + b"0" * a + b"." + b"0" * b + b")"
         head = digits + b" " * layout.gap + layout.channel.encode("ascii") + b" "
@@ -69,6 +68,11 @@ class Shape:
         self._head = _words(head + b"\0" * pad)
         self._add = _words(add + b"\0" * pad)
         self._last_mask = _words(b"\xff" * (8 - pad) + b"\0" * pad)[0]
+
+    @property
+    def key(self) -> Layout:
+        """What distinguishes it from other shapes."""
+        return self.layout
 
     def heads(self, buf: Bytes, starts: Index) -> tuple[Words, NDArray[np.bool_]]:
         """Return the first words of each line (N, words), and whether its head has this shape."""

@@ -25,6 +25,7 @@ YEAR_10000: Final = 253_402_300_800.0
 YEAR_2100: Final = 4_102_444_800.0
 TOLERANCE: Final = 1.5
 """A message's cycle may be so many times longer or shorter than stated, as for `check`."""
+IS_THE_SAME: Final = "is the same recording as"
 MIN_MESSAGES: Final = 2
 """One message alone may be stated wrongly."""
 
@@ -43,7 +44,7 @@ def refuse_same_files(paths: Iterable[Log]) -> None:
             continue  # whoever opens it says why
         key = found.st_dev, found.st_ino
         if key in seen:
-            raise _same(path, seen[key])
+            raise same_recording(path, seen[key])
         seen[key] = path
 
 
@@ -69,7 +70,7 @@ class FirstFrames:
         first = frames.take(slice(0, MIN_FRAMES))
         key = b"".join(column.tobytes() for column in (first.t, first.can_id, first.data))
         if key in self._seen:
-            raise _same(path, self._seen[key])
+            raise same_recording(path, self._seen[key])
         self._seen[key] = path
 
     def _by_cycles(self, frames: FrameColumns) -> float | None:
@@ -94,5 +95,7 @@ def _by_date(t: float) -> float | None:
     return next((factor for factor in UNITS if t / factor < YEAR_2100), None)
 
 
-def _same(path: Log, other: Log) -> LogError:
-    return LogError(f"{path}: is the same recording as {other}: its evidence would count twice")
+def same_recording(log: Log, other: Log) -> LogError:
+    """The error for a recording that is given under two names."""
+    text = f"{log}: {IS_THE_SAME} {other}: its evidence would count twice; leave one of them out"
+    return LogError(text)

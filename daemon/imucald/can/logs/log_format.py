@@ -80,7 +80,7 @@ class ReadStatistics:
             self.problems.append(text)
 
     def note(self, text: str) -> None:
-        """Tell of something that limits what a log is worth. Raises LogError where strict, which
+        """Report something that limits what a log is worth. Raises LogError where strict, which
         says that this, and no bad line, is the reason."""
         if self.strict:
             raise LogError(f"{text} (a strict reading ends here: it takes no such log)")

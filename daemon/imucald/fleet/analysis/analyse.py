@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from imucald.core.angles import DEG_PER_RAD, RAD_PER_DEG
 from imucald.fleet.analysis.causes import UNKNOWN, cause_rows, never_usable_rows
 from imucald.fleet.analysis.components import VarianceComponent
 from imucald.fleet.analysis.known_drives import KnownDrives, known_drives
@@ -24,6 +25,9 @@ from imucald.fleet.analysis.mounts import (
 )
 from imucald.fleet.analysis.population import Population, population
 from imucald.fleet.analysis.remounts import Remounts, find_remounts
+from imucald.mount.angle_deviations import angle_deviations
+from imucald.mount.estimate import ANGLES
+from imucald.mount.mount_words import SD_95
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Sequence[Any]]
@@ -87,9 +91,20 @@ def _mounts(rotation: Rotation, half_width: Array, prefix: str = "") -> Rows:
             f"{prefix}pitch_deg": float(a[1]),
             f"{prefix}yaw_deg": float(a[0]),
             **_xyz(f"{prefix}ci95_{{}}_deg", h),
+            **_of_angles(f"{prefix}ci95_{{}}_deg", R, h),
         }
-        for q, a, h in zip(quaternions, angles, half_width, strict=True)
+        for q, a, R, h in zip(quaternions, angles, rotation.as_matrix(), half_width, strict=True)
     ]
+
+
+def _of_angles(form: str, R_vehicle_from_sensor: Array, half_width: Array) -> dict[str, Any]:
+    """Half of the 95 % intervals of roll, pitch and yaw [deg] from those about x, y, z (3,)."""
+    if not np.isfinite(half_width).all():
+        return dict.fromkeys(map(form.format, ANGLES))
+    covariance = np.diag((half_width * RAD_PER_DEG / SD_95) ** 2).tolist()
+    found = angle_deviations(R_vehicle_from_sensor, covariance)
+    halves = (_number(SD_95 * std * DEG_PER_RAD) for std in found)
+    return dict(zip(map(form.format, ANGLES), halves, strict=True))
 
 
 def _spread(form: str, parts: Sequence[VarianceComponent]) -> dict[str, float | None]:

@@ -106,8 +106,8 @@ def _first_centres(rotation: Rotation, units: Units) -> Rotation:
         mine = np.flatnonzero(units.kind == k)
         mine = mine[:: max(1, len(mine) // CENTRES)]
         q = rotation[mine].as_quat()
-        alike = np.abs(q @ q.T)  # cosine of half the angle between
-        chosen.append(int(mine[int(np.argmax(np.median(alike, axis=1)))]))
+        closeness = np.abs(q @ q.T)  # cosine of half the angle between
+        chosen.append(int(mine[int(np.argmax(np.median(closeness, axis=1)))]))
     return rotation[chosen]
 
 

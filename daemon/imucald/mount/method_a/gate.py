@@ -22,7 +22,7 @@ OFFSET_LOST_SPEED_S = 2.0
 with it."""
 OFFSET_WITHOUT_SPEED_S = 30.0
 """And at least this where there is no speed at all [s]: the mean would take all manoeuvres with it,
-whose own mean nothing tells; slopes last as long (`LongRunLevel.CORRELATION_S`)."""
+whose own mean nothing shows; slopes last as long (`LongRunLevel.CORRELATION_S`)."""
 OFFSET_FADE_S = 15.0
 """Time constant at which the offset's weight fades while motion is not straight [s]."""
 UNEXPLAINED_NOISE = 0.4
@@ -148,7 +148,7 @@ class StraightGate:
         return self._unexplained(interval, level) <= limit + UNEXPLAINED_NOISE
 
     def _unexplained(self, interval: SpeedInterval, level: Matrix3) -> float:
-        """Horizontal force beyond what dv/dt explains [m/s^2]; 0 where that cannot be said."""
+        """Horizontal force beyond what dv/dt explains [m/s^2]; 0 where that is not known."""
         if isnan(interval.dvdt) or not self._offset.ready:
             return 0.0
         mx, my, mz, m_dvdt, _ = self._offset.mean()

@@ -18,7 +18,7 @@ VOTES_NEEDED = 3
 AGREEMENT = 0.7
 """Part of all votes that must agree."""
 ALIGNED = 0.7
-"""Cosine: a vote must lie within 45 deg of the axis; others tell nothing."""
+"""Cosine: a vote must lie within 45 deg of the axis; others show nothing."""
 GATHER_S = 2.0
 """Time over which the force of a first motion or a braking is averaged [s]."""
 FIRST_MOTION_WITHIN_S = 4.0

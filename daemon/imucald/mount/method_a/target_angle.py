@@ -36,7 +36,7 @@ COUNTED_LIMITS = 2.0
 interval, nor blow it up."""
 MIN_AGREEMENT = 0.6
 """Resultant below which manoeuvres are of two minds (turns among them, say): the spread about their
-mean then tells nothing."""
+mean then shows nothing."""
 TWO_MINDS_STD = math.radians(45.0)
 FLOOR_STD = math.radians(0.15)
 """What manoeuvres share, so that no number of them averages it: cross-axis error, delay [rad]."""

@@ -1,0 +1,46 @@
+"""The folder that `--report` names: checked before the work, made and filled after it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from imucald import __version__
+from imucald.commands.files import write_text
+from imucald.core.errors import ImucaldError
+from imucald.report.page import About, require_libraries
+
+PAGE = "index.html"
+
+
+def check_report_folder(folder: Path) -> None:
+    """Raise ImucaldError where a page could not be made, or not be written there."""
+    require_libraries()
+    if folder.exists() and not folder.is_dir():
+        raise ImucaldError(f"{folder}: cannot be written: Not a directory")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, unless it is there. Raises ImucaldError where that cannot be."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise ImucaldError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+
+def about_now(logs: Sequence[str], config: Path, model: str) -> About:
+    """What stands at a page's foot; model: the model file in words, "" without."""
+    return About(
+        logs=["/".join(Path(log).parts[-2:]) for log in logs],
+        config=config.name,
+        model=model,
+        made=f"{time.strftime('%Y-%m-%d %H:%M')}, imucald {__version__}",
+    )
+
+
+def write_page(folder: Path, page: str) -> Path:
+    """Write the page into its folder; return its path. Raises ImucaldError where that cannot be."""
+    make_folder(folder)
+    write_text(folder / PAGE, page)
+    return folder / PAGE

@@ -1,0 +1,72 @@
+"""What a fit names and something else that was found may make: it is not ruled out, and no more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from imucald.diagnosis.blocks import TAKES, Table
+from imucald.diagnosis.outcome import signals_of
+from imucald.diagnosis.result import GOES_WITH_LEVEL, GOES_WITH_SHAKING, VALUE_HELD, Structure
+from imucald.diagnosis.standing import unsettle
+from imucald.diagnosis.state import State
+from imucald.diagnosis.stuck import Fault
+from imucald.diagnosis.trials import Trial
+
+
+def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
+    """Take back what may be owed to structure that is left, to a fault, or to a low-pass."""
+    every = [fault for part in faults for fault in part]
+    unsure = _unsure_sensors(left)
+    shifted = {fault.signal for fault in every if fault.cause == "saturation"}
+    shifted |= {"accel" for s in left if s.kind == GOES_WITH_SHAKING}
+    clocks_differ = any(fault.cause == "clock_drift" for fault in every)
+    delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
+
+    def is_doubtful(trial: Trial) -> bool:
+        keys = trial.hypothesis.keys
+        sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
+        if all("delay" in key for key in keys):
+            # Stamps that run off each other make another delay in each minute.
+            return bool(sensors & unsure) or clocks_differ
+        # Where the largest values are lost, what is left of them is no fair sample: a slope that is
+        # fitted to it is off (truncated regression; Hausman and Wise 1977).
+        return bool(sensors & (unsure | shifted)) or _may_be_a_low_pass(state.table, trial, delays)
+
+    unsettle(state, is_doubtful)
+    if left:
+        # A cause is missing, and may be what a weaker statement rests on.
+        state.doubtful += state.likely
+        state.likely = []
+
+
+def _unsure_sensors(left: Sequence[Structure]) -> set[str]:
+    """Sensors of which one at least does not feel what the equations say, nor any cause."""
+    sensors = {s.signal.partition("_")[0] for s in left if s.kind == VALUE_HELD}
+    for s in left:
+        if s.kind == GOES_WITH_LEVEL:
+            sensors |= set(TAKES[s.signal])
+    return sensors
+
+
+def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:
+    """Whether a gain is what a low-pass takes away that shows as a found delay x: at w it leaves
+    1/sqrt(1 + (w x)^2), so (w x)^2/2 is missing. w^2 is that of the equations, by the share that
+    the delay's column has of the gain's."""
+    keys = trial.hypothesis.keys
+    if table is None or not delays or not all(".scale" in key for key in keys):
+        return False
+    gains = table.index(keys)
+    missing = 0.0
+    for key, x in delays.items():
+        if key not in table.keys:
+            continue
+        late = table.keys.index(key) + 1
+        for gram in table.by_equation.values():
+            own = max(float(gram[:, i + 1, i + 1].sum()) for i in gains)
+            both = float(gram[:, late, late].sum())
+            if own > 0.0 and both > 0.0:
+                missing = max(missing, 0.5 * x * x * both / own)
+    v = np.abs(trial.estimate.value)
+    return bool(np.all(v <= trial.tolerance + missing))

@@ -1,0 +1,24 @@
+"""Whether a signal comes to a value too often for chance, beside the values next to it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import binom
+
+from imucald.diagnosis.signals import Mask
+
+PILE_RATIO = 1.3
+"""A value that is met so many times as often as those next to it is no chance of the drive."""
+
+
+def visited_too_often(is_there: Mask, beside: int, levels: int, chance: float) -> bool:
+    """Whether k visits to a value are too many beside m samples in n levels next to it.
+
+    Where each level is as likely as the next, k of k + m is binomial with p <= 1/(n + 1). Visits
+    are counted and not samples, since a slow signal stays for some at any value.
+
+    is_there: (N,) samples at the value, in order of time; beside: m; levels: n; chance: of saying
+    so without a reason.
+    """
+    visits = int(is_there[0]) + int((np.diff(is_there.astype(int)) == 1).sum())
+    return bool(binom.sf(visits - 1, visits + beside, PILE_RATIO / (PILE_RATIO + levels)) < chance)

@@ -1,0 +1,98 @@
+"""The gyroscope's axes and signs against the accelerometer's.
+
+With the mount R known the vertical's level parts t = f / g, motion taken off, follow from the
+rates, dt_x = -q + r t_y and dt_y = p - r t_x; the motion holds r too. If a sign or two axes of
+either sensor are wrong the rates that fit are S w, with S a signed permutation: so the slopes of
+any road show it within a minute or two.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.core.rotations import Matrix3
+from imucald.core.samples import GRAVITY
+from imucald.motion.ticks import TICK_S
+from imucald.mount.log_ratios import ENOUGH, HELD, INDEPENDENT, MOST, TO_ACCUSE, TO_BE_GOOD
+from imucald.mount.signal_blocks import BLOCK_TICKS
+
+Array = NDArray[np.float64]
+
+TILT_FLOOR = 0.003
+"""Least noise of the level parts [rad]: smaller values count as noise."""
+SMOOTH = np.ones(11) / 11.0
+
+
+def _signed_permutations() -> Array:
+    """The identity, then all ways to exchange two axes, to turn one sign, or all (14, 3, 3)."""
+    eye = np.eye(3)
+    some = [eye[[1, 0, 2]], eye[[0, 2, 1]], eye[[2, 1, 0]]]
+    some += [eye - 2.0 * np.outer(axis, axis) for axis in eye]
+    return np.array([eye, *some, *(-S for S in some), -eye])
+
+
+TRIED = _signed_permutations()
+
+
+class GyroAlternatives:
+    """The evidence against each signed permutation of the gyroscope's axes, summed over blocks."""
+
+    def __init__(self) -> None:
+        self._sums = np.zeros(len(TRIED) - 1)
+        self.blocks = 0
+
+    def forget(self) -> None:
+        """Begin again."""
+        self._sums[:], self.blocks = 0.0, 0
+
+    def add(self, ratios: Array) -> None:
+        """Take the log ratios (13,) of a block (`gyro_ratios`)."""
+        self._sums = np.clip(self._sums + ratios, -HELD, HELD)
+        self.blocks += 1
+
+    def is_seen(self, least: float) -> bool:
+        """Whether all are ruled out so far, or were looked for long enough in vain."""
+        closest = float(self._sums.min())
+        return closest > least or (self.blocks > ENOUGH and closest > -TO_BE_GOOD)
+
+    @property
+    def is_accused(self) -> bool:
+        """Whether one of them is much the better one."""
+        return float(self._sums.min()) < -TO_ACCUSE
+
+
+def gyro_ratios(
+    ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float = 1.0
+) -> Array:
+    """Log likelihood ratios (13,) of a block against each alternative, at most `MOST` each.
+
+    ahead, across: level parts of the force over g (N,), dv/dt taken off, v r still in it; rate:
+    (N, 3) [rad/s] sensor axes; speed: (N,) [m/s]; gain: of v r.
+    """
+    left = _left_over(ahead, across, rate, speed, R, gain)
+    ratios: Array = (0.5 * INDEPENDENT * np.log(left[1:] / left[0])).sum(axis=1)
+    return np.clip(ratios, -MOST, MOST)
+
+
+def _left_over(
+    ahead: Array, across: Array, rate: Array, speed: Array, R: Matrix3, gain: float
+) -> Array:
+    """Energies (14, 2) that each alternative leaves of the level parts of the vertical [rad^2]."""
+    rates = np.matmul(rate, np.matmul(R, TRIED).transpose(0, 2, 1))  # (14, N, 3)
+    turning = rates[:, :, 2]
+    sides = across - (gain / GRAVITY) * speed * turning
+    smooth = [np.convolve(np.pad(x, 5, mode="edge"), SMOOTH, "valid") for x in (ahead, sides[0])]
+    change = np.stack(
+        [
+            turning * smooth[1] - rates[:, :, 1],
+            rates[:, :, 0] - turning * smooth[0],
+        ],
+        axis=1,
+    )
+    left = -TICK_S * np.cumsum(change, axis=2)
+    left[:, 0] += ahead
+    left[:, 1] += sides
+    left -= left.mean(axis=2, keepdims=True)
+    out: Array = (left * left).sum(axis=2) + BLOCK_TICKS * TILT_FLOOR**2
+    return out

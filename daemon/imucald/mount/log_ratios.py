@@ -1,0 +1,71 @@
+"""Two hypotheses of a sign, by the log of their likelihood ratio, counted block by block.
+
+Of a block it counts how much energy both leave over, E_k and E_0:
+
+    log L_0 - log L_k = (n / 2) log(E_k / E_0),
+
+the likelihood ratio of normal variables whose spread is not known (profile likelihood; Davison,
+Statistical Models, 2003, ch. 4.5), n being how many of the block's values are independent. No block
+counts for more than `MOST`, so that one odd block decides nothing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.mount.signal_blocks import BLOCK_TICKS
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+TO_BE_GOOD = -math.log(1e-2)
+"""One installation in a hundred may have some sign wrong, and there are 16 ways: after a ratio of a
+hundred against each the odds of any are below one in ten thousand."""
+TO_BE_FINE = -math.log(1e-4)
+TO_ACCUSE = -2.0 * math.log(1e-4)
+"""An accusation needs more evidence, as neighbouring blocks are not quite independent."""
+MOST, HELD = 3.0, 40.0
+"""Limits of one block and of a sum: later blocks can still change what earlier ones showed."""
+INDEPENDENT = 5.0
+"""Independent values of a signal in a block: slopes and motion hang together for a second."""
+LEAST_TICKS = 60
+"""A block with fewer ticks that may be learnt from is not counted."""
+ENOUGH = 60
+"""After so many blocks (6 min of driving) that spoke neither way they are not waited for."""
+
+
+class Mirrored:
+    """Two signals that show the same motion, against the same with opposite signs."""
+
+    def __init__(self, floor: float, independent: float = INDEPENDENT) -> None:
+        self._floor = BLOCK_TICKS * floor * floor
+        self._independent = independent
+        self.sum = 0.0
+        self.blocks = 0
+
+    def forget(self) -> None:
+        """Begin again."""
+        self.sum, self.blocks = 0.0, 0
+
+    def add(self, x: Array, y: Array, use: Flags) -> None:
+        """Take a block's signals (N,)."""
+        if np.count_nonzero(use) < LEAST_TICKS:
+            return
+        x, y = x[use], y[use]
+        x, y = x - x.mean(), y - y.mean()
+        both, cross = float(x @ x + y @ y) + self._floor, 2.0 * float(x @ y)
+        ratio = 0.5 * self._independent * math.log((both + cross) / (both - cross))
+        self.sum = min(max(self.sum + min(max(ratio, -MOST), MOST), -HELD), HELD)
+        self.blocks += 1
+
+    def is_seen(self, least: float) -> bool:
+        """Whether the opposite is ruled out so far, or was looked for long enough in vain."""
+        return self.sum > least or (self.blocks > ENOUGH and self.sum > -TO_BE_GOOD)
+
+    @property
+    def is_opposite(self) -> bool:
+        """Whether the opposite is much the better one."""
+        return self.sum < -TO_BE_GOOD

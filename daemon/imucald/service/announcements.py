@@ -1,0 +1,60 @@
+"""What the service writes into the log by itself: states, link, alarms, the model, rejections."""
+
+from __future__ import annotations
+
+from msgspec.structs import asdict
+
+from imucald.can.link.link import LinkEvent
+from imucald.mount.mount_words import reasons_line
+from imucald.runtime.engine import Engine
+from imucald.runtime.pipeline import Snapshot
+from imucald.service.alarm_watch import AlarmWatch
+from imucald.service.journal import INFO, NOTICE, WARNING, Journal
+
+_QUIET_EVENTS = frozenset({"up", "lost", "conflict", "queue_full"})
+"""Kinds of link events that are no warnings, or that the link itself reports seldom."""
+
+
+class Announcements:
+    """Writes what changes, once, into a journal."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self._alarms = AlarmWatch(journal)
+        self._state: object = None
+        self._rejected = 0
+
+    def model(self, engine: Engine) -> None:
+        """What of the model file is used, and what is not."""
+        preprocessing = engine.preprocessing
+        if preprocessing is not None:
+            self._journal.say(preprocessing.words())
+            for note in preprocessing.notes:
+                self._journal.say(f"not used of the model: {note}", NOTICE)
+
+    def link_event(self, event: LinkEvent) -> None:
+        """What happened to the bus link."""
+        self._journal.say(event.text, INFO if event.kind in _QUIET_EVENTS else WARNING)
+
+    def snapshot(self, snapshot: Snapshot) -> None:
+        """Each change of state, in one line."""
+        estimate = snapshot.estimate
+        if estimate.state is self._state:
+            return
+        self._state = estimate.state
+        waiting = reasons_line(estimate.waiting_for)
+        text = f"{estimate.state.name.lower()} at {snapshot.t:.1f} s"
+        self._journal.say(text + (waiting and f" ({waiting})"), NOTICE)
+
+    def update(self, engine: Engine, uptime: float) -> None:
+        """Alarms and rejections, once a second; uptime [s]."""
+        self._alarms.update(asdict(engine.health()), uptime)
+        rejected = engine.router.rejected
+        if (total := rejected.total()) > self._rejected:
+            self._rejected = total
+            text = ", ".join(f"{reason} {n}" for reason, n in sorted(rejected.items()))
+            self._journal.seldom("rejected", f"rejected so far: {text}", WARNING)
+
+    def restart_counts(self) -> None:
+        """Another engine counts from zero."""
+        self._rejected = 0

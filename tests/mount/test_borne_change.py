@@ -1,0 +1,121 @@
+"""A change of the mount that misleads nobody: told, covered by the interval, never *suspect*."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from imucald.core.rotations import vector_from_rotation
+from imucald.motion.ticks import ticks_from_samples
+from imucald.mount.estimate import MountState
+from imucald.mount.estimator import FullEstimator
+from imucald.mount.mount_changes import MountChanges, probability
+from imucald.mount.shift import Shift
+from imucald.simulation import random_model, simulate
+from mount_settings import full
+
+DEG = math.pi / 180.0
+PITCH, YAW = 1, 2
+
+
+def changes() -> MountChanges:
+    return MountChanges(full())
+
+
+def shift(axis: int, degrees: float, excess: float = 1.1) -> Shift:
+    return Shift(axis, degrees * DEG, math.copysign(5.0, degrees), 4, excess)
+
+
+def variance(std_deg: float) -> Any:
+    return np.full(3, (std_deg * DEG) ** 2)
+
+
+def solver(std_deg: float, found: Shift | None = None) -> Any:
+    """What is asked of a solver: its deviations, and a change that it sees."""
+    return SimpleNamespace(
+        creep=None,
+        blocks=100,
+        fused=SimpleNamespace(variance=variance(std_deg)),
+        step=lambda: None,
+        largest_change=lambda: found,
+    )
+
+
+@pytest.mark.parametrize(
+    ("degrees", "std", "bearable"),
+    [(0.9, 0.1, True), (1.1, 0.1, False), (-1.1, 0.3, True), (-1.3, 0.3, False)],
+)
+def test_a_change_within_a_degree_or_four_deviations_misleads_nobody(degrees, std, bearable):
+    assert changes().is_bearable(shift(YAW, degrees), solver(std), 70) is bearable
+
+
+def test_the_interval_of_95_percent_reaches_from_the_old_angle_to_the_new_one():
+    watched, known = changes(), solver(0.1)
+    assert watched.bear(shift(YAW, 0.9), 70)
+    std = np.degrees(np.sqrt(known.fused.variance + watched.variance(known, 100)))
+    assert 1.96 * std[YAW] >= 0.88
+    assert std[PITCH] == pytest.approx(0.1)
+    assert [block for block, _ in watched.history] == [70]
+
+
+def test_a_deviation_that_covers_a_change_already_is_left_alone():
+    watched, known = changes(), solver(1.0)
+    watched.bear(shift(PITCH, 1.5), 70)
+    assert watched.variance(known, 100)[PITCH] == 0.0
+
+
+def test_the_same_change_is_told_once_and_the_way_back_again():
+    watched = changes()
+    assert watched.bear(shift(YAW, 0.8), 70)
+    assert not watched.bear(shift(YAW, 0.9), 72)
+    assert watched.borne[YAW] == pytest.approx(0.9 * DEG)
+    assert watched.bear(shift(YAW, -0.8), 90)
+    assert len(watched.history) == 2
+
+
+def test_a_change_is_the_more_probable_the_nearer_it_is_to_its_threshold():
+    assert probability(1.0) == pytest.approx(0.5)
+    assert probability(2.0) == pytest.approx(0.5), "a change that is one is taken, not doubted"
+    assert 0.01 < probability(0.8) < 0.1
+    assert probability(0.4) < 1e-3
+
+
+def test_a_change_that_is_none_yet_widens_the_interval_as_far_as_it_is_probable():
+    watched = changes()
+    seen = [0.0]
+    for excess in (0.5, 0.8, 0.95):
+        known = solver(0.2, shift(PITCH, 3.0, excess))
+        assert watched.small(known, thoroughly=True) is None
+        seen.append(float(watched.variance(known, 100)[PITCH]))
+    assert seen == sorted(seen)
+    assert math.degrees(math.sqrt(seen[-1])) < 1.5
+    watched.small(solver(0.2), thoroughly=True)
+    assert not watched.variance(solver(0.2), 100).any()
+
+
+@pytest.mark.slow
+def test_a_mount_that_slips_a_little_is_told_stays_good_and_is_right_again():
+    seed, start, slip = 580_001, 700.0, 0.9
+    changed = {"mount.shifts": [{"t_s": start, "yaw_deg": slip}]}
+    made = simulate(random_model(seed, standing_first=True).with_changes(changed), seed, 25.0)
+    estimator = FullEstimator(full())
+    before = made.truth.R_vehicle_from_sensor(0.0)
+    after = made.truth.R_vehicle_from_sensor(start + 1.0)
+    assert np.degrees(np.abs(vector_from_rotation(after @ before.T))).max() == pytest.approx(slip)
+    for k, row in enumerate(ticks_from_samples(made.samples, 0, 15_000).tolist()):
+        estimator.step(row)
+        if 0.1 * k > start and k % 100 == 0:
+            assert estimator.state in (MountState.USABLE, MountState.FINE), 0.1 * k
+    estimate = estimator.estimate()
+    shifts = estimate.details["shifts"]
+    assert isinstance(shifts, list)
+    assert [one["angle"] for one in shifts] == ["yaw"]
+    assert estimate.R_vehicle_from_sensor is not None
+    assert estimate.std is not None
+    left = after @ estimate.R_vehicle_from_sensor.T
+    assert abs(vector_from_rotation(left)[YAW]) < 3.0 * estimate.std[YAW]
+    assert math.degrees(estimate.std[YAW]) < 0.4
