@@ -21,7 +21,7 @@ from types import ModuleType
 from typing import Any
 
 from imucald import __version__
-from imucald.commands.interrupting import interrupt, is_terminated, terminate
+from imucald.commands.interrupting import ending_signal, interrupt, terminate
 from imucald.core.errors import ImucaldError
 
 PROCESS_SETTINGS = {
@@ -34,10 +34,12 @@ LARGE_LIBRARIES = ("scipy",)
 """Needed for simulation and diagnosis only: an installation on a vehicle may lack them."""
 
 WRONG_USAGE = 2
-TERMINATED = 128 + signal.SIGTERM
+DIED_OF = 128
+"""Added to a signal's number: the exit status where one has ended a command."""
 SIGNALS = (
     (signal.SIGINT, signal.default_int_handler, interrupt),
     (signal.SIGTERM, signal.SIG_DFL, terminate),
+    (signal.SIGHUP, signal.SIG_DFL, terminate),
 )
 """What a signal does where nobody has said otherwise, and what it does here."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
@@ -99,6 +101,11 @@ class _Help(argparse.HelpFormatter):
 
 class _ByGroups(_Help):
     """Lists commands under the headings of their groups."""
+
+    def format_help(self) -> str:
+        """Leave room for the longest name, which argparse counts without its indent."""
+        self._action_max_length += 2
+        return super().format_help()
 
     def _format_action(self, action: argparse.Action) -> str:
         text = super()._format_action(action)
@@ -181,8 +188,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _done(argv)
     except KeyboardInterrupt:
-        if is_terminated():
-            return TERMINATED
+        if number := ending_signal():
+            return DIED_OF + number
         print("imucald: interrupted", file=sys.stderr)
         return 130
     finally:

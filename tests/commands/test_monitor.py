@@ -19,6 +19,7 @@ from rich.text import Text
 
 from imucald.commands.live_events import LiveEvents
 from imucald.commands.monitor_view import monitor_picture
+from imucald.commands.status import exit_status
 from imucald.commands.status_view import picture
 from imucald.service.journal import Journal
 from imucald.service.service import Service
@@ -93,7 +94,8 @@ def test_no_reason_is_cut_at_any_width(status, width):
 def test_now_and_target_stand_side_by_side_with_one_convention(status):
     text = "\n".join(drawn(picture(status), 100))
     row = next(line for line in text.splitlines() if line.startswith("yaw"))
-    assert row.split() == ["yaw", "-10.60°", "±0.70°", "fine", "below", "±0.60°"]
+    assert row.split()[:3] == ["yaw", "-10.60°", "±0.88°"]
+    assert row.split()[3:] == ["z", "(yaw)", "±0.70°", "fine", "below", "±0.60°"]
     assert text.count("± is 95 %") == 1
     assert "waiting for  roll, pitch: " in text
     assert status["mount"]["sits"] in " ".join(text.split())
@@ -130,6 +132,25 @@ def test_inputs_say_what_is_wrong_with_them(status):
     assert "100/s" in accel
     assert "stuck (y)" in accel
     assert "silent" in speed
+
+
+def test_a_daemon_that_has_just_begun_is_starting_and_a_silent_one_has_a_fault(silent):
+    for state in ("waiting", "restored"):
+        begun = silent | {"state": state, "uptime_s": 0.5}
+        begun["link"] = silent["link"] | {"state": "up"}
+        text = "\n".join(drawn(picture(begun), 80))
+        assert "starting" in text
+        assert "no accelerometer" not in text
+        assert "corrected frames: none yet" in text
+        assert exit_status(begun) == 5
+        later = begun | {"uptime_s": 2.5}
+        text = "\n".join(drawn(picture(later), 80))
+        assert "starting" not in text
+        assert "no accelerometer" in text
+        assert exit_status(later) == 7
+    conflict = begun | {"health": begun["health"] | {"id_conflict": True}}
+    assert exit_status(conflict) == 7
+    assert "another node" in "\n".join(drawn(picture(conflict), 80))
 
 
 def test_an_older_daemon_without_the_new_keys_is_shown(status):

@@ -125,6 +125,20 @@ def test_a_parked_vehicle_proves_nothing(tmp_path):
     assert sure <= {"accelerometer", "temperature"}
 
 
+def test_a_lever_that_is_never_in_reverse_is_named_for_the_reader(tmp_path):
+    """No value table says which place is reverse, and the vehicle does not reverse."""
+    database = tmp_path / "car.dbc"
+    database.write_text(
+        'VERSION ""\nBU_: A\nBO_ 900 Gear_1: 1 A\n SG_ PosLever : 0|4@1+ (1,0) [0|15] "" A\n'
+    )
+    log = tmp_path / "drive.log"
+    log.write_text("".join(f"({0.1 * k:.6f}) can0 384#03\n" for k in range(600)))
+    text = as_yaml(proposed(database, log), [str(database)])
+    words = " ".join(text.replace("#", " ").split())
+    assert "add 'reverse: {signal: Gear_1.PosLever, equals: VALUE}'" in words
+    assert not any(line.strip().startswith("reverse:") for line in text.splitlines())
+
+
 def test_a_database_of_another_vehicle_is_told(drive):
     other = load_database_text(
         'VERSION ""\nBS_:\nBU_: A\nBO_ 5 Other: 8 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" A\n', "dbc"

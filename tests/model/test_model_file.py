@@ -78,6 +78,14 @@ def test_unknown_parameters_are_refused():
                 VehicleModel().with_changes({key: 1})
 
 
+def test_a_parameter_that_is_not_there_has_its_likes_and_the_place_of_the_list_named():
+    with pytest.raises(ConfigError) as found:
+        VehicleModel().with_changes({"road.crown_men": 1})
+    assert "did you mean road.crown_mean" in str(found.value)
+    with pytest.raises(ConfigError, match="'simulate --write-model FILE' lists all"):
+        VehicleModel().with_changes({"vehicle.x": 1})
+
+
 def test_random_models_are_spread_as_asked():
     models = [random_model(seed) for seed in range(400)]
     yaw = np.array([m.mount.yaw_deg for m in models])

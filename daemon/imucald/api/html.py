@@ -7,6 +7,7 @@ from html import escape
 from typing import Any
 
 from imucald.api.mount import MountResult
+from imucald.core.clock_words import clock
 from imucald.mount.mount_words import CONVENTION, angle_text
 
 
@@ -26,7 +27,7 @@ def drive_html(
 ) -> str:
     """A drive: its state, the three angles, its tables."""
     usable = summary["first_usable_s"]
-    since = "never usable" if usable is None else f"usable after {usable:.1f} s"
+    since = "never usable" if usable is None else f"usable after {clock(usable)}"
     title = f"{', '.join(logs)}: {summary['state']}, {since}, {summary['duration_s']:.1f} s"
     angles: list[tuple[str, str, str]] = []
     for i, angle in enumerate(("roll", "pitch", "yaw")):

@@ -74,6 +74,9 @@ class Watcher(Protocol):
     def sink(self, engine: Engine, /) -> Sink:
         """Return what takes the frames that would be sent."""
 
+    def begins(self, lead: float, /) -> None:
+        """Take how long before our first frame the log began [s]."""
+
 
 class ReplayRun:
     """Logs that are the pieces of one recording, on their way through an engine of their own.
@@ -111,6 +114,7 @@ class ReplayRun:
             seen = watcher.sink(self.engine)
             sink = seen if sink is None else _both(seen, sink)
         self._replay = Replay(self.engine, self._reader, sink, speed)
+        self._watcher = watcher
         self._kinds = {
             f"parallel/{p.name}": _KINDS[p.kind] for p in config.loaded.config.signals.parallel
         }
@@ -141,6 +145,8 @@ class ReplayRun:
         """What the frames so far came to, with the signals since they were last taken."""
         engine, reader = self.engine, self._reader
         lead = self._replay.lead
+        if self._watcher is not None:
+            self._watcher.begins(lead)
         left_out = self._recorder.events_left_out
         notes = [] if engine.preprocessing is None else list(engine.preprocessing.notes)
         notes = [f"not used of the model: {note}" for note in notes]

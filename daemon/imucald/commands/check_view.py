@@ -22,7 +22,7 @@ def print_report(report: Mapping[str, Any], strict: bool = False) -> None:
     frames = report["frames"]
     console.print(
         f"{frames['read']} frames in {report['duration_s']:.1f} s: {frames['used']} used, "
-        f"{frames['other_frames']} of {frames['other_ids']} other ids"
+        f"{frames['other_frames']} not asked for ({frames['other_ids']} identifiers)"
     )
     console.print()
     console.print(_messages(report["messages"]))
@@ -75,7 +75,7 @@ def _messages(rows: list[dict[str, Any]]) -> Table:
 
 def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Table:
     """stacked: a cell may have two lines; else a row is one line, as `grep` wants it."""
-    table = Table(box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0 if narrow else 1))
     table.add_column("quantity", overflow="fold")
     table.add_column("from", overflow="fold")
     table.add_column("samples", justify="right")

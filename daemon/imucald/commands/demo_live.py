@@ -103,6 +103,7 @@ def run_live(
         raise ConfigError("--speed needs the virtual bus: elsewhere stamps are those of arrival")
     channel = channel or CHANNELS.get(interface, "")
     note = f"simulated car (seed {seed}) on {interface} {channel}"
+    note += f", {speed:g} times real time" if speed != 1.0 else ""
     with tempfile.TemporaryDirectory(prefix="imucald-live-") as folder:
         log = Path(folder) / "drive.log"
         bus = SimulatedBus(log, interface, channel, speed)

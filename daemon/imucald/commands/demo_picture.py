@@ -13,6 +13,7 @@ from rich.text import Text
 
 from imucald.commands.demo_drive import Demonstration, angles_beside
 from imucald.core.angles import DEG_PER_RAD
+from imucald.core.clock_words import clock
 from imucald.core.rotations import angles_from_rotation
 from imucald.mount.estimate import ANGLES, MountState
 from imucald.mount.mount_words import (
@@ -149,9 +150,3 @@ def _block(width_deg: float) -> str:
     span = math.log(WIDEST_DEG / NARROWEST_DEG)
     part = math.log(max(width_deg, NARROWEST_DEG) / NARROWEST_DEG) / span
     return BLOCKS[min(max(math.ceil(part * 8.0), 1), 8)]
-
-
-def clock(seconds: float) -> str:
-    """A time as `m:ss`."""
-    whole = round(seconds)
-    return f"{whole // 60}:{whole % 60:02d}"

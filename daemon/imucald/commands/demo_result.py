@@ -12,10 +12,11 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.demo_drive import LAST_S, Angle, Demonstration, angles_beside
-from imucald.commands.demo_picture import Picture, clock, degrees, interval
+from imucald.commands.demo_picture import Picture, degrees, interval
 from imucald.commands.files import with_origin
 from imucald.commands.terminal import plain_console
 from imucald.core.angles import DEG_PER_RAD
+from imucald.core.clock_words import clock
 from imucald.core.errors import ImucaldError
 from imucald.mount.mount_words import (
     CONVENTION,

@@ -1,6 +1,7 @@
-"""Ctrl-C that never breaks into an import: that would wrap, print or swallow it. SIGTERM likewise.
+"""Ctrl-C that never breaks into an import: that would wrap, print or swallow it.
 
-A command that SIGTERM ends tidies up as after Ctrl-C, and then dies of it, as who sent it expects.
+SIGTERM and SIGHUP (the terminal is closed) likewise: a command that one of them ends tidies up as
+after Ctrl-C, and then dies of it, as who sent it expects.
 """
 
 from __future__ import annotations
@@ -30,19 +31,19 @@ def interrupt(_: int, frame: FrameType | None) -> None:
 
 
 class _Asked:
-    """Whether SIGTERM has asked this process to end."""
+    """The signal that has asked this process to end; 0: none."""
 
-    to_end = False
+    to_end = 0
 
 
 def terminate(number: int, frame: FrameType | None) -> None:
-    """Interrupt, and die of SIGTERM once all is tidied up: a signal handler of the main thread."""
-    _Asked.to_end = True
+    """Interrupt, and die of the signal once all is tidied up: a handler of the main thread."""
+    _Asked.to_end = number
     interrupt(number, frame)
 
 
-def is_terminated() -> bool:
-    """Whether SIGTERM has come."""
+def ending_signal() -> int:
+    """The signal that has asked this process to end; 0: none."""
     return _Asked.to_end
 
 
@@ -53,5 +54,5 @@ def _die() -> None:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    os.kill(os.getpid(), signal.SIGTERM)
+    signal.signal(_Asked.to_end, signal.SIG_DFL)
+    os.kill(os.getpid(), _Asked.to_end)

@@ -10,7 +10,7 @@ from typing import Any
 
 from imucald.mount.mount_words import reasons_line
 from imucald.report.drive_events import STATE_WORDS, told_events
-from imucald.runtime.alarms import ALARMS, alarms_of
+from imucald.runtime.alarms import ALARMS, present_alarms
 
 KEPT = 200
 
@@ -70,7 +70,7 @@ class LiveEvents:
             self.events.append(LiveEvent(now, "state", text))
         if self._link is not None and link != self._link:
             self.events.append(LiveEvent(now, "bus", f"{status['link']['channel']} is {link}"))
-        alarms = frozenset(alarms_of(status["health"]))
+        alarms = frozenset(present_alarms(status))
         if self._state is None and not status["signals"]:
             alarms = frozenset()  # nothing has come yet: that is no news
         for flag in sorted(alarms - self._alarms):

@@ -18,7 +18,7 @@ BESIDE = 120
 """Columns from which inputs and events stand side by side."""
 BESIDE_INPUTS = 50
 LEAST_EVENTS = 3
-TABLE_COLUMNS = 66
+TABLE_COLUMNS = 68
 """Columns of the mount table without its bars."""
 LONGEST_BAR, SHORTEST_BAR = 48, 12
 FACTS = ("now", "losses", "rejected", "process")
@@ -99,11 +99,13 @@ def input_health(status: Mapping[str, Any], channel: str, rate: float | None) ->
     """How an input is, in words and as a style."""
     faults = status["signal_health"]["sensors"].get(channel)
     if faults:
-        words = ", ".join(f"{fault} ({', '.join(axes)})" for fault, axes in faults.items())
+        words = ", ".join(
+            f"{fault} ({', '.join(axes)})" if axes else fault for fault, axes in faults.items()
+        )
         return words, "bold red"
     if not rate:
         return "silent", "red"
-    return ("sound" if faults is not None else "comes"), "green"
+    return ("sound" if faults is not None else "received"), "green"
 
 
 def events_table(events: Sequence[LiveEvent]) -> Table:

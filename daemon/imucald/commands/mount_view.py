@@ -51,7 +51,7 @@ def _table(mount: Mapping[str, Any], bar: int) -> Table:
     table.add_column("mount", min_width=6)
     table.add_column("angle", justify="right", min_width=8)
     table.add_column("± 95 %", justify="right", min_width=7)
-    table.add_column("turn about", min_width=10)
+    table.add_column("about", min_width=9)
     table.add_column("± 95 %", justify="right", min_width=7)
     if bar:
         table.add_column("")

@@ -35,9 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     form.add_argument("--metrics", action="store_true", help="as Prometheus text")
     form.add_argument("--quiet", "-q", action="store_true", help="nothing but the exit status")
     parser.epilog = (
-        "Exit status, for scripts: 0 fine, 4 usable or restored, 5 not yet (waiting, levelled), "
-        "6 suspect or recalibrating, 7 a fault (bus not up, an input missing or faulty, frames not "
-        "sent, another sender of our identifiers), 3 no daemon runs, 1 any other error. "
+        "Exit status, for scripts: 0 fine, 4 usable or restored, 5 not yet (starting, waiting, "
+        "levelled), 6 suspect or recalibrating, 7 a fault (bus not up, an input missing or faulty, "
+        "frames not sent, another sender of our identifiers), 3 no daemon runs, 1 any other error. "
         "--metrics: 0 or 3. A fault goes before the state of the mount."
     )
 
@@ -72,13 +72,12 @@ def run(options: argparse.Namespace) -> int:
 
 def exit_status(status: Mapping[str, Any]) -> int:
     """A daemon's status as an exit status."""
-    from imucald.runtime.alarms import PASSING, alarms_of
+    from imucald.runtime.alarms import PASSING, is_starting, present_alarms
 
-    alarms = set(alarms_of(status["health"])) - PASSING
-    if not status["signals"] and status["uptime_s"] < 2.0:
-        alarms = set()  # the first samples may be on their way
-    if status["link"]["state"] != "up" or alarms:
+    if status["link"]["state"] != "up" or set(present_alarms(status)) - PASSING:
         return FAULT
+    if is_starting(status):
+        return NOT_YET
     return _BY_STATE.get(status["state"], FAULT)
 
 

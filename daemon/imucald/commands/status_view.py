@@ -11,8 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 from imucald.commands.mount_view import mount_parts
+from imucald.core.clock_words import clock
 from imucald.mount.mount_words import EVIDENCE_KINDS
-from imucald.runtime.alarms import alarms_of
+from imucald.runtime.alarms import is_starting, present_alarms
 
 STYLES = {
     "usable": "green",
@@ -45,16 +46,16 @@ def headline(status: Mapping[str, Any]) -> Text:
     text = Text("imucald ", style="bold")
     text.append(f"{status['version']} on {link['channel']}", style="not bold")
     text.append(f" ({link['state']})", style="green" if link["state"] == "up" else "bold red")
-    text.append(f", {status['vehicle']}, up {_time(status['uptime_s'])}\n", style="not bold")
+    text.append(f", {status['vehicle']}, up {clock(status['uptime_s'])}\n", style="not bold")
     text.append("state  ", style="not bold")
     text.append(state, style=STYLES.get(state, "yellow"))
-    quality = QUALITIES[min(status["quality"], 4)]
+    quality = "none yet" if is_starting(status) else QUALITIES[min(status["quality"], 4)]
     text.append(f"   corrected frames: {quality}", style="not bold")
     if status.get("held"):
         text.append("   held: nothing is learnt", style="bold yellow")
     for name in ("usable", "fine") if state != "restored" else ():
         if (after := status[f"first_{name}_s"]) is not None:
-            text.append(f"   {name} after {_time(after)}", style="not bold")
+            text.append(f"   {name} after {clock(after)}", style="not bold")
     return text
 
 
@@ -75,7 +76,8 @@ def facts(status: Mapping[str, Any], wanted: Collection[str] = ()) -> Table:
 def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
     link, frames, process = status["link"], status["frames"], status["process"]
     rates = [f"{c} {row['rate_hz']:.4g}/s" for c, row in status["signals"].items()]
-    alarms = list(alarms_of(status["health"]).values())
+    alarms = list(present_alarms(status).values())
+    well = "starting: the first samples may be on their way" if is_starting(status) else ""
     rejected = [f"{reason} {n}" for reason, n in frames["rejected"].items()]
     rss = "?" if process["rss_bytes"] is None else f"{process['rss_bytes'] / 2**20:.0f} MiB"
     share = 100.0 * process["cpu_s"] / max(status["uptime_s"], 1.0)
@@ -85,7 +87,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
         "weights": _weights(status["details"]),
         "gates": _gates(status["details"]),
         "frames": f"{frames['used']} used, {status['frames_given_out']} sent",
-        "now": Text(", ".join(alarms) or "nothing wrong", style="red" if alarms else ""),
+        "now": Text(", ".join(alarms) or well or "nothing wrong", style="red" if alarms else ""),
         "sensors": _sensors(status["signal_health"]),
         "losses": f"{link['lost']} lost, {sum(link['send_errors'].values())} not sent, "
         f"{link['conflicts']} in conflict, {link['went_down']} times down, "
@@ -99,7 +101,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
 def _sensors(health: Mapping[str, Any]) -> Text:
     """Which sensors are fit to be used, and why the others are not."""
     faulty = [
-        f"{channel} {fault} ({', '.join(axes)})"
+        f"{channel} {fault}" + (f" ({', '.join(axes)})" if axes else "")
         for channel, faults in health["sensors"].items()
         for fault, axes in faults.items()
     ]
@@ -153,9 +155,3 @@ def _saved(saved: Mapping[str, Any]) -> Text:
     if saved["last_error"]:
         text.append(f"\ncannot be saved: {saved['last_error']}", style="bold red")
     return text
-
-
-def _time(seconds: float) -> str:
-    minutes, rest = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

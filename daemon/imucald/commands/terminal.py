@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import IO, TYPE_CHECKING, Any, TextIO, cast
 
+from imucald.core.clock_words import clock
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -170,7 +172,7 @@ def _beside(result: Mapping[str, Any]) -> Iterator[str]:
 
 def _since(result: Mapping[str, Any]) -> str:
     parts = [
-        f"{name} after {result[key]:.1f} s"
+        f"{name} after {clock(result[key])}"
         for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
         if result[key] is not None
     ]

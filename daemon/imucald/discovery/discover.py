@@ -17,7 +17,12 @@ from imucald.discovery.candidates import (
     obd_speeds,
     silent_candidates,
 )
-from imucald.discovery.flags import find_brake, find_reverse, find_temperature
+from imucald.discovery.flags import (
+    find_brake,
+    find_reverse,
+    find_temperature,
+    unseen_reverse,
+)
 from imucald.discovery.heading import heading_choice
 from imucald.discovery.proposal import Choice, Proposal
 from imucald.discovery.protection_search import find_protection
@@ -63,6 +68,8 @@ def discover(databases: Mapping[str, Database], recording: GatheredFrames) -> Pr
     taken |= {m.can_id for d in databases.values() for m in d.messages.values()}
     proposal.output_ids = free_output_ids(taken)
     proposal.notes = list(_notes(recording, candidates, databases))
+    if recording.frames and not any(c.quantity == "reverse" for c in proposal.choices):
+        proposal.notes += unseen_reverse(candidates)
     return proposal
 
 

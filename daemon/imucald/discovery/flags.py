@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from imucald.can.dbc.message import Signal
 from imucald.config_check.motion import SMOOTH
-from imucald.discovery.candidates import Array, SeenSignal
+from imucald.discovery.candidates import Array, SeenSignal, words
 from imucald.discovery.evidence import BELIEVED_NATS
 from imucald.discovery.names import hint, same_family
 from imucald.discovery.proposal import Alternative, Choice, source_of
@@ -32,6 +32,9 @@ ENGINE_WARM = 75.0
 """Coolant and oil become warmer: thermostats open at 80 to 95 [degC]."""
 CLEAR_MATTHEWS = 0.6
 """Matthews' correlation of a switch with braking, from which it is the brake."""
+LEVER_BITS = 8
+"""A lever has fewer than 256 places."""
+_LEVER_WORDS = frozenset(("gear", "gang", "lever", "selector", "prnd", "getriebe", "reverse"))
 _REVERSE_NAMES = ("r", "reverse", "rev", "backward", "rueckwaerts", "rückwärts")
 
 
@@ -129,6 +132,22 @@ def _reverse_by_name(candidates: Sequence[SeenSignal]) -> Choice | None:
         return None
     others = [Alternative({"": o[2]}, o[3]) for o in options[1 : 1 + MAX_ALTERNATIVES]]
     return Choice("reverse", {"": options[0][2]}, options[0][3], why, others)
+
+
+def unseen_reverse(candidates: Sequence[SeenSignal]) -> Iterator[str]:
+    """What to say where the lever has not been in reverse, and no name says which value that is."""
+    levers = [
+        c.path
+        for c in candidates
+        if c.has_no_unit
+        and c.signal.length <= LEVER_BITS
+        and _LEVER_WORDS & {*words(c.signal.name), *words(c.message.name)}
+    ]
+    if levers:
+        yield (
+            f"reverse: not seen in the recording. If {' or '.join(levers[:MAX_ALTERNATIVES])} "
+            f"has it, add 'reverse: {{signal: {levers[0]}, equals: VALUE}}' under 'signals'."
+        )
 
 
 def find_brake(reference: KnownMotion, candidates: Sequence[SeenSignal]) -> Choice | None:

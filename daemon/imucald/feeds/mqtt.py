@@ -13,7 +13,7 @@ from imucald.core.errors import ConfigError
 from imucald.feeds.daemon_source import Reading, Say
 from imucald.feeds.feed_loop import LONGEST_PAUSE_S
 from imucald.mount.mount_words import SD_95
-from imucald.runtime.alarms import alarms_of
+from imucald.runtime.alarms import present_alarms
 
 PASSWORD = "IMUCALD_MQTT_PASSWORD"
 """Environment variable; a password does not belong on a command line."""
@@ -136,7 +136,7 @@ def status_content(reading: Reading) -> dict[str, Any]:
             "sits": mount["sits"],
         },
         "waiting_for": status["waiting_for"],
-        "alarms": list(alarms_of(status["health"])),
+        "alarms": list(present_alarms(status)),
         "bus": status["link"]["state"],
     }
 

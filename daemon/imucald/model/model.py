@@ -6,7 +6,7 @@ while driving: only what stands in it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -95,9 +95,26 @@ class VehicleModel(Section, frozen=True):
             for name in parents:
                 place = place.get(name) if isinstance(place, dict) else None
             if not isinstance(place, dict) or last not in place:
-                raise ConfigError(f"model: there is no parameter {key!r}")
+                raise ConfigError(f"model: there is no parameter {key!r}{_near(key, self.dump())}")
             place[last] = value
         return model_from_mapping(data, "model")
+
+
+def _near(key: str, data: Mapping[str, Any]) -> str:
+    """The names that are like an unknown one, and where all of them stand."""
+    import difflib  # noqa: PLC0415 - only for a mistake
+
+    near = difflib.get_close_matches(key, list(_dotted(data)), n=3)
+    hint = f"; did you mean {' or '.join(near)}?" if near else ";"
+    return f"{hint} 'simulate --write-model FILE' lists all"
+
+
+def _dotted(data: Mapping[str, Any], above: str = "") -> Iterator[str]:
+    for name, value in data.items():
+        if isinstance(value, Mapping):
+            yield from _dotted(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}"
 
 
 def model_from_mapping(data: Mapping[str, Any], name: str) -> VehicleModel:

@@ -175,13 +175,14 @@ def _view(view: View, inside: str) -> str:
 
 
 def _sensor(view: View, R: Matrix3 | None) -> str:
-    """Axes that point away, the box, axes that point at the reader."""
+    """Arrows that point away, the box, arrows that point at the reader, and rings over all."""
     if R is None:
         return ""
     depth = view.towards @ R
     axes = _axes(view, R)
-    behind = "".join(axes[i] for i in range(3) if depth[i] < 0.0)
-    before = "".join(axes[i] for i in range(3) if depth[i] >= 0.0)
+    hidden = [depth[i] < 0.0 and not _is_end_on(view, R[:, i]) for i in range(3)]
+    behind = "".join(axis for axis, is_hidden in zip(axes, hidden, strict=True) if is_hidden)
+    before = "".join(axis for axis, is_hidden in zip(axes, hidden, strict=True) if not is_hidden)
     return behind + "".join(_faces(view, R)) + before
 
 
@@ -210,13 +211,19 @@ def _axes(view: View, R: Matrix3) -> list[str]:
     return [_axis(view, R[:, i], AXES[i]) for i in range(3)]
 
 
+def _is_end_on(view: View, v: Array) -> bool:
+    """Whether the reader looks along the axis: it is a ring then."""
+    (x0, y0), (x1, y1) = CENTRE, view.place(AXIS_LENGTH * v)
+    return math.hypot(x1 - x0, y1 - y0) < END_ON * AXIS_LENGTH
+
+
 def _axis(view: View, v: Array, name: str) -> str:
     """An arrow, or a ring where the axis points at the reader (dot) or away (cross)."""
     colour = f"var(--si-{name})"
+    if _is_end_on(view, v):
+        return _end_on(float(v @ view.towards) > 0.0, colour, name)
     (x0, y0), (x1, y1) = CENTRE, view.place(AXIS_LENGTH * v)
     length = math.hypot(x1 - x0, y1 - y0)
-    if length < END_ON * AXIS_LENGTH:
-        return _end_on(float(v @ view.towards) > 0.0, colour, name)
     ux, uy = (x1 - x0) / length, (y1 - y0) / length
     head = 10.0 * min(1.0, length / 30.0)
     bx, by = x1 - head * ux, y1 - head * uy

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from imucald.mount.contradictions import WORDS
-from imucald.mount.mount_words import reasons_line
+from imucald.mount.estimate import ANGLES
+from imucald.mount.mount_words import TURNS_ABOUT, reasons_line
 
 STATE_WORDS: Mapping[str, str] = {
     "waiting": "nothing is known yet",
@@ -44,7 +45,8 @@ def told_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> Iterat
     """What a result (or a daemon's status) says about moved sensors, faults and sensor health."""
     details = result.get("details", {})
     for shift in details.get("shifts", ()):
-        text = f"the sensor was moved: {shift['angle']} by {shift['size_deg']:+.1f} deg"
+        about = dict(zip(ANGLES, TURNS_ABOUT, strict=True))[shift["angle"]]
+        text = f"the sensor was moved: {shift['size_deg']:+.1f} deg about {about}"
         yield Event(float(shift["t"]), "moved", text)
     for fault in details.get("faults", ()):
         yield Event(float(fault["t"]), "fault", _fault_words(str(fault["fault"])))

@@ -71,6 +71,8 @@ class DriveHistory:
     def __post_init__(self) -> None:
         self.duration_s = 0.0
         """Stream time of the last frame of ours [s]."""
+        self.lead = 0.0
+        """How long before our first frame, which stream time counts from, the log began [s]."""
         self._parts: dict[str, list[Series]] = {}
         self._rejected: dict[str, list[Array]] = {}
         self._corrected: dict[str, list[Series]] = {}
@@ -93,6 +95,10 @@ class DriveHistory:
     def snapshot(self, snapshot: Snapshot) -> None:
         """Take a snapshot of the estimate."""
         self.moments.append(Moment(snapshot.t, snapshot.estimate))
+
+    def begins(self, lead: float) -> None:
+        """Take how long before our first frame the log began [s]."""
+        self.lead = lead
 
     def sink(self, engine: Engine) -> Callable[[FrameColumns], None]:
         """Return what takes the frames that the engine gives out."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from imucald.core.angles import DEG_PER_RAD
+from imucald.core.clock_words import clock
 from imucald.mount.estimate import ANGLES, MountEstimate
 from imucald.mount.mount_words import (
     ABOUT,
@@ -26,6 +28,8 @@ from imucald.report.numbers import duration
 from imucald.report.page import About, environment, require_libraries
 
 SHOWN_PROBLEMS = 20
+SNAPSHOT_S = 1.0
+"""The history has a moment a second."""
 
 
 def replay_page(
@@ -54,7 +58,8 @@ def replay_page(
             about=about,
             duration=duration(result["duration_s"]),
             result=result,
-            headline=_headline(result),
+            headline=_headline(result, history.lead),
+            lead=duration(history.lead) if history.lead >= SNAPSHOT_S else "",
             meaning=STATE_WORDS.get(result["state"], ""),
             waiting=reasons_line(result["waiting_for"]),
             drawing_style=STYLE,
@@ -83,19 +88,22 @@ def replay_page(
 def drive_events(history: DriveHistory, result: Mapping[str, Any]) -> list[Event]:
     """What happened, by time."""
     states = ((m.t, m.estimate.state.name.lower(), m.estimate.waiting_for) for m in history.moments)
-    return in_order([*state_changes(states), *told_events(result, history.gaps)])
+    changes = [_at_its_time(event, history, result) for event in state_changes(states)]
+    return in_order([*changes, *told_events(result, history.gaps)])
 
 
-def clock(seconds: float) -> str:
-    """`4:02`, with hours where there are any."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+def _at_its_time(event: Event, history: DriveHistory, result: Mapping[str, Any]) -> Event:
+    """A first *usable* or *fine* when it came; the history knows it to the second only."""
+    first = result.get(f"first_{event.text.partition(':')[0]}_s")
+    came = None if first is None else first - history.lead
+    if came is None or not event.t - SNAPSHOT_S <= came <= event.t:
+        return event
+    return replace(event, t=came)
 
 
-def _headline(result: Mapping[str, Any]) -> str:
+def _headline(result: Mapping[str, Any], lead: float) -> str:
     reached = [
-        f"{name} after {clock(result[key])}"
+        f"{name} after {clock(result[key] - lead)}"
         for name, key in (("usable", "first_usable_s"), ("fine", "first_fine_s"))
         if result[key] is not None
     ]
@@ -116,12 +124,11 @@ def _mount_rows(mount: Mapping[str, Any]) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for angle, axis, turn in zip(ANGLES, "xyz", TURNS_ABOUT, strict=True):
         targets = mount.get("target_std_deg")
-        target = "" if targets is None else (
-            f"usable below {plus_minus(targets['usable'][axis])}, "
-            f"fine below {plus_minus(targets['fine'][axis])}"
+        goals = ("-", "-") if targets is None else (
+            plus_minus(targets["usable"][axis]), plus_minus(targets["fine"][axis])
         )  # fmt: skip
         of_turn = plus_minus(mount["std_deg"][axis])
-        rows.append((angle, *angle_cells(mount, angle), turn, of_turn, target))
+        rows.append((angle, *angle_cells(mount, angle), turn, of_turn, *goals))
     return rows
 
 
@@ -159,11 +166,12 @@ def _sources(details: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str,
     rows = []
     for name, std in (details.get("evidence_std_deg") or {}).items():
         parts = [
-            (angle, f"{100.0 * of[name]:.0f} %")
+            (angle, f"{100.0 * of[name]:.0f}\N{NO-BREAK SPACE}%")
             for angle, of in shares.items()
             if of.get(name, 0.0) >= 0.005
         ]
         kind = EVIDENCE_KINDS.get(name.rpartition("_")[2], "")
-        title = name.replace("_", " ")
-        rows.append((title if not kind else f"{title} ({kind})", plus_minus(std), parts))
+        angle = name.rpartition("_")[0] if kind else name.replace("_", " ")
+        alone = "says nothing yet" if half_width(std) is None else plus_minus(std)
+        rows.append((f"{angle}, from {kind}" if kind else angle, alone, parts))
     return rows

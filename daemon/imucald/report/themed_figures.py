@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
+from imucald.core.clock_words import clock
 from imucald.mount.estimate import MountState
 from imucald.report.svg_figures import without_name_space
 
@@ -42,8 +43,7 @@ def time_axis(axes: Axes, duration: float) -> None:
 
 def clock_text(seconds: float, _: object) -> str:
     """`4:02`, as matplotlib asks for it."""
-    whole = round(abs(seconds))
-    return f"{whole // 60}:{whole % 60:02d}"
+    return clock(seconds)
 
 
 def legend(axes: Axes) -> None:

@@ -3,7 +3,7 @@
 const byId = (id) => document.getElementById(id);
 const escaped = (text) => String(text ?? "").replace(/[&<>"]/g, (c) => ({ "&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;" })[c]);
 const half = (x) => (x === null || x === undefined ? "-" : `±${x.toFixed(2)}°`);
-const clock = (s) => { const w = Math.round(s); return `${Math.floor(w / 60)}:${String(w % 60).padStart(2, "0")}`; };
+const clock = (s) => { const w = Math.floor(s); return `${Math.floor(w / 60)}:${String(w % 60).padStart(2, "0")}`; };
 const WIDEST = 16, NARROWEST = 0.1;  // degrees: bars are on a log scale, as on the terminal
 const part = (x) => Math.min(Math.max(Math.log(Math.max(x, NARROWEST) / NARROWEST) / Math.log(WIDEST / NARROWEST), 0.02), 1);
 
@@ -18,7 +18,7 @@ function mountRow(m) {
   const reached = m.half !== null && limit !== undefined && m.half < limit;
   const width = m.half === null ? 100 : 100 * part(m.half);
   const mark = limit === undefined ? "" : `<b style="left:${(100 * part(limit)).toFixed(1)}%"></b>`;
-  return `<tr><td>${m.name}</td><td class="n">${m.value}</td><td class="n">${m.spread}</td><td>${m.turn}</td><td class="n">${half(m.half)}</td>` +
+  return `<tr><td>${m.name}</td><td class="n">${m.value}</td><td class="n">${m.spread}</td><td class="turn">${m.turn}</td><td class="n">${half(m.half)}</td>` +
     `<td class="bar"><div><i class="${reached ? "good" : ""}" style="width:${width.toFixed(1)}%"></i>${mark}</div></td>` +
     `<td class="${reached ? "good" : ""}">${limit === undefined ? "" : `${goal} below ${half(limit)}`}</td></tr>`;
 }
@@ -51,8 +51,8 @@ function chart(live) {
   live.mount.forEach((m, i) => {
     const series = history[m.name], base = top + i * row, inner = row - 18;
     const known = history.t.map((t, k) => ({ t, off: series.off[k], half: series.half[k] })).filter((h) => h.half !== null && h.off !== null);
-    out += `<text class="name" x="4" y="${base + 12}">${m.turn}</text>`;
-    if (!known.length) { out += `<text x="${left + 6}" y="${base + 40}">not known yet</text>`; return; }
+    const name = `<text class="name" x="${left + 6}" y="${base + 12}">about ${m.turn}</text>`;
+    if (!known.length) { out += `${name}<text x="${left + 6}" y="${base + 40}">not known yet</text>`; return; }
     const late = known.slice(Math.floor(known.length / 3));
     const reach = Math.min(Math.max(...late.map((h) => Math.abs(h.off) + h.half), 0.2) * 1.1, 30);
     const y = (v) => (base + inner / 2 - (Math.min(Math.max(v, -reach), reach) / reach) * (inner / 2)).toFixed(1);
@@ -65,7 +65,7 @@ function chart(live) {
     const upper = known.map((h) => `${x(h.t)},${y(h.off + h.half)}`);
     const lower = known.map((h) => `${x(h.t)},${y(h.off - h.half)}`).reverse();
     out += `<polygon class="band" points="${upper.concat(lower).join(" ")}"/>`;
-    out += `<polyline class="line" points="${known.map((h) => `${x(h.t)},${y(h.off)}`).join(" ")}"/>`;
+    out += `<polyline class="line" points="${known.map((h) => `${x(h.t)},${y(h.off)}`).join(" ")}"/>${name}`;
   });
   svg.innerHTML = out;
 }
