@@ -36,6 +36,15 @@ class Message:
     signals: tuple[Signal, ...]
 
 
+@dataclass(frozen=True)
+class BusRecording:
+    """Frames as they were on the buses: times [s], channel, text of candump, and their database."""
+
+    t: Array
+    lines: list[str]
+    database: str
+
+
 def triad(
     id_: int, message: str, stem: str, unit: str, step: float, t: Array, values: Array,
     axes: str = "_X _Y _Z",
@@ -47,16 +56,23 @@ def triad(
     ))  # fmt: skip
 
 
-def write_log(folder: Path, messages: list[Message]) -> None:
+def write_log(folder: Path, recorded: list[Message] | BusRecording) -> None:
     """`drive.log` and `car.dbc`. Values are rounded to their steps and not changed otherwise."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "car.dbc").write_text(_database(messages))
-    first = min(float(message.t[0]) for message in messages)
-    stamps = np.concatenate([message.t - first + START for message in messages])
-    lines = [line for message in messages for line in _payloads(message)]
+    bus = recorded if isinstance(recorded, BusRecording) else _as_frames(recorded)
+    (folder / "car.dbc").write_text(bus.database)
+    stamps = bus.t - bus.t.min() + START
     order = np.argsort(stamps, kind="stable")
     with (folder / "drive.log").open("w") as file:
-        file.writelines(f"({stamps[i]:.6f}) can0 {lines[i]}\n" for i in order)
+        file.writelines(f"({stamps[i]:.6f}) {bus.lines[i]}\n" for i in order)
+
+
+def _as_frames(messages: list[Message]) -> BusRecording:
+    return BusRecording(
+        np.concatenate([message.t for message in messages]),
+        [f"can0 {line}" for message in messages for line in _payloads(message)],
+        _database(messages),
+    )
 
 
 def _payloads(message: Message) -> list[str]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from benchmarks.public_logs import bags, phones, repositories, vehicles
-from benchmarks.public_logs.frames import Message
+from benchmarks.public_logs import bags, bus_recordings, phones, repositories, vehicles
+from benchmarks.public_logs.frames import BusRecording, Message
 from benchmarks.public_logs.repositories import Repository
 
 RIGHT = Path(__file__).parent / "right"
@@ -20,7 +20,7 @@ class PublicLog:
 
     name: str
     repository: Repository
-    convert: Callable[[Path], list[Message]]
+    convert: Callable[[Path], list[Message] | BusRecording]
     known: tuple[float | None, float | None, float | None] = (None, None, None)
     within: float = 0.0
     right: str = ""
@@ -63,4 +63,13 @@ LOGS = (
               (90.0, 0.0, -90.0), 6.0),
     # levelled axes: forward, left, up
     PublicLog("kitti_0042", repositories.ODOMETRY_FUSION, bags.kitti_0042, (0.0, 0.0, 0.0), 2.0),
+    # from here on: the third search
+    PublicLog("css_165", repositories.CSS, bus_recordings.css_165),
+    # an INS beside it: forward is y
+    PublicLog("toronto_sienna", repositories.TORONTO_IMU, vehicles.toronto_sienna,
+              (None, None, -90.0), 2.0),
+    PublicLog("pittsburgh_1", repositories.POTHOLES, partial(phones.pittsburgh, trips=(1,)),
+              right="pittsburgh"),
+    PublicLog("pittsburgh_2", repositories.POTHOLES,
+              partial(phones.pittsburgh, trips=(2, 3, 4, 5)), right="pittsburgh"),
 )  # fmt: skip

@@ -17,6 +17,7 @@ from benchmarks.public_logs.repositories import (
     CLOUDPOSE,
     ESCOOTER,
     INGENIEUR,
+    POTHOLES,
     ROAD_SURFACE,
     SANTOLLAN,
     VEHSENSE,
@@ -205,6 +206,24 @@ def helbert_c1(data: Path) -> list[Message]:
             Signal("enhanced_speed", "m/s", 0.001, np.array([v for _, v in speeds]), False),
         )),
     ]  # fmt: skip
+
+
+def pittsburgh(data: Path, trips: tuple[int, ...]) -> list[Message]:
+    """Car in a city, trips of 5 to 7 min: an iPhone at 5 Hz in g, GPS speed 1 Hz held in between.
+
+    iOS writes a speed of -1 where it has none; such rows are no fixes.
+    """
+    rows = np.concatenate([
+        _numbers(POTHOLES.file(data, f"Pothole/trip{trip}_sensors.csv"), ",") for trip in trips
+    ])  # fmt: skip
+    t, places = rows[:, 0], rows[:, 1:4]
+    is_new = np.concatenate([[True], np.any(np.diff(places, axis=0) != 0.0, axis=1)])
+    is_new &= rows[:, 3] >= 0.0
+    return [
+        triad(0x41, "ACCEL", "accelerometer", "g", 0.0002, t, rows[:, 4:7], "XYZ"),
+        triad(0x42, "GYRO", "gyro", "rad/s", 0.0002, t, rows[:, 7:10], "XYZ"),
+        Message(0x43, "GPS", t[is_new], (Signal("speed", "m/s", 0.01, rows[is_new, 3], False),)),
+    ]
 
 
 def _chunks(data: Path, folder: str, stem: str) -> list[dict[str, str]]:

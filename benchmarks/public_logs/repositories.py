@@ -99,3 +99,15 @@ ODOMETRY_FUSION = Repository(
     "basavarajnavalgund", "Odometry-IMU-GPS-Fusion", "48e86e285289d5ef13bb1c2b191e9cbba86b65da",
     "none stated; KITTI's is CC-BY-NC-SA 3.0",
 )  # fmt: skip
+CSS = Repository(
+    "CSS-Electronics", "api-examples", "f31d12d8ecdea092a9d56bd915cea88423e1cf5f", "MIT"
+)
+TORONTO_IMU = Repository(
+    "marwanrashed", "INSfullMech", "ab3ff80457aa927a19b4c25c7cb70e0916d4c381", "none stated"
+)
+TORONTO_OBD = Repository(
+    "hanymragab", "plans2025-resources", "5e4745c2bdd0e79ae910c8bd431a26e5e350924b", "MIT"
+)
+POTHOLES = Repository(
+    "jishnu1711", "HiveDrive", "e6dc0347c0a5d9fb78be07793cc1acdfae55acf7", "none stated"
+)

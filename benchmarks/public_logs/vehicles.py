@@ -14,7 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.public_logs.frames import Array, Message, Signal, triad
-from benchmarks.public_logs.repositories import BALZER, COMMA2K19, DTU, EVERETT, KAU, XDRK
+from benchmarks.public_logs.repositories import (
+    BALZER,
+    COMMA2K19,
+    DTU,
+    EVERETT,
+    KAU,
+    TORONTO_IMU,
+    TORONTO_OBD,
+    XDRK,
+)
 from imucald.api.interchange import library
 
 
@@ -162,6 +171,25 @@ def comma_rav4(data: Path) -> list[Message]:
             Signal("GNSS_BEARING", "deg", 0.01, gnss[1][:, 5], False),
         )),
     ]  # fmt: skip
+
+
+def toronto_sienna(data: Path) -> list[Message]:
+    """Toyota Sienna, 59 min of a city: IMU at 5 Hz, OBD-II speed resampled by its authors to 15 Hz.
+
+    Both carry seconds of the GPS week. The reference beside the IMU is not on this bus.
+    """
+    imu, speed = (
+        np.genfromtxt(io.BytesIO(repository.file(data, path)), delimiter=",", skip_header=1)
+        for repository, path in (
+            (TORONTO_IMU, "Toronto_Traj_one_IMU_sync.csv"),
+            (TORONTO_OBD, "OBDII_Toronto_13_10_19_Trj1_15Hz_ZED.csv"),
+        )
+    )
+    return [
+        triad(0x61, "IMU_F", "f", "m/s^2", 0.0005, imu[:, 0], imu[:, 1:4], "_x _y _z"),
+        triad(0x62, "IMU_W", "w", "rad/s", 0.00002, imu[:, 0], imu[:, 4:7], "_x _y _z"),
+        Message(0x63, "OBD", speed[:, 0], (Signal("odom_speed", "m/s", 0.001, speed[:, 1]),)),
+    ]
 
 
 def dtu_ugv(data: Path) -> list[Message]:

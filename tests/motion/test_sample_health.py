@@ -11,6 +11,7 @@ import pytest
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.sample_health import SOUND_S, SampleHealth
+from imucald.motion.sensor_judges import USUAL_HOPS
 from imucald.motion.signal_health import SignalFault
 
 HZ = 100.0
@@ -240,6 +241,37 @@ def test_a_unit_that_is_put_right_is_used_again() -> None:
     health = watched(edited(drive(), "gyro", change))
     assert not health.faults
     assert all(e.until is not None and e.until < 111.0 + SOUND_S + 1.0 for e in health.events)
+
+
+def across_a_hole(samples: Mapping[str, Series], at: float) -> SampleHealth:
+    """What comes after a time is told to come after a hole."""
+    health = SampleHealth(AXES)
+    for begin, end in ((0.0, at), (at, samples["speed"].t[-1])):
+        part = {}
+        for channel, series in samples.items():
+            inside = (series.t >= begin) & (series.t < end)
+            part[channel] = Series(series.t[inside], series.values[inside])
+        health.columns(part, round(10 * begin), int(10 * end))
+        if end == at:
+            health.gap()
+    return health
+
+
+@pytest.mark.parametrize(("lasts", "is_used"), [(4.0, True), (1e9, False)])
+def test_a_unit_is_that_of_before_where_driving_shakes_as_before(
+    lasts: float, is_used: bool
+) -> None:
+    """A terminal that is taken in hand while parked, and a sender that changed its unit."""
+
+    def shake(t: np.ndarray, values: np.ndarray) -> None:
+        values[(t >= 76.0) & (t < 76.0 + lasts)] *= 57.3
+
+    health = across_a_hole(edited(drive(), "gyro", shake), 80.0)
+    assert told(health) == [("gyro", "implausible", "xyz")]
+    assert is_used == (not health.faults)
+    if is_used:
+        driven_s = 0.5 * USUAL_HOPS
+        assert health.events[0].until < 80.0 + driven_s + SOUND_S + 2.0
 
 
 def test_a_rough_road_is_no_change_of_unit() -> None:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from imucald.core.errors import EstimateError
 from imucald.motion.ticks import ticks_from_samples
-from imucald.mount.common_errors import common_errors, cross_axis_errors
+from imucald.mount.common_errors import common_errors
 from imucald.mount.estimate import BETWEEN_DRIVES_STD, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.fusion import CommonCovariance, CommonError, fuse
@@ -86,12 +86,12 @@ def turned(mount: StoredMount, degrees: tuple[float, float, float]) -> StoredMou
 def test_it_says_what_the_estimate_said():
     """Fused by itself, without what changes between drives, it gives the mount it came from."""
     settings = driven()._settings
-    scales = driven()._solver._cross_axis.scales
-    assert sum(p for _, p in scales) == pytest.approx(1.0)
-    sharing = CommonCovariance(common_errors(settings), cross_axis_errors())
+    cross_axis = driven()._solver._cross_axis
+    assert sum(p for _, p in cross_axis.scales) == pytest.approx(1.0)
+    sharing = CommonCovariance(common_errors(settings))
     kept = evidence()
     pieces = {n: AngleEvidence(p.value, p.variance + p.bias, 1.0) for n, p in kept.sources.items()}
-    fused = fuse(pieces, sharing, scales)
+    fused = fuse(pieces, sharing, cross_axis.scales, cross_axis.answers)
     assert np.abs(fused.error).max() < 1e-9
     crown = loaded().config.vehicle.crown_spread_percent / 100.0
     claimed = np.diag(stored().covariance) - [crown**2, 0.0, 0.0]

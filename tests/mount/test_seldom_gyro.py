@@ -16,6 +16,7 @@ from imucald.mount.gravity_observer import GravityObserver
 from imucald.mount.gravity_step import GravityStep
 from imucald.mount.gyro_walk import sampling_walk
 from imucald.mount.signal_blocks import ACCEL_GAP, BLOCK_TICKS, SignalBlockMaker
+from imucald.mount.turned_alone import FORCE, TurnedAlone
 from mount_settings import full
 from signal_block import block
 
@@ -135,3 +136,57 @@ def test_noise_of_the_turn_rate_is_no_bend_that_the_force_contradicts() -> None:
 def test_a_force_to_the_wrong_side_is_still_a_contradiction(noise: float) -> None:
     assert bends(noise, sign=-1.0) == (StandingFault.FORCE_TURNS,)
     assert bends(noise, sign=1.0) == ()
+
+
+def straight(noise: float, is_said: bool) -> tuple[StandingFault, ...]:
+    """Faults after ten minutes of straight road at 20 m/s; noise of samples that come seldom."""
+    rng, watch = np.random.default_rng(5), Contradictions(full())
+    for k in range(90):
+        rate, walk = shaken(rng, noise)
+        force = 0.1 * rng.standard_normal((BLOCK_TICKS, 3)) + [0.0, 0.0, GRAVITY]
+        said = walk if is_said else np.zeros((3, 3))
+        speed = np.full(BLOCK_TICKS, 20.0)
+        p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate, rate_walk=said, speed=speed)
+        watch.add(p, rate[:, 2], True, np.eye(3), 0.0, False, 0.0)
+    return watch.faults
+
+
+def shaken(rng: np.random.Generator, noise: float) -> tuple[Array, Array]:
+    """A block of rates (N, 3) between samples of white noise [rad/s], and how they walk."""
+    times = SPACING * np.arange(-1, 29)
+    samples = noise * rng.standard_normal((len(times), 3))
+    ticks = 0.1 * np.arange(BLOCK_TICKS)
+    rate = np.column_stack([np.interp(ticks, times, samples[:, i]) for i in range(3)])
+    return rate, sampling_walk(times, samples, ACCEL_GAP)
+
+
+def test_noise_that_lines_between_samples_hide_is_no_bend_either() -> None:
+    wrong = straight(0.06, is_said=False)
+    assert StandingFault.FORCE_TURNS in wrong, "nothing is tested otherwise"
+    assert straight(0.06, is_said=True) == ()
+
+
+def turns_alone(noise: float, is_said: bool) -> int:
+    """How often in an hour of straight road a gyroscope is found to turn by itself."""
+    rng, alone, found = np.random.default_rng(6), TurnedAlone(), 0
+    for _ in range(560):
+        rate, walk = shaken(rng, noise)
+        by = FORCE.beside(float(walk[2, 2])) if is_said else FORCE
+        ok = np.ones(BLOCK_TICKS, dtype=bool)
+        found += alone.add(rate[:, 2], np.zeros(BLOCK_TICKS), ok, by) != 0.0
+    return found
+
+
+def test_a_gyroscope_that_shakes_between_its_samples_turns_no_sensor() -> None:
+    assert turns_alone(0.15, is_said=False) > 10, "nothing is tested otherwise"
+    assert turns_alone(0.15, is_said=True) == 0
+
+
+def test_a_hand_that_turns_a_sensor_is_seen_beside_a_little_shaking() -> None:
+    rng, alone = np.random.default_rng(7), TurnedAlone()
+    rate, walk = shaken(rng, 0.02)
+    t = 0.1 * np.arange(BLOCK_TICKS)
+    rate[:, 2] += np.where((t > 2.9) & (t < 3.9), math.radians(30.0), 0.0)
+    by, ok = FORCE.beside(float(walk[2, 2])), np.ones(BLOCK_TICKS, dtype=bool)
+    turned = alone.add(rate[:, 2], np.zeros(BLOCK_TICKS), ok, by)
+    assert math.degrees(turned) == pytest.approx(30.0, abs=5.0)

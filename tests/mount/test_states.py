@@ -58,6 +58,10 @@ def test_a_cross_axis_error_that_no_driving_makes_less_is_the_reason_for_yaw():
     assert "accelerometer_bias" in text
     assert code == Missing.OTHER
     assert waiting_for(replace(usable, cross_axis=0.001), SETTINGS)["yaw"][0] == "more driving"
+    levelled = replace(known(1.6), yaw_seen=0.2 * DEG, cross_axis=0.04)
+    text, code = waiting_for(levelled, SETTINGS)["yaw"]
+    assert "answer to one another by about 4 %" in text
+    assert code is Missing.OTHER
     still = replace(known(0.4), yaw_seen=0.4 * DEG, cross_axis=0.008)
     assert waiting_for(still, SETTINGS)["yaw"][0] == "more driving"
 

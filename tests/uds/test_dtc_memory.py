@@ -57,7 +57,7 @@ def test_nothing_is_known_before_the_first_test():
 
 def test_all_is_well():
     run = Run()
-    sound = dict.fromkeys(("accelerometer", "gyroscope", "magnetometer"), ())
+    sound = dict.fromkeys(("accelerometer", "gyroscope", "magnetometer", "speed", "yaw_rate"), ())
     run.go(11.0, missing={"accelerometer": False, "gyroscope": False, "speed": False}, faulty=sound)
     for dtc, record in run.memory:
         expected = UNTESTED if dtc is STATE_CORRUPT else PASSED

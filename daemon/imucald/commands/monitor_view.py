@@ -99,7 +99,9 @@ def input_health(status: Mapping[str, Any], channel: str, rate: float | None) ->
     """How an input is, in words and as a style."""
     faults = status["signal_health"]["sensors"].get(channel)
     if faults:
-        words = ", ".join(f"{fault} ({', '.join(axes)})" for fault, axes in faults.items())
+        words = ", ".join(
+            f"{fault} ({', '.join(axes)})" if axes else fault for fault, axes in faults.items()
+        )
         return words, "bold red"
     if not rate:
         return "silent", "red"

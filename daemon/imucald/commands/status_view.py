@@ -101,7 +101,7 @@ def _rows(status: Mapping[str, Any]) -> dict[str, str | Text]:
 def _sensors(health: Mapping[str, Any]) -> Text:
     """Which sensors are fit to be used, and why the others are not."""
     faulty = [
-        f"{channel} {fault} ({', '.join(axes)})"
+        f"{channel} {fault}" + (f" ({', '.join(axes)})" if axes else "")
         for channel, faults in health["sensors"].items()
         for fault, axes in faults.items()
     ]

@@ -20,7 +20,7 @@ from imucald.can.link.link import Frame
 from imucald.config import LoadedConfig
 from imucald.config_check.decoding import Decoding, counts_text
 from imucald.config_check.finding import Finding
-from imucald.config_check.health import health_findings
+from imucald.config_check.health import LogHealth, health_findings
 from imucald.config_check.judgement import judge
 from imucald.config_check.motion import Motion, TickMeans
 from imucald.config_check.not_judged import not_judged
@@ -28,8 +28,6 @@ from imucald.config_check.source import id_text, message_row, quantity_row, sour
 from imucald.config_check.statistics import Probe
 from imucald.config_check.unit_advice import unit_advice
 from imucald.inputs.wiring import compile_router
-from imucald.motion.sample_health import SampleHealth
-from imucald.motion.ticks import tick_index
 from imucald.runtime.output.output_frames import OutputFrames
 from imucald.runtime.session import make_engine, open_compensation
 from imucald.runtime.timebase import TimeBase
@@ -65,8 +63,7 @@ class Check:
         self._uncounted = 0
         self._timebase = TimeBase()
         self._means = TickMeans()
-        self._health = SampleHealth(self.router.measured_axes)
-        self._tick = 0
+        self._health = LogHealth(self.router.measured_axes, loaded.config)
 
     def feed(self, frames: FrameColumns) -> None:
         """Take a chunk of all the frames of a log or a bus."""
@@ -83,11 +80,8 @@ class Check:
             samples = self.router.columns(segment.t, chunk).samples
             self._means.add(samples)
             if segment.gap:
-                self._health.gap()
-                self._tick = tick_index(float(segment.t[0]))
-            last = tick_index(float(segment.t[-1]))
-            self._health.columns(samples, self._tick, last)
-            self._tick = last
+                self._health.gap(float(segment.t[0]))
+            self._health.add(samples, float(segment.t[-1]))
 
     # the report ------------------------------------------------------------------------------
 

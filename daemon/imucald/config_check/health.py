@@ -1,19 +1,82 @@
-"""Faulty sensors of a log, as `imucald check` says about them."""
+"""Faulty sensors and signals of a log, as `imucald check` says about them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.config import Config
 from imucald.config_check.finding import Finding
 from imucald.config_check.source import configured_name
-from imucald.motion.sample_health import FaultEvent
+from imucald.core.samples import Samples
+from imucald.motion.sample_health import FaultEvent, SampleHealth
 from imucald.motion.signal_health import SignalFault
+from imucald.motion.ticks import TickRow, tick_index
+from imucald.mount.estimate import MountEstimate, MountState
+from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.signal_blocks import SignalBlockMaker
+from imucald.runtime.pipeline import Pipeline
 
 _WORDS = {
     SignalFault.STUCK: "repeats one value",
     SignalFault.SATURATED: "stays at the end of its range: is a range set too small?",
     SignalFault.IMPLAUSIBLE: "has values impossible in a road vehicle, or another unit than before",
 }
+
+
+class _SignalsOnly:
+    """Takes the place of an estimator: says which signals are stuck, and nothing of the mount."""
+
+    correction, state = None, MountState.WAITING
+
+    def __init__(self, settings: EstimatorSettings) -> None:
+        self._blocks = SignalBlockMaker(settings)
+
+    @property
+    def stuck_signals(self) -> Mapping[str, bool]:
+        return self._blocks.stuck
+
+    def step(self, tick: TickRow) -> None:
+        if self._blocks.push(tick):
+            self._blocks.block()
+
+    def gap(self) -> None:
+        self._blocks.restart()
+
+    def estimate(self) -> MountEstimate:
+        return MountEstimate(self.state)
+
+    def quiet_ticks(self) -> int:
+        return self._blocks.until_block - 1
+
+    def keep_quiet(self, ticks: NDArray[np.float64]) -> None:
+        self._blocks.push_all(ticks)
+
+
+class LogHealth:
+    """Judges the sensors and signals of a log as `run` does, chunk by chunk.
+
+    axes: how many axes of each channel are measured.
+    """
+
+    def __init__(self, axes: Mapping[str, int], config: Config) -> None:
+        settings = EstimatorSettings(config.calibration, config.vehicle)
+        self._pipeline = Pipeline(_SignalsOnly(settings), health=SampleHealth(axes))
+
+    def gap(self, t: float) -> None:
+        """Time jumped to t, stream time [s]."""
+        self._pipeline.gap(tick_index(t))
+
+    def add(self, samples: Samples, t_last: float) -> None:
+        """Take samples of all channels, up to stream time t_last [s]."""
+        self._pipeline.run(samples, {}, t_last, with_snapshots=False)
+
+    @property
+    def events(self) -> Iterable[FaultEvent]:
+        """Faults so far."""
+        return self._pipeline.health.events
 
 
 def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
@@ -23,8 +86,11 @@ def health_findings(events: Iterable[FaultEvent]) -> Iterator[Finding]:
         found.setdefault((event.channel, event.fault, event.axes), []).append(event.since)
     for (channel, fault, axes), times in found.items():
         often = f", {len(times)} times" if len(times) > 1 else ""
-        text = (
-            f"{', '.join(axes)} {_WORDS[fault]} ({fault}, from {times[0]:.1f} s on{often}); its "
-            "corrected frames would not be available then"
+        what = f"{', '.join(axes)} {_WORDS[fault]}".strip()
+        then = (
+            "its corrected frames would not be available then"
+            if axes
+            else "it would be left out then"
         )
+        text = f"{what} ({fault}, from {times[0]:.1f} s on{often}); {then}"
         yield Finding("warning", configured_name(channel), text)

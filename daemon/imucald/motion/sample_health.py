@@ -56,7 +56,10 @@ Faults = Mapping[SignalFault, str]
 
 
 class FaultEvent(Struct):
-    """A fault that was told: since and until stream time [s]; None while it lasts."""
+    """A fault that was told: since and until stream time [s]; None while it lasts.
+
+    axes: such as "y"; empty for a signal that has none.
+    """
 
     channel: str
     fault: SignalFault
@@ -76,19 +79,27 @@ class FaultEvent(Struct):
         }
 
 
-class _Sensor:
+class _Judged:
+    """A channel, its faults now, and for how long each has not been seen [s]."""
+
+    def __init__(self, channel: str) -> None:
+        self.channel = channel
+        self.faults: dict[SignalFault, str] = {}
+        self.sound: dict[SignalFault, float] = {}
+
+
+class _Sensor(_Judged):
     """One sensor: its samples of the open hop, its judges, and what they found."""
 
     def __init__(self, channel: str, axes: int) -> None:
-        self.channel, self.axes = channel, axes
+        super().__init__(channel)
+        self.axes = axes
         self.pending: list[Sequence[float]] = []
         self.carry = Carry.none(axes)
         self.stuck = [StuckAxis(NOISE[channel]) for _ in range(axes)]
         self.rails = [AxisRails(axis) for axis in range(axes)]
         self._wild = Lasting(FORCE_HOPS if channel == "accel" else RATE_HOPS)
         self._unit = UnitChange(_UNITS[channel], axes) if channel in _UNITS else None
-        self.faults: dict[SignalFault, str] = {}
-        self.sound: dict[SignalFault, float] = {}
 
     def restart(self) -> None:
         self.pending = []
@@ -122,7 +133,7 @@ class _Sensor:
         if self.channel == "gyro":
             wild[some] = self._wild.step(turning_wildly(rows.mean[some]))
         if self._unit is not None:
-            wild[some] |= self._unit.step(rows.level[some], other[some])
+            wild[some] |= self._unit.step(rows.level[some], other[some], moving[some])
         moves, counts = moving.tolist(), rows.count.tolist()
         each = [self._judge_axis(axis, rows, moves, counts) for axis in range(self.axes)]
         shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _) in enumerate(each)]
@@ -169,7 +180,11 @@ class SampleHealth:
         self._moved = False
         self._heard: float | None = None
         self.faults: Mapping[str, Faults] = {}
-        """By channel, of those that are not fit to be used now."""
+        """By channel, of sensors that are not fit to be used now."""
+        self.signals: Mapping[str, Faults] = {}
+        """The same of the vehicle's signals, which the estimator judges block by block."""
+        self._signals: dict[str, _Judged] = {}
+        self._signals_at = 0.0
         self.events: deque[FaultEvent] = deque(maxlen=EVENTS)
 
     # live ----------------------------------------------------------------------------------
@@ -266,35 +281,56 @@ class SampleHealth:
         before, self._moved = self._moved, moves
         return moves and before
 
+    @property
+    def unfit(self) -> Mapping[str, Faults]:
+        """By channel, of all sensors and signals that are not fit to be used now."""
+        return {**self.faults, **self.signals} if self.signals else self.faults
+
+    def take_signals(self, stuck: Mapping[str, bool], now: float) -> None:
+        """Take whether signals of the vehicle were stuck in the block that ends now [s]."""
+        passed, self._signals_at = now - self._signals_at, now
+        for channel, is_stuck in stuck.items():
+            signal = self._signals.setdefault(channel, _Judged(channel))
+            if is_stuck or signal.faults:
+                self._go_on(signal, {SignalFault.STUCK: ""} if is_stuck else {}, now, passed)
+        self.signals = {c: s.faults for c, s in self._signals.items() if s.faults}
+
     def summary(self) -> dict[str, Any]:
-        """Each watched sensor's faults now, and those that were told; for JSON."""
+        """Faults now of each sensor and signal that is watched, and those told; for JSON."""
+        unfit = self.unfit
         return {
             "sensors": {
-                channel: {str(fault): axes for fault, axes in self.faults.get(channel, {}).items()}
-                for channel in self._sensors
+                channel: {str(fault): axes for fault, axes in unfit.get(channel, {}).items()}
+                for channel in (*self._sensors, *self._signals)
             },
             "events": [event.as_dict() for event in self.events],
         }
 
     def _keep(self, sensor: _Sensor, found: Mapping[SignalFault, str], now: float) -> None:
+        """Go on with a sensor's faults after a hop."""
+        self._go_on(sensor, found, now, HOP_S)
+        others = {c: f for c, f in self.faults.items() if c != sensor.channel}
+        self.faults = {**others, sensor.channel: sensor.faults} if sensor.faults else others
+
+    def _go_on(
+        self, of: _Judged, found: Mapping[SignalFault, str], now: float, passed: float
+    ) -> None:
         """Go on with the faults found and those that have not been gone for long enough."""
-        faults = dict(sensor.faults)
+        faults = dict(of.faults)
         for fault in list(faults):
             if fault in found:
-                sensor.sound[fault] = 0.0
+                of.sound[fault] = 0.0
             else:
-                sensor.sound[fault] += HOP_S
-                if sensor.sound[fault] >= SOUND_S:
+                of.sound[fault] += passed
+                if of.sound[fault] >= SOUND_S:
                     del faults[fault]
-                    self._ended(sensor.channel, fault, now)
+                    self._ended(of.channel, fault, now)
         for fault, axes in found.items():
             if fault not in faults:
-                self.events.append(FaultEvent(sensor.channel, fault, axes, now))
+                self.events.append(FaultEvent(of.channel, fault, axes, now))
             faults[fault] = "".join(sorted({*faults.get(fault, ""), *axes}))
-            sensor.sound[fault] = 0.0
-        sensor.faults = faults
-        others = {c: f for c, f in self.faults.items() if c != sensor.channel}
-        self.faults = {**others, sensor.channel: faults} if faults else others
+            of.sound[fault] = 0.0
+        of.faults = faults
 
     def _ended(self, channel: str, fault: SignalFault, now: float) -> None:
         for event in self.events:

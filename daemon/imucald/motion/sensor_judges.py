@@ -42,6 +42,9 @@ UNIT_LEEWAY = 2.2
 """Factor by which the noise of a second may be off: 1.3 with 10 samples, and what the road adds."""
 OTHER_CHANGE = 4.0
 """A road that became rough is felt by the other sensor too: then it is no unit."""
+USUAL_HOPS = 20
+"""Hops of driving (10 s) whose mean noise is that of a unit: a road is up to four times as rough as
+another, and half way to the nearest unit, as a ratio, is 7.6 times."""
 
 
 class Runs:
@@ -161,7 +164,8 @@ class UnitChange:
     """Whether all axes have become noisier, or quieter, by the factor between two units.
 
     factor: that one, such as 57.3 of deg/s for rad/s. What moves the vehicle is felt by the other
-    sensor too, a unit is not. It lasts until the opposite is seen.
+    sensor too, a unit is not. It lasts until the opposite is seen, or until the noise of driving is
+    what it was before: a sensor that was taken in hand has the unit it had.
     """
 
     def __init__(self, factor: float, axes: int) -> None:
@@ -169,6 +173,8 @@ class UnitChange:
         self._axes = axes
         self._wait = 0
         self._changed = 0
+        self._half_way = 0.5 * math.log(factor)
+        self._usual, self._now = _MeanLog(), _MeanLog()
         self.restart()
 
     def restart(self) -> None:
@@ -176,11 +182,16 @@ class UnitChange:
         self._levels = np.zeros((UNIT_HOPS - 1, self._axes))
         self._others = np.zeros((UNIT_HOPS - 1, 1))
 
-    def step(self, level: Array, other: Array) -> Flags:
+    def step(self, level: Array, other: Array, moving: Flags) -> Flags:
         """Take the mean changes from sample to sample of hops (H, axes), and of the other sensor.
 
-        other: (H,), 0 where there is none. Returns whether the unit is another one than at first.
+        other: (H,), 0 where there is none; moving: (H,) whether the vehicle moved in all of a hop.
+        Returns whether the unit is another one than at first.
         """
+        sizes = [
+            sum(row) if moves else 0.0
+            for row, moves in zip(level.tolist(), moving.tolist(), strict=True)
+        ]
         level = np.concatenate([self._levels, level])
         other = np.concatenate([self._others, other[:, None]])
         self._levels, self._others = level[-4:], other[-4:]
@@ -188,9 +199,11 @@ class UnitChange:
         more = ((self._low < up) & (up < self._high)).all(axis=1)
         less = ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
         sign = more.astype(np.int64) - less.astype(np.int64)
-        out = np.full(len(up), self._changed != 0)
-        if not sign.any():
+        out = np.zeros(len(up), dtype=bool)
+        if not sign.any() and not self._changed:
             self._wait = max(0, self._wait - len(up))
+            for size in sizes:
+                self._usual.add(size)
             return out
         same = np.abs(np.log(np.maximum(_ratio(other)[:, 0], 1e-9))) < math.log(OTHER_CHANGE)
         felt = (other[:-4, 0] > 0.0) & ~same
@@ -200,8 +213,35 @@ class UnitChange:
                 self._changed = max(-1, min(1, self._changed + found))
                 self._wait = UNIT_HOPS
             self._wait = max(0, self._wait - 1)
+            self._hold_against_usual(sizes[h])
             out[h] = self._changed != 0
         return out
+
+    def _hold_against_usual(self, size: float) -> None:
+        """Take the noise of a hop of driving, or 0: does it look like another unit's?"""
+        if not self._changed:
+            self._usual.add(size)
+            self._now = _MeanLog()
+            return
+        self._now.add(size)
+        if min(self._now.count, self._usual.count) < USUAL_HOPS:
+            return
+        if abs(self._now.mean - self._usual.mean) < self._half_way:
+            self._changed = 0
+        self._now = _MeanLog()
+
+
+class _MeanLog:
+    """Mean of the logarithms of sizes above zero."""
+
+    def __init__(self) -> None:
+        self.count, self.mean = 0, 0.0
+
+    def add(self, size: float) -> None:
+        """Take a size; 0 is none."""
+        if size > 0.0:
+            self.count += 1
+            self.mean += (math.log(size) - self.mean) / self.count
 
 
 def _ratio(level: Array) -> Array:

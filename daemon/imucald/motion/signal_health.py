@@ -98,6 +98,8 @@ class SignalHealth:
         self._yaw_rate = StuckYawRate()
         self.counts: Counter[str] = Counter()
         self.found: dict[tuple[str, SignalFault], Flags] = {}
+        self.stuck_now: dict[str, bool] = {}
+        """Of the vehicle's signals that are judged: whether any new tick of the last call was."""
 
     def restart(self) -> None:
         """Time jumped: what comes next is compared with nothing before."""
@@ -124,6 +126,7 @@ class SignalHealth:
         if signal == "speed":
             flags = self._speed.flags(rows, self._new.stop - self._new.start)
             flags |= zero_while_wheels_turn(rows)
+            self.stuck_now["speed"] = bool(flags[self._new].any())
         else:
             flags = self._sensors[signal].flags(rows)
         return self._note_stuck(signal, flags)
@@ -131,6 +134,7 @@ class SignalHealth:
     def stuck_yaw_rate(self, rows: Array, turning: Array, driving: Flags) -> Flags:
         """Ticks (N,) at which the yaw rate is stuck; see `StuckYawRate`."""
         flags = self._yaw_rate.flags(rows, turning, driving, self._new.stop - self._new.start)
+        self.stuck_now["yaw_rate"] = bool(flags[self._new].any())
         return self._note_stuck("yaw_rate", flags)
 
     def _note_stuck(self, signal: str, flags: Flags) -> Flags:

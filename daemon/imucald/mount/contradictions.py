@@ -24,6 +24,7 @@ from imucald.core.median import median
 from imucald.motion.straight import yaw_rate_with_understeer
 from imucald.motion.ticks import TICK_S
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.gyro_walk import SELDOM
 from imucald.mount.signal_blocks import SignalBlock
 
 Array = NDArray[np.float64]
@@ -52,7 +53,8 @@ TURNS, HARD_TURNS = 1.2, 2.0
 bend banked by 8 % takes 0.8 m/s^2 of it away (AASHTO, superelevation)."""
 NOISE = 3.0
 """A block in which the turn rate's own noise makes v r of a third of those sizes is not asked: what
-goes beyond them there is noise that was picked out, and no bend."""
+goes beyond them there is noise that was picked out, and no bend. Of a gyroscope that sends seldom
+a straight line between two samples hides the noise, and how its angle walks shows it."""
 MOVING = 2.0
 """Below this speed [m/s] steering and turning say little of one another."""
 
@@ -214,12 +216,14 @@ class Contradictions:
         if self.yaw_rate.last_unlike and self.steering.last_unlike:  # two witnesses of one bend
             self.yaw_rate.accused = self.steering.accused = True
         if R is not None and late is not None:
-            self._add_forces(p, turn_rate, np.asarray(R), moving, round(late / TICK_S))
+            walk = p.rate_walk if own_gyro else np.zeros((3, 3))
+            own = max(_own_noise(turn_rate), math.sqrt(float(R[2] @ walk @ R[2]) / SELDOM))
+            self._add_forces(p, turn_rate, own, np.asarray(R), moving, round(late / TICK_S))
 
     def _add_forces(
-        self, p: SignalBlock, turn_rate: Array, R: Array, moving: Flags, late: int
+        self, p: SignalBlock, turn_rate: Array, own: float, R: Array, moving: Flags, late: int
     ) -> None:
-        """The same of the force; late: the speed [ticks]."""
+        """The same of the force; own: noise of the turn rate [rad/s]; late: the speed [ticks]."""
         n = len(turn_rate)
         now = slice(max(-late, 0), n - max(late, 0))
         then = slice(max(late, 0), n - max(-late, 0))
@@ -227,7 +231,7 @@ class Contradictions:
         use = moving[then] & (p.ok_force & p.learn)[now]
         turn = p.speed[then] * turn_rate[now]
         turning = use & (p.ok_rate | p.ok_yaw)[now]
-        noise = NOISE * _own_noise(turn_rate) * float(np.abs(p.speed).max())
+        noise = NOISE * own * float(np.abs(p.speed).max())
         if noise < TURNS:
             self.turns.add(turn, force[:, 1], turning & (np.abs(turn) > TURNS))
         if noise < HARD_TURNS:

@@ -150,6 +150,16 @@ class MountEstimator(Protocol):
 
 
 @runtime_checkable
+class JudgesSignals(Protocol):
+    """An estimator that finds out which of the vehicle's signals are stuck, and leaves them out."""
+
+    @property
+    def stuck_signals(self) -> Mapping[str, bool]:
+        """By channel, whether it was stuck in the last block; a new mapping for every block."""
+        ...
+
+
+@runtime_checkable
 class KeepsTicks(Protocol):
     """An estimator that for most ticks does nothing but keep them; replay hands those over at once.
 

@@ -20,7 +20,7 @@ What happens, in order:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +96,11 @@ class FullEstimator:
     def faults(self) -> tuple[str, ...]:
         """Contradictions that stand now, by the names of `StandingFault`."""
         return tuple(fault.value for fault in self._checks.standing)
+
+    @property
+    def stuck_signals(self) -> Mapping[str, bool]:
+        """Of the vehicle's signals, see `mount.estimate.JudgesSignals`."""
+        return self._signals.stuck
 
     @property
     def _solver(self) -> MountSolver:

@@ -75,6 +75,8 @@ MEAN_SHARE = 1.0
 known of the bias is in all windows alike, so that what they leave over does not show it."""
 LEAST_DRIFT = 0.005
 """A drift that comes to less [rad], 0.3 deg, over the windows kept does not change weights."""
+SLOW = slice(2, 4)
+"""Bands above the slopes, and below where a speed that comes once a second has lost its changes."""
 _PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
 _FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
 
@@ -113,6 +115,11 @@ class ResponseEvidence:
     def windows(self) -> int:
         """Windows kept whole."""
         return self._n
+
+    def slow_gains(self) -> tuple[float, float]:
+        """Of dv/dt and v r where neither slopes nor a slow source of the speed change them."""
+        x, y = self.gains[:2, SLOW].mean(axis=1).tolist()
+        return x, y
 
     def start_from(self, other: ResponseEvidence) -> None:
         """Begin with another's gains, noise levels and delays."""

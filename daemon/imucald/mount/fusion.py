@@ -38,31 +38,25 @@ CERTAIN: Sequence[tuple[float, float]] = ((0.0, 1.0),)
 
 
 class CommonCovariance:
-    """Covariance that sources have with one another (and with themselves) from shared errors.
+    """Covariance that sources have with one another (and with themselves) from shared errors."""
 
-    scaled: errors that are as large as a scale says, which only `fuse` is given.
-    """
-
-    def __init__(self, shared: Sequence[CommonError], scaled: Sequence[CommonError] = ()) -> None:
+    def __init__(self, shared: Sequence[CommonError]) -> None:
         self._pairs = _pairs(shared)
-        self._scaled = _pairs(scaled)
-        self._of_names: dict[tuple[str, ...], tuple[Array, Array]] = {}
+        self._of_names: dict[tuple[str, ...], Array] = {}
 
-    def errors(self, names: Sequence[str]) -> tuple[Array, Array]:
-        """Covariances of sources from shared errors, and from scaled ones at scale 1."""
+    def errors(self, names: Sequence[str]) -> Array:
+        """Covariance of sources from shared errors alone."""
         key = tuple(names)
         found = self._of_names.get(key)
         if found is None:  # few sets of names come
-            shared, scaled = (
-                np.array([[pairs.get((a, b), 0.0) for b in names] for a in names])
-                for pairs in (self._pairs, self._scaled)
-            )
-            found = self._of_names[key] = shared, scaled
+            pairs = self._pairs
+            found = np.array([[pairs.get((a, b), 0.0) for b in names] for a in names])
+            self._of_names[key] = found
         return found
 
     def covariance(self, sources: Mapping[str, AngleEvidence], names: Sequence[str]) -> Array:
-        """Covariance of the sources of those names, their own variances included, at scale 0."""
-        known = self.errors(names)[0].copy()
+        """Covariance of the sources of those names, their own variances included."""
+        known = self.errors(names).copy()
         known.flat[:: len(names) + 1] += [sources[name].variance for name in names]
         return known
 
@@ -75,6 +69,17 @@ def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
                 sofar = found.get((one, other), 0.0)
                 found[one, other] = sofar + s.std * s.std * sign * other_sign
     return found
+
+
+class Seen(Struct, frozen=True):
+    """What tells of scaled errors without any angle in it: values (k,), and what else is in them.
+
+    covariance: (k, k) without the scaled errors. answers: (k, m) to the scaled errors at scale 1.
+    """
+
+    values: Array
+    covariance: Array
+    answers: Array
 
 
 class _Angle(Struct, frozen=True):
@@ -91,6 +96,7 @@ def _angles(
     sources: Mapping[str, AngleEvidence],
     sharing: CommonCovariance,
     scales: Sequence[tuple[float, float]],
+    answers: Mapping[str, Array],
 ) -> list[_Angle]:
     squares = np.array([scale * scale for scale, _ in scales])[:, None, None]
     found = []
@@ -98,56 +104,62 @@ def _angles(
         names = [name for name in sources if name.startswith(axis)]
         if names:
             values = np.array([sources[name].value for name in names])
-            V = sharing.covariance(sources, names) + squares * sharing.errors(names)[1]
+            V = sharing.covariance(sources, names)[None] + squares * _scaled(names, answers)
             found.append(_Angle(i, names, values, V, np.asarray(np.linalg.inv(V), np.float64)))
     return found
 
 
+def _scaled(names: Sequence[str], answers: Mapping[str, Array]) -> Array:
+    """Covariance of sources from the scaled errors at scale 1; zero where none answers."""
+    if not answers:
+        return np.zeros((len(names), len(names)))
+    of = np.array([answers[name] for name in names])
+    covariance: Array = of @ of.T
+    return covariance
+
+
 def weighed_scales(
-    angles: Sequence[_Angle],
-    candidates: Sequence[tuple[float, float]],
-    seen: Sequence[tuple[float, float]] = (),
-) -> list[tuple[float, float]]:
-    """Scales of the scaled errors with their probabilities, from how far sources contradict.
-
-    candidates: scales and their prior probabilities. Each is weighed by the likelihood of the
-    differences between the sources of an angle (of which the angle itself is free; restricted
-    maximum likelihood, Patterson and Thompson, Biometrika 58, 1971), over all angles.
-    seen: further errors of scale one, seen by themselves, with what else is in them (std).
-    """
-    scales, prior = np.array(candidates).T
-    log = np.log(prior)
-    for one in angles:
-        if len(one.names) < 2:
-            continue
-        column = one.inverse.sum(axis=2)
-        total = column.sum(axis=1)
-        left = one.values - ((column @ one.values) / total)[:, None]
-        log -= 0.5 * ((one.inverse @ left[:, :, None])[:, :, 0] * left).sum(axis=1)
-        log -= 0.5 * (np.linalg.slogdet(one.V)[1] + np.log(total))
-    for value, std in seen:
-        variance = scales * scales + std * std
-        log -= 0.5 * (value * value / variance + np.log(variance))
-    weight = np.exp(log - log.max())
-    return list(zip(scales.tolist(), (weight / weight.sum()).tolist(), strict=True))
-
-
-def fuse_weighing(
     sources: Mapping[str, AngleEvidence],
     sharing: CommonCovariance,
     candidates: Sequence[tuple[float, float]],
-    seen: Sequence[tuple[float, float]] = (),
-) -> tuple[Fused, list[tuple[float, float]]]:
-    """`fuse` with the scales that `weighed_scales` makes of the candidates, and these."""
-    angles = _angles(sources, sharing, candidates)
-    scales = weighed_scales(angles, candidates, seen)
-    return _fused(angles, scales), scales
+    answers: Mapping[str, Array],
+    seen: Seen,
+) -> list[tuple[float, float]]:
+    """Scales of the scaled errors with their probabilities, from how far sources contradict.
+
+    candidates: scales and their prior probabilities. Each is weighed by the likelihood of all
+    sources and of what is seen besides, of which the three angles are free (restricted maximum
+    likelihood, Patterson and Thompson, Biometrika 58, 1971).
+    """
+    names = list(sources)
+    n, more = len(names), len(seen.values)
+    y = np.concatenate([[sources[name].value for name in names], seen.values])
+    X = np.zeros((n + more, len(AXES)))
+    for i, name in enumerate(names):
+        X[i, AXES.index(name.partition("_")[0])] = 1.0
+    X = X[:, X.any(axis=0)]
+    known = np.zeros((n + more, n + more))
+    known[:n, :n] = sharing.covariance(sources, names)
+    known[n:, n:] = seen.covariance
+    of = np.concatenate([[answers[name] for name in names], seen.answers])
+    scales, prior = np.array(candidates).T
+    V = known + (scales * scales)[:, None, None] * (of @ of.T)
+    inverse = np.linalg.inv(V)
+    to_angles = X.T @ inverse
+    information = to_angles @ X
+    angles = np.linalg.solve(information, (to_angles @ y)[:, :, None])
+    left = y - (X @ angles)[:, :, 0]
+    log = np.log(prior) - 0.5 * ((inverse @ left[:, :, None])[:, :, 0] * left).sum(axis=1)
+    log -= 0.5 * (np.linalg.slogdet(V)[1] + np.linalg.slogdet(information)[1])
+    weight = np.exp(log - log.max())
+    return list(zip(scales.tolist(), (weight / weight.sum()).tolist(), strict=True))
 
 
 def fuse(
     sources: Mapping[str, AngleEvidence],
     sharing: CommonCovariance,
     scales: Sequence[tuple[float, float]] = CERTAIN,
+    answers: Mapping[str, Array] | None = None,
 ) -> Fused:
     """Best linear unbiased mean per angle; a source's name begins with its angle.
 
@@ -156,8 +168,9 @@ def fuse(
     all are averaged, and how far they lie apart is in the variance (Bayesian model averaging;
     Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999). So is how far that moves
     the mean from that of the first scale, the smallest: sources may contradict for other reasons.
+    answers: of each source (m,) to independent scaled errors at scale 1.
     """
-    return _fused(_angles(sources, sharing, scales), scales)
+    return _fused(_angles(sources, sharing, scales, answers or {}), scales)
 
 
 def _fused(angles: Sequence[_Angle], scales: Sequence[tuple[float, float]]) -> Fused:

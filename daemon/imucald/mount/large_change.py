@@ -23,7 +23,7 @@ from imucald.motion.ticks import TICK_S
 from imucald.mount.block_yaw import BlockMotion, block_yaw
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
-from imucald.mount.turned_alone import FORCE, MIN_SPEED, YAW_RATE, TurnedAlone
+from imucald.mount.turned_alone import DEVIATIONS, FORCE, MIN_SPEED, YAW_RATE, TurnedAlone
 
 Array = NDArray[np.float64]
 
@@ -197,7 +197,7 @@ class LargeChangeDetector:
         return best
 
     def while_driving(
-        self, p: SignalBlock, motion: BlockMotion, has_yaw_rate: bool
+        self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_yaw_rate: bool
     ) -> LargeChange | None:
         """A turn of a sensor that the vehicle did not make with it."""
         if has_yaw_rate:
@@ -205,10 +205,11 @@ class LargeChangeDetector:
         else:
             ok = p.ok_force & p.ok_speed & (np.abs(p.speed) > MIN_SPEED)
             vehicle, by = motion.force[:, 1] / np.where(ok, p.speed, 1.0), FORCE
+        by = by.beside(float(R[2] @ p.rate_walk @ R[2]))
         turned = self._alone.add(motion.turn_rate, vehicle, p.ok_rate & ok, by)
         if turned == 0.0:
             return None
-        return LargeChange(2, turned, turned / (by.least / 6.0), 1)
+        return LargeChange(2, turned, turned / (by.least / DEVIATIONS), 1)
 
     def while_standing(self, p: SignalBlock, R: Matrix3) -> LargeChange | None:
         """A turn, or a tilt, of a sensor whose vehicle stands."""

@@ -67,7 +67,7 @@ class MountChanges:
         change = self._large.while_standing(p, solver.R)
         if change is None and solver.own_gyro and not signals.without_speed:
             motion = solver.motion(p, solver.R)
-            change = self._large.while_driving(p, motion, "yaw_rate" in signals.seen)
+            change = self._large.while_driving(p, solver.R, motion, "yaw_rate" in signals.seen)
         return change
 
     def add(self, p: SignalBlock, solver: MountSolver, has_speed: bool) -> None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -30,6 +31,7 @@ from imucald.mount.estimate import (
     ANGLES,
     BETWEEN_DRIVES_STD,
     Correction,
+    JudgesSignals,
     Missing,
     MountEstimate,
     MountEstimator,
@@ -55,6 +57,8 @@ HAND_OVER_RATE = math.radians(1.0)
 
 HELD = "the end of the hold (imucald release)"
 """What a held mount waits for."""
+
+NONE_JUDGED: Mapping[str, bool] = {}
 
 BAD = frozenset({MountState.SUSPECT, MountState.RECALIBRATING})
 """States in which a mount is served with doubts."""
@@ -110,6 +114,7 @@ class RestoredEstimator:
         phase: Phase = Phase.RESTORED,
     ) -> None:
         self.inner = inner
+        self._judges = inner if isinstance(inner, JudgesSignals) else None
         self.stored = stored
         self.is_held = is_held
         self.phase = Phase.DOUBTED if stored.doubted else phase
@@ -150,6 +155,11 @@ class RestoredEstimator:
             return MountState.SUSPECT if self._contradictions else self.inner.state
         known = (self.stored.state, *(() if self.is_held else (self.inner.state,)))
         return MountState.FINE if MountState.FINE in known else MountState.USABLE
+
+    @property
+    def stuck_signals(self) -> Mapping[str, bool]:
+        """Of the vehicle's signals, as the estimator inside found; none where it does not look."""
+        return NONE_JUDGED if self._judges is None else self._judges.stuck_signals
 
     def step(self, tick: TickRow) -> None:
         """Take one tick."""

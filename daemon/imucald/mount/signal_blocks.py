@@ -117,6 +117,8 @@ class SignalBlockMaker:
         self.health = SignalHealth(new, settings.calibration.full_scale, settings.vehicle.track)
         self.seen: set[str] = set()
         self.blocks = 0
+        self.stuck: Mapping[str, bool] = {}
+        """Of the vehicle's signals, whether any tick of the last block was stuck."""
 
     @property
     def without_speed(self) -> bool:
@@ -189,6 +191,7 @@ class SignalBlockMaker:
             prepared.accel = np.zeros(BLOCK_TICKS)
             prepared.ok_speed = prepared.ok_force
         self._take_offsets(prepared)
+        self.stuck = dict(self.health.stuck_now)
         rows[:KEEP] = rows[BLOCK_TICKS:].copy()
         self._n = KEEP
         return prepared

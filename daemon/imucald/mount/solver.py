@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 
 import numpy as np
 from msgspec.structs import replace
@@ -18,7 +19,7 @@ from imucald.core.samples import GRAVITY
 from imucald.mount.block_yaw import BlockMotion
 from imucald.mount.common_errors import common_errors
 from imucald.mount.creep import P_CONSTANT, Creep, creep
-from imucald.mount.cross_axis import CrossAxisFusion
+from imucald.mount.cross_axis import CrossAxisFusion, ForceSeen
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
 from imucald.mount.evidence_gravity import GravityEvidence
@@ -204,9 +205,11 @@ class MountSolver:
         for _ in range(2 if self.blocks < SETTLED_BLOCKS else 1):
             if self.R is None:
                 return
-            sources = self._sources(self.R, bias, bias_cov)
-            force = self.gravity.mean_force()
-            fused = self._cross_axis.fused(sources, self.R, force, bias, bias_cov)
+            responses = self.response.fit(self.R) if self.yaw_known else {}
+            sources = self._sources(self.R, bias, bias_cov, responses)
+            gains = self.response.slow_gains() if self.own_gyro else None
+            seen = ForceSeen(self.gravity.mean_force(), bias, bias_cov, gains, responses)
+            fused = self._cross_axis.fused(sources, self.R, seen)
             if self.past_drives is not None:
                 probable = self._cross_axis.probable
                 fused = self.past_drives.fused(sources, self.R, self._tilt_bias, probable)
@@ -214,13 +217,19 @@ class MountSolver:
             self.sources, self.fused = sources, fused
         self.bias = bias
 
-    def _sources(self, R: Matrix3, bias: Array, bias_cov: Array) -> dict[str, AngleEvidence]:
+    def _sources(
+        self,
+        R: Matrix3,
+        bias: Array,
+        bias_cov: Array,
+        responses: Mapping[str, AngleEvidence],
+    ) -> dict[str, AngleEvidence]:
         """What responses and gravity say of the error of R, each by itself."""
         s, without_speed = self._settings, self.response.without_speed
         sources: dict[str, AngleEvidence] = {}
         gains, missed = (0.0, 0.0), 1.0
         if self.yaw_known:
-            sources = widened(self.response.fit(R), self.own_gyro, without_speed)
+            sources = widened(responses, self.own_gyro, without_speed)
             gains, missed = self.gains(), 1.0 if without_speed else 0.1
         ex, ey = self.gravity.tilt(R, bias, gains)
         slope = self.gravity.variance(s.slope_std, s.slope_length, missed)

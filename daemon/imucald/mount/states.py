@@ -108,6 +108,13 @@ def _yaw_reason(known: MountKnowledge, s: EstimatorSettings) -> tuple[str, Missi
         text = f"{_hard()} ({known.straight} of {NEEDED} seen)"
         return text, Missing.ACCELERATION
     if known.std[2] > s.limits.usable_yaw:
+        if known.yaw_seen < s.limits.usable_yaw < known.cross_axis:
+            text = (
+                f"a better accelerometer: its axes seem to answer to one another by about "
+                f"{100.0 * known.cross_axis:.0f} %, and how much of that turns yaw shows in "
+                "nothing ('cross_axis', where it is known to be less)"
+            )
+            return text, Missing.OTHER
         return f"more {_hard()} ({known.straight} seen)", Missing.ACCELERATION
     if known.yaw_seen < s.limits.fine_yaw < known.cross_axis:  # no driving makes that less
         text = f"{100.0 * known.cross_axis:.1f} % of cross-axis error is reckoned with in the "

@@ -12,6 +12,8 @@ ALARMS = {
     "accelerometer_faulty": "accelerometer faulty",
     "gyroscope_faulty": "gyroscope faulty",
     "magnetometer_faulty": "magnetometer faulty",
+    "speed_faulty": "speed faulty",
+    "yaw_rate_faulty": "yaw rate faulty",
     "input_rejected": "inputs rejected",
     "frames_lost": "frames lost",
     "id_conflict": "another node sends our ids",

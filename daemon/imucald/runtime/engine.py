@@ -332,7 +332,7 @@ class Engine:
         link, rejecting = self._link_health(), self._watch.is_recent(self.pipeline.k)
         if not self.timebase.started:
             return self._watch.all_missing(link, rejecting)
-        return self._watch.health(self.pipeline.k, link, self.pipeline.health.faults)
+        return self._watch.health(self.pipeline.k, link, self.pipeline.health.unfit)
 
     def _statuses(self, snapshots: list[Snapshot]) -> list[OutFrame]:
         watch = self._watch

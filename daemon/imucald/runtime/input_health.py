@@ -98,6 +98,8 @@ def health_at(
         accelerometer_faulty="accel" in faults,
         gyroscope_faulty="gyro" in faults,
         magnetometer_faulty="mag" in faults,
+        speed_faulty="speed" in faults,
+        yaw_rate_faulty="yaw_rate" in faults,
         input_rejected=is_rejecting,
         rejected=rejected,
         frames_lost=link.frames_lost,

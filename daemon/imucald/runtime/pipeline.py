@@ -29,6 +29,7 @@ from imucald.motion.ticks import (
 )
 from imucald.mount.estimate import (
     Correction,
+    JudgesSignals,
     KeepsTicks,
     MountEstimate,
     MountEstimator,
@@ -58,7 +59,7 @@ class Snapshot(Struct, frozen=True):
     usable: bool
     """Whether a correction is in force from this tick on."""
     faults: Mapping[str, Faults] = field(default_factory=dict)
-    """Sensors that are not fit to be used, by channel."""
+    """Sensors and signals that are not fit to be used, by channel."""
 
     @property
     def t(self) -> float:
@@ -139,6 +140,8 @@ class Pipeline:
         """The last tick in which speed was known, and its mean [m/s]."""
         self.status_ticks = status_ticks
         self._ticks = TickAccumulator()
+        self._judges = _judging(estimator)
+        self._signals_judged: Mapping[str, bool] = {}
         self._judge()
 
     # live ----------------------------------------------------------------------------------
@@ -174,6 +177,7 @@ class Pipeline:
         afresh: the mount so far is forgotten, and with it since when it has been good.
         """
         former, self.estimator = self.estimator, estimator
+        self._judges = _judging(estimator)
         self.correction = estimator.correction
         if afresh:
             self.first_usable = self.first_fine = None
@@ -242,7 +246,7 @@ class Pipeline:
         if snapshots is not None:
             every = self.status_ticks
             snapshots += [
-                Snapshot(k - 1, estimator.estimate(), self.quality > 0)
+                Snapshot(k - 1, estimator.estimate(), self.quality > 0, self.health.signals)
                 for k in range((first // every + 1) * every, self.k + 1, every)
             ]
         return n
@@ -280,8 +284,19 @@ class Pipeline:
         self.correction = estimator.correction
         self._judge()
         self.k += 1
+        self._take_signals()
         if snapshots is not None and self.k % self.status_ticks == 0:
-            snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0, faults))
+            unfit = {**faults, **self.health.signals}
+            snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0, unfit))
+
+    def _take_signals(self) -> None:
+        """Let the health tell what the estimator found of the vehicle's signals in a new block."""
+        if self._judges is None:
+            return
+        judged = self._judges.stuck_signals
+        if judged is not self._signals_judged:
+            self._signals_judged = judged
+            self.health.take_signals(judged, self.k / TICK_RATE)
 
     def _judge(self) -> None:
         if self.correction is None:
@@ -292,6 +307,10 @@ class Pipeline:
             self.first_usable = (self.k + 1) / TICK_RATE
         if self.first_fine is None and self.quality == _QUALITY[MountState.FINE]:
             self.first_fine = (self.k + 1) / TICK_RATE
+
+
+def _judging(estimator: MountEstimator) -> JudgesSignals | None:
+    return estimator if isinstance(estimator, JudgesSignals) else None
 
 
 def _of_tick(series: Series, k: int) -> Series:

@@ -144,8 +144,14 @@ class LiveHost:
         watched = {"accel": "accelerometer", "gyro": "gyroscope", "speed": "speed"}
         if self.uptime < START_S:
             watched = {}
-        faults = engine.pipeline.health.faults
-        sensors = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
+        faults = engine.pipeline.health.unfit
+        names = {
+            "accel": "accelerometer",
+            "gyro": "gyroscope",
+            "mag": "magnetometer",
+            "speed": "speed",
+            "yaw_rate": "yaw_rate",
+        }
         return Symptoms(
             usable=engine.pipeline.quality > 0,
             moved=engine.pipeline.estimator.state in _MOVED,
@@ -154,7 +160,7 @@ class LiveHost:
             state_corrupt=self._service.state_corrupt,
             faulty={
                 name: [str(fault) for fault in faults.get(c, ())]
-                for c, name in sensors.items()
+                for c, name in names.items()
                 if c in channels
             },
         )

@@ -42,8 +42,14 @@ FAULTY: Final = {
         for fault, (kind, meaning) in FAULTS.items()
     }
     for sensor, code in (("accelerometer", 0x5A12), ("gyroscope", 0x5A13), ("magnetometer", 0x5A16))
+} | {
+    signal: {"stuck": Dtc(code << 8 | FAULTS["stuck"][0], f"{signal}_stuck", meaning)}
+    for signal, code, meaning in (
+        ("speed", 0x5A14, "it repeats one value while the vehicle's motion changes"),
+        ("yaw_rate", 0x5A17, "it repeats one value while the vehicle turns"),
+    )
 }
-"""By sensor and fault."""
+"""By sensor or signal, and fault."""
 NOT_CALIBRATED = Dtc(0x5A1054, "not_calibrated", "no correction is in force", NOT_CALIBRATED_S)
 SENSOR_MOVED = Dtc(0x5A1176, "sensor_moved", "the sensor seems to have been moved")
 ACCELEROMETER_MISSING = Dtc(0x5A1287, "accelerometer_missing", "no good sample for a second")

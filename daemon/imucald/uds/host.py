@@ -43,8 +43,8 @@ class Symptoms:
 
     usable: a correction is in force. moved: the sensor seems to have been moved. missing: inputs
     by name ("accelerometer", "gyroscope", "speed") that are configured: whether they are missing.
-    faulty: sensors by name that are configured: their faults ("stuck", "saturated",
-    "implausible"). state_corrupt: a saved state was found and could not be used.
+    faulty: sensors by name that are configured, "speed" and "yaw_rate": their faults ("stuck",
+    "saturated", "implausible"). state_corrupt: a saved state was found and could not be used.
     """
 
     usable: bool

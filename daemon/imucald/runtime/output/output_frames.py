@@ -57,7 +57,7 @@ _MAIN = {"acceleration": "accel", "angular_rate": "gyro", "magnetic_field": "mag
 
 
 class Health(Struct, frozen=True):
-    """What the health frame says besides the calibration, and which of the sensors is faulty."""
+    """What the health frame says besides the calibration, and which sensor or signal is faulty."""
 
     accelerometer_missing: bool = False
     gyroscope_missing: bool = False
@@ -69,6 +69,8 @@ class Health(Struct, frozen=True):
     accelerometer_faulty: bool = False
     gyroscope_faulty: bool = False
     magnetometer_faulty: bool = False
+    speed_faulty: bool = False
+    yaw_rate_faulty: bool = False
     rejected: int = 0
     lost: int = 0
 
@@ -83,7 +85,11 @@ class Health(Struct, frozen=True):
             self.frames_lost,
             self.id_conflict,
             self.send_failed,
-            self.accelerometer_faulty or self.gyroscope_faulty or self.magnetometer_faulty,
+            self.accelerometer_faulty
+            or self.gyroscope_faulty
+            or self.magnetometer_faulty
+            or self.speed_faulty
+            or self.yaw_rate_faulty,
         )
 
 
