@@ -30,7 +30,7 @@ class Estimated:
     stated: float = 0.0
     """What the model file says."""
     tolerance: float = 0.0
-    """By how much an honest model file may be wrong."""
+    """By how much a correct model file may be wrong."""
 
 
 @dataclass(frozen=True)
