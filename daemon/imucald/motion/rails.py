@@ -1,7 +1,8 @@
 """Rails: an axis that cannot go beyond some value, at either end.
 
 A value that a live axis happens to reach as its largest comes once; on a rail it comes again and
-again, and stays. What is played twice to the last bit, such as a recording in a loop, comes once.
+again, from far below too, and stays. What is played twice to the last bit, such as a recording in
+a loop, comes once.
 """
 
 from __future__ import annotations
@@ -137,7 +138,7 @@ class Rail:
         pile.rate = pile.rate or at.runs.rate()
         is_arrival = hop - pile.last > 1
         if is_arrival:
-            pile.before = pile.at_it, pile.stays
+            pile.before = pile.at_it, pile.stays, pile.risen
         fresh = pile.count(at, self._axis, self._side, top.value)
         pile.last = hop
         if not fresh:
