@@ -64,7 +64,7 @@ class Config(Settings, frozen=True, kw_only=True):
 class LoadedConfig:
     """A configuration with the place it came from.
 
-    config: the settings. path: the file, or None. `database_paths`: absolute.
+    config: the settings. path: the file, or None. marks: where in the file each key stands.
     """
 
     def __init__(self, config: Config, path: Path | None, marks: Marks) -> None:

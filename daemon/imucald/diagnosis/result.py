@@ -120,7 +120,7 @@ class Structure:
 
     signal: str
     kind: str
-    """Such as `peak`, `bursts`, `drift`, `not plausible`."""
+    """Such as "peak", "shared motion", "not plausible"."""
     size: float
     """In standard deviations of what chance would give, or as a ratio to the expected power."""
     text: str
