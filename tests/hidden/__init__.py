@@ -27,7 +27,7 @@ sensor's low-pass      the analogue transfer function, in the spectrum    recurs
 starts from, and the true value of every parameter. `CAUSES` are the catalogue's 26 causes,
 `OUTSIDE` those that the catalogue does not have.
 
-The baseline says what an honest model file says: everything right to within `TOLERANCES`. An
+The baseline says what a correct model file says: everything right to within `TOLERANCES`. An
 effect (`Effect(cause, size)`) moves the truth away from it; the same seed without the effect gives
 the same drive otherwise.
 """

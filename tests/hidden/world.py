@@ -1,6 +1,6 @@
 """What is true on one drive: vehicle, road, sensors; and the baseline model file beside it.
 
-The baseline is an honest model file: each parameter is right to within its tolerance. `World`
+The baseline is a correct model file: each parameter is right to within its tolerance. `World`
 holds the true values; an effect then moves some of them (see `effects`).
 """
 

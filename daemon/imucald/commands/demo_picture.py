@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 import time
 
 from rich.console import Group
@@ -22,6 +23,7 @@ from imucald.mount.mount_words import (
     reasons,
 )
 
+COLUMNS = 80
 HISTORY = 24
 """Columns of the history of an angle's uncertainty."""
 BLOCKS = " ▁▂▃▄▅▆▇█"
@@ -55,7 +57,8 @@ class Picture:
     def draw(self, demo: Demonstration, steady: bool = True) -> Group:
         """Return the picture, twenty lines for 80 columns; steady: of the same height always."""
         estimate = demo.estimate()
-        waiting = [f"waiting for  {who}: {text}" for who, text in reasons(estimate.waiting_for)]
+        reports = [f"waiting for  {who}: {text}" for who, text in reasons(estimate.waiting_for)]
+        waiting = [line for text in reports for line in textwrap.wrap(text, COLUMNS)]
         if steady:
             waiting += [""] * (len(ANGLES) - len(waiting))
         return Group(
@@ -63,7 +66,7 @@ class Picture:
             Padding(_state_line(demo), (1, 0)),
             self._angle_table(demo),
             Padding(
-                Text("\n".join(waiting), style="yellow", overflow="ellipsis", no_wrap=True),
+                Text("\n".join(waiting), style="yellow"),
                 (1, 0, 0, 0),
             ),
             Padding(_acceleration_table(demo), (1, 0)),

@@ -104,9 +104,9 @@ def _result_lines(demo: Demonstration, waited: float) -> list[str]:
     targets = demo.estimate().targets
     if best is None and targets is not None:
         x, y, z = (plus_minus(s * DEG_PER_RAD, 1) for s in targets.fine)
-        fine = f" (fine below {x} about x, {y} about y, {z} about z)"
+        fine = f"; fine below {x} about x, {y} about y, {z} about z"
     lines = [
-        f"State {name}: {usable}{fine} of {clock(demo.now)} driven, in {waited:.0f} s.",
+        f"{clock(demo.now)} min driven in {waited:.0f} s. State {name}: {usable}{fine}.",
         f"{demo.sent} frames received, {demo.engine.router.rejected.total()} rejected; "
         f"{listener.frames} corrected ones came back, {listener.damaged} damaged.",
     ]

@@ -1,6 +1,6 @@
 """The catalogue: what a model file can be wrong by, as data.
 
-One row a parameter: unit, by how much an honest model file may be wrong (`tolerance`, a half
+One row a parameter: unit, by how much a correct model file may be wrong (`tolerance`, a half
 width) with its source, what a vehicle or a sensor can have at all (`plausible`), and which signals
 it takes. One row a cause: its parameters and its words. The fitter reads rows and knows no name.
 

@@ -30,7 +30,7 @@ class Estimated:
     stated: float = 0.0
     """What the model file says."""
     tolerance: float = 0.0
-    """By how much an honest model file may be wrong."""
+    """By how much a correct model file may be wrong."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,15 @@ GOES_AGAINST = "goes against the model"
 TOO_MUCH = "too much is left"
 """Kind where more is left than any measured car leaves: then no fit is believed."""
 GOES_WITH_LEVEL = "goes with its own signal"
-GOES_WITH_SHAKING = "goes with shaking"
 """Kind where what is left depends on a signal's level, direction or past."""
+GOES_WITH_SHAKING = "goes with shaking"
+"""Kind where what is left depends on how much the sensor is shaken."""
 VALUE_HELD = "a value is held"
 """Kind where a sensor shows one value far oftener than those beside it."""
+WANDERS = "wanders"
+"""Kind where a zero or a gain is another from piece to piece of a drive."""
+DIFFERS = "differs by condition"
+"""Kind where it is another when the vehicle is driven otherwise."""
 NOT_PLAUSIBLE = "not plausible"
 """Kind where a cause explains the numbers, but cannot be: a cause is missing."""
 

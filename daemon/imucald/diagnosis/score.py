@@ -1,6 +1,6 @@
 """Fits and held-out losses on a table of blocks. Knows no cause by name.
 
-The null is a box: an honest model file is wrong by |x_j| <= tau_j. A Gaussian prior of that width
+The null is a box: a correct model file is wrong by |x_j| <= tau_j. A Gaussian prior of that width
 would be overrun by half an hour of data. A hypothesis frees its own parameters from the box.
 """
 

@@ -56,11 +56,11 @@ class Relation:
 
     @property
     def is_believed(self) -> bool:
-        """Whether the two are related beyond doubt, found among any signals of a bus."""
+        """Whether the two are certainly related, found among any signals of a bus."""
         return self.is_believed_of(MANY)
 
     def is_believed_of(self, comparisons: int) -> bool:
-        """Whether the two are related beyond doubt, the best of so many comparisons or not."""
+        """Whether the two are certainly related, the best of so many comparisons or not."""
         return self.z >= believed_z(comparisons)
 
     @property

@@ -191,5 +191,5 @@ def _integrated(rate: Array) -> Array:
 
 
 def is_decided(fit: GyroFit, orders: list[Order]) -> bool:
-    """Whether an order is ahead of some others beyond doubt."""
+    """Whether an order is certainly ahead of some others."""
     return fit.ahead(orders) >= BELIEVED_NATS

@@ -1,4 +1,4 @@
-"""A gyroscope as it is proposed: unit, sign, which axis is which, and what is not beyond doubt."""
+"""A gyroscope as it is proposed: unit, sign, which axis is which, and what is not certain."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ def _open_question(triad: Triad, fit: GyroFit) -> str:
     if not fit.is_believed:
         return "neither turns nor slopes confirm it"
     if signs[0] < 0 and not is_decided(fit, [o for o in orders if o[1] != signs]):
-        return "the sign is not beyond doubt"
+        return "the sign is not certain"
     if not triad.names_axes and not is_decided(fit, orders):
-        return "which axis is which is not beyond doubt"
+        return "which axis is which is not certain"
     return ""
 
 

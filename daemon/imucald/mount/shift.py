@@ -295,8 +295,8 @@ def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, 
     Returns sizes [rad] and informations (K, S). With M the information of angle and nuisance from
     all segments, w what the new segments have of its first row and U their scores left over by the
     common fit, the change is U / V with V = w_0 - w' M^-1 w (the score test of a linear model;
-    exact). So what new segments know of the angle only together with nuisance that they alone
-    show, counts for nothing.
+    exact). What new segments say of the angle is not used where it cannot be separated from
+    nuisance that only they show.
     """
     left = np.array([fit.left for fit in fits])  # (K, G)
     rows = np.array([fit.rows for fit in fits])  # (K, G, regressors)
