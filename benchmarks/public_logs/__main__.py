@@ -6,9 +6,9 @@
 DIR holds a clone of each repository as OWNER+NAME (for what is absent the command is shown); the
 logs are made below DIR/logs. Of each: the quantities that `init` finds with sign and unit beside
 the configuration by hand in `right/`, and the mount by that configuration, of the whole and of both
-halves, beside what is known. With --information also how well least squares alone know the yaw, and
-with --diagnose what `diagnose` says of the second half beside
-the first, and of effects that are put in; that is told and not judged.
+halves, beside what is known. With --information also how well least squares alone know the yaw,
+with --diagnose what `diagnose` says of the second half beside the first, and of effects that are
+put in; that is told and not judged.
 """
 
 from __future__ import annotations
