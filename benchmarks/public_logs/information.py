@@ -37,13 +37,15 @@ def known_by_itself(folder: Path) -> Iterator[str]:
     if not {"accel", "speed"} <= recording.samples.keys():
         yield "no accelerometer, or no speed"
         return
-    found = min(_fitted(recording.samples, width) for width in SMOOTH)
-    std, delay, gain = found
+    std, delay, gain, _ = min(fitted(recording.samples, width) for width in SMOOTH)
     yield f"yaw to {std:.2f} deg at best, speed {delay:+.1f} s late, gain {gain:.2f}"
 
 
-def _fitted(samples: Samples, width: float) -> tuple[float, float, float]:
-    """Deviation of yaw [deg], delay [s] and gain of the speed, of signals smoothed alike."""
+def fitted(samples: Samples, width: float) -> tuple[float, float, float, float]:
+    """Deviation of yaw [deg], delay [s] and gain of the speed, and yaw [deg] in level axes.
+
+    width: of the smoothing of all signals [ticks].
+    """
     accel, speed = samples["accel"], samples["speed"]
     t = np.arange(max(accel.t[0], speed.t[0]) + 1.0, min(accel.t[-1], speed.t[-1]) - 1.0, TICK)
     force = _even(accel, t)
@@ -70,7 +72,8 @@ def _fitted(samples: Samples, width: float) -> tuple[float, float, float]:
     scores = np.add.reduceat(x * across[:, None], np.arange(0, len(x), PIECE))
     inverse = np.linalg.inv(x.T @ x)
     variance = float((inverse @ scores.T @ scores @ inverse)[0, 0])
-    return float(np.degrees(np.sqrt(variance) / gain)), delay * TICK, gain
+    yaw = float(np.degrees(np.arctan2(answer[0, 1], answer[0, 0])))
+    return float(np.degrees(np.sqrt(variance) / gain)), delay * TICK, gain, yaw
 
 
 def _even(series: Series, t: Array) -> Array:
