@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from imucald.core.rotations import rotation_from_angles
 from imucald.mount.estimate import Missing, MountEstimate, MountState
 from imucald.uds.host import FrameCounts, Identity
+from imucald.uds.security import KeyFunction, Security
 from imucald.uds.server import Server
 
 ANGLES_DEG = (1.5, -20.25, 135.0)
@@ -88,10 +90,12 @@ class FakeHost:
 class Bench:
     """A server with a fake host and clock."""
 
-    def __init__(self, **options: object) -> None:
+    def __init__(self, key_function: KeyFunction | None = key_of, **options: Any) -> None:
+        """options: of `Security`."""
         self.clock = Clock()
         self.host = FakeHost()
-        self.server = Server(self.host, self.clock, **{"key_function": key_of, **options})
+        security = Security(key_function, self.clock, **options)
+        self.server = Server(self.host, self.clock, security)
 
     def ask(self, request: str, to_all: bool = False) -> str | None:
         """Request and response as hexadecimal text."""

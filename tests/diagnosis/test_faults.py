@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from imucald.core.samples import Series
-from imucald.diagnosis.faults import find_faults, spoilt
-from imucald.diagnosis.outcome import told_fault
+from imucald.diagnosis.faults import find_faults, invalid_spans
+from imucald.diagnosis.outcome import cause_of_fault
 from imucald.model.model import VehicleModel
 
 MODEL = VehicleModel().with_changes({"accel.rate_hz": 100.0, "speed.rate_hz": 10.0})
@@ -51,7 +51,7 @@ def test_values_that_pile_up_are_a_rail(share):
     assert list(found) == ["saturation:accel"]
     fault = found["saturation:accel"]
     assert fault.values["accel.full_scale"][0] == pytest.approx(abs(rail))
-    spans = spoilt([fault])["accel"]
+    spans = invalid_spans([fault])["accel"]
     hit = samples["accel"].t[x[:, 0] >= rail]
     assert all(any(a <= t <= b for a, b in spans) for t in hit)
 
@@ -201,7 +201,7 @@ def test_the_text_of_a_fault_names_its_signal():
         order = np.argsort(times, kind="stable")
         samples[name] = Series(times[order], np.concatenate([x, x[again]])[order])
     found = causes(samples)
-    texts = {name: told_fault(fault, VehicleModel()).text for name, fault in found.items()}
+    texts = {name: cause_of_fault(fault, VehicleModel()).text for name, fault in found.items()}
     assert texts["duplicated_frames:accel"].startswith("Accelerometer: ")
     assert texts["duplicated_frames:yaw_rate"].startswith("Yaw rate: ")
 

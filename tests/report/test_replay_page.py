@@ -13,7 +13,7 @@ import pytest
 from html_page import Page
 from imucald import cli
 from imucald.can.logs.log_reader import LogReader
-from imucald.report.drive_events import in_order, state_changes, told_events
+from imucald.report.drive_events import in_order, reported_events, state_changes
 from imucald.report.drive_history import DriveHistory
 from imucald.runtime.replay import Replay
 from imucald.runtime.session import make_engine
@@ -125,7 +125,7 @@ def test_changes_of_state_and_what_is_told_come_in_order():
                         "until_s": 6.5}]
         },
     }  # fmt: skip
-    events = in_order([*state_changes(states), *told_events(result, [6.0])])
+    events = in_order([*state_changes(states), *reported_events(result, [6.0])])
     assert [e.kind for e in events] == ["state", "fault", "sensor", "moved", "gap", "state"]
     texts = [e.text for e in events]
     assert texts[1] == "the speed's unit is wrong"

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, add_bus, add_config, positive
+from imucald.commands.options import (
+    LOG_HELP,
+    add_bus,
+    add_config,
+    configuration,
+    positive,
+    print_problems,
+    refuse_log_and_bus,
+)
 
 if TYPE_CHECKING:
     from imucald.config import LoadedConfig
@@ -45,26 +52,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Look, then report."""
     from imucald.api.checking import check, check_report
-    from imucald.api.configuration import Configuration
     from imucald.commands.files import check_files
     from imucald.commands.terminal import progress_bar
-    from imucald.core.errors import ConfigError
+    from imucald.runtime.summary import as_json
     from imucald.service.start_check import check_start
 
-    if options.logs and (options.interface or options.channel):
-        raise ConfigError("either LOG or --interface and --channel: not both")
-    if not options.seconds > 0:
-        raise ConfigError("--seconds must be positive")
+    refuse_log_and_bus(options)
     check_files((options.config, *options.database, *options.logs), ())
-    config = Configuration.load(options.config, options.database)
-    for text in config.warnings:
-        print(f"imucald: warning: {text}", file=sys.stderr)
+    config = configuration(options)
     check_start(config.loaded)
     if options.logs:
         with progress_bar("check") as progress:
             found = check(config, options.logs, progress=progress)
-        for text in found.problems:
-            print(f"imucald: {text}", file=sys.stderr)
+        print_problems(found.problems)
     else:
         checker = _for_a_bus(config.loaded, options)
         _listen(checker, config.loaded, options)
@@ -72,8 +72,7 @@ def run(options: argparse.Namespace) -> int:
     report = found.to_dict()
     passed = report["usable"] and not (options.strict and report["warnings"])
     if options.json:
-        json.dump(report, sys.stdout, indent=2, allow_nan=False, ensure_ascii=False)
-        print()
+        sys.stdout.write(as_json(report))
     else:
         from imucald.commands.check_view import print_report
         from imucald.commands.terminal import plain_where_needed

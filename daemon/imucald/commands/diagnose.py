@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import add_config
+from imucald.commands.options import add_config, configuration, print_problems
 
 if TYPE_CHECKING:
     from imucald.api.configuration import Configuration
@@ -64,7 +63,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read, diagnose, then report in every way that was asked for."""
-    from imucald.api.configuration import Configuration
     from imucald.api.diagnosing import diagnosis_of
     from imucald.commands.diagnose_view import share_bar
     from imucald.commands.files import STANDARD, write_text
@@ -73,9 +71,7 @@ def run(options: argparse.Namespace) -> int:
 
     _check(options)
     model = load_model(options.model) if options.model else None
-    config = Configuration.load(options.config, options.database)
-    for text in config.warnings:
-        print(f"imucald: warning: {text}", file=sys.stderr)
+    config = configuration(options)
     recordings = [_read(config, log, options) for log in options.logs]
     with share_bar("diagnosis", options.quiet) as progress:
         limit = options.time_limit
@@ -126,8 +122,7 @@ def _read(config: Configuration, log: str, options: argparse.Namespace) -> Recor
 
     with progress_bar(f"reading {Path(log).name}", options.quiet) as progress:
         recording = read_samples(config.loaded, [log], progress, options.strict)
-    for text in recording.problems:
-        print(f"imucald: {text}", file=sys.stderr)
+    print_problems(recording.problems)
     return recording
 
 

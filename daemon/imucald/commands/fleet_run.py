@@ -89,7 +89,7 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
                 whole = work.go(lease)
             finally:
                 workers.close()
-    return _told(work.counts, whole)
+    return _print_end(work.counts, whole)
 
 
 def _bytes(option: str, text: str) -> int:
@@ -194,7 +194,8 @@ def _progress(quiet: bool) -> Iterator[Callable[[Counts], None]]:
         print("\r\x1b[K", end="", file=sys.stderr)
 
 
-def _told(counts: Counts, whole: bool) -> int:
+def _print_end(counts: Counts, whole: bool) -> int:
+    """Print how the run ended; return the exit status."""
     failed = ", ".join(f"{kind} {n}" for kind, n in sorted(counts.failed.items()))
     text = f"imucald: {counts.done} logs evaluated"
     print(f"{text}{f'; failed: {failed}' if failed else ''}", file=sys.stderr)

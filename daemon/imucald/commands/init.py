@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, positive
+from imucald.commands.options import LOG_HELP, positive, print_problems, refuse_log_and_bus
 
 if TYPE_CHECKING:
     from imucald.can.dbc.database import Database
@@ -65,10 +65,7 @@ def run(options: argparse.Namespace) -> int:
     from imucald.core.errors import ConfigError
     from imucald.discovery import GatheredFrames, as_yaml, discover
 
-    if options.logs and (options.interface or options.channel):
-        raise ConfigError("either LOG or --interface and --channel: not both")
-    if not options.seconds > 0:
-        raise ConfigError("--seconds must be positive")
+    refuse_log_and_bus(options)
     if not options.database and not (options.logs or options.interface or options.channel):
         raise ConfigError("say what there is: --database FILE, a LOG, or --interface can0")
     out = None if options.out == STANDARD else options.out
@@ -135,8 +132,7 @@ def _read(logs: list[str], databases: Mapping[str, Database]) -> GatheredFrames:
     with progress_bar("init") as progress:
         reader = LogReader(logs, None, False, progress, list(stated_cycles(databases)))
         recording = GatheredFrames.of(reader)
-    for text in reader.problems:
-        print(f"imucald: {text}", file=sys.stderr)
+    print_problems(reader.problems)
     return recording
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from imucald.mount.mount_words import reasons_line
-from imucald.report.drive_events import STATE_WORDS, told_events
+from imucald.report.drive_events import STATE_WORDS, reported_events
 from imucald.runtime.alarms import ALARMS, present_alarms
 
 KEPT = 200
@@ -41,17 +41,17 @@ class LiveEvents:
         self._state: str | None = None
         self._link: str | None = None
         self._alarms: frozenset[str] = frozenset()
-        self._told: set[tuple[float, str, str]] = set()
+        self._listed: set[tuple[float, str, str]] = set()
 
     def update(self, status: Mapping[str, Any], now: float) -> None:
         """Take a status at wall clock `now` [s]."""
         began = now - float(status["duration_s"])
         first = self._state is None
         found = []
-        for event in told_events(status):
+        for event in reported_events(status):
             key = event.t, event.kind, event.text.partition(",")[0]
-            if key not in self._told:
-                self._told.add(key)
+            if key not in self._listed:
+                self._listed.add(key)
                 found.append(LiveEvent(began + event.t, event.kind, event.text))
         if first and status["state"] != "restored":  # not confirmed, and in force
             found += [

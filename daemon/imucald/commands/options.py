@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imucald.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from imucald.api.configuration import Configuration
 
 LOG_HELP = (
     "candump output in any form ('-' for standard input), ASC, BLF, TRC, MF4, CSV of SavvyCAN or "
@@ -34,6 +42,27 @@ def add_config(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="database to use in place of the configuration's (repeat for several)",
     )
+
+
+def configuration(options: argparse.Namespace) -> Configuration:
+    """The configuration that the options of `add_config` name; its warnings go to stderr."""
+    from imucald.api.configuration import Configuration
+
+    found = Configuration.load(options.config, options.database)
+    print_problems(f"warning: {text}" for text in found.warnings)
+    return found
+
+
+def print_problems(texts: Iterable[str]) -> None:
+    """What is wrong with a configuration or a log, a line each on stderr."""
+    for text in texts:
+        print(f"imucald: {text}", file=sys.stderr)
+
+
+def refuse_log_and_bus(options: argparse.Namespace) -> None:
+    """Raise ConfigError where both a recording and a bus are named."""
+    if options.logs and (options.interface or options.channel):
+        raise ConfigError("either LOG or --interface and --channel: not both")
 
 
 def add_bus(parser: argparse.ArgumentParser) -> None:

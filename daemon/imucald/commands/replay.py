@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import LOG_HELP, add_config
+from imucald.commands.options import LOG_HELP, add_config, configuration, print_problems
 from imucald.core.extras import how_to_install
 
 if TYPE_CHECKING:
@@ -84,16 +84,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Replay, then say what came of it."""
-    from imucald.api.configuration import Configuration
     from imucald.api.logs import found_names
     from imucald.core.file_cache import keep_databases
 
     logs = found_names(options.logs)
     _check(options, logs)
     keep_databases(os.environ)
-    config = Configuration.load(options.config, options.database)
-    for text in config.warnings:
-        print(f"imucald: warning: {text}", file=sys.stderr)
+    config = configuration(options)
     if len(logs) > 1 and not options.joined:
         return _several(options, config, logs)
     return _one(options, config, logs)
@@ -232,11 +229,8 @@ def _page(
 def _print_problems(options: argparse.Namespace, drive: DriveResult) -> None:
     from imucald.api.run import UNUSED
 
-    for text in drive.problems:
-        print(f"imucald: {text}", file=sys.stderr)
-    for text in drive.notes:
-        if text == UNUSED or not options.quiet:
-            print(f"imucald: {text}", file=sys.stderr)
+    print_problems(drive.problems)
+    print_problems(text for text in drive.notes if text == UNUSED or not options.quiet)
 
 
 def _print_written(files: Sequence[Path]) -> None:

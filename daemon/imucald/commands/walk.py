@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from collections.abc import Mapping
 from typing import Any
 
-from imucald.commands.options import add_config
+from imucald.commands.options import add_config, configuration, print_problems
 
 SHOWN = 20
 """Lines of the table: steps are left out until it fits a page."""
@@ -33,20 +32,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read the log, step by step."""
-    from imucald.api.configuration import Configuration
     from imucald.api.walking import walk
     from imucald.commands.files import STANDARD, check_files, write_text
     from imucald.commands.terminal import progress_bar
     from imucald.runtime.summary import as_json
 
     check_files((options.config, *options.database, *options.logs), (options.json,))
-    config = Configuration.load(options.config, options.database)
-    for text in config.warnings:
-        print(f"imucald: warning: {text}", file=sys.stderr)
+    config = configuration(options)
     with progress_bar("walk", options.quiet) as progress:
         found = walk(config, options.logs, progress=progress, strict=options.strict)
-    for text in found.problems:
-        print(f"imucald: {text}", file=sys.stderr)
+    print_problems(found.problems)
     result = found.to_dict()
     if options.json:
         write_text(options.json, as_json(result))

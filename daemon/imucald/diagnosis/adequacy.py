@@ -157,9 +157,9 @@ def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list
     """The same motion in two equations that have no sensor in common.
 
     Partial coherence: what goes with steering and turning, by whatever dynamics, is taken off both
-    (Bendat and Piersol, Random Data, ch. 7), so that an error of the handling is no motion. Told
-    is what exceeds chance, 1 - p^(1/(n - 1)) for n segments, and what calm air does at this speed:
-    as a push, or as the acceleration v r of the turn that the push brings.
+    (Bendat and Piersol, Random Data, ch. 7), so that an error of the handling is no motion. What
+    is reported exceeds chance, 1 - p^(1/(n - 1)) for n segments, and what calm air does at this
+    speed: as a push, or as the acceleration v r of the turn that the push brings.
     """
     drive = forwards[0].drive
     if not (drive.has("gyro") and drive.has("yaw_rate")):

@@ -4,8 +4,8 @@ One row a parameter: unit, by how much a correct model file may be wrong (`toler
 width) with its source, what a vehicle or a sensor can have at all (`plausible`), and which signals
 it takes. One row a cause: its parameters and its words. The fitter reads rows and knows no name.
 
-Parameters are keys of the model file. Vectors are told along the vehicle's axes (`.x .y .z`), where
-a drive separates them; those that belong to a sensor's own axes have an index. A key that begins
+Parameters are keys of the model file. Vectors are along the vehicle's axes (`.x .y .z`), where a
+drive separates them; those that belong to a sensor's own axes have an index. A key that begins
 with `_` has no place in the model file.
 """
 
@@ -45,7 +45,7 @@ class Cause:
     variants: tuple[tuple[str, ...], ...]
     sentence: str
     separate: str
-    """The manoeuvre that tells it from its look-alikes."""
+    """The manoeuvre that separates it from its look-alikes."""
     generic: bool = False
     """A gain, an offset or a delay of a signal, without a physical reason."""
     together: tuple[str, ...] = ()
@@ -166,7 +166,7 @@ and not for delays, which no measured car has confirmed). It does not shrink wit
 it is in every deviation. A measured log beside its own GNSS speed has the speed's gain off by as
 much again."""
 LEVEL_GYRO_GAIN_ERROR = 0.018
-"""The same of a gain of the gyroscope about a level axis: only slopes tell of it."""
+"""The same of a gain of the gyroscope about a level axis: only slopes show it."""
 
 
 def _keys(prefix: str, names: str = "xyz") -> tuple[str, ...]:

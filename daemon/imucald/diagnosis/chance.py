@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from imucald.diagnosis.result import Structure
 
 FALSE_SHARE = 0.01
-"""Of what is told; where nothing is left, the chance that anything is."""
+"""Of what is reported; where nothing is left, the chance that anything is."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """Asked of a residual: its chance where nothing is there, and what would be told."""
+    """Asked of a residual: its chance where nothing is there, and what would be reported."""
 
     p: float
     is_large: bool
@@ -22,7 +22,7 @@ class Question:
 
 
 def beyond_chance(asked: Sequence[Question]) -> list[Structure]:
-    """What is told: of the k smallest of M chances those up to k 0.01/M (Benjamini and Hochberg
+    """What is reported: of the k smallest of M chances those up to k 0.01/M (Benjamini and Hochberg
     1995), if they are large; of each signal and kind the largest."""
     found: dict[tuple[str, str], Structure] = {}
     ranked = sorted(asked, key=lambda q: q.p)

@@ -21,7 +21,7 @@ from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, wi
 from imucald.diagnosis.chance import beyond_chance
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.doubts import doubt
-from imucald.diagnosis.faults import find_faults, spoilt
+from imucald.diagnosis.faults import find_faults, invalid_spans
 from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.held_values import held_values
 from imucald.diagnosis.intervals import estimate, quantile
@@ -65,23 +65,23 @@ def diagnose(
     """Say what the simulation with this model gets wrong beside measured drives of one vehicle.
 
     drives: SI samples, sensor axes (see `imucald.core.samples`); at least `accel` and `speed`, and
-    minutes of them. limit_s: processor time after which what was found so far is told.
+    minutes of them. limit_s: processor time after which what was found so far is reported.
     Raises EstimateError where nothing can be diagnosed.
     """
     if not drives:
         raise EstimateError("diagnosis needs at least one drive")
     for samples in drives:
         require(samples)
-    tell = progress or _silent
+    report = progress or _silent
     until = time.process_time() + limit_s
     late = _Late(until)
-    tell(0.02, "samples and time stamps")
+    report(0.02, "samples and time stamps")
     faults, model_now = _faults(drives, model)
-    tell(0.08, "stops")
-    parts = [drive_of(s, spoilt(f)) for s, f in zip(drives, faults, strict=True)]
+    report(0.08, "stops")
+    parts = [drive_of(s, invalid_spans(f)) for s, f in zip(drives, faults, strict=True)]
     rest = rest_of(parts, model_now, len(GYRO_BIAS))
     state = _started(parts, model_now, rest)
-    tell(0.12, "forward model and residuals")
+    report(0.12, "forward model and residuals")
     first = state.evaluated()
     before, forwards_before = first.table, state.forwards
     _refuse_short(before)
@@ -89,54 +89,54 @@ def diagnose(
 
     def tick(text: str) -> None:
         steps[0] = min(steps[0] + 0.12, 0.75)
-        tell(steps[0], text)
+        report(steps[0], text)
 
     tick("which causes pay on data that their fit did not see")
     wrong = goes_against(forwards_before)
     if not wrong:
         search(state, tick, late, GYRO_BIAS if rest else ())
-    tell(0.8, "what is left")
+    report(0.8, "what is left")
     left = tuple(wrong) or _left(state)
     if any(s.kind == TOO_MUCH for s in left):
         state.give_up()
     else:
         doubt(state, left, faults)
     problem = state.evaluated()
-    told = _told(state, rest, faults, model)
-    tell(0.88, "what the written file brings")
+    causes = _certain_causes(state, rest, faults, model)
+    report(0.88, "what the written file brings")
     written = _written(state, problem)
     problem = state.evaluated()
     gain, signals = gain_of(before, problem, state.free, state.forwards)
     if state.shift is not None:
         gain = summed(state.shift.gain, gain.worse)
     sets = outcome.look_alikes(state)
-    tell(0.95, "pictures")
+    report(0.95, "pictures")
     return Diagnosis(
-        verdict=outcome.verdict_of(told, sets, left),
-        causes=tuple(sorted(told, key=lambda c: -c.evidence["held_out_nats"])),
+        verdict=outcome.verdict_of(causes, sets, left),
+        causes=tuple(sorted(causes, key=lambda c: -c.evidence["held_out_nats"])),
         look_alikes=sets,
         to_separate=outcome.manoeuvres(sets),
         signals=signals,
         gain=gain,
         duration_s=float(sum(d.duration_s for d in parts)),
-        likely=tuple(outcome.told_trial(state, t, {}, "likely") for t in state.likely),
-        candidates=outcome.told_rest_of(state),
+        likely=tuple(outcome.cause_of_trial(state, t, {}, "likely") for t in state.likely),
+        candidates=outcome.other_candidates(state),
         structure=left,
         notes=tuple(_notes(parts, problem.table, late)),
         pictures=pictures_of(forwards_before, state.forwards),
         model_before=model,
         model_after=written,
-        recommended=_is_recommended(told, gain, left, written != model),
+        recommended=_is_recommended(causes, gain, left, written != model),
         complete=not late.was,
     )
 
 
 def _is_recommended(
-    told: Sequence[FoundCause], gain: Gain, left: Sequence[Structure], changes: bool
+    causes: Sequence[FoundCause], gain: Gain, left: Sequence[Structure], changes: bool
 ) -> bool:
     """The written file predicts data that no fit saw better, or states what was read directly; and
     the prediction is to be believed at all."""
-    if not (told and changes) or any(s.kind in UNBELIEVED for s in left):
+    if not (causes and changes) or any(s.kind in UNBELIEVED for s in left):
         return False
     return not gain.worse and (gain.held_out_log_likelihood > 0.0 or not gain.was_fitted)
 
@@ -214,25 +214,25 @@ def _refuse_short(table: Table) -> None:
         )
 
 
-def _told(
+def _certain_causes(
     state: State, rest: Rest | None, faults: Sequence[Sequence[Fault]], model: VehicleModel
 ) -> list[FoundCause]:
     """All causes that are certain: direct evidence, shift, fit."""
     estimates = final_estimates(state)
-    told = [outcome.told_trial(state, t, estimates) for t in state.named]
+    causes = [outcome.cause_of_trial(state, t, estimates) for t in state.named]
     if rest is not None and state.at_rest and _is_off(at := _zero_of(rest, state, model), model):
-        told.append(outcome.told_rest(at, model))
+        causes.append(outcome.cause_of_rest(at, model))
     if state.shift is not None and state.table is not None:
-        told.append(outcome.told_shift(state.shift, state.table))
+        causes.append(outcome.cause_of_shift(state.shift, state.table))
     for part in faults:
-        told += [outcome.told_fault(fault, model) for fault in part]
-    return _merged(told)
+        causes += [outcome.cause_of_fault(fault, model) for fault in part]
+    return _merged(causes)
 
 
-def _merged(told: Sequence[FoundCause]) -> list[FoundCause]:
+def _merged(causes: Sequence[FoundCause]) -> list[FoundCause]:
     """One entry a cause, also where several signals or variants have it."""
     made: dict[str, FoundCause] = {}
-    for one in told:
+    for one in causes:
         known = made.get(one.name)
         if known is None:
             made[one.name] = one

@@ -18,7 +18,7 @@ from imucald.model.model import VehicleModel
 
 FEW_STOPS = 3
 LEAST_SE = 0.04 * DEG
-"""What one or two stops can tell: stops of one measured drive differ by 0.03 deg/s."""
+"""What one or two stops can show: stops of one measured drive differ by 0.03 deg/s."""
 FINEST_SE = 0.004 * DEG
 CHANCE = 0.01
 

@@ -1,6 +1,6 @@
 """Faults that show in samples and time stamps alone: pile-up, stuck, lost, doubled, wrong cycle.
 
-Each is direct evidence. What it spoils is kept from the fit.
+Each is direct evidence. The samples that it makes invalid are kept from the fit.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ PILE_SHARE = 2e-4
 PILE_LEVELS = (3, 10)
 """Levels below the extreme one that it is held against."""
 CHANCE = 0.01
-"""Of a drive: that a rail is told of without a reason; shared out over ends and levels."""
+"""Of a drive: that a rail is reported without a reason; shared out over ends and levels."""
 FEW_STAYS = 3
 QUESTIONS = 6 * len(RAILED) * (len(PILE_LEVELS) + 1)
 """Both ends of three axes of each signal."""
-SPOILT_S = 0.3
+INVALID_S = 0.3
 LOST_TOLERANCE, LOST_FEWEST = 0.003, 8
 """Frames that a bus and a logger may lose without a fault."""
 PAUSE_S = 10.0
@@ -59,8 +59,8 @@ def find_faults(
     return found
 
 
-def spoilt(faults: Sequence[Fault]) -> dict[str, Spans]:
-    """Stretches by signal that must not be used."""
+def invalid_spans(faults: Sequence[Fault]) -> dict[str, Spans]:
+    """Intervals of time by signal that must not be used."""
     made: dict[str, Spans] = {}
     for fault in faults:
         made[fault.signal] = (*made.get(fault.signal, ()), *fault.spans)
@@ -158,14 +158,14 @@ def _is_held(x: Array, at: Mask) -> bool:
 
 
 def _spans(t: Array, hit: Mask) -> Spans:
-    """Stretches about rows, those close to each other joined."""
+    """Intervals of time about rows, those close to each other joined."""
     at = t[hit]
     if not len(at):
         return ()
-    cuts = np.flatnonzero(np.diff(at) > 2.0 * SPOILT_S)
+    cuts = np.flatnonzero(np.diff(at) > 2.0 * INVALID_S)
     first = np.concatenate([[0], cuts + 1])
     last = np.concatenate([cuts, [len(at) - 1]])
-    return tuple((float(at[a] - SPOILT_S / 3), float(at[b] + SPOILT_S / 3))
+    return tuple((float(at[a] - INVALID_S / 3), float(at[b] + INVALID_S / 3))
                  for a, b in zip(first, last, strict=True))  # fmt: skip
 
 

@@ -106,7 +106,7 @@ class Forward(Reader):
         return found
 
     def levels(self) -> Array:
-        """(B, 2) mean of u over each block as the forces tell it, without the gyroscope's carry."""
+        """(B, 2) mean of u over each block as the forces show it, without the gyroscope's carry."""
         motion = VehicleMotion(self, {}, False)
         x = motion.force[:, 0] + motion.r * motion.v_y - motion.held(motion.slopes)
         y = motion.force[:, 1] - motion.v * motion.r - slope(motion.v_y)

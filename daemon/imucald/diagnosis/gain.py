@@ -106,7 +106,7 @@ def _floor(table: Table, name: str) -> float:
 
 def _left(forwards: Sequence[Forward]) -> Mapping[str, str]:
     """An offset and a drift that are left of each equation, beyond what blocks scatter."""
-    said = {}
+    texts = {}
     f = max(forwards, key=lambda f: f.blocks)
     masks = f.usable()
     for name, residual in f.residuals({}).of.items():
@@ -125,5 +125,5 @@ def _left(forwards: Sequence[Forward]) -> Mapping[str, str]:
             parts.append(f"offset {means.mean():+.2g} {UNITS[name]}")
         if abs(slope) * np.sqrt(t @ t) > LEFT_SE * 2.0 * scatter:
             parts.append(f"drift {slope * len(means):+.2g} {UNITS[name]} over the drive")
-        said[name] = ", ".join(parts)
-    return said
+        texts[name] = ", ".join(parts)
+    return texts

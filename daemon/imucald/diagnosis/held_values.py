@@ -95,7 +95,7 @@ def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
 
 def _noise(x: Array, value: float) -> float:
     """Deviation from sample to sample where a sensor is quiet; 0 where too little is away from a
-    value to tell. A step has the noise twice."""
+    value to show. A step has the noise twice."""
     steps = np.diff(x) ** 2 / 2.0
     away = (x[1:] != value) & (x[:-1] != value)
     size = len(steps) // WINDOW * WINDOW

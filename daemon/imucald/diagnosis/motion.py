@@ -48,7 +48,7 @@ class VehicleMotion:
         self.rate = reader.triad("gyro", changes) if drive.has("gyro") else None
         self.measured: Array | None = None
         if reference is not None and self.rate is not None:
-            # The gain of a rate is not told by that rate itself.
+            # The gain of a rate is not shown by that rate itself.
             ungained = {k: x for k, x in changes.items() if not k.startswith("gyro.scale")}
             self.measured = reader.triad("gyro", ungained)
         if self.rate is not None:

@@ -1,4 +1,4 @@
-"""From what the search found to what people and tools are told."""
+"""From what the search found to what people and tools get."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SEEN_SHARE = 0.02
 DEG = 180.0 / math.pi
 
 
-def told_trial(
+def cause_of_trial(
     state: State,
     trial: Trial,
     estimates: Mapping[str, tuple[float, float, float]],
@@ -81,31 +81,31 @@ def signals_of(table: Table | None, keys: Sequence[str]) -> tuple[str, ...]:
 
 def _against(state: State, trial: Trial) -> list[str]:
     """What speaks against a cause: blocks, wander, rivals, a fit that stands at a bound."""
-    said = []
+    texts = []
     e, gain = trial.estimate, trial.gain
     worse = float((gain < 0.0).mean())
     if worse > 1.0 / 3.0:
-        said.append(f"in {100 * worse:.0f} % of the segments it predicts worse")
+        texts.append(f"in {100 * worse:.0f} % of the segments it predicts worse")
     for key, wander, spread in zip(trial.hypothesis.keys, e.wander, e.se, strict=True):
         if wander > spread:
-            said.append(
+            texts.append(
                 f"{key} moves by {wander:.2g} {PARAMETERS[key].unit} between quarters of the data"
             )
     rivals = state.rivals.get(trial.hypothesis.name, [])
     if rivals:
         names = " and ".join(sorted({t.hypothesis.name.replace("_", " ") for t in rivals}))
-        said.append(f"{names} does as well within two standard errors")
+        texts.append(f"{names} does as well within two standard errors")
     if trial.hypothesis.pattern is None and state.table is not None:
         few = state.table.blocks < 20
         if few:
-            said.append(f"there are only {state.table.blocks} segments of driving")
-    return said
+            texts.append(f"there are only {state.table.blocks} segments of driving")
+    return texts
 
 
 _SENSORS = {"accel": "Accelerometer", "gyro": "Gyroscope"}
 
 
-def told_fault(fault: Fault, model: VehicleModel) -> FoundCause:
+def cause_of_fault(fault: Fault, model: VehicleModel) -> FoundCause:
     """A fault that shows in samples and stamps."""
     parameters = {}
     for key, (x, std, unit) in fault.values.items():
@@ -125,7 +125,7 @@ def _stated(model: VehicleModel, key: str) -> float:
     return float(x) if isinstance(x, int | float) else math.nan
 
 
-def told_rest(rest: Rest, model: VehicleModel) -> FoundCause:
+def cause_of_rest(rest: Rest, model: VehicleModel) -> FoundCause:
     """A zero error of the gyroscope, read at stops."""
     parameters = {
         f"gyro.bias.{axis}": Estimated(
@@ -143,7 +143,7 @@ def told_rest(rest: Rest, model: VehicleModel) -> FoundCause:
     )  # fmt: skip
 
 
-def told_shift(shift: FittedShift, table: Table) -> FoundCause:
+def cause_of_shift(shift: FittedShift, table: Table) -> FoundCause:
     """A turn of the sensor in mid-drive."""
     parameters = {
         f"mount.shifts.{angle}_deg": Estimated(float(x) * DEG, float(se) * DEG, "deg", 0.0, 0.3)
@@ -166,7 +166,7 @@ def told_shift(shift: FittedShift, table: Table) -> FoundCause:
     )  # fmt: skip
 
 
-def told_rest_of(state: State) -> tuple[Candidate, ...]:
+def other_candidates(state: State) -> tuple[Candidate, ...]:
     """Every cause that was not named, with the size that these drives could have shown."""
     named = {t.hypothesis.name for t in (*state.named, *state.likely)}
     doubtful = {t.hypothesis.name: t for t in state.doubtful}
@@ -231,7 +231,7 @@ def implausible(state: State) -> tuple[Structure, ...]:
 
 
 def look_alikes(state: State) -> tuple[tuple[str, ...], ...]:
-    """Sets of causes that these drives cannot tell apart."""
+    """Sets of causes that these drives cannot distinguish."""
     sets = []
     for trial in state.named:
         others = [t.hypothesis.name for t in state.rivals.get(trial.hypothesis.name, [])]
@@ -245,7 +245,7 @@ def look_alikes(state: State) -> tuple[tuple[str, ...], ...]:
 
 
 def manoeuvres(sets: Sequence[Sequence[str]]) -> str:
-    """Say what would tell look-alikes apart."""
+    """Say what would distinguish look-alikes."""
     parts = []
     for names in sets:
         ways = list(dict.fromkeys(BY_NAME[n].separate for n in names if n in BY_NAME))

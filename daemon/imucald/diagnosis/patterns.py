@@ -27,7 +27,7 @@ ASKED = ("accel_x", "accel_y", "gyro_z", "lateral_accel", "longitudinal_accel")
 """Equations that know their signal from another sensor."""
 ZERO: Mapping[str, str] = {"gyro_z": "gyro.bias.z", "accel_x": "accel.bias.x",
                            "accel_y": "accel.bias.y"}  # fmt: skip
-"""A zero error that a correct file may have: less than that is not told of."""
+"""A zero error that a correct file may have: less than that is not reported."""
 LEAST_BLOCKS = 8
 LARGE = (0.5, 1.0, 2.0)
 """Times its rms: from where on a value may leave something behind. Octaves, of which one lies

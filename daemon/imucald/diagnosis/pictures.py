@@ -96,7 +96,7 @@ def _closest(residual: Array, drivers: Mapping[str, Array]) -> str:
     for name, x in drivers.items():
         if fine.sum() < 10 or np.std(x[fine]) == 0.0 or np.std(residual[fine]) == 0.0:
             continue
-        said = abs(float(np.corrcoef(x[fine], residual[fine])[0, 1]))
-        if said > most:
-            best, most = name, said
+        goes_with = abs(float(np.corrcoef(x[fine], residual[fine])[0, 1]))
+        if goes_with > most:
+            best, most = name, goes_with
     return best

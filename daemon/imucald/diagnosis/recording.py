@@ -148,7 +148,7 @@ class _Kept:
 
 def _first_sensors(loaded: LoadedConfig) -> Router:
     """The configuration's router, without second choices and parallel sensors."""
-    router = compile_router(loaded)  # tells what is wrong in the whole of it
+    router = compile_router(loaded)  # reports what is wrong in the whole of it
     signals = loaded.config.signals
     first = {key: triads[:1] for key in TRIADS if len(triads := getattr(signals, key) or ()) > 1}
     if not first and not signals.parallel:

@@ -43,7 +43,7 @@ class FoundCause:
     """The signals that it touches, as in `Diagnosis.signals`."""
     evidence: Mapping[str, float]
     """`held_out_nats`: by how much likelier it makes data that its fit did not see, without the
-    best stretches; `sigma`: departure in units of its standard deviation; `quantile`: how many of
+    best segments; `sigma`: departure in units of its standard deviation; `quantile`: how many of
     these the interval has on each side."""
     text: str
     """One sentence for a person."""
@@ -59,7 +59,7 @@ class Candidate:
     name: str
     outcome: Outcome
     nats: float
-    """By which it makes data that its fit did not see likelier, without the best stretches."""
+    """By which it makes data that its fit did not see likelier, without the best segments."""
     text: str
     """Its value, and the size that these drives could have shown."""
     parameters: Mapping[str, Estimated] = field(default_factory=dict)
@@ -87,9 +87,9 @@ class Gain:
     """What the extended model is worth on data that its fit did not use."""
 
     held_out_log_likelihood: float
-    """Nats by which the held-out stretches are likelier with the written file alone."""
+    """Nats by which the held-out segments are likelier with the written file alone."""
     interval: tuple[float, float]
-    """95 % interval of that, over whole stretches."""
+    """95 % interval of that, over whole segments."""
     worse: tuple[str, ...] = ()
     """Signals that the extended model predicts worse."""
     was_fitted: bool = True
@@ -128,7 +128,7 @@ class Structure:
 
 @dataclass(frozen=True)
 class SignalPicture:
-    """Numbers to draw for one signal; arrays (N,) on `t` unless said otherwise."""
+    """Numbers to draw for one signal; arrays (N,) on `t` unless stated otherwise."""
 
     signal: str
     unit: str
@@ -164,7 +164,7 @@ class Diagnosis:
     candidates: tuple[Candidate, ...] = ()
     structure: tuple[Structure, ...] = ()
     notes: tuple[str, ...] = ()
-    """What the person should know: signals absent, drives too short, stretches left out."""
+    """What the person should know: signals absent, drives too short, segments left out."""
     pictures: tuple[SignalPicture, ...] = ()
     model_before: VehicleModel = field(default_factory=VehicleModel)
     model_after: VehicleModel = field(default_factory=VehicleModel)

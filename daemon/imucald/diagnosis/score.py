@@ -19,7 +19,7 @@ RIDGE = 1e-9
 STEPS = 20
 """Changes of the active set, for each parameter."""
 REACH = 3.0
-"""A freed parameter may go so many times as far as is plausible: then it is told as such."""
+"""A freed parameter may go so many times as far as is plausible: then it is reported as such."""
 SILENT = 1e-6
 TINY = 1e-9
 CLOSE = 1e-9
@@ -32,7 +32,7 @@ class Hypothesis:
 
     name: str
     keys: tuple[str, ...]
-    """What is told of; the parameters that are freed."""
+    """What is reported; the parameters that are freed."""
     directions: tuple[Mapping[str, float], ...] = ()
     """For each key, what moves with it; empty: the keys by themselves."""
     lead: int = 0
@@ -172,7 +172,7 @@ def _solved(A: Array, b: Array) -> Array:
 
 
 def folds(blocks: int) -> Array:
-    """(B,) fold of each block: contiguous stretches."""
+    """(B,) fold of each block: contiguous segments."""
     return np.asarray(np.arange(blocks) * min(FOLDS, blocks) // blocks)
 
 

@@ -83,7 +83,7 @@ def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
 
 def _winner(trials: Sequence[Trial]) -> Trial | None:
     """The one with most gain of those that pass; of one cause's forms the simplest that does, also
-    of a cause that is part of it: a delay that grows is told where its growth pays by itself."""
+    of a cause that is part of it: a delay that grows is named where its growth pays by itself."""
     passing = [t for t in trials if t.named]
     if not passing:
         return None

@@ -44,7 +44,7 @@ class FittedShift:
     pattern: Array
     low_s: float
     high_s: float
-    """The stretch in which it happened."""
+    """The interval of time in which it happened."""
 
     @property
     def named(self) -> bool:

@@ -1,4 +1,4 @@
-"""One drive's signals: without duplicates and bad stretches, on a common grid at any delay.
+"""One drive's signals: without duplicates and bad intervals of time, on a common grid at any delay.
 
 Every signal is read as the mean over the grid's step about a time, which is the same low-pass for
 all of them; a delay moves that time. The speed, which often comes once a second, stays a list of
@@ -93,7 +93,7 @@ class Channel:
         return np.asarray(inside + before * ends[0] + after * ends[-1])
 
     def present(self, t: Array) -> Mask:
-        """Where the signal was there and not in a bad stretch."""
+        """Where the signal was there and not in a bad interval."""
         gap = max(GAP_PERIODS * self.period_s, SHORTEST_GAP_S)
         after = np.searchsorted(self.t, t)
         left = self.t[np.clip(after - 1, 0, len(self.t) - 1)]
@@ -134,7 +134,7 @@ def duplicates(series: Series, period: float) -> Mask:
         soon = np.diff(t) < DUPLICATE_SHARE * period
         same = (np.diff(values, axis=0) == 0.0).all(axis=1)
         # A sensor with a dead zone repeats itself at any distance: that is no second frame. So few
-        # that all of them may repeat by chance do not tell.
+        # that all of them may repeat by chance show nothing.
         usual = float(same[~soon].mean()) if (~soon).any() else 0.0
         is_few = usual ** int(soon.sum()) >= CHANCE
         if is_few or binom.sf((soon & same).sum() - 1, soon.sum(), usual) < CHANCE:
@@ -151,7 +151,7 @@ def require(samples: Samples) -> None:
 
 
 def drive_of(samples: Samples, bad: Mapping[str, Spans] | None = None) -> DriveSignals:
-    """Put a drive on its grid. bad: stretches [s] by channel that must not be used.
+    """Put a drive on its grid. bad: intervals [s] by channel that must not be used.
 
     Raises EstimateError where what is needed is not there.
     """

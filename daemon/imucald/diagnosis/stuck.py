@@ -35,9 +35,9 @@ class Fault:
     changes: Mapping[str, Any]
     """What the model file says of it from now on."""
     spans: Spans = ()
-    """Stretches [s] that must not be used."""
+    """Intervals of time [s] that must not be used."""
     score: float = 50.0
-    """Evidence in nats, as far as it can be said."""
+    """Evidence in nats, as far as it is known."""
 
 
 def stuck(
@@ -58,7 +58,7 @@ def stuck(
     # Frames that do not come are another fault.
     length = np.minimum(t[last] - t[first], (last - first) * float(np.median(np.diff(t))))
     length[_on_a_rail(name, t, table, first, last, piled)] = 0.0
-    # Only while driving; a long stretch may hold stops.
+    # Only while driving; a long interval may hold stops.
     steps = np.diff(t) * (np.interp(0.5 * (t[1:] + t[:-1]), *moving) > MOVING_MPS)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
     length = np.minimum(length, driven[last] - driven[first])
@@ -89,7 +89,7 @@ def stuck(
 def _on_a_rail(
     name: str, t: Array, table: Array, first: Index, last: Index, piled: Sequence[Fault]
 ) -> Mask:
-    """Which stretches lie on a rail that was found; of a signal with one number, on either end."""
+    """Which intervals lie on a rail that was found; of a signal with one number, on either end."""
     hit = np.zeros(len(first), dtype=bool)
     for fault in piled:
         for low, high in fault.spans:
@@ -112,7 +112,7 @@ def _usual_of(values: Array, length: Array, k: int) -> float:
 
 
 def _is_shown_often(t: Array, table: Array, first: Index, span: tuple[float, float]) -> bool:
-    """Whether what a sensor shows in a stretch is what most of its other stays are at: a dead zone,
+    """Whether what a sensor shows in a span is what most of its other stays are at: a dead zone,
     and no sensor that is stuck. first: rows at which a stay begins."""
     inside = (t >= span[0]) & (t <= span[1])
     value = table[inside][0]
@@ -132,7 +132,7 @@ def _jumps_when_released(x: Array, last: int) -> bool:
 
 
 def _others_move(name: str, samples: Samples, span: tuple[float, float]) -> bool:
-    """Whether what should move with a signal goes on moving in a stretch."""
+    """Whether what should move with a signal goes on moving in an interval of time."""
     if name == "speed":
         partner = samples["accel"]
     else:

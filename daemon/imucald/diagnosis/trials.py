@@ -81,7 +81,7 @@ class Trial:
 
     @property
     def is_testable(self) -> bool:
-        """The data tell its parameters more sharply than plausibility does."""
+        """The data show its parameters more sharply than plausibility does."""
         e = self.estimate
         return bool(np.all(e.quantile * e.se < 0.5 * (self.plausible[:, 1] - self.plausible[:, 0])))
 
@@ -131,7 +131,7 @@ def _hypothesis(
     cause: Cause, keys: tuple[str, ...], model: VehicleModel, table: Table, level: bool
 ) -> Hypothesis:
     """level: a gain of the accelerometer moves what it reads of one g with it. Once its zero was
-    found to be off, only motion tells the gain."""
+    found to be off, only motion shows the gain."""
     if cause.drift:
         return Hypothesis(cause.name, keys, pattern=_ramp(table))
     if keys == cause.together:

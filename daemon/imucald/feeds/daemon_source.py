@@ -63,7 +63,7 @@ class DaemonSource:
         self._status: Mapping[str, Any] | None = None
         self._frames: CorrectedFrames | None = None
         self._link: Link | None = None
-        self._told = ""
+        self._reported = ""
 
     def read(self, seconds: float) -> Reading:
         """Listen for so long; return what is known then."""
@@ -88,12 +88,12 @@ class DaemonSource:
         try:
             self._status = json.loads(ask(self._socket, "status", ASK_S))
         except (LinkError, ValueError) as error:
-            if self._status is not None or not self._told:
-                self._tell(f"{error}; waiting for it")
+            if self._status is not None or not self._reported:
+                self._report(f"{error}; waiting for it")
             self._status = None
             return
-        if self._told:
-            self._tell("")
+        if self._reported:
+            self._report("")
             self._say("the daemon answers")
         if self._wants_frames and self._link is None:
             self._open(self._status or {})
@@ -112,8 +112,8 @@ class DaemonSource:
         self._frames = frames
         self._say(f"listening on {link['channel']} for {', '.join(frames.names)}")
 
-    def _tell(self, text: str) -> None:
-        self._told = text
+    def _report(self, text: str) -> None:
+        self._reported = text
         if text:
             self._say(text)
 

@@ -55,7 +55,7 @@ class KuksaReceiver:
         self._say = say
         self._client: Any = None
         self._types: dict[str, Any] = {}
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def connect(self) -> None:
         """Reach the databroker and see which of our signals it knows."""
@@ -82,8 +82,8 @@ class KuksaReceiver:
         except self._library.VSSClientError as error:
             if error.error.get("code") != NOT_FOUND:
                 raise self._unreached(error) from None
-        if path not in self._told:
-            self._told.add(path)
+        if path not in self._reported:
+            self._reported.add(path)
             hint = "; load config/imucald-vss.json for it" if path.startswith(OWN) else ""
             self._say(f"{self._broker} does not know {path}: not handed on{hint}")
         return None

@@ -43,7 +43,7 @@ class MqttReceiver:
 
         self._settings = settings
         self._say = say
-        self._told = ""
+        self._reported = ""
         client = Client(CallbackAPIVersion.VERSION2, client_id="")
         client.reconnect_delay_set(1, int(LONGEST_PAUSE_S))
         client.will_set(self._topic("online"), "0", qos=1, retain=True)
@@ -55,7 +55,7 @@ class MqttReceiver:
             except (OSError, ValueError) as error:
                 raise ConfigError(f"{settings.ca}: no certificates to trust: {error}") from None
         client.on_connect = self._connected
-        client.on_connect_fail = lambda *_: self._tell("cannot be reached")
+        client.on_connect_fail = lambda *_: self._report("cannot be reached")
         client.on_disconnect = self._disconnected
         self._client = client
 
@@ -96,23 +96,23 @@ class MqttReceiver:
 
     def _connected(self, client: Any, _user: Any, _flags: Any, code: Any, _more: Any) -> None:
         if code.is_failure:
-            self._tell(f"refuses us: {code}")
+            self._report(f"refuses us: {code}")
             return
-        self._told = ""
+        self._reported = ""
         self._say(f"{self._broker} takes {self._settings.topic}/#")
         client.publish(self._topic("online"), "1", qos=1, retain=True)
 
     def _disconnected(self, _c: Any, _user: Any, _flags: Any, code: Any, _more: Any) -> None:
         if code.is_failure:
-            self._tell(f"is gone: {code}")
+            self._report(f"is gone: {code}")
 
     @property
     def _broker(self) -> str:
         return f"MQTT broker {self._settings.host}:{self._settings.port}"
 
-    def _tell(self, text: str) -> None:
-        if text != self._told:
-            self._told = text
+    def _report(self, text: str) -> None:
+        if text != self._reported:
+            self._reported = text
             self._say(f"{self._broker} {text}; trying again")
 
 

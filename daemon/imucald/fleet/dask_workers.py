@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +18,7 @@ from imucald.core.errors import ImucaldError
 from imucald.fleet.bundle import Bundle, code_hash, unpack
 from imucald.fleet.task import Outcome, Task
 from imucald.fleet.template_client import close_templates
-from imucald.fleet.workers import DEATHS, Futures, run_one_log, unique_keys
+from imucald.fleet.workers import Futures, outcome_of, run_one_log, unique_keys
 
 CONNECTING_S = 30.0
 WORKERS_S = 60.0
@@ -169,12 +168,4 @@ class DaskWorkers:
 
 
 def _result(future: Any) -> Outcome | None:
-    if future.status == "cancelled":
-        return None
-    try:
-        found: Outcome = future.result()
-    except CancelledError:
-        return None
-    except Exception as error:  # KilledWorker and the like
-        return Outcome("crashed", f"{DEATHS}: {type(error).__name__}")
-    return found
+    return None if future.status == "cancelled" else outcome_of(future)

@@ -120,7 +120,7 @@ class ExecutorWorkers:
 
     def finished(self, timeout: float) -> list[tuple[Task, Outcome | None]]:
         """Outcomes since the last call."""
-        return [(task, _outcome(future)) for future, task in self._futures.ended(timeout)]
+        return [(task, outcome_of(future)) for future, task in self._futures.ended(timeout)]
 
     def call_back(self) -> None:
         """Begin none of the tasks that wait."""
@@ -132,12 +132,13 @@ class ExecutorWorkers:
         close_templates()
 
 
-def _outcome(future: Any) -> Outcome | None:
+def outcome_of(future: Any) -> Outcome | None:
+    """What came of a task; None where it was called back before it had begun."""
     try:
         found: Outcome = future.result()
     except CancelledError:
         return None
-    except Exception as error:  # of the executor itself
+    except Exception as error:  # of the executor itself, such as KilledWorker
         return Outcome("crashed", f"{DEATHS}: {type(error).__name__}")
     return found
 

@@ -11,13 +11,9 @@ import math
 from collections import deque
 
 import numpy as np
-from msgspec import Struct, field
-from numpy.typing import NDArray
 
-from imucald.motion.hops import SIDES, HopRows
-from imucald.motion.sensor_judges import Runs
-
-Array = NDArray[np.float64]
+from imucald.motion.hops import SIDES
+from imucald.motion.rail_evidence import AxisHop, Pile, Top
 
 TAIL_HOPS = 120
 """The tail of an axis is that of the largest values of so many hops of driving (a minute) ..."""
@@ -25,14 +21,6 @@ LEAST_TAIL_HOPS = 30
 """... and known from so many (15 s)."""
 LEAST_STEPS = 8
 """A signal of fewer steps from end to end has no tail."""
-LEAST_AT_EXTREME = 5
-PILE = 1.3
-"""An extreme is a rail where more samples are on it than on the steps below, so many times."""
-STAYS_COUNT = 0.5
-"""Neighbouring samples are not independent: each counts for so much."""
-LEAST_RISE = 3.0
-"""A rise of so many steps from one sample to the next goes anywhere; a smooth peak that is rounded
-comes back to its top from one or two below."""
 SURPRISE = 18.5
 """A rail is believed from this -log of the chance of it without one [nats]: 1e-8, where both ends
 of six axes have some 1e7 hops of driving in 100 h."""
@@ -44,62 +32,6 @@ LONG_STAY = 4
 """Fewer samples on a value that is reached for the first time say nothing."""
 REMEMBERED = 64
 """Values that nothing has gone beyond since; they fall, so there are few of them."""
-MOST_SAMPLES = 512
-
-
-class _Pile(Struct):
-    """What speaks for a value as a rail.
-
-    rate: -log of the chance that a sample equals the one before, as it was known before [nats].
-    at_it: samples on the value; stays: of them, those that equal the one before. met: -log of the
-    chance that its arrivals meet in one step [nats], risen: that steep rises do. seen: samples,
-    each with the one before it, so that what comes again to the last bit counts once. before:
-    at_it, stays and risen at the last arrival.
-    """
-
-    rate: float
-    at_it: int = 0
-    stays: int = 0
-    arrivals: int = 0
-    last: int = -2
-    met: float = 0.0
-    risen: float = 0.0
-    seen: dict[bytes, None] = field(default_factory=dict)  # in the order in which they came
-    before: tuple[int, int, float] = (0, 0, 0.0)
-
-    @property
-    def surprise(self) -> float:
-        """-log of the chance of all that was seen [nats]."""
-        stays = _more_often(self.stays, self.at_it, self.rate)
-        return self.met + STAYS_COUNT * (self.risen + stays)
-
-    def count_stay_once(self) -> None:
-        """Of all samples since the last arrival let one count."""
-        at_it, self.stays, self.risen = self.before
-        self.at_it = min(self.at_it, at_it + 1)
-        while len(self.seen) > self.at_it:
-            self.seen.popitem()
-
-
-class _Top(Struct):
-    """A value that nothing has gone beyond since hop `born`.
-
-    on: samples on it, one_below, two_below: as many steps below, as far as they are tops of their
-    hops.
-    """
-
-    value: float
-    born: int
-    on: int
-    one_below: int
-    two_below: int
-    pile: _Pile | None = None
-
-    @property
-    def is_piled_up(self) -> bool:
-        """Whether more samples are on it than a tail has there."""
-        at_it = 0 if self.pile is None else self.pile.at_it
-        return at_it >= LEAST_AT_EXTREME and at_it > PILE * max(self.one_below, self.two_below)
 
 
 class Rail:
@@ -117,22 +49,20 @@ class Rail:
 
     def __init__(self, side: int, axis: int) -> None:
         self._side, self._axis = side, axis
-        self._tops: list[_Top] = []  # their values fall
+        self._tops: list[Top] = []  # their values fall
         self.recent: deque[float] = deque(maxlen=TAIL_HOPS)
         self._rail = -math.inf
         self._changed = False
         self.found = False
         self.surprise, self.value = 0.0, math.inf
 
-    def step(
-        self, value: float, on: int, rows: HopRows, h: int, hop: int, step: float, runs: Runs
-    ) -> bool:
-        """Take hop h of the rows, the `hop`th of driving; -1 where the vehicle stands.
+    def step(self, at: AxisHop, hop: int) -> bool:
+        """Take a hop, the `hop`th of driving; -1 where the vehicle stands.
 
-        value, on: its top, and the samples on it. step: smallest change of the axis so far, runs:
-        its runs. Returns whether the surprise has to be weighed anew.
+        Returns whether the surprise has to be weighed again.
         """
-        if self.found and value > self._rail + 0.5 * step:
+        value = at.tops[self._side]
+        if self.found and value > self._rail + 0.5 * at.step:
             self.found = False
         if value > self.value:
             self.surprise, self.value = 0.0, math.inf
@@ -141,11 +71,11 @@ class Rail:
                 self._tops.pop()
             return self._changed
         self.recent.append(value)
-        top = self._reached(value, on, step, hop)
+        top = self._reached(value, at.on_tops[self._side], at.step, hop)
         if top.pile is not None or top.born < hop or top.on >= LONG_STAY:
             if top.pile is None:
-                top.pile = _Pile(runs.rate())
-            self._take(top, top.pile, rows, h, hop, step, runs)
+                top.pile = Pile(at.runs.rate())
+            self._take(top, top.pile, at, hop)
             self._changed = True
         return self._changed
 
@@ -155,9 +85,9 @@ class Rail:
         if top is not None and top.value == value and top.pile is not None:
             top.pile.count_stay_once()
 
-    def weigh(self, rows: HopRows, h: int) -> None:
+    def weigh(self, at: AxisHop) -> None:
         """Of the values that may be a rail the one for which most speaks."""
-        last = float(rows.samples[self._axis, rows.edges[h + 1] - 1])
+        last = float(at.rows.samples[self._axis, at.rows.edges[at.h + 1] - 1])
         now = last if self._side == 0 else -last
         # once it is left, nothing changes before the next arrival
         self._changed = bool(self._tops) and now == self._tops[-1].value
@@ -172,7 +102,7 @@ class Rail:
         """The value for which most speaks is a rail."""
         self.found, self._rail = True, self.value
 
-    def _reached(self, value: float, on: int, step: float, hop: int) -> _Top:
+    def _reached(self, value: float, on: int, step: float, hop: int) -> Top:
         """A value as the latest top; those that it goes beyond are no longer watched.
 
         on: samples of the hop on it.
@@ -197,53 +127,28 @@ class Rail:
                 last.one_below += on
             elif lower < two_steps:
                 last.two_below += on
-        new = _Top(value, hop, on, one_below, two_below)
+        new = Top(value, hop, on, one_below, two_below)
         if len(tops) == REMEMBERED:
             del tops[next((k for k, one in enumerate(tops) if one.pile is None), 0)]
         tops.append(new)
         return new
 
-    def _take(
-        self, top: _Top, pile: _Pile, rows: HopRows, h: int, hop: int, step: float, runs: Runs
-    ) -> None:
+    def _take(self, top: Top, pile: Pile, at: AxisHop, hop: int) -> None:
         """Weigh the samples of a hop that are on its top."""
-        pile.rate = pile.rate or runs.rate()
+        pile.rate = pile.rate or at.runs.rate()
         is_arrival = hop - pile.last > 1
         if is_arrival:
             pile.before = pile.at_it, pile.stays, pile.risen
-        fresh = self._fresh(rows, h, top.value, pile, step)
+        fresh = pile.count(at, self._axis, self._side, top.value)
         pile.last = hop
         if not fresh:
             return
         if is_arrival:
             pile.arrivals += 1
             if pile.arrivals > 1:
-                pile.met += self._coincidence(top, step, hop)
+                pile.met += self._coincidence(top, at.step, hop)
 
-    def _fresh(self, rows: HopRows, h: int, value: float, pile: _Pile, step: float) -> bool:
-        """Count the samples of a hop on the value that are new, not those that were sent twice."""
-        first, stop = rows.edges[h], rows.edges[h + 1]
-        before = rows.samples[:, first - 1] if first else rows.before
-        hop = np.column_stack([before, rows.samples[:, first:stop]])
-        own = hop[self._axis] if self._side == 0 else -hop[self._axis]
-        at_it, seen = pile.at_it, pile.seen
-        for k in np.flatnonzero(own[1:] == value).tolist():
-            two = hop[:, k : k + 2]
-            if len(seen) == MOST_SAMPLES or (two[:, 0] == two[:, 1]).all():
-                continue
-            known = len(seen)
-            seen[two.tobytes()] = None
-            if len(seen) > known:
-                pile.at_it += 1
-                pile.stays += bool(own[k] == value)
-                rise = value - float(own[k])
-                if rise >= LEAST_RISE * step and pile.at_it > pile.before[0] + 1:
-                    # of those that go as far, rises of that size, spread exponentially, end in
-                    # this very step; the first of an arrival is weighed with its peak
-                    pile.risen -= math.log(-math.expm1(-step / rise))
-        return pile.at_it > at_it
-
-    def _coincidence(self, top: _Top, step: float, hop: int) -> float:
+    def _coincidence(self, top: Top, step: float, hop: int) -> float:
         """-log of the chance that one more peak of the tail meets the same step [nats]."""
         n = min(hop - top.born + 1, TAIL_HOPS)
         if n < LEAST_TAIL_HOPS:
@@ -258,19 +163,6 @@ class Rail:
         return -math.log(-math.expm1(-step / scale))
 
 
-def _more_often(stays: int, of: int, rate: float) -> float:
-    """-log of the chance that so many of so many samples stay, where exp(-rate) do [nats].
-
-    Chernoff's bound of the binomial's tail; 0 where they do not stay more often than that.
-    """
-    chance = math.exp(-rate)
-    share = stays / of if of else 0.0
-    if share <= chance:
-        return 0.0
-    left = (1.0 - share) * math.log((1.0 - share) / (1.0 - chance)) if share < 1.0 else 0.0
-    return of * (share * (math.log(share) + rate) + left)
-
-
 class AxisRails:
     """Both rails of an axis."""
 
@@ -278,37 +170,25 @@ class AxisRails:
         self._high, self._low = (Rail(side, axis) for side in range(SIDES))
         self._hops = 0
 
-    def step(
-        self,
-        rows: HopRows,
-        h: int,
-        moving: bool,
-        stuck: bool,
-        runs: Runs,
-        step: float,
-        tops: tuple[float, float],
-        on_tops: tuple[int, int],
-    ) -> bool:
-        """Take hop h, which has samples; return whether the axis is on a rail.
+    def step(self, at: AxisHop, moving: bool, stuck: bool) -> bool:
+        """Take a hop that has samples; return whether the axis is on a rail.
 
         stuck: whether it was stuck when the hop began; such a hop says nothing of rails.
-        runs, step, tops, on_tops: of the axis, as `HopRows` has step, top and on_top.
         """
         high, low = self._high, self._low
         hop = -1
         if stuck:
-            high.stick(tops[0])
-            low.stick(tops[1])
+            high.stick(at.tops[0])
+            low.stick(at.tops[1])
         elif moving:
             hop = self._hops
             self._hops += 1
-        is_high = high.step(tops[0], on_tops[0], rows, h, hop, step, runs)
-        is_low = low.step(tops[1], on_tops[1], rows, h, hop, step, runs)
-        if (is_high or is_low) and max(high.recent) + max(low.recent) >= LEAST_STEPS * step:
+        is_high, is_low = high.step(at, hop), low.step(at, hop)
+        if (is_high or is_low) and max(high.recent) + max(low.recent) >= LEAST_STEPS * at.step:
             if is_high:
-                high.weigh(rows, h)
+                high.weigh(at)
             if is_low:
-                low.weigh(rows, h)
+                low.weigh(at)
         if high.surprise > 0.0 or low.surprise > 0.0:
             both = high.surprise + low.surprise > BOTH_ENDS
             for rail in (high, low):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
 from imucald.motion.hops import HOP_S, HOP_TICKS, SIDES, Carry, HopRows, hop_rows
+from imucald.motion.rail_evidence import AxisHop
 from imucald.motion.rails import AxisRails
 from imucald.motion.sensor_judges import (
     FORCE_HOPS,
@@ -161,9 +162,8 @@ class _Sensor(_Judged):
         of_hops = zip(moves, counts, *columns, *of_sides, strict=True)
         for h, (moving, count, ended, longest, run, step, tops, on_tops) in enumerate(of_hops):
             if count:
-                saturated[h] = rails.step(
-                    rows, h, moving, judge.stuck, judge.moving, step, tops, on_tops
-                )
+                hop = AxisHop(rows, h, judge.moving, step, tops, on_tops)
+                saturated[h] = rails.step(hop, moving, judge.stuck)
                 stuck[h] = judge.step(moving, count, ended, longest, run, step)
         return stuck, saturated
 

@@ -198,8 +198,8 @@ class Alternatives:
     @property
     def _knows_forward(self) -> bool:
         shown = {"reverse", "steering"} & self._signals
-        is_told = self._is_forward_stated or self._lateral.sum > TO_BE_GOOD
-        return bool(shown) or is_told or self._fastest > MAX_REVERSE
+        is_known = self._is_forward_stated or self._lateral.sum > TO_BE_GOOD
+        return bool(shown) or is_known or self._fastest > MAX_REVERSE
 
     @property
     def _pairs(self) -> tuple[Mirrored, ...]:

@@ -41,7 +41,7 @@ def state_changes(states: Iterable[tuple[float, str, Mapping[str, str]]]) -> Ite
         before = state
 
 
-def told_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> Iterator[Event]:
+def reported_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> Iterator[Event]:
     """What a result (or a daemon's status) says about moved sensors, faults and sensor health."""
     details = result.get("details", {})
     for shift in details.get("shifts", ()):

@@ -22,7 +22,7 @@ from imucald.mount.mount_words import (
     reasons_line,
 )
 from imucald.report.drawing import STYLE, view_drawings
-from imucald.report.drive_events import STATE_WORDS, Event, in_order, state_changes, told_events
+from imucald.report.drive_events import STATE_WORDS, Event, in_order, reported_events, state_changes
 from imucald.report.drive_history import DriveHistory, DriveMotion
 from imucald.report.numbers import duration
 from imucald.report.page import About, environment, require_libraries
@@ -89,7 +89,7 @@ def drive_events(history: DriveHistory, result: Mapping[str, Any]) -> list[Event
     """What happened, by time."""
     states = ((m.t, m.estimate.state.name.lower(), m.estimate.waiting_for) for m in history.moments)
     changes = [_at_its_time(event, history, result) for event in state_changes(states)]
-    return in_order([*changes, *told_events(result, history.gaps)])
+    return in_order([*changes, *reported_events(result, history.gaps)])
 
 
 def _at_its_time(event: Event, history: DriveHistory, result: Mapping[str, Any]) -> Event:

@@ -233,7 +233,7 @@ class Engine:
         if keep:
             yield from self._status_parts(snapshots, lambda _: base, np.zeros(0))
         else:
-            self._tell(snapshots)
+            self._hand_on(snapshots)
         out = self._group.end_ticks(first, self.pipeline.k, snapshots)
         yield from self._frame_parts(out, base)
         self._group.gap()
@@ -266,7 +266,7 @@ class Engine:
                 routed,
             )
         else:
-            self._tell(snapshots)
+            self._hand_on(snapshots)
         self._watch.take_columns(routed, events, int(ticks[-1]), self.router.rejected.total())
         if self._group:
             parts = self._group.columns(routed, corrections, snapshots, ticks, base)
@@ -318,7 +318,7 @@ class Engine:
             out = self._status(snapshot, before + len(seen), is_rejecting, last)
             yield from self._frame_parts(out, row_of(k))
 
-    def _tell(self, snapshots: Sequence[Snapshot]) -> None:
+    def _hand_on(self, snapshots: Sequence[Snapshot]) -> None:
         """Hand snapshots on where nobody takes the frames that they would be sent in."""
         self.sent += STATUS_FRAMES * len(snapshots)
         if self._on_snapshot is not None:

@@ -51,7 +51,7 @@ class OrderedService(Protocol):
         """Save the mount that is in force as it is now, held or not."""
         ...
 
-    def tell_order(self, who: str, text: str) -> None:
+    def log_order(self, who: str, text: str) -> None:
         """Write what was done, and by whom, where people look for it."""
         ...
 
@@ -85,7 +85,7 @@ class MountOrders:
         self._service.forget_state()
         stated = self._service.loaded.config.calibration.mount is not None
         begun = "started again from the mount of the configuration" if stated else "started again"
-        return self._told(who, f"reset: the learnt mount is forgotten, the calibration {begun}")
+        return self._logged(who, f"reset: the learnt mount is forgotten, the calibration {begun}")
 
     def hold(self, who: str) -> str:
         """Keep the mount that is in force and learn nothing. Raises OrderError without one."""
@@ -97,7 +97,7 @@ class MountOrders:
             text = f"there is no mount to hold yet (state {state}): drive until it is usable"
             raise OrderError(f"{text}, or state the mount with set-mount")
         self._put(kept)
-        return self._told(who, "hold: the mount is held, nothing is learnt until it is released")
+        return self._logged(who, "hold: the mount is held, nothing is learnt until it is released")
 
     def release(self, who: str) -> str:
         """Learn again. Raises OrderError where nothing is held, or the configuration holds it."""
@@ -106,7 +106,7 @@ class MountOrders:
             raise OrderError("the mount is not held: it is being learnt")
         self._refuse_where_configured()
         self._put(released(kept, self._learning()))
-        return self._told(who, "release: the mount is learnt again")
+        return self._logged(who, "release: the mount is learnt again")
 
     def set_mount(self, mount: KnownMount, who: str) -> str:
         """Put a mount that is known in force. Raises OrderError where it is too vague."""
@@ -125,7 +125,7 @@ class MountOrders:
         angles = f"roll {mount.roll_deg:+g}, pitch {mount.pitch_deg:+g}, yaw {mount.yaw_deg:+g} deg"
         within = f"±{x:.2g}, ±{y:.2g}, ±{z:.2g} deg (95 %) about the vehicle's x, y, z"
         end = "and held" if mount.hold else "until the drive knows it as well"
-        return self._told(who, f"set-mount: {angles}, {within}, in force {end}")
+        return self._logged(who, f"set-mount: {angles}, {within}, in force {end}")
 
     # a tester's calibration, which can be taken back ----------------------------------------
 
@@ -134,7 +134,7 @@ class MountOrders:
         pipeline = self._service.engine.pipeline
         first = pipeline.first_usable, pipeline.first_fine
         self._former = self._settings(), self._service.engine.restart_calibration(), first
-        self._told(who, "the calibration is started again")
+        self._logged(who, "the calibration is started again")
 
     def return_to_former(self, who: str) -> bool:
         """Take the former estimator back, unless it was made for other settings."""
@@ -145,7 +145,7 @@ class MountOrders:
         pipeline = self._service.engine.pipeline
         pipeline.first_usable, pipeline.first_fine = first
         self._former = None
-        self._told(who, "the former calibration is taken back")
+        self._logged(who, "the former calibration is taken back")
         return True
 
     def accept(self) -> None:
@@ -174,6 +174,6 @@ class MountOrders:
             text = f"{file} states the mount and holds it (calibration: mount)"
             raise OrderError(f"{text}; change it there, then reload")
 
-    def _told(self, who: str, text: str) -> str:
-        self._service.tell_order(who, text)
+    def _logged(self, who: str, text: str) -> str:
+        self._service.log_order(who, text)
         return text

@@ -264,7 +264,7 @@ class Service:
         if store is not None:
             store.save_order(engine.pipeline.estimator, engine.timebase.now)
 
-    def tell_order(self, who: str, text: str) -> None:
+    def log_order(self, who: str, text: str) -> None:
         """Write what was done to the mount, and by whom, into the log."""
         if who == TESTER:  # may go on without end
             self.log_tester(f"{text} (by {who})")

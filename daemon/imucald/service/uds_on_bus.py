@@ -25,7 +25,7 @@ from imucald.service.uds_host import LiveHost, RunningService
 from imucald.uds.dtc_memory import DtcMemory, DtcStatus
 from imucald.uds.identifiers import Identifier
 from imucald.uds.isotp_channel import IsoTpChannel, flagged
-from imucald.uds.security import KeyFunction
+from imucald.uds.security import KeyFunction, Security
 from imucald.uds.server import Server
 
 JUDGE_S: Final = 0.2
@@ -57,17 +57,20 @@ class BusUds:
         self.server = Server(
             self.host,
             clock,
-            key_function,
-            config.security.attempts,
-            config.security.delay,
+            Security(
+                key_function,
+                clock,
+                attempts=config.security.attempts,
+                delay=config.security.delay,
+                wrong=keys.wrong,
+                on_count=keys.put,
+            ),
             more={
                 TRANSPORT_COUNTERS_IDENTIFIER: Identifier(
                     "transport counters", lambda _: self._transport_counted()
                 )
             },
             dtcs=dtcs,
-            wrong=keys.wrong,
-            on_count=keys.put,
         )
         self.channel = IsoTpChannel(
             config.request_id,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hmac
+import secrets
 from collections.abc import Callable
 
 from imucald.uds.codes import Answer, Nrc
@@ -30,8 +31,8 @@ class Security:
     def __init__(
         self,
         key_function: KeyFunction | None,
-        random: Callable[[int], bytes],
         clock: Callable[[], float],
+        random: Callable[[int], bytes] = secrets.token_bytes,
         attempts: int = 3,
         delay: float = 10.0,
         wrong: int = 0,

@@ -6,7 +6,6 @@ sub-function, then what the service itself asks for.
 
 from __future__ import annotations
 
-import secrets
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -35,7 +34,7 @@ from imucald.uds.dtc_services import (
 from imucald.uds.host import Host
 from imucald.uds.identifiers import Identifier, ReadData
 from imucald.uds.routines import RESULTS, START, STOP, Routines
-from imucald.uds.security import REQUEST_SEED, SEND_KEY, KeyFunction, Security
+from imucald.uds.security import REQUEST_SEED, SEND_KEY, Security
 
 S3_S: Final = 5.0
 """A session ends when nothing was asked for so long [s]."""
@@ -44,7 +43,7 @@ P2_MS: Final = 50
 P2_STAR_10MS: Final = 500
 """The same after "response pending", which is never sent [10 ms]."""
 
-NOT_TOLD_TO_ALL: Final = frozenset(
+NOT_ANSWERED_TO_ALL: Final = frozenset(
     {
         Nrc.SERVICE_NOT_SUPPORTED,
         Nrc.SUB_FUNCTION_NOT_SUPPORTED,
@@ -82,28 +81,22 @@ class ServerCounters:
 class Server:
     """Answers requests about one host.
 
-    clock: monotonic [s]. random: so many unpredictable bytes. more: identifiers that can be read
-    beside those of the host. dtcs: a memory that is there already. See `Security` for the
-    rest.
+    clock: monotonic [s]. security: what unlocks the routines. more: identifiers that can be read
+    beside those of the host. dtcs: a memory that is there already.
     """
 
     def __init__(
         self,
         host: Host,
         clock: Callable[[], float],
-        key_function: KeyFunction | None = None,
-        attempts: int = 3,
-        delay: float = 10.0,
-        random: Callable[[int], bytes] = secrets.token_bytes,
+        security: Security,
         more: Mapping[int, Identifier] | None = None,
         dtcs: DtcMemory | None = None,
-        wrong: int = 0,
-        on_count: Callable[[int], None] = lambda _: None,
     ) -> None:
         self.session = Session.DEFAULT
         self.dtcs = DtcMemory() if dtcs is None else dtcs
         self.counters = ServerCounters()
-        self.security = Security(key_function, random, clock, attempts, delay, wrong, on_count)
+        self.security = security
         self._clock = clock
         self._last_request = clock()
         self._routines = Routines(host, lambda: self.security.unlocked)
@@ -146,7 +139,7 @@ class Server:
         answer, suppressed = self._judge(request)
         if isinstance(answer, Nrc):
             self.counters.refused += 1
-            silent = to_all and answer in NOT_TOLD_TO_ALL
+            silent = to_all and answer in NOT_ANSWERED_TO_ALL
             return None if silent else bytes([NEGATIVE, request[0], answer])
         return None if suppressed else bytes([request[0] + POSITIVE]) + answer
 

@@ -1,0 +1,129 @@
+"""What speaks for a value as the end of an axis's range: samples that are on it, and stay there."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from msgspec import Struct, field
+
+from imucald.motion.hops import HopRows
+from imucald.motion.sensor_judges import Runs
+
+LEAST_AT_EXTREME = 5
+PILE = 1.3
+"""An extreme is a rail where more samples are on it than on the steps below, so many times."""
+STAYS_COUNT = 0.5
+"""Neighbouring samples are not independent: each counts for so much."""
+LEAST_RISE = 3.0
+"""A rise of so many steps from one sample to the next goes anywhere; a smooth peak that is rounded
+comes back to its top from one or two below."""
+MOST_SAMPLES = 512
+
+
+class AxisHop(Struct, frozen=True):
+    """A hop of one axis. rows, h: hop h of the rows; runs: of the axis.
+
+    step, tops, on_tops: of the axis in that hop, as `HopRows` has step, top and on_top.
+    """
+
+    rows: HopRows
+    h: int
+    runs: Runs
+    step: float
+    tops: tuple[float, float]
+    on_tops: tuple[int, int]
+
+
+class Pile(Struct):
+    """What speaks for a value as a rail.
+
+    rate: -log of the chance that a sample equals the one before, as it was known before [nats].
+    at_it: samples on the value; stays: of them, those that equal the one before. met: -log of the
+    chance that its arrivals meet in one step [nats], risen: that steep rises do. seen: samples,
+    each with the one before it, so that what comes again to the last bit counts once. before:
+    at_it, stays and risen at the last arrival.
+    """
+
+    rate: float
+    at_it: int = 0
+    stays: int = 0
+    arrivals: int = 0
+    last: int = -2
+    met: float = 0.0
+    risen: float = 0.0
+    seen: dict[bytes, None] = field(default_factory=dict)  # in the order in which they came
+    before: tuple[int, int, float] = (0, 0, 0.0)
+
+    @property
+    def surprise(self) -> float:
+        """-log of the chance of all that was seen [nats]."""
+        stays = _more_often(self.stays, self.at_it, self.rate)
+        return self.met + STAYS_COUNT * (self.risen + stays)
+
+    def count(self, at: AxisHop, axis: int, side: int, value: float) -> bool:
+        """Count the samples of a hop on the value that are new; whether there are any.
+
+        What was sent twice is not new. side: 0 for the largest value, 1 for the smallest, negated.
+        """
+        rows, first, stop = at.rows, at.rows.edges[at.h], at.rows.edges[at.h + 1]
+        before = rows.samples[:, first - 1] if first else rows.before
+        hop = np.column_stack([before, rows.samples[:, first:stop]])
+        own = hop[axis] if side == 0 else -hop[axis]
+        at_it, seen = self.at_it, self.seen
+        for k in np.flatnonzero(own[1:] == value).tolist():
+            two = hop[:, k : k + 2]
+            if len(seen) == MOST_SAMPLES or (two[:, 0] == two[:, 1]).all():
+                continue
+            known = len(seen)
+            seen[two.tobytes()] = None
+            if len(seen) > known:
+                self.at_it += 1
+                self.stays += bool(own[k] == value)
+                rise = value - float(own[k])
+                if rise >= LEAST_RISE * at.step and self.at_it > self.before[0] + 1:
+                    # of those that go as far, rises of that size, spread exponentially, end in
+                    # this very step; the first of an arrival is weighed with its peak
+                    self.risen -= math.log(-math.expm1(-at.step / rise))
+        return self.at_it > at_it
+
+    def count_stay_once(self) -> None:
+        """Of all samples since the last arrival let one count."""
+        at_it, self.stays, self.risen = self.before
+        self.at_it = min(self.at_it, at_it + 1)
+        while len(self.seen) > self.at_it:
+            self.seen.popitem()
+
+
+class Top(Struct):
+    """A value that nothing has gone beyond since hop `born`.
+
+    on: samples on it, one_below, two_below: as many steps below, as far as they are tops of their
+    hops.
+    """
+
+    value: float
+    born: int
+    on: int
+    one_below: int
+    two_below: int
+    pile: Pile | None = None
+
+    @property
+    def is_piled_up(self) -> bool:
+        """Whether more samples are on it than a tail has there."""
+        at_it = 0 if self.pile is None else self.pile.at_it
+        return at_it >= LEAST_AT_EXTREME and at_it > PILE * max(self.one_below, self.two_below)
+
+
+def _more_often(stays: int, of: int, rate: float) -> float:
+    """-log of the chance that so many of so many samples stay, where exp(-rate) do [nats].
+
+    Chernoff's bound of the binomial's tail; 0 where they do not stay more often than that.
+    """
+    chance = math.exp(-rate)
+    share = stays / of if of else 0.0
+    if share <= chance:
+        return 0.0
+    left = (1.0 - share) * math.log((1.0 - share) / (1.0 - chance)) if share < 1.0 else 0.0
+    return of * (share * (math.log(share) + rate) + left)
