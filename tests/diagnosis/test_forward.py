@@ -155,8 +155,13 @@ def test_a_channel_is_read_at_any_delay():
 
 
 def test_equal_values_soon_after_are_duplicates_and_slow_ones_are_not():
-    series = Series(np.array([0.0, 0.5, 0.51, 1.0, 1.5]), np.array([1.0, 2.0, 2.0, 2.0, 3.0]))
-    assert duplicates(series, 0.5).tolist() == [False, False, True, False, False]
+    t = np.arange(0.0, 20.0, 0.5)
+    x = np.arange(40.0)
+    x[20] = x[19]
+    twice = [5, 12, 30]
+    series = Series(np.insert(t, twice, t[twice] - 0.49), np.insert(x, twice, x[twice] - 1.0))
+    found = np.flatnonzero(duplicates(series, 0.5)).tolist()
+    assert found == [5, 13, 32], "each where it was put in"
 
 
 def test_stops_are_those_that_speed_and_gyroscope_agree_on():

@@ -13,7 +13,7 @@ from imucald.mount.block_yaw import ARM, FLOOR, BlockMotion, block_yaw
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.large_change import LATE_TICKS, LargeChange, LargeChangeDetector
-from imucald.mount.signal_blocks import BLOCK_TICKS
+from imucald.mount.signal_blocks import BLOCK_TICKS, SignalBlockMaker
 from imucald.mount.turned_alone import FORCE, YAW_RATE, TurnedAlone
 from imucald.simulation import Drive, random_model, simulate
 from mount_settings import full
@@ -134,7 +134,11 @@ def test_nothing_is_held_against_what_was_before_a_hole() -> None:
 
 
 def standing(
-    tilt_deg: np.ndarray, ahead: np.ndarray, rest: np.ndarray, yaw_rate_deg: float = 0.0
+    tilt_deg: np.ndarray,
+    ahead: np.ndarray,
+    rest: np.ndarray,
+    yaw_rate_deg: float = 0.0,
+    least_speed: float = 0.0,
 ) -> list[LargeChange]:
     """What is found in blocks of ticks (N,) with a sensor that pitches and a force ahead."""
     found, detector = [], LargeChangeDetector(full())
@@ -145,6 +149,7 @@ def standing(
     for k in range(0, len(tilt), BLOCK_TICKS):
         part = slice(k, k + BLOCK_TICKS)
         one = block(0.1 * k, force=force[part], rate=rate[part], rest=rest[part], speed=NONE)
+        one.least_speed = least_speed
         change = detector.while_standing(one, np.eye(3))
         found += [] if change is None else [change]
     return found
@@ -180,6 +185,34 @@ def test_a_sensor_that_turns_about_the_vertical_while_standing_is_told() -> None
     turned = standing(np.zeros(STOOD), np.zeros(STOOD), STANDS, yaw_rate_deg=2.0)
     assert turned
     assert {one.axis for one in turned} == {2}
+
+
+def test_a_vehicle_that_creeps_round_a_bend_turns_no_sensor() -> None:
+    """A speed that begins at 3 km/h says zero while a car in a queue turns by 2 deg/s."""
+    none = np.zeros(STOOD)
+    assert not standing(none, none, STANDS, yaw_rate_deg=2.0, least_speed=0.83)
+    assert standing(none, none, STANDS, yaw_rate_deg=14.0, least_speed=0.83), "no car is so tight"
+    assert standing(none, none, STANDS, yaw_rate_deg=2.0, least_speed=0.05)
+
+
+@pytest.mark.parametrize(("begins_at", "least"), [(0.83, 0.83), (0.0, 0.1), (3.0, 1.0)])
+def test_how_slow_a_vehicle_goes_unseen_is_learnt_from_its_speed(
+    begins_at: float, least: float
+) -> None:
+    """Launches and stops at 1 m/s^2; what begins later than wheel sensors do is not believed."""
+    t = np.arange(0.0, 120.0, 0.02)
+    shown = 6.0 - np.abs(t % 20.0 - 10.0)
+    shown[shown < max(begins_at, 1e-9)] = 0.0
+    samples = {
+        "accel": Series(t, np.tile([0.0, 0.0, GRAVITY], (len(t), 1))),
+        "speed": Series(t, shown),
+    }
+    maker, found = SignalBlockMaker(full()), [1.0]
+    for row in ticks_from_samples(samples, 0, 1199, {}).tolist():
+        if maker.push(row):
+            found.append(maker.block().least_speed)
+    assert found[-1] == pytest.approx(least, abs=0.15)
+    assert found == sorted(found, reverse=True)
 
 
 # the whole estimator ---------------------------------------------------------------------------

@@ -87,12 +87,13 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
     power = power[power > 0.0]
     # One block must not decide: the one in which a sensor is knocked belongs to no mount.
     power = power[: len(power) - max(1, round(len(power) / 15))]
-    left = float(np.sqrt(power.mean())) if len(power) else 0.0
+    left = float(np.sqrt(power[-1])) if len(power) else 0.0
     limit = float(np.hypot(MOST_LEFT_MPS2, _noise(state, problem.table.top_hz[name])))
     if left <= limit:
         return []
     text = (
-        f"{left:.2g} m/s^2 is left of the sideways force whatever is fitted, where gusty air and "
+        f"{left:.2g} m/s^2 and more is left of the sideways force in one of fifteen segments, "
+        f"whatever is fitted, where gusty air and "
         f"the accelerometer's noise leave {limit:.2g}: the sensor is not fixed to the vehicle, or "
         "something acts on it that neither speed nor turning shows"
     )
@@ -157,12 +158,14 @@ def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list
 
     Partial coherence: what goes with steering and turning, by whatever dynamics, is taken off both
     (Bendat and Piersol, Random Data, ch. 7), so that an error of the handling is no motion. Told
-    is what exceeds chance, 1 - p^(1/(n - 1)) for n segments, and what calm air does at this speed.
+    is what exceeds chance, 1 - p^(1/(n - 1)) for n segments, and what calm air does at this speed:
+    as a push, or as the acceleration v r of the turn that the push brings.
     """
     drive = forwards[0].drive
     if not (drive.has("gyro") and drive.has("yaw_rate")):
         return []
-    calm = _calm(np.concatenate([f.drive.knots.values for f in forwards]))
+    v = np.concatenate([f.drive.knots.values for f in forwards])
+    calm, fast = _calm(v), float(np.sqrt(np.mean(v[np.abs(v) > DRIVING_MPS] ** 2)))
     hz = np.fft.rfftfreq(forwards[0].rows, STEP_S)
     found = []
     for first, second in PAIRS:
@@ -173,11 +176,14 @@ def _shared(spectra: Mapping[str, Spectra], forwards: Sequence[Forward]) -> list
         good = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0]) & np.isfinite(known[:, 0]).all(axis=1)
         if good.sum() < LEAST_BLOCKS:
             continue
-        in_turn = [
-            _common(a[good], b[good], known[good], (hz >= x) & (hz < y)) for x, y in BANDS_HZ
-        ]
-        sure = [(share, moved) for share, moved, chance in in_turn if share > chance]
-        total = float(np.sqrt(sum(moved**2 for _, moved in sure)))
+        bands = [(hz >= x) & (hz < y) for x, y in BANDS_HZ]
+        pushed = [_common(a[good], b[good], known[good], band) for band in bands]
+        turned = [_common(fast * b[good], a[good], known[good], band) for band in bands]
+        sure = [(share, moved) for share, moved, chance in pushed if share > chance]
+        total = max(
+            float(np.sqrt(sum(moved**2 for share, moved, chance in each if share > chance)))
+            for each in (pushed, turned)
+        )
         if total > calm:
             share = max(share for share, _ in sure)
             text = (

@@ -18,6 +18,7 @@ from imucald.diagnosis import outcome
 from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
+from imucald.diagnosis.chance import beyond_chance
 from imucald.diagnosis.direct import Rest, rest_of
 from imucald.diagnosis.doubts import doubt
 from imucald.diagnosis.faults import find_faults, spoilt
@@ -37,6 +38,7 @@ from imucald.diagnosis.result import (
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.search import search
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
+from imucald.diagnosis.stability import unstable
 from imucald.diagnosis.state import State, final_estimates, shift_steps
 from imucald.diagnosis.stuck import Fault
 from imucald.model.model import VehicleModel
@@ -146,7 +148,7 @@ def _left(state: State) -> tuple[Structure, ...]:
         *too_much(problem, state),
         *outcome.implausible(state),
         *held_values(state.drives),
-        *patterns(problem, state.forwards),
+        *beyond_chance([*patterns(problem, state.forwards), *unstable(problem, state)]),
         *what_is_left(problem, state),
     )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from imucald.diagnosis.blocks import TAKES, Table
 from imucald.diagnosis.outcome import signals_of
-from imucald.diagnosis.result import GOES_WITH_LEVEL, GOES_WITH_SHAKING, VALUE_HELD, Structure
+from imucald.diagnosis.result import GOES_WITH_SHAKING, NOT_PLAUSIBLE, VALUE_HELD, Structure
 from imucald.diagnosis.standing import unsettle
 from imucald.diagnosis.state import State
 from imucald.diagnosis.stuck import Fault
@@ -45,7 +45,7 @@ def _unsure_sensors(left: Sequence[Structure]) -> set[str]:
     """Sensors of which one at least does not feel what the equations say, nor any cause."""
     sensors = {s.signal.partition("_")[0] for s in left if s.kind == VALUE_HELD}
     for s in left:
-        if s.kind == GOES_WITH_LEVEL:
+        if s.kind not in (VALUE_HELD, GOES_WITH_SHAKING, NOT_PLAUSIBLE):
             sensors |= set(TAKES[s.signal])
     return sensors
 

@@ -13,15 +13,15 @@ from scipy.stats import binom
 
 from imucald.diagnosis.result import VALUE_HELD, Structure
 from imucald.diagnosis.signals import Array, DriveSignals
-from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
 
 SENSORS = ("accel", "gyro")
 MOVING_MPS = 2.0
 BESIDE = 3
 """Levels to each side, at least, of which the fullest is what a value is held against."""
-FINE = 3.0
-"""From sample to sample a sensor must move by so many of its levels: then each is as likely as the
-next, whatever the vehicle does."""
+WINDOW, LEAST_WINDOWS = 100, 10
+"""Samples of which the noise is taken: that is known to a tenth."""
+QUIETEST = 0.1
+"""Share of the windows that are quieter than the noise that counts."""
 CHANCE = 0.01
 LEAST_ROWS = 300
 
@@ -63,27 +63,45 @@ def _of_sensor(name: str, drive: DriveSignals, drives: int) -> Iterator[Structur
 
 
 def _held(x: Array, questions: int) -> tuple[float, float, float] | None:
-    """Value, its share of the samples, how many times as often as its neighbours; None without."""
+    """Value, its share of the samples, how many times as often as its neighbours; None without.
+
+    Gaussian noise of deviation s smooths whatever a sensor feels: its density f has
+    f(0) <= exp(d^2/2s^2) (f(-d) + f(d))/2, since cosh is 1 at least. So of samples on one level and
+    on the fullest about it, at d, those on the one are e/(1 + e) at most, e = exp(d^2/2s^2).
+    """
     levels, counts = np.unique(x, return_counts=True)
     if len(levels) < 4 * BESIDE:
         return None
     at = int(np.argmax(counts))
-    steps = np.abs(np.diff(x))
     value, count = levels[at], int(counts[at])
-    width = float(np.median(np.diff(levels)))
-    away = (x[1:] != value) & (x[:-1] != value)
-    if not away.any() or float(np.median(steps[away])) < FINE * width:
-        return None
-    near = np.abs(levels - value) <= max(BESIDE * width, float(np.median(steps[away])))
+    # Codes that are never met leave gaps; no two levels lie closer than one code.
+    width = float(np.quantile(np.diff(levels), 0.1))
+    noise = _noise(x, float(value))
+    # Readings that were turned after they were rounded lie in heaps, no further than the noise.
+    near = np.abs(levels - value) <= max((BESIDE + 0.5) * width, noise)
     near[at] = False
-    beside = int(counts[near].max()) if near.any() else 0
+    if noise == 0.0 or not near.any():
+        return None
+    fullest = int(np.argmax(np.where(near, counts, 0)))
+    more = float(np.exp(0.5 * min(abs(levels[fullest] - value) / noise, 30.0) ** 2))
+    beside = int(counts[fullest])
+    # Visits: a sensor that hardly moves stays for some samples at any value.
+    visits = int((np.diff((x == value).astype(int)) == 1).sum())
     chance = CHANCE / (questions * len(levels))
-    is_there = x == value
-    is_crowded = visited_too_often(is_there, beside, 1, chance)
-    again = x[1:] == x[:-1]
-    usual = min(PILE_RATIO * float(again[~is_there[:-1]].mean()) + 1.0 / len(x), 1.0)
-    stays = int(again[is_there[:-1]].sum())
-    is_kept = count > PILE_RATIO * beside and binom.sf(stays - 1, count, usual) < chance
-    if not (is_crowded or is_kept):
+    if binom.sf(visits - 1, visits + beside, more / (1.0 + more)) >= chance:
         return None
     return float(value) + 0.0, count / len(x), count / max(beside, 1)
+
+
+def _noise(x: Array, value: float) -> float:
+    """Deviation from sample to sample where a sensor is quiet; 0 where too little is away from a
+    value to tell. A step has the noise twice."""
+    steps = np.diff(x) ** 2 / 2.0
+    away = (x[1:] != value) & (x[:-1] != value)
+    size = len(steps) // WINDOW * WINDOW
+    there = away[:size].reshape(-1, WINDOW).sum(axis=1)
+    sums = (steps * away)[:size].reshape(-1, WINDOW).sum(axis=1)
+    full = there > WINDOW // 2
+    if full.sum() >= LEAST_WINDOWS:
+        return float(np.sqrt(np.quantile(sums[full] / there[full], QUIETEST)))
+    return float(np.sqrt(steps[away].mean())) if away.sum() >= LEAST_ROWS else 0.0

@@ -6,17 +6,18 @@ last large value of a signal, whatever its parameters. What does is no cause of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 
 from imucald.core.samples import GRAVITY
 from imucald.diagnosis.blocks import LEAST_SHARE, cosine, noise_weights
 from imucald.diagnosis.causes import PARAMETERS
+from imucald.diagnosis.chance import Question
 from imucald.diagnosis.forward import UNITS, Forward
-from imucald.diagnosis.intervals import quantile
-from imucald.diagnosis.result import GOES_WITH_LEVEL, Structure
+from imucald.diagnosis.result import GOES_WITH_LEVEL, GOES_WITH_SHAKING, Structure
 from imucald.diagnosis.sandwich import scatters, variances
 from imucald.diagnosis.score import Problem, fitted, without_best
 from imucald.diagnosis.signals import STEP_S, Array
@@ -29,13 +30,23 @@ ZERO: Mapping[str, str] = {"gyro_z": "gyro.bias.z", "accel_x": "accel.bias.x",
 """A zero error that a correct file may have: less than that is not told of."""
 LEAST_BLOCKS = 8
 LARGE = (0.5, 1.0, 2.0)
-"""Times its rms: from where on a value may leave something behind."""
+"""Times its rms: from where on a value may leave something behind. Octaves, of which one lies
+within a factor of 1.4 of any such level: the sign is then mostly the same."""
+SHAKEN_S = (1.0, 3.0, 10.0)
+"""From what the grid resolves to what a block's tilt does not take."""
+LATE = "late"
+DELAY_S = dict.fromkeys(ASKED, PARAMETERS["accel.delay_s"].tolerance) | {
+    "accel_x": PARAMETERS["speed.delay_s"].tolerance
+}
+"""By which a signal of the equation may be late in a correct file [s]."""
 SHAPES = {
     "bent": "is less steep for large values than for small ones",
     "one-sided": "differs between one side and the other",
     "steeper": "grows faster than the value",
     "by direction": "depends on whether the value rises or falls",
+    LATE: "is later on one side than on the other",
     **{f"memory {x:g}": "keeps the sign of the last large value" for x in LARGE},
+    **{f"shaken {x:g}": f"goes with how much the sensor is shaken in {x:g} s" for x in SHAKEN_S},
 }
 
 
@@ -51,12 +62,11 @@ class ShapeRows:
     """Samples a block."""
 
 
-def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Structure]:
+def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Question]:
     """Residuals that depend on their own signal in a way that is not linear.
 
-    Each shape is fitted beside value, slope and the block's tilt. Told is what is beyond chance
-    (Student's t of the scatter between blocks, 1 % over all that is asked), larger than the zero
-    error that a correct file may have, and not owed to one block.
+    Each shape is fitted beside value, slope and the block's tilt. Large is what is larger than the
+    zero error that a correct file may have, or later than its delay, and not owed to one block.
     """
     x = fitted(problem)
     changes = {k: float(v) for k, v in zip(problem.table.keys, x, strict=True) if v}
@@ -65,12 +75,12 @@ def patterns(problem: Problem, forwards: Sequence[Forward]) -> list[Structure]:
         for name, rows in _of_drive(f, changes, problem.table.top_hz):
             parts.setdefault(name, []).append(rows)
     grams = {name: _gram(own) for name, own in parts.items()}
-    asked = sum(len(gram) >= LEAST_BLOCKS for gram, _ in grams.values()) * len(SHAPES)
-    found = []
-    for name, (gram, size) in grams.items():
-        if len(gram) >= LEAST_BLOCKS:
-            found += _strongest(name, gram, size, asked)
-    return found
+    return [
+        question
+        for name, (gram, size) in grams.items()
+        if len(gram) >= LEAST_BLOCKS
+        for question in _asked(name, gram, size)
+    ]
 
 
 def _of_drive(
@@ -78,6 +88,7 @@ def _of_drive(
 ) -> list[tuple[str, ShapeRows]]:
     masks, residuals = f.usable(), f.residuals(changes)
     measured = f.measured()
+    shaken = [_shaken(f, seconds) for seconds in SHAKEN_S]
     made = []
     for name in ASKED:
         if name not in residuals.of or name not in measured:
@@ -85,7 +96,8 @@ def _of_drive(
         good = masks[name].mean(axis=1) >= LEAST_SHARE
         count = max(1, int(2.0 * f.rows * STEP_S * top_hz[name]))
         own = measured[name] - np.median(measured[name])
-        shapes = [x.reshape(f.blocks, f.rows) for x in _shapes(own, top_hz[name]).T]
+        columns = [*_shapes(own, top_hz[name]).T, *shaken]
+        shapes = [x.reshape(f.blocks, f.rows) for x in columns]
         tilt = residuals.tilt.get(name, (np.ones((f.blocks, f.rows)),))
         y, X, Z = (
             np.stack([cosine(x, masks[name], count) for x in some], axis=2)[good]
@@ -130,26 +142,46 @@ def _shapes(x: Array, top_hz: float) -> Array:
     z = smooth / size
     slope = np.gradient(z, STEP_S)
     quick = np.tanh(slope / max(float(np.std(slope)), 1e-12))
+    slope *= size
     rows = np.arange(len(z))
     last = [np.sign(z[np.maximum.accumulate(np.where(np.abs(z) > x, rows, 0))]) for x in LARGE]
-    return np.column_stack([z, slope, z / (1.0 + np.abs(z)), z**2, z * np.abs(z), quick, *last])
+    shapes = [z / (1.0 + np.abs(z)), z**2, z * np.abs(z), quick, slope * np.sign(z), *last]
+    return np.column_stack([smooth, slope, *shapes])
 
 
-def _strongest(name: str, gram: Array, squares: Array, asked: int) -> list[Structure]:
-    q = quantile(len(gram), asked)
-    best: tuple[float, str, float] | None = None
+def _shaken(f: Forward, seconds: float) -> Array:
+    """(N,) mean square of the accelerometer's steps about each time, 1 from the smoothest twentieth
+    of the drive to the roughest."""
+    accel = f.drive.channels["accel"]
+    power = np.sum(np.diff(accel.values, axis=0) ** 2, axis=1)
+    area = np.concatenate([[0.0], np.cumsum(power)])
+    first, last = (np.searchsorted(accel.t[1:], f.t + x * seconds) for x in (-0.5, 0.5))
+    mean = (area[last] - area[first]) / np.maximum(last - first, 1)
+    low, high = np.quantile(mean, [0.05, 0.95])
+    return np.asarray((mean - low) / max(float(high - low), 1e-12))
+
+
+def _asked(name: str, gram: Array, squares: Array) -> Iterator[Question]:
     for k, shape in enumerate(SHAPES):
         index = [0, 1, 2, 3 + k]
         value, se, gain = _fit(gram[:, index][:, :, index])
+        sigma = abs(value) / max(se, 1e-300)
         size = abs(value) * float(np.sqrt(squares[:, 3 + k].mean()))
-        sure = abs(value) / se
-        if sure > q and gain > SINGLE_NATS and size > _least(name) and (not best or sure > best[0]):
-            best = sure, shape, size
-    if best is None:
-        return []
-    sigma, shape, size = best
-    text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
-    return [Structure(name, GOES_WITH_LEVEL, sigma, text)]
+        kind = GOES_WITH_LEVEL
+        if shape == LATE:
+            # One side is late by `value` seconds and the other early.
+            is_large = abs(value) > DELAY_S[name]
+        elif shape.startswith("shaken"):
+            # From one end of what a zero may be to the other.
+            kind, size = GOES_WITH_SHAKING, abs(value)
+            is_large = size > 2.0 * _least(name)
+        else:
+            is_large = size > _least(name)
+        text = f"what is left {SHAPES[shape]}: {size:.2g} {UNITS[name]}, {sigma:.1f} deviations"
+        yield Question(
+            float(2.0 * student.sf(sigma, len(gram) - 1)), gain > SINGLE_NATS and is_large,
+            Structure(name, kind, sigma, text),
+        )  # fmt: skip
 
 
 def _least(name: str) -> float:

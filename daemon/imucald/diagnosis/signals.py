@@ -133,9 +133,11 @@ def duplicates(series: Series, period: float) -> Mask:
     if len(t) > 1:
         soon = np.diff(t) < DUPLICATE_SHARE * period
         same = (np.diff(values, axis=0) == 0.0).all(axis=1)
-        # A sensor with a dead zone repeats itself at any distance: that is no second frame.
+        # A sensor with a dead zone repeats itself at any distance: that is no second frame. So few
+        # that all of them may repeat by chance do not tell.
         usual = float(same[~soon].mean()) if (~soon).any() else 0.0
-        if binom.sf((soon & same).sum() - 1, soon.sum(), usual) < CHANCE:
+        is_few = usual ** int(soon.sum()) >= CHANCE
+        if is_few or binom.sf((soon & same).sum() - 1, soon.sum(), usual) < CHANCE:
             again[1:] = soon & same
         again[1:] |= np.diff(t) <= 0.0
     return again

@@ -1,7 +1,8 @@
 """Rails: an axis that cannot go beyond some value, at either end.
 
 A value that a live axis happens to reach as its largest comes once; on a rail it comes again and
-again, and stays. What is played twice to the last bit, such as a recording in a loop, comes once.
+again, from far below too, and stays. What is played twice to the last bit, such as a recording in
+a loop, comes once.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ PILE = 1.3
 """An extreme is a rail where more samples are on it than on the steps below, so many times."""
 STAYS_COUNT = 0.5
 """Neighbouring samples are not independent: each counts for so much."""
+LEAST_RISE = 3.0
+"""A rise of so many steps from one sample to the next goes anywhere; a smooth peak that is rounded
+comes back to its top from one or two below."""
 SURPRISE = 18.5
 """A rail is believed from this -log of the chance of it without one [nats]: 1e-8, where both ends
 of six axes have some 1e7 hops of driving in 100 h."""
@@ -48,8 +52,9 @@ class _Pile(Struct):
 
     rate: -log of the chance that a sample equals the one before, as it was known before [nats].
     at_it: samples on the value; stays: of them, those that equal the one before. met: -log of the
-    chance that its arrivals meet in one step [nats]. seen: samples, each with the one before it, so
-    that what comes again to the last bit counts once. before: at_it and stays at the last arrival.
+    chance that its arrivals meet in one step [nats], risen: that steep rises do. seen: samples,
+    each with the one before it, so that what comes again to the last bit counts once. before:
+    at_it, stays and risen at the last arrival.
     """
 
     rate: float
@@ -58,17 +63,19 @@ class _Pile(Struct):
     arrivals: int = 0
     last: int = -2
     met: float = 0.0
+    risen: float = 0.0
     seen: dict[bytes, None] = field(default_factory=dict)  # in the order in which they came
-    before: tuple[int, int] = (0, 0)
+    before: tuple[int, int, float] = (0, 0, 0.0)
 
     @property
     def surprise(self) -> float:
         """-log of the chance of all that was seen [nats]."""
-        return self.met + STAYS_COUNT * _more_often(self.stays, self.at_it, self.rate)
+        stays = _more_often(self.stays, self.at_it, self.rate)
+        return self.met + STAYS_COUNT * (self.risen + stays)
 
     def count_stay_once(self) -> None:
         """Of all samples since the last arrival let one count."""
-        at_it, self.stays = self.before
+        at_it, self.stays, self.risen = self.before
         self.at_it = min(self.at_it, at_it + 1)
         while len(self.seen) > self.at_it:
             self.seen.popitem()
@@ -203,8 +210,8 @@ class Rail:
         pile.rate = pile.rate or runs.rate()
         is_arrival = hop - pile.last > 1
         if is_arrival:
-            pile.before = pile.at_it, pile.stays
-        fresh = self._fresh(rows, h, top.value, pile)
+            pile.before = pile.at_it, pile.stays, pile.risen
+        fresh = self._fresh(rows, h, top.value, pile, step)
         pile.last = hop
         if not fresh:
             return
@@ -213,7 +220,7 @@ class Rail:
             if pile.arrivals > 1:
                 pile.met += self._coincidence(top, step, hop)
 
-    def _fresh(self, rows: HopRows, h: int, value: float, pile: _Pile) -> bool:
+    def _fresh(self, rows: HopRows, h: int, value: float, pile: _Pile, step: float) -> bool:
         """Count the samples of a hop on the value that are new, not those that were sent twice."""
         first, stop = rows.edges[h], rows.edges[h + 1]
         before = rows.samples[:, first - 1] if first else rows.before
@@ -229,6 +236,11 @@ class Rail:
             if len(seen) > known:
                 pile.at_it += 1
                 pile.stays += bool(own[k] == value)
+                rise = value - float(own[k])
+                if rise >= LEAST_RISE * step and pile.at_it > pile.before[0] + 1:
+                    # of those that go as far, rises of that size, spread exponentially, end in
+                    # this very step; the first of an arrival is weighed with its peak
+                    pile.risen -= math.log(-math.expm1(-step / rise))
         return pile.at_it > at_it
 
     def _coincidence(self, top: _Top, step: float, hop: int) -> float:

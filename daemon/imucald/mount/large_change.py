@@ -54,6 +54,9 @@ CLEAR, CLEAR_BLOCKS = 3.0, 2
 """In yaw, blocks to which a change would be so many of their own deviations; so many must be."""
 STANDING_TURN = math.radians(3.0)
 """A vehicle that stands does not turn or tilt by so much [rad]; people getting in make a half."""
+LEAST_RADIUS = 4.0
+"""Of the circle that the middle of a car's rear axle goes round [m]; turning circles are 10 to 11 m
+wide. A speed that begins at 3 km/h says zero while a vehicle creeps round it at 12 deg/s."""
 STANDING_TICKS = 12
 """Ticks of standing that its tilt is known from."""
 LATE_TICKS = 22
@@ -228,7 +231,8 @@ class LargeChangeDetector:
         force, rate = standing[:known, :3], standing[:known, 3:]
         if self._stopped_at is None:
             self._stopped_at = force[:STANDING_TICKS].mean(axis=0)
-        self._turned += rate.sum(axis=0) * TICK_S
+        quick = np.abs(rate @ R[2]) > p.least_speed / LEAST_RADIUS
+        self._turned += rate[quick].sum(axis=0) * TICK_S
         now = force[-STANDING_TICKS:].mean(axis=0)
         cross = R @ np.cross(now, self._stopped_at)
         tilt = cross / max(float(np.linalg.norm(now) * np.linalg.norm(self._stopped_at)), 1e-9)

@@ -71,6 +71,7 @@ class SignalBlock(Struct):
     # without jumps at north; each with where it is known.
     rate_walk: Array = field(default_factory=lambda: np.zeros((3, 3)))
     # what samples that come seldom add to the angle, sensor axes [rad^2/s], see `gyro_walk`
+    least_speed: float = 0.0  # up to so much the vehicle may creep while its speed is zero [m/s]
 
     def with_gyro_bias(self, gyro_bias: Array) -> SignalBlock:
         """The same block as if that gyro bias [rad/s] (3,) had been known."""
@@ -113,6 +114,7 @@ class SignalBlockMaker:
         self._reverse = 0.0
         self._rest_run = 0
         self._rate_walk = np.zeros((3, 3))
+        self._least_speed = DRIVING_SPEED
         new = slice(BEFORE, BEFORE + BLOCK_TICKS)
         self.health = SignalHealth(new, settings.calibration.full_scale, settings.vehicle.track)
         self.seen: set[str] = set()
@@ -185,6 +187,7 @@ class SignalBlockMaker:
             gyro_bias=self.offsets.gyro_bias,
             sided=self._sided(t, at[mid]),
             rate_walk=self._rate_walk,
+            least_speed=self._least_speed,
         )
         if self.without_speed:
             prepared.speed = np.where(rest, 0.0, NOMINAL_SPEED)
@@ -218,6 +221,7 @@ class SignalBlockMaker:
         if has.any():
             self.seen.add("speed")
         has &= ~self.health.stuck("speed", rows)
+        self._follow_least_speed(np.abs(rows[has, tk.SPEED.mean]))
         speed, ok = bridged(
             at, t[has] - rows[has, tk.SPEED.age], rows[has, tk.SPEED.mean], SPEED_GAP
         )
@@ -228,6 +232,13 @@ class SignalBlockMaker:
             reverse = self._held(known)[BEFORE - 1 : BEFORE + BLOCK_TICKS + 1]
             speed = np.where(reverse > 0.5, -speed, speed)
         return speed, ok
+
+    def _follow_least_speed(self, sizes: Array) -> None:
+        """The least that the speed showed between two other speeds; a tick may be half zero."""
+        moves = sizes > ZERO_SPEED
+        between = moves[1:-1] & moves[:-2] & moves[2:]
+        if between.any():
+            self._least_speed = min(self._least_speed, float(sizes[1:-1][between].min()))
 
     def _held(self, known: Array) -> Array:
         """Reverse gear, the last known value held; remembers the one at the block's start."""

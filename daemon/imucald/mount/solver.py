@@ -156,8 +156,14 @@ class MountSolver:
         return BlockMotion(force, gains[0] * p.accel, turn, self.turn_rate, delay.value, delay.std)
 
     def sure(self) -> bool:
-        """Whether yaw is known well enough for what is left over to speak of the bias."""
-        return self.fused is not None and self.yaw_known and self.fused.variance[2] < SURE_STD**2
+        """Whether yaw is known well enough for what is left over to speak of the bias.
+
+        All but the share that no driving makes less, half of the cross-axis error's square.
+        """
+        if self.fused is None or not self.yaw_known:
+            return False
+        unseen = 0.5 * self._cross_axis.probable**2
+        return bool(self.fused.variance[2] - unseen < SURE_STD**2)
 
     def _turn_rate(self, p: SignalBlock, up: Array | None) -> Array:
         if up is not None and p.ok_rate.mean() > 0.5:

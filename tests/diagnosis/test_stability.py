@@ -1,0 +1,77 @@
+"""Zeros and gains that are not the same all along."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.chance import Question, beyond_chance
+from imucald.diagnosis.result import Structure
+from imucald.diagnosis.score import Problem
+from imucald.diagnosis.stability import _conditional, _scores, _wandering
+
+BLOCKS, ROWS = 48, 60
+TOLERANCE = 0.06
+KEYS = ("accel.bias.x", "accel.scale.0")
+
+
+def problem(seed: int, offset=0.0) -> Problem:
+    """One equation of unit noise with a zero and a gain. offset: (BLOCKS,) of the zero."""
+    rng = np.random.default_rng(seed)
+    X = np.stack([np.full((BLOCKS, ROWS), 10.0), rng.standard_normal((BLOCKS, ROWS))], axis=2)
+    y = rng.standard_normal((BLOCKS, ROWS)) + X[:, :, 0] * np.reshape(offset, (-1, 1))
+    A = np.concatenate([y[:, :, None], X], axis=2)
+    gram = np.swapaxes(A, 1, 2) @ A
+    tolerance = np.array([TOLERANCE, 0.01])
+    table = Table(
+        KEYS, gram, {"accel_x": gram}, np.full(BLOCKS, ROWS), 30.0 * np.arange(BLOCKS),
+        np.zeros(BLOCKS, dtype=int), np.ones(BLOCKS), tolerance, np.zeros(2),
+        np.array([[-1.0, 1.0], [-0.1, 0.1]]), {}, 30.0, {}, np.zeros((BLOCKS, 2)),
+    )  # fmt: skip
+    return Problem(table, -tolerance, tolerance)
+
+
+def told(p: Problem, condition=None) -> set[tuple[str, str]]:
+    scores, gram = _scores(p, None)
+    asked = list(_wandering(p, scores, gram, [0, 1]))
+    if condition is not None:
+        asked += _conditional(p, scores, gram, [0, 1], {"slow and fast": condition})
+    return {(s.kind, s.text.split()[0]) for s in beyond_chance(asked)}
+
+
+def test_a_zero_that_jumps_every_four_minutes_wanders():
+    jumps = np.repeat(np.random.default_rng(3).standard_normal(6), 8) * 2.0 * TOLERANCE
+    assert ("wanders", "accel.bias.x") in told(problem(1, jumps))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_zero_that_stays_neither_wanders_nor_differs(seed):
+    speed = np.random.default_rng(100 + seed).random(BLOCKS)
+    assert told(problem(seed, np.full(BLOCKS, 0.5 * TOLERANCE)), speed) == set()
+
+
+def test_a_zero_that_goes_within_its_tolerance_is_not_told_of():
+    drift = 0.5 * TOLERANCE * np.linspace(-1.0, 1.0, BLOCKS)
+    assert told(problem(2, drift)) == set()
+
+
+def test_a_zero_that_is_another_at_speed_is_told_of_with_its_size():
+    speed = np.random.default_rng(5).random(BLOCKS)
+    p = problem(4, 5.0 * TOLERANCE * speed)
+    scores, gram = _scores(p, None)
+    found = beyond_chance(list(_conditional(p, scores, gram, [0], {"slow and fast": speed})))
+    assert [s.kind for s in found] == ["differs by condition"]
+    # From the 5th to the 95th part in a hundred of the segments, over twice the tolerance.
+    assert found[0].size == pytest.approx(5.0 * 0.9 / 2.0, rel=0.15)
+
+
+def test_of_many_questions_chance_alone_tells_nothing_and_what_is_small_is_left_out():
+    rng = np.random.default_rng(6)
+    over = 0
+    for _ in range(400):
+        asked = [Question(float(p), True, Structure("a", "b", 1.0, "")) for p in rng.random(100)]
+        over += bool(beyond_chance(asked))
+    assert over <= 12
+    small = Question(1e-9, False, Structure("a", "b", 1.0, ""))
+    assert beyond_chance([small, Question(0.5, True, Structure("c", "d", 1.0, ""))]) == []
