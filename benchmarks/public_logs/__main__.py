@@ -1,12 +1,14 @@
 """Logs of public repositories that nobody tuned on: what `init` and `replay` make of them.
 
-    python -m benchmarks.public_logs --data DIR [--only NAME ...] [--names-taken-away] [--diagnose]
+    python -m benchmarks.public_logs --data DIR [--only NAME ...] [--names-taken-away]
+                                     [--information] [--diagnose]
 
 DIR holds a clone of each repository as OWNER+NAME (for what is absent the command is shown); the
 logs are made below DIR/logs. Of each: the quantities that `init` finds with sign and unit beside
 the configuration by hand in `right/`, and the mount by that configuration, of the whole and of both
-halves, beside what is known. With --diagnose also what `diagnose` says of the second half beside
-the first, and of effects that are put in; that is told and not judged.
+halves, beside what is known. With --information also how well least squares alone know the yaw,
+with --diagnose what `diagnose` says of the second half beside the first, and of effects that are
+put in; that is told and not judged.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from benchmarks.init.judge import Verdict, judge
 from benchmarks.init.renamed import renamed
 from benchmarks.public_logs.diagnosed import diagnosed
 from benchmarks.public_logs.frames import write_log
+from benchmarks.public_logs.information import known_by_itself
 from benchmarks.public_logs.logs import LOGS, PublicLog
 from imucald.can.dbc.database import load_database
 from imucald.can.logs.log_reader import LogReader
@@ -43,6 +46,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, required=True, help="folder of the clones")
     parser.add_argument("--only", nargs="+", choices=[log.name for log in LOGS])
     parser.add_argument("--names-taken-away", action="store_true", help="signals without names")
+    parser.add_argument("--information", action="store_true", help="what a log by itself knows")
     parser.add_argument("--diagnose", action="store_true", help="diagnose too (minutes a log)")
     options = parser.parse_args()
     logs = [log for log in LOGS if not options.only or log.name in options.only]
@@ -70,6 +74,8 @@ def main() -> int:
         for text, is_far in _mounts(log, folder):
             print(f"  {text}", flush=True)
             wrong += is_far
+        for text in known_by_itself(folder) if options.information else ():
+            print(f"  by itself: {text}", flush=True)
         for text in diagnosed(folder) if options.diagnose else ():
             print(f"  diagnose: {text}", flush=True)
     if not total.asked:

@@ -88,7 +88,7 @@ def test_a_time_limit_is_handed_on(asked, said, log):
 
 
 @pytest.mark.parametrize(("verdict", "words"), [
-    ("ambiguous", "to distinguish them: Drive the same road in both directions"),
+    ("ambiguous", "a drive that shows which has:"),
     ("unknown", "at 0.62 Hz, while cornering"),
     ("nothing", "Nothing found: the model fits"),
 ])  # fmt: skip

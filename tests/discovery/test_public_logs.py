@@ -8,12 +8,13 @@ import cantools
 import numpy as np
 import pytest
 from benchmarks.public_logs import __main__ as command
-from benchmarks.public_logs import diagnosed
+from benchmarks.public_logs import diagnosed, information
 from benchmarks.public_logs.frames import START, Message, Signal, write_log
 from benchmarks.public_logs.logs import LOGS
 
 from imucald.config import load_config
 from imucald.core.errors import EstimateError
+from imucald.core.samples import Series
 from imucald.model.model import VehicleModel
 
 
@@ -47,6 +48,27 @@ def test_a_step_that_cannot_hold_a_value_is_refused(tmp_path):
     fine = Message(1, "M", np.array([0.0]), (Signal("s", "g", 0.001, np.array([40.0])),))
     with pytest.raises(ValueError, match=r"M\.s: a step of 0\.001 is too fine"):
         write_log(tmp_path, [fine])
+
+
+def driven(seed: int, late: float) -> dict[str, Series]:
+    """Ten minutes straight on; noise of 0.3 m/s^2 to the side over 1 s, a speed of 5 Hz, late."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 600.0, 0.05)
+    slow = np.random.default_rng(99).uniform(0.0, 6.0, 8)
+    speed = 12.0 + sum(2.0 * np.sin((0.1 + 0.08 * k) * t + phase) for k, phase in enumerate(slow))
+    aside = 0.3 * np.repeat(rng.standard_normal(600), 20)
+    force = np.column_stack([np.gradient(speed, t), aside, np.full(len(t), 9.81)])
+    return {"accel": Series(t, force), "speed": Series(t[::4] + late, speed[::4])}
+
+
+@pytest.mark.parametrize("late", [0.0, 0.8])
+def test_what_a_log_knows_by_itself_is_how_far_its_yaw_scatters(late):
+    found = [information.fitted(driven(seed, late), 10.0) for seed in range(20)]
+    std, delays, gains, yaws = (np.array(column) for column in zip(*found, strict=True))
+    assert delays == pytest.approx(late, abs=0.11)
+    assert gains == pytest.approx(1.0, abs=0.05)
+    assert np.median(std) == pytest.approx(np.std(yaws), rel=0.4)
+    assert 0.05 < np.median(std) < 3.0
 
 
 def test_absent_repositories_are_told_with_their_command_and_fail(tmp_path, monkeypatch, capsys):

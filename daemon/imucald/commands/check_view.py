@@ -89,7 +89,9 @@ def _quantities(rows: list[dict[str, Any]], narrow: bool, stacked: bool) -> Tabl
         in_unit, in_si = row["in_unit"], row["in_si"]
         same = row["unit"] == row["si_unit"] or row["factor"] == 1.0 or not row["si_unit"]
         cells = [
-            _figure(in_si[k]) if same else f"{_figure(in_unit[k])}\n{_figure(in_si[k])}"
+            _figure(in_si[k])
+            if same or in_unit[k] is None
+            else f"{_figure(in_unit[k])}\n{_figure(in_si[k])}"
             for k in ("min", "mean", "max")
         ]
         unit = row["si_unit"] if same else f"{row['unit']}\n{row['si_unit']}"

@@ -90,20 +90,21 @@ def _print_cause(console: Console, cause: FoundCause) -> None:
         console.print(Padding(f"seen in {signals}", INDENT))
     if words.evidence(cause):
         console.print(Padding(words.evidence(cause), INDENT))
-    for text in cause.against:
-        console.print(Padding(f"against it: {numbers.typographic(text)}", INDENT))
+    for text in words.against(cause):
+        console.print(Padding(f"against it: {text}", INDENT))
 
 
 def _print_open(console: Console, diagnosis: Diagnosis) -> None:
     """What these drives cannot distinguish, and what is left."""
-    if diagnosis.look_alikes or diagnosis.to_separate:
+    if diagnosis.look_alikes:
         console.print()
     for group in diagnosis.look_alikes:
         alike = [titles.cause_title(name) for name in group]
         console.print(f"cannot be distinguished: {words.in_series(alike, 'or')}")
-    if diagnosis.to_separate:
-        names = [name for group in diagnosis.look_alikes for name in group]
-        console.print(f"to distinguish them: {titles.with_titles(diagnosis.to_separate, names)}")
+        if ways := words.ways_apart(group):
+            console.print("a drive that shows which has:")
+        for way in ways:
+            console.print(f"  {way}")
     if not diagnosis.structure:
         return
     console.print()

@@ -59,10 +59,11 @@ SHOWN = {
     "pitch_gravity": (-1.0, 0, 2),
 }
 """Of each source the entry of C that it shows, and its sign; axes of rotation show none."""
-OWN_ROAD = 1.0 / 16.0
+OWN_ROAD = 1.0 / 6.0
 """Roll from turns and from the axis of turning see the same pitch rate of the road. Their
-difference has so much of the sum of their variances: seen in simulated drives without cross-axis
-errors (seeds 520,000 to 520,023), where it is 0.9 % after 100 s, 0.5 % after 6 min."""
+difference has so much of the sum of their variances: in simulated drives without cross-axis errors
+(seeds 520,000 to 520,023) a sixteenth after 100 s, a tenth to a sixth after 5 to 20 min; with few
+turns more (seed 530,056)."""
 _OFF_DIAGONAL = ~np.eye(3, dtype=bool)
 
 

@@ -26,6 +26,8 @@ HUMAN_UNITS: Mapping[str, tuple[float, str]] = {
 PLAIN_KEYS = ("chassis.steering_ratio",)
 """Numbers without a unit that are no shares."""
 RATES = ("speed.delay_rate",)
+TIMES = ("mount.shifts.t_s",)
+"""Times of a drive, in seconds: no delays."""
 
 
 def number(x: float, digits: int = 3) -> str:
@@ -64,6 +66,8 @@ def for_people(key: str, p: Estimated) -> tuple[str, str]:
     factor, unit = HUMAN_UNITS.get(p.unit, (1.0, unit_text(p.unit)))
     if key in PLAIN_KEYS:
         factor, unit = 1.0, ""
+    elif key in TIMES:
+        factor, unit = 1.0, "s"
     elif key in RATES:
         factor, unit = 1e6, "ppm"
     shown = f"{with_spread(factor * p.value, factor * p.std)} {unit}".strip()

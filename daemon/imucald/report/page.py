@@ -56,7 +56,6 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
     template = environment().get_template("diagnosis.html")
     changes = model_changes(diagnosis.model_before, diagnosis.model_after)
     verdict = words.verdict(diagnosis)
-    alike = [name for group in diagnosis.look_alikes for name in group]
     return template.render(
         d=diagnosis,
         about=about,
@@ -64,8 +63,10 @@ def report_page(diagnosis: Diagnosis, about: About) -> str:
         figures=_key_figures(diagnosis),
         causes=[_card(cause) for cause in diagnosis.causes],
         likely=[_card(cause) for cause in diagnosis.likely],
-        to_separate=titles.with_titles(diagnosis.to_separate, alike),
-        groups=[[titles.cause_title(n) for n in g] for g in diagnosis.look_alikes[:MAX_ROWS]],
+        groups=[
+            ([titles.cause_title(n) for n in g], words.ways_apart(g))
+            for g in diagnosis.look_alikes[:MAX_ROWS]
+        ],
         signals=_signal_rows(diagnosis),
         pictures=_pictures(diagnosis),
         unpictured=max(0, len(diagnosis.pictures) - MAX_PICTURED),
@@ -154,7 +155,7 @@ def _card(cause: FoundCause) -> dict[str, Any]:
         "text": numbers.typographic(cause.text),
         "rows": rows,
         "evidence": words.evidence(cause),
-        "against": [numbers.typographic(text) for text in cause.against],
+        "against": words.against(cause),
         "signals": [titles.signal_title(name) for name in cause.signals],
     }
 
@@ -191,7 +192,7 @@ def _candidates(diagnosis: Diagnosis) -> list[dict[str, Any]]:
         {
             "title": titles.cause_title(c.name),
             "outcome": c.outcome,
-            "text": numbers.typographic(c.text),
+            "text": words.size_shown(c),
         }
         for c in ordered[:MAX_ROWS]
     ]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 CAUSES: Mapping[str, str] = {
     "accel_bias": "accelerometer bias",
@@ -52,9 +51,8 @@ QUANTITIES: Mapping[str, str] = {
     "scale": "gain error", "offset": "offset", "turn": "turn", "bias": "zero error",
     "full_scale": "rail", "loss": "lost frames", "stuck_s": "stuck for", "doubled": "doubled",
     "clock_drift_ppm": "clock error", "steering_ratio": "steering ratio", "t_s": "time",
+    "shifts": "shift",
 }  # fmt: skip
-
-WORD = re.compile(r"\w+")
 
 
 def cause_title(name: str) -> str:
@@ -74,6 +72,8 @@ def signal_title(name: str) -> str:
 def key_title(key: str) -> str:
     """Return what people call a parameter: `lever arm, forward` for `mount.lever_arm_m.0`."""
     part, _, rest = key.removeprefix("_").partition(".")
+    if key == "mount.shifts.t_s":
+        return "time of the shift"
     name, _, axis = rest.rpartition(".")
     name = name or rest
     quantity = QUANTITIES.get(name.rpartition(".")[2], name.rpartition(".")[2].replace("_", " "))
@@ -87,9 +87,3 @@ def key_title(key: str) -> str:
         else (f"{PARTS.get(part, part.replace('_', ' '))} {quantity}")
     )
     return f"{title}, {way}" if way else title
-
-
-def with_titles(text: str, names: Iterable[str]) -> str:
-    """Return a text with the names of causes as people call them."""
-    known = set(names)
-    return WORD.sub(lambda found: cause_title(found[0]) if found[0] in known else found[0], text)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from imucald.diagnosis.causes import BY_NAME
 from imucald.diagnosis.result import (
     GOES_AGAINST,
     NOT_PLAUSIBLE,
@@ -18,6 +19,11 @@ from imucald.diagnosis.result import (
 )
 from imucald.report.numbers import number, typographic
 from imucald.report.titles import cause_title, signal_title
+
+AS_WELL = " does as well within two standard errors"
+"""How the diagnosis ends what it says of rivals."""
+MANY = 4
+"""Of more names than this a sentence shows the first ones."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +41,32 @@ def in_series(names: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
+def few_of(names: Sequence[str], last: str) -> str:
+    """The same; of a long list the first three and the number of the others."""
+    if len(names) <= MANY:
+        return in_series(names, last)
+    shown = MANY - 1
+    return f"{', '.join(names[:shown])} {last} {len(names) - shown} others"
+
+
+def ways_apart(group: Sequence[str]) -> list[str]:
+    """Manoeuvres that would tell causes apart, which these drives cannot."""
+    return list(dict.fromkeys(BY_NAME[name].separate for name in group if name in BY_NAME))
+
+
+def against(cause: FoundCause) -> list[str]:
+    """What speaks against a cause, with the names of rivals as people call them."""
+    return [_with_rivals(typographic(text)) for text in cause.against]
+
+
+def _with_rivals(text: str) -> str:
+    if not text.endswith(AS_WELL):
+        return text
+    names = text.removesuffix(AS_WELL).split(" and ")
+    rivals = few_of([cause_title(name.replace(" ", "_")) for name in names], "and")
+    return f"{rivals} {'does' if len(names) == 1 else 'do'}{AS_WELL.removeprefix(' does')}"
+
+
 def verdict(diagnosis: Diagnosis) -> Words:
     """Return what the diagnosis says, with how sure it is."""
     titles = [cause_title(cause.name) for cause in diagnosis.causes]
@@ -43,7 +75,7 @@ def verdict(diagnosis: Diagnosis) -> Words:
         count = f"{_counted(len(titles))} certain."
         return Words(f"Found: {in_series(titles)}", count + _left(diagnosis) + tail)
     if diagnosis.verdict == "ambiguous":
-        groups = [in_series([cause_title(n) for n in g], "or") for g in diagnosis.look_alikes]
+        groups = [few_of([cause_title(n) for n in g], "or") for g in diagnosis.look_alikes]
         confused = {name for group in diagnosis.look_alikes for name in group}
         sure = [cause_title(c.name) for c in diagnosis.causes if c.name not in confused]
         text = "Something is wrong, and these drives do not show which of them it is."
@@ -140,13 +172,19 @@ def evidence(cause: FoundCause) -> str:
     if "sigma" in known:
         parts.append(f"{number(known['sigma'], 2)} standard deviations from the model file")
         if "quantile" in known:
-            parts.append(f"named from tolerance + {number(known['quantile'], 2)} on")
+            least = number(known["quantile"], 2)
+            parts.append(f"named from {least} beyond what a correct file may be off")
     return "; ".join(parts)
 
 
 def outcome(candidate: Candidate) -> str:
     """Return why a cause was not named."""
-    return f"{candidate.outcome}: {typographic(candidate.text)}"
+    return f"{candidate.outcome}: {size_shown(candidate)}"
+
+
+def size_shown(candidate: Candidate) -> str:
+    """Its size and the size from which it would be named; a pure number has no unit."""
+    return typographic(candidate.text).replace(" 1; named", "; named")
 
 
 def gain(found: Gain) -> str:
