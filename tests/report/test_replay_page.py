@@ -23,7 +23,7 @@ from imucald.traffic.drive_encoder import BusEncoder
 from paths import ROOT
 from simulated_bus import CONFIG, loaded
 
-SHIFT_S, SHIFT_DEG = 240.0, 4.0
+SHIFT_S, SHIFT_DEG = 240.0, 10.0
 
 
 @pytest.fixture(scope="module")
