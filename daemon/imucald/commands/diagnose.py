@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imucald.commands.options import add_config, configuration, print_problems
+from imucald.core.extras import how_to_install
 
 if TYPE_CHECKING:
     from imucald.api.configuration import Configuration
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report",
         type=Path,
         metavar="DIR",
-        help="write a page with pictures there (index.html; needs the extra 'report')",
+        help=f"write a page with pictures there (index.html; needs {how_to_install('report')})",
     )
     parser.add_argument(
         "--write-model",
