@@ -93,10 +93,13 @@ class MountChanges:
         return None if found is None or found.excess < 1.0 else found
 
     def is_bearable(self, found: MountChange, solver: MountSolver, blocks: int) -> bool:
-        """Whether what is applied misleads nobody after a change, with the deviation stated now."""
+        """Whether what is applied misleads nobody after a change, with the deviation stated now.
+
+        What the same change added to the deviation while it was in doubt does not count.
+        """
         if solver.fused is None:
             return False
-        variance = solver.fused.variance + self.variance(solver, blocks)
+        variance = solver.fused.variance + self._variance(solver, blocks, self._of_borne())
         stated = ALERT_DEVIATIONS * math.sqrt(float(variance[found.axis]))
         return abs(found.size) <= max(ALERT_LIMIT, stated)
 
@@ -144,12 +147,20 @@ class MountChanges:
         that was found turned the same way again and again goes on at that rate. blocks: of the
         whole drive.
         """
+        doubted = (self._doubted, self._probability)
+        return self._variance(solver, blocks, doubted, self._of_borne())
+
+    def _of_borne(self) -> tuple[Array, Array]:
+        return self.borne, np.ones(3)
+
+    def _variance(self, solver: MountSolver, blocks: int, *changes: tuple[Array, Array]) -> Array:
+        """As `variance`; changes: sizes (3,) [rad] and probabilities (3,) of those to cover."""
         more = np.zeros(3) if solver.creep is None else solver.creep.variance.copy()
         for axis, moved in enumerate(self.shifted_again()):
             since = moved / blocks * 0.5 * solver.blocks
             more[axis] = max(more[axis], since * since)
         known = more if solver.fused is None else more + solver.fused.variance
-        for size, part in ((self._doubted, self._probability), (self.borne, np.ones(3))):
+        for size, part in changes:
             missing = np.maximum(np.square(COVERING * size) - known, 0.0)
             widened = np.minimum(part * size * size, missing)
             more, known = more + widened, known + widened
