@@ -124,6 +124,8 @@ class Structure:
     size: float
     """In standard deviations of what chance would give, or as a ratio to the expected power."""
     text: str
+    parameter: str = ""
+    """The zero or gain that is not the same all along, where it is one."""
 
 
 @dataclass(frozen=True)

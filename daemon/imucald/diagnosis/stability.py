@@ -134,7 +134,7 @@ def _may_be(problem: Problem, j: int) -> float:
 def _question(problem: Problem, key: str, kind: str, p: float, size: float, text: str) -> Question:
     signal = (signals_of(problem.table, [key]) or ("accel_x",))[0]
     text = f"{text}, where a correct file's may not ({size:.1f} times what it may)"
-    return Question(p, size > 1.0, Structure(signal, kind, size, text))
+    return Question(p, size > 1.0, Structure(signal, kind, size, text, key))
 
 
 def conditions(problem: Problem, state: State) -> dict[str, Array]:
