@@ -114,7 +114,7 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
         table.add_column(title, overflow="fold", justify="right" if title == "size" else "left")
     for s in diagnosis.structure[:SHOWN_STRUCTURE]:
         signal = titles.signal_title(s.signal)
-        table.add_row(f"  {signal}", s.kind, numbers.number(s.size, 2), numbers.typographic(s.text))
+        table.add_row(f"  {signal}", s.kind, numbers.number(s.size, 2), words.structure_text(s))
     console.print(table)
 
 

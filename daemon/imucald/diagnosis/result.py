@@ -122,7 +122,7 @@ class Structure:
     kind: str
     """Such as "peak", "shared motion", "not plausible"."""
     size: float
-    """In standard deviations of what chance would give, or as a ratio to the expected power."""
+    """In standard deviations of chance, or as a ratio to what is expected or may be."""
     text: str
     parameter: str = ""
     """The zero or gain that is not the same all along, where it is one."""

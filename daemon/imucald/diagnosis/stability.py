@@ -29,7 +29,7 @@ LAGS = 3
 """Neighbouring segments, a minute and a half: longer than a manoeuvre."""
 DRAWS, AT_ONCE = 20000, 1000
 LEAST_BLOCKS = 12
-EVENLY = 1.0 / np.sqrt(3.0)
+EVENLY = 3.0**-0.5
 """Deviation of what goes anywhere within its tolerance, over the tolerance."""
 EITHER_SIDE = 2.0
 """Tolerances from one end of what a correct file may be to the other."""
@@ -82,9 +82,7 @@ def _wandering(
     for k, j in enumerate(asked):
         key, tau = problem.table.keys[j], _may_be(problem, j)
         p = float((1.0 + beaten[k]) / (DRAWS + 1.0))
-        text = (
-            f"{key} wanders by {sd[k]:.2g} {PARAMETERS[key].unit} from piece to piece of the drive"
-        )
+        text = f"{key} wanders by {_amount(key, float(sd[k]))} from piece to piece of the drive"
         yield _question(problem, key, WANDERS, p, float(sd[k]) / (EVENLY * tau), text)
 
 
@@ -122,13 +120,23 @@ def _conditional(
             t = np.sqrt(ratio * (B - 1) / max(B - ratio, 1e-9))
             key, value = problem.table.keys[j], float(u.sum() / information)
             size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
-            text = f"{key} differs by {value:+.2g} {PARAMETERS[key].unit} between {name} segments"
+            text = f"{key} differs by {_amount(key, value)} between {name} segments"
             yield _question(problem, key, DIFFERS, float(2.0 * student.sf(t, B - 1)), size, text)
 
 
 def _may_be(problem: Problem, j: int) -> float:
     """By how much a correct file may be wrong, with what the equations err by."""
     return float(problem.table.tolerance[j] + SD_95 * problem.table.model_error[j])
+
+
+def _amount(key: str, x: float) -> str:
+    """A number of the model file in the unit in which people think."""
+    unit = PARAMETERS[key].unit
+    if unit.startswith("rad"):
+        x, unit = float(np.degrees(x)), f"deg{unit.removeprefix('rad')}"
+    elif unit in ("", "1"):
+        x, unit = 100.0 * x, "%"
+    return f"{x:.2g} {unit}"
 
 
 def _question(problem: Problem, key: str, kind: str, p: float, size: float, text: str) -> Question:

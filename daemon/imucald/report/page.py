@@ -99,6 +99,7 @@ def environment() -> Environment:
         "unit": numbers.unit_text,
         "number": numbers.number,
         "typographic": numbers.typographic,
+        "structure": words.structure_text,
         "breakable": _breakable,
         "with_contents": with_contents,
     }

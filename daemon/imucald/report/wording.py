@@ -16,9 +16,10 @@ from imucald.diagnosis.result import (
     FoundCause,
     Gain,
     SignalGain,
+    Structure,
 )
 from imucald.report.numbers import number, typographic
-from imucald.report.titles import cause_title, signal_title
+from imucald.report.titles import cause_title, key_title, signal_title
 
 AS_WELL = " does as well within two standard errors"
 """How the diagnosis ends what it says of rivals."""
@@ -211,3 +212,9 @@ def less(signal: SignalGain) -> str:
 def _counted(n: int) -> str:
     names = ("No", "One", "Two", "Three", "Four", "Five", "Six")
     return f"{names[n] if n < len(names) else n} {'cause is' if n == 1 else 'causes are'}"
+
+
+def structure_text(structure: Structure) -> str:
+    """What is left, with the name that people have for the parameter."""
+    key, text = structure.parameter, structure.text
+    return typographic(key_title(key) + text.removeprefix(key) if key else text)
