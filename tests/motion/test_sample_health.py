@@ -378,22 +378,3 @@ def test_a_clipped_axis_in_a_loop_is_told() -> None:
         for c, s in once.items()
     }
     assert told(watched(twice)) == [("gyro", "saturated", "z")]
-
-
-def test_a_rail_is_told_at_its_first_visit_also_where_values_are_sent_twice() -> None:
-    """And where an axis has once kept its value for a while: that samples stay says little, that
-    they come back to one value from far below does."""
-    samples = drive(240.0, hz=100.0)
-    twice = Series(samples["accel"].t, np.repeat(samples["accel"].values[::2], 2, axis=0))
-
-    def pull(t: np.ndarray, values: np.ndarray) -> None:
-        now = (t >= 150.0) & (t < 154.0)
-        rng = np.random.default_rng(0)
-        values[(t >= 100.0) & (t < 100.3), 1] = 0.1
-        values[now, 1] = np.repeat(9.0 + 0.3 * rng.standard_normal(now.sum() // 2), 2)
-        values[:, 1] = values[:, 1].clip(None, 9.0)
-
-    health = watched(edited({**samples, "accel": twice}, "accel", pull))
-    first = next(e for e in health.events if e.fault is SignalFault.SATURATED)
-    assert first.axes == "y"
-    assert 150.0 < first.since < 156.0

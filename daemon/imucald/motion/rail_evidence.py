@@ -15,9 +15,6 @@ PILE = 1.3
 """An extreme is a rail where more samples are on it than on the steps below, so many times."""
 STAYS_COUNT = 0.5
 """Neighbouring samples are not independent: each counts for so much."""
-LEAST_RISE = 3.0
-"""A rise of so many steps from one sample to the next goes anywhere; a smooth peak that is rounded
-comes back to its top from one or two below."""
 MOST_SAMPLES = 512
 
 
@@ -40,9 +37,8 @@ class Pile(Struct):
 
     rate: -log of the chance that a sample equals the one before, as it was known before [nats].
     at_it: samples on the value; stays: of them, those that equal the one before. met: -log of the
-    chance that its arrivals meet in one step [nats], risen: that steep rises do. seen: samples,
-    each with the one before it, so that what comes again to the last bit counts once. before:
-    at_it, stays and risen at the last arrival.
+    chance that its arrivals meet in one step [nats]. seen: samples, each with the one before it, so
+    that what comes again to the last bit counts once. before: at_it and stays at the last arrival.
     """
 
     rate: float
@@ -51,15 +47,13 @@ class Pile(Struct):
     arrivals: int = 0
     last: int = -2
     met: float = 0.0
-    risen: float = 0.0
     seen: dict[bytes, None] = field(default_factory=dict)  # in the order in which they came
-    before: tuple[int, int, float] = (0, 0, 0.0)
+    before: tuple[int, int] = (0, 0)
 
     @property
     def surprise(self) -> float:
         """-log of the chance of all that was seen [nats]."""
-        stays = _more_often(self.stays, self.at_it, self.rate)
-        return self.met + STAYS_COUNT * (self.risen + stays)
+        return self.met + STAYS_COUNT * _more_often(self.stays, self.at_it, self.rate)
 
     def count(self, at: AxisHop, axis: int, side: int, value: float) -> bool:
         """Count the samples of a hop on the value that are new; whether there are any.
@@ -80,16 +74,11 @@ class Pile(Struct):
             if len(seen) > known:
                 self.at_it += 1
                 self.stays += bool(own[k] == value)
-                rise = value - float(own[k])
-                if rise >= LEAST_RISE * at.step and self.at_it > self.before[0] + 1:
-                    # of those that go as far, rises of that size, spread exponentially, end in
-                    # this very step; the first of an arrival is weighed with its peak
-                    self.risen -= math.log(-math.expm1(-at.step / rise))
         return self.at_it > at_it
 
     def count_stay_once(self) -> None:
         """Of all samples since the last arrival let one count."""
-        at_it, self.stays, self.risen = self.before
+        at_it, self.stays = self.before
         self.at_it = min(self.at_it, at_it + 1)
         while len(self.seen) > self.at_it:
             self.seen.popitem()

@@ -1,8 +1,7 @@
 """Rails: an axis that cannot go beyond some value, at either end.
 
 A value that a live axis happens to reach as its largest comes once; on a rail it comes again and
-again, from far below too, and stays. What is played twice to the last bit, such as a recording in
-a loop, comes once.
+again, and stays. What is played twice to the last bit, such as a recording in a loop, comes once.
 """
 
 from __future__ import annotations
@@ -138,7 +137,7 @@ class Rail:
         pile.rate = pile.rate or at.runs.rate()
         is_arrival = hop - pile.last > 1
         if is_arrival:
-            pile.before = pile.at_it, pile.stays, pile.risen
+            pile.before = pile.at_it, pile.stays
         fresh = pile.count(at, self._axis, self._side, top.value)
         pile.last = hop
         if not fresh:
