@@ -56,6 +56,16 @@ def test_values_that_pile_up_are_a_rail(share):
     assert all(any(a <= t <= b for a, b in spans) for t in hit)
 
 
+def test_readings_that_drop_to_zero_are_no_rail():
+    samples = drive()
+    x = samples["accel"].values.copy()
+    rng = np.random.default_rng(1)
+    for start in rng.choice(len(x) - 50, 60, replace=False):
+        x[start : start + 10] = 0.0
+    samples["accel"] = Series(samples["accel"].t, x)
+    assert "saturation:accel" not in causes(samples)
+
+
 def test_a_sensor_that_does_not_change_while_driving_is_stuck():
     samples = drive()
     t, x = samples["gyro"].t, samples["gyro"].values.copy()

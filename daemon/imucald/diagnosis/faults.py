@@ -94,7 +94,7 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
             continue
         for sign in (1.0, -1.0):
             rail = _rail(sign * x, still if table.shape[1] > 1 else np.zeros_like(still))
-            if rail is not None:
+            if rail is not None and rail != 0.0:  # no range ends there: a lost reading does
                 hit |= sign * x >= rail - 1e-9 * max(1.0, abs(rail))
                 rails.append(sign * rail)
     if not rails:
