@@ -1,4 +1,4 @@
-"""A vehicle's signal that is stuck is left out, and told wherever faulty sensors are."""
+"""A vehicle's signal that is stuck is left out, and reported wherever faulty sensors are."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def sound() -> Samples:
 
 
 def stuck(channel: str) -> Samples:
-    """The drive with a channel that keeps its value for a time."""
+    """The drive with a channel that keeps its value for a time; a speed says zero."""
     series = sound()[channel]
     values = series.values.copy()
     first, stop = np.searchsorted(series.t, [FROM_S, UNTIL_S])
-    values[first:stop] = values[first]
+    values[first:stop] = 0.0 if channel == "speed" else values[first]
     return {**sound(), channel: Series(series.t, values)}
 
 
@@ -76,6 +76,19 @@ def test_live_and_by_columns_a_stuck_signal_is_told_alike(channel: str) -> None:
             piece[name] = Series(series.t[use], series.values[use])
         parts.run(piece, {}, min(low + 7.299, 60.0 * MINUTES))
     assert parts.health.summary() == whole.health.summary()
+
+
+def test_a_speed_that_repeats_itself_is_left_out_but_not_accused() -> None:
+    """As a coarse one does at a steady cruise."""
+    series = sound()["speed"]
+    first, stop = np.searchsorted(series.t, [FROM_S, UNTIL_S])
+    values = series.values.copy()
+    values[first:stop] = values[first]
+    pipeline, snapshots = taken({**sound(), "speed": Series(series.t, values)})
+    assert pipeline.health.summary()["events"] == []
+    assert not any(s.faults for s in snapshots)
+    left_out = pipeline.estimator.estimate().details["frozen_ticks"]["stuck"]
+    assert left_out > 100
 
 
 def test_nothing_is_told_of_a_sound_drive() -> None:

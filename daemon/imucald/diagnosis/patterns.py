@@ -197,7 +197,8 @@ def _fit(gram: Array) -> tuple[float, float, float]:
     score = gram[:, 1:, 0] - gram[:, 1:, 1:] @ value
     inverse = np.linalg.pinv(whole)
     ways = (*scatters(score, len(value)), whole)
-    se = float(np.sqrt(max(float(variances(inverse, way)[-1]) for way in ways)))
+    variance = max(float(variances(inverse, way)[-1]) for way in ways)
+    se = float(np.sqrt(variance)) if variance > 0.0 else np.inf  # rounding: nothing is known
     gain = np.empty(len(gram))
     for b in range(len(gram)):
         rest = total - gram[b]

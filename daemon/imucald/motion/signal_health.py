@@ -125,8 +125,11 @@ class SignalHealth:
         """Ticks (N,) at which "accel", "gyro" or "speed" is stuck; rows: (N, COLUMNS)."""
         if signal == "speed":
             flags = self._speed.flags(rows, self._new.stop - self._new.start)
-            flags |= zero_while_wheels_turn(rows)
-            self.stuck_now["speed"] = bool(flags[self._new].any())
+            contradicted = zero_while_wheels_turn(rows)
+            # At a steady cruise a coarse speed repeats itself too: left out, but accused by wheels
+            # alone.
+            self.stuck_now["speed"] = bool(contradicted[self._new].any())
+            flags |= contradicted
         else:
             flags = self._sensors[signal].flags(rows)
         return self._note_stuck(signal, flags)
