@@ -114,9 +114,10 @@ def test_mount_and_signals_are_nearer_to_the_truth_where_the_effect_had_turned_i
     assert rms(after, "mount", angles) < 0.8 * rms(before, "mount", angles)
     assert np.isfinite(rms(after, "accel", axes)), "with the model, signals are sent in every drive"
     sent = [k for k, one in enumerate(before) if np.isfinite(one.accel).all()]
-    if name != "accel_scale":
+    if name not in ("accel_scale", "accel_cross_axis"):
         assert len(sent) == len(MOUNT_SEEDS)
-    # with 8 % of gain on one axis yaw from braking and from bends lie 6 deg apart: +-1.6 deg
+    # with 8 % of gain on one axis yaw from braking and from bends lie 6 deg apart: +-1.6 deg; a
+    # cross-axis error of 2 to 3 % leaves yaw less known than *usable* asks for in some drives
     assert sent, "without it a mount that contradicts itself may send nothing, but not in all"
     before, after = [before[k] for k in sent], [after[k] for k in sent]
     assert rms(after, "accel", axes) < most * rms(before, "accel", axes)
