@@ -484,6 +484,8 @@ def test_a_dozen_that_cannot_be_distinguished_have_a_short_headline_and_rivals_t
 def test_a_time_of_the_drive_is_in_seconds_and_a_pure_number_has_no_unit():
     moment = Estimated(404.9, 15.0, "s", 0.0, 0.0)
     assert numbers.for_people("mount.shifts.t_s", moment)[0] == "405 ± 30 s"
+    assert numbers.for_people("_gyro.stuck_s", Estimated(99.98, 0.0, "s"))[0] == "99.98 s"
+    assert numbers.for_people("speed.delay_s", Estimated(0.25, 0.0, "s"))[0] == "250.0 ms"
     assert titles.key_title("mount.shifts.t_s") == "time of the shift"
     text = "gyro.scale.0 off by 0.54 +- 0.4 1; named from 0.85 on"
     candidate = Candidate("gyro_scale", "not ruled out", 1.0, text)

@@ -28,6 +28,8 @@ PLAIN_KEYS = ("chassis.steering_ratio",)
 RATES = ("speed.delay_rate",)
 TIMES = ("mount.shifts.t_s",)
 """Times of a drive, in seconds: no delays."""
+LONG_S = 1.0
+"""Nobody counts the milliseconds of what lasts longer: a stuck signal, no delay."""
 
 
 def number(x: float, digits: int = 3) -> str:
@@ -66,7 +68,7 @@ def for_people(key: str, p: Estimated) -> tuple[str, str]:
     factor, unit = HUMAN_UNITS.get(p.unit, (1.0, unit_text(p.unit)))
     if key in PLAIN_KEYS:
         factor, unit = 1.0, ""
-    elif key in TIMES:
+    elif key in TIMES or (p.unit == "s" and abs(p.value) >= LONG_S):
         factor, unit = 1.0, "s"
     elif key in RATES:
         factor, unit = 1e6, "ppm"
