@@ -83,10 +83,10 @@ def fuzz(name: str, work: Path, seconds: int) -> bool:
         ).returncode
     lines = log.read_text(errors="replace").splitlines()
     runs = [line for line in lines if line.startswith("stat::number_of_executed_units")]
-    told = "ok" if status == 0 else f"BROKEN, see {log} and {broken}"
+    outcome = "ok" if status == 0 else f"BROKEN, see {log} and {broken}"
     print(
         f"{name:16s} {time.monotonic() - began:6.0f} s  {runs[0].split()[-1] if runs else '?':>9s}"
-        f" inputs  {len(list(found.iterdir())):5d} new  {told}",
+        f" inputs  {len(list(found.iterdir())):5d} new  {outcome}",
         flush=True,
     )
     return status == 0

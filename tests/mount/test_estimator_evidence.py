@@ -153,7 +153,7 @@ def test_intervals_of_the_response_hold_the_truth():
 
 
 @pytest.mark.slow
-def test_a_turn_tells_bias_from_slope():
+def test_a_turn_shows_bias_from_slope():
     """On a slope the vertical turns against the sensor; a bias does not."""
     bias = np.array([0.08, -0.05, 0.0])
     slope = 0.03
