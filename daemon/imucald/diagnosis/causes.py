@@ -148,6 +148,14 @@ _ROWS: tuple[Parameter, ...] = (
 
 PARAMETERS = {row.key: row for row in _ROWS}
 
+
+def family(key: str) -> str:
+    """`accel.bias` of `accel.bias.x`: components of one thing, which mix in other axes. What has no
+    components is its own."""
+    stem, _, last = key.rpartition(".")
+    return stem if last in ("x", "y", "z") or last.isdigit() else key
+
+
 MODEL_ERROR: dict[str, float] = {
     "accel.scale": 0.006, "speed.scale": 0.009, "yaw_rate.scale": 0.010, "gyro.scale": 0.009,
     "lateral_accel.scale": 0.014, "longitudinal_accel.scale": 0.008,

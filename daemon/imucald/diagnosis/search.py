@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from imucald.diagnosis.cause_keys import with_shifts
+from imucald.diagnosis.causes import family
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, paired
 from imucald.diagnosis.shift import find_shift
 from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go
@@ -153,7 +154,7 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
     half = chosen.estimate.quantile * chosen.estimate.se
     for k, d in enumerate(h.directions):
         for key in d:
-            if key.rpartition(".")[0] == h.keys[0].rpartition(".")[0]:
+            if family(key) == family(h.keys[0]):
                 state.bounds[key] = (-float(half[k]), float(half[k]))
 
 
