@@ -56,6 +56,8 @@ class Cause:
     """Tried as an even growth over the drive."""
     lead: int = 0
     """How many of the first parameters must be off for the name to hold; 0: any of them."""
+    joins: bool = False
+    """Its variants are also tried together, as far as each pays."""
 
 
 def _axes(key: str, unit: str, tolerance: float, source: str, plausible: float,
@@ -193,7 +195,7 @@ CAUSES: tuple[Cause, ...] = (
           together=_keys("accel.scale", "012")),
     Cause("accel_cross_axis", _each("accel.cross_axis", "012345"),
           "One axis of the accelerometer sees part of another.",
-          "braking without curves and curves without braking"),
+          "braking without curves and curves without braking", joins=True),
     Cause("accel_bias_temperature", (_keys("accel.bias_temperature"),),
           "The accelerometer's zero moves with its temperature.", "a cold and a warm start"),
     Cause("accel_bias_drift", (_keys("accel.bias"),),
