@@ -8,9 +8,9 @@ were written on 2026-11-22, when the method stood, and not run before its judge.
 loose_contact and heated_gain were written on 2026-11-22 at 19:08, before anything of the tests was
 changed that day, and not run before the judge of draw 14. Since then (19:20) all are put in on the
 sensor's own levels: before, a gain made every value but 0 a level of its own, which gave it away.
-gyro_highpass, supply_dips and speedometer were written on 2026-11-22 at 22:35, each from a published
-source, before anything of the tests was looked at or changed that evening, and are not run before
-the judge of draw 15.
+gyro_highpass, supply_dips and speedometer were written on 2026-11-22 at 22:26, each from a
+published source, before anything of the tests was looked at or changed that evening, and are not
+run before the judge of draw 15.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def _supply_dips(s: Drive, size: float, rng: np.random.Generator, R: Array) -> f
 def _speedometer(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
     """The speed is that of the instrument, which by law never shows too little: above 10 km/h it
     adds size [m/s] to the true one (UN Regulation 39, 5.3: up to 4 km/h and a tenth)."""
-    t, v = s["speed"].t, s["speed"].values
+    v = s["speed"].values
     _set(s, "speed", v + size * np.sign(v) * np.minimum(np.abs(v) * 3.6 / 10.0, 1.0))
     return size
 
