@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
@@ -123,7 +124,7 @@ def _on_both_sides(shared: Sequence[CommonError], times: float = 1.0) -> list[Co
 
 
 def _less(source: AngleEvidence, variance: float) -> AngleEvidence:
-    return AngleEvidence(source.value, source.variance - variance, source.groups)
+    return replace(source, variance=source.variance - variance)
 
 
 def _contradiction(

@@ -26,10 +26,12 @@ reckoned with. The rest is for the evidence to say (`cross_axis`)."""
 SPEED_SCALE_STD = 0.02
 """Scale error of a speed (part): tyres from new to worn down to 1.6 mm roll 2 % less, and a change
 of load or pressure makes 1 % (assumption)."""
-GAIN_STD = 0.01
-"""What else is in the response to dv/dt or to turns (part): the gyroscope's scale, squat, and
-leaning that the vertical follows. In simulated drives the two differ by 0.012 to 0.015 (seeds
-520,000 to 520,023)."""
+GAIN_STD = 0.017
+"""What else is in the response to dv/dt or to turns (part), above all the gyroscope's scale: within
+3 % (MPU-6050, 6.1). Of limits without more knowledge the standard deviation is their root-third
+(evaluation of measurement data, JCGM 100:2008, 4.3.7). Squat, and leaning that the vertical
+follows, are smaller: a third of 1 to 2 deg/g, as a manoeuvre of 5 s is a third of its time
+constant, is 1 %."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
 A calibrated unit states that from axis to axis (ADIS16475 data sheet, features); of a bare part it

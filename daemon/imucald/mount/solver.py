@@ -215,7 +215,9 @@ class MountSolver:
             responses = self.response.fit(self.R) if self.yaw_known else {}
             sources = self._sources(self.R, bias, bias_cov, responses)
             gains = self.response.slow_gains() if self.own_gyro else None
-            seen = ForceSeen(self.gravity.mean_force(), bias, bias_cov, gains, responses)
+            turning = self.response.apart("roll_turn", "roll_axis")
+            mean = self.gravity.mean_force()
+            seen = ForceSeen(mean, bias, bias_cov, gains, responses, turning)
             fused = self._cross_axis.fused(sources, self.R, seen)
             if self.past_drives is not None:
                 probable = self._cross_axis.probable
@@ -241,8 +243,9 @@ class MountSolver:
         ex, ey = self.gravity.tilt(R, bias, gains)
         slope = self.gravity.variance(s.slope_std, s.slope_length, missed)
         b = R @ bias_cov @ R.T / GRAVITY**2
-        sources["roll_gravity"] = AngleEvidence(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
-        sources["pitch_gravity"] = AngleEvidence(ey, SLOPE_SHARE * slope + b[0, 0], 0.0)
+        roll, pitch = CROSS_FALL_SHARE * slope + b[1, 1], SLOPE_SHARE * slope + b[0, 0]
+        sources["roll_gravity"] = AngleEvidence(ex, roll, 0.0, slope)
+        sources["pitch_gravity"] = AngleEvidence(ey, pitch, 0.0, slope)
         self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
         return sources
 
