@@ -56,6 +56,8 @@ class Cause:
     """Tried as an even growth over the drive."""
     lead: int = 0
     """How many of the first parameters must be off for the name to hold; 0: any of them."""
+    joins: bool = False
+    """Its variants are also tried together, as far as each pays."""
 
 
 def _axes(key: str, unit: str, tolerance: float, source: str, plausible: float,
@@ -148,6 +150,14 @@ _ROWS: tuple[Parameter, ...] = (
 
 PARAMETERS = {row.key: row for row in _ROWS}
 
+
+def family(key: str) -> str:
+    """`accel.bias` of `accel.bias.x`: components of one thing, which mix in other axes. What has no
+    components is its own."""
+    stem, _, last = key.rpartition(".")
+    return stem if last in ("x", "y", "z") or last.isdigit() else key
+
+
 MODEL_ERROR: dict[str, float] = {
     "accel.scale": 0.006, "speed.scale": 0.009, "yaw_rate.scale": 0.010, "gyro.scale": 0.009,
     "lateral_accel.scale": 0.014, "longitudinal_accel.scale": 0.008,
@@ -185,7 +195,7 @@ CAUSES: tuple[Cause, ...] = (
           together=_keys("accel.scale", "012")),
     Cause("accel_cross_axis", _each("accel.cross_axis", "012345"),
           "One axis of the accelerometer sees part of another.",
-          "braking without curves and curves without braking"),
+          "braking without curves and curves without braking", joins=True),
     Cause("accel_bias_temperature", (_keys("accel.bias_temperature"),),
           "The accelerometer's zero moves with its temperature.", "a cold and a warm start"),
     Cause("accel_bias_drift", (_keys("accel.bias"),),

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.causes import family
 from imucald.diagnosis.signals import Array, Mask
 
 FOLDS = 8
@@ -95,7 +96,7 @@ class Problem:
                 D[self.table.keys.index(name) + 1, k] = x
         if h.directions:
             # The direction takes the place of its kin in the box.
-            kin = {n for d in h.directions for n in d if _family(n) == _family(h.keys[0])}
+            kin = {n for d in h.directions for n in d if family(n) == family(h.keys[0])}
             index = self.table.index(sorted(kin))
             silent = SILENT * (high - low)[index]
             low[index], high[index] = -silent, silent
@@ -116,10 +117,6 @@ class Problem:
         if h.is_plain:
             return self.table.index(h.keys)
         return list(range(len(self.table.keys), len(self.table.keys) + len(h.keys)))
-
-
-def _family(key: str) -> str:
-    return key.rpartition(".")[0]
 
 
 def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = None) -> Array:

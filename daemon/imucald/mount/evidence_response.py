@@ -155,6 +155,10 @@ class ResponseEvidence:
             self._products[i] = sp.band_products(self._spectra[i], speed, turn)
         self._scored = 0
 
+    def forget_sums(self) -> None:
+        """Leave the windows gone by: their delay was another, and they cannot be formed afresh."""
+        self._old_score, self._old_normal = self._old_score[:, :0], self._old_normal[:, :0]
+
     def direction_sums(self) -> tuple[Array, Array, float, float]:
         """Sums over windows and bands: response to A (3,), to V (3,), power of A, of V."""
         p = self._products[: self._n].sum(axis=(0, 1))
