@@ -92,10 +92,10 @@ def fuzz(name: str, work: Path, seconds: int) -> bool:
         runs = [line for line in lines if line.startswith("stat::number_of_executed_units")]
         inputs += int(runs[0].split()[-1]) if runs else 0
         left = seconds - math.ceil(time.monotonic() - began)
-    told = "ok" if status == 0 else f"BROKEN, see {log} and {broken}"
+    outcome = "ok" if status == 0 else f"BROKEN, see {log} and {broken}"
     print(
         f"{name:16s} {time.monotonic() - began:6.0f} s  {inputs:9d} inputs"
-        f"  {len(list(found.iterdir())):5d} new  {told}",
+        f"  {len(list(found.iterdir())):5d} new  {outcome}",
         flush=True,
     )
     return status == 0

@@ -1,6 +1,6 @@
 """What is left when the search has ended, tested without a cause in mind.
 
-Two equations without a sensor in common that leave the same motion; a narrow hump in a residual's
+Two equations without a sensor in common that leave the same motion; a narrow peak in a residual's
 spectrum; a zero error that goes with the shaking. And, first of all, a signal that moves against
 what is predicted.
 """
@@ -45,9 +45,9 @@ FAST_MPS = 30.0
 MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
 """Sideways, after a fit of everything within its tolerance: what gusty air does to a car on a
 motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
-HUMP, HUMP_BINS = 4.0, 3
-"""A hump is so many times the spectrum 0.2 Hz to both sides of it."""
-HUMPED = ("accel_y", "yaw_rate")
+PEAK, PEAK_BINS = 4.0, 3
+"""A peak is so many times the spectrum 0.2 Hz to both sides of it."""
+PEAKED = ("accel_y", "yaw_rate")
 DRIVING_MPS = 2.0
 QUICK_HZ = 40.0
 """An accelerometer that is sampled faster sees the shaking."""
@@ -117,7 +117,7 @@ def _noise(state: State, top_hz: float) -> float:
 def what_is_left(problem: Problem, state: State) -> list[Structure]:
     """Structure beyond what roads and noise leave. problem: of the model as it was extended."""
     spectra = _spectra(problem, state.forwards)
-    return [*_shared(spectra, state.forwards), *_humps(spectra), *_shaken(problem, state)]
+    return [*_shared(spectra, state.forwards), *_peaks(spectra), *_shaken(problem, state)]
 
 
 def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
@@ -227,10 +227,10 @@ def _left_of(z: Spectra, known: Spectra) -> Spectra:
     return left
 
 
-def _humps(spectra: Mapping[str, Spectra]) -> list[Structure]:
-    """A narrow hump: something that swings."""
+def _peaks(spectra: Mapping[str, Spectra]) -> list[Structure]:
+    """A narrow peak: something that swings."""
     found = []
-    for name in HUMPED:
+    for name in PEAKED:
         if name not in spectra:
             continue
         z = _as_loud(spectra[name][np.isfinite(spectra[name][:, 0])])
@@ -238,15 +238,15 @@ def _humps(spectra: Mapping[str, Spectra]) -> list[Structure]:
             continue
         power = np.mean(np.abs(z) ** 2, axis=0)
         hz = np.arange(len(power)) / (2.0 * (len(power) - 1) * STEP_S)
-        size = len(power) // HUMP_BINS * HUMP_BINS
-        bands = power[:size].reshape(-1, HUMP_BINS).mean(axis=1)
-        middle = hz[:size].reshape(-1, HUMP_BINS).mean(axis=1)
+        size = len(power) // PEAK_BINS * PEAK_BINS
+        bands = power[:size].reshape(-1, PEAK_BINS).mean(axis=1)
+        middle = hz[:size].reshape(-1, PEAK_BINS).mean(axis=1)
         for i in range(3, len(bands) - 2):
             if not 0.25 < middle[i] < 1.2:
                 continue
             beside = max(bands[i - 2], bands[i + 2])
-            if bands[i] > HUMP * beside and bands[i] == bands[i - 2 : i + 3].max():
-                text = f"a hump at {middle[i]:.2f} Hz, {bands[i] / beside:.0f} times what is beside"
+            if bands[i] > PEAK * beside and bands[i] == bands[i - 2 : i + 3].max():
+                text = f"a peak at {middle[i]:.2f} Hz, {bands[i] / beside:.0f} times what is beside"
                 found.append(Structure(name, "peak", float(bands[i] / beside), text))
                 break
     return found

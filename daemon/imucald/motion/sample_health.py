@@ -1,6 +1,6 @@
 """Which sensors are fit to be used, from every sample: for what is sent and what is learnt.
 
-`SampleHealth` looks at hops of half a second (`hops`), live and by columns alike, to the last bit.
+`SampleHealth` looks at hops of half a second (`hops`), live and by columns, equal to the last bit.
 A fault counts from the end of the hop that shows it until the sensor has been sound for SOUND_S.
 """
 
@@ -57,7 +57,7 @@ Faults = Mapping[SignalFault, str]
 
 
 class FaultEvent(Struct):
-    """A fault that was told: since and until stream time [s]; None while it lasts.
+    """A fault that was reported: since and until stream time [s]; None while it lasts.
 
     axes: such as "y"; empty for a signal that has none.
     """
@@ -294,7 +294,7 @@ class SampleHealth:
         self.signals = {c: s.faults for c, s in self._signals.items() if s.faults}
 
     def summary(self) -> dict[str, Any]:
-        """Faults now of each sensor and signal that is watched, and those told; for JSON."""
+        """Faults now of each sensor and signal that is watched, and those reported; for JSON."""
         unfit = self.unfit
         return {
             "sensors": {
