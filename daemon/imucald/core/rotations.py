@@ -181,8 +181,10 @@ def levelling_rotation(gravity_sensor: ArrayLike) -> Matrix3:
 def orthonormalised(R: ArrayLike) -> Matrix3:
     """The nearest rotation to a (3, 3) matrix, in the least-squares sense (polar decomposition)."""
     U, _, Vt = np.linalg.svd(np.asarray(R, dtype=float))
-    D = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
-    result: Matrix3 = U @ D @ Vt
+    result: Matrix3 = U @ Vt
+    x, y, z = result.tolist()
+    if sum(a * b for a, b in zip(x, cross(y, z), strict=True)) < 0.0:  # it mirrors
+        result = U @ np.diag([1.0, 1.0, -1.0]) @ Vt
     return result
 
 

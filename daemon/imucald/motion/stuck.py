@@ -68,8 +68,9 @@ class StuckSensor:
         flags = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, self._count] > 0)
         values = rows[at, self._axes]
-        same = (np.abs(np.diff(values, axis=0)) < SAME).all(axis=1)
-        if same.any():
+        x, y, z = (np.abs(values[1:] - values[:-1]) < SAME).T
+        same = x & y & z
+        if np.count_nonzero(same):
             self._flag_runs(rows, at, values, same & (np.diff(at) <= STUCK_HOLE), flags)
         self._held = values[-1].copy() if len(at) and flags[at[-1]] else None
         return one_more(flags)

@@ -64,7 +64,7 @@ OWN_ROAD = 1.0 / 6.0
 difference has so much of the sum of their variances: in simulated drives without cross-axis errors
 (seeds 520,000 to 520,023) a sixteenth after 100 s, a tenth to a sixth after 5 to 20 min; with few
 turns more (seed 530,056)."""
-_OFF_DIAGONAL = ~np.eye(3, dtype=bool)
+_OFF_ROW, _OFF_COLUMN = np.nonzero(~np.eye(3, dtype=bool))
 
 
 class ForceSeen(Struct, frozen=True):
@@ -117,7 +117,7 @@ class CrossAxisFusion:
         """Fuse the sources of the error of R (3, 3)."""
         if self._configured > 0.0:
             return fuse(sources, self._sharing)
-        entries = (R[:, None, :, None] * R[None, :, None, :])[:, :, _OFF_DIAGONAL]
+        entries = R[:, None, _OFF_ROW] * R[None, :, _OFF_COLUMN]
         bias_cov = R @ force.bias_cov @ R.T
         left = np.diag(bias_cov) / (self.bias_spread * self.bias_spread)
         self.answers = _answers(sources, entries, left.tolist())

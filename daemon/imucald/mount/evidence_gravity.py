@@ -67,7 +67,7 @@ class GravityEvidence:
         """
         now = np.array([self._weight, *self._force, *self._motion, self.metres])
         ends = np.concatenate([self._ends, now[None]])
-        each = np.diff(ends, axis=0)
+        each = ends[1:] - ends[:-1]
         w = np.maximum(each[:, 0], 1e-9)[:, None]
         F = (each[:, 1:4] / w - bias) @ R.T
         motion = each[:, 4:6] / w

@@ -81,6 +81,11 @@ _PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
 _FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
 
 
+def _first_of_each(group: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Places at which another group begins, in (n,) that never decrease."""
+    return np.concatenate([[0], np.flatnonzero(group[1:] != group[:-1]) + 1])
+
+
 class ResponseEvidence:
     """Windows of products, their fit for a given R, and the sums of those gone by."""
 
@@ -219,7 +224,7 @@ class ResponseEvidence:
         if self._fitted and self._scored < self._n:
             self._weigh(self._R)
         group = self._block_number[: self._n] // GROUP
-        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        starts = _first_of_each(group)
         cut = int(starts[np.searchsorted(starts, FOLD)])
         use = starts[starts < cut]
         s = np.add.reduceat(self._score[:, :cut], use, axis=1)
@@ -302,7 +307,7 @@ class ResponseEvidence:
 
     def _sources(self) -> dict[str, AngleEvidence]:
         group = self._block_number[: self._n] // GROUP
-        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        starts = _first_of_each(group)
         score = np.add.reduceat(self._score[:, : self._n], starts, axis=1)
         normal = np.add.reduceat(self._normal[:, : self._n], starts, axis=1)
         score = np.concatenate([self._old_score, score], axis=1)

@@ -316,6 +316,9 @@ class SignalBlockMaker:
         else:
             still = is_parked(force, rate if ok_rate.any() else None)
         run = self._rest_run
+        if not np.count_nonzero(still):
+            self._rest_run = 0
+            return rest
         for i, s in enumerate(still.tolist()):
             run = run + 1 if s else 0
             rest[i] = run > REST_TICKS
