@@ -149,7 +149,7 @@ class StuckSpeed:
             lasted[0] += self._lasted
         driving = np.abs(speed[first]) > DRIVING_SPEED
         stuck = driving & (lasted > self._limit())
-        if stuck.any():
+        if np.count_nonzero(stuck):
             for begin, end in zip(begins[stuck].tolist(), ends[stuck].tolist(), strict=True):
                 out[begin : end + 1] = True
         over = driving & ~stuck & (ends < leaving)
@@ -182,7 +182,7 @@ def zero_while_wheels_turn(rows: Array) -> Flags:
     out = np.zeros(len(rows), dtype=bool)
     zero = (rows[:, tk.SPEED.n] > 0) & (np.abs(rows[:, tk.SPEED.mean]) <= SAME_SPEED)
     at = np.flatnonzero(rows[:, tk.WHEEL_SPREAD.n] > 0)
-    if len(at) < TURNING_WHEELS or not zero.any():
+    if len(at) < TURNING_WHEELS or not np.count_nonzero(zero):
         return out
     spread = rows[at, tk.WHEEL_SPREAD.mean]
     turning = np.zeros(len(rows))

@@ -86,7 +86,7 @@ class GravityEvidence:
     def add(self, p: SignalBlock, turn: Array) -> None:
         """Take a block; turn: (N,) v r [m/s^2]."""
         use = p.learn & (p.ok_speed | p.rest)
-        if not use.any():
+        if not np.count_nonzero(use):
             return
         weight = np.where(p.rest, 0.0, np.abs(p.speed) * 0.1)
         hard2 = p.accel * p.accel + turn * turn

@@ -77,6 +77,7 @@ LEAST_DRIFT = 0.005
 """A drift that comes to less [rad], 0.3 deg, over the windows kept does not change weights."""
 SLOW = slice(2, 4)
 """Bands above the slopes, and below where a speed that comes once a second has lost its changes."""
+_AXES = [row.axis for row in ROWS]
 _PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
 _FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
 
@@ -214,10 +215,9 @@ class ResponseEvidence:
     def _turn_scores(self, turned: Array) -> None:
         """Scores about another R: to first order the angle's coefficient moves."""
         k = self._scored
-        for i, row in enumerate(ROWS):
-            e = turned[row.axis]
-            self._old_score[i] -= self._old_normal[i, :, :, 0] * e
-            self._score[i, :k] -= self._normal[i, :k, :, 0] * e
+        e = turned[_AXES][:, None, None]
+        self._old_score -= self._old_normal[:, :, :, 0] * e
+        self._score[:, :k] -= self._normal[:, :k, :, 0] * e
 
     def _fold(self) -> None:
         """Sum the oldest windows up, in whole groups, and let them go."""

@@ -250,7 +250,7 @@ class GravityObserver:
         Held against the pull k, a rate error d leaves the innovation e / g with k u x e / g = d.
         up: (3,) at the end.
         """
-        if p.rest.any():
+        if np.count_nonzero(p.rest):
             self.drift *= 0.5  # at rest it is measured
             return
         use = p.learn & p.ok_speed
@@ -265,13 +265,14 @@ class GravityObserver:
     def _learn_bias(self, p: SignalBlock, answer: Array, innovation: Array, noise2: Array) -> None:
         """Take a block: answer (N, 3, 3) to a bias, innovation (N, 3), its usual square (N,)."""
         use = p.learn & p.ok_speed & ~p.rest
-        if not use.any() or self._n < 100 or np.abs(answer).max() < 0.02:
+        if not np.count_nonzero(use) or self._n < 100 or np.abs(answer).max() < 0.02:
             return
         weight = use / noise2
         weight /= np.maximum(_sizes(innovation) / FORCE_LARGE, 1.0)
-        weighted = answer * weight[:, None, None]
-        self._open_information += np.einsum("nki,nkj->ij", weighted, answer)
-        self._open_score += np.einsum("nki,nk->i", weighted, innovation)
+        rows = answer.reshape(-1, 3)  # one for each axis of each tick
+        weighted = (answer * weight[:, None, None]).reshape(-1, 3).T
+        self._open_information += weighted @ rows
+        self._open_score += weighted @ innovation.reshape(-1)
         self._open_ticks += len(p.t)
         if self._open_ticks >= 400:
             closed = self._closed_information, self._open_information[None]
