@@ -115,7 +115,8 @@ _ROWS: tuple[Parameter, ...] = (
     _one("longitudinal_accel.delay_s", "s", 0.02, _DELAY, -1.0, 1.0, "longitudinal_accel"),
     _one("wheel_speeds.scale", "1", 0.005, "tyres of one car beside each other", -0.12, 0.12,
          "wheel_speeds"),
-    _one("steering.offset", "rad", 0.7 * DEG, "alignment; the crown's pull", -30 * DEG, 30 * DEG,
+    _one("steering.offset", "rad", 1.0 * DEG, "alignment 0.5 deg; a crown of 2 % (AASHTO) pulls"
+         " 0.5 deg, by 0.003 rad/(m/s^2) of understeer and a ratio of 16", -30 * DEG, 30 * DEG,
          "steering"),
     _one("chassis.steering_ratio", "1", 0.02, "variable ratio and compliance", -0.4, 0.4,
          "steering", relative=True),
