@@ -147,7 +147,7 @@ def test_the_fast_lane_leaves_out_slow_tests_and_kernels(script: Any, fast: bool
     assert done[-1] == "-x"
 
 
-def test_an_old_python_is_told_what_to_install(
+def test_an_old_python_is_shown_what_to_install(
     script: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(script, "OLDEST_PYTHON", (3, 99))

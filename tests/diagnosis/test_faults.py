@@ -217,7 +217,7 @@ def test_the_text_of_a_fault_names_its_signal():
 
 
 @pytest.mark.parametrize(("ppm", "found"), [(1500.0, True), (60.0, False), (50_000.0, False)])
-def test_a_cycle_is_told_beyond_what_crystals_have(ppm, found):
+def test_a_cycle_is_reported_beyond_what_crystals_have(ppm, found):
     samples = drive()
     t = samples["accel"].t
     samples["accel"] = Series(t * (1.0 + 1e-6 * ppm), samples["accel"].values)

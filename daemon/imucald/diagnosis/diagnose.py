@@ -52,8 +52,8 @@ LITTLE_MIN = 10.0
 UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
 """Structure beside which no fit is believed."""
 HALF = 0.5
-"""A file is not held to less than this share of a tolerance: one drive's pieces share warmth, load
-and weather."""
+"""A file is not held to less than this share of a tolerance: one drive's pieces share temperature,
+load and weather."""
 
 
 def diagnose(
@@ -197,7 +197,7 @@ def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | No
 
 
 def _is_off(rest: Rest, model: VehicleModel) -> bool:
-    return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > rest.honest(model)))
+    return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > rest.allowed(model)))
 
 
 def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:

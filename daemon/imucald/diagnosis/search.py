@@ -1,7 +1,7 @@
 """From a table of blocks to names: candidates compete on data that their fit did not see.
 
 A cause is named when its held-out gain, without the best block in fifteen, exceeds what chance
-gives in all questions together, when it leaves the box of honest files, and when its value is
+gives in all questions together, when it leaves the box of correct files, and when its value is
 plausible. Rivals within two standard errors of the paired difference are named with it. Then it is
 freed, and the question is asked anew.
 """

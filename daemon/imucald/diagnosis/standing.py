@@ -13,7 +13,7 @@ from imucald.diagnosis.trials import SINGLE_NATS, Trial, tried
 
 
 def asked_again(state: State, trial: Trial) -> Trial:
-    """A hypothesis against the box of honest files, from where the model has moved by it."""
+    """A hypothesis against the box of correct files, from where the model has moved by it."""
     problem, h = state.evaluated(), trial.hypothesis
     table = problem.table
     kept = [k for k in h.keys if k in state.changes]

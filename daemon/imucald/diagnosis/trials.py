@@ -50,7 +50,7 @@ class Trial:
 
     @property
     def outside(self) -> bool:
-        """The box of honest files is left by more than chance."""
+        """The box of correct files is left by more than chance."""
         return self._beyond and self.estimate.pull > self.estimate.quantile
 
     @property
@@ -163,7 +163,7 @@ def _ramp(table: Table) -> Array:
 def tried(
     problem: Problem, h: Hypothesis, base: Array, questions: int, null: Problem | None = None
 ) -> Trial:
-    """Free a hypothesis and score it. base: (B,) held-out losses of the box of honest files; null:
+    """Free a hypothesis and score it. base: (B,) held-out losses of the box of correct files; null:
     that box, where the model has moved out of it already."""
     gain = base - held_out(problem, h)
     index = problem.table.index(h.keys)
