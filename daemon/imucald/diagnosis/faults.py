@@ -25,7 +25,8 @@ PILE_LEVELS = (3, 10)
 """Levels below the extreme one that it is held against."""
 CHANCE = 0.01
 """Of a drive: that a rail is reported without a reason; shared out over ends and levels."""
-FEW_STAYS = 3
+FEW_STAYS = 2
+"""Beside the longest."""
 QUESTIONS = 6 * len(RAILED) * (len(PILE_LEVELS) + 1)
 """Both ends of three axes of each signal."""
 INVALID_S = 0.3
