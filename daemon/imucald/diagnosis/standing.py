@@ -119,7 +119,7 @@ def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
     """Causes that something else may make are not ruled out, and no more: the fit gives them what
     the other thing makes."""
     for trial in list(state.named):
-        if trial.hypothesis.pattern is None and doubts(trial):
+        if doubts(trial):
             _drop(state, _without(state, trial), trial)
     state.doubtful += [t for t in state.likely if doubts(t)]
     state.likely = [t for t in state.likely if not doubts(t)]
