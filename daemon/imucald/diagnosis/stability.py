@@ -100,7 +100,9 @@ def _shared(s: Array) -> Array:
 def _jumping(problem: Problem, scores: Array, gram: Array, asked: list[int]) -> Iterator[Question]:
     """A zero or gain that is another from some moment on; its chance is shared out over moments."""
     B = len(scores)
-    moments = {str(k): 1.0 * (np.arange(B) >= k) for k in range(LEAST_SIDE, B - LEAST_SIDE + 1)}
+    moments: dict[str, Array] = {
+        str(k): (np.arange(B) >= k).astype(float) for k in range(LEAST_SIDE, B - LEAST_SIDE + 1)
+    }
     best: dict[int, tuple[float, float, str]] = {}
     for name, j, p, value in _score_tests(problem, scores, gram, asked, moments):
         if p < best.get(j, (2.0, 0.0, ""))[0]:
