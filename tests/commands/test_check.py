@@ -167,7 +167,7 @@ def test_an_accelerometer_without_gravity_is_named_and_not_taken_for_a_unit() ->
     linear = dataclasses.replace(drive, samples=samples)
     report = checked(list(bus_frames(linear, BusEncoder(example_config()))))
     assert not report["usable"]
-    text = told(report, "error")["accelerometer"]
+    text = findings(report, "error")["accelerometer"]
     assert "gravity is taken out" in text
     assert "unit" not in text
 

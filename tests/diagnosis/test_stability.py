@@ -89,4 +89,4 @@ def test_a_gain_that_is_another_from_a_moment_on_is_told_of_with_its_time_and_si
 def test_what_lasts_two_minutes_and_comes_again_wanders():
     """Of a square wave of four minutes a sum over three neighbours is none."""
     on = (np.arange(BLOCKS) // 4 % 2) * 4.0 * TOLERANCE
-    assert ("wanders", "accel.bias.x") in told(problem(8, on))
+    assert ("wanders", "accel.bias.x") in structures(problem(8, on))
