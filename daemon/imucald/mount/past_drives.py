@@ -26,6 +26,7 @@ from imucald.mount.saved_information import (
     SavedInformation,
     SavedSource,
     axis_of,
+    kept_evidence,
 )
 from imucald.mount.shift import ScoreSeries
 
@@ -74,10 +75,8 @@ class PastDrives:
         bias: variance of the accelerometer's bias in roll and pitch from gravity, in the sources.
         cross_axis: error that the sources are probably off by (part).
         """
-        now, kept = dict(sources), self.kept.about(R).sources
-        before = {
-            n: AngleEvidence(p.value, p.variance + p.bias, len(p.score)) for n, p in kept.items()
-        }
+        turned = self.kept.about(R)
+        now, kept, before = dict(sources), turned.sources, kept_evidence(turned)
         shared = [*self._shared, *_on_both_sides(cross_axis_errors(), cross_axis)]
         for name, present in zip(GRAVITY_KINDS, bias, strict=True):
             if name in now and name in kept:

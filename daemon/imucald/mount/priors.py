@@ -21,8 +21,9 @@ CROSS_AXIS = ((0.001, 0.12), (0.005, 0.18), (0.01, 0.2), (0.02, 0.22), (0.04, 0.
 more than the order is known, so sizes from a half to 4 % are about as probable as one another. Data
 sheets of bare parts state 2 % (MPU-6050, 6.2; ICM-20948, DS-000189, 3.2) and 3 % (ADXL350, table
 1) and do not say whether that is usual or the most; one unit in eight was set at the end of its
-line to a tenth of 1 %, others are soldered, glued and bent to several times as much. The largest is twice the largest that is usual, for 4 % to lie within what is
-reckoned with. The rest is for the evidence to say (`cross_axis`)."""
+line to a tenth of 1 %, others are soldered, glued and bent to several times as much. The largest is
+twice the largest that is usual, for 4 % to lie within what is reckoned with. The rest is for the
+evidence to say (`cross_axis`)."""
 SPEED_SCALE_STD = 0.02
 """Scale error of a speed (part): tyres from new to worn down to 1.6 mm roll 2 % less, and a change
 of load or pressure makes 1 % (assumption)."""

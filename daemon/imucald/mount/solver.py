@@ -22,7 +22,7 @@ from imucald.mount.creep import P_CONSTANT, Creep, creep
 from imucald.mount.cross_axis import CrossAxisFusion, ForceSeen
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.mount.evidence_gravity import GravityEvidence
+from imucald.mount.evidence_gravity import ROAD_SHARE, GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.first_rotation import first_rotation
 from imucald.mount.fusion import Fused
@@ -52,8 +52,6 @@ from imucald.mount.source_variances import widened
 
 Array = NDArray[np.float64]
 
-CROSS_FALL_SHARE, SLOPE_SHARE = 1.7, 1.5
-"""Superelevation, squat and leaning of the body widen the spread of slopes."""
 SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
@@ -243,10 +241,10 @@ class MountSolver:
         ex, ey = self.gravity.tilt(R, bias, gains)
         slope = self.gravity.variance(s.slope_std, s.slope_length, missed)
         b = R @ bias_cov @ R.T / GRAVITY**2
-        roll, pitch = CROSS_FALL_SHARE * slope + b[1, 1], SLOPE_SHARE * slope + b[0, 0]
-        sources["roll_gravity"] = AngleEvidence(ex, roll, 0.0, slope)
-        sources["pitch_gravity"] = AngleEvidence(ey, pitch, 0.0, slope)
         self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
+        for name, value, of_bias in zip(GRAVITY_KINDS, (ex, ey), self._tilt_bias, strict=True):
+            variance = ROAD_SHARE[name] * slope + of_bias
+            sources[name] = AngleEvidence(value, variance, 0.0, slope)
         return sources
 
     def step(self) -> GravityStep | None:
@@ -306,8 +304,9 @@ class MountSolver:
     def _steps(self) -> Array:
         """How far steps in gravity stood out when the last road segments began."""
         steps, began = NO_STEPS.copy(), list(self._began)
-        for k, span in enumerate(SPANS[: max(len(began) - 1, 0)].tolist()):
-            steps[k] = self.vertical.steps.history.near(self.blocks - began[-span])
+        ages = [self.blocks - began[-span] for span in SPANS[: max(len(began) - 1, 0)].tolist()]
+        if ages:
+            steps[: len(ages)] = self.vertical.steps.history.near(ages)
         return steps
 
     def _gravity_series(self, R: Matrix3, bias: Array) -> list[ScoreSeries]:
