@@ -40,6 +40,8 @@ class Hypothesis:
     """How many of the first keys must leave their tolerance; 0: any."""
     pattern: Array | None = None
     """(B,) factor on the parameters in each block; None: everywhere."""
+    error: float | None = None
+    """What the equations err by in it; None: as in the best known of its parameters."""
 
     @property
     def is_plain(self) -> bool:
@@ -74,6 +76,8 @@ class Problem:
         errors = self.table.model_error
         if h.pattern is not None:
             return np.zeros(len(h.keys))
+        if h.error is not None:
+            return np.full(len(h.keys), h.error)
         if h.directions:
             together = [[k for k, x in d.items() if x == 1.0] for d in h.directions]
             return np.array([min(errors[self.table.index(keys)]) for keys in together])

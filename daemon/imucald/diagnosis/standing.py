@@ -107,12 +107,15 @@ def _drop(state: State, less: State, trial: Trial) -> None:
 
 def demote(state: State) -> None:
     """What would not be named again beside all others does not stand, nor what may be beyond the
-    plausible: then something else explains it."""
+    plausible: then something else explains it, and that is said."""
     for trial in list(state.named):
         if trial.hypothesis.pattern is None:
             again = asked_again(state, trial)
-            if not (again.outside and again.is_surely_plausible):
-                _drop(state, _without(state, trial), trial)
+            if again.outside and again.is_surely_plausible:
+                continue
+            _drop(state, _without(state, trial), trial)
+            if again.outside:
+                state.implausible.append(again)
 
 
 def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import level_effect
-from imucald.diagnosis.causes import CAUSES, Cause
+from imucald.diagnosis.causes import CAUSES, MODEL_ERROR, Cause, family
 from imucald.diagnosis.intervals import ERROR_RATE, Estimate, estimate
 from imucald.diagnosis.score import Hypothesis, Problem, held_out, without_best
 from imucald.diagnosis.signals import Array
@@ -139,7 +139,11 @@ def _hypothesis(
         for key in keys if level else ():
             for name, x in level_effect(model, key).items():
                 whole[name] = whole.get(name, 0.0) + x
-        return Hypothesis(cause.name, keys[:1], (whole,))
+        # All axes at once turn with the vehicle whichever way the sensor sits: one gain shows as
+        # well as that of an upright axis.
+        of_one = {family(key) for key in keys}
+        error = MODEL_ERROR.get(of_one.pop(), 0.0) if len(of_one) == 1 else None
+        return Hypothesis(cause.name, keys[:1], (whole,), error=error)
     if not level:
         return Hypothesis(cause.name, keys, lead=cause.lead)
     moved = tuple({key: 1.0, **level_effect(model, key)} for key in keys)
