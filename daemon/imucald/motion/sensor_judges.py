@@ -210,9 +210,12 @@ class UnitChange:
             np.concatenate(pair) for pair in zip(self._before, new, strict=True)
         )
         self._before = level[-4:], count[-4:], other[-4:], moved[-4:]
-        up, known = _ratio(level), (_fewest(count) >= UNIT_CHANGES).all(axis=1)
-        more = known & ((self._low < up) & (up < self._high)).all(axis=1)
-        less = known & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
+        up, (early, late) = _ratio(level), _enough(count)
+        lowest, highest = _within_five(moved[:, 0])
+        more = early & late & ((self._low < up) & (up < self._high)).all(axis=1)
+        # in driving few changes say as much as many, at rest a hand may have let go
+        late |= lowest > 0.0
+        less = early & late & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
         sign = more.astype(np.int64) - less.astype(np.int64)
         out = np.zeros(len(up), dtype=bool)
         if not sign.any() and not self._changed:
@@ -221,9 +224,8 @@ class UnitChange:
                 self._usual.add(size)
             return out
         same = np.abs(np.log(np.maximum(_ratio(other)[:, 0], 1e-9))) < math.log(OTHER_CHANGE)
-        says = _fewest(other)[:, 1] >= UNIT_CHANGES
         # a sensor that cannot say whether a vehicle moves off does not say that it does not
-        felt = np.where(says, ~same, _moves_off(moved[:, 0]))
+        felt = np.where(np.logical_and(*_enough(other[:, 1:])), ~same, lowest != highest)
         for h, found in enumerate((sign * ~felt).tolist()):
             if found and not self._wait:
                 # Not more than one step away from the unit of the first samples.
@@ -261,15 +263,16 @@ class _MeanLog:
             self.mean += (math.log(size) - self.mean) / self.count
 
 
-def _fewest(count: Array) -> Array:
-    """The fewer of the changes in two hops and in two before, one between left out."""
-    return np.minimum(count[:-4] + count[1:-3], count[3:-1] + count[4:])
+def _enough(count: Array) -> tuple[Flags, Flags]:
+    """Whether every axis changed often enough in two hops, and in two later, one left out."""
+    early, late = count[:-4] + count[1:-3], count[3:-1] + count[4:]
+    return (early >= UNIT_CHANGES).all(axis=1), (late >= UNIT_CHANGES).all(axis=1)
 
 
-def _moves_off(moved: Array) -> Flags:
-    """Whether the vehicle began or ceased to move within five hops."""
-    each = np.lib.stride_tricks.sliding_window_view(moved, UNIT_HOPS)
-    return np.asarray(each.min(axis=1) != each.max(axis=1))
+def _within_five(moved: Array) -> tuple[Array, Array]:
+    """Smallest and largest of every five hops: both 1 where the vehicle moved in all of them."""
+    five = np.lib.stride_tricks.sliding_window_view(moved, UNIT_HOPS)
+    return five.min(axis=1), five.max(axis=1)
 
 
 def _ratio(level: Array) -> Array:
