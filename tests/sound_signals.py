@@ -88,7 +88,9 @@ def held(times: int) -> Edit:
 
 def late(s: Series, rng: np.random.Generator) -> Series:
     """Stamps late by up to a cycle."""
-    return Series(np.sort(s.t + rng.uniform(0.0, 0.9 * np.median(np.diff(s.t)), len(s.t))), s.values)
+    return Series(
+        np.sort(s.t + rng.uniform(0.0, 0.9 * np.median(np.diff(s.t)), len(s.t))), s.values
+    )
 
 
 def batched(size: int) -> Edit:

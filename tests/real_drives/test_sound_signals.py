@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-
 from benchmarks.integrity.bases import recorded
 from benchmarks.integrity.bus import configuration, frames
 from benchmarks.measured import is_here
+
 from imucald.core.samples import Samples
 from imucald.motion.sample_health import SampleHealth
 from imucald.motion.ticks import TICK_RATE

@@ -97,7 +97,7 @@ class StuckAxis:
         self.moving, self._resting = Runs(), Runs()
         self._moved_run = self._moved_hops = self._hops = self._run = 0
         self._rested = False
-        self._all_hops = 0
+        self._rest_hops = 0
         self.stuck = False
 
     def restart(self) -> None:
@@ -110,7 +110,7 @@ class StuckAxis:
 
         count, ended, longest, run, q: of the axis, as `HopRows` has count .. run and step.
         """
-        self._all_hops += 1
+        self._rest_hops += not moving
         open_before, self._run = self._run, run
         if ended:
             if not self.stuck:  # else the longest is the one that was stuck
@@ -137,8 +137,11 @@ class StuckAxis:
                 return True
             if self.moving.count < MIN_RUNS and self._moved_hops >= DEAD_HOPS:
                 return True
-        changes = (self.moving.count + self._resting.count) / (self._all_hops * HOP_S)
-        if self._hops < SHORTEST_HOPS or q > FINE_STEP * self._noise * math.sqrt(0.5 * changes):
+        if self._hops < SHORTEST_HOPS or not self._rest_hops:
+            return False
+        # noise changes twice in its bandwidth, which a filter in the sensor makes less
+        bandwidth = 0.5 * self._resting.count / (self._rest_hops * HOP_S)
+        if q > FINE_STEP * self._noise * math.sqrt(bandwidth):
             return False
         return run > self._resting.limit()
 

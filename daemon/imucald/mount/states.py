@@ -13,8 +13,8 @@ from imucald.mount.manoeuvres import HARD_ACCEL
 
 FINE_SLACK, USABLE_SLACK = 1.4, 2.0
 """A state that was reached is left only beyond its limit times this. A deviation that half a dozen
-pieces of evidence gave is itself known to 30 % (1 / sqrt(2 n)): twice its limit is beyond what chance
-makes of a mount that nothing contradicts. Its frames go on with the deviation that is stated."""
+pieces of evidence gave is itself known to 30 % (1 / sqrt(2 n)): twice its limit is beyond what
+chance makes of a mount that nothing contradicts. Frames go on with the deviation that is stated."""
 NEEDED = 3
 """Launches or brakings before yaw can be usable."""
 
