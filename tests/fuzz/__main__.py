@@ -2,7 +2,7 @@
 
 Inputs that reach new code go to a folder outside the project (--work); `--keep` merges the few
 that are needed for the same coverage into tests/fuzz/corpus, which the test suite replays.
-An input that breaks something is written to the work folder and told. Needs atheris (extra dev).
+An input that breaks something is written to the work folder and outcome. Needs atheris (extra dev).
 """
 
 from __future__ import annotations

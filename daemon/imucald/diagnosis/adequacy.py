@@ -12,7 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from imucald.diagnosis.cause_keys import mount_of
+from imucald.diagnosis.blocks import TAKES
+from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
+from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.result import GOES_AGAINST, GOES_WITH_SHAKING, TOO_MUCH, Structure
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out
@@ -48,6 +50,9 @@ motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
 PEAK, PEAK_BINS = 4.0, 3
 """A peak is so many times the spectrum 0.2 Hz to both sides of it."""
 PEAKED = ("accel_y", "yaw_rate")
+FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
+"""Delay of a first-order low-pass well below its cut-off, times the cut-off."""
+OCTAVE = 2.0
 DRIVING_MPS = 2.0
 QUICK_HZ = 40.0
 """An accelerometer that is sampled faster sees the shaking."""
@@ -117,7 +122,8 @@ def _noise(state: State, top_hz: float) -> float:
 def what_is_left(problem: Problem, state: State) -> list[Structure]:
     """Structure beyond what roads and noise leave. problem: of the model as it was extended."""
     spectra = _spectra(problem, state.forwards)
-    return [*_shared(spectra, state.forwards), *_peaks(spectra), *_shaken(problem, state)]
+    peaks = _peaks(spectra, _cut_offs(state.changes))
+    return [*_shared(spectra, state.forwards), *peaks, *_shaken(problem, state)]
 
 
 def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
@@ -227,8 +233,22 @@ def _left_of(z: Spectra, known: Spectra) -> Spectra:
     return left
 
 
-def _peaks(spectra: Mapping[str, Spectra]) -> list[Structure]:
-    """A narrow peak: something that swings."""
+def _cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
+    """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
+    within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
+    a delay does as well, above it no motion is."""
+    late = {key: abs(x) for key, x in changes.items() if key.endswith("delay_s") and x}
+    return [
+        (key.partition(".")[0], FIRST_ORDER_S_HZ / x / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / x)
+        for key, x in late.items()
+        if x > PARAMETERS[key].tolerance
+    ]
+
+
+def _peaks(
+    spectra: Mapping[str, Spectra], cut_offs: Sequence[tuple[str, float, float]] = ()
+) -> list[Structure]:
+    """A narrow peak: something that swings, unless a low-pass explains it."""
     found = []
     for name in PEAKED:
         if name not in spectra:
@@ -243,6 +263,8 @@ def _peaks(spectra: Mapping[str, Spectra]) -> list[Structure]:
         middle = hz[:size].reshape(-1, PEAK_BINS).mean(axis=1)
         for i in range(3, len(bands) - 2):
             if not 0.25 < middle[i] < 1.2:
+                continue
+            if any(s in TAKES[name] and a < middle[i] < b for s, a, b in cut_offs):
                 continue
             beside = max(bands[i - 2], bands[i + 2])
             if bands[i] > PEAK * beside and bands[i] == bands[i - 2 : i + 3].max():
