@@ -48,6 +48,8 @@ UNIT_CHANGES = 8
 coarser than its noise, or that comes seldom, has a few, and how many is chance."""
 OTHER_CHANGE = 4.0
 """A road that became rough is felt by the other sensor too: then it is no unit."""
+SOME_CHANGES = 3
+"""Of a quieter axis fewer are left: one alone is that of a sender that had stopped."""
 USUAL_HOPS = 20
 """Hops of driving (10 s) whose mean noise is that of a unit: a road is up to four times as rough as
 another, and half way to the nearest unit, as a ratio, is 7.6 times."""
@@ -213,11 +215,11 @@ class UnitChange:
             np.concatenate(pair) for pair in zip(self._before, new, strict=True)
         )
         self._before = level[-4:], count[-4:], other[-4:], moved[-4:]
-        up, (early, late) = _ratio(level), _enough(count)
+        up, (early, late), (_, some) = _ratio(level), _enough(count), _enough(count, SOME_CHANGES)
         lowest, highest = _within_five(moved[:, 0])
         more = early & late & ((self._low < up) & (up < self._high)).all(axis=1)
-        # in driving few changes say as much as many, at rest a hand may have let go
-        late |= lowest > 0.0
+        # at rest a hand may have let go; what shakes in driving becomes less by a unit alone
+        late |= some & (lowest > 0.0)
         less = early & late & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
         sign = more.astype(np.int64) - less.astype(np.int64)
         out = np.zeros(len(up), dtype=bool)
@@ -266,10 +268,10 @@ class _MeanLog:
             self.mean += (math.log(size) - self.mean) / self.count
 
 
-def _enough(count: Array) -> tuple[Flags, Flags]:
+def _enough(count: Array, least: int = UNIT_CHANGES) -> tuple[Flags, Flags]:
     """Whether every axis changed often enough in two hops, and in two later, one left out."""
     early, late = count[:-4] + count[1:-3], count[3:-1] + count[4:]
-    return (early >= UNIT_CHANGES).all(axis=1), (late >= UNIT_CHANGES).all(axis=1)
+    return (early >= least).all(axis=1), (late >= least).all(axis=1)
 
 
 def _within_five(moved: Array) -> tuple[Array, Array]:
