@@ -8,6 +8,9 @@ were written on 2026-11-22, when the method stood, and not run before its judge.
 loose_contact and heated_gain were written on 2026-11-22 at 19:08, before anything of the tests was
 changed that day, and not run before the judge of draw 14. Since then (19:20) all are put in on the
 sensor's own levels: before, a gain made every value but 0 a level of its own, which gave it away.
+gyro_highpass, supply_dips and speedometer were written on 2026-11-22 at 22:26, each from a
+published source, before anything of the tests was looked at or changed that evening, and are not
+run before the judge of draw 15.
 """
 
 from __future__ import annotations
@@ -177,6 +180,40 @@ def _heated_gain(s: Drive, size: float, rng: np.random.Generator, R: Array) -> f
     return size
 
 
+def _gyro_highpass(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A gyroscope whose high-pass filter was left on, corner at size [Hz]: it forgets long bends
+    (ST LSM6DSO data sheet, CTRL7_G: HP_EN_G, 16 mHz is the lowest corner)."""
+    t, x = s["gyro"].t, s["gyro"].values
+    mean = np.zeros_like(x)
+    keep = np.exp(-2.0 * np.pi * size * np.diff(t, prepend=t[0]))
+    for k in range(1, len(t)):
+        mean[k] = keep[k] * mean[k - 1] + (1.0 - keep[k]) * x[k]
+    _set(s, "gyro", x - mean)
+    return size
+
+
+def _supply_dips(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A fan on the sensor's supply, at irregular times: while it runs, the voltage falls by this
+    share. A ratiometric accelerometer's gain falls with it, and its zero, which is half the supply,
+    5 g above where it would say nothing (ADXL335 data sheet: 300 mV/g and 1.5 V, both at 3 V)."""
+    t, x = s["accel"].t, s["accel"].values
+    share, at = np.zeros(len(t)), float(t[0]) + rng.uniform(10.0, 60.0)
+    while at < t[-1]:
+        runs = rng.uniform(15.0, 40.0)
+        share[(t >= at) & (t < at + runs)] = size
+        at += runs + rng.uniform(30.0, 120.0)
+    _set(s, "accel", x - share[:, None] * (x + 5.0 * 9.80665))
+    return size
+
+
+def _speedometer(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The speed is that of the instrument, which by law never shows too little: above 10 km/h it
+    adds size [m/s] to the true one (UN Regulation 39, 5.3: up to 4 km/h and a tenth)."""
+    v = s["speed"].values
+    _set(s, "speed", v + size * np.sign(v) * np.minimum(np.abs(v) * 3.6 / 10.0, 1.0))
+    return size
+
+
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shaking": (_shaking, 0.3, "accel"),
     "swing": (_swing, 0.4, "accel"),
@@ -190,5 +227,8 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "wheel_slip": (_wheel_slip, 0.15, "speed"),
     "loose_contact": (_loose_contact, 0.3, "accel"),
     "heated_gain": (_heated_gain, 0.15, "gyro"),
+    "gyro_highpass": (_gyro_highpass, 0.016, "gyro"),
+    "supply_dips": (_supply_dips, 0.005, "accel"),
+    "speedometer": (_speedometer, 4.0 / 3.6, "speed"),
 }
 """Effect, medium size [SI], signal that it is put into."""

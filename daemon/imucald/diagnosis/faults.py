@@ -11,13 +11,14 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
+from imucald.diagnosis.lost_readings import SENSORS as RAILED
+from imucald.diagnosis.lost_readings import Lost
 from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
 from imucald.diagnosis.stuck import Fault, stuck
 from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
 from imucald.model.model import VehicleModel
 
 LEAST_ROWS = 100
-RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 PILE_SHARE = 2e-4
 """A rail is met in so many of the samples."""
@@ -25,7 +26,8 @@ PILE_LEVELS = (3, 10)
 """Levels below the extreme one that it is held against."""
 CHANCE = 0.01
 """Of a drive: that a rail is reported without a reason; shared out over ends and levels."""
-FEW_STAYS = 3
+FEW_STAYS = 2
+"""Beside the longest."""
 QUESTIONS = 6 * len(RAILED) * (len(PILE_LEVELS) + 1)
 """Both ends of three axes of each signal."""
 INVALID_S = 0.3
@@ -37,31 +39,39 @@ DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
 """A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
 is asked for each value (OBD-II) has none."""
+LOCKS, NEIGHBOURS = 4, 50
+"""Stamps that share a phase: a cycle known to 1 % moves it by half a cycle at most."""
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
 """Two crystals of +-100 ppm over temperature and age. Further off than 1 % the model file states
 another rate: that is no fault."""
 
 
 def find_faults(
-    samples: Samples, model: VehicleModel, stated_cycle: Mapping[str, float] | None = None
+    samples: Samples, model: VehicleModel, lost: Mapping[str, Lost] | None = None
 ) -> list[Fault]:
-    """Everything that is wrong with samples and stamps beyond what the model file says."""
-    moving = _moving(samples)
+    """Everything that is wrong with samples and stamps beyond what the model file says.
+
+    lost: readings by signal that are none (`lost_readings`), on which no range ends.
+    """
+    moving, none = _moving(samples), lost or {}
     found: list[Fault] = []
     for name in WATCHED:
         series = samples.get(name)
         if series is None or len(series.t) < LEAST_ROWS:
             continue
-        piled = list(_piled(name, series, model)) if name in RAILED else []
+        read = none[name].kept(series) if name in none else series
+        piled = list(_piled(name, read, model)) if name in RAILED else []
         own = (series.t, series.values) if name == "speed" else moving
         found += [*piled, *stuck(name, series, samples, own, piled)]
         found += _timed(name, series, model)
     return found
 
 
-def invalid_spans(faults: Sequence[Fault]) -> dict[str, Spans]:
+def invalid_spans(
+    faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost]
+) -> dict[str, Spans]:
     """Intervals of time by signal that must not be used."""
-    made: dict[str, Spans] = {}
+    made: dict[str, Spans] = {n: spans_of(samples[n].t, gone.rows) for n, gone in lost.items()}
     for fault in faults:
         made[fault.signal] = (*made.get(fault.signal, ()), *fault.spans)
     return made
@@ -94,7 +104,7 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
             continue
         for sign in (1.0, -1.0):
             rail = _rail(sign * x, still if table.shape[1] > 1 else np.zeros_like(still))
-            if rail is not None and rail != 0.0:  # no range ends there: a lost reading does
+            if rail is not None:
                 hit |= sign * x >= rail - 1e-9 * max(1.0, abs(rail))
                 rails.append(sign * rail)
     if not rails:
@@ -107,7 +117,7 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
         "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)},
         f"Values pile up at {shown} {unit}: {100 * share:.2g} % of the samples.",
         {f"{name}.full_scale": size} if name in ("accel", "gyro") else {},
-        _spans(series.t, hit), 0.5 * float(hit.sum()),
+        spans_of(series.t, hit), 0.5 * float(hit.sum()),
     )  # fmt: skip
 
 
@@ -157,7 +167,7 @@ def _is_held(x: Array, at: Mask) -> bool:
     return bool(share < 1.0 and binom.sf(repeats - 1, own.sum(), share) < CHANCE / QUESTIONS)
 
 
-def _spans(t: Array, hit: Mask) -> Spans:
+def spans_of(t: Array, hit: Mask) -> Spans:
     """Intervals of time about rows, those close to each other joined."""
     at = t[hit]
     if not len(at):
@@ -238,9 +248,8 @@ def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:
     if near.mean() < NEAR or np.std(steps[near]) > JITTER_SHARE * cycle:
         return None
     at = t - t[0]
-    for _ in range(4):
-        # Whole cycles between frames; two that come at once make up for a late one.
-        count = np.concatenate([[0.0], np.cumsum(np.round(steps / cycle))])
+    for _ in range(LOCKS):
+        count = _counted(at, cycle)
         centred = count - count.mean()
         slope = float(centred @ (at - at.mean()) / (centred @ centred))
         if abs(slope / cycle - 1.0) > 0.02:
@@ -253,3 +262,17 @@ def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:
     ends = [np.polyfit(count[s], at[s], 1)[0] for s in (slice(0, half), slice(half, None))]
     se = max(abs(ends[1] - ends[0]) / 2.0, float(np.std(left) / np.sqrt(centred @ centred)))
     return cycle, se / cycle, np.round(steps / cycle), is_steady
+
+
+def _counted(at: Array, cycle: float) -> Array:
+    """(N,) whole cycles since the first frame. at: (N,) stamps [s], one comes at 0.
+
+    Each stamp is counted from the phase of its neighbours (circular mean), which moves slowly.
+    Steps that are rounded one by one lose a cycle for good wherever two late frames lie just so.
+    """
+    share = at / cycle
+    first = np.arange(0, len(at), NEIGHBOURS)
+    turns = np.add.reduceat(np.exp(2j * np.pi * share), first)
+    middle = np.add.reduceat(at, first) / np.diff(np.append(first, len(at)))
+    phase = np.unwrap(np.angle(turns)) / (2.0 * np.pi)
+    return np.asarray(np.round(share - np.interp(at, middle, phase)))

@@ -56,8 +56,8 @@ EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
 """What these say hardly depends on the road (`UNEVEN_STD` in `shift`), so that a spread about the
 mean that is larger than from segment to segment is a drift. The lean of roads goes on."""
 SILENT = frozenset({"pitch_gravity", "pitch_axis"})
-"""What these say of town and of motorway differs too much to tell creep from it (`UNEVEN_STD` in
-`shift`)."""
+"""What these say of town and of motorway differs too much to separate creep from it (`UNEVEN_STD`
+in `shift`)."""
 
 
 class Creep(Struct, frozen=True):
@@ -81,7 +81,7 @@ def creep(
 ) -> Creep | None:
     """Fit walks and rates to what series leave over from constants; None: there is too little.
 
-    sources: the same evidence, whose variances tell by how much informations are too large.
+    sources: the same evidence, whose variances show by how much informations are too large.
     """
     n = max((len(one.score) for one in series), default=0)
     if n < FEWEST:

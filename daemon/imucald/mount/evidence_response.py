@@ -59,7 +59,7 @@ YOUNG = 20
 TRUST = 4.0
 """Windows after which learnt noise levels count as much as their priors, roughly."""
 LONE = 12.0
-"""A level that rests on fewer windows than this is mostly that of all windows alike."""
+"""A level that rests on fewer windows than this is mostly that of all windows together."""
 NU_MIN, NU_MAX = 1.5, 40.0
 """Degrees of freedom of a window's noise level; how even roads are is learnt per axis."""
 UNEVEN, UNEVEN_WINDOWS = 2.0, 16.0
@@ -72,7 +72,7 @@ FORCE_PRIOR, RATE_PRIOR = 0.2**2, 0.02**2
 """Noise per tick until the first windows speak."""
 MEAN_SHARE = 1.0
 """The mean of a window counts as no less noisy than that share of the band above: what is not
-known of the bias is in all windows alike, so that what they leave over does not show it."""
+known of the bias is the same in all windows, so that what they leave over does not show it."""
 LEAST_DRIFT = 0.005
 """A drift that comes to less [rad], 0.3 deg, over the windows kept does not change weights."""
 SLOW = slice(2, 4)
@@ -160,6 +160,10 @@ class ResponseEvidence:
         for i in range(self._n):
             self._products[i] = sp.band_products(self._spectra[i], speed, turn)
         self._scored = 0
+
+    def forget_sums(self) -> None:
+        """Leave the windows gone by: their delay was another, and they cannot be formed afresh."""
+        self._old_score, self._old_normal = self._old_score[:, :0], self._old_normal[:, :0]
 
     def direction_sums(self) -> tuple[Array, Array, float, float]:
         """Sums over windows and bands: response to A (3,), to V (3,), power of A, of V."""
@@ -289,16 +293,16 @@ class ResponseEvidence:
         self.nu = np.minimum(nu, NU_MAX)[:, None, None]
 
     def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
-        """Noise per tick, band and axis, of windows weighted by what they tell."""
+        """Noise per tick, band and axis, of windows weighted by what they show."""
         power = np.empty_like(left)
         power[:ROLL_ROW] = P[PAIR[Term.DVDT, Term.DVDT]] + P[PAIR[Term.LATERAL, Term.LATERAL]]
         power[ROLL_ROW] = P[PAIR[Term.LATERAL, Term.LATERAL]]
         power[P_ROW:] = P[PAIR[Term.YAW_RATE, Term.YAW_RATE]]
         even = left * (weight * self.noise[:, None, :])
         total = np.maximum(power.sum(axis=1), 1e-12)
-        told = (power * even).sum(axis=1) / total
+        weighted = (power * even).sum(axis=1) / total
         windows = total * total / np.maximum((power * power).sum(axis=1), 1e-24)
-        level = (windows * told + LONE * even.mean(axis=1)) / (windows + LONE)
+        level = (windows * weighted + LONE * even.mean(axis=1)) / (windows + LONE)
         fresh = PER_TICK * level / BAND_WIDTH
         trust = 1.0 - (TRUST / (self._n + TRUST)) ** 2
         self.noise = np.maximum(trust * fresh + (1.0 - trust) * _PRIOR, _FLOOR)

@@ -75,7 +75,7 @@ def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
 
 
 class Seen(Struct, frozen=True):
-    """What tells of scaled errors without any angle in it: values (k,), and what else is in them.
+    """What shows scaled errors without any angle in it: values (k,), and what else is in them.
 
     covariance: (k, k) without the scaled errors. answers: (k, m) to the scaled errors at scale 1.
     """

@@ -8,7 +8,7 @@ the slope's changes are known and leave f_s. The pull to the accelerometer (time
     e = f_s - g u - R^T m,
 
 answers to an accelerometer bias b by (I - B) b, where B follows the same equation as u: in a
-turn the true vertical turns against the sensor and a bias does not, which tells them apart
+turn the true vertical turns against the sensor and a bias does not, which separates them
 (the alignment of inertial navigation; Groves, Principles of GNSS, Inertial and Multisensor
 Integrated Navigation Systems, ch. 14).
 """
@@ -34,7 +34,7 @@ PULL_NO_GYRO_S = 12.0
 FORCE_LARGE = 0.25
 """An innovation beyond counts less [m/s^2] (Huber)."""
 COLOUR, COLOUR_SEGMENTS = 25.0, 4.0
-"""The innovation is not white: the bias's variance is so much larger, until road segments tell."""
+"""The innovation is not white: the bias's variance is so much larger until segments show it."""
 SETTLE_TICKS = 25
 """The first ticks take the mean."""
 MAX_ALONE, MAX_BLIND = 120, 10

@@ -7,7 +7,7 @@ of unknown time and size; Basseville and Nikiforov, Detection of Abrupt Changes,
 The spread from segment to segment before sets the scale, so that rough roads and hills make the
 test dull and not nervous.
 
-How far the sources of an angle speak for one and the same change is then told by the ratio of
+How far the sources of an angle speak for one and the same change is then the ratio of
 likelihoods with and without it. In yaw, wind and rough roads move what dv/dt says alone, and
 lever arm and sideslip what turns say alone, now and then by far: tails are heavy there, so that
 one source must stand out very far while two that agree need not. In roll and pitch, roads that
@@ -43,12 +43,12 @@ UNEVEN_STD = {
     "yaw_dvdt": 0.0035,
 }
 """What a source says differs by that much [rad] between town and motorway, without a shift."""
-ALIKE = ("roll_turn", "roll_axis")
+SAME_NOISE = ("roll_turn", "roll_axis")
 """Both see the same noise, the lean of roads in bends: only the better one speaks."""
 TAIL = (1e6, 1e6, 8.0)
 """Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
 MIN_SIZE = (0.026, 0.026, 0.013)
-"""A change to be told from none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
+"""A change that is tested against none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
 STEP_MIN, STEP_MAX = 2.0, 5.5
 """A step in gravity counts from so many standard deviations on, and for so many at most, ..."""
 STEP_FROM = 2.5
@@ -241,9 +241,9 @@ def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array,
 def _uneven(series: list[ScoreSeries], variances: Array, times: float) -> Array:
     """With what roads make sources differ by; of sources that see the same noise the better one."""
     variances = variances + np.array([(times * UNEVEN_STD[one.kind]) ** 2 for one in series])
-    alike = [k for k, one in enumerate(series) if one.kind in ALIKE]
-    if len(alike) == 2:
-        worse = np.where(variances[:, alike[0]] > variances[:, alike[1]], *alike)
+    same_noise = [k for k, one in enumerate(series) if one.kind in SAME_NOISE]
+    if len(same_noise) == 2:
+        worse = np.where(variances[:, same_noise[0]] > variances[:, same_noise[1]], *same_noise)
         variances[np.arange(len(variances)), worse] = np.inf
     return variances
 

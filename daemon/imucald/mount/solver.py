@@ -197,6 +197,7 @@ class MountSolver:
             was = self.response.delays
             if abs(tau - was[0]) > START_AGAIN and not self.sure():
                 self.yaw_known = False
+                self.response.forget_sums()
             if abs(tau - was[0]) > 0.02 or abs(late - was[1]) > 0.02:
                 self.response.set_delays(tau, late)
 

@@ -292,7 +292,7 @@ class Pipeline:
             snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0, unfit))
 
     def _take_signals(self) -> None:
-        """Let the health tell what the estimator found of the vehicle's signals in a new block."""
+        """Hand the health what the estimator found of the vehicle's signals in a new block."""
         if self._judges is None:
             return
         judged = self._judges.stuck_signals
