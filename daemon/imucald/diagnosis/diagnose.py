@@ -7,7 +7,7 @@ samples -> faults (samples and stamps) -> rest (stops) -> search (shift, causes,
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,11 +25,13 @@ from imucald.diagnosis.faults import find_faults, invalid_spans
 from imucald.diagnosis.gain import gain_of, summed
 from imucald.diagnosis.held_values import held_values
 from imucald.diagnosis.intervals import estimate, quantile
+from imucald.diagnosis.lost_readings import Lost, all_lost, as_structure
 from imucald.diagnosis.patterns import patterns
 from imucald.diagnosis.pictures import pictures_of
 from imucald.diagnosis.result import (
     GOES_AGAINST,
     TOO_MUCH,
+    VALUE_HELD,
     Diagnosis,
     FoundCause,
     Gain,
@@ -76,9 +78,11 @@ def diagnose(
     until = time.process_time() + limit_s
     late = _Late(until)
     report(0.02, "samples and time stamps")
-    faults, model_now = _faults(drives, model)
+    lost = [all_lost(samples) for samples in drives]
+    faults, model_now = _faults(drives, model, lost)
     report(0.08, "stops")
-    parts = [drive_of(s, invalid_spans(f)) for s, f in zip(drives, faults, strict=True)]
+    bad = [invalid_spans(*each) for each in zip(faults, drives, lost, strict=True)]
+    parts = [drive_of(s, b) for s, b in zip(drives, bad, strict=True)]
     rest = rest_of(parts, model_now, len(GYRO_BIAS))
     state = _started(parts, model_now, rest)
     report(0.12, "forward model and residuals")
@@ -96,13 +100,14 @@ def diagnose(
     if not wrong:
         search(state, tick, late, GYRO_BIAS if rest else ())
     report(0.8, "what is left")
-    left = tuple(wrong) or _left(state)
+    gone = {name: as_structure(name, x) for each in lost for name, x in each.items()}
+    left = (*gone.values(), *(wrong or _left(state)))
     if any(s.kind == TOO_MUCH for s in left):
         state.give_up()
     else:
         doubt(state, left, faults)
     problem = state.evaluated()
-    causes = _certain_causes(state, rest, faults, model)
+    causes = _certain_causes(state, None if _is_gyro_held(left) else rest, faults, model)
     report(0.88, "what the written file brings")
     written = _written(state, problem)
     problem = state.evaluated()
@@ -170,10 +175,10 @@ class _Late:
 
 
 def _faults(
-    drives: Sequence[Samples], model: VehicleModel
+    drives: Sequence[Samples], model: VehicleModel, lost: Sequence[Mapping[str, Lost]]
 ) -> tuple[list[list[Fault]], VehicleModel]:
     """Faults of each drive, and the model file that says so."""
-    found = [find_faults(samples, model) for samples in drives]
+    found = [find_faults(s, model, gone) for s, gone in zip(drives, lost, strict=True)]
     changes: dict[str, object] = {}
     for part in found:
         for fault in part:
@@ -198,6 +203,11 @@ def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | No
 
 def _is_off(rest: Rest, model: VehicleModel) -> bool:
     return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > rest.allowed(model)))
+
+
+def _is_gyro_held(left: Sequence[Structure]) -> bool:
+    """Whether what the gyroscope shows at rest may be the value that it shows for small rates."""
+    return any(s.kind == VALUE_HELD and s.signal.startswith("gyro") for s in left)
 
 
 def _zero_of(rest: Rest, state: State, model: VehicleModel) -> Rest:

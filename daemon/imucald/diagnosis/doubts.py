@@ -35,6 +35,11 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
 
     def is_doubtful(trial: Trial) -> bool:
+        if left:
+            # A cause is missing, and a fit shares out what it makes among those that it knows.
+            return True
+        if trial.hypothesis.pattern is not None:
+            return False
         keys = trial.hypothesis.keys
         sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
         if changing & {family(key) for key in keys}:

@@ -11,13 +11,14 @@ import numpy as np
 from scipy.stats import binom
 
 from imucald.core.samples import Samples, Series
+from imucald.diagnosis.lost_readings import SENSORS as RAILED
+from imucald.diagnosis.lost_readings import Lost
 from imucald.diagnosis.signals import Array, Mask, Spans, duplicates
 from imucald.diagnosis.stuck import Fault, stuck
 from imucald.diagnosis.visits import PILE_RATIO, visited_too_often
 from imucald.model.model import VehicleModel
 
 LEAST_ROWS = 100
-RAILED = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
 WATCHED = ("accel", "gyro", "speed", "steering", "yaw_rate", "lateral_accel", "longitudinal_accel")
 PILE_SHARE = 2e-4
 """A rail is met in so many of the samples."""
@@ -46,25 +47,31 @@ another rate: that is no fault."""
 
 
 def find_faults(
-    samples: Samples, model: VehicleModel, stated_cycle: Mapping[str, float] | None = None
+    samples: Samples, model: VehicleModel, lost: Mapping[str, Lost] | None = None
 ) -> list[Fault]:
-    """Everything that is wrong with samples and stamps beyond what the model file says."""
-    moving = _moving(samples)
+    """Everything that is wrong with samples and stamps beyond what the model file says.
+
+    lost: readings by signal that are none (`lost_readings`), on which no range ends.
+    """
+    moving, none = _moving(samples), lost or {}
     found: list[Fault] = []
     for name in WATCHED:
         series = samples.get(name)
         if series is None or len(series.t) < LEAST_ROWS:
             continue
-        piled = list(_piled(name, series, model)) if name in RAILED else []
+        read = none[name].kept(series) if name in none else series
+        piled = list(_piled(name, read, model)) if name in RAILED else []
         own = (series.t, series.values) if name == "speed" else moving
         found += [*piled, *stuck(name, series, samples, own, piled)]
         found += _timed(name, series, model)
     return found
 
 
-def invalid_spans(faults: Sequence[Fault]) -> dict[str, Spans]:
+def invalid_spans(
+    faults: Sequence[Fault], samples: Samples, lost: Mapping[str, Lost]
+) -> dict[str, Spans]:
     """Intervals of time by signal that must not be used."""
-    made: dict[str, Spans] = {}
+    made: dict[str, Spans] = {n: spans_of(samples[n].t, gone.rows) for n, gone in lost.items()}
     for fault in faults:
         made[fault.signal] = (*made.get(fault.signal, ()), *fault.spans)
     return made
@@ -97,7 +104,7 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
             continue
         for sign in (1.0, -1.0):
             rail = _rail(sign * x, still if table.shape[1] > 1 else np.zeros_like(still))
-            if rail is not None and rail != 0.0:  # no range ends there: a lost reading does
+            if rail is not None:
                 hit |= sign * x >= rail - 1e-9 * max(1.0, abs(rail))
                 rails.append(sign * rail)
     if not rails:
@@ -110,7 +117,7 @@ def _piled(name: str, series: Series, model: VehicleModel) -> Iterator[Fault]:
         "saturation", name, {f"{name}.full_scale": (size, 0.0, unit)},
         f"Values pile up at {shown} {unit}: {100 * share:.2g} % of the samples.",
         {f"{name}.full_scale": size} if name in ("accel", "gyro") else {},
-        _spans(series.t, hit), 0.5 * float(hit.sum()),
+        spans_of(series.t, hit), 0.5 * float(hit.sum()),
     )  # fmt: skip
 
 
@@ -160,7 +167,7 @@ def _is_held(x: Array, at: Mask) -> bool:
     return bool(share < 1.0 and binom.sf(repeats - 1, own.sum(), share) < CHANCE / QUESTIONS)
 
 
-def _spans(t: Array, hit: Mask) -> Spans:
+def spans_of(t: Array, hit: Mask) -> Spans:
     """Intervals of time about rows, those close to each other joined."""
     at = t[hit]
     if not len(at):

@@ -25,10 +25,13 @@ from imucald.mount.mount_words import SD_95
 ASKED = ("bias", "scale", "offset")
 """Endings of what every sensor has. Delays, lever arm and springs also take what the equations of
 the tyres err by, which goes with the speed in measured drives without an effect."""
-LAGS = 3
-"""Neighbouring segments, a minute and a half: longer than a manoeuvre."""
+LAGS = (1, 2, 3)
+"""Neighbouring segments, half a minute to a minute and a half: longer than a manoeuvre. How long
+something lasts is not known: each is asked."""
+LEAST_SIDE = 3
+"""Segments on either side of a moment, at least."""
 DRAWS, AT_ONCE = 20000, 1000
-LEAST_BLOCKS = 12
+LEAST_BLOCKS = 8
 EVENLY = 3.0**-0.5
 """Deviation of what goes anywhere within its tolerance, over the tolerance."""
 EITHER_SIDE = 2.0
@@ -45,6 +48,7 @@ def unstable(problem: Problem, state: State) -> list[Question]:
              if any(part in ASKED for part in key.split(".")) and gram[:, j, j].any()]  # fmt: skip
     return [
         *_wandering(problem, scores, gram, asked),
+        *_jumping(problem, scores, gram, asked),
         *_conditional(problem, scores, gram, asked, conditions(problem, state)),
     ]
 
@@ -74,39 +78,67 @@ def _wandering(
     s = scores[:, asked]
     s = s - h * (s.sum(axis=0) / h.sum(axis=0))
     got, rng = _shared(s), np.random.default_rng(0)
-    beaten = np.zeros(len(asked))
+    beaten = np.zeros_like(got)
     for _ in range(DRAWS // AT_ONCE):
         order = np.argsort(rng.random((AT_ONCE, len(s))), axis=1)
-        beaten += (_shared(s[order]) >= got).sum(axis=0)
+        beaten += (_shared(s[order]) >= got[:, None]).sum(axis=1)
     sd = np.sqrt(np.maximum(got, 0.0) / np.maximum(_shared(h), 1e-300))
-    for k, j in enumerate(asked):
-        key, tau = problem.table.keys[j], _may_be(problem, j)
-        p = float((1.0 + beaten[k]) / (DRAWS + 1.0))
-        text = f"{key} wanders by {_amount(key, float(sd[k]))} from piece to piece of the drive"
-        yield _question(problem, key, WANDERS, p, float(sd[k]) / (EVENLY * tau), text)
+    for (i, k), size in np.ndenumerate(sd):
+        key, tau = problem.table.keys[asked[k]], _may_be(problem, asked[k])
+        p = float((1.0 + beaten[i, k]) / (DRAWS + 1.0))
+        text = f"{key} wanders by {_amount(key, float(size))} from piece to piece of the drive"
+        yield _question(problem, key, WANDERS, p, float(size) / (EVENLY * tau), text)
 
 
 def _shared(s: Array) -> Array:
-    """Sum over neighbours of their products; segments last but one: (..., B, K) to (..., K)."""
-    made = np.zeros((*s.shape[:-2], s.shape[-1]))
-    for lag in range(1, LAGS + 1):
-        made += np.einsum("...bk,...bk->...k", s[..., lag:, :], s[..., :-lag, :])
-    return made
+    """Sum over neighbours up to each lag of their products; segments last but one: (..., B, K) to
+    (lags, ..., K)."""
+    parts = [np.einsum("...bk,...bk->...k", s[..., n:, :], s[..., :-n, :]) for n in LAGS]
+    return np.cumsum(parts, axis=0)
+
+
+def _jumping(problem: Problem, scores: Array, gram: Array, asked: list[int]) -> Iterator[Question]:
+    """A zero or gain that is another from some moment on; its chance is shared out over moments."""
+    B = len(scores)
+    moments: dict[str, Array] = {
+        str(k): (np.arange(B) >= k).astype(float) for k in range(LEAST_SIDE, B - LEAST_SIDE + 1)
+    }
+    best: dict[int, tuple[float, float, str]] = {}
+    for name, j, p, value in _score_tests(problem, scores, gram, asked, moments):
+        if p < best.get(j, (2.0, 0.0, ""))[0]:
+            best[j] = p, value, name
+    for j, (p, value, name) in best.items():
+        key, t = problem.table.keys[j], problem.table.start_s[int(name)]
+        size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
+        text = f"{key} is another by {_amount(key, value)} from {t:.0f} s on"
+        yield _question(problem, key, WANDERS, min(p * len(moments), 1.0), size, text)
 
 
 def _conditional(
     problem: Problem, scores: Array, gram: Array, asked: list[int], some: Mapping[str, Array]
 ) -> Iterator[Question]:
-    """A zero or gain that is another where a condition is high: a column times the condition is
-    fitted beside all others (score test, deviation between segments)."""
+    """A zero or gain that is another where a condition is high."""
+    shares = {}
+    for name, c in some.items():
+        low, high = np.quantile(c, [0.05, 0.95])
+        if high > low:
+            shares[name] = np.clip((c - low) / (high - low), 0.0, 1.0)
+    for name, j, p, value in _score_tests(problem, scores, gram, asked, shares):
+        key = problem.table.keys[j]
+        size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
+        text = f"{key} differs by {_amount(key, value)} between {name} segments"
+        yield _question(problem, key, DIFFERS, p, size, text)
+
+
+def _score_tests(
+    problem: Problem, scores: Array, gram: Array, asked: list[int], some: Mapping[str, Array]
+) -> Iterator[tuple[str, int, float, float]]:
+    """A column times a pattern over the segments, fitted beside all others (score test, deviation
+    between segments): pattern's name, parameter, chance, by how much it is another."""
     prior = 3.0 / np.maximum(0.5 * (problem.high - problem.low), 1e-30) ** 2
     inverse = np.linalg.pinv(gram.sum(axis=0) + np.diag(prior))
     B = len(scores)
-    for name, c in some.items():
-        low, high = np.quantile(c, [0.05, 0.95])
-        if not high > low:
-            continue
-        m = np.clip((c - low) / (high - low), 0.0, 1.0)
+    for name, m in some.items():
         for j in asked:
             h = gram[:, j, j]
             by = m - float(m @ h / h.sum())
@@ -118,10 +150,7 @@ def _conditional(
             # A sum over its own root of squares never exceeds the root of their number.
             ratio = float(u.sum() ** 2 / max(float(u @ u), 1e-300))
             t = np.sqrt(ratio * (B - 1) / max(B - ratio, 1e-9))
-            key, value = problem.table.keys[j], float(u.sum() / information)
-            size = abs(value) / (EITHER_SIDE * _may_be(problem, j))
-            text = f"{key} differs by {_amount(key, value)} between {name} segments"
-            yield _question(problem, key, DIFFERS, float(2.0 * student.sf(t, B - 1)), size, text)
+            yield name, j, float(2.0 * student.sf(t, B - 1)), float(u.sum() / information)
 
 
 def _may_be(problem: Problem, j: int) -> float:

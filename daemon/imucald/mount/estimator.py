@@ -175,7 +175,7 @@ class FullEstimator:
     def _follow_steering(self, p: SignalBlock) -> None:
         """Steering offset against the measured yaw rate; steering alone knows no offset."""
         measured = self._solver.own_gyro or "yaw_rate" in self._signals.seen
-        if not measured or not p.ok_steering.any() or self._signals.without_speed:
+        if not measured or not np.count_nonzero(p.ok_steering) or self._signals.without_speed:
             return
         use = p.ok_steering & p.ok_speed & p.learn
         self._steering.add(p.steering, p.speed, self._solver.turn_rate, use)

@@ -77,8 +77,14 @@ LEAST_DRIFT = 0.005
 """A drift that comes to less [rad], 0.3 deg, over the windows kept does not change weights."""
 SLOW = slice(2, 4)
 """Bands above the slopes, and below where a speed that comes once a second has lost its changes."""
+_AXES = [row.axis for row in ROWS]
 _PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
 _FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
+
+
+def _first_of_each(group: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Places at which another group begins, in (n,) that never decrease."""
+    return np.concatenate([[0], np.flatnonzero(group[1:] != group[:-1]) + 1])
 
 
 class ResponseEvidence:
@@ -213,17 +219,16 @@ class ResponseEvidence:
     def _turn_scores(self, turned: Array) -> None:
         """Scores about another R: to first order the angle's coefficient moves."""
         k = self._scored
-        for i, row in enumerate(ROWS):
-            e = turned[row.axis]
-            self._old_score[i] -= self._old_normal[i, :, :, 0] * e
-            self._score[i, :k] -= self._normal[i, :k, :, 0] * e
+        e = turned[_AXES][:, None, None]
+        self._old_score -= self._old_normal[:, :, :, 0] * e
+        self._score[:, :k] -= self._normal[:, :k, :, 0] * e
 
     def _fold(self) -> None:
         """Sum the oldest windows up, in whole groups, and let them go."""
         if self._fitted and self._scored < self._n:
             self._weigh(self._R)
         group = self._block_number[: self._n] // GROUP
-        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        starts = _first_of_each(group)
         cut = int(starts[np.searchsorted(starts, FOLD)])
         use = starts[starts < cut]
         s = np.add.reduceat(self._score[:, :cut], use, axis=1)
@@ -306,7 +311,7 @@ class ResponseEvidence:
 
     def _sources(self) -> dict[str, AngleEvidence]:
         group = self._block_number[: self._n] // GROUP
-        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        starts = _first_of_each(group)
         score = np.add.reduceat(self._score[:, : self._n], starts, axis=1)
         normal = np.add.reduceat(self._normal[:, : self._n], starts, axis=1)
         score = np.concatenate([self._old_score, score], axis=1)

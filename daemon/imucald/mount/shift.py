@@ -18,6 +18,7 @@ of the change is independent evidence, and is added.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from msgspec import Struct
@@ -257,6 +258,12 @@ def _most_likely_time(
     return int(spans[k]), float(mean[k])
 
 
+@cache
+def _subsets(n: int) -> Array:
+    """Which of n sources is in which subset that is not empty (n, 2^n - 1)."""
+    return ((np.arange(1, 2**n) >> np.arange(n)[:, None]) & 1).astype(np.float64)
+
+
 def likeliest(sizes: Array, variances: Array, tail: float, least: float) -> tuple[Array, Array]:
     """The change that all sources speak for most: size (S,), (2 log L(size) / L(0))^0.5 (S,).
 
@@ -265,12 +272,10 @@ def likeliest(sizes: Array, variances: Array, tail: float, least: float) -> tupl
     all subsets of sources, near which it is wherever some sources agree.
     """
     weight = 1.0 / variances
-    n = sizes.shape[1]
-    subset = (np.arange(1, 2**n)[:, None] >> np.arange(n)) & 1  # (2^n - 1, sources)
-    known = weight @ subset.T
-    mean = np.where(
-        known > 0.0, (weight * sizes) @ subset.T / np.where(known > 0.0, known, 1.0), 0.0
-    )
+    subset = _subsets(sizes.shape[1])
+    known = weight @ subset
+    some = known > 0.0
+    mean = np.where(some, (weight * sizes) @ subset / np.where(some, known, 1.0), 0.0)
     mean = np.sign(mean) * np.maximum(np.abs(mean), least)
     left = sizes[:, None, :] - mean[:, :, None]
     gain = np.log1p(sizes * sizes * weight / tail)[:, None, :]

@@ -7,6 +7,7 @@ whole columns (`run`); both give the same corrections to the last bit.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Protocol
@@ -314,7 +315,7 @@ def _judging(estimator: MountEstimator) -> JudgesSignals | None:
 
 
 def _of_tick(series: Series, k: int) -> Series:
-    low, high = np.searchsorted(np.floor(series.t * TICK_RATE), [k, k + 1])
+    low, high = (bisect_left(series.t, end, key=tick_index) for end in (k, k + 1))
     return Series(series.t[low:high], series.values[low:high])
 
 

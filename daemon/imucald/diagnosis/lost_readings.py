@@ -1,0 +1,89 @@
+"""Readings that are none: what a sensor's value falls back to when a connector opens, a default.
+
+What a sensor feels comes to a value from values close by. A reading that is lost jumps to it and
+back, whatever it was before, and nothing is met on the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import binom
+
+from imucald.core.samples import Samples, Series
+from imucald.diagnosis.result import VALUE_HELD, Structure
+from imucald.diagnosis.signals import Array, Mask
+
+SENSORS = ("accel", "gyro", "yaw_rate", "lateral_accel", "longitudinal_accel")
+LEAST_ROWS = 100
+CHANCE = 0.01
+"""Of a drive; shared out over its signals."""
+RARE = 0.01
+"""Share of a sensor's own steps that are larger than a jump."""
+PASSES_HALF = 0.25
+"""Of a signal that comes within half its usual distance of a value at most so many go on to it:
+tails of what has a variance fall faster than 1/x^2 (Chebyshev)."""
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Readings of one signal that jump to one value and back."""
+
+    value: Array
+    """(W,) in sensor axes."""
+    rows: Mask
+    """(N,) which."""
+    visits: int
+
+    def kept(self, series: Series) -> Series:
+        """The other readings."""
+        return Series(series.t[~self.rows], series.values[~self.rows])
+
+
+def all_lost(samples: Samples) -> dict[str, Lost]:
+    """Lost readings by signal, where there are any."""
+    asked = [name for name in SENSORS if name in samples and len(samples[name].t) >= LEAST_ROWS]
+    found = {name: lost_readings(samples[name], len(asked)) for name in asked}
+    return {name: lost for name, lost in found.items() if lost is not None}
+
+
+def as_structure(name: str, lost: Lost) -> Structure:
+    """What is told of them."""
+    unit = "m/s^2" if "accel" in name else "rad/s"
+    value = " ".join(f"{x + 0.0:.3g}" for x in lost.value)
+    text = (
+        f"it jumps to {value} {unit} and back {lost.visits} times, whatever it showed before: "
+        "readings are lost there (a contact that opens, a default that is sent)"
+    )
+    signal = f"{name}_x" if len(lost.value) > 1 else name
+    return Structure(signal, VALUE_HELD, float(lost.visits), text)
+
+
+def lost_readings(series: Series, signals: int) -> Lost | None:
+    """Find the value that a sensor falls back to; None without. signals: how many are asked."""
+    table = series.values.reshape(len(series.t), -1)
+    first = np.flatnonzero(np.concatenate([[True], (np.diff(table, axis=0) != 0.0).any(axis=1)]))
+    if len(first) < 3:
+        return None
+    runs = table[first]
+    size = np.linalg.norm(np.diff(runs, axis=0), axis=1)
+    far = size > np.quantile(size, 1.0 - RARE)
+    jumps = np.flatnonzero(far[:-1] & far[1:]) + 1
+    if not len(jumps):
+        return None
+    values, index = np.unique(runs[jumps], axis=0, return_inverse=True)
+    counts = np.bincount(index.ravel())
+    best = int(np.argmax(counts))
+    value, jumped = values[best], int(counts[best])
+    there = (runs == value).all(axis=1)
+    visits = int(there.sum())
+    # A step to it and one back, each by more than all but one in a hundred.
+    if binom.sf(jumped - 1, visits, RARE) >= CHANCE / signals:
+        return None
+    away = np.linalg.norm(runs - value, axis=1)
+    near = ~there & (away < 0.5 * float(np.median(size[jumps[index.ravel() == best] - 1])))
+    passing = int((np.diff(np.concatenate([[False], near]).astype(int)) == 1).sum())
+    if binom.sf(visits - 1, visits + passing, PASSES_HALF) >= CHANCE / signals:
+        return None
+    return Lost(value, (table == value).all(axis=1), visits)
