@@ -29,6 +29,8 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     changing = {family(s.parameter) for s in left if s.parameter}
     shifted = {fault.signal for fault in every if fault.cause == "saturation"}
     shifted |= {"accel" for s in left if s.kind == GOES_WITH_SHAKING}
+    # A cause is missing there, and gains and zeros take its place; a delay shows in the timing.
+    shifted |= {name for s in left if s.kind == NOT_PLAUSIBLE for name in TAKES[s.signal]}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
 
