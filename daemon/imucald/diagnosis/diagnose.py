@@ -15,7 +15,7 @@ import numpy as np
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
-from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
+from imucald.diagnosis.adequacy import goes_against, too_much, uneven, what_is_left
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.chance import beyond_chance
@@ -151,6 +151,7 @@ def _left(state: State) -> tuple[Structure, ...]:
     problem = state.evaluated()
     return (
         *too_much(problem, state),
+        *uneven(problem),
         *outcome.implausible(state),
         *held_values(state.drives),
         *beyond_chance([*patterns(problem, state.forwards), *unstable(problem, state)]),
