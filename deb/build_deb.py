@@ -51,7 +51,7 @@ Recommends: can-utils
 Section: net
 Priority: optional
 Description: IMU calibration daemon on CAN
- Finds out how an inertial sensor sits in a vehicle, from what the CAN bus tells, and sends its
+ Finds out how an inertial sensor sits in a vehicle, from what the CAN bus carries, and sends its
  signals corrected to vehicle axes. One service per interface: imucald@can0.
 """
 POSTINST = """#!/bin/sh

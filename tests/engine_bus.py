@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -397,8 +396,3 @@ class Traffic:
             bits[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
             return t, can_id, bytes(bits)
         return t, can_id, b"\xff" * len(data)
-
-
-def is_close(a: Sequence[float], b: Sequence[float], tolerance: float) -> bool:
-    """Whether two vectors agree."""
-    return all(math.isclose(x, y, abs_tol=tolerance) for x, y in zip(a, b, strict=True))

@@ -65,10 +65,10 @@ def traffic(channel: str, rate: float = 100.0) -> Iterator[threading.Event]:
         thread.join()
 
 
-def source_of(service: Service, said: list[str]) -> DaemonSource:
+def source_of(service: Service, messages: list[str]) -> DaemonSource:
     path = service.options.status_socket
     assert path is not None
-    return DaemonSource(path, said.append)
+    return DaemonSource(path, messages.append)
 
 
 def wait_until(condition: Callable[[], object], limit: float = 10.0) -> None:

@@ -112,17 +112,17 @@ def test_every_key_is_documented_with_its_default(kind: type[Settings]) -> None:
     assert list(rows) == [field.name for field in fields], "the same keys in the same order"
     for field in fields:
         name = field.name
-        said = rows[name][0].strip("`")
+        stated = rows[name][0].strip("`")
         if field.required:
-            assert said == "required", name
+            assert stated == "required", name
         elif isinstance(field.default, Settings):
-            assert said == "defaults", name
+            assert stated == "defaults", name
         elif field.default not in (None, (), msgspec.NODEFAULT):
-            value = yaml.safe_load(said)
+            value = yaml.safe_load(stated)
             default = list(field.default) if isinstance(field.default, tuple) else field.default
             assert value == default, name
         else:
-            assert said in ("none", "{}") or said.startswith(("the database", "as the", "estim",
+            assert stated in ("none", "{}") or stated.startswith(("the database", "as the", "estim",
                                                               "all its")), name  # fmt: skip
 
 

@@ -92,13 +92,13 @@ def test_an_example_ends_as_its_header_says_and_its_mount_is_the_true_one(
 ) -> None:
     check, replay = simulated(imucald, clone, name)
     assert "This configuration can be used: no warnings." in imucald(*check, "--strict")
-    said = ENDS.search((clone / f"config/examples/{name}.yaml").read_text())
-    assert said is not None
+    stated = ENDS.search((clone / f"config/examples/{name}.yaml").read_text())
+    assert stated is not None
     result = clone / "result.json"
     imucald(*replay, "--json", str(result))
     found = json.loads(result.read_text())
-    assert found["state"] == said[1]
-    if said[2]:
+    assert found["state"] == stated[1]
+    if stated[2]:
         assert found["first_usable_s"] < 1.0
     truth = json.loads((clone / "drive.truth.json").read_text())
     assert is_true(found, truth), (found["mount"], truth["mount"])

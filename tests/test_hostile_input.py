@@ -312,7 +312,7 @@ def test_lines_that_are_no_frames_leave_the_estimate_as_it_is(log_lines, tmp_pat
         assert mixed_result[key] == clean_result[key]
 
 
-def test_every_reason_of_a_refused_sample_is_told(tmp_path):
+def test_every_reason_of_a_refused_sample_is_reported(tmp_path):
     config = load(RICH, tmp_path)
     engine, sender = engine_of(config), Sender(config)
     spoilt = {

@@ -133,14 +133,14 @@ def test_time_to_alert_by_driving_leaves_out_standing():
     assert alert.driving == 15.0
 
 
-def test_a_fault_that_is_never_told_is_misleading_at_the_end():
+def test_a_fault_that_is_never_reported_is_misleading_at_the_end():
     verdict = judged(series(error=yaw_off(2.0, 50, 100)), 50.0, AT_ONCE)
     assert verdict.at_end
     assert math.isinf(verdict.alert.clock)
     assert math.isinf(verdict.alert.driving)
 
 
-def test_an_error_that_was_learnt_away_is_told_when_it_is_gone():
+def test_an_error_that_was_learnt_away_is_reported_when_it_is_gone():
     verdict = judged(series(error=yaw_off(2.0, 50, 75)), 50.0, AT_ONCE)
     assert verdict.alert.clock == 25.0
     assert not verdict.at_end
@@ -156,7 +156,7 @@ def test_only_what_outlasts_the_allowed_time_is_late():
     assert late == 20.0  # 10 s of standing, then 20 of driving
 
 
-def test_frames_are_told_from_the_first_good_one_after_the_onset():
+def test_misleading_time_begins_at_the_first_good_frame_after_the_onset():
     t = np.arange(10.0)
     good = np.array([1, 1, 0, 0, 1, 1, 1, 0, 1, 1], dtype=bool)
     assert until_told(t, good, 0.5) == (1.0, 2.0)
@@ -314,7 +314,7 @@ def test_driving_backwards_turns_the_vehicle_round(base):
     assert np.array_equal(wheels[:, 2], sound[:, 3])
 
 
-def test_a_fault_that_no_signal_shows_is_told_apart_and_judged_by_no_bar():
+def test_a_fault_that_no_signal_shows_is_distinguished_and_judged_by_no_bar():
     mirrored = next(row for row in ROWS if row.name == "all accelerometer signs")
     assert mirrored.is_shown(frozenset({"accel", "gyro", "speed", "yaw_rate"}))
     assert not mirrored.is_shown(frozenset({"accel", "gyro", "speed"}))

@@ -36,12 +36,6 @@ def script(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     return module
 
 
-def index_with(folder: Path, links: str) -> str:
-    (folder / "index" / "pip").mkdir(parents=True)
-    (folder / "index" / "pip" / "index.html").write_text(f"<html><body>{links}</body></html>")
-    return (folder / "index").as_uri()
-
-
 PAGE = """
 <a href="../files/pip-9.0.1-py2.py3-none-any.whl">old</a>
 <a href="../files/pip-24.0-py3-none-any.whl#sha256=%s" data-requires-python="&gt;=3.7">good</a>
@@ -147,7 +141,7 @@ def test_the_fast_lane_leaves_out_slow_tests_and_kernels(script: Any, fast: bool
     assert done[-1] == "-x"
 
 
-def test_an_old_python_is_told_what_to_install(
+def test_an_old_python_is_shown_what_to_install(
     script: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(script, "OLDEST_PYTHON", (3, 99))

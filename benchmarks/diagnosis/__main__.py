@@ -116,16 +116,20 @@ def _report(lines: list[dict[str, Any]], missed: dict[str, int]) -> Iterator[str
     yield ""
     yield from judged.outside(by_part["outside"], by_part["nulls"])
     yield ""
-    yield from judged.drives([x for x in by_part["outside"] if "refused" not in x])
+    yield from judged.drives([x for x in by_part["outside"] if "refused" not in x], "Of all pieces")
     yield ""
     yield "### Drives of an independent simulator (`second_world`)"
     yield ""
-    yield from judged.drives(by_part["second_world"])
+    yield from judged.drives(by_part["second_world"], "Drives")
     yield ""
     yield "### Drives of the project's second generator"
     yield ""
-    for part in ("generated", "generated_nulls", "generated_outside"):
-        yield from judged.drives(by_part[part])
+    for part, what in (
+        ("generated", "With a cause hidden"),
+        ("generated_nulls", "As the model file says"),
+        ("generated_outside", "With an effect outside the catalogue"),
+    ):
+        yield from judged.drives(by_part[part], what)
         yield ""
     yield "### In sum"
     yield ""

@@ -37,8 +37,6 @@ from imucald.diagnosis.signals import STEP_S, DriveSignals, drive_of
 from imucald.model.model import VehicleModel
 
 Array = NDArray[np.float64]
-LEAST_SD = 5.0
-"""Below it even a test that knows the shape is in doubt once it is asked of many things."""
 ERROR_RATE, POWER = 0.01, 0.8
 FACTORS = (1.0, 1.5, 2.0, 3.0)
 """Of an effect's own size, tried one after another until it can be seen."""

@@ -151,16 +151,21 @@ def _ratio(line: Line) -> str:
     return f"{line['truth']['ideal']:.1f}, {line['truth']['needed']:.1f}"
 
 
-def drives(lines: Sequence[Line]) -> Iterator[str]:
-    """One row a drive: second_world, and drives that the generator makes."""
-    yield _row("drive", "hidden", "verdict", "named", "look-alikes", "likely", "left over", "right")
-    yield _row(*["---"] * 8)
-    for x in lines:
-        good = is_right(x)
+def drives(lines: Sequence[Line], what: str) -> Iterator[str]:
+    """How many drives are right, and one row for each that is not. what: the drives' name."""
+    missed = [x for x in lines if not is_right(x)]
+    good = len(lines) - len(missed)
+    yield f"{what}: {good} of {len(lines)} right{'; the others:' if missed else '.'}"
+    if not missed:
+        return
+    yield ""
+    yield _row("drive", "hidden", "verdict", "named", "look-alikes", "likely", "left over")
+    yield _row(*["---"] * 7)
+    for x in missed:
         sets = "; ".join(" = ".join(g) for g in x["sets"])
         yield _row(
             x["log"], x["effect"] or "-", x["verdict"], ", ".join(x["said"]) or "-", sets or "-",
-            ", ".join(x["likely"]) or "-", ", ".join(x["left"]) or "-", "yes" if good else "no",
+            ", ".join(x["likely"]) or "-", ", ".join(x["left"]) or "-",
         )  # fmt: skip
 
 

@@ -44,8 +44,6 @@ benchmark has it. css_canmod_164: its speed leads the
 accelerometer by 0.15 s in independent fits (the data's own page). vehsense_2018: by driving alone
 the zero forward is -0.1 deg/s in both quarters before the first long stop and 0 in both after it,
 where stops say 0 as well."""
-TOO_SHORT = ("wrx_sti", "mustang_s550", "neu_circles")
-"""60 to 90 s: half of it is fewer than four stretches, which is refused."""
 STATED = {
     "vehsense_2017_10_23_2245": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
     "quat_orient_21": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],

@@ -224,8 +224,7 @@ def _bars(
     for row in rows:
         judge = judges.get(row.bar)
         if judge is not None:
-            for text in judge(row, by_row[row.name]):
-                yield f"- {row.bar}, {row.name}: {text}."
+            yield f"- {row.bar}, {row.name}: {'; '.join(judge(row, by_row[row.name]))}."
     if rows:
         yield from _bar_all(rows, by_row)
     for name in (SHIFTED, SATURATED):

@@ -8,7 +8,7 @@ logs are made below DIR/logs. Of each: the quantities that `init` finds with sig
 the configuration by hand in `right/`, and the mount by that configuration, of the whole and of both
 halves, beside what is known. With --information also how well least squares alone know the yaw,
 with --diagnose what `diagnose` says of the second half beside the first, and of effects that are
-put in; that is told and not judged.
+put in; that is shown and not judged.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""Converters of recordings that are ROS bags: topics to messages."""
+"""Converters of recordings made with ROS: topics of bags, or their columns, to messages."""
 
 from __future__ import annotations
 
+import csv
+import io
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.public_logs.frames import Array, Message, Signal, triad
-from benchmarks.public_logs.repositories import ODOMETRY_FUSION, ROBOT_LOCALIZATION, Repository
+from benchmarks.public_logs.repositories import (
+    NORTHEASTERN,
+    ODOMETRY_FUSION,
+    ROBOT_LOCALIZATION,
+    Repository,
+)
 from imucald.api.interchange import library
 
 
@@ -42,6 +49,41 @@ def kitti_0042(data: Path) -> list[Message]:
         *_imu(imu, _stamps(imu)),
         Message(0x60, "OXTS_VEL", _stamps(velocity), (Signal("vf", "m/s", 0.002, forward),)),
         Message(0x61, "OXTS_POSE", _stamps(imu), (Signal("yaw", "rad", 0.0002, yaw),)),
+    ]  # fmt: skip
+
+
+MOVED = 1.5
+"""Metres between two fixes a second apart from which on they have a course."""
+
+
+def boston_town(data: Path) -> list[Message]:
+    """Car in a city, 11 min: IMU 40 Hz; speed and course of the GPS positions, 1 Hz."""
+    folder = "lab5/data/first_test"
+    imu, fixes = (
+        list(csv.DictReader(io.StringIO(NORTHEASTERN.file(data, f"{folder}/{name}").decode())))
+        for name in ("town_imu.csv", "town_gps.csv")
+    )
+
+    def columns(rows: list[dict[str, str]], *names: str) -> Array:
+        return np.array([[float(row[name]) for name in names] for row in rows])
+
+    t = columns(imu, "stamp")[:, 0]
+    t_fix = columns(fixes, "stamp")[:, 0]
+    steps = np.diff(columns(fixes, "utm_easting", "utm_northing"), axis=0)
+    way = np.hypot(steps[:, 0], steps[:, 1])
+    course = np.degrees(np.arctan2(steps[:, 0], steps[:, 1])) % 360.0
+    has_course = way > MOVED
+    return [
+        triad(0x50, "VN_ACCEL", "accel_", "m/s^2", 0.001, t,
+              columns(imu, "accel_x", "accel_y", "accel_z"), "xyz"),
+        triad(0x51, "VN_GYRO", "gyro_", "rad/s", 0.0001, t,
+              columns(imu, "gyro_x", "gyro_y", "gyro_z"), "xyz"),
+        Message(0x60, "GPS_SPEED", t_fix[1:], (
+            Signal("speed", "m/s", 0.01, way / np.diff(t_fix), False),
+        )),
+        Message(0x61, "GPS_COURSE", t_fix[1:][has_course], (
+            Signal("course", "deg", 0.01, course[has_course], False),
+        )),
     ]  # fmt: skip
 
 

@@ -1,11 +1,11 @@
 """How well a log by itself knows the direction of forward, without the estimator.
 
 The level force is fitted by least squares on dv/dt, v r and a constant, at the delay of the speed
-that leaves least over, all smoothed alike; the direction in which it answers to dv/dt is forward.
-Its deviation is that of the spread of the scores over pieces of 25 s (sandwich; White,
-Econometrica 48, 1980). Gravity is the mean force: slopes stay in what is left over, and nothing is
-known of the sensor's own errors. So an estimator may know somewhat more by its gyroscope, and must
-state more.
+that leaves least over, all smoothed the same; the direction in which it answers to dv/dt is
+forward. Its deviation is that of the spread of the scores over pieces of 25 s (sandwich;
+White, Econometrica 48, 1980). Gravity is the mean force: slopes stay in what is left over, and
+nothing is known of the sensor's own errors. So an estimator may know somewhat more by its
+gyroscope, and must state more.
 """
 
 from __future__ import annotations

@@ -7,7 +7,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from benchmarks.public_logs import bags, bus_recordings, phones, repositories, vehicles
+from benchmarks.public_logs import (
+    bags,
+    bus_recordings,
+    phones,
+    race_cars,
+    repositories,
+    vehicles,
+)
 from benchmarks.public_logs.frames import BusRecording, Message
 from benchmarks.public_logs.repositories import Repository
 
@@ -72,4 +79,19 @@ LOGS = (
               right="pittsburgh"),
     PublicLog("pittsburgh_2", repositories.POTHOLES,
               partial(phones.pittsburgh, trips=(2, 3, 4, 5)), right="pittsburgh"),
+    # from here on: the fourth search
+    # by its gravity, its turns and its braking
+    PublicLog("boston_town", repositories.NORTHEASTERN, bags.boston_town, (178.4, -0.9, 8.0), 2.0),
+    PublicLog("taupo_box", repositories.RACECHRONO,
+              partial(race_cars.taupo_lap, sensors=race_cars.BOX), (-0.3, -4.2, 2.8), 2.0,
+              right="taupo_lap"),
+    PublicLog("taupo_phone", repositories.RACECHRONO,
+              partial(race_cars.taupo_lap, sensors=race_cars.PHONE), (3.6, 73.7, -168.3), 3.0,
+              right="taupo_lap"),
+    # the vehicle's own axes: forward and left
+    PublicLog("targa_250lm", repositories.REVS, race_cars.targa_250lm, (None, None, 0.0), 1.0),
+    # turned about by hand: no mount to be known
+    PublicLog("pune_phone", repositories.PUNE, phones.pune_phone),
+    # it leans
+    PublicLog("dresden_motorbike", repositories.BALZER, phones.dresden_motorbike),
 )  # fmt: skip

@@ -13,11 +13,13 @@ import numpy as np
 
 from benchmarks.public_logs.frames import Array, Message, Signal, triad
 from benchmarks.public_logs.repositories import (
+    BALZER,
     BRODOVSKY,
     CLOUDPOSE,
     ESCOOTER,
     INGENIEUR,
     POTHOLES,
+    PUNE,
     ROAD_SURFACE,
     SANTOLLAN,
     VEHSENSE,
@@ -224,6 +226,56 @@ def pittsburgh(data: Path, trips: tuple[int, ...]) -> list[Message]:
         triad(0x42, "GYRO", "gyro", "rad/s", 0.0002, t, rows[:, 7:10], "XYZ"),
         Message(0x43, "GPS", t[is_new], (Signal("speed", "m/s", 0.01, rows[is_new, 3], False),)),
     ]
+
+
+def pune_phone(data: Path) -> list[Message]:
+    """Phone, 4.5 min of a city, turned about on the way: accelerometer and gyroscope 100 Hz."""
+    messages = []
+    for id_, name, path, unit, step in (
+        (0x51, "Acc", "TotalAcceleration.csv", "m/s^2", 0.002),
+        (0x52, "Gyr", "Gyroscope.csv", "rad/s", 0.0005),
+    ):
+        rows = _rows(PUNE.file(data, path))
+        t, values = _column(rows, "time") * 1e-9, _columns(rows, *"xyz")
+        messages.append(triad(id_, name, name, unit, step, t, values, "_x _y _z"))
+    rows = _rows(PUNE.file(data, "Location.csv"))
+    messages.append(
+        Message(0x53, "Loc", _column(rows, "time") * 1e-9, (
+            Signal("speed", "m/s", 0.01, _column(rows, "speed"), False),
+            Signal("bearing", "deg", 0.01, _column(rows, "bearing"), False),
+        ))
+    )  # fmt: skip
+    return messages
+
+
+def dresden_motorbike(data: Path) -> list[Message]:
+    """Motorbike, 1.8 min: an iPhone at 50 Hz, in g and with the sign of iOS; GPS 1 Hz."""
+    rows = _rows(BALZER.file(data, "2016-08-09-Motorbike.csv"))
+    messages = []
+    for id_, name, stem, unit, step in (
+        (0x61, "accelerometer", "accelerometerAcceleration", "g", 0.0005),
+        (0x62, "gyro", "gyroRotation", "rad/s", 0.0005),
+    ):
+        full = [row for row in rows if row[f"{stem}X"]]
+        t = _column(full, f"{name}Timestamp_sinceReboot")
+        logged = np.array([_clock(row["loggingTime"]) for row in full])
+        is_new = np.concatenate([[True], np.diff(t) > 0.0])
+        values = _columns(full, *(f"{stem}{axis}" for axis in "XYZ"))
+        messages.append(triad(id_, name, stem, unit, step, (t + np.min(logged - t))[is_new],
+                              values[is_new]))  # fmt: skip
+    fixes = [row for row in rows if row["locationSpeed"] and float(row["locationSpeed"]) >= 0.0]
+    own = _column(fixes, "locationTimestamp_since1970")
+    is_new = np.concatenate([[True], np.diff(own) > 0.0])
+    t = np.array([_clock(row["loggingTime"]) for row in fixes])[is_new]
+    speed, course = (_column(fixes, f"location{name}")[is_new] for name in ("Speed", "Course"))
+    has_course = course >= 0.0
+    return [
+        *messages,
+        Message(0x63, "speed", t, (Signal("locationSpeed", "m/s", 0.01, speed, False),)),
+        Message(0x64, "course", t[has_course], (
+            Signal("locationCourse", "deg", 0.01, course[has_course], False),
+        )),
+    ]  # fmt: skip
 
 
 def _chunks(data: Path, folder: str, stem: str) -> list[dict[str, str]]:

@@ -111,3 +111,15 @@ TORONTO_OBD = Repository(
 POTHOLES = Repository(
     "jishnu1711", "HiveDrive", "e6dc0347c0a5d9fb78be07793cc1acdfae55acf7", "none stated"
 )
+REVS = Repository(
+    "MBDS", "sideslip-angle-vehicle-estimation", "0446c7659152c4064ea6f520369d3c5b56d222df", "MIT"
+)
+RACECHRONO = Repository(
+    "jLynx", "RaceChrono-to-CSV", "42aab24de857d68e75f28771b292ce52cb4c7ddd", "none stated"
+)
+NORTHEASTERN = Repository(
+    "freecode23", "EECE5554", "835c89825711bad1db89a5e8e0f153dfafdf8ab7", "none stated"
+)
+PUNE = Repository(
+    "AnuragKamblekar", "Interncodes", "c3169c1d55a4438260ab76399c4fc8184a1bd8b6", "none stated"
+)

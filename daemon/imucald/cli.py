@@ -41,7 +41,7 @@ SIGNALS = (
     (signal.SIGTERM, signal.SIG_DFL, terminate),
     (signal.SIGHUP, signal.SIG_DFL, terminate),
 )
-"""What a signal does where nobody has said otherwise, and what it does here."""
+"""What a signal does by default, and what it does here."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """What writing gives where a disk is full or broken."""
 

@@ -189,10 +189,10 @@ def test_several_logs_are_a_row_each_and_a_bad_one_stops_no_other(tmp_path, caps
     status = cli.main(
         ["replay", "--config", str(CONFIG), str(folder), "--json", str(result), "--write", str(out)]
     )
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     assert status == 1
-    assert "c.log: holds no CAN frame" in told.err
-    assert "b.log is the same recording as" in told.out
+    assert "c.log: holds no CAN frame" in output.err
+    assert "b.log is the same recording as" in output.out
     found = json.loads(result.read_text())
     assert [Path(one["log"]).name for one in found["drives"]] == ["a.log", "b.log"]
     for one in found["drives"]:

@@ -51,7 +51,7 @@ def test_corrected_samples_are_those_of_the_frames_that_are_written(tmp_path):
         assert np.array_equal(np.isnan(table.arrays[2]), table["quality"] == 0)
 
 
-def test_raw_samples_are_what_the_sensor_said():
+def test_raw_samples_are_what_the_sensor_sent():
     truth, raw = simulated(), drive().tables["raw/speed"]
     assert raw["raw_speed_mps"].max() == pytest.approx(truth.samples["speed"].values.max(), abs=0.1)
     accel = drive().tables["raw/accel"]
@@ -122,11 +122,11 @@ def test_an_open_file_gives_the_same_as_its_name():
         imucald.replay(config(), file)
 
 
-def test_progress_is_told_to_the_end():
-    told = []
-    imucald.replay(config(), log(), signals=False, progress=lambda *step: told.append(step))
-    assert told[-1] == (log().stat().st_size, log().stat().st_size)
-    assert [done for done, _ in told] == sorted(done for done, _ in told)
+def test_progress_is_reported_to_the_end():
+    steps = []
+    imucald.replay(config(), log(), signals=False, progress=lambda *step: steps.append(step))
+    assert steps[-1] == (log().stat().st_size, log().stat().st_size)
+    assert [done for done, _ in steps] == sorted(done for done, _ in steps)
 
 
 def test_bad_lines_are_counted_or_raise(tmp_path):

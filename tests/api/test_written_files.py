@@ -85,9 +85,9 @@ def test_duckdb_reads_parquet_with_units(folder):
     (text,) = one_row(
         f"select decode(value) from parquet_kv_metadata('{file}') where decode(key) = 'imucald'"
     )
-    told = json.loads(text)
-    assert told["units"]["accel_z_mps2"] == "m/s^2"
-    assert told["drive"]["result"] == drive().to_dict()
+    content = json.loads(text)
+    assert content["units"]["accel_z_mps2"] == "m/s^2"
+    assert content["drive"]["result"] == drive().to_dict()
 
 
 def test_arrow_has_the_unit_at_the_field(folder):
@@ -166,7 +166,7 @@ def test_one_table_is_just_that_file(tmp_path):
     assert list(imucald.open_result(file).tables) == ["gyro"]
 
 
-def test_all_but_raw_is_written_where_nothing_else_is_said(tmp_path):
+def test_all_but_raw_is_written_where_nothing_else_is_stated(tmp_path):
     drive().write(tmp_path / "a.parquet")
     names = {p.name for p in tmp_path.iterdir()}
     assert names == {f"a.{n}.parquet" for n in ("accel", "gyro", "history", "events")}
@@ -187,13 +187,13 @@ def test_a_failure_leaves_nothing_and_what_was_there_stays(tmp_path, ending):
 
 
 @pytest.mark.parametrize("name", ["a.xlsx", "nowhere/a.parquet", "nowhere/a.mcap"])
-def test_a_file_that_cannot_be_written_is_told(tmp_path, name):
+def test_a_file_that_cannot_be_written_is_reported(tmp_path, name):
     with pytest.raises(imucald.ImucaldError, match=r"a\."):
         drive().write(tmp_path / name)
 
 
 @pytest.mark.parametrize("ending", FORMATS)
-def test_a_file_that_is_not_ours_is_told_with_its_name(tmp_path, ending, folder):
+def test_a_file_that_is_not_ours_is_reported_with_its_name(tmp_path, ending, folder):
     path = tmp_path / f"other.{ending}"
     with pytest.raises(imucald.ImucaldError, match=f"other.{ending}"):
         imucald.open_result(path)
@@ -219,7 +219,7 @@ def test_a_file_that_is_not_ours_is_told_with_its_name(tmp_path, ending, folder)
     ("mcap", "mcap", lambda d, p: d.write(p / "a.mcap")),
     ("matplotlib", "report", lambda d, _: d.plot.mount()),
 ])  # fmt: skip
-def test_a_missing_library_is_told_with_the_extra_that_brings_it(
+def test_a_missing_library_is_reported_with_the_extra_that_brings_it(
     monkeypatch, tmp_path, library, extra, use
 ):
     _hide(monkeypatch, library)

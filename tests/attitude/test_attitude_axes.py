@@ -30,11 +30,6 @@ SMALL = st.floats(-1.5, 1.5)
 VECTOR = st.tuples(SMALL, SMALL, SMALL)
 
 
-def scipy_of(q):
-    w, x, y, z = q
-    return Rotation.from_quat([x, y, z, w])
-
-
 @given(VECTOR)
 def test_the_exponential_is_scipys(v):
     expected = Rotation.from_rotvec(v).as_matrix().ravel()

@@ -378,7 +378,7 @@ def written(path, frames):
     return path
 
 
-def test_walk_tells_every_step(tmp_path, bus, capsys):
+def test_walk_reports_every_step(tmp_path, bus, capsys):
     w = walk(CARRYINGS[0], 1.3, seconds=20.0, seed=8)
     loaded = load(PHONE, tmp_path, DBC)
     loaded.path.write_text(PHONE)

@@ -83,7 +83,7 @@ def test_noise_is_that_of_the_interval():
     assert (pitch[2], roll[2]) == pytest.approx(((0.1 / G) ** 2, (0.2 / G) ** 2))
 
 
-def test_falling_tells_nothing():
+def test_falling_shows_nothing():
     C = rows(0.0, 0.0, 0.0)
     assert tilt(interval(), (0.1, 0.0, 0.2), C, (0.0, 0.0, 0.0), 0.0) == []
 

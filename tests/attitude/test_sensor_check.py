@@ -24,7 +24,7 @@ def test_errors_at_rest_as_the_text_has_them():
     )
 
 
-def test_off_the_level_only_the_size_tells():
+def test_off_the_level_only_the_size_shows():
     up = Rotation.from_euler("xy", [0.2, -0.1]).apply([0.0, 0.0, G + 0.1])
     _, error = rest_errors((0.0, 0.0, 0.0), tuple(up), False)
     assert np.subtract(up, error) == pytest.approx(up * G / (G + 0.1))

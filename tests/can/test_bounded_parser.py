@@ -50,17 +50,17 @@ def probed(path: Path, memory: int) -> tuple[str, int, int]:
     """What loading says, and the peak of this process and of the parser's [MiB]."""
     command = [sys.executable, "-c", PROBE, str(path), str(memory)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    said, own, parsers = done.stdout.splitlines()
-    return said, int(own), int(parsers)
+    outcome, own, parsers = done.stdout.splitlines()
+    return outcome, int(own), int(parsers)
 
 
 @pytest.mark.parametrize("megabytes", [5, pytest.param(20, marks=pytest.mark.slow)])
 def test_megabytes_of_comment_are_refused_within_what_the_unit_allows(megabytes, tmp_path):
     path = tmp_path / "talk.dbc"
     path.write_text(HEAD + COMMENT.format("word " * (megabytes * 200_000)))
-    said, own, parsers = probed(path, UNIT_MEMORY)
-    assert said.startswith("refused")
-    assert "307 MiB of memory" in said
+    outcome, own, parsers = probed(path, UNIT_MEMORY)
+    assert outcome.startswith("refused")
+    assert "307 MiB of memory" in outcome
     assert own < 150
     assert own + parsers < UNIT_MEMORY / 2**20
 
@@ -70,8 +70,8 @@ def test_a_vehicles_whole_database_is_read_within_what_the_unit_allows(tmp_path)
     path = tmp_path / "car.dbc"
     path.write_text(ordinary(5000))
     assert path.stat().st_size > 3_500_000
-    said, own, parsers = probed(path, UNIT_MEMORY)
-    assert said == "read 5000"
+    outcome, own, parsers = probed(path, UNIT_MEMORY)
+    assert outcome == "read 5000"
     assert own + parsers < UNIT_MEMORY / 2**20
 
 

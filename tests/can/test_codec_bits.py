@@ -31,7 +31,7 @@ def drawn(start: int, length: int, is_big: bool) -> list[int]:
 
 
 @pytest.mark.parametrize("is_big", [False, True])
-def test_every_position_and_length_is_read_and_written_alike(is_big: bool) -> None:
+def test_every_position_and_length_is_read_and_written_the_same(is_big: bool) -> None:
     rng = np.random.default_rng(4)
     order = "big_endian" if is_big else "little_endian"
     for start in range(8 * SIZE):

@@ -149,7 +149,7 @@ def test_a_second_run_does_not_load_the_parser(tmp_path):
         "print(any(name.startswith(('cantools', 'textparser')) for name in sys.modules))\n"
     )
     environment = {**os.environ, "CACHE_DIRECTORY": str(tmp_path / "cache")}
-    said = [
+    outputs = [
         subprocess.run(
             [sys.executable, "-c", code],
             env=environment,
@@ -159,4 +159,4 @@ def test_a_second_run_does_not_load_the_parser(tmp_path):
         ).stdout.split()[-1]
         for _ in range(2)
     ]
-    assert said == ["True", "False"]
+    assert outputs == ["True", "False"]

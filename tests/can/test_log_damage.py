@@ -259,7 +259,7 @@ def test_a_cut_compressed_file_gives_no_cut_line_as_a_frame(tmp_path: Path) -> N
         assert reader.rejected == {"damaged_file": 1}
 
 
-def test_damage_inside_a_compressed_file_is_told(tmp_path: Path) -> None:
+def test_damage_inside_a_compressed_file_is_reported(tmp_path: Path) -> None:
     stored = bytearray(gzip.compress(big_log(60_000), 1))
     stored[len(stored) // 2] ^= 0x55
     (tmp_path / "a.log.gz").write_bytes(stored)

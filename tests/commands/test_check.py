@@ -1,7 +1,8 @@
-"""`imucald check` tells what is decoded, and notices planted mistakes in units, signs and axes."""
+"""`imucald check` shows what is decoded, and notices planted mistakes in units, signs and axes."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import threading
@@ -47,7 +48,7 @@ def checked(frames: Frames, change: Callable[[str], str] = str) -> dict[str, Any
     return check.report()
 
 
-def told(report: dict[str, Any], *levels: str) -> dict[str, str]:
+def findings(report: dict[str, Any], *levels: str) -> dict[str, str]:
     """Findings by quantity, those of a level joined."""
     found: dict[str, str] = {}
     for row in report["findings"]:
@@ -67,8 +68,8 @@ def replacing(old: str, new: str) -> Callable[[str], str]:
 def test_a_right_configuration_gives_no_warning(frames: Frames) -> None:
     report = checked(frames)
     assert report["usable"]
-    assert told(report, "error", "warning") == {}
-    good = told(report, "ok")
+    assert findings(report, "error", "warning") == {}
+    good = findings(report, "ok")
     assert "at rest" in good["accelerometer"]
     assert "right-handed" in good["accelerometer"]
     assert "yaw_rate" in good["gyroscope"]
@@ -137,7 +138,7 @@ def test_a_planted_mistake_is_named_and_nothing_else(frames: Frames, mistake: st
     planted = SIGNAL.format(signal, change)
     old = "{signal: TCU_Gear.GearPosition, equals: 1}" if quantity == "reverse" else signal
     report = checked(frames, replacing(f": {old}", f": {planted}"))
-    found = told(report, "error", "warning")
+    found = findings(report, "error", "warning")
     # of two triads that disagree, which one is wrong cannot always be told
     assert set(found) - {"gyroscope"} == {quantity} - {"gyroscope"}
     assert words in found[quantity]
@@ -154,8 +155,21 @@ def test_a_wrong_unit_of_the_accelerometer_is_an_error(frames: Frames) -> None:
 
     report = checked(frames, change)
     assert not report["usable"]
-    assert "g against m/s²" in told(report, "error")["accelerometer"]
-    assert told(report, "warning") == {}
+    assert "g against m/s²" in findings(report, "error")["accelerometer"]
+    assert findings(report, "warning") == {}
+
+
+def test_an_accelerometer_without_gravity_is_named_and_not_taken_for_a_unit() -> None:
+    drive = simulate(random_model(6, standing_first=True), 6, MINUTES)
+    accel = drive.samples["accel"]
+    force = accel.values - accel.values.mean(axis=0)
+    samples = {**drive.samples, "accel": replace(accel, values=force)}
+    linear = dataclasses.replace(drive, samples=samples)
+    report = checked(list(bus_frames(linear, BusEncoder(example_config()))))
+    assert not report["usable"]
+    text = findings(report, "error")["accelerometer"]
+    assert "gravity is taken out" in text
+    assert "unit" not in text
 
 
 def seldom(frames: Frames, can_id: int, cycle: float) -> Frames:
@@ -174,17 +188,17 @@ def test_a_wrong_unit_that_is_set_is_named_and_not_asked_for(frames: Frames) -> 
     speed = "  speed: ESC_Speed.VehicleSpeed"
     stated = "  speed: {signal: ESC_Speed.VehicleSpeed, unit: m/s}"
     report = checked(frames, replacing(speed, stated))
-    text = told(report, "error")["speed"]
+    text = findings(report, "error")["speed"]
     assert "as km/h against m/s would be" in text
     assert "'unit: m/s' is set: remove it (the database has km/h) or correct it" in text
     assert "set 'unit:'" not in text
-    assert "speed" not in told(report, "ok"), "as sent it is not that of the wheels"
+    assert "speed" not in findings(report, "ok"), "as sent it is not that of the wheels"
 
 
 def test_an_accelerometer_that_comes_too_seldom_is_an_error(frames: Frames) -> None:
     report = checked(seldom(frames, 0x200, 1.0))
     assert not report["usable"]
-    assert "every 1 s" in told(report, "error")["accelerometer"]
+    assert "every 1 s" in findings(report, "error")["accelerometer"]
 
 
 @pytest.mark.parametrize("late", [2.0, 3.0])
@@ -194,7 +208,7 @@ def test_a_speed_too_late_for_the_calibration_is_named(frames: Frames, late: flo
         t = chunk.t + np.where(chunk.can_id == 0x1A0, late, 0.0)
         order = np.argsort(t, kind="stable")
         shifted.append(replace(chunk.take(order), t=t[order]))
-    warned = told(checked(shifted), "warning")
+    warned = findings(checked(shifted), "warning")
     assert "s behind the accelerometer; up to 1.2 s are allowed for" in warned["speed"]
 
 
@@ -202,8 +216,8 @@ def test_frames_that_all_come_twice_leave_no_accelerometer(frames: Frames) -> No
     twice = [chunk.take(np.repeat(np.arange(len(chunk)), 2)) for chunk in frames]
     report = checked(twice)
     assert not report["usable"]
-    assert "nearly all of it is rejected" in told(report, "error")["accelerometer"]
-    assert "counter_repeated" in told(report, "error")["accelerometer"]
+    assert "nearly all of it is rejected" in findings(report, "error")["accelerometer"]
+    assert "counter_repeated" in findings(report, "error")["accelerometer"]
 
 
 def test_half_of_the_frames_doubled_is_an_error_where_most_are_rejected(frames: Frames) -> None:
@@ -216,7 +230,7 @@ def test_half_of_the_frames_doubled_is_an_error_where_most_are_rejected(frames: 
     row = next(m for m in report["messages"] if m["name"] == "IMU_Accel")
     assert sum(row["rejected"].values()) > 0.8 * row["frames"], "what is planted"
     assert not report["usable"]
-    assert "most of its frames are rejected" in told(report, "error")["accelerometer"]
+    assert "most of its frames are rejected" in findings(report, "error")["accelerometer"]
 
 
 def test_a_few_frames_that_come_twice_are_no_error(frames: Frames) -> None:
@@ -232,14 +246,14 @@ def test_a_few_frames_that_come_twice_are_no_error(frames: Frames) -> None:
 def test_a_log_in_which_no_time_passes_is_an_error(frames: Frames) -> None:
     report = checked([replace(chunk, t=np.zeros(len(chunk))) for chunk in frames])
     assert not report["usable"]
-    assert "no time passes" in told(report, "error")["log"]
+    assert "no time passes" in findings(report, "error")["log"]
 
 
 def test_exchanged_wheels_are_noticed(frames: Frames) -> None:
     def change(text: str) -> str:
         return text.replace("Left\n", "@\n").replace("Right\n", "Left\n").replace("@\n", "Right\n")
 
-    found = told(checked(frames, change), "error", "warning")
+    found = findings(checked(frames, change), "error", "warning")
     assert list(found) == ["wheel_speeds"]
     assert "exchanged" in found["wheel_speeds"]
 
@@ -247,13 +261,13 @@ def test_exchanged_wheels_are_noticed(frames: Frames) -> None:
 def test_wrong_checksum_settings_leave_nothing_and_say_why(frames: Frames) -> None:
     report = checked(frames, replacing("id_bytes: 2", "id_bytes: 4"))
     assert not report["usable"]
-    errors, warnings = told(report, "error"), told(report, "warning")
+    errors, warnings = findings(report, "error"), findings(report, "warning")
     assert "no sample" in errors["accelerometer"]
     assert "id_bytes" in warnings["accelerometer"]
     assert report["frames"]["rejected"]["checksum"] > 0
 
 
-def test_what_is_missing_is_told_with_its_cost(frames: Frames) -> None:
+def test_what_is_missing_is_reported_with_its_cost(frames: Frames) -> None:
     keep = ("accelerometer", "x:", "y:", "z:")
 
     def change(text: str) -> str:
@@ -264,10 +278,10 @@ def test_what_is_missing_is_told_with_its_cost(frames: Frames) -> None:
 
     report = checked(frames, change)
     assert report["usable"]
-    assert "first motion" in told(report, "warning")["speed"]
-    assert "no drive makes the mount usable" in told(report, "warning")["gyroscope"]
+    assert "first motion" in findings(report, "warning")["speed"]
+    assert "no drive makes the mount usable" in findings(report, "warning")["gyroscope"]
     published = checked(frames, lambda text: change(text) + "calibration: {estimator: published}\n")
-    assert "steady angles" in told(published, "note")["gyroscope"]
+    assert "steady angles" in findings(published, "note")["gyroscope"]
 
 
 @pytest.mark.parametrize(
@@ -284,17 +298,17 @@ def test_a_signal_that_shows_turns_stands_in_for_the_gyroscope(frames: Frames, t
         return head + "signals:\n" + "\n".join(kept) + "\n"
 
     report = checked(frames, change)
-    assert "gyroscope" not in told(report, "warning")
-    assert "turns are taken from" in told(report, "note")["gyroscope"]
+    assert "gyroscope" not in findings(report, "warning")
+    assert "turns are taken from" in findings(report, "note")["gyroscope"]
 
 
-def test_a_message_that_does_not_come_is_told(frames: Frames) -> None:
+def test_a_message_that_does_not_come_is_reported(frames: Frames) -> None:
     without = [chunk.take(chunk.can_id != 0x1A0) for chunk in frames]
     report = checked(without)
-    assert "no frame of ESC_Speed (0x1A0) came" in told(report, "warning")["speed"]
+    assert "no frame of ESC_Speed (0x1A0) came" in findings(report, "warning")["speed"]
 
 
-def test_other_ids_and_taken_output_ids_are_told(frames: Frames) -> None:
+def test_other_ids_and_taken_output_ids_are_reported(frames: Frames) -> None:
     first = frames[0]
     foreign = first.take(slice(0, 50))
     foreign = FrameColumns(
@@ -306,7 +320,7 @@ def test_other_ids_and_taken_output_ids_are_told(frames: Frames) -> None:
         foreign.channels,
     )
     report = checked([foreign, *frames])
-    assert "0x640" in told(report, "warning")["output.ids"]
+    assert "0x640" in findings(report, "warning")["output.ids"]
     assert report["output"][0] == {"frame": "acceleration", "id": "0x640", "seen": 20}
     assert (report["frames"]["other_ids"], report["frames"]["other_frames"]) == (2, 50)
 
@@ -330,10 +344,10 @@ def test_every_frame_that_the_daemon_sends_is_listed(frames: Frames, switches: s
     assert {int(row["id"], 16) for row in check.report()["output"]} == sent
 
 
-def test_a_channel_mix_up_is_told(frames: Frames) -> None:
+def test_a_channel_mix_up_is_reported(frames: Frames) -> None:
     change = replacing("ESC_Brake.BrakePressed", "{signal: ESC_Brake.BrakePressed, channel: can7}")
     report = checked(frames[:1], change)
-    assert "comes on can0, the configuration says can7" in told(report, "warning")["brake"]
+    assert "comes on can0, the configuration says can7" in findings(report, "warning")["brake"]
 
 
 def test_an_empty_log_is_not_usable() -> None:
@@ -550,21 +564,21 @@ def test_a_stated_axis_is_held_against_gravity_and_the_change_of_speed(frames: F
     up, forward = pointing(2), pointing(0)
     right = stating(up=up["there"], forward=forward["there"])
     assert right["usable"]
-    assert "points forward, as 'orientation' says" in told(right, "ok")["accelerometer"]
-    back = told(stating(up=up["there"], forward=forward["away"]), "error")["accelerometer"]
+    assert "points forward, as 'orientation' says" in findings(right, "ok")["accelerometer"]
+    back = findings(stating(up=up["there"], forward=forward["away"]), "error")["accelerometer"]
     assert f"its {forward['away']} points back" in back
     assert "sign: -1" not in back
-    mirrored = told(stating(up=up["away"], forward=forward["away"]), "error")["accelerometer"]
+    mirrored = findings(stating(up=up["away"], forward=forward["away"]), "error")["accelerometer"]
     assert "'sign: -1' on all axes" in mirrored
     assert "points back" not in mirrored
 
 
 def test_what_could_not_be_judged_is_listed(frames: Frames) -> None:
-    (text,) = (t for t in told_all(checked(frames), "note") if "unit and range" in t)
+    (text,) = (t for t in texts_of(checked(frames), "note") if "unit and range" in t)
     assert "temperature" in text
 
 
-def told_all(report: dict[str, Any], level: str) -> list[str]:
+def texts_of(report: dict[str, Any], level: str) -> list[str]:
     """Texts of all findings of a level."""
     return [f["text"] for f in report["findings"] if f["level"] == level]
 
@@ -586,8 +600,8 @@ def real(name: str) -> dict[str, Any]:
 def test_css_drive_is_right_handed_and_in_the_right_units() -> None:
     report = real("css_canmod_164")
     assert report["usable"]
-    assert told(report, "error", "warning") == {}
-    assert "right-handed" in told(report, "ok")["accelerometer"]
+    assert findings(report, "error", "warning") == {}
+    assert "right-handed" in findings(report, "ok")["accelerometer"]
     rows = {(row["quantity"], row["preference"]): row for row in report["quantities"]}
     assert rows["speed", 0]["in_unit"]["max"] == 88.0
     assert rows["speed", 1]["samples"] > 2000
@@ -596,13 +610,13 @@ def test_css_drive_is_right_handed_and_in_the_right_units() -> None:
 
 def test_wrx_drive_has_the_signs_that_its_configuration_states() -> None:
     report = real("wrx_sti")
-    assert told(report, "error", "warning") == {}
-    assert "wheel_speeds" in told(report, "ok")["yaw_rate"]
+    assert findings(report, "error", "warning") == {}
+    assert "wheel_speeds" in findings(report, "ok")["yaw_rate"]
     rows = {row["quantity"]: row for row in report["quantities"]}
     assert rows["steering_wheel_angle"]["in_si"]["max"] == pytest.approx(math.radians(457.3), 1e-3)
 
 
-def test_a_sensor_that_sticks_within_the_log_is_told(frames: Frames) -> None:
+def test_a_sensor_that_sticks_within_the_log_is_reported(frames: Frames) -> None:
     unprotected = EXAMPLE.read_text().partition("  IMU_Accel:\n")[0]
     check = Check(parse_config(unprotected + "  ESC_Speed: {}\n", EXAMPLE))
     for chunk in frames:
@@ -610,5 +624,5 @@ def test_a_sensor_that_sticks_within_the_log_is_told(frames: Frames) -> None:
         data = chunk.data.copy()
         data[late, 2:4] = 7  # the y axis
         check.feed(replace(chunk, data=data))
-    text = told(check.report(), "warning")["accelerometer"]
+    text = findings(check.report(), "warning")["accelerometer"]
     assert "y repeats one value (stuck, from 15" in text

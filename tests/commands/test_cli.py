@@ -1,4 +1,4 @@
-"""The command line: helps that read well, and damaged configurations told by their line."""
+"""The command line: helps that read well, and damaged configurations reported by their line."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("old", "new", "line", "key", "remedy"), MISTAKES)
-def test_a_mistake_is_told_by_file_line_key_and_remedy(
+def test_a_mistake_is_reported_by_file_line_key_and_remedy(
     old: str, new: str, line: int, key: str, remedy: str
 ) -> None:
     assert old in BASE
@@ -270,7 +270,7 @@ def test_a_mistake_is_told_by_file_line_key_and_remedy(
     assert remedy in text
 
 
-def test_several_mistakes_are_told_at_once() -> None:
+def test_several_mistakes_are_reported_at_once() -> None:
     text = BASE.replace("right", "up").replace("1.0", "x")
     with pytest.raises(ConfigError) as raised:
         parse_config(text, Path("car.yaml"))

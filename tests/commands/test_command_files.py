@@ -45,12 +45,12 @@ def log(simulated: bytes, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def told(capsys: pytest.CaptureFixture[str]):
-    def told(*arguments: object) -> tuple[int, str]:
+def run_main(capsys: pytest.CaptureFixture[str]):
+    def run_main(*arguments: object) -> tuple[int, str]:
         status = cli.main([str(a) for a in arguments])
         return status, capsys.readouterr().err
 
-    return told
+    return run_main
 
 
 def replay(log: object, *more: object) -> tuple[object, ...]:
@@ -59,103 +59,105 @@ def replay(log: object, *more: object) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("option", ["--out", "--json"])
 @pytest.mark.parametrize("target", ["nowhere/x", "."])
-def test_a_file_that_cannot_be_written_is_told_before_the_work(told, log, tmp_path, option, target):
-    status, text = told(*replay(log, option, tmp_path / target))
+def test_a_file_that_cannot_be_written_is_reported_before_the_work(
+    run_main, log, tmp_path, option, target
+):
+    status, text = run_main(*replay(log, option, tmp_path / target))
     assert status == 1
     assert text.count("\n") == 1
     assert "cannot be written" in text
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
-def test_a_full_disk_is_one_line(told, log):
-    status, text = told(*replay(log, "--json", "/dev/full"))
+def test_a_full_disk_is_one_line(run_main, log):
+    status, text = run_main(*replay(log, "--json", "/dev/full"))
     assert status == 1
     assert text == "imucald: /dev/full: cannot be written: No space left on device\n"
 
 
 @pytest.mark.parametrize("option", ["--out", "--json"])
-def test_the_log_itself_is_never_overwritten(told, log, simulated, tmp_path, option):
+def test_the_log_itself_is_never_overwritten(run_main, log, simulated, tmp_path, option):
     link = tmp_path / "same.log"
     link.hardlink_to(log)
     for name in (log, tmp_path / "." / log.name, link):
-        status, text = told(*replay(log, option, name))
+        status, text = run_main(*replay(log, option, name))
         assert status == 1
         assert "would overwrite" in text
         assert log.read_bytes() == simulated
 
 
-def test_nor_one_output_by_the_other(told, log, tmp_path):
+def test_nor_one_output_by_the_other(run_main, log, tmp_path):
     same = tmp_path / "same"
-    assert told(*replay(log, "--out", same, "--json", same))[0] == 1
-    assert told(*replay(log, "--out", "-", "--json", "-"))[0] == 1
+    assert run_main(*replay(log, "--out", same, "--json", same))[0] == 1
+    assert run_main(*replay(log, "--out", "-", "--json", "-"))[0] == 1
     assert not same.exists()
 
 
-def test_a_second_log_that_is_missing_is_told_before_the_first_is_read(told, log, tmp_path):
+def test_a_second_log_that_is_missing_is_reported_before_the_first_is_read(run_main, log, tmp_path):
     out = tmp_path / "out.log"
-    status, text = told(*replay(log, tmp_path / "none.log", "--out", out))
+    status, text = run_main(*replay(log, tmp_path / "none.log", "--out", out))
     assert status == 1
     assert "none.log: cannot be opened" in text
     assert not out.exists()
 
 
-def test_an_output_cut_by_an_error_is_named(told, log, tmp_path):
+def test_an_output_cut_by_an_error_is_named(run_main, log, tmp_path):
     log.write_bytes(log.read_bytes() + b"no frame\n")
     out = tmp_path / "out.log"
-    status, text = told(*replay(log, "--strict", "--out", out))
+    status, text = run_main(*replay(log, "--strict", "--out", out))
     assert status == 1
     assert f"{out} is not complete" in text
 
 
 @pytest.mark.parametrize("content", [b"", b"\n\n", b"(1.000000) can0\n"])
-def test_a_log_without_any_frame_is_an_error_with_a_result(told, tmp_path, content):
+def test_a_log_without_any_frame_is_an_error_with_a_result(run_main, tmp_path, content):
     log, result = tmp_path / "none.log", tmp_path / "result.json"
     log.write_bytes(content)
-    status, text = told(*replay(log, "--json", result))
+    status, text = run_main(*replay(log, "--json", result))
     assert status == 1
     assert f"{log}: holds no CAN frame" in text
     assert json.loads(result.read_text())["frames"]["read"] == 0
 
 
 @pytest.mark.parametrize("content", [b"\0\xff binary \n" * 5, b"a,b,c\n1,2,3\n"])
-def test_what_is_no_log_is_one_error_with_the_remedy(told, tmp_path, content):
+def test_what_is_no_log_is_one_error_with_the_remedy(run_main, tmp_path, content):
     log = tmp_path / "none.log"
     log.write_bytes(content)
-    status, text = told(*replay(log))
+    status, text = run_main(*replay(log))
     assert status == 1
     assert f"{log}: not a log that is known here" in text
     assert text.count("\n") == 1
 
 
-def test_a_log_of_other_frames_is_said_to_be_one(told, tmp_path):
+def test_a_log_of_other_frames_is_reported_as_one(run_main, tmp_path):
     log = tmp_path / "other.log"
     log.write_text("(1600000000.000000) can0 7F0#00\n")
-    status, text = told(*replay(log))
+    status, text = run_main(*replay(log))
     assert status == 1
     assert "no usable frame of this configuration" in text
 
 
-def test_of_several_logs_one_of_other_frames_fails_the_command_too(told, log, tmp_path):
+def test_of_several_logs_one_of_other_frames_fails_the_command_too(run_main, log, tmp_path):
     other = tmp_path / "other.log"
     other.write_text("(1600000000.000000) can0 7F0#00\n")
-    status, text = told(*replay(log), str(other))
+    status, text = run_main(*replay(log), str(other))
     assert status == 1
     assert "no usable frame of this configuration" in text
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf"])
-def test_a_speed_that_is_none_is_refused(told, log, speed):
-    status, text = told(*replay(log, "--speed", speed, "--interface", "virtual"))
+def test_a_speed_that_is_none_is_refused(run_main, log, speed):
+    status, text = run_main(*replay(log, "--speed", speed, "--interface", "virtual"))
     assert status == 1
     assert "--speed must be positive" in text
 
 
-def test_with_speed_the_frames_go_out_on_the_bus_at_that_pace(told, log, tmp_path):
+def test_with_speed_the_frames_go_out_on_the_bus_at_that_pace(run_main, log, tmp_path):
     out = tmp_path / "out.log"
     bus = ("--interface", "virtual", "--channel", "paced")
     with can.Bus(interface="virtual", channel="paced") as listener:
         began = time.monotonic()
-        assert told(*replay(log, "--speed", "20", *bus, "--out", out, "--quiet")) == (0, "")
+        assert run_main(*replay(log, "--speed", "20", *bus, "--out", out, "--quiet")) == (0, "")
         assert time.monotonic() - began > 12.0 / 20.0 * 0.9
         heard = []
         while (message := listener.recv(0.0)) is not None:
@@ -170,8 +172,8 @@ def test_with_speed_the_frames_go_out_on_the_bus_at_that_pace(told, log, tmp_pat
     ]
 
 
-def test_a_bus_without_speed_is_refused_rather_than_ignored(told, log):
-    status, text = told(*replay(log, "--interface", "virtual", "--channel", "x"))
+def test_a_bus_without_speed_is_refused_rather_than_ignored(run_main, log):
+    status, text = run_main(*replay(log, "--interface", "virtual", "--channel", "x"))
     assert status == 1
     assert "--speed" in text
 
@@ -189,9 +191,11 @@ def test_frames_on_standard_output_are_not_mixed_with_tables(log):
     assert all(line.startswith("(") for line in lines)
 
 
-def test_run_tells_of_an_unwritable_result_before_it_opens_the_bus(told, tmp_path):
+def test_run_reports_an_unwritable_result_before_it_opens_the_bus(run_main, tmp_path):
     bus = ("--interface", "virtual", "--channel", "files", "--seconds", "0.1")
-    status, text = told("run", "--config", START, *bus, "--json", tmp_path / "nowhere" / "x.json")
+    status, text = run_main(
+        "run", "--config", START, *bus, "--json", tmp_path / "nowhere" / "x.json"
+    )
     assert status == 1
     assert text.count("\n") == 1
 
@@ -205,7 +209,7 @@ UNSERVED = {
 
 @pytest.mark.parametrize("case", UNSERVED)
 def test_an_option_that_cannot_be_served_is_refused_before_a_file_is_opened(
-    told, log, tmp_path, monkeypatch, case
+    run_main, log, tmp_path, monkeypatch, case
 ):
     monkeypatch.setattr("imucald.report.page.LIBRARIES", ("no_such_library",))
     monkeypatch.setitem(sys.modules, "asammdf", None)
@@ -214,7 +218,7 @@ def test_an_option_that_cannot_be_served_is_refused_before_a_file_is_opened(
     kept = tmp_path / "kept.log"
     kept.write_text("of last week")
     for out in ("new.log", "kept.log"):
-        status, text = told(*replay(log, *options, "--out", out, "--json", "new.json"))
+        status, text = run_main(*replay(log, *options, "--out", out, "--json", "new.json"))
         assert status == 1
         assert reason in text
         assert "not complete" not in text
@@ -228,14 +232,14 @@ def test_the_readme_installs_what_its_replay_asks_for():
     assert text.index("pip install '.[report]'") < text.index("--report page")
 
 
-def test_simulate_does_not_overwrite_what_it_reads(told, tmp_path):
+def test_simulate_does_not_overwrite_what_it_reads(run_main, tmp_path):
     model = tmp_path / "model.yaml"
     log = tmp_path / "a.log"
-    wrote = told("simulate", "--minutes", "0.05", "--out", log, "--write-model", model)
+    wrote = run_main("simulate", "--minutes", "0.05", "--out", log, "--write-model", model)
     assert wrote == (0, "")
     before = model.read_bytes()
     for wrong in (("--out", model), ("--out", log, "--write-model", model)):
-        assert told("simulate", "--minutes", "0.05", "--model", model, *wrong)[0] == 1
+        assert run_main("simulate", "--minutes", "0.05", "--model", model, *wrong)[0] == 1
         assert model.read_bytes() == before
 
 
@@ -258,18 +262,18 @@ def test_ctrl_c_says_that_the_output_is_cut(log, tmp_path):
     assert text == f"imucald: {out} is not complete\nimucald: interrupted\n"
 
 
-def test_zero_seconds_are_none_not_for_ever(told):
+def test_zero_seconds_are_none_not_for_ever(run_main):
     bus = ("--interface", "virtual", "--channel", "zero")
     began = time.monotonic()
-    assert told("run", "--config", START, *bus, "--seconds", "0.01")[0] == 0
+    assert run_main("run", "--config", START, *bus, "--seconds", "0.01")[0] == 0
     assert time.monotonic() - began < 5.0
 
 
 @pytest.mark.parametrize("name", ["a.log", "a.asc"])
-def test_bytes_that_are_no_text_are_shown_as_bytes_and_named_so(told, tmp_path, name):
+def test_bytes_that_are_no_text_are_shown_as_bytes_and_named_so(run_main, tmp_path, name):
     path = tmp_path / name
     path.write_bytes(b"\xb6K7\xd4\x9b'" * 500)
-    status, text = told(*replay(path))
+    status, text = run_main(*replay(path))
     assert status == 1
     assert "\\\\" not in text
     assert "codec" not in text
@@ -277,10 +281,10 @@ def test_bytes_that_are_no_text_are_shown_as_bytes_and_named_so(told, tmp_path, 
 
 
 @pytest.mark.parametrize("command", ["replay", "check", "init"])
-def test_a_folder_in_place_of_a_log_is_said_to_be_one(told, tmp_path, command):
+def test_a_folder_in_place_of_a_log_is_reported_as_one(run_main, tmp_path, command):
     """`replay` takes a folder for the logs in it; here there is none."""
     given = ("init", "--database", DATABASE) if command == "init" else (command, "--config", START)
-    status, text = told(*given, tmp_path)
+    status, text = run_main(*given, tmp_path)
     assert status == 1
     assert text in (
         f"imucald: {tmp_path}: is a folder; name one of its logs\n",
@@ -288,11 +292,11 @@ def test_a_folder_in_place_of_a_log_is_said_to_be_one(told, tmp_path, command):
     )
 
 
-def test_each_mistake_of_a_configuration_is_a_line_of_imucald(told, log, tmp_path):
+def test_each_mistake_of_a_configuration_is_a_line_of_imucald(run_main, log, tmp_path):
     wrong = tmp_path / "wrong.yaml"
     axes = "[IMU_Accel.AccelX, IMU_Accel.AccelY]"
     wrong.write_text(f"database: {DATABASE}\nsignals:\n  accelerometer: {axes}\n")
-    status, text = told("check", "--config", wrong, log)
+    status, text = run_main("check", "--config", wrong, log)
     assert status == 1
     lines = text.splitlines()
     assert len(lines) == 2
@@ -301,9 +305,9 @@ def test_each_mistake_of_a_configuration_is_a_line_of_imucald(told, log, tmp_pat
         assert "must be a mapping, got a text; its keys: x, y, z (here: 'IMU_Accel.Accel" in line
 
 
-def test_a_table_that_cannot_be_written_says_why_in_the_systems_words(told, log):
+def test_a_table_that_cannot_be_written_says_why_in_the_systems_words(run_main, log):
     pytest.importorskip("pyarrow")
-    status, text = told(*replay(log, "--write", "/proc/x.parquet"))  # not even root can
+    status, text = run_main(*replay(log, "--write", "/proc/x.parquet"))  # not even root can
     assert status == 1
     start = "imucald: /proc/x.parquet: cannot be written: "
     assert text in (f"{start}No such file or directory\n", f"{start}Permission denied\n")

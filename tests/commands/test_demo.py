@@ -153,7 +153,7 @@ def test_the_command_prints_lines_and_the_result(
     [(["--mount", "1,2"], "--mount"), (["--minutes", "0"], "--minutes"),
      (["--minutes", "nan"], "--minutes"), (["--mount", "a,b,c"], "--mount")],
 )  # fmt: skip
-def test_wrong_options_are_told(
+def test_wrong_options_are_reported(
     arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["demo", *arguments]) == 1

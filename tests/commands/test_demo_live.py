@@ -81,6 +81,6 @@ def test_daemon_and_monitor_do_not_carry_what_the_simulation_needed():
         (["--interface", "nonsense"], "nonsense"),
     ],
 )
-def test_what_cannot_be_is_told(arguments, words, capsys):
+def test_what_cannot_be_is_reported(arguments, words, capsys):
     assert cli.main(["demo", "--live", "--minutes", "0.1", *arguments]) == 1
     assert words in capsys.readouterr().err

@@ -161,7 +161,7 @@ def test_an_older_daemon_without_the_new_keys_is_shown(status):
     assert "below" not in text
 
 
-def test_events_are_told_once_with_the_time_of_day(silent, status):
+def test_events_are_reported_once_with_the_time_of_day(silent, status):
     down = copy.deepcopy(status)
     down["link"]["state"] = "down"
     down["health"]["speed_missing"] = True
@@ -184,11 +184,11 @@ def test_events_are_told_once_with_the_time_of_day(silent, status):
 
 def test_a_mount_that_nothing_has_confirmed_is_not_called_usable(silent, status):
     stated = copy.deepcopy(status) | {"state": "restored", "quality": 1}
-    for one, is_said in ((stated, False), (status, True)):
+    for one, is_stated in ((stated, False), (status, True)):
         text = "\n".join(drawn(picture(one), 140))
-        told = [event.text for event in events_of(one).events]
-        assert ("usable after" in text) == is_said
-        assert ("usable for the first time" in told) == is_said
+        texts = [event.text for event in events_of(one).events]
+        assert ("usable after" in text) == is_stated
+        assert ("usable for the first time" in texts) == is_stated
 
 
 # the page --------------------------------------------------------------------------------------
@@ -263,7 +263,7 @@ def test_a_long_history_stays_small_and_ends_with_now(status):
     assert found["t"][-1] == 1.6e9 + HISTORY + 49
 
 
-def test_a_daemon_that_went_away_is_told(status):
+def test_a_daemon_that_went_away_is_reported(status):
     from imucald.commands.monitor_web import LiveState
 
     state = LiveState()

@@ -40,7 +40,7 @@ def test_the_bus_is_opened_as_configured_and_named_on_the_command_line(tmp_path,
         assert more["receive"] == [IdMatch(0x100, 0x7FF)]
 
 
-def test_losses_and_failed_sends_are_told_for_a_second(tmp_path):
+def test_losses_and_failed_sends_are_reported_for_a_second(tmp_path):
     clock = SimpleNamespace(now=10.0)
     link: Any = SimpleNamespace(counters=LinkCounters())
     daemon = live.Daemon(make_engine(load(HEAD, tmp_path)), link, lambda: clock.now)

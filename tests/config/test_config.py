@@ -90,7 +90,7 @@ def test_a_mistake_is_one_line_with_its_place(text, expected):
     assert expected in found[0]
 
 
-def test_all_mistakes_are_told_at_once():
+def test_all_mistakes_are_reported_at_once():
     found = mistakes(f"{HEAD}  sped: M.V\n  brake: 3\noutput: {{status_rate: 0}}\n")
     assert {line.split(": ")[0] for line in found} == {f"dir/car.yaml:{n}" for n in (4, 5, 6)}
 
@@ -119,7 +119,7 @@ def test_numbers_with_an_exponent_are_numbers_unless_in_quotes():
     assert config.calibration.accelerometer_range == 20.0
 
 
-def test_mistakes_of_all_kinds_are_said_in_plain_words():
+def test_mistakes_of_all_kinds_are_stated_in_plain_words():
     text = (
         f"{HEAD}  speed: {{sign: 2}}\nvehicle: {{wheelbase: -1, id: 3}}\n"
         "messages:\n  A: {counter: 3}\n  B: {timeout_cycles: 1}\n"
@@ -146,7 +146,7 @@ def test_databases_given_stand_in_for_those_named(tmp_path):
         open_config(path, [Path("a.dbc"), Path("b.dbc")])
 
 
-def test_files_that_are_none_are_told(tmp_path):
+def test_files_that_are_none_are_reported(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         load_config(tmp_path / "absent.yaml")
     with pytest.raises(ConfigError, match="cannot be read"):

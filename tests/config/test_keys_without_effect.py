@@ -1,4 +1,4 @@
-"""A key that nothing reads is told, with its place; a key that can never be met is an error."""
+"""A key that nothing reads is reported, with its place; a key that can never be met is an error."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def loaded(changes: dict[str, Any], *without: str):
     return parse_config(yaml.safe_dump(data))
 
 
-def told(changes: dict[str, Any], *without: str) -> str:
+def warnings_of(changes: dict[str, Any], *without: str) -> str:
     return "\n".join(loaded(changes, *without).idle_keys())
 
 
@@ -73,14 +73,14 @@ def written(path: str, default: Any) -> Any:
 
 @pytest.mark.parametrize("estimator", ["full", "published"])
 @pytest.mark.parametrize(("path", "default"), ALL, ids=[path for path, _ in ALL])
-def test_every_key_is_read_by_the_estimator_or_told(
+def test_every_key_is_read_by_the_estimator_or_reported(
     path: str, default: Any, estimator: str
 ) -> None:
     """All keys, one by one, under both estimators, with every signal there."""
     if path in {"calibration.estimator", "attitude.method"}:
         return
     base = {"calibration.estimator": estimator, "attitude.enabled": True}
-    text = told(base | {"travel_direction.enabled": True, path: written(path, default)})
+    text = warnings_of(base | {"travel_direction.enabled": True, path: written(path, default)})
     part = path.split(".")[1]
     if part in READ_BY_METHOD_A:
         assert bool(text) == (estimator == "full"), text
@@ -103,7 +103,7 @@ IDLE_WITH_FILTER = {
 }
 
 
-def test_the_place_and_the_reason_are_told() -> None:
+def test_the_place_and_the_reason_are_reported() -> None:
     text = (
         "database: bus.dbc\nsignals: {accelerometer: {x: A.X, y: A.Y, z: A.Z}}\n"
         "calibration:\n  straight: {steering_limit_deg: 0.001}\n"
@@ -136,13 +136,13 @@ def test_the_place_and_the_reason_are_told() -> None:
          ("gyroscope",), "travel_direction.alternative"),
     ],
 )  # fmt: skip
-def test_what_other_keys_and_missing_signals_idle_is_told(
+def test_what_other_keys_and_missing_signals_idle_is_reported(
     changes: dict[str, Any], without: tuple[str, ...], place: str
 ) -> None:
     base = {"calibration.estimator": "published"}
-    assert f"{place}: has no effect" in told(base | changes, *without)
+    assert f"{place}: has no effect" in warnings_of(base | changes, *without)
     if without:
-        assert f"{place}: has no effect" not in told(base | changes)
+        assert f"{place}: has no effect" not in warnings_of(base | changes)
 
 
 @pytest.mark.parametrize(
@@ -176,5 +176,5 @@ def test_one_axis_that_points_up_and_forward_is_an_error(forward: str) -> None:
 
 
 def test_shipped_and_plain_files_say_nothing() -> None:
-    assert not told({})
+    assert not warnings_of({})
     assert len(ALL) > 60

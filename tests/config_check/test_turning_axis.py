@@ -94,7 +94,7 @@ def test_without_left_and_right_signs_are_not_checked_until_the_axis_that_points
 
 
 @pytest.mark.slow
-def test_an_axis_that_is_said_to_point_up_and_does_not_is_an_error_or_a_warning():
+def test_an_axis_that_is_stated_to_point_up_and_does_not_is_an_error_or_a_warning():
     down = findings("z", accel=-np.eye(3))
     assert any("points down" in f.text for f in down if f.level == "error")
     level = findings("x")

@@ -21,7 +21,7 @@ LIMIT_S = 20.0
 CHECK = [sys.executable, "-m", "imucald", "check", "nothing.log", "--config"]
 
 
-def said_of(configuration: Path, memory: int = 1 << 30) -> tuple[int, str]:
+def message_of(configuration: Path, memory: int = 1 << 30) -> tuple[int, str]:
     """Status and standard error of a command that reads a configuration, in bounded memory."""
     command = ["prlimit", f"--data={memory}", *CHECK, str(configuration)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
@@ -46,26 +46,26 @@ def log(tmp_path):
 def test_brackets_without_end_are_one_line_and_no_crash(text, tmp_path, log):
     path = tmp_path / "deep.yaml"
     path.write_text("a: " + text if text[0] in "[{" else text)
-    status, said = said_of(path)
+    status, message = message_of(path)
     assert status == 1, "a signal is a crash"
-    assert said.count("\n") == 1
-    assert "deep.yaml:1: nested too deeply" in said
+    assert message.count("\n") == 1
+    assert "deep.yaml:1: nested too deeply" in message
 
 
 def test_a_pipe_that_nobody_writes_to_is_not_waited_for(tmp_path, log):
     path = tmp_path / "pipe.yaml"
     os.mkfifo(path)
-    status, said = said_of(path)
-    assert (status, said.count("\n")) == (1, 1)
-    assert "no regular file" in said
+    status, message = message_of(path)
+    assert (status, message.count("\n")) == (1, 1)
+    assert "no regular file" in message
 
 
 def test_a_device_without_end_is_refused(tmp_path, log):
     path = tmp_path / "zero.yaml"
     path.symlink_to("/dev/zero")
-    status, said = said_of(path)
-    assert (status, said.count("\n")) == (1, 1)
-    assert "no regular file" in said
+    status, message = message_of(path)
+    assert (status, message.count("\n")) == (1, 1)
+    assert "no regular file" in message
 
 
 def test_no_more_is_read_than_is_asked_for(tmp_path):

@@ -42,8 +42,8 @@ def test_the_words_alone_give_the_axis_back_to_a_degree():
     """What is said is enough to sit a sensor by: any axis of any mount, rebuilt from its words."""
     for R in Rotation.random(300, rng=np.random.default_rng(4)).as_matrix():
         for axis in range(3):
-            said = axis_words(R, axis)
-            way, *leans = re.findall(r"(?:(\d+) deg )?(\w+)", said.replace(" and", ""))
+            words = axis_words(R, axis)
+            way, *leans = re.findall(r"(?:(\d+) deg )?(\w+)", words.replace(" and", ""))
             main = np.array(WAYS[way[1]], float)
             horizontal, rise = main.copy(), 0.0
             for deg, name in leans:
@@ -55,23 +55,23 @@ def test_the_words_alone_give_the_axis_back_to_a_degree():
             rebuilt = horizontal / np.linalg.norm(horizontal)
             if not main[2]:
                 rebuilt = math.cos(rise) * rebuilt + np.array([0, 0, math.sin(rise)])
-            assert math.degrees(math.acos(min(1.0, float(rebuilt @ R[:, axis])))) < 1.1, said
+            assert math.degrees(math.acos(min(1.0, float(rebuilt @ R[:, axis])))) < 1.1, words
 
 
-def test_before_the_direction_is_known_only_the_lean_is_said():
-    said = leaning_words(mount(0, 30, 77))
-    assert said.startswith("x points 30 deg down; y is level; z points 60 deg up")
-    assert said.endswith("which way is forward is not known yet")
-    assert said == leaning_words(mount(0, 30, -140))
+def test_before_the_direction_is_known_only_the_lean_is_stated():
+    words = leaning_words(mount(0, 30, 77))
+    assert words.startswith("x points 30 deg down; y is level; z points 60 deg up")
+    assert words.endswith("which way is forward is not known yet")
+    assert words == leaning_words(mount(0, 30, -140))
 
 
 @pytest.mark.parametrize(("pitch", "sign"), [(89.0, -1.0), (-89.0, 1.0)])
-def test_beyond_seventy_degrees_roll_and_yaw_are_said_to_be_one(pitch, sign):
+def test_beyond_seventy_degrees_roll_and_yaw_are_stated_to_be_one(pitch, sign):
     quaternion = Rotation.from_euler("ZYX", [20, pitch, 10], degrees=True).as_quat()[[3, 0, 1, 2]]
-    said = steep_words(math.radians(pitch), quaternion)
-    assert said is not None
-    assert " ".join(f"{q:+.4f}" for q in quaternion) in said
-    assert ("roll plus yaw" if sign > 0 else "roll minus yaw") in said
+    words = steep_words(math.radians(pitch), quaternion)
+    assert words is not None
+    assert " ".join(f"{q:+.4f}" for q in quaternion) in words
+    assert ("roll plus yaw" if sign > 0 else "roll minus yaw") in words
     # the truth of the sentence: turning both by 30 deg changes next to nothing, one alone does
     both = mount(10 + 30, pitch, 20 - sign * 30) @ mount(10, pitch, 20).T
     alone = mount(10 + 30, pitch, 20) @ mount(10, pitch, 20).T

@@ -46,7 +46,7 @@ def test_kept_data_and_lines_are_the_parsed_ones(path, folder):
     assert read_yaml(text, str(path)) == parsed
 
 
-def test_another_text_is_parsed_and_a_wrong_one_is_told_each_time(folder):
+def test_another_text_is_parsed_and_a_wrong_one_is_reported_each_time(folder):
     assert read_yaml("a: 1", "x")[0] == {"a": 1}
     assert read_yaml("a: 1.0", "x")[0] == {"a": 1.0}
     assert type(read_yaml("a: 1.0", "x")[0]["a"]) is float

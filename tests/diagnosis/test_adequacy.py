@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from imucald.diagnosis.adequacy import BANDS_HZ, MOST_LEFT_MPS2, _calm, _common
+from imucald.diagnosis.adequacy import (
+    BANDS_HZ,
+    MOST_LEFT_MPS2,
+    _calm,
+    _common,
+    _cut_offs,
+    _peaks,
+)
 
 BLOCKS, BINS = 40, 20
 BAND = np.ones(BINS, dtype=bool)
@@ -56,3 +63,16 @@ def test_air_pushes_with_the_square_of_the_speed_as_far_as_its_eddies_lie_in_the
     assert 0.005 < fast < 0.02
     assert pytest.approx(0.18, abs=0.01) == MOST_LEFT_MPS2
     assert BANDS_HZ[-1][1] < 1.0
+
+
+def test_a_peak_at_the_cut_off_of_a_found_low_pass_swings_not():
+    """30 s segments on the grid of 10 Hz: bins of 1/30 Hz; a peak at 0.5 Hz."""
+    hz = np.arange(151) / 30.0
+    size = np.sqrt(1.0 + 20.0 * np.exp(-0.5 * ((hz - 0.5) / 0.06) ** 2))
+    spectra = {"accel_y": noise(np.random.default_rng(4), BLOCKS, 151) * size}
+    assert [s.kind for s in _peaks(spectra)] == ["peak"]
+    # 0.45 s late may be a second-order low-pass of 0.5 Hz; 0.1 s one of 2.2 Hz.
+    assert _peaks(spectra, _cut_offs({"gyro.delay_s": 0.45})) == []
+    assert _peaks(spectra, _cut_offs({"gyro.delay_s": 0.1, "gyro.scale.0": 0.4})) != []
+    assert _peaks(spectra, _cut_offs({"steering.delay_s": 0.45})) != []
+    assert _cut_offs({"gyro.delay_s": 0.01}) == []

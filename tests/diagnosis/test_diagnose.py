@@ -54,7 +54,7 @@ def test_a_large_effect_is_named(cause, form):
     assert cause in names(d)
 
 
-def test_the_value_that_is_told_is_the_one_that_was_hidden():
+def test_the_value_that_is_reported_is_the_one_that_was_hidden():
     d, true = diagnosed("steering_offset"), drive("steering_offset").parameters["steering.offset"]
     (cause,) = [c for c in d.causes if c.name == "steering_offset"]
     p = cause.parameters["steering.offset"]
@@ -62,7 +62,7 @@ def test_the_value_that_is_told_is_the_one_that_was_hidden():
     assert d.model_after.steering.offset == pytest.approx(p.value)
 
 
-def test_the_written_file_alone_brings_what_is_told():
+def test_the_written_file_alone_brings_what_is_reported():
     """The extended file, put to the test by itself, starts where the page said that it ends."""
     d = diagnosed("steering_offset")
     assert d.recommended
@@ -89,7 +89,7 @@ def test_a_value_that_cannot_be_is_unknown_and_not_named():
     assert d.verdict == "unknown"
 
 
-def test_a_wrong_sign_is_said_first_and_nothing_is_fitted_to_it():
+def test_a_wrong_sign_is_stated_first_and_nothing_is_fitted_to_it():
     made = drive()
     samples = dict(made.samples)
     samples["yaw_rate"] = Series(samples["yaw_rate"].t, -samples["yaw_rate"].values)
@@ -114,7 +114,7 @@ def test_a_time_limit_ends_in_an_honest_verdict():
     assert {c.name for c in d.causes} == set()
 
 
-def test_the_json_is_plain_and_progress_tells_what_it_does():
+def test_the_json_is_plain_and_progress_shows_what_it_does():
     told = []
     made = drive("dropouts", "large", "accel")
     d = diagnose([made.samples], model_from_mapping(dict(made.model), "b"),

@@ -59,17 +59,17 @@ def asked(monkeypatch):
 
 
 @pytest.fixture
-def said(capsys):
-    def said(*arguments: object) -> tuple[int, str, str]:
+def diagnosed(capsys):
+    def diagnosed(*arguments: object) -> tuple[int, str, str]:
         capsys.readouterr()
         status = cli.main(["diagnose", "--config", CONFIG, *(str(a) for a in arguments)])
         return (status, *capsys.readouterr())
 
-    return said
+    return diagnosed
 
 
-def test_the_summary_says_what_was_found_in_words(asked, said, log):
-    status, out, err = said(log)
+def test_the_summary_says_what_was_found_in_words(asked, diagnosed, log):
+    status, out, err = diagnosed(log)
     assert (status, err) == (0, "")
     assert "Found: body roll and accelerometer bias" in out
     assert "suspension.roll_gradient" in out
@@ -82,8 +82,8 @@ def test_the_summary_says_what_was_found_in_words(asked, said, log):
     assert "note: no temperature signal" in out
 
 
-def test_a_time_limit_is_handed_on(asked, said, log):
-    assert said(log, "--time-limit", "7.5")[0] == 0
+def test_a_time_limit_is_handed_on(asked, diagnosed, log):
+    assert diagnosed(log, "--time-limit", "7.5")[0] == 0
     assert asked["limit_s"] == 7.5
 
 
@@ -92,33 +92,33 @@ def test_a_time_limit_is_handed_on(asked, said, log):
     ("unknown", "at 0.62 Hz, while cornering"),
     ("nothing", "Nothing found: the model fits"),
 ])  # fmt: skip
-def test_the_other_verdicts_are_told_and_are_no_failure(asked, said, log, verdict, words):
+def test_the_other_verdicts_are_reported_and_are_no_failure(asked, diagnosed, log, verdict, words):
     asked["answer"] = made.ALL[verdict]()
-    status, out, _ = said(log)
+    status, out, _ = diagnosed(log)
     assert status == 0
     assert words in " ".join(out.split())
 
 
-def test_each_log_is_a_drive_of_its_own(asked, said, log, tmp_path):
+def test_each_log_is_a_drive_of_its_own(asked, diagnosed, log, tmp_path):
     second = tmp_path / "second.log"
     assert cli.main(["simulate", "--minutes", "0.2", "--seed", "2", "--out", str(second)]) == 0
-    assert said(log, second)[0] == 0
+    assert diagnosed(log, second)[0] == 0
     assert len(asked["drives"]) == 2
     assert asked["drives"][0] == asked["recordings"][0].samples
     assert set(asked["drives"][1]) >= {"accel", "gyro", "speed", "steering"}
     assert asked["model"] is made.BEFORE
 
 
-def test_a_model_file_is_put_to_the_test_instead_of_a_plain_car(asked, said, log, tmp_path):
+def test_a_model_file_is_put_to_the_test_instead_of_a_plain_car(asked, diagnosed, log, tmp_path):
     model = tmp_path / "model.yaml"
     model.write_text(made.AFTER.to_yaml())
-    assert said(log, "--model", model)[0] == 0
+    assert diagnosed(log, "--model", model)[0] == 0
     assert asked["model"] == made.AFTER
     assert "recordings" not in asked
 
 
-def test_json_has_the_documented_keys_and_is_alone_on_standard_output(asked, said, log):
-    status, out, err = said(log, "--json", "-")
+def test_json_has_the_documented_keys_and_is_alone_on_standard_output(asked, diagnosed, log):
+    status, out, err = diagnosed(log, "--json", "-")
     assert (status, err) == (0, "")
     result = json.loads(out)
     assert result["verdict"] == "found"
@@ -142,9 +142,9 @@ def test_json_has_the_documented_keys_and_is_alone_on_standard_output(asked, sai
     assert change == {"before": 0.008, "after": 0.01712345678}
 
 
-def test_the_written_model_loads_and_says_where_it_comes_from(asked, said, log, tmp_path):
+def test_the_written_model_loads_and_says_where_it_comes_from(asked, diagnosed, log, tmp_path):
     model = tmp_path / "extended.yaml"
-    status, out, _ = said(log, "--write-model", model)
+    status, out, _ = diagnosed(log, "--write-model", model)
     assert status == 0
     assert f"written: {model}" in out
     assert load_model(model) == made.AFTER
@@ -154,18 +154,18 @@ def test_the_written_model_loads_and_says_where_it_comes_from(asked, said, log, 
     assert "suspension.roll_gradient: 0.008 -> 0.0171235" in head[3]
 
 
-def test_a_hostile_file_name_stays_in_the_comment(asked, said, log, tmp_path):
+def test_a_hostile_file_name_stays_in_the_comment(asked, diagnosed, log, tmp_path):
     strange = log.rename(tmp_path / "a\nroute: {kind: city}\n.log")
     model = tmp_path / "extended.yaml"
-    assert said(strange, "--write-model", model, "--quiet")[0] == 0
+    assert diagnosed(strange, "--write-model", model, "--quiet")[0] == 0
     assert load_model(model) == made.AFTER
     assert yaml.safe_load(model.read_text())["route"]["kind"] == made.AFTER.route.kind
 
 
-def test_the_report_is_one_page_in_its_folder(asked, said, log, tmp_path):
+def test_the_report_is_one_page_in_its_folder(asked, diagnosed, log, tmp_path):
     folder = tmp_path / "report"
     for _ in range(2):  # a second time too, into the same folder
-        status, out, _ = said(log, "--report", folder)
+        status, out, _ = diagnosed(log, "--report", folder)
         assert status == 0
         assert f"written: {folder / 'index.html'}" in out
         assert [p.name for p in folder.iterdir()] == ["index.html"]
@@ -174,13 +174,13 @@ def test_the_report_is_one_page_in_its_folder(asked, said, log, tmp_path):
     assert "passenger_car.yaml" in page
 
 
-def test_quiet_says_nothing(asked, said, log, tmp_path):
+def test_quiet_says_nothing(asked, diagnosed, log, tmp_path):
     out = tmp_path / "result.json"
-    assert said(log, "--json", out, "--quiet") == (0, "", "")
+    assert diagnosed(log, "--json", out, "--quiet") == (0, "", "")
     assert json.loads(out.read_text())["verdict"] == "found"
 
 
-def test_what_reading_rejected_is_a_note(asked, said, log):
+def test_what_reading_rejected_is_a_note(asked, diagnosed, log):
     lines = log.read_text().splitlines()
     hits = 0
     for i, line in enumerate(lines):
@@ -188,7 +188,7 @@ def test_what_reading_rejected_is_a_note(asked, said, log):
             lines[i] = line[:-16] + "00" * 8
             hits += 1
     log.write_text("\n".join(lines) + "\n(16 broken\n")
-    status, out, err = said(log, "--json", "-")
+    status, out, err = diagnosed(log, "--json", "-")
     assert status == 0
     (note,) = [n for n in json.loads(out)["notes"] if "rejected" in n]
     assert "drive.log: " in note
@@ -196,11 +196,11 @@ def test_what_reading_rejected_is_a_note(asked, said, log):
     assert f"drive.log:{len(lines) + 1}" in err
 
 
-def test_why_nothing_could_be_diagnosed_says_what_was_rejected(said, log):
+def test_why_nothing_could_be_diagnosed_says_what_was_rejected(diagnosed, log):
     lines = log.read_text().splitlines()
     frozen = [f"{line[:-16]}{'00' * 8}" if " 200#" in line else line for line in lines]
     log.write_text("\n".join(frozen) + "\n")
-    status, out, err = said(log, "--quiet")
+    status, out, err = diagnosed(log, "--quiet")
     assert (status, out) == (1, "")
     assert "the accelerometer" in err
     assert "drive.log: " in err
@@ -210,9 +210,9 @@ def test_why_nothing_could_be_diagnosed_says_what_was_rejected(said, log):
 # mistakes ----------------------------------------------------------------------------------------
 
 
-def refused(said, asked, *arguments: object) -> str:
+def refused(diagnosed, asked, *arguments: object) -> str:
     """The one line that says why nothing was begun."""
-    status, out, err = said(*arguments)
+    status, out, err = diagnosed(*arguments)
     assert (status, out) == (1, "")
     assert err.count("\n") == 1
     assert "drives" not in asked
@@ -221,56 +221,60 @@ def refused(said, asked, *arguments: object) -> str:
 
 @pytest.mark.parametrize("option", ["--json", "--write-model"])
 @pytest.mark.parametrize("target", ["nowhere/x", "."])
-def test_a_file_that_cannot_be_written_is_told_first(asked, said, log, tmp_path, option, target):
-    assert "cannot be written" in refused(said, asked, log, option, tmp_path / target)
+def test_a_file_that_cannot_be_written_is_reported_first(
+    asked, diagnosed, log, tmp_path, option, target
+):
+    assert "cannot be written" in refused(diagnosed, asked, log, option, tmp_path / target)
 
 
 @pytest.mark.parametrize("option", ["--json", "--write-model", "--report"])
-def test_no_input_is_overwritten(asked, said, log, simulated, option):
-    text = refused(said, asked, log, option, log)
+def test_no_input_is_overwritten(asked, diagnosed, log, simulated, option):
+    text = refused(diagnosed, asked, log, option, log)
     assert "would overwrite" in text or "Not a directory" in text
     assert log.read_bytes() == simulated
 
 
-def test_nor_the_model_that_was_read_nor_one_output_by_another(asked, said, log, tmp_path):
+def test_nor_the_model_that_was_read_nor_one_output_by_another(asked, diagnosed, log, tmp_path):
     model = tmp_path / "model.yaml"
     model.write_text(made.BEFORE.to_yaml())
     options = ("--model", model, "--write-model", model)
-    assert "would overwrite" in refused(said, asked, log, *options)
+    assert "would overwrite" in refused(diagnosed, asked, log, *options)
     same = tmp_path / "same"
     options = ("--json", same, "--write-model", same)
-    assert "would overwrite" in refused(said, asked, log, *options)
+    assert "would overwrite" in refused(diagnosed, asked, log, *options)
     options = ("--json", same, "--report", same)
-    assert "would overwrite" in refused(said, asked, log, *options)
+    assert "would overwrite" in refused(diagnosed, asked, log, *options)
     options = ("--json", "-", "--write-model", "-")
-    assert "once only" in refused(said, asked, log, *options)
+    assert "once only" in refused(diagnosed, asked, log, *options)
     assert not same.exists()
 
 
-def test_a_report_needs_the_folder_above_it(asked, said, log, tmp_path):
-    text = refused(said, asked, log, "--report", tmp_path / "no" / "where")
+def test_a_report_needs_the_folder_above_it(asked, diagnosed, log, tmp_path):
+    text = refused(diagnosed, asked, log, "--report", tmp_path / "no" / "where")
     assert "no directory" in text
 
 
-def test_a_missing_library_is_told_before_the_work(asked, said, log, tmp_path, monkeypatch):
+def test_a_missing_library_is_reported_before_the_work(
+    asked, diagnosed, log, tmp_path, monkeypatch
+):
     monkeypatch.setattr("imucald.report.page.LIBRARIES", ("no_such_library",))
-    text = refused(said, asked, log, "--report", tmp_path / "report")
+    text = refused(diagnosed, asked, log, "--report", tmp_path / "report")
     assert ".[report]" in text
 
 
 @pytest.mark.parametrize("missing", ["log", "model", "config"])
-def test_what_is_missing_is_named(asked, said, log, tmp_path, missing):
+def test_what_is_missing_is_named(asked, diagnosed, log, tmp_path, missing):
     none = tmp_path / "none"
     arguments = {
         "log": (log, none), "model": (log, "--model", none), "config": (log, "--config", none),
     }[missing]  # fmt: skip
-    assert f"{none}: cannot be opened" in refused(said, asked, *arguments)
+    assert f"{none}: cannot be opened" in refused(diagnosed, asked, *arguments)
 
 
-def test_the_same_log_twice_is_a_mistake(asked, said, log, tmp_path):
-    text = refused(said, asked, log, tmp_path / "." / log.name)
+def test_the_same_log_twice_is_a_mistake(asked, diagnosed, log, tmp_path):
+    text = refused(diagnosed, asked, log, tmp_path / "." / log.name)
     assert "given twice" in text
-    assert "given twice" in refused(said, asked, "-", "-")
+    assert "given twice" in refused(diagnosed, asked, "-", "-")
 
 
 @pytest.mark.parametrize("change", [
@@ -282,17 +286,17 @@ def test_the_same_log_twice_is_a_mistake(asked, said, log, tmp_path):
         text.splitlines(keepends=True)[4020:]
     ),
 ])  # fmt: skip
-def test_one_recording_under_two_names_is_refused(asked, said, log, tmp_path, change):
+def test_one_recording_under_two_names_is_refused(asked, diagnosed, log, tmp_path, change):
     second = tmp_path / "second.log"
     second.write_bytes(change(log.read_bytes()))
-    text = refused(said, asked, log, second)
+    text = refused(diagnosed, asked, log, second)
     assert f"{second}: is the same recording as {log}" in text
 
 
-def test_a_wrong_model_file_is_told_with_its_line(asked, said, log, tmp_path):
+def test_a_wrong_model_file_is_reported_with_its_line(asked, diagnosed, log, tmp_path):
     model = tmp_path / "model.yaml"
     model.write_text("chassis:\n  steering_ration: 15\n")
-    text = refused(said, asked, log, "--model", model)
+    text = refused(diagnosed, asked, log, "--model", model)
     assert f"{model}:2: chassis.steering_ration" in text
 
 
@@ -308,10 +312,10 @@ def test_an_installation_without_scipy_says_so(log):
     assert done.stderr.count("\n") == 1
 
 
-def test_a_log_without_a_frame_of_ours_is_told(asked, said, tmp_path):
+def test_a_log_without_a_frame_of_ours_is_reported(asked, diagnosed, tmp_path):
     other = tmp_path / "other.log"
     other.write_text("(1.000000) can0 7FF#00\n" * 3)
-    assert "no usable frame" in refused(said, asked, other)
+    assert "no usable frame" in refused(diagnosed, asked, other)
 
 
 # the terminal ------------------------------------------------------------------------------------

@@ -8,8 +8,14 @@ import pytest
 from hidden import Effect, hidden_drive
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.diagnose import diagnose
-from imucald.diagnosis.result import Diagnosis
-from imucald.model.model import model_from_mapping
+from imucald.diagnosis.doubts import _unsure_sensors
+from imucald.diagnosis.intervals import Estimate
+from imucald.diagnosis.result import DIFFERS, WANDERS, Diagnosis, Structure
+from imucald.diagnosis.score import Hypothesis
+from imucald.diagnosis.standing import unsettle
+from imucald.diagnosis.state import State
+from imucald.diagnosis.trials import Trial
+from imucald.model.model import VehicleModel, model_from_mapping
 
 SEED = 160_031
 MINUTES = 12.0
@@ -61,3 +67,26 @@ def test_stamps_that_run_off_are_no_delay_besides():
     d = diagnosed(running)
     assert "clock_drift" in names(d)
     assert not {"signal_delay", "delay_rate"} & (names(d) | {c.name for c in d.likely})
+
+
+def left_over(kind: str, signal: str = "accel_x", parameter: str = "accel.scale.0") -> Structure:
+    return Structure(signal, kind, 2.0, "", parameter)
+
+
+def test_a_gain_that_goes_with_the_driving_leaves_no_sensor_of_its_equation_sure():
+    assert _unsure_sensors([left_over(DIFFERS)]) == {"accel", "gyro", "speed"}
+    assert _unsure_sensors([left_over(WANDERS)]) == set()
+
+
+def test_a_drift_that_is_doubted_is_not_ruled_out_and_moves_nothing():
+    one = np.ones(1)
+    e = Estimate(one, 0.1 * one, 3.0, 5.0, 0.0 * one)
+    h = Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=np.ones(4))
+    range_of = np.array([[-1.0, 1.0]])
+    drift = Trial(h, e, np.ones(4), 20.0, 0.1 * one, range_of, 8.0, 2.0, 0.1 * one)
+    model = VehicleModel()
+    state = State((), model, model, {}, changes={"accel.bias.x": 0.3}, named=[drift])
+    unsettle(state, [drift].__contains__)
+    assert state.named == []
+    assert state.doubtful == [drift]
+    assert state.changes == {"accel.bias.x": 0.3}

@@ -219,7 +219,7 @@ def test_the_text_of_a_fault_names_its_signal():
 
 
 @pytest.mark.parametrize(("ppm", "found"), [(1500.0, True), (60.0, False), (50_000.0, False)])
-def test_a_cycle_is_told_beyond_what_crystals_have(ppm, found):
+def test_a_cycle_is_reported_beyond_what_crystals_have(ppm, found):
     samples = drive()
     t = samples["accel"].t
     samples["accel"] = Series(t * (1.0 + 1e-6 * ppm), samples["accel"].values)
@@ -322,3 +322,17 @@ def test_a_dead_zone_repeats_itself_and_is_neither_a_second_frame_nor_stuck():
     }
     found = {fault.cause for fault in find_faults(made, VehicleModel())}
     assert not found & {"duplicated_frames", "stuck_signal"}
+
+
+def test_late_frames_lose_no_cycle():
+    """Frames that wait for others on the bus, by a tenth of the cycle and now and then by one."""
+    samples = drive()
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 1200.0, 0.01) * (1.0 + 260e-6)
+    late = np.maximum.accumulate(t + 0.0015 * rng.exponential(size=len(t)))
+    accel = np.resize(samples["accel"].values, (len(t), 3))
+    kept = rng.random(len(t)) > 2e-4
+    found = causes({**samples, "accel": Series(late[kept], accel[kept])})
+    ppm, se, _ = found["clock_drift:accel"].values["accel.clock_drift_ppm"]
+    assert ppm == pytest.approx(260.0, abs=2.0)
+    assert se < 2.0

@@ -193,7 +193,7 @@ def test_a_speed_that_leads_makes_all_others_late():
     assert after.wheel_speeds.delay_s == 0.0, "the wheels are on the same bus"
 
 
-def test_a_growing_delay_is_told_from_the_start():
+def test_a_growing_delay_is_counted_from_the_start():
     changes = with_delay_rate({"speed.delay_s": 0.1, "speed.delay_rate": 1e-4}, 1000.0)
     assert changes["speed.delay_s"] == pytest.approx(0.0)
 
@@ -209,14 +209,14 @@ def test_a_turn_and_a_shift_are_rotations_about_the_vehicles_axes():
 
 
 def test_stops_allow_for_what_the_temperature_may_do():
-    """0.07 deg/s at 20 K from where the zero is stated is no error of an honest file; at 0 K it
+    """0.07 deg/s at 20 K from where the zero is stated is no error of a correct file; at 0 K it
     is."""
     _, model = world()
     rate = np.radians([0.07, 0.0, 0.0])
     se = np.full(3, 1e-5)
     cold, warm = Rest(rate, se, 3.0, 9, 0.0), Rest(rate, se, 3.0, 9, 20.0)
-    assert np.any(np.abs(cold.rate) > cold.honest(model))
-    assert np.all(np.abs(warm.rate) < warm.honest(model))
+    assert np.any(np.abs(cold.rate) > cold.allowed(model))
+    assert np.all(np.abs(warm.rate) < warm.allowed(model))
     low, high = warm.bounds(model)["gyro.bias.x"]
     assert low < rate[0] < high
     assert high - low > np.radians(2 * 20 * 0.01)

@@ -65,14 +65,14 @@ def left_over(kind: str, size: float, seed: int = 5):
     return _gram([ShapeRows(y.reshape(BLOCKS, ROWS), shapes, tilt, ROWS)])
 
 
-def told(*of_equation):
+def patterns_of(*of_equation):
     return beyond_chance(list(_asked(*of_equation)))
 
 
 @pytest.mark.parametrize("kind", ["memory", "bent", "late on one side"])
 def test_what_depends_on_its_own_signal_is_seen(kind):
     gram, squares = left_over(kind, 0.15)
-    found = told("accel_x", gram, squares)
+    found = patterns_of("accel_x", gram, squares)
     assert len(found) == 1
     assert found[0].signal == "accel_x"
 
@@ -80,12 +80,12 @@ def test_what_depends_on_its_own_signal_is_seen(kind):
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_linear_in_its_signal_is_no_pattern(seed):
     gram, squares = left_over("line", 0.3, seed)
-    assert told("accel_x", gram, squares) == []
+    assert patterns_of("accel_x", gram, squares) == []
 
 
 def test_less_than_a_correct_zero_may_be_is_not_reported():
     gram, squares = left_over("memory", 0.02)
-    assert told("accel_x", gram, squares) == []
+    assert patterns_of("accel_x", gram, squares) == []
 
 
 def test_memory_is_that_of_the_last_large_value():

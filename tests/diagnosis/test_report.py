@@ -344,7 +344,7 @@ def test_a_cause_that_nobody_has_named_yet_has_a_title():
     assert titles.signal_title("brake_torque") == "brake torque"
 
 
-def test_a_sure_cause_beside_an_ambiguous_one_is_told():
+def test_a_sure_cause_beside_an_ambiguous_one_is_reported():
     both = words.verdict(made.found(
         verdict="ambiguous", look_alikes=(("accel_bias", "accel_cross_axis"),)
     ))  # fmt: skip
@@ -352,7 +352,7 @@ def test_a_sure_cause_beside_an_ambiguous_one_is_told():
     assert "Certain, and not one of these: body roll" in both.explanation
 
 
-def test_structure_beside_what_was_found_is_told():
+def test_structure_beside_what_was_found_is_reported():
     said = words.verdict(made.found(structure=made.unknown().structure)).explanation
     assert "left besides, in accelerometer left and vehicle yaw rate" in said
 
@@ -364,7 +364,7 @@ def test_a_wrong_sign_is_the_headline():
     assert "imucald check" in said.explanation
 
 
-def test_a_gain_that_is_not_known_is_told_so():
+def test_a_gain_that_is_not_known_is_reported_so():
     assert words.gain(Gain(math.nan, (math.nan, math.nan))).startswith("not known")
 
 

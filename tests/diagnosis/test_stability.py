@@ -32,7 +32,7 @@ def problem(seed: int, offset=0.0) -> Problem:
     return Problem(table, -tolerance, tolerance)
 
 
-def told(p: Problem, condition=None) -> set[tuple[str, str]]:
+def structures(p: Problem, condition=None) -> set[tuple[str, str]]:
     scores, gram = _scores(p, None)
     asked = list(_wandering(p, scores, gram, [0, 1]))
     if condition is not None:
@@ -42,21 +42,21 @@ def told(p: Problem, condition=None) -> set[tuple[str, str]]:
 
 def test_a_zero_that_jumps_every_four_minutes_wanders():
     jumps = np.repeat(np.random.default_rng(3).standard_normal(6), 8) * 2.0 * TOLERANCE
-    assert ("wanders", "accel.bias.x") in told(problem(1, jumps))
+    assert ("wanders", "accel.bias.x") in structures(problem(1, jumps))
 
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_zero_that_stays_neither_wanders_nor_differs(seed):
     speed = np.random.default_rng(100 + seed).random(BLOCKS)
-    assert told(problem(seed, np.full(BLOCKS, 0.5 * TOLERANCE)), speed) == set()
+    assert structures(problem(seed, np.full(BLOCKS, 0.5 * TOLERANCE)), speed) == set()
 
 
-def test_a_zero_that_goes_within_its_tolerance_is_not_told_of():
+def test_a_zero_that_goes_within_its_tolerance_is_not_reported():
     drift = 0.5 * TOLERANCE * np.linspace(-1.0, 1.0, BLOCKS)
-    assert told(problem(2, drift)) == set()
+    assert structures(problem(2, drift)) == set()
 
 
-def test_a_zero_that_is_another_at_speed_is_told_of_with_its_size():
+def test_a_zero_that_is_another_at_speed_is_reported_with_its_size():
     speed = np.random.default_rng(5).random(BLOCKS)
     p = problem(4, 5.0 * TOLERANCE * speed)
     scores, gram = _scores(p, None)
@@ -66,7 +66,7 @@ def test_a_zero_that_is_another_at_speed_is_told_of_with_its_size():
     assert found[0].size == pytest.approx(5.0 * 0.9 / 2.0, rel=0.15)
 
 
-def test_of_many_questions_chance_alone_tells_nothing_and_what_is_small_is_left_out():
+def test_of_many_questions_chance_alone_shows_nothing_and_what_is_small_is_left_out():
     rng = np.random.default_rng(6)
     over = 0
     for _ in range(400):
@@ -89,4 +89,4 @@ def test_a_gain_that_is_another_from_a_moment_on_is_told_of_with_its_time_and_si
 def test_what_lasts_two_minutes_and_comes_again_wanders():
     """Of a square wave of four minutes a sum over three neighbours is none."""
     on = (np.arange(BLOCKS) // 4 % 2) * 4.0 * TOLERANCE
-    assert ("wanders", "accel.bias.x") in told(problem(8, on))
+    assert ("wanders", "accel.bias.x") in structures(problem(8, on))

@@ -139,7 +139,7 @@ def test_a_lever_that_is_never_in_reverse_is_named_for_the_reader(tmp_path):
     assert not any(line.strip().startswith("reverse:") for line in text.splitlines())
 
 
-def test_a_database_of_another_vehicle_is_told(drive):
+def test_a_database_of_another_vehicle_is_reported(drive):
     other = load_database_text(
         'VERSION ""\nBS_:\nBU_: A\nBO_ 5 Other: 8 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" A\n', "dbc"
     )

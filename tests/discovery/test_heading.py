@@ -96,7 +96,7 @@ def test_a_course_is_found_and_sure_however_late_it_is(drive, tmp_path, late):
 
 
 @pytest.mark.slow
-def test_an_accelerometer_that_shows_minus_the_force_is_told_by_the_course(drive, tmp_path):
+def test_an_accelerometer_that_shows_minus_the_force_is_reported_by_the_course(drive, tmp_path):
     """What its database multiplies by -1, the proposal multiplies by -1 again; sides stay right."""
     proposal = proposed(tmp_path, with_course(drive, 0.5), name="Course", accel_sign=-1)
     assert signs(proposal, "accelerometer") == {-1}
@@ -109,7 +109,7 @@ def test_an_accelerometer_that_shows_minus_the_force_is_told_by_the_course(drive
 
 
 @pytest.mark.slow
-def test_without_a_name_that_tells_a_compass_all_that_has_sides_is_unsure(drive, tmp_path):
+def test_without_a_name_that_shows_a_compass_all_that_has_sides_is_unsure(drive, tmp_path):
     proposal = proposed(tmp_path, with_course(drive, 0.5), name="Sig7", accel_sign=-1)
     for quantity in ("accelerometer", "heading", "yaw_rate", "steering_wheel_angle"):
         choice = proposal.choice(quantity)

@@ -71,13 +71,15 @@ def test_what_a_log_knows_by_itself_is_how_far_its_yaw_scatters(late):
     assert 0.05 < np.median(std) < 3.0
 
 
-def test_absent_repositories_are_told_with_their_command_and_fail(tmp_path, monkeypatch, capsys):
+def test_absent_repositories_are_reported_with_their_command_and_fail(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(sys, "argv", ["public_logs", "--data", str(tmp_path)])
     assert command.main() == 1
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for log in LOGS:
-        assert f"git clone {log.repository.url} " in told
-    assert "nothing was measured" in told
+        assert f"git clone {log.repository.url} " in output
+    assert "nothing was measured" in output
 
 
 @pytest.mark.parametrize("log", LOGS, ids=lambda log: log.name)
@@ -107,14 +109,14 @@ class _Diagnosis:
          "named; CERTAIN BESIDE IT: dropouts; likely too: road (verdict found)"),
     ],
 )  # fmt: skip
-def test_a_hidden_effect_is_named_likely_or_missed_and_other_names_are_told(
+def test_a_hidden_effect_is_named_likely_or_missed_and_other_names_are_reported(
     certain, likely, words, monkeypatch
 ):
     monkeypatch.setattr(diagnosed, "diagnose", lambda *_: _Diagnosis(certain, likely))
     assert diagnosed._said({}, VehicleModel(), ("gyro_scale",)) == words
 
 
-def test_certain_causes_of_a_log_without_an_effect_and_refusals_are_told(monkeypatch):
+def test_certain_causes_of_a_log_without_an_effect_and_refusals_are_reported(monkeypatch):
     monkeypatch.setattr(diagnosed, "diagnose", lambda *_: _Diagnosis(["dropouts"], []))
     assert diagnosed._said({}, VehicleModel(), ()) == "certain: dropouts (verdict found)"
 

@@ -91,9 +91,9 @@ def test_values_read_are_values_sent():
 
 @pytest.mark.slow
 def test_a_source_reads_status_and_bus_of_a_running_daemon(tmp_path):
-    said: list[str] = []
+    messages: list[str] = []
     with calibrated(tmp_path) as (_, service):
-        source = source_of(service, said)
+        source = source_of(service, messages)
         with traffic(service.link.channel) as silent:
             readings: list[Reading] = []
             wait_until(lambda: readings.append(source.read(0.1)) or good(readings[-1]))
@@ -109,8 +109,8 @@ def test_a_source_reads_status_and_bus_of_a_running_daemon(tmp_path):
     wait_until(lambda: source.read(0.1).status is None)
     assert not good(source.read(STALE_S + 0.1))
     source.close()
-    assert "listening on" in said[0]
-    assert "waiting for it" in said[-1]
+    assert "listening on" in messages[0]
+    assert "waiting for it" in messages[-1]
 
 
 def good(reading: Reading) -> bool:
@@ -147,9 +147,9 @@ class Script:
         self.done.append(("close", self.now))
 
 
-def test_a_receiver_that_is_not_there_is_tried_again_later_and_later_and_told_once():
-    script, said = Script(), []
-    feed = Feed(script, script, 0.1, said.append, script.clock)
+def test_a_receiver_that_is_not_there_is_tried_again_later_and_later_and_reported_once():
+    script, messages = Script(), []
+    feed = Feed(script, script, 0.1, messages.append, script.clock)
     while script.now < 600.0:
         feed.step()
     tries = [t for what, t in script.done if what == "connect"]
@@ -157,8 +157,8 @@ def test_a_receiver_that_is_not_there_is_tried_again_later_and_later_and_told_on
     assert pauses[0] < 1.5
     assert all(b > 1.2 * a for a, b in itertools.pairwise(pauses[:5]))
     assert max(pauses) < 1.3 * LONGEST_PAUSE_S
-    assert len(said) == 1
-    assert said[0].startswith("nobody there; trying again")
+    assert len(messages) == 1
+    assert messages[0].startswith("nobody there; trying again")
     script.fails = False
     while script.done[-1][0] != "publish":
         feed.step()
@@ -166,7 +166,7 @@ def test_a_receiver_that_is_not_there_is_tried_again_later_and_later_and_told_on
     assert script.done[-1][0] == "publish"
     script.fails = True
     feed.step()
-    assert "gone" in said[-1]
+    assert "gone" in messages[-1]
     feed.stopping = True
     feed.run()
     assert script.done[-1][0] == "close"

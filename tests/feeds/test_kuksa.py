@@ -123,8 +123,8 @@ def databroker(own: bool = True, port: int = 0) -> Iterator[Databroker]:
         made.stop()
 
 
-def receiver_of(port: int, said: list[str]) -> KuksaReceiver:
-    return KuksaReceiver(KuksaSettings("127.0.0.1", port), said.append)
+def receiver_of(port: int, messages: list[str]) -> KuksaReceiver:
+    return KuksaReceiver(KuksaSettings("127.0.0.1", port), messages.append)
 
 
 def test_every_path_is_one_of_vss_or_of_our_own_branch():
@@ -132,13 +132,15 @@ def test_every_path_is_one_of_vss_or_of_our_own_branch():
 
 
 def test_corrected_values_and_the_mount_become_vss_signals(tmp_path):
-    said: list[str] = []
+    messages: list[str] = []
     with (
         calibrated(tmp_path) as (_, service),
         traffic(service.link.channel) as silent,
         databroker() as broker,
     ):
-        feed = Feed(source_of(service, said), receiver_of(broker.port, said), 0.1, said.append)
+        feed = Feed(
+            source_of(service, messages), receiver_of(broker.port, messages), 0.1, messages.append
+        )
         ahead, above = "Vehicle.Acceleration.Longitudinal", "Vehicle.Acceleration.Vertical"
         with fed(feed):
             wait_until(lambda: broker.values.get(ahead) is not None)
@@ -161,21 +163,21 @@ def test_corrected_values_and_the_mount_become_vss_signals(tmp_path):
         assert set(broker.values.values()) == {None}, "a feed that ends leaves no old value"
 
 
-def test_signals_that_a_databroker_does_not_know_are_told_once_and_left_out(tmp_path):
-    said: list[str] = []
+def test_signals_that_a_databroker_does_not_know_are_reported_once_and_left_out(tmp_path):
+    messages: list[str] = []
     with calibrated(tmp_path) as (_, service), databroker(own=False) as broker:
-        receiver = receiver_of(broker.port, said)
+        receiver = receiver_of(broker.port, messages)
         for _ in range(2):
             receiver.connect()
             receiver.publish(Reading(0.0, service.status(), corrected={"acceleration": None}))
             receiver.disconnect()
         assert set(broker.values) == {p for p in STANDARD if "Acceleration" in p}
-    missed = [text for text in said if "does not know" in text]
+    missed = [text for text in messages if "does not know" in text]
     assert len(missed) == len(OWN)
     assert "config/imucald-vss.json" in missed[0]
     with databroker() as empty:
         empty.types.clear()
-        receiver = receiver_of(empty.port, said)
+        receiver = receiver_of(empty.port, messages)
         with pytest.raises(ReceiverError, match="knows none of"):
             receiver.connect()
         receiver.disconnect()
@@ -184,19 +186,19 @@ def test_signals_that_a_databroker_does_not_know_are_told_once_and_left_out(tmp_
 @pytest.mark.slow
 def test_a_databroker_that_comes_late_or_goes_is_waited_for(tmp_path, monkeypatch):
     monkeypatch.setattr("imucald.feeds.feed_loop.LONGEST_PAUSE_S", 1.0)
-    said: list[str] = []
+    messages: list[str] = []
     with databroker() as broker:
         port = broker.port
     with calibrated(tmp_path) as (_, service), traffic(service.link.channel):
-        feed = Feed(source_of(service, said), receiver_of(port, said), 0.1, said.append)
+        feed = Feed(source_of(service, messages), receiver_of(port, messages), 0.1, messages.append)
         with fed(feed):
-            wait_until(lambda: any("trying again" in text for text in said))
+            wait_until(lambda: any("trying again" in text for text in messages))
             for _ in range(2):
                 with databroker(port=port) as broker:
                     path = "Vehicle.Acceleration.Longitudinal"
                     wait_until(lambda broker=broker, path=path: broker.values.get(path), 30.0)
-    assert all("Traceback" not in text for text in said)
-    assert any("takes 15 signals" in text for text in said)
+    assert all("Traceback" not in text for text in messages)
+    assert any("takes 15 signals" in text for text in messages)
 
 
 def test_without_a_daemon_nothing_is_available():
@@ -206,9 +208,9 @@ def test_without_a_daemon_nothing_is_available():
 
 
 def test_a_value_that_is_refused_is_an_error_of_the_receiver_not_of_the_feed(tmp_path):
-    said: list[str] = []
+    messages: list[str] = []
     with calibrated(tmp_path) as (_, service), databroker() as broker:
-        receiver = receiver_of(broker.port, said)
+        receiver = receiver_of(broker.port, messages)
         receiver.connect()
         wrong = {**service.status(), "state": "nonsense"}
         with pytest.raises(ReceiverError, match="nonsense is not allowed"):

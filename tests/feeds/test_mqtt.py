@@ -36,10 +36,10 @@ def broker(tmp_path: Path) -> Iterator[Broker]:
 def test_status_and_corrected_values_arrive_and_are_null_when_the_sensor_is_silent(
     tmp_path, broker
 ):
-    said: list[str] = []
+    messages: list[str] = []
     with calibrated(tmp_path) as (_, service), traffic(service.link.channel) as silent:
-        receiver = MqttReceiver(MqttSettings("127.0.0.1", broker.port, "car/imu"), said.append)
-        feed = Feed(source_of(service, said), receiver, 0.1, said.append)
+        receiver = MqttReceiver(MqttSettings("127.0.0.1", broker.port, "car/imu"), messages.append)
+        feed = Feed(source_of(service, messages), receiver, 0.1, messages.append)
         with broker.watched("car/imu") as heard, fed(feed):
             wait_until(lambda: '"x": null' not in heard.get("acceleration", '"x": null'))
             wait_until(lambda: {"angular_rate", "status", "online"} <= heard.keys())
@@ -70,18 +70,18 @@ def test_status_and_corrected_values_arrive_and_are_null_when_the_sensor_is_sile
 @pytest.mark.slow
 def test_a_broker_that_comes_late_or_goes_is_waited_for(tmp_path, broker):
     broker.stop()
-    said: list[str] = []
+    messages: list[str] = []
     with calibrated(tmp_path) as (_, service), traffic(service.link.channel):
-        receiver = MqttReceiver(MqttSettings("127.0.0.1", broker.port, "car"), said.append)
-        with fed(Feed(source_of(service, said), receiver, 0.1, said.append)):
-            wait_until(lambda: any("cannot be reached" in text for text in said))
+        receiver = MqttReceiver(MqttSettings("127.0.0.1", broker.port, "car"), messages.append)
+        with fed(Feed(source_of(service, messages), receiver, 0.1, messages.append)):
+            wait_until(lambda: any("cannot be reached" in text for text in messages))
             for _ in range(2):
                 broker.start()
                 with broker.watched("car") as heard:
                     wait_until(lambda heard=heard: "acceleration" in heard, 20.0)
                     assert heard["online"] == "1"
                 broker.stop()
-            wait_until(lambda: any("is gone" in text for text in said))
+            wait_until(lambda: any("is gone" in text for text in messages))
     broker.start()
 
 
@@ -102,16 +102,16 @@ def test_the_last_will_says_that_a_killed_feed_is_gone(tmp_path, broker):
             orderly.send_signal(signal.SIGTERM)
             assert orderly.wait(5.0) == 0
             wait_until(lambda: heard["online"] == "0")
-            told = orderly.communicate()[1]
-    assert f"MQTT broker 127.0.0.1:{broker.port} takes car/#" in told
+            output = orderly.communicate()[1]
+    assert f"MQTT broker 127.0.0.1:{broker.port} takes car/#" in output
 
 
 @pytest.mark.slow
-def test_a_daemon_that_ends_is_told_and_its_values_are_not_available(tmp_path, broker):
-    said: list[str] = []
+def test_a_daemon_that_ends_is_reported_and_its_values_are_not_available(tmp_path, broker):
+    messages: list[str] = []
     with calibrated(tmp_path) as (_, service), broker.watched("car") as heard:
-        receiver = MqttReceiver(MqttSettings("127.0.0.1", broker.port, "car"), said.append)
-        with fed(Feed(source_of(service, said), receiver, 0.1, said.append)):
+        receiver = MqttReceiver(MqttSettings("127.0.0.1", broker.port, "car"), messages.append)
+        with fed(Feed(source_of(service, messages), receiver, 0.1, messages.append)):
             wait_until(lambda: "status" in heard)
             service.stop()
             assert service.sockets.status is not None
@@ -121,7 +121,7 @@ def test_a_daemon_that_ends_is_told_and_its_values_are_not_available(tmp_path, b
 
 
 @pytest.mark.slow
-def test_a_wrong_password_is_told_and_a_right_one_is_taken(tmp_path, monkeypatch):
+def test_a_wrong_password_is_reported_and_a_right_one_is_taken(tmp_path, monkeypatch):
     folder = tmp_path / "mosquitto"
     folder.mkdir()
     passwords = folder / "passwords"
@@ -130,15 +130,15 @@ def test_a_wrong_password_is_told_and_a_right_one_is_taken(tmp_path, monkeypatch
     subprocess.run([tool, "-b", "-c", str(passwords), "car", "right"], check=True)
     os.chmod(passwords, 0o644)  # noqa: PTH101
     broker = Broker(folder, f"allow_anonymous false\npassword_file {passwords}\n")
-    said: list[str] = []
+    messages: list[str] = []
     try:
         for password in ("wrong", "right"):
             monkeypatch.setenv("IMUCALD_MQTT_PASSWORD", password)
             settings = MqttSettings("127.0.0.1", broker.port, "car", user="car")
-            receiver = MqttReceiver(settings, said.append)
+            receiver = MqttReceiver(settings, messages.append)
             receiver.connect()
             expected = {"wrong": "refuses us", "right": "takes car/#"}[password]
-            wait_until(lambda expected=expected: any(expected in text for text in said))
+            wait_until(lambda expected=expected: any(expected in text for text in messages))
             receiver.close()
     finally:
         broker.stop()

@@ -108,7 +108,7 @@ def test_remounts_are_not_denied_where_the_drives_are_too_few_to_find_one(
     assert f"sensors moved between drives: {answer}" in text
 
 
-def test_an_angle_of_a_type_that_two_vehicles_do_not_show_is_said_not_to_be_known(
+def test_an_angle_of_a_type_that_two_vehicles_do_not_show_is_stated_not_to_be_known(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     rows = analysed(columns_of(2, 2, offset=lambda v, _: (0.0, 0.0, 40.0 * v)))

@@ -70,7 +70,9 @@ def test_whatever_a_log_does_its_end_is_an_outcome(
     assert time.monotonic() - began < LIMITS.time_s + 20.0
 
 
-def test_the_reason_of_a_crash_is_told_and_the_same_each_time(tmp_path: Path, bundle: str) -> None:
+def test_the_reason_of_a_crash_is_reported_and_the_same_each_time(
+    tmp_path: Path, bundle: str
+) -> None:
     first, second = (run(poisoned(tmp_path, "segfault"), bundle) for _ in range(2))
     assert "SIGSEGV" in first.message
     assert "_act" in first.traceback, "faulthandler tells the Python function"
@@ -141,9 +143,9 @@ def test_children_end_with_their_worker(tmp_path: Path, bundle: str) -> None:
         f"run_one_log(Task({str(log)!r}, '-', limits=limits, function={FUNCTION!r}))"
     )
     worker = subprocess.Popen([sys.executable, "-c", code], env=environment())
-    told = log.with_suffix(".pid")
+    pid_file = log.with_suffix(".pid")
     try:
-        pid = int(_when(lambda: told.read_text() if told.exists() else ""))
+        pid = int(_when(lambda: pid_file.read_text() if pid_file.exists() else ""))
         assert _lives(pid)
     finally:
         worker.kill()

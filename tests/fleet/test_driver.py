@@ -212,7 +212,7 @@ def test_what_crashes_twice_is_poison_until_it_is_asked_for(tmp_path: Path, flee
     assert "crashed" not in pq.read_table(tmp_path / "out" / "failures").column("kind").to_pylist()
 
 
-def test_a_run_whose_first_logs_all_fail_alike_stops(tmp_path: Path) -> None:
+def test_a_run_whose_first_logs_all_fail_the_same_stops(tmp_path: Path) -> None:
     fleet = load_fleet(make_logs(tmp_path, [f"bad no_frames {i}" for i in range(60)]))
     with pytest.raises(AllFailedError, match=f"first {ALL_ALIKE} logs all failed: no_frames"):
         go(fleet, tmp_path / "out")

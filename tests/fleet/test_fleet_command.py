@@ -125,12 +125,12 @@ def test_a_diagnosis_of_each_drive_is_a_column_where_it_is_asked_for(
     fleet = make_fleet(tmp_path, log, 1, seconds=180.0)
     command = ["fleet", "run", "--fleet", str(fleet), "--out", str(tmp_path / "out"), "--quiet"]
     assert main([*command, "--workers", "1"]) == 0
-    (said,) = pq.read_table(tmp_path / "out" / "drives").column("diagnosed").to_pylist()
-    assert said is None
+    (text,) = pq.read_table(tmp_path / "out" / "drives").column("diagnosed").to_pylist()
+    assert text is None
     assert main([*command, "--workers", "1", "--redo", "all", "--diagnose"]) == 0
-    (said,) = pq.read_table(tmp_path / "out" / "drives").column("diagnosed").to_pylist()
+    (text,) = pq.read_table(tmp_path / "out" / "drives").column("diagnosed").to_pylist()
     found = imucald.diagnose(imucald.Config.load(CONFIG), log)
-    assert json.loads(said) == sorted(found.causes)
+    assert json.loads(text) == sorted(found.causes)
 
 
 def test_the_report_is_one_page_that_loads_nothing(done: Path, tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_a_folder_without_a_run_or_analysis_says_what_to_do(
         (f"logs: memory://x/*\nconfig: {CONFIG}\n", "memory lives in one process"),
     ],
 )
-def test_a_wrong_fleet_file_is_told_before_any_work(
+def test_a_wrong_fleet_file_is_reported_before_any_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, words: str
 ) -> None:
     path = tmp_path / "fleet.yaml"
@@ -271,5 +271,5 @@ def test_a_run_that_is_stopped_while_it_starts_ends_without_a_traceback(
         env=environment(), capture_output=True, text=True, start_new_session=True, timeout=60.0,
         check=False,
     )  # fmt: skip
-    said = "" if name == "SIGKILL" else "imucald: broken off. The same command goes on\n"
-    assert (run.returncode, run.stderr) == (status, said)
+    text = "" if name == "SIGKILL" else "imucald: broken off. The same command goes on\n"
+    assert (run.returncode, run.stderr) == (status, text)

@@ -1,4 +1,5 @@
-"""The first fleet file of docs/fleet.md works with the logs that the page has one simulate."""
+"""docs/fleet.md: its first fleet file works with the logs that it has one simulate; it names every
+way to fail."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ from fleet_files import CONFIG
 
 from imucald.fleet.fleet_file import load_fleet
 from imucald.fleet.listing import list_logs
+from imucald.fleet.task import FAILURES
 from paths import ROOT
 
 
@@ -27,3 +29,9 @@ def test_the_first_fleet_file_of_the_page_lists_the_logs_of_its_commands(tmp_pat
     found = {log.source.removeprefix("file://") for log in list_logs(fleet)}
     assert {str(Path(source).relative_to(tmp_path)) for source in found} == set(written)
     assert {fleet.named(source)[0] for source in found} == {"car-1", "car-2"}
+
+
+def test_the_page_names_every_way_in_which_a_log_can_fail() -> None:
+    text = (ROOT / "docs" / "fleet.md").read_text()
+    failing = text.partition("or in `failures` as ")[2].partition(". ")[0]
+    assert set(re.findall(r"`(\w+)`", failing)) == set(FAILURES)

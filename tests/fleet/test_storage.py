@@ -51,7 +51,7 @@ def test_a_storage_that_fails_for_a_moment_is_asked_again(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("error", "calls"), [(ConnectionError("reset"), 3), (FileNotFoundError("gone"), 1)]
 )
-def test_a_storage_that_stays_away_is_told(
+def test_a_storage_that_stays_away_is_reported(
     monkeypatch: pytest.MonkeyPatch, error: Exception, calls: int
 ) -> None:
     system = Flaky(9, error)
@@ -64,7 +64,7 @@ def test_a_storage_that_stays_away_is_told(
     assert system.calls == calls
 
 
-def test_a_protocol_without_its_package_is_told() -> None:
+def test_a_protocol_without_its_package_is_reported() -> None:
     with pytest.raises(StorageError, match="nosuch"):
         Store("nosuch://lake")
 
@@ -89,7 +89,7 @@ def test_tables_of_an_older_version_have_nulls_for_newer_columns(tmp_path: Path)
     assert found.schema.field("bytes").type == pa.int64()
 
 
-def test_a_file_that_is_no_parquet_is_told(tmp_path: Path) -> None:
+def test_a_file_that_is_no_parquet_is_reported(tmp_path: Path) -> None:
     (tmp_path / "sources").mkdir()
     (tmp_path / "sources" / "sources.parquet").write_text("no")
     with pytest.raises(ImucaldError, match=r"sources\.parquet: is no Parquet file"):

@@ -2,12 +2,13 @@
 
 Inputs that reach new code go to a folder outside the project (--work); `--keep` merges the few
 that are needed for the same coverage into tests/fuzz/corpus, which the test suite replays.
-An input that breaks something is written to the work folder and told. Needs atheris (extra dev).
+An input that breaks something is written to the work folder and outcome. Needs atheris (extra dev).
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import shlex
 import subprocess
@@ -38,6 +39,9 @@ ITSELF = "IMUCALD_FUZZ_ITSELF"
 """Names a program that libFuzzer starts as itself: a merge runs inputs in other processes."""
 INPUT_S, MEMORY_MB, LONGEST = 10, 2048, 65536
 """Limits of one input: time [s], memory [MB], length [bytes]."""
+ROUND = 100_000
+"""Inputs of one process: atheris (3.0) keeps the outcome of each comparison of a numpy array that
+it traces, some 4 kB an input of `log`, and the memory limit is that of the whole process."""
 
 
 def fuzz_one(name: str, arguments: list[str]) -> None:
@@ -64,29 +68,34 @@ def fuzz(name: str, work: Path, seconds: int) -> bool:
     broken.mkdir(parents=True, exist_ok=True)
     log = work / f"{name}.txt"
     began = time.monotonic()
-    with log.open("wb") as output:
-        status = subprocess.run(
-            command(
-                name,
-                f"-max_total_time={seconds}",
-                f"-timeout={INPUT_S}",
-                f"-rss_limit_mb={MEMORY_MB}",
-                f"-max_len={LONGEST}",
-                f"-artifact_prefix={broken}/",
-                "-print_final_stats=1",
-                str(found),
-                str(CORPUS / name),
-            ),
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            check=False,
-        ).returncode
-    lines = log.read_text(errors="replace").splitlines()
-    runs = [line for line in lines if line.startswith("stat::number_of_executed_units")]
-    told = "ok" if status == 0 else f"BROKEN, see {log} and {broken}"
+    inputs, status, left = 0, 0, seconds
+    while status == 0 and left > 0:
+        with log.open("wb") as output:
+            status = subprocess.run(
+                command(
+                    name,
+                    f"-max_total_time={left}",
+                    f"-runs={ROUND}",
+                    f"-timeout={INPUT_S}",
+                    f"-rss_limit_mb={MEMORY_MB}",
+                    f"-max_len={LONGEST}",
+                    f"-artifact_prefix={broken}/",
+                    "-print_final_stats=1",
+                    str(found),
+                    str(CORPUS / name),
+                ),
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                check=False,
+            ).returncode
+        lines = log.read_text(errors="replace").splitlines()
+        runs = [line for line in lines if line.startswith("stat::number_of_executed_units")]
+        inputs += int(runs[0].split()[-1]) if runs else 0
+        left = seconds - math.ceil(time.monotonic() - began)
+    outcome = "ok" if status == 0 else f"BROKEN, see {log} and {broken}"
     print(
-        f"{name:16s} {time.monotonic() - began:6.0f} s  {runs[0].split()[-1] if runs else '?':>9s}"
-        f" inputs  {len(list(found.iterdir())):5d} new  {told}",
+        f"{name:16s} {time.monotonic() - began:6.0f} s  {inputs:9d} inputs"
+        f"  {len(list(found.iterdir())):5d} new  {outcome}",
         flush=True,
     )
     return status == 0

@@ -286,19 +286,19 @@ def frame_check(data: bytes) -> None:
     if not frames:
         return
     one, columns = MessageChecker(spec), MessageChecker(spec)
-    said = [one.check(at, payload) or "" for at, payload in frames]
+    reasons = [one.check(at, payload) or "" for at, payload in frames]
     block = np.zeros((len(frames), 64), np.uint8)
     for row, (_, payload) in zip(block, frames, strict=True):
         row[: len(payload)] = list(payload)
     lengths = np.array([len(payload) for _, payload in frames], np.uint8)
     codes = columns.check_columns(np.array([at for at, _ in frames]), block, lengths)
-    assert said == [REASONS[code] for code in codes.tolist()]
+    assert reasons == [REASONS[code] for code in codes.tolist()]
     assert (one.accepted, one.rejected, one.lost) == (
         columns.accepted,
         columns.rejected,
         columns.lost,
     )
-    for reason, (_, payload) in zip(said, frames, strict=True):
+    for reason, (_, payload) in zip(reasons, frames, strict=True):
         assert reason or spec.size <= len(payload) <= spec.longest
 
 

@@ -127,7 +127,7 @@ def _accel_bias(w: World, size: float, rng: np.random.Generator, e: Effect) -> N
 
 
 def _accel_scale(w: World, size: float, rng: np.random.Generator, e: Effect) -> None:
-    """Scale error of one axis, or of all alike."""
+    """Scale error of one axis, or of all equally."""
     form = _pick(rng, e, ("0", "1", "2", "all"))
     which = np.ones(3) if form == "all" else np.eye(3)[int(form)]
     w.accel.scale = w.accel.scale + _sign(rng) * size * which
@@ -147,7 +147,7 @@ def _gyro_bias(w: World, size: float, rng: np.random.Generator, e: Effect) -> No
 
 
 def _gyro_scale(w: World, size: float, rng: np.random.Generator, e: Effect) -> None:
-    """Scale error of the axis nearest to the vertical, or of all alike."""
+    """Scale error of the axis nearest to the vertical, or of all equally."""
     form = _pick(rng, e, ("vertical", "all"))
     vertical = np.eye(3)[int(np.argmax(np.abs(w.R_vehicle_from_sensor[2])))]
     w.gyro.scale = w.gyro.scale + _sign(rng) * size * (vertical if form == "vertical" else 1.0)
@@ -210,7 +210,7 @@ def _understeer(w: World, size: float, rng: np.random.Generator, e: Effect) -> N
 
 
 def _wheel_speed_scale(w: World, size: float, rng: np.random.Generator, e: Effect) -> None:
-    """Speed and all wheels alike."""
+    """Speed and all wheels by one factor."""
     change = _sign(rng) * size
     w.speed_scale += change
     w.wheel_scale = w.wheel_scale + change

@@ -80,7 +80,7 @@ def _unevenness(world: World, speed: Array, rate: float) -> Array:
         spectrum[0] = 0.0
         return np.asarray(np.fft.irfft(spectrum, size))
 
-    # Long waves lift both tracks alike; short ones are each track's own.
+    # Long waves lift both tracks equally; short ones are each track's own.
     both, left, right = profile(60.0), profile(15.0), profile(15.0)
     distance = np.cumsum(speed) / rate
     ease = 1.0 / np.sqrt(1.0 + (speed / CALM_MPS) ** 2)

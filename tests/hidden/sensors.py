@@ -16,7 +16,7 @@ from imucald.core.samples import Series
 REFERENCE_DEGC = 25.0
 VIBRATION_HZ = np.array([0.0, 3.0, 6.0, 12.0, 18.0, 27.0, 40.0, 60.0, 100.0])
 VIBRATION_SHAPE = np.array([0.0, 0.05, 0.5, 1.0, 0.7, 1.2, 0.8, 0.5, 0.1])
-"""Body and trim: hardly anything below the suspension's modes, humps above."""
+"""Body and trim: hardly anything below the suspension's modes, peaks above."""
 LONGEST_FREEZE_S, SHORTEST_FREEZE_S = 20.0, 3.0
 LONGEST_BURST_S, SHORTEST_BURST_S = 2.0, 0.1
 SPEED_DEAD_BAND = 0.3

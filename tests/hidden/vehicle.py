@@ -120,7 +120,7 @@ def _lateral_step(world: World, h: float) -> Callable[[Array, Array, Array], Arr
         # At standstill the carcass' own damping ends the sway; a rolling tyre has none to speak of.
         drag = SIDE_DAMPING / (1.0 + 10.0 * v * v)
         back = swing * y
-        # Of the mass m only the share 1 - slosh is body; gravity pulls body and load alike.
+        # Of the mass m only the share 1 - slosh is body; gravity pulls both.
         lateral = ((force_f + force_r) / m + push + slosh * back) / (1.0 - slosh)
         out = np.empty_like(x)
         out[0] = lateral + down - v * r - drag * vy

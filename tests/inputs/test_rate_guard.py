@@ -36,8 +36,8 @@ def test_a_stall_and_what_was_held_back_harm_nobody() -> None:
 
 def test_no_more_than_one_frame_in_0_4_cycles_is_taken() -> None:
     t = np.sort(np.concatenate([sent(100.0, 0.0, 30.0), sent(10_000.0, 20.0, 21.0)]))
-    said = judged(RateGuard(0.01), t)
-    flood = [reason for x, reason in zip(t, said, strict=True) if 20.0 <= x < 21.0]
+    verdicts = judged(RateGuard(0.01), t)
+    flood = [reason for x, reason in zip(t, verdicts, strict=True) if 20.0 <= x < 21.0]
     assert flood.count("") == 250
     assert set(flood) == {"", TOO_FAST}
 
@@ -50,13 +50,13 @@ def test_a_second_sender_ends_the_trust_until_it_falls_silent(times: float) -> N
     breaks = np.concatenate([(own > 20.0) & (own < 40.0), np.zeros(len(other), bool)])
     order = np.argsort(t)
     reasons = np.where(breaks, "counter_jump", "")[order].tolist()
-    said = np.array(judged(RateGuard(None, counted=True), t[order], reasons))
+    verdicts = np.array(judged(RateGuard(None, counted=True), t[order], reasons))
     t = t[order]
-    good = (said == "") | (said == TOO_FAST)
+    good = (verdicts == "") | (verdicts == TOO_FAST)
     assert good[t < 20.0].all()
-    assert not (said[(t > 25.0) & (t < 40.0)] == "").any()
-    assert DUPLICATE in said
-    assert (said[t > 47.0] == "").all()
+    assert not (verdicts[(t > 25.0) & (t < 40.0)] == "").any()
+    assert DUPLICATE in verdicts
+    assert (verdicts[t > 47.0] == "").all()
 
 
 def test_a_sender_that_wakes_up_is_no_second_one() -> None:
@@ -78,18 +78,18 @@ def test_columns_say_what_single_frames_do(seed: int) -> None:
     got, start = [], 0
     while start < len(t):
         stop = min(len(t), start + int(rng.integers(1, 900)))
-        said = np.array(reasons[start:stop], dtype=object)
-        by_reason = {r: np.flatnonzero(said == r) for r in set(reasons[start:stop]) - {""}}
-        refused = other.judge_columns(t[start:stop], said == "", by_reason)
+        verdicts = np.array(reasons[start:stop], dtype=object)
+        by_reason = {r: np.flatnonzero(verdicts == r) for r in set(reasons[start:stop]) - {""}}
+        refused = other.judge_columns(t[start:stop], verdicts == "", by_reason)
         for reason, rows in refused.items():
-            said[rows] = reason
-        got += said.tolist()
+            verdicts[rows] = reason
+        got += verdicts.tolist()
         start = stop
     assert got == expected
     assert DUPLICATE in got or TOO_FAST in got or seed % 2 == 0 or len(set(got)) > 1
 
 
-def test_not_available_is_said_once_a_cycle_and_jitter_loses_none() -> None:
+def test_not_available_is_stated_once_a_cycle_and_jitter_loses_none() -> None:
     regular, flood = Spaced(0.01), Spaced(0.01)
     assert regular.among(sent(100.0, 0.0, 10.0)).all()
     let = flood.among(sent(10_000.0, 0.0, 10.0))

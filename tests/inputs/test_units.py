@@ -47,7 +47,7 @@ def test_a_value_comes_out_in_si(value, text, dimension, si):
     assert unit.factor * value + unit.offset == pytest.approx(si, rel=1e-12)
 
 
-def test_milligauss_and_milli_g_are_told_apart_by_the_quantity():
+def test_milligauss_and_milli_g_are_distinguished_by_the_quantity():
     assert find_unit("mG", "magnetic_field").factor == pytest.approx(1e-7)
     assert find_unit("mg", "acceleration").factor == pytest.approx(9.80665e-3)
 

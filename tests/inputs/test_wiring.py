@@ -108,14 +108,14 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("name", sorted(MISTAKES))
-def test_a_mistake_is_told_with_line_reason_and_remedy(name, tmp_path):
+def test_a_mistake_is_reported_with_line_reason_and_remedy(name, tmp_path):
     text, expected = MISTAKES[name]
     text = f"{HEAD}{text}\n"
     line = 1 + next(i for i, content in enumerate(text.splitlines()) if "# here" in content)
-    said = mistake(text, tmp_path)
-    assert f"config.yaml:{line}:" in said
+    message = mistake(text, tmp_path)
+    assert f"config.yaml:{line}:" in message
     for part in expected:
-        assert part in said
+        assert part in message
 
 
 def test_a_planar_accelerometer_must_come_in_one_message(tmp_path):
@@ -169,11 +169,11 @@ def test_a_parallel_sensor_with_an_output_id_of_another_frame_is_refused(can_id,
     assert can_id.upper().replace("X", "x") in mistake(text, tmp_path)
 
 
-def test_a_database_that_cannot_be_read_is_told_at_its_line(tmp_path):
+def test_a_database_that_cannot_be_read_is_reported_at_its_line(tmp_path):
     text = "\ndatabase:\n  - bus.dbc\n  - other.dbc\nsignals: {accelerometer: {x: A.B, y: A.C}}\n"
-    said = mistake(text, tmp_path)
-    assert "config.yaml:4: database[1]" in said
-    assert "other.dbc" in said
+    message = mistake(text, tmp_path)
+    assert "config.yaml:4: database[1]" in message
+    assert "other.dbc" in message
 
 
 def test_no_configuration_of_random_mistakes_escapes_the_family(tmp_path):

@@ -16,7 +16,6 @@ from imucald.simulation import VehicleModel, load_model
 from paths import ROOT, SHARED_DATA
 
 FOLDER = ROOT / "tests" / "data" / "models"
-OTHERS = sorted((SHARED_DATA / "second_world").glob("*/model.yaml"))
 WRITTEN = ("written_changed", "written_switched")
 KEYS = {
     "written_changed": "3856fd56e60f88474e38e9dbc23c6a67fc408ba0821dc1e8182bc89f0ba12000",

@@ -94,7 +94,7 @@ def test_an_unknown_side_of_the_road_stays_unknown():
     assert full("").crown == 0.0
 
 
-def test_method_a_is_told_the_same():
+def test_method_a_gets_the_same():
     config = parse_config(
         TEXT + "calibration: {estimator: published}\nvehicle: {driving_side: right}"
     )

@@ -59,7 +59,7 @@ def in_chunks(engine, frames, rng):
     return out
 
 
-def told(engine):
+def results(engine):
     router, pipeline = engine.router, engine.pipeline
     return {
         "rejected": dict(router.rejected),
@@ -80,7 +80,7 @@ def test_columns_and_single_frames_are_the_same_engine(loaded, name, seed):
     single, other = engine_with(loaded[name], model), engine_with(loaded[name], model)
     expected = one_by_one(single, frames)
     assert in_chunks(other, frames, rng) == expected
-    assert told(other) == told(single)
+    assert results(other) == results(single)
 
 
 def test_a_model_changes_what_is_sent(loaded):
@@ -135,7 +135,7 @@ def test_the_same_at_a_drives_rhythm_with_holes_and_jumps(tmp_path_factory, seed
     single, other = engine_with(loaded, model), engine_with(loaded, model)
     expected = one_by_one(single, frames)
     assert in_chunks(other, frames, rng) == expected
-    assert told(other) == told(single)
+    assert results(other) == results(single)
 
 
 @pytest.mark.slow

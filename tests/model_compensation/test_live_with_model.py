@@ -197,7 +197,7 @@ def test_what_no_estimate_rests_on_leaves_the_estimator_alone(bench):
     service.close()
 
 
-def test_a_wrong_model_changes_nothing_on_reload_and_is_told(bench):
+def test_a_wrong_model_changes_nothing_on_reload_and_is_reported(bench):
     service = bench.service()
     engine = service.engine
     bench.model("accel: {bias: 3}\n")

@@ -88,7 +88,7 @@ def test_a_file_that_is_not_there_or_no_text(tmp_path):
         compensation_from_model(tmp_path / "binary")
 
 
-def test_what_cannot_be_used_is_told():
+def test_what_cannot_be_used_is_reported():
     model = {
         "accel": {"bias_temperature": [0.01, 0, 0], "lowpass_hz": 1.2, "delay_s": 0.1},
         "mount": {"yaw_deg": 30.0, "lever_arm_m": [1, 0, 0], "shifts": [{"t_s": 3}]},

@@ -109,7 +109,7 @@ def test_an_accelerometer_that_fell_silent_in_mid_swing_turns_no_rate():
     assert made.frame(3.0, {"gyro": (0.1, 0.2, 0.3)})["gyro"] == pytest.approx((0.1, 0.2, 0.3))
 
 
-def test_a_sensor_of_ten_a_second_and_one_of_a_thousand_lean_alike():
+def test_a_sensor_of_ten_a_second_and_one_of_a_thousand_lean_the_same():
     for rate in (10.0, 1000.0):
         suspension = SuspensionFilter(SuspensionTerms(roll=0.01, squat=0.004, dive=0.004))
         for i in range(int(4.0 * rate)):

@@ -50,7 +50,7 @@ def checked(*command: str, text: str | None = None) -> None:
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, object]]:
+def metrics_and_status(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, object]]:
     """What a daemon with a finished drive says: metrics and status."""
     bench = Bench(tmp_path_factory.mktemp("daemon"))
     service = bench.service()
@@ -62,8 +62,8 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, objec
         return ask(path, "metrics"), json.loads(ask(path, "status"))
 
 
-def test_a_library_of_prometheus_reads_the_same_numbers_as_the_status_has(said):
-    text, status = said
+def test_a_library_of_prometheus_reads_the_same_numbers_as_the_status_has(metrics_and_status):
+    text, status = metrics_and_status
     found = {family.name: family for family in text_string_to_metric_families(text)}
     bus = status["link"]["channel"]
     assert all(s.labels["bus"] == bus for family in found.values() for s in family.samples)
@@ -79,13 +79,13 @@ def test_a_library_of_prometheus_reads_the_same_numbers_as_the_status_has(said):
     assert found["imucald_held"].samples[0].value == 0.0
 
 
-def test_promtool_finds_no_mistake_in_the_text(said, promtool):
-    checked(promtool, "check", "metrics", text=said[0])
+def test_promtool_finds_no_mistake_in_the_text(metrics_and_status, promtool):
+    checked(promtool, "check", "metrics", text=metrics_and_status[0])
 
 
-def test_several_daemons_stand_in_one_text_with_each_family_once(said, promtool):
-    text = said[0]
-    bus = str(said[1]["link"]["channel"])
+def test_several_daemons_stand_in_one_text_with_each_family_once(metrics_and_status, promtool):
+    text = metrics_and_status[0]
+    bus = str(metrics_and_status[1]["link"]["channel"])
     both = merged([text, text.replace(f'bus="{bus}"', 'bus="can1"')])
     named = [line for line in both.splitlines() if line.startswith("# TYPE")]
     assert len(named) == len(set(named))
@@ -95,7 +95,7 @@ def test_several_daemons_stand_in_one_text_with_each_family_once(said, promtool)
     checked(promtool, "check", "metrics", text=both)
 
 
-def test_a_daemon_that_does_not_answer_is_down_and_the_others_are_told(tmp_path):
+def test_a_daemon_that_does_not_answer_is_down_and_the_others_are_reported(tmp_path):
     bench = Bench(tmp_path)
     with running(bench.service()) as service:
         path = service.options.status_socket
@@ -272,7 +272,7 @@ def test_slow_clients_lock_a_scrape_out_no_longer_than_their_limit(monkeypatch):
     [("9108", "HOST:PORT"), ("127.0.0.1:", "HOST:PORT"), ("127.0.0.1:99999", "HOST:PORT"),
      ("192.0.2.1:8131", "cannot be served at 192.0.2.1:8131"), ("no.such.invalid:1", "served")],
 )  # fmt: skip
-def test_an_address_that_cannot_be_had_is_told_with_its_form(address, why):
+def test_an_address_that_cannot_be_had_is_reported_with_its_form(address, why):
     with pytest.raises(LinkError, match=why):
         listening_at(address)
 
@@ -405,8 +405,12 @@ def expressions() -> list[str]:
     return found + [note["target"]["expr"] for note in board["annotations"]["list"]]
 
 
-def test_dashboard_and_rules_name_metrics_that_there_are(said):
-    text = gathered([]) + said[0] + "imucald_link_send_errors_total node_textfile_mtime_seconds"
+def test_dashboard_and_rules_name_metrics_that_there_are(metrics_and_status):
+    text = (
+        gathered([])
+        + metrics_and_status[0]
+        + "imucald_link_send_errors_total node_textfile_mtime_seconds"
+    )
     named = set(re.findall(r"\b(?:imucald|node)_\w+", " ".join(expressions())))
     rules = (MONITORING / "imucald-alerts.yml").read_text()
     exprs = " ".join(re.findall(r"expr: (?:>-\n)?(.+?)\n        ?(?:for|labels)", rules, re.S))

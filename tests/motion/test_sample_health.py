@@ -63,14 +63,14 @@ def watched(samples: Mapping[str, Series], axes: Mapping[str, int] = AXES) -> Sa
     return health
 
 
-def told(health: SampleHealth) -> list[tuple[str, str, str]]:
+def reported(health: SampleHealth) -> list[tuple[str, str, str]]:
     return [(e.channel, str(e.fault), e.axes) for e in health.events]
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("hz", [10.0, 50.0, 100.0, 200.0])
 def test_a_sound_unit_is_sound(hz: float, seed: int) -> None:
-    assert not told(watched(drive(hz=hz, seed=seed)))
+    assert not reported(watched(drive(hz=hz, seed=seed)))
 
 
 @pytest.mark.parametrize("grain", [10.0, 25.0, 60.0])
@@ -79,7 +79,7 @@ def test_coarse_steps_are_no_fault(grain: float) -> None:
     samples = drive(300.0, grain=grain)
     still = np.diff(samples["gyro"].values[:2000], axis=0)
     assert grain < 50.0 or (still == 0.0).mean() > 0.8, "nothing is tested otherwise"
-    assert not told(watched(samples))
+    assert not reported(watched(samples))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -93,7 +93,7 @@ def test_a_coarse_axis_that_is_held_for_seconds_is_on_no_rail(seed: int) -> None
         force = levels + 0.03 * rng.standard_normal(len(t))
         values[:, 0] = np.round(force / (60.0 * ACCEL_STEP)) * (60.0 * ACCEL_STEP)
 
-    assert not told(watched(edited(samples, "accel", held)))
+    assert not reported(watched(edited(samples, "accel", held)))
 
 
 def test_a_value_that_is_sent_several_times_is_no_fault() -> None:
@@ -102,7 +102,7 @@ def test_a_value_that_is_sent_several_times_is_no_fault() -> None:
         c: Series(s.t, np.repeat(s.values[::20], 20, axis=0)) if c != "speed" else s
         for c, s in samples.items()
     }
-    assert not told(watched(held)), "of a sensor of 10 Hz in frames of 200 Hz"
+    assert not reported(watched(held)), "of a sensor of 10 Hz in frames of 200 Hz"
 
 
 def test_an_engine_that_stops_does_not_make_a_coarse_sensor_stuck() -> None:
@@ -113,12 +113,12 @@ def test_an_engine_that_stops_does_not_make_a_coarse_sensor_stuck() -> None:
         shaken = values + idles * 0.3 * np.random.default_rng(1).standard_normal(values.shape)
         values[:] = np.round(shaken / 0.12) * 0.12
 
-    assert not told(watched(edited(samples, "accel", engine)))
+    assert not reported(watched(edited(samples, "accel", engine)))
 
 
 @pytest.mark.parametrize("start", [50.0, 101.3, 130.0])
 @pytest.mark.parametrize("axis", range(6))
-def test_a_frozen_axis_is_told_within_two_seconds_also_at_rest(axis: int, start: float) -> None:
+def test_a_frozen_axis_is_reported_within_two_seconds_also_at_rest(axis: int, start: float) -> None:
     channel, i = ("accel", "gyro")[axis // 3], axis % 3
 
     def freeze(t: np.ndarray, values: np.ndarray) -> None:
@@ -133,15 +133,15 @@ def test_a_frozen_axis_is_told_within_two_seconds_also_at_rest(axis: int, start:
     assert set(health.faults) == {channel}
 
 
-def test_a_dead_axis_from_the_start_is_told_after_some_driving() -> None:
+def test_a_dead_axis_from_the_start_is_reported_after_some_driving() -> None:
     health = watched(edited(drive(), "gyro", lambda _, v: v[:, 1].fill(0.0)))
-    assert told(health) == [("gyro", "stuck", "y")]
+    assert reported(health) == [("gyro", "stuck", "y")]
 
 
 def test_the_third_axis_of_a_planar_sensor_is_not_looked_at() -> None:
     samples = edited(drive(), "accel", lambda _, v: v[:, 2].fill(GRAVITY))
-    assert told(watched(samples)) == [("accel", "stuck", "z")]
-    assert not told(watched(samples, {"accel": 2, "gyro": 3}))
+    assert reported(watched(samples)) == [("accel", "stuck", "z")]
+    assert not reported(watched(samples, {"accel": 2, "gyro": 3}))
 
 
 def test_a_sensor_is_used_again_when_it_has_been_sound_for_long_enough() -> None:
@@ -190,14 +190,14 @@ def test_an_axis_that_cannot_go_on_is_saturated_until_it_goes_beyond(
     ("channel", "factor"), [("accel", 1.0 / GRAVITY), ("accel", GRAVITY), ("gyro", 57.3)]
 )
 @pytest.mark.parametrize("start", [65.2, 90.0, 130.0, 159.9])
-def test_a_change_of_unit_is_told_within_two_seconds(
+def test_a_change_of_unit_is_reported_within_two_seconds(
     channel: str, factor: float, start: float
 ) -> None:
     def change(t: np.ndarray, values: np.ndarray) -> None:
         values[t >= start] *= factor
 
     health = watched(edited(drive(), channel, change))
-    assert told(health)[0] == (channel, "implausible", "xyz")
+    assert reported(health)[0] == (channel, "implausible", "xyz")
     assert start < health.events[0].since < start + 2.0
     assert SignalFault.IMPLAUSIBLE in health.faults[channel]
 
@@ -217,12 +217,12 @@ def test_an_axis_that_was_stuck_for_long_is_on_no_rail_afterwards(
         values[(t >= 150.0) & (t < 270.0), 1] = value
 
     health = watched(edited(samples, channel, hold))
-    assert (channel, "stuck", "y") in told(health), "nothing is tested otherwise"
-    assert "saturated" not in {fault for _, fault, _ in told(health)}
+    assert (channel, "stuck", "y") in reported(health), "nothing is tested otherwise"
+    assert "saturated" not in {fault for _, fault, _ in reported(health)}
     assert not health.faults, "it is sound again"
 
 
-def test_an_axis_that_was_stuck_at_its_rail_is_told_by_later_bends() -> None:
+def test_an_axis_that_was_stuck_at_its_rail_is_reported_by_later_bends() -> None:
     samples = drive(400.0)
     rail = float(np.quantile(samples["accel"].values[:, 1], 0.99))
 
@@ -244,7 +244,7 @@ def test_a_unit_that_is_put_right_is_used_again() -> None:
 
 
 def across_a_hole(samples: Mapping[str, Series], at: float) -> SampleHealth:
-    """What comes after a time is told to come after a hole."""
+    """What comes after a time is reported to come after a hole."""
     health = SampleHealth(AXES)
     for begin, end in ((0.0, at), (at, samples["speed"].t[-1])):
         part = {}
@@ -267,7 +267,7 @@ def test_a_unit_is_that_of_before_where_driving_shakes_as_before(
         values[(t >= 76.0) & (t < 76.0 + lasts)] *= 57.3
 
     health = across_a_hole(edited(drive(), "gyro", shake), 80.0)
-    assert told(health) == [("gyro", "implausible", "xyz")]
+    assert reported(health) == [("gyro", "implausible", "xyz")]
     assert is_used == (not health.faults)
     if is_used:
         driven_s = 0.5 * USUAL_HOPS
@@ -282,7 +282,7 @@ def test_a_rough_road_is_no_change_of_unit() -> None:
 
     samples = drive()
     both = edited(edited(samples, "gyro", rough), "accel", rough)
-    assert not told(watched(both))
+    assert not reported(watched(both))
 
 
 def test_live_and_columns_say_the_same_at_the_same_time() -> None:
@@ -337,7 +337,7 @@ def test_time_that_jumped_ends_a_run() -> None:
         "accel": Series(60.0 + np.arange(80) / HZ, np.tile(samples["accel"].values[-1], (80, 1)))
     }
     health.columns(frozen, 600, 608)
-    assert not told(health)
+    assert not reported(health)
 
 
 @pytest.mark.parametrize("length", [20.0, 63.7, 181.3])
@@ -351,10 +351,10 @@ def test_a_recording_that_is_played_again_and_again_is_no_fault(length: float) -
         looped[c] = Series(t, np.tile(s.values, (times,) + (1,) * (s.values.ndim - 1)))
     if length < 30.0:
         looped["speed"] = Series(looped["speed"].t, np.full(len(looped["speed"].t), 10.0))
-    assert not told(watched(looped))
+    assert not reported(watched(looped))
 
 
-def test_a_rail_that_comes_after_larger_values_is_told_at_its_first_bends() -> None:
+def test_a_rail_that_comes_after_larger_values_is_reported_at_its_first_bends() -> None:
     samples = drive(300.0)
     rail = float(np.quantile(samples["accel"].values[:, 1], 0.99))
 
@@ -369,7 +369,7 @@ def test_a_rail_that_comes_after_larger_values_is_told_at_its_first_bends() -> N
     assert beyond[0] < event.since < beyond[0] + 30.0
 
 
-def test_a_clipped_axis_in_a_loop_is_told() -> None:
+def test_a_clipped_axis_in_a_loop_is_reported() -> None:
     once = drive(60.0, seed=2)
     rail = float(np.quantile(once["gyro"].values[:, 2], 0.98))
     once = edited(once, "gyro", lambda _, v: v.clip(None, [9.0, 9.0, rail], out=v))
@@ -377,4 +377,4 @@ def test_a_clipped_axis_in_a_loop_is_told() -> None:
         c: Series(np.concatenate([s.t, s.t + 60.0]), np.concatenate([s.values, s.values]))
         for c, s in once.items()
     }
-    assert told(watched(twice)) == [("gyro", "saturated", "z")]
+    assert reported(watched(twice)) == [("gyro", "saturated", "z")]

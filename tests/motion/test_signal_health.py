@@ -129,7 +129,7 @@ def test_one_tick_and_many_agree_on_saturation() -> None:
     assert not all(one)
 
 
-def test_rest_is_told_from_driving_by_what_a_sensor_feels() -> None:
+def test_rest_is_distinguished_from_driving_by_what_a_sensor_feels() -> None:
     rng = np.random.default_rng(1)
     rate, force = 0.005 * rng.standard_normal((N, 3)), 0.05 * rng.standard_normal((N, 3))
     assert is_idle(rate, force)

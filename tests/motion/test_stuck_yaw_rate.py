@@ -27,11 +27,11 @@ def true_yaw_rate(straight: slice = slice(0, 0)) -> np.ndarray:
 
 
 def known(
-    told: np.ndarray, turning: np.ndarray, steering: bool = True, alone: np.ndarray | float = 0.0
+    sent: np.ndarray, turning: np.ndarray, steering: bool = True, alone: np.ndarray | float = 0.0
 ) -> np.ndarray:
     """At which ticks the yaw rate is used.
 
-    told: what the bus says. turning: what the vehicle does. alone: what the sensor turns besides.
+    sent: what the bus says. turning: what the vehicle does. alone: what the sensor turns besides.
     """
     rng = np.random.default_rng(1)
     rows = empty_rows(TICKS)
@@ -43,7 +43,7 @@ def known(
     rows[:, tk.GYRO.x : tk.GYRO.z + 1] = 0.005 * rng.standard_normal((TICKS, 3))
     rows[:, tk.GYRO.z] += turning + alone
     rows[:, tk.SPEED.mean] = SPEED + 0.3 * rng.standard_normal(TICKS)
-    rows[:, tk.YAW_RATE.mean] = told
+    rows[:, tk.YAW_RATE.mean] = sent
     settings = full()
     if steering:
         car = settings.vehicle
@@ -69,10 +69,10 @@ def test_a_yaw_rate_that_stays_while_the_vehicle_turns_is_not_used(
     step: float, steering: bool
 ) -> None:
     true = true_yaw_rate()
-    told = rounded(true, step * DEG, 0.1 * DEG)
+    sent = rounded(true, step * DEG, 0.1 * DEG)
     stuck = slice(2520, 3720)
-    told[stuck] = told[2520]
-    found = known(told, true, steering)
+    sent[stuck] = sent[2520]
+    found = known(sent, true, steering)
     assert found[:2500].all(), "before, it is sound"
     bends = np.abs(true) > 0.1
     assert (found[stuck] & bends[stuck]).sum() <= 10, "a bend's first second may be believed"
@@ -83,9 +83,9 @@ def test_a_fine_yaw_rate_that_stays_in_a_gentle_bend_is_not_used() -> None:
     """Two degrees a second for eight seconds, which would pass for a sensor turned by 16 deg."""
     true = true_yaw_rate(straight=slice(2400, 3600))
     true[3000:3080] += 2.0 * DEG
-    told = rounded(true, 0.01 * DEG, 0.1 * DEG)
-    told[2990:3090] = told[2990]
-    found = known(told, true)
+    sent = rounded(true, 0.01 * DEG, 0.1 * DEG)
+    sent[2990:3090] = sent[2990]
+    found = known(sent, true)
     assert found[:2980].all()
     assert not found[3005:3075].any()
 

@@ -29,15 +29,15 @@ def test_parts_have_seeds_of_their_own() -> None:
 
 def test_a_first_seed_whose_alarms_were_tuned_on_is_refused() -> None:
     """With 5000, the default once, the false alarms came from seeds 8000 to 8299."""
-    said = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-m", "benchmarks.mount_accuracy", "--first", "5000", "--only", "cost"],
         capture_output=True,
         text=True,
         cwd=ROOT,
         check=False,
     )
-    assert said.returncode == 2
-    assert "tuned on (8000 ...)" in said.stderr
+    assert done.returncode == 2
+    assert "tuned on (8000 ...)" in done.stderr
 
 
 def test_seeds_of_tuning_are_listed_in_order_and_once() -> None:

@@ -1,4 +1,4 @@
-"""A change of the mount that misleads nobody: told, covered by the interval, never *suspect*."""
+"""A change of the mount that misleads nobody: reported, in the interval, never *suspect*."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_deviation_that_covers_a_change_already_is_left_alone():
     assert watched.variance(known, 100)[PITCH] == 0.0
 
 
-def test_the_same_change_is_told_once_and_the_way_back_again():
+def test_the_same_change_is_reported_once_and_the_way_back_again():
     watched = changes()
     assert watched.bear(shift(YAW, 0.8), 70)
     assert not watched.bear(shift(YAW, 0.9), 72)
@@ -98,7 +98,7 @@ def test_a_change_that_is_none_yet_widens_the_interval_as_far_as_it_is_probable(
 
 
 @pytest.mark.slow
-def test_a_mount_that_slips_a_little_is_told_stays_good_and_is_right_again():
+def test_a_mount_that_slips_a_little_is_reported_stays_good_and_is_right_again():
     seed, start, slip = 580_001, 700.0, 0.9
     changed = {"mount.shifts": [{"t_s": start, "yaw_deg": slip}]}
     made = simulate(random_model(seed, standing_first=True).with_changes(changed), seed, 25.0)

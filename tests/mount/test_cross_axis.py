@@ -128,7 +128,7 @@ def test_what_is_seen_decides_what_is_stated_unseen() -> None:
 
 
 def test_a_mount_that_hides_the_contradiction_of_yaw_does_not_exclude_the_error() -> None:
-    """At 45 deg of yaw both sources of yaw are wrong alike: that they agree says nothing."""
+    """At 45 deg of yaw both sources of yaw are equally wrong: that they agree says nothing."""
     rng = np.random.default_rng(3)
     R = Rotation.from_euler("Z", 45.0, degrees=True).as_matrix()
     E = np.zeros((3, 3))

@@ -207,7 +207,7 @@ def test_without_any_yaw_rate_the_steering_stands_in():
     assert "roll_turn" in shares["roll"]
 
 
-def test_without_speed_turning_tells_forward_from_backward():
+def test_without_speed_turning_shows_forward_from_backward():
     ticks = without(rows(), tk.SPEED.n, tk.SPEED.mean, tk.SPEED.age)
     estimate = after(ticks).estimate()
     assert abs(error(estimate, drive())[2]) < 2.5
@@ -258,7 +258,7 @@ def test_what_is_not_to_be_trusted_is_not_learnt(reason, change):
     assert abs(error(estimator.estimate(), drive())[2]) < 0.75 * spoilt
 
 
-def test_frozen_learning_is_said():
+def test_frozen_learning_is_stated():
     bad = rows(minutes=5.0).copy()
     bad[-200:, tk.ACCEL.bad] = 5.0
     estimate = after(bad).estimate()
@@ -444,10 +444,10 @@ def test_a_lean_of_the_road_moves_roll_and_yaw_together_as_the_covariance_has_it
 
 def test_ticks_that_are_only_kept_may_be_taken_at_once():
     ticks = rows()
-    one_by_one, at_once, told, taken = FullEstimator(full()), FullEstimator(full()), [], []
+    one_by_one, at_once, each, taken = FullEstimator(full()), FullEstimator(full()), [], []
     for tick in ticks.tolist():
         one_by_one.step(tick)
-        told.append((one_by_one.correction, one_by_one.state))
+        each.append((one_by_one.correction, one_by_one.state))
     quiet_in_all, k = 0, 0
     while k < len(ticks):
         quiet = min(at_once.quiet_ticks(), len(ticks) - k)
@@ -458,6 +458,6 @@ def test_ticks_that_are_only_kept_may_be_taken_at_once():
         taken += [(at_once.correction, at_once.state)] * (quiet or 1)
         quiet_in_all += quiet
         k += quiet or 1
-    assert taken == told
+    assert taken == each
     assert quiet_in_all > 0.9 * len(ticks)
     assert np.array_equal(at_once.estimate().covariance, one_by_one.estimate().covariance)

@@ -111,6 +111,30 @@ def test_response_finds_yaw_pitch_and_roll():
         assert piece.value == pytest.approx(error[axis], abs=3.0 * math.sqrt(piece.variance))
 
 
+def test_windows_summed_up_at_another_delay_say_nothing_once_they_are_forgotten():
+    rng = np.random.default_rng(8)
+    n, old = 160 * BLOCK_TICKS + sp.WINDOW, 110 * BLOCK_TICKS
+    a, v = smooth(rng, n, 8.0), 0.8 * smooth(rng, n, 6.0)
+    signals = np.zeros((n, sp.MEASURED))
+    signals[:, 0], signals[:, 1] = a, v
+    signals[:old, :2] = (
+        np.stack([a, v], axis=1)[:old] @ rotation_from_vector([0.0, 0.0, 4.0 * DEG])[:2, :2]
+    )
+    signals[:, :3] += 0.1 * rng.standard_normal((n, 3))
+    signals[:, Measured.DVDT], signals[:, Measured.LATERAL] = a, v
+    signals[:, Measured.DVDT_REMAINING], signals[:, Measured.LATERAL_REMAINING] = a, v
+    evidence = ResponseEvidence()
+    mask = np.ones(sp.WINDOW, dtype=bool)
+    for i in range(0, n - sp.WINDOW, BLOCK_TICKS):
+        evidence.add(sp.spectra(signals[i : i + sp.WINDOW], mask))
+        if i % (16 * BLOCK_TICKS) == 0:
+            evidence.fit(np.eye(3))
+    assert abs(evidence.fit(np.eye(3))["yaw_dvdt"].value) > 1.0 * DEG
+    evidence.forget_sums()
+    assert abs(evidence.fit(np.eye(3))["yaw_dvdt"].value) < 0.4 * DEG
+    assert max(len(one.score) for one in evidence.series) <= evidence.windows // 4 + 1
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_what_a_turned_window_leaves_over_is_noise_once_its_angle_is_taken_off(axis):
     rng = np.random.default_rng(11)
@@ -153,7 +177,7 @@ def test_intervals_of_the_response_hold_the_truth():
 
 
 @pytest.mark.slow
-def test_a_turn_tells_bias_from_slope():
+def test_a_turn_shows_bias_from_slope():
     """On a slope the vertical turns against the sensor; a bias does not."""
     bias = np.array([0.08, -0.05, 0.0])
     slope = 0.03

@@ -90,12 +90,6 @@ def without(samples: Samples, *channels: str) -> Samples:
     return {name: series for name, series in samples.items() if name not in channels}
 
 
-def slowed(samples: Samples, factor: float) -> Samples:
-    """The speed alone made small: what is asked is only how fast it says it is."""
-    series = samples["speed"]
-    return {**samples, "speed": Series(series.t, factor * series.values)}
-
-
 SIDED = ("yaw_rate", "steering", "lateral_accel", "wheel_speeds", "heading")
 
 
@@ -177,15 +171,15 @@ def test_rotations_after_a_turn_are_good_only_when_they_are_right():
     true = rotation_from_vector([math.radians(20.0), 0.0, 0.0]) @ (
         drive().truth.R_vehicle_from_sensor()
     )
-    told, worst = False, 0.0
+    was_reported, worst = False, 0.0
     for row in ticks_from_samples(samples, 0, int(MINUTES * 600), {}).tolist():
         estimator.step(row)
-        told |= row[0] > 200.0 and estimator.state not in GOOD
-        if told and estimator.state in GOOD and estimator.correction is not None:
+        was_reported |= row[0] > 200.0 and estimator.state not in GOOD
+        if was_reported and estimator.state in GOOD and estimator.correction is not None:
             R = np.array(estimator.correction).reshape(3, 3)
             left = float(np.clip((np.trace(true @ R.T) - 1.0) / 2.0, -1.0, 1.0))
             worst = max(worst, math.degrees(math.acos(left)))
-    assert told
+    assert was_reported
     assert worst < 3.0
 
 

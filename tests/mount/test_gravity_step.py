@@ -74,7 +74,7 @@ def test_slopes_that_the_gyroscope_sees_are_no_step():
         assert not any(watched(120, 999, np.zeros(3), seed, turning=True))
 
 
-def test_a_step_tells_how_long_ago_it_was():
+def test_a_step_shows_how_long_ago_it_was():
     found = watched(80, 60, np.array([3.0 * DEG, 0.0, 0.0]), 5)
     block_found, step = next((k, s) for k, s in enumerate(found) if s is not None)
     assert abs((block_found + 1 - step.blocks) - 60) <= 1

@@ -27,7 +27,7 @@ TURNED = rotation_from_angles(0.0, 0.0, math.radians(20.0))
 TARGETS = Targets((0.04, 0.04, 0.02), (0.012, 0.012, 0.005))
 
 
-class Told:
+class FixedEstimator:
     """An estimator that says what it is told to say."""
 
     def __init__(self, R: np.ndarray | None, state: MountState, std_deg: float = 0.2) -> None:
@@ -59,13 +59,13 @@ def stored(state: MountState = MountState.USABLE) -> StoredMount:
 
 
 def test_a_better_known_estimate_takes_over_from_a_mount_that_is_not_held():
-    estimator = RestoredEstimator(Told(LEVEL @ TURNED, MountState.FINE, 0.1), stored())
+    estimator = RestoredEstimator(FixedEstimator(LEVEL @ TURNED, MountState.FINE, 0.1), stored())
     drive(estimator, 60)
     assert estimator.phase is Phase.NEW
 
 
 def test_a_held_mount_is_doubted_by_a_drive_that_contradicts_it_and_stays():
-    estimator = RestoredEstimator(Told(TURNED, MountState.FINE), stored(), is_held=True)
+    estimator = RestoredEstimator(FixedEstimator(TURNED, MountState.FINE), stored(), is_held=True)
     before = estimator.correction
     drive(estimator, 120)
     assert estimator.correction == before
@@ -74,7 +74,9 @@ def test_a_held_mount_is_doubted_by_a_drive_that_contradicts_it_and_stays():
 
 
 def test_a_held_mount_is_confirmed_by_a_drive_that_agrees_and_is_never_called_finer_than_it_is():
-    estimator = RestoredEstimator(Told(LEVEL, MountState.FINE, 0.05), stored(), is_held=True)
+    estimator = RestoredEstimator(
+        FixedEstimator(LEVEL, MountState.FINE, 0.05), stored(), is_held=True
+    )
     assert estimator.state is MountState.RESTORED
     drive(estimator)
     assert estimator.state is MountState.USABLE
@@ -85,7 +87,7 @@ def test_a_held_mount_is_confirmed_by_a_drive_that_agrees_and_is_never_called_fi
 
 
 def test_holding_keeps_what_is_applied_and_its_certainty():
-    running = Told(TURNED, MountState.FINE, 0.2)
+    running = FixedEstimator(TURNED, MountState.FINE, 0.2)
     kept = held(running)
     assert kept is not None
     assert kept.correction == running.correction
@@ -96,7 +98,7 @@ def test_holding_keeps_what_is_applied_and_its_certainty():
 
 
 def test_what_found_the_mount_watches_it_while_it_is_held():
-    running = Told(LEVEL, MountState.FINE, 0.2)
+    running = FixedEstimator(LEVEL, MountState.FINE, 0.2)
     kept = held(running)
     assert kept is not None
     assert kept.inner is running
@@ -109,22 +111,22 @@ def test_what_found_the_mount_watches_it_while_it_is_held():
 
 
 def test_what_is_doubted_stays_doubted_when_it_is_held_and_released():
-    kept = held(Told(TURNED, MountState.SUSPECT))
+    kept = held(FixedEstimator(TURNED, MountState.SUSPECT))
     assert kept is not None
     assert kept.state is MountState.SUSPECT
-    again = released(kept, Told(None, MountState.WAITING))
+    again = released(kept, FixedEstimator(None, MountState.WAITING))
     assert again.state is MountState.SUSPECT
 
 
 def test_without_a_mount_in_force_there_is_nothing_to_hold():
-    assert held(Told(None, MountState.LEVELLED)) is None
-    assert mount_in_force(Told(None, MountState.WAITING)) is None
+    assert held(FixedEstimator(None, MountState.LEVELLED)) is None
+    assert mount_in_force(FixedEstimator(None, MountState.WAITING)) is None
 
 
 def test_after_a_release_the_drive_takes_over_again():
-    kept = held(Told(LEVEL, MountState.USABLE))
+    kept = held(FixedEstimator(LEVEL, MountState.USABLE))
     assert kept is not None
-    again = released(kept, Told(rotation_from_angles(0, 0, 0.001), MountState.FINE, 0.05))
+    again = released(kept, FixedEstimator(rotation_from_angles(0, 0, 0.001), MountState.FINE, 0.05))
     assert again.state is MountState.FINE
     drive(again, 60)
     assert again.phase is Phase.NEW

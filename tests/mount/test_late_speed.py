@@ -54,7 +54,7 @@ def test_a_speed_that_is_a_second_late_is_no_contradiction_and_the_mount_is_foun
 
 
 @pytest.mark.slow
-def test_a_speed_later_than_what_is_sought_is_said_to_be_and_is_no_contradiction():
+def test_a_speed_later_than_what_is_sought_is_reported_and_is_no_contradiction():
     estimator, states, faults = run(late(2.0), 6.0)
     assert faults == set()
     assert not states & set(GOOD)

@@ -57,7 +57,7 @@ def test_the_json_has_words_targets_and_the_deviations_as_before():
     assert mount_dict(MountEstimate(MountState.WAITING))["sits"] is None
 
 
-def test_a_heading_that_is_not_known_is_not_said():
+def test_a_heading_that_is_not_known_is_not_stated():
     words = how_it_sits(estimate((0, 20, 50), std=(1.0, 1.0, 104.0)))
     assert words is not None
     assert "which way is forward is not known yet" in words
@@ -86,7 +86,7 @@ def test_only_a_mount_upside_down_and_backwards_that_nothing_confirmed_has_a_not
     assert mirror_note(estimate((0, 180, 0), (1.0, 1.0, 104.0), details=unconfirmed)) is None
 
 
-def test_equal_reasons_are_said_once_and_troubles_apart():
+def test_equal_reasons_are_stated_once_and_troubles_apart():
     waiting = {"roll": "a standstill", "pitch": "a standstill", "yaw": "more driving"}
     assert reasons_line(waiting) == "waiting for roll, pitch: a standstill; yaw: more driving"
     trouble = next(iter(WORDS.values()))

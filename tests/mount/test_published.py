@@ -127,7 +127,7 @@ def test_circles_never_give_a_yaw() -> None:
 
 
 @pytest.mark.slow
-def test_an_unresolved_sign_is_never_usable_and_is_said() -> None:
+def test_an_unresolved_sign_is_never_usable_and_is_stated() -> None:
     estimate = run(
         Drive(minutes=8, seed=4, mount=MOUNT).ticks("speed", "brake"),
         published(target={"sign_from": ("brake",)}),
@@ -144,8 +144,8 @@ def test_coarse_slow_and_late_speed_is_enough() -> None:
         minutes=8, seed=5, mount=MOUNT, speed_rate=1.0, speed_step=1 / 3.6, speed_delay=0.4
     )
     ticks = late.ticks("yaw_rate", "steering", "brake")
-    for told in (0.0, 0.4):
-        estimate = run(ticks, published({"speed_delay": told}))
+    for delay in (0.0, 0.4):
+        estimate = run(ticks, published({"speed_delay": delay}))
         assert estimate.state >= MountState.USABLE
         assert abs(error_deg(estimate)[2]) < 1.5
 

@@ -117,7 +117,7 @@ def test_v_r_that_passes_the_gate_is_subtracted() -> None:
 
 
 @pytest.mark.slow
-def test_the_brake_switch_alone_tells_the_sign() -> None:
+def test_the_brake_switch_alone_shows_the_sign() -> None:
     mount = Rotation.from_euler("ZYX", [1.1, 0.2, -0.1])
     drive = Drive(minutes=8, seed=4, mount=mount, turns=False)
     found = []

@@ -83,7 +83,7 @@ def turned(mount: StoredMount, degrees: tuple[float, float, float]) -> StoredMou
     )
 
 
-def test_it_says_what_the_estimate_said():
+def test_it_says_what_the_estimate_stated():
     """Fused by itself, without what changes between drives, it gives the mount it came from."""
     settings = driven()._settings
     cross_axis = driven()._solver._cross_axis

@@ -72,7 +72,7 @@ def test_blocks_say_how_far_the_angle_walks(spacing: float, walks: bool) -> None
 
 
 def seldom_sampled(
-    seed: int, is_said: bool, turned: Array | None = None, rough_from: int = 91
+    seed: int, is_stated: bool, turned: Array | None = None, rough_from: int = 91
 ) -> list[GravityStep | None]:
     """Level road, a gyroscope that holds shaking as if it were turning, 13 minutes.
 
@@ -92,7 +92,7 @@ def seldom_sampled(
         force += 0.05 * rng.standard_normal(force.shape)
         if k >= 100:
             force = force @ R_moved
-        walk = sampling_walk(times, samples, ACCEL_GAP) if is_said else np.zeros((3, 3))
+        walk = sampling_walk(times, samples, ACCEL_GAP) if is_stated else np.zeros((3, 3))
         p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate, rate_walk=walk)
         tracker.advance(p, np.zeros((BLOCK_TICKS, 3)), None, sure=True)
         found.append(tracker.steps.found(np.eye(3)))
@@ -100,15 +100,15 @@ def seldom_sampled(
 
 
 def test_a_walk_of_the_vertical_is_no_step_in_gravity() -> None:
-    wrong = [any(seldom_sampled(seed, is_said=False)) for seed in range(4)]
-    right = [any(seldom_sampled(seed, is_said=True)) for seed in range(4)]
+    wrong = [any(seldom_sampled(seed, is_stated=False)) for seed in range(4)]
+    right = [any(seldom_sampled(seed, is_stated=True)) for seed in range(4)]
     assert any(wrong), "without the walk this is taken for a step, else the test shows nothing"
     assert not any(right)
 
 
 def test_a_step_far_beyond_the_walk_is_still_found() -> None:
     found = seldom_sampled(
-        1, is_said=True, turned=np.array([math.radians(15.0), 0.0, 0.0]), rough_from=999
+        1, is_stated=True, turned=np.array([math.radians(15.0), 0.0, 0.0]), rough_from=999
     )
     assert not any(found[:100])
     assert any(found[100:])
@@ -138,15 +138,15 @@ def test_a_force_to_the_wrong_side_is_still_a_contradiction(noise: float) -> Non
     assert bends(noise, sign=1.0) == ()
 
 
-def straight(noise: float, is_said: bool) -> tuple[StandingFault, ...]:
+def straight(noise: float, is_stated: bool) -> tuple[StandingFault, ...]:
     """Faults after ten minutes of straight road at 20 m/s; noise of samples that come seldom."""
     rng, watch = np.random.default_rng(5), Contradictions(full())
     for k in range(90):
         rate, walk = shaken(rng, noise)
         force = 0.1 * rng.standard_normal((BLOCK_TICKS, 3)) + [0.0, 0.0, GRAVITY]
-        said = walk if is_said else np.zeros((3, 3))
+        stated = walk if is_stated else np.zeros((3, 3))
         speed = np.full(BLOCK_TICKS, 20.0)
-        p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate, rate_walk=said, speed=speed)
+        p = block(0.1 * BLOCK_TICKS * k, force=force, rate=rate, rate_walk=stated, speed=speed)
         watch.add(p, rate[:, 2], True, np.eye(3), 0.0, False, 0.0)
     return watch.faults
 
@@ -161,25 +161,25 @@ def shaken(rng: np.random.Generator, noise: float) -> tuple[Array, Array]:
 
 
 def test_noise_that_lines_between_samples_hide_is_no_bend_either() -> None:
-    wrong = straight(0.06, is_said=False)
+    wrong = straight(0.06, is_stated=False)
     assert StandingFault.FORCE_TURNS in wrong, "nothing is tested otherwise"
-    assert straight(0.06, is_said=True) == ()
+    assert straight(0.06, is_stated=True) == ()
 
 
-def turns_alone(noise: float, is_said: bool) -> int:
+def turns_alone(noise: float, is_stated: bool) -> int:
     """How often in an hour of straight road a gyroscope is found to turn by itself."""
     rng, alone, found = np.random.default_rng(6), TurnedAlone(), 0
     for _ in range(560):
         rate, walk = shaken(rng, noise)
-        by = FORCE.beside(float(walk[2, 2])) if is_said else FORCE
+        by = FORCE.beside(float(walk[2, 2])) if is_stated else FORCE
         ok = np.ones(BLOCK_TICKS, dtype=bool)
         found += alone.add(rate[:, 2], np.zeros(BLOCK_TICKS), ok, by) != 0.0
     return found
 
 
 def test_a_gyroscope_that_shakes_between_its_samples_turns_no_sensor() -> None:
-    assert turns_alone(0.15, is_said=False) > 10, "nothing is tested otherwise"
-    assert turns_alone(0.15, is_said=True) == 0
+    assert turns_alone(0.15, is_stated=False) > 10, "nothing is tested otherwise"
+    assert turns_alone(0.15, is_stated=True) == 0
 
 
 def test_a_hand_that_turns_a_sensor_is_seen_beside_a_little_shaking() -> None:

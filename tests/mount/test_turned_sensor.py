@@ -38,7 +38,7 @@ def braking(turned: float = 0.0, noise: float = 0.0, delay: float = 0.0) -> Bloc
 
 
 @pytest.mark.parametrize("degrees", [-100.0, -10.0, 0.0, 4.0, 45.0])
-def test_a_block_tells_by_how_much_the_sensor_is_turned(degrees: float) -> None:
+def test_a_block_shows_by_how_much_the_sensor_is_turned(degrees: float) -> None:
     angle, information = block_yaw(braking(math.radians(degrees), 0.05), ALL)
     assert math.degrees(angle) == pytest.approx(degrees, abs=1.5)
     assert FLOOR < information**-0.5 < math.radians(2.0)
@@ -91,7 +91,7 @@ def knock(at: float, degrees: float, t: np.ndarray = T) -> np.ndarray:
 
 
 @pytest.mark.parametrize("at", [3.0, 6.0])
-def test_a_sensor_that_is_knocked_while_driving_straight_is_told(at: float) -> None:
+def test_a_sensor_that_is_knocked_while_driving_straight_is_reported(at: float) -> None:
     """Also where the knock lies across the end of a block."""
     alone = TurnedAlone()
     assert alone.add(NONE, NONE, ALL) == 0.0
@@ -168,7 +168,7 @@ def test_a_vehicle_that_moves_off_before_its_speed_says_so_tilts_no_sensor(moves
 
 
 @pytest.mark.parametrize("at", [70, 90, 120, 127, 140])
-def test_a_sensor_that_is_tilted_while_standing_is_told_within_ten_seconds(at: int) -> None:
+def test_a_sensor_that_is_tilted_while_standing_is_reported_within_ten_seconds(at: int) -> None:
     (found,) = standing(5.0 * (at <= TICKS), np.zeros(STOOD), STANDS)
     assert found.axis == 1
     assert abs(math.degrees(found.size)) == pytest.approx(5.0, abs=0.1)
@@ -181,7 +181,7 @@ def test_two_stops_on_different_slopes_are_no_tilt() -> None:
     assert not standing(5.0 * (TICKS >= 125), np.zeros(STOOD), rest)
 
 
-def test_a_sensor_that_turns_about_the_vertical_while_standing_is_told() -> None:
+def test_a_sensor_that_turns_about_the_vertical_while_standing_is_reported() -> None:
     turned = standing(np.zeros(STOOD), np.zeros(STOOD), STANDS, yaw_rate_deg=2.0)
     assert turned
     assert {one.axis for one in turned} == {2}
@@ -252,7 +252,7 @@ def bad_at(samples: Samples, seconds: float) -> list[float]:
 
 
 @pytest.mark.parametrize("degrees", [10.0, -6.0])
-def test_a_turn_in_yaw_that_no_gyroscope_saw_is_told_within_a_minute(
+def test_a_turn_in_yaw_that_no_gyroscope_saw_is_reported_within_a_minute(
     sound: Drive, degrees: float
 ) -> None:
     assert not bad_at(sound.samples, 480.0)

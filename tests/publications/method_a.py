@@ -81,15 +81,6 @@ def agree(angles, spread) -> bool:
     return best <= spread
 
 
-def straight_by_agreement(angles, window, spread):
-    """Claim 2 on a recording: samples of every window that agrees."""
-    marks = [False] * len(angles)
-    for first in range(len(angles) - window + 1):
-        if agree(list(angles[first : first + window]), spread):
-            marks[first : first + window] = [True] * window
-    return np.array(marks)
-
-
 def straight(steering=None, yaw_rate=None, steering_limit=math.inf, yaw_rate_limit=math.inf,
              need="any"):  # fmt: skip
     """Claim 4, "at least one of": the steering wheel, the angular rate, or both of them."""

@@ -107,10 +107,10 @@ def test_what_is_no_mount_is_refused(arguments, capsys):
     assert arguments[0] in capsys.readouterr().err
 
 
-def test_a_steep_mount_is_told_with_its_quaternion(capsys):
+def test_a_steep_mount_is_reported_with_its_quaternion(capsys):
     assert cli.main(["draw", "--mount", "10,-86,30"]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     w = math.cos(math.radians(-86 / 2))
-    assert "roll plus yaw" in said
-    assert "quaternion w x y z" in said
-    assert f"{w:+.2f}"[:3] in said
+    assert "roll plus yaw" in output
+    assert "quaternion w x y z" in output
+    assert f"{w:+.2f}"[:3] in output

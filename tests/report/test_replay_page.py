@@ -113,7 +113,7 @@ def test_the_corrected_force_is_what_a_control_unit_would_have_decoded(moved, tm
     assert np.corrcoef(motion.dvdt[known], real)[0, 1] > 0.95
 
 
-def test_changes_of_state_and_what_is_told_come_in_order():
+def test_changes_of_state_and_what_is_reported_come_in_order():
     states = [(1.0, "waiting", {}), (2.0, "waiting", {}), (7.0, "usable", {"yaw": "more driving"})]
     result = {
         "details": {
@@ -160,7 +160,7 @@ def test_several_drives_have_a_page_each_in_a_folder_of_their_own(moved, tmp_pat
         assert any(log.name in text for text in page.texts)
 
 
-def test_a_place_that_cannot_be_written_is_told_before_the_work(tmp_path, capsys):
+def test_a_place_that_cannot_be_written_is_reported_before_the_work(tmp_path, capsys):
     taken = tmp_path / "taken"
     taken.write_text("")
     log = tmp_path / "a.log"

@@ -35,7 +35,7 @@ def in_chunks(engine: Engine, frames, rng, scalar_share):
     return out
 
 
-def told(engine: Engine):
+def results(engine: Engine):
     """Everything an engine can say about what it has seen."""
     router, pipeline = engine.router, engine.pipeline
     return {
@@ -61,7 +61,7 @@ def test_columns_and_single_frames_are_the_same_engine(loaded, name, seed, scala
     single, other = engine_of(loaded[name]), engine_of(loaded[name])
     expected = one_by_one(single, frames)
     assert in_chunks(other, frames, rng, scalar_share) == expected
-    assert told(other) == told(single)
+    assert results(other) == results(single)
 
 
 @pytest.mark.slow
@@ -72,14 +72,14 @@ def test_without_output_all_else_is_the_same(loaded, name, seed):
     rng = random.Random(seed)
     frames = Traffic(rng, loaded[name]).frames(200)
     silent, seen = engine_of(loaded[name]), []
-    telling = engine_of(loaded[name], on_snapshot=seen.append)
+    reporting = engine_of(loaded[name], on_snapshot=seen.append)
     expected = engine_of(loaded[name])
     for start in range(0, len(frames), 70):
         part = columns_of(frames[start : start + 70])
         expected.columns(part)
         assert silent.columns(part, keep=False) is None
-        assert telling.columns(part, keep=False) is None
-    assert told(silent) == told(telling) == told(expected)
+        assert reporting.columns(part, keep=False) is None
+    assert results(silent) == results(reporting) == results(expected)
     assert [s.k for s in seen] == [
         k - 1 for k in range(1, expected.pipeline.k + 1) if k % expected.pipeline.status_ticks == 0
     ]

@@ -75,11 +75,11 @@ def test_two_axes_are_planar_and_a_steering_signal_is_used() -> None:
 
 
 def test_a_stated_delay_of_speed_is_taken_for_almost_certain() -> None:
-    free, told = (
+    free, stated = (
         full_settings(config(c)).delays["speed"] for c in ({}, {"calibration.speed_delay": 0.25})
     )
-    assert told.mean == 0.25
-    assert told.std < free.std
+    assert stated.mean == 0.25
+    assert stated.std < free.std
     assert free == EstimatorSettings().delays["speed"]
 
 

@@ -67,7 +67,7 @@ def traffic(frozen: str) -> list[tuple[float, int, bytes]]:
     return frames
 
 
-def told(out: list[tuple[int, bytes]], name: str, signal: str) -> np.ndarray:
+def values_of(out: list[tuple[int, bytes]], name: str, signal: str) -> np.ndarray:
     message = {"health": "IMUCALD_Health", "gyro": "IMUCALD_AngularRate"}
     plan = compile_decode(
         output_database().message(message.get(name, "IMUCALD_Acceleration")), [signal]
@@ -84,16 +84,16 @@ def test_a_stuck_axis_takes_its_sensor_out_and_no_other(frozen: str, tmp_path) -
     out = frames_of(engine.columns(columns_of(frames)))
     other = "gyro" if frozen == "accel" else "accel"
     t = PERIOD * np.arange(round(END / PERIOD))
-    quality = told(out, frozen, "Quality")
+    quality = values_of(out, frozen, "Quality")
     bad = t[quality == 0.0]
     bad = bad[bad > 1.0]
     assert START < bad[0] < START + 2.0
     assert STOP + 9.0 < bad[-1] < STOP + 11.0
     assert np.allclose(np.diff(bad), PERIOD), "without a break"
-    assert (told(out, other, "Quality")[50:] == 3.0).all()
-    second = told(out, "second", "Quality")[10:]
+    assert (values_of(out, other, "Quality")[50:] == 3.0).all()
+    second = values_of(out, "second", "Quality")[10:]
     assert (second == 0.0).any() == (frozen == "accel")
-    flags = told(out, "health", "SensorFaulty")
+    flags = values_of(out, "health", "SensorFaulty")
     assert 14 <= flags.sum() <= 17, "once a second"
     row = ACCEL.n if frozen == "accel" else GYRO.n
     counts = np.array([np.frombuffer(r)[row] for r in estimator.rows])

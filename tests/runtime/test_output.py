@@ -254,7 +254,7 @@ def test_counts_and_deviations_stop_at_their_ends(loaded, out_dbc):
     assert deviation["DeviationX"] == pytest.approx(327.67, abs=0.006)
 
 
-def test_health_in_a_drive_tells_of_missing_and_rejected_input(loaded, out_dbc):
+def test_health_in_a_drive_shows_missing_and_rejected_input(loaded, out_dbc):
     engine, sender = engine_of(loaded), Sender(loaded)
     out = [
         f

@@ -118,7 +118,7 @@ def test_quality_and_first_times_follow_the_states():
     ]
 
 
-def test_a_gap_closes_the_ticks_before_it_and_is_told():
+def test_a_gap_closes_the_ticks_before_it_and_is_reported():
     pipeline = Pipeline(ScriptedEstimator())
     pipeline.add(0.01, "speed", (3.0,))
     pipeline.gap(7)

@@ -130,6 +130,6 @@ def test_an_empty_log_is_no_error(tmp_path):
     json.loads(as_json(result))
 
 
-def test_a_log_that_is_not_there_is_told(tmp_path):
+def test_a_log_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(LogError, match=r"none\.log"):
         replayed([tmp_path / "none.log"])

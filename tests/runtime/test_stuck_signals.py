@@ -47,7 +47,7 @@ def taken(samples: Samples) -> tuple[Pipeline, list[Snapshot]]:
 
 
 @pytest.mark.parametrize("channel", ALARMS)
-def test_a_stuck_signal_is_told_for_as_long_as_it_lasts(channel: str) -> None:
+def test_a_stuck_signal_is_reported_for_as_long_as_it_lasts(channel: str) -> None:
     pipeline, snapshots = taken(stuck(channel))
     summary = pipeline.health.summary()
     (event,) = summary["events"]
@@ -55,9 +55,9 @@ def test_a_stuck_signal_is_told_for_as_long_as_it_lasts(channel: str) -> None:
     assert FROM_S < event["since_s"] < FROM_S + 60.0
     assert UNTIL_S < event["until_s"] < UNTIL_S + 25.0
     assert summary["sensors"][channel] == {}, "it is over"
-    told = {s.t for s in snapshots if channel in s.faults}
+    reported = {s.t for s in snapshots if channel in s.faults}
     expected = {s.t for s in snapshots if event["since_s"] <= s.t < event["until_s"]}
-    assert told == expected
+    assert reported == expected
     faulty = next(s for s in snapshots if channel in s.faults)
     health = health_at(faulty.k, {}, False, 0, LinkHealth(), faulty.faults)
     assert list(alarms_of(asdict(health)).values()) == [ALARMS[channel]]
@@ -66,7 +66,7 @@ def test_a_stuck_signal_is_told_for_as_long_as_it_lasts(channel: str) -> None:
 
 
 @pytest.mark.parametrize("channel", ALARMS)
-def test_live_and_by_columns_a_stuck_signal_is_told_alike(channel: str) -> None:
+def test_live_and_by_columns_a_stuck_signal_is_reported_equally(channel: str) -> None:
     whole, _ = taken(stuck(channel))
     parts = Pipeline(FullEstimator(), health=SampleHealth(AXES))
     for low in np.arange(0.0, 60.0 * MINUTES, 7.3):
@@ -91,7 +91,7 @@ def test_a_speed_that_repeats_itself_is_left_out_but_not_accused() -> None:
     assert left_out > 100
 
 
-def test_nothing_is_told_of_a_sound_drive() -> None:
+def test_nothing_is_reported_of_a_sound_drive() -> None:
     pipeline, snapshots = taken(sound())
     assert pipeline.health.summary() == {
         "sensors": {"accel": {}, "gyro": {}, "speed": {}, "yaw_rate": {}},

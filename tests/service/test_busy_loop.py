@@ -105,7 +105,7 @@ def test_whoever_asks_while_all_places_are_taken_waits_for_one(tmp_path: Path):
         waiting[-1].close()
 
 
-def test_a_queue_that_stays_full_is_told_in_the_end(tmp_path: Path):
+def test_a_queue_that_stays_full_is_reported_in_the_end(tmp_path: Path):
     server = StatusServer(tmp_path / "s", dict)
     waiting = []
     for _ in range(2 * CLIENTS_MAX):

@@ -263,7 +263,7 @@ def exchanged(channel: str, seconds: float) -> list[float]:
     return found
 
 
-def test_a_control_socket_that_cannot_be_made_is_told_and_the_daemon_runs(tmp_path):
+def test_a_control_socket_that_cannot_be_made_is_reported_and_the_daemon_runs(tmp_path):
     bench = Bench(tmp_path)
     (tmp_path / "status.sock.control").mkdir()
     (tmp_path / "control.sock").mkdir()

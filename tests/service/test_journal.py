@@ -22,7 +22,7 @@ def pipe_journal() -> tuple[int, Journal]:
     return reader, Journal(os.fdopen(writer, "w"), {})
 
 
-def test_a_pipe_that_nobody_reads_drops_lines_and_tells_their_number_later():
+def test_a_pipe_that_nobody_reads_drops_lines_and_shows_their_number_later():
     reader, journal = pipe_journal()
     began = time.monotonic()
     for i in range(2000):

@@ -164,3 +164,10 @@ def test_the_loop_goes_on_while_a_large_database_is_read(bench, monkeypatch):
         go_on.set()
         service.stop()
         loop.join(5.0)
+
+
+def test_a_key_without_effect_is_in_the_log_after_a_reload(bench):
+    bench.write("calibration:", "calibration:\n  straight: {steering_limit_deg: 5}")
+    assert "has no effect" not in bench.log.getvalue()
+    bench.service.reload()
+    assert "steering_limit_deg: has no effect without signals" in bench.log.getvalue()

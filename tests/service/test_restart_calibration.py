@@ -58,7 +58,7 @@ def test_after_a_restart_no_corrected_value_is_sent_until_it_is_usable_again():
     assert engine.pipeline.quality > 0
 
 
-def test_the_former_estimator_is_told_of_the_time_it_missed(tmp_path):
+def test_the_former_estimator_hears_of_the_time_it_missed(tmp_path):
     made: list[ScriptedEstimator] = []
 
     def new() -> ScriptedEstimator:

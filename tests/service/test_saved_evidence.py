@@ -24,7 +24,7 @@ GAP_S = 600.0
 """Between the two drives."""
 
 
-class Told:
+class Keepers:
     """Keepers of one folder, one after the other, and what they say."""
 
     def __init__(self, folder: Path) -> None:
@@ -56,27 +56,27 @@ def drive(engine: Engine, frames: FrameColumns) -> None:
         engine.columns(frames.take(slice(start, start + 20_000)), keep=False)
 
 
-def restored(told: Told) -> Engine:
+def restored(keepers: Keepers) -> Engine:
     engine = make_engine(loaded())
-    engine.pipeline.replace(told.keeper().restore(engine.pipeline.estimator))
+    engine.pipeline.replace(keepers.keeper().restore(engine.pipeline.estimator))
     return engine
 
 
 @pytest.fixture(scope="module")
 def content(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A state file after a drive of eight minutes."""
-    told = Told(tmp_path_factory.mktemp("first"))
+    keepers = Keepers(tmp_path_factory.mktemp("first"))
     engine = make_engine(loaded())
     drive(engine, drive_frames(minutes=8.0))
-    keeper = told.keeper()
+    keeper = keepers.keeper()
     keeper.update(engine.pipeline.estimator, 480.0)
     keeper.close(engine.pipeline.estimator, 480.0)
-    return told.newest().read_bytes()
+    return keepers.newest().read_bytes()
 
 
 @pytest.fixture
-def told(content: bytes, tmp_path: Path) -> Told:
-    made = Told(tmp_path)
+def keepers(content: bytes, tmp_path: Path) -> Keepers:
+    made = Keepers(tmp_path)
     StateStore(tmp_path, KEY).path(0).write_bytes(content)
     return made
 
@@ -91,53 +91,53 @@ def test_a_state_with_all_evidence_is_small(content):
     }
 
 
-def test_it_is_in_the_estimate_again_after_a_restart_and_in_the_next_state(told):
-    engine = restored(told)
+def test_it_is_in_the_estimate_again_after_a_restart_and_in_the_next_state(keepers):
+    engine = restored(keepers)
     drive(engine, drive_frames(minutes=8.0))
     estimator = engine.pipeline.estimator
     assert isinstance(estimator, RestoredEstimator)
     assert estimator.joined
-    before = information(told)
-    keeper = told.keeper()
+    before = information(keepers)
+    keeper = keepers.keeper()
     keeper.restore(make_engine(loaded()).pipeline.estimator)
     keeper.close(estimator, 480.0)
-    assert information(told) > 1.5 * before
-    assert told.warnings == []
+    assert information(keepers) > 1.5 * before
+    assert keepers.warnings == []
 
 
-def information(told: Told) -> float:
-    content = json.loads(told.newest().read_bytes().partition(b"\n")[2])
+def information(keepers: Keepers) -> float:
+    content = json.loads(keepers.newest().read_bytes().partition(b"\n")[2])
     return float(np.sum(content["evidence"]["sums"]["kinds"]["yaw_turn"]["information"]))
 
 
-def test_a_restart_before_anything_was_learnt_changes_nothing(told):
-    before = told.newest().read_bytes()
-    engine = restored(told)
+def test_a_restart_before_anything_was_learnt_changes_nothing(keepers):
+    before = keepers.newest().read_bytes()
+    engine = restored(keepers)
     drive(engine, drive_frames(minutes=8.0).take(slice(0, 5000)))
-    keeper = told.keeper()
+    keeper = keepers.keeper()
     keeper.update(engine.pipeline.estimator, 10.0)
     keeper.close(engine.pipeline.estimator, 10.0)
-    assert told.newest().read_bytes() == before
+    assert keepers.newest().read_bytes() == before
 
 
-def test_sums_that_make_no_sense_are_told_and_the_mount_serves_without(told):
-    told.rewrite(lambda content: content["evidence"]["sums"].update(rotation=[1.0] * 9))
-    estimator = restored(told).pipeline.estimator
+def test_sums_that_make_no_sense_are_reported_and_the_mount_serves_without(keepers):
+    keepers.rewrite(lambda content: content["evidence"]["sums"].update(rotation=[1.0] * 9))
+    estimator = restored(keepers).pipeline.estimator
     assert isinstance(estimator, RestoredEstimator)
     assert estimator.stored.evidence is None
-    assert "makes no sense" in told.warnings[0]
+    assert "makes no sense" in keepers.warnings[0]
 
 
-def test_a_state_of_the_version_before_is_used_it_has_no_sums(told):
-    told.rewrite(lambda content: content["evidence"].pop("sums"), version=1)
-    estimator = restored(told).pipeline.estimator
+def test_a_state_of_the_version_before_is_used_it_has_no_sums(keepers):
+    keepers.rewrite(lambda content: content["evidence"].pop("sums"), version=1)
+    estimator = restored(keepers).pipeline.estimator
     assert isinstance(estimator, RestoredEstimator)
     assert estimator.stored.evidence is None
-    assert told.warnings == []
+    assert keepers.warnings == []
 
 
-def test_a_reload_with_other_settings_takes_the_evidence_along(told):
-    engine = restored(told)
+def test_a_reload_with_other_settings_takes_the_evidence_along(keepers):
+    engine = restored(keepers)
     drive(engine, drive_frames(minutes=8.0))
     behind = behind_the_known(engine.pipeline.estimator, make_engine(loaded()).pipeline.estimator)
     assert isinstance(behind, RestoredEstimator)
@@ -145,11 +145,11 @@ def test_a_reload_with_other_settings_takes_the_evidence_along(told):
 
 
 @pytest.mark.slow
-def test_live_and_replay_are_the_same_behind_a_saved_state(told):
+def test_live_and_replay_are_the_same_behind_a_saved_state(keepers):
     frames = drive_frames(minutes=8.0)
     frames = with_times(frames, frames.t + GAP_S)
     frames = frames.take(frames.t < EPOCH + GAP_S + 300.0)
-    by_columns, one_by_one = restored(told), restored(told)
+    by_columns, one_by_one = restored(keepers), restored(keepers)
     drive(by_columns, frames)
     for t, can_id, length, data in zip(
         frames.t.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
@@ -165,10 +165,10 @@ def test_live_and_replay_are_the_same_behind_a_saved_state(told):
 
 
 @pytest.mark.slow
-def test_a_vehicle_that_stands_wears_out_no_memory(told):
+def test_a_vehicle_that_stands_wears_out_no_memory(keepers):
     engine = make_engine(loaded())
     drive(engine, drive_frames(minutes=8.0))
-    keeper = told.keeper()
+    keeper = keepers.keeper()
     for second in range(60):
         for tick in range(10):
             stamp = EPOCH + 480.0 + second + tick / 10.0

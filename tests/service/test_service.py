@@ -171,7 +171,7 @@ def test_a_wrong_configuration_changes_nothing_on_reload(bench):
     service.close()
 
 
-def test_a_state_that_cannot_be_written_is_told_once_and_stops_nothing(bench):
+def test_a_state_that_cannot_be_written_is_reported_once_and_stops_nothing(bench):
     (bench.folder / "state").write_text("a file where a folder should be")
     service = bench.service()
     bench.drive(service)
@@ -361,7 +361,7 @@ def test_a_watchdog_that_is_not_ours_is_not_fed(tmp_path, watchdog):
     assert manager.heard() == ["READY=1"]
 
 
-def test_log_lines_of_one_kind_are_told_seldom_with_their_number():
+def test_log_lines_of_one_kind_are_reported_seldom_with_their_number():
     now, log = [0.0], io.StringIO()
     journal = Journal(log, clock=lambda: now[0])
     for _ in range(1000):
@@ -417,7 +417,7 @@ def output_of(*command: str, status: tuple[int, ...] = (0,)) -> str:
     return done.stdout + done.stderr
 
 
-def test_the_daemon_that_is_meant_is_found_or_the_choice_is_told(tmp_path, monkeypatch):
+def test_the_daemon_that_is_meant_is_found_or_the_choice_is_reported(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with pytest.raises(LinkError, match="no running daemon found"):
         find_socket(None, "can7")

@@ -213,7 +213,7 @@ def test_a_full_disk_costs_neither_generation(tmp_path, monkeypatch):
     assert load(tmp_path).state == state(4.0)
 
 
-def test_what_cannot_be_read_is_told_and_left(tmp_path):
+def test_what_cannot_be_read_is_reported_and_left(tmp_path):
     store = saved_twice(tmp_path)
     store.path(0).unlink()
     store.path(0).mkdir()  # reading it fails, for root too
@@ -258,7 +258,7 @@ def test_a_write_that_stops_half_way_costs_neither_generation(tmp_path):
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become somebody else")
-def test_a_folder_that_is_read_only_is_read_and_told():
+def test_a_folder_that_is_read_only_is_read_and_reported():
     with tempfile.TemporaryDirectory() as name:  # pytest's own cannot be reached by others
         folder = Path(name)
         store = saved_twice(folder)

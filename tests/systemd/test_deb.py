@@ -61,11 +61,11 @@ def test_it_installs_runs_upgrades_and_goes_without_a_trace(package, run_under_s
     outcome = run_under_systemd(script, shared=[package.parent, drive])
     text = outcome.output
     assert outcome.status == 0, text + outcome.console[-1500:]
-    said = dict(line.split(" ", 1) for line in text.splitlines() if line[:3].isupper())
-    assert said["ACTIVE"] == said["UPGRADED"] == "active"
-    assert json.loads(said["STATUS"])["state"] == "waiting"
-    assert int(said["RECEIVE"]) == 8388608
-    assert said["REMOVED"] == "inactive"
+    facts = dict(line.split(" ", 1) for line in text.splitlines() if line[:3].isupper())
+    assert facts["ACTIVE"] == facts["UPGRADED"] == "active"
+    assert json.loads(facts["STATUS"])["state"] == "waiting"
+    assert int(facts["RECEIVE"]) == 8388608
+    assert facts["REMOVED"] == "inactive"
     assert "NOTHING LEFT" in text
     assert "CONFIGURATION KEPT" in text
 

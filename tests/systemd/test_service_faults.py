@@ -87,7 +87,7 @@ def scene(outcome: Outcome, name: str) -> dict[str, Any]:
     pytest.fail(f"no result of {name} (status {outcome.status}):\n{text}")
 
 
-def told(times: list[float]) -> str:
+def in_words(times: list[float]) -> str:
     """For `pytest -rP`, where the figures of docs/service.md come from."""
     return f"median {statistics.median(times):.2f}, at most {max(times):.2f}, of {len(times)}"
 
@@ -112,7 +112,7 @@ def test_it_calibrates_from_the_bus_and_says_so_in_its_status_line(outcome):
 
 def test_after_a_kill_it_is_usable_again_within_two_seconds_from_its_state(outcome):
     found = scene(outcome, "killed")
-    print("usable after a kill [s]:", told(found["times"]))
+    print("usable after a kill [s]:", in_words(found["times"]))
     assert max(found["times"]) < USABLE_AGAIN_S
     assert found["quality"] == 1
     assert found["restarts"] == len(found["times"])
@@ -203,7 +203,7 @@ def test_it_stops_within_a_second_with_its_state_saved(outcome):
 def test_it_comes_and_goes_with_its_interface(outcome):
     found = scene(outcome, "interface_lost")
     assert max(found["down"]) < RESUME_S
-    print("frames back after a new interface [s]:", told(found["times"]))
+    print("frames back after a new interface [s]:", in_words(found["times"]))
     assert max(found["times"]) < RESUME_S
     assert found["same_process"]
 
@@ -214,14 +214,14 @@ def test_a_stepped_wall_clock_moves_nothing(outcome):
         assert other == pytest.approx(found[0], abs=0.01)
 
 
-def test_a_corrupt_state_is_set_aside_and_told(outcome):
+def test_a_corrupt_state_is_set_aside_and_reported(outcome):
     found = scene(outcome, "corrupted")
     assert (found["state"], found["quality"]) == ("waiting", 0)
     assert len(found["problems"]) == len(found["aside"]) == 2
     assert found["told"]
 
 
-def test_a_wrong_configuration_is_told_and_not_tried_again_and_again(outcome):
+def test_a_wrong_configuration_is_reported_and_not_tried_again_and_again(outcome):
     found = scene(outcome, "misconfigured")
     assert found["active"] == "failed"
     assert found["code"] == "78"

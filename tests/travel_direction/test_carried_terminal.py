@@ -101,7 +101,7 @@ def test_without_a_compass_steps_are_counted_and_no_heading_is_made_up():
     assert travel.state(steps[-1].t + 0.1) is TravelState.NO_COMPASS
 
 
-def test_the_state_tells_standing_walking_and_silence():
+def test_the_state_shows_standing_walking_and_silence():
     w = walk(BY_NAME["in front, flat"], 1.3, seconds=20.0, seed=6)
     travel, steps = run(w)
     assert travel.state(steps[-1].t + 0.1) in (TravelState.WALKING, TravelState.TURNING)
@@ -136,7 +136,7 @@ def test_a_gap_begins_anew():
     assert travel.last is None
 
 
-def test_hard_iron_is_told_from_the_earths_field():
+def test_hard_iron_is_distinguished_from_the_earths_field():
     """A terminal that turns once: the field goes round, the iron does not."""
     north = NorthFilter()
     iron = np.array([8.0, -12.0, 5.0]) * 1e-6

@@ -46,17 +46,17 @@ def judged(w):
 
 
 @pytest.mark.parametrize("name", sorted(BY_NAME))
-def test_a_wrong_sign_is_told_and_deviations_cover(name):
+def test_a_wrong_sign_is_reported_and_deviations_cover(name):
     """Seeds that no constant was looked at with."""
     table = np.vstack([judged(walk(BY_NAME[name], s, seed=seed, seconds=60.0))
                        for s, seed in ((0.9, 71), (1.3, 72), (1.7, 73))])  # fmt: skip
-    told = table[:, 2] == 0.0
-    assert np.mean((table[:, 0] > 0.5 * math.pi) & told) < 0.02
-    if told.any():
-        assert np.mean((table[:, 0] < 1.96 * table[:, 1])[told]) > 0.9
+    is_sure = table[:, 2] == 0.0
+    assert np.mean((table[:, 0] > 0.5 * math.pi) & is_sure) < 0.02
+    if is_sure.any():
+        assert np.mean((table[:, 0] < 1.96 * table[:, 1])[is_sure]) > 0.9
 
 
-def test_a_phase_that_tells_nothing_is_ambiguous():
+def test_a_phase_that_shows_nothing_is_ambiguous():
     """Forward in step with a quarter period beside the lead: both senses are as likely."""
     odd = Carrying("odd", (85.0, 0.0, 180.0), 1.5, 2.5, 0.0, 205.0)
     table = judged(walk(odd, 1.3, seed=5, seconds=60.0))

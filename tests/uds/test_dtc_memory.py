@@ -76,7 +76,7 @@ def test_not_calibrated_is_pending_at_first_and_confirmed_after_twenty_minutes()
     assert run.status(NOT_CALIBRATED) == OVER
 
 
-def test_a_moved_sensor_is_told_at_once():
+def test_a_moved_sensor_is_reported_at_once():
     run = Run()
     run.go(usable=False)
     assert run.status(SENSOR_MOVED) == UNTESTED, "nothing to hold it against"
@@ -154,7 +154,7 @@ def test_one_foreign_frame_under_our_id_is_a_conflict():
     assert run.status(ID_CONFLICT) == OVER
 
 
-def test_a_corrupt_state_is_told():
+def test_a_corrupt_state_is_reported():
     run = Run()
     run.go(state_corrupt=False)
     assert run.status(STATE_CORRUPT) == PASSED
@@ -230,7 +230,7 @@ def test_codes_are_shown_as_a_tester_shows_them():
 # as the services tell them -----------------------------------------------------------------------
 
 
-def told(**facts) -> Bench:
+def bench_with(**facts) -> Bench:
     bench = Bench()
     given = {"usable": True, "moved": False, "missing": {}, "counts": FrameCounts(), **facts}
     bench.server.dtcs.update(0.0, Symptoms(**given))
@@ -238,7 +238,7 @@ def told(**facts) -> Bench:
 
 
 def test_codes_are_counted_and_listed_by_status():
-    bench = told(moved=True, missing={"speed": True})
+    bench = bench_with(moved=True, missing={"speed": True})
     assert bench.ask("19 01 08") == "59 01 7F 00 00 02"
     assert bench.ask("19 02 08") == "59 02 7F 5A 11 76 2F 5A 14 87 2F"
     assert bench.ask("19 02 01") == "59 02 7F 5A 11 76 2F 5A 14 87 2F"
@@ -250,14 +250,14 @@ def test_codes_are_counted_and_listed_by_status():
 
 
 def test_one_code_in_detail():
-    bench = told(moved=True)
+    bench = bench_with(moved=True)
     assert bench.ask("19 06 5A 11 76 FF") == "59 06 5A 11 76 2F 01 01 02 00"
     assert bench.ask("19 06 5A 11 76 01") == "59 06 5A 11 76 2F 01 01"
     assert bench.ask("19 06 5A 11 76 02") == "59 06 5A 11 76 2F 02 00"
 
 
 def test_codes_are_cleared_one_by_one_and_all_together():
-    bench = told(moved=True, missing={"speed": True})
+    bench = bench_with(moved=True, missing={"speed": True})
     assert bench.ask("14 5A 11 76") == "54"
     assert bench.ask("19 02 08") == "59 02 7F 5A 14 87 2F"
     assert bench.ask("14 FF FF FF") == "54"
@@ -275,7 +275,7 @@ def test_a_faulty_sensor_has_a_code_for_each_fault(sensor, fault):
     assert run.status(FAULTY[sensor][fault]) == OVER
 
 
-def test_a_duplicate_sender_is_told_from_three_frames_on():
+def test_a_duplicate_sender_is_reported_from_three_frames_on():
     run = Run()
     run.faults["duplicate_sender"] = 2
     run.go()

@@ -98,7 +98,7 @@ def test_a_wrong_sequence_number_ends_the_request(wire):
 
 
 @pytest.mark.parametrize("length", [MAX_REQUEST + 1, 0xFFF])
-def test_a_request_that_is_too_long_is_told_so(wire, length):
+def test_a_request_that_is_too_long_is_reported_so(wire, length):
     assert wire.send(first(length)) == [OVERFLOW]
     assert wire.send(*(more(i) for i in range(1, 40))) == []
     assert wire.counted("FrameTooLongError") == 1

@@ -86,7 +86,7 @@ def test_a_right_key_and_a_unit_that_was_never_tried_start_without_a_delay(unit)
     "content",
     [b"", b"junk", b"imucald-keys 1 00\n{}", b"x" * 10_000, b"imucald-keys 1 " + b"9" * 100],
 )
-def test_a_damaged_count_is_one_wrong_key_and_is_told(content, unit):
+def test_a_damaged_count_is_one_wrong_key_and_is_reported(content, unit):
     unit.store.close()
     unit.path.write_bytes(content)
     unit.switch_on()

@@ -131,7 +131,7 @@ def test_speed_that_is_long_ago_is_not_known(bench, client):
         client.start_routine(RESET)
 
 
-def test_a_calibration_is_begun_driven_and_told(bench, client):
+def test_a_calibration_is_begun_driven_and_reported(bench, client):
     bench.play(STANDING_S)
     unlocked(client)
     answer = client.start_routine(CALIBRATE).service_data.routine_status_record
@@ -217,19 +217,23 @@ def test_what_a_tester_did_is_in_the_log_and_the_status(bench, client):
     client.start_routine(CALIBRATE)
     client.stop_routine(CALIBRATE)
     client.start_routine(RESET)
-    said = bench.log.getvalue()
+    journal = bench.log.getvalue()
     for text in (
         "the calibration is started again",
         "the former calibration is taken back",
         "the learnt mount is forgotten",
     ):
-        assert re.search(rf"{text}.*\(by a tester on the bus\)", said), text
-    told = bench.service.status()["diagnostics"]
-    assert (told["session"], told["unlocked"], told["refused"]) == ("extended", True, 0)
-    assert told["requests"] == 6
-    assert told["transport"]["frames"] > 6
-    assert told["trouble_codes"]["C1A10-54"] == "27"
-    json.dumps(told)
+        assert re.search(rf"{text}.*\(by a tester on the bus\)", journal), text
+    diagnostics = bench.service.status()["diagnostics"]
+    assert (diagnostics["session"], diagnostics["unlocked"], diagnostics["refused"]) == (
+        "extended",
+        True,
+        0,
+    )
+    assert diagnostics["requests"] == 6
+    assert diagnostics["transport"]["frames"] > 6
+    assert diagnostics["trouble_codes"]["C1A10-54"] == "27"
+    json.dumps(diagnostics)
 
 
 def test_off_it_is_not_there(tmp_path):

@@ -50,14 +50,14 @@ def made(folder: Path, section: str):
         ("security: {key_function: 'math:pi'}", "is not a function"),
     ],
 )
-def test_mistakes_are_told_with_their_place(tmp_path, settings, text):
+def test_mistakes_are_reported_with_their_place(tmp_path, settings, text):
     with pytest.raises(ConfigError, match=r"shuttle\.yaml:\d+: diagnostics") as error:
         made(tmp_path, f"\ndiagnostics:\n  enabled: true\n  {settings}\n")
     assert text in str(error.value)
     assert len(str(error.value).splitlines()) == 1
 
 
-def test_a_module_that_fails_when_it_is_imported_is_told(tmp_path, monkeypatch):
+def test_a_module_that_fails_when_it_is_imported_is_reported(tmp_path, monkeypatch):
     (tmp_path / "broken_keys.py").write_text("raise RuntimeError('no secret here')")
     monkeypatch.syspath_prepend(tmp_path)
     section = "\ndiagnostics: {enabled: true, security: {key_function: 'broken_keys:key'}}\n"
@@ -65,13 +65,13 @@ def test_a_module_that_fails_when_it_is_imported_is_told(tmp_path, monkeypatch):
         made(tmp_path, section)
 
 
-def test_without_the_package_the_remedy_is_told(tmp_path, monkeypatch):
+def test_without_the_package_the_remedy_is_reported(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "isotp", None)
     with pytest.raises(ConfigError, match=r"pip install '\.\[diagnostics\]'"):
         made(tmp_path, "\ndiagnostics: {enabled: true}\n")
 
 
-def test_identifiers_are_told_to_the_link(tmp_path):
+def test_identifiers_are_given_to_the_link(tmp_path):
     section = "\ndiagnostics: {enabled: true, request_id: 0x18DA55F1, response_id: 0x18DAF155}\n"
     diagnostics = made(tmp_path, section)
     ids = {0x18DA55F1 | 0x8000_0000, 0x7DF}

@@ -49,8 +49,8 @@ def test_identifiers() -> None:
     assert set(documented) == known
     reasons = documented[0xFD09][1].split(":")[1]
     assert len(reasons.split(",")) == len(COUNTED_FAULTS)
-    for reason, said in zip(COUNTED_FAULTS, reasons.split(","), strict=True):
-        assert reason.split("_")[-1][:4] in said.replace("jumping", "jump").replace("-", ""), reason
+    for reason, name in zip(COUNTED_FAULTS, reasons.split(","), strict=True):
+        assert reason.split("_")[-1][:4] in name.replace("jumping", "jump").replace("-", ""), reason
 
 
 def test_dtcs() -> None:
@@ -88,5 +88,5 @@ def test_the_key_function_of_the_page_lets_in() -> None:
 
 
 @pytest.mark.parametrize("name", ["pip install '.[diagnostics]'", "key_function"])
-def test_what_to_do_is_said(name: str) -> None:
+def test_what_to_do_is_stated(name: str) -> None:
     assert name in PAGE

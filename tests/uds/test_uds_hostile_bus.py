@@ -18,7 +18,6 @@ from uds_bus import REQUEST, RESPONSE, UdsBench, asking, guarded_config, with_di
 
 pytestmark = pytest.mark.slow
 
-ACCEL_ID = 0x200
 CHECKSUM, COUNTER, CONFLICT = 0xDA1083, 0xDA1082, 0xDA1181
 CONFIRMED = 0x08
 
@@ -75,7 +74,7 @@ def settled(bench: UdsBench) -> None:
     time.sleep(0.5)
 
 
-def test_recorded_frames_played_again_are_refused_and_told(guarded):
+def test_recorded_frames_played_again_are_refused_and_reported(guarded):
     guarded.play(2.0)
     settled(guarded)
     assert not codes(guarded) & {CHECKSUM, COUNTER, CONFLICT}
@@ -110,7 +109,7 @@ def test_a_recording_played_beside_the_real_sensor_is_not_learnt_from(guarded):
     assert COUNTER in codes(guarded)
 
 
-def test_forged_values_without_the_right_checksum_are_refused_and_told(guarded):
+def test_forged_values_without_the_right_checksum_are_refused_and_reported(guarded):
     guarded.play(2.0)
     settled(guarded)
     router = guarded.service.engine.router
@@ -129,7 +128,7 @@ def test_forged_values_without_the_right_checksum_are_refused_and_told(guarded):
 
 
 @pytest.mark.parametrize("spoofed", [0x640, 0x643, 0x645, RESPONSE])
-def test_a_node_that_sends_our_identifiers_is_told_and_not_heard(bench, spoofed):
+def test_a_node_that_sends_our_identifiers_is_reported_and_not_heard(bench, spoofed):
     bench.play(1.0)
     settled(bench)
     used = bench.service.engine.router.used

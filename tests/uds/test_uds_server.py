@@ -23,7 +23,7 @@ def bench() -> Bench:
 # sessions ----------------------------------------------------------------------------------------
 
 
-def test_sessions_are_entered_and_told(bench):
+def test_sessions_are_entered_and_reported(bench):
     assert bench.ask("22 F1 86") == "62 F1 86 01"
     assert bench.ask("10 03") == "50 03 00 32 01 F4"
     assert bench.ask("22 F1 86") == "62 F1 86 03"
@@ -140,7 +140,7 @@ def test_angles_and_deviations_in_their_units(bench):
     assert bench.ask("22 FD 01") == "62 FD 01 00 14 00 28 00 50"
 
 
-def test_angles_are_not_told_while_no_correction_is_in_force(bench):
+def test_angles_are_not_reported_while_no_correction_is_in_force(bench):
     bench.host.quality = 0
     assert bench.ask("22 FD 00") == "62 FD 00 80 00 80 00 80 00"
     answer = bench.server.handle(bytes.fromhex("22 FD 02"))

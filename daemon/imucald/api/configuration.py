@@ -9,7 +9,7 @@ from pathlib import Path
 
 from imucald.config import LoadedConfig
 from imucald.config.example import example_path
-from imucald.runtime.session import config_with
+from imucald.runtime.session import open_config
 
 PathLike = str | os.PathLike[str]
 
@@ -37,7 +37,7 @@ class Configuration:
         the databases hold is looked at when the configuration is used.
         """
         file = Path(path)
-        loaded = config_with(file, [Path(database) for database in databases or ()])
+        loaded = open_config(file, [Path(database) for database in databases or ()])
         return cls(
             path=file,
             databases=tuple(loaded.database_path(entry) for entry in loaded.config.database),

@@ -47,6 +47,7 @@ class Recorder:
         self._states: list[str] = []
         self._rows: list[list[float]] = []
         self._blocks: list[Array] = []
+        self._seen: MountEstimate | None = None
         self._known: MountEstimate | None = None
         self._figures: list[float] = []
         self._events: list[tuple[float, str, str, int, float]] = []
@@ -98,6 +99,9 @@ class Recorder:
 
     def _take_changes(self, snapshot: Snapshot) -> None:
         estimate = snapshot.estimate
+        if estimate is self._seen:
+            return
+        self._seen = estimate
         state = estimate.state.name.lower()
         if state != self._state:
             self._state = state

@@ -99,8 +99,8 @@ def _print_open(console: Console, diagnosis: Diagnosis) -> None:
     if diagnosis.look_alikes:
         console.print()
     for group in diagnosis.look_alikes:
-        alike = [titles.cause_title(name) for name in group]
-        console.print(f"cannot be distinguished: {words.in_series(alike, 'or')}")
+        group_titles = [titles.cause_title(name) for name in group]
+        console.print(f"cannot be distinguished: {words.in_series(group_titles, 'or')}")
         if ways := words.ways_apart(group):
             console.print("a drive that shows which has:")
         for way in ways:

@@ -56,6 +56,7 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
     if options.scheduler is None and not options.dry_run:
         unpack({})  # makes the folder whose name the template inherits
         template_for(function).begin()  # imports while this process does
+    from imucald.commands.options import print_problems
     from imucald.fleet.driver import FleetRun
     from imucald.fleet.fleet_file import load_fleet
     from imucald.fleet.lease import Lease
@@ -70,6 +71,8 @@ def _run(options: argparse.Namespace, stopping: _Stopping) -> int:
     if options.since is not None and not re.fullmatch(r"\d{4}-\d\d-\d\d", options.since):
         raise ConfigError(f"--since {options.since}: the form is YYYY-MM-DD")
     fleet = load_fleet(options.fleet, {"logs": options.logs} if options.logs else None)
+    for bundle in fleet.bundles.values():
+        print_problems(f"warning: {text}" for text in bundle.warnings)
     store = Store(options.out, fleet.settings.storage)
     how = Options(limits=limits, redo=options.redo, since=options.since, limit=options.limit,
                   signals=options.signals == "corrected",

@@ -200,7 +200,7 @@ def _rotation(mount: Mapping[str, Any]) -> Matrix3 | None:
 def serve(path: Path, port: int, seconds: float, note: str) -> None:
     """Serve the page until Ctrl-C, or for so many seconds. Raises ImucaldError."""
     try:
-        import aiohttp  # noqa: F401 - an extra: without it there is a remedy to be told
+        import aiohttp  # noqa: F401 - an extra: without it there is a remedy to report
     except ImportError:
         text = f"--web needs aiohttp: {how_to_install('live')}"
         raise ImucaldError(text) from None

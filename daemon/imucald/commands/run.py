@@ -142,12 +142,16 @@ def _checked(options: argparse.Namespace, journal: Journal) -> int:
     """What the service would read at its start or reload, read without a bus."""
     from imucald.core.errors import ConfigError
     from imucald.runtime.session import open_config
+    from imucald.service.journal import WARNING
     from imucald.service.start_check import check_start
 
     try:
-        check_start(open_config(options.config, options.database))
+        loaded = open_config(options.config, options.database)
+        check_start(loaded)
     except ConfigError as error:
         return _wrong(error, journal)
+    for line in loaded.idle_keys():
+        journal.say(line, WARNING)
     journal.say(f"{options.config} can be used")
     return 0
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int | None], None]
 
 
+MOST_EVENTS = 10
+"""Lines of events at the end of a replay: a screen holds no more beside the mount."""
 PIPED_WIDTH = 2000
 """Columns where no terminal says how many there are: a row is a line, whoever reads it."""
 
@@ -128,6 +130,8 @@ def print_summary(result: Mapping[str, Any]) -> None:
     if frames["rejected"]:
         rejected = ", ".join(f"{reason} {n}" for reason, n in frames["rejected"].items())
         console.print(f"rejected: {rejected}")
+    for text in _told(result):
+        console.print(text, style="bold red")
     for text in _beside(result):
         console.print(text)
 
@@ -152,6 +156,17 @@ def print_drives(rows: Sequence[Mapping[str, Any]], notes: Sequence[str]) -> Non
     console.print(CONVENTION)
     for note in notes:
         console.print(note)
+
+
+def _told(result: Mapping[str, Any]) -> Iterator[str]:
+    """What was noticed of moved sensors and of faults, in the order of time."""
+    from imucald.report.drive_events import in_order, reported_events
+
+    events = in_order(reported_events(result))
+    for event in events[:MOST_EVENTS]:
+        yield f"at {clock(event.t)}  {event.text}"
+    if len(events) > MOST_EVENTS:
+        yield f"and {len(events) - MOST_EVENTS} more: see --report, --json"
 
 
 def _beside(result: Mapping[str, Any]) -> Iterator[str]:

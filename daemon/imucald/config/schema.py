@@ -81,7 +81,7 @@ def _texts(kind: type[Settings]) -> dict[str, str]:
         match field, text:
             case (
                 ast.AnnAssign(target=ast.Name(id=name)),
-                ast.Expr(value=ast.Constant(value=str(said))),
+                ast.Expr(value=ast.Constant(value=str(meaning))),
             ):
-                found[name] = inspect.cleandoc(said)
+                found[name] = inspect.cleandoc(meaning)
     return found

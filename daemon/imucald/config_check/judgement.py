@@ -57,6 +57,9 @@ MIN_BRAKING_TICKS = 50
 """Ticks with and without brake that a judgement of it needs: 5 s."""
 
 NOT_STATED = OrientationSettings()
+WITHOUT_GRAVITY = (
+    "gravity is taken out of it (a 'linear' or 'user' acceleration); give the sensor's own readings"
+)
 UP_REMEDY = "set 'sign: -1' on all axes, or correct that line"
 FORWARD_REMEDY = "correct that line"
 
@@ -190,7 +193,9 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
     size = float(np.linalg.norm(gravity))
     ratio = size / GRAVITY
     text = f"{size:.2f} m/s² {when} (gravity is {GRAVITY:.2f})"
-    if abs(ratio - 1.0) > REST_WRONG:
+    if _lacks_gravity(motion.accel, size):
+        yield Finding("error", "accelerometer", f"{text}: {WITHOUT_GRAVITY}")
+    elif abs(ratio - 1.0) > REST_WRONG:
         yield Finding("error", "accelerometer", f"{text}: {gain_guess(ratio, unit_advice)}")
     elif abs(ratio - 1.0) > REST_ODD:
         yield Finding("warning", "accelerometer", f"{text}: scale or a large bias?")
@@ -205,6 +210,16 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
         if offset > GYRO_REST:
             text = f"turns at {math.degrees(offset):.1f} deg/s at rest: wrong unit or offset?"
             yield Finding("warning", "gyroscope", text)
+
+
+def _lacks_gravity(accel: Array, size: float) -> bool:
+    """Whether readings (n, 3) change by more than their mean's size: by no unit a vehicle's.
+
+    With a wrong unit both are wrong alike: changes of more than gravity itself would have to be
+    there, of 1 g and more on the average of a drive.
+    """
+    known = accel[np.isfinite(accel).all(axis=1)]
+    return len(known) >= MIN_TICKS and float(np.linalg.norm(known.std(axis=0))) > size
 
 
 def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:

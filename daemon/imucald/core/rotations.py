@@ -110,14 +110,18 @@ _EYE = np.eye(3)
 
 def rotation_from_vector(v: ArrayLike) -> Matrix3:
     """Exponential map (Rodrigues): rotation vector [rad] (3,) -> (3, 3)."""
-    w = np.asarray(v, dtype=float)
-    angle = float(np.sqrt(w @ w))
-    K = skew(w)
-    if angle < 1e-8:
-        return np.asarray(_EYE + K + 0.5 * (K @ K))
-    sin_over = math.sin(angle) / angle
-    versine_over = 2.0 * (math.sin(0.5 * angle) / angle) ** 2
-    result: Matrix3 = _EYE + sin_over * K + versine_over * (K @ K)
+    x, y, z = np.asarray(v, dtype=float).tolist()
+    angle = math.sqrt(x * x + y * y + z * z)
+    a, b = 1.0, 0.5  # of K and K K, K the cross-product matrix
+    if angle >= 1e-8:
+        a, b = math.sin(angle) / angle, 2.0 * (math.sin(0.5 * angle) / angle) ** 2
+    result: Matrix3 = np.array(
+        [
+            [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
+        ]
+    )
     return result
 
 
@@ -181,8 +185,10 @@ def levelling_rotation(gravity_sensor: ArrayLike) -> Matrix3:
 def orthonormalised(R: ArrayLike) -> Matrix3:
     """The nearest rotation to a (3, 3) matrix, in the least-squares sense (polar decomposition)."""
     U, _, Vt = np.linalg.svd(np.asarray(R, dtype=float))
-    D = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
-    result: Matrix3 = U @ D @ Vt
+    result: Matrix3 = U @ Vt
+    x, y, z = result.tolist()
+    if sum(a * b for a, b in zip(x, cross(y, z), strict=True)) < 0.0:  # it mirrors
+        result = U @ np.diag([1.0, 1.0, -1.0]) @ Vt
     return result
 
 

@@ -1,6 +1,6 @@
 """What is left when the search has ended, tested without a cause in mind.
 
-Two equations without a sensor in common that leave the same motion; a narrow hump in a residual's
+Two equations without a sensor in common that leave the same motion; a narrow peak in a residual's
 spectrum; a zero error that goes with the shaking. And, first of all, a signal that moves against
 what is predicted.
 """
@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from imucald.diagnosis.cause_keys import mount_of
+from imucald.diagnosis.blocks import TAKES
+from imucald.diagnosis.cause_keys import BUTTERWORTH_S_HZ, mount_of
+from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.result import (
     GOES_AGAINST,
@@ -54,9 +56,12 @@ MOST_LEFT_MPS2 = GUSTY * AIR * FAST_MPS**2
 motorway, 0.18 m/s^2. The accelerometer's own noise is added."""
 EVEN = ("accel_x", "accel_y", "accel_z")
 """Equations in which nothing of the road is left, nor of the springs."""
-HUMP, HUMP_BINS = 4.0, 3
-"""A hump is so many times the spectrum 0.2 Hz to both sides of it."""
-HUMPED = ("accel_y", "yaw_rate")
+PEAK, PEAK_BINS = 4.0, 3
+"""A peak is so many times the spectrum 0.2 Hz to both sides of it."""
+PEAKED = ("accel_y", "yaw_rate")
+FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
+"""Delay of a first-order low-pass well below its cut-off, times the cut-off."""
+OCTAVE = 2.0
 DRIVING_MPS = 2.0
 QUICK_HZ = 40.0
 """An accelerometer that is sampled faster sees the shaking."""
@@ -109,23 +114,28 @@ def too_much(problem: Problem, state: State) -> list[Structure]:
     return [Structure(name, TOO_MUCH, left / limit, text)]
 
 
-def uneven(problem: Problem) -> list[Structure]:
+def uneven(problem: Problem, drift: Hypothesis | None) -> list[Structure]:
     """Segments that leave more than their noise and than a correct file could: something acts in
     some of them that no parameter describes.
 
     Noise is what half of the segments leave, and its scatter (chi-square of the coefficients of a
     segment, 1 %). Beyond that a segment may leave what parameters off by their tolerances make in
-    it. One segment in fifteen must not decide.
+    it. One segment in fifteen must not decide. drift: of what was named and has no place in the
+    model file; it is fitted beside.
     """
-    table, x = problem.table, fitted(problem)
-    z = np.concatenate([[1.0], -x])
+    table, x = problem.table, fitted(problem, drift)
+    own = len(table.keys)
+    z = np.tile(np.concatenate([[1.0], -x[:own]]), (table.blocks, 1))
+    if drift is not None and drift.pattern is not None:
+        for key, slope in zip(drift.keys, x[own:], strict=True):
+            z[:, table.keys.index(key) + 1] -= slope * drift.pattern
     found = []
     for name in EVEN:
         there = table.by_equation[name][:, 0, 0] > 0.0 if name in table.plain else np.zeros(0, bool)
         if there.sum() < LEAST_BLOCKS:
             continue
         gram = table.plain[name][there].sum(axis=1)
-        power = np.einsum("i,bij,j->b", z, gram, z)
+        power = np.einsum("bi,bij,bj->b", z[there], gram, z[there])
         may = np.einsum("bjj,j->b", gram[:, 1:, 1:], table.tolerance**2)
         count = max(1, int(2.0 * table.seconds * table.top_hz[name]))
         noise = float(np.median(power)) * chi2.isf(CHANCE, count) / chi2.median(count)
@@ -157,7 +167,8 @@ def _noise(state: State, top_hz: float) -> float:
 def what_is_left(problem: Problem, state: State) -> list[Structure]:
     """Structure beyond what roads and noise leave. problem: of the model as it was extended."""
     spectra = _spectra(problem, state.forwards)
-    return [*_shared(spectra, state.forwards), *_humps(spectra), *_shaken(problem, state)]
+    peaks = _peaks(spectra, _cut_offs(state.changes))
+    return [*_shared(spectra, state.forwards), *peaks, *_shaken(problem, state)]
 
 
 def _spectra(problem: Problem, forwards: Sequence[Forward]) -> Mapping[str, Spectra]:
@@ -267,10 +278,24 @@ def _left_of(z: Spectra, known: Spectra) -> Spectra:
     return left
 
 
-def _humps(spectra: Mapping[str, Spectra]) -> list[Structure]:
-    """A narrow hump: something that swings."""
+def _cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
+    """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
+    within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
+    a delay does as well, above it no motion is."""
+    late = {key: abs(x) for key, x in changes.items() if key.endswith("delay_s") and x}
+    return [
+        (key.partition(".")[0], FIRST_ORDER_S_HZ / x / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / x)
+        for key, x in late.items()
+        if x > PARAMETERS[key].tolerance
+    ]
+
+
+def _peaks(
+    spectra: Mapping[str, Spectra], cut_offs: Sequence[tuple[str, float, float]] = ()
+) -> list[Structure]:
+    """A narrow peak: something that swings, unless a low-pass explains it."""
     found = []
-    for name in HUMPED:
+    for name in PEAKED:
         if name not in spectra:
             continue
         z = _as_loud(spectra[name][np.isfinite(spectra[name][:, 0])])
@@ -278,15 +303,17 @@ def _humps(spectra: Mapping[str, Spectra]) -> list[Structure]:
             continue
         power = np.mean(np.abs(z) ** 2, axis=0)
         hz = np.arange(len(power)) / (2.0 * (len(power) - 1) * STEP_S)
-        size = len(power) // HUMP_BINS * HUMP_BINS
-        bands = power[:size].reshape(-1, HUMP_BINS).mean(axis=1)
-        middle = hz[:size].reshape(-1, HUMP_BINS).mean(axis=1)
+        size = len(power) // PEAK_BINS * PEAK_BINS
+        bands = power[:size].reshape(-1, PEAK_BINS).mean(axis=1)
+        middle = hz[:size].reshape(-1, PEAK_BINS).mean(axis=1)
         for i in range(3, len(bands) - 2):
             if not 0.25 < middle[i] < 1.2:
                 continue
+            if any(s in TAKES[name] and a < middle[i] < b for s, a, b in cut_offs):
+                continue
             beside = max(bands[i - 2], bands[i + 2])
-            if bands[i] > HUMP * beside and bands[i] == bands[i - 2 : i + 3].max():
-                text = f"a hump at {middle[i]:.2f} Hz, {bands[i] / beside:.0f} times what is beside"
+            if bands[i] > PEAK * beside and bands[i] == bands[i - 2 : i + 3].max():
+                text = f"a peak at {middle[i]:.2f} Hz, {bands[i] / beside:.0f} times what is beside"
                 found.append(Structure(name, "peak", float(bands[i] / beside), text))
                 break
     return found

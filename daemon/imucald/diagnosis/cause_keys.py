@@ -23,7 +23,7 @@ from imucald.core.rotations import (
     rotation_from_vector,
 )
 from imucald.core.samples import GRAVITY
-from imucald.diagnosis.causes import LEVEL_GYRO_GAIN_ERROR, MODEL_ERROR, PARAMETERS
+from imucald.diagnosis.causes import LEVEL_GYRO_GAIN_ERROR, MODEL_ERROR, PARAMETERS, family
 from imucald.diagnosis.signals import Array
 from imucald.model.model import VehicleModel
 from imucald.model.sensors import LONGEST_DELAY_S
@@ -114,9 +114,8 @@ def value(model: VehicleModel, key: str) -> float:
 
 def _vector_value(model: VehicleModel, key: str) -> float:
     """Component along the vehicle of a vector that the file has in sensor axes."""
-    parent, _, axis = key.rpartition(".")
-    section, _, name = parent.partition(".")
-    stated = getattr(getattr(model, section, None), name, None)
+    section, _, name = family(key).partition(".")
+    stated, axis = getattr(getattr(model, section, None), name, None), key[-1]
     if axis not in "xyz" or not isinstance(stated, tuple):
         return 0.0
     return float((mount_of(model) @ np.array(stated))["xyz".index(axis)])
@@ -140,7 +139,7 @@ def plausible(model: VehicleModel, key: str) -> tuple[float, float]:
 
 def model_error(model: VehicleModel, key: str) -> float:
     """What the equations themselves err by in a parameter: one deviation."""
-    stated = MODEL_ERROR.get(key, MODEL_ERROR.get(key.rpartition(".")[0], 0.0))
+    stated = MODEL_ERROR.get(family(key), 0.0)
     if key.startswith("gyro.scale."):
         upright = float(abs(mount_of(model)[2, int(key[-1])]))
         return float(np.hypot(stated * upright, LEVEL_GYRO_GAIN_ERROR * (1.0 - upright**2) ** 0.5))

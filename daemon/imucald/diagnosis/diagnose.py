@@ -40,7 +40,7 @@ from imucald.diagnosis.result import (
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.search import search
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
-from imucald.diagnosis.stability import unstable
+from imucald.diagnosis.stability import drift_of, unstable
 from imucald.diagnosis.state import State, final_estimates, shift_steps
 from imucald.diagnosis.stuck import Fault
 from imucald.model.model import VehicleModel
@@ -54,8 +54,8 @@ LITTLE_MIN = 10.0
 UNBELIEVED = (GOES_AGAINST, TOO_MUCH)
 """Structure beside which no fit is believed."""
 HALF = 0.5
-"""A file is not held to less than this share of a tolerance: one drive's pieces share warmth, load
-and weather."""
+"""A file is not held to less than this share of a tolerance: one drive's pieces share temperature,
+load and weather."""
 
 
 def diagnose(
@@ -151,7 +151,7 @@ def _left(state: State) -> tuple[Structure, ...]:
     problem = state.evaluated()
     return (
         *too_much(problem, state),
-        *uneven(problem),
+        *uneven(problem, drift_of(state)),
         *outcome.implausible(state),
         *held_values(state.drives),
         *beyond_chance([*patterns(problem, state.forwards), *unstable(problem, state)]),
@@ -203,7 +203,7 @@ def _started(parts: Sequence[DriveSignals], model: VehicleModel, rest: Rest | No
 
 
 def _is_off(rest: Rest, model: VehicleModel) -> bool:
-    return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > rest.honest(model)))
+    return bool(np.any(np.abs(rest.rate) - rest.quantile * rest.se > rest.allowed(model)))
 
 
 def _is_gyro_held(left: Sequence[Structure]) -> bool:

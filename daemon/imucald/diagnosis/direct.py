@@ -37,8 +37,8 @@ class Rest:
     per_kelvin: Array | None = None
     """Slope of the stops over the temperature; None where it hardly changes."""
 
-    def honest(self, model: VehicleModel) -> Array:
-        """(3,) what an honest file may be off at these stops: its zero, and its slope over the
+    def allowed(self, model: VehicleModel) -> Array:
+        """(3,) how far off a correct file may be at these stops: its zero, and its slope over the
         temperature times how far these stops are from where the zero holds."""
         return np.array(
             [
@@ -62,7 +62,7 @@ class Rest:
 
 def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int) -> Rest | None:
     """Means over all stops; None without a gyroscope or a stop."""
-    rates, warmth = [], []
+    rates, kelvins = [], []
     sensor = sensor_of(model, "gyro", {})
     inverse = np.linalg.inv(sensor.gain)
     for drive in drives:
@@ -75,17 +75,17 @@ def rest_of(drives: Sequence[DriveSignals], model: VehicleModel, questions: int)
             raw = stop.gyro - sensor.bias - sensor.per_kelvin * kelvin
             raw = raw - sensor.per_force * stop.accel
             rates.append(R @ inverse @ raw)
-            warmth.append(kelvin)
+            kelvins.append(kelvin)
     if not rates:
         return None
     table, n = np.array(rates), len(rates)
     mean = table.mean(axis=0)
     if n < FEW_STOPS:
-        return Rest(mean, np.full(3, LEAST_SE), 3.0, n, float(np.mean(warmth)))
+        return Rest(mean, np.full(3, LEAST_SE), 3.0, n, float(np.mean(kelvins)))
     se = np.maximum(np.std(table, axis=0, ddof=1) / np.sqrt(n), FINEST_SE)
     q = float(student.ppf(1.0 - CHANCE / (2.0 * max(questions, 1)), n - 1))
-    slope = _slope(np.array(warmth), table)
-    return Rest(mean, se, min(q, 10.0), n, float(np.mean(warmth)), slope)
+    slope = _slope(np.array(kelvins), table)
+    return Rest(mean, se, min(q, 10.0), n, float(np.mean(kelvins)), slope)
 
 
 LEAST_KELVIN = 4.0

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imucald.diagnosis.blocks import TAKES, Table
+from imucald.diagnosis.causes import family
 from imucald.diagnosis.outcome import signals_of
 from imucald.diagnosis.result import (
-    DIFFERS,
     GOES_WITH_SHAKING,
     NOT_PLAUSIBLE,
     VALUE_HELD,
@@ -26,21 +26,26 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     """Take back what may be owed to structure that is left, to a fault, or to a low-pass."""
     every = [fault for part in faults for fault in part]
     unsure = _unsure_sensors(left)
-    changing = {_of_sensor(s.parameter) for s in left if s.parameter}
+    changing = {family(s.parameter) for s in left if s.parameter}
     shifted = {fault.signal for fault in every if fault.cause == "saturation"}
     shifted |= {"accel" for s in left if s.kind == GOES_WITH_SHAKING}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
 
+    missing = max((t.shown for t in state.implausible), default=0.0)
+
     def is_doubtful(trial: Trial) -> bool:
-        if left:
+        if any(s.kind != NOT_PLAUSIBLE for s in left):
             # A cause is missing, and a fit shares out what it makes among those that it knows.
+            return True
+        if trial.estimate.pull**2 < 2.0 * missing:
+            # Of what cannot be it is known how much it explains: that much may lie along this one.
             return True
         if trial.hypothesis.pattern is not None:
             return False
         keys = trial.hypothesis.keys
         sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
-        if changing & {_of_sensor(key) for key in keys}:
+        if changing & {family(key) for key in keys}:
             # One number is no statement about what is another from piece to piece.
             return True
         if all("delay" in key for key in keys):
@@ -61,15 +66,9 @@ def _unsure_sensors(left: Sequence[Structure]) -> set[str]:
     """Sensors of which one at least does not feel what the equations say, nor any cause."""
     sensors = {s.signal.partition("_")[0] for s in left if s.kind == VALUE_HELD}
     for s in left:
-        if s.kind not in (VALUE_HELD, GOES_WITH_SHAKING, NOT_PLAUSIBLE, WANDERS, DIFFERS):
+        if s.kind not in (VALUE_HELD, GOES_WITH_SHAKING, NOT_PLAUSIBLE, WANDERS):
             sensors |= set(TAKES[s.signal])
     return sensors
-
-
-def _of_sensor(key: str) -> str:
-    """`accel.bias` of `accel.bias.x`: the axes of a sensor mix in the vehicle's."""
-    stem, _, last = key.rpartition(".")
-    return stem if last in "xyz012" else key
 
 
 def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:

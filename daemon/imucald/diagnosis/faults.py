@@ -26,7 +26,8 @@ PILE_LEVELS = (3, 10)
 """Levels below the extreme one that it is held against."""
 CHANCE = 0.01
 """Of a drive: that a rail is reported without a reason; shared out over ends and levels."""
-FEW_STAYS = 3
+FEW_STAYS = 2
+"""Beside the longest."""
 QUESTIONS = 6 * len(RAILED) * (len(PILE_LEVELS) + 1)
 """Both ends of three axes of each signal."""
 INVALID_S = 0.3
@@ -38,6 +39,8 @@ DOUBLED_TOLERANCE, DOUBLED_FEWEST = 0.001, 5
 NEAR, NEAR_SHARE, JITTER_SHARE, WANDER_S = 0.85, 0.4, 0.2, 0.01
 """A cycle is known where most stamps are near it, scatter little, and do not walk away from it: who
 is asked for each value (OBD-II) has none."""
+LOCKS, NEIGHBOURS = 4, 50
+"""Stamps that share a phase: a cycle known to 1 % moves it by half a cycle at most."""
 CLOCK_PPM, CLOCK_UNKNOWN_PPM = 200.0, 10_000.0
 """Two crystals of +-100 ppm over temperature and age. Further off than 1 % the model file states
 another rate: that is no fault."""
@@ -245,9 +248,8 @@ def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:
     if near.mean() < NEAR or np.std(steps[near]) > JITTER_SHARE * cycle:
         return None
     at = t - t[0]
-    for _ in range(4):
-        # Whole cycles between frames; two that come at once make up for a late one.
-        count = np.concatenate([[0.0], np.cumsum(np.round(steps / cycle))])
+    for _ in range(LOCKS):
+        count = _counted(at, cycle)
         centred = count - count.mean()
         slope = float(centred @ (at - at.mean()) / (centred @ centred))
         if abs(slope / cycle - 1.0) > 0.02:
@@ -260,3 +262,17 @@ def _cycle(t: Array) -> tuple[float, float, Array, bool] | None:
     ends = [np.polyfit(count[s], at[s], 1)[0] for s in (slice(0, half), slice(half, None))]
     se = max(abs(ends[1] - ends[0]) / 2.0, float(np.std(left) / np.sqrt(centred @ centred)))
     return cycle, se / cycle, np.round(steps / cycle), is_steady
+
+
+def _counted(at: Array, cycle: float) -> Array:
+    """(N,) whole cycles since the first frame. at: (N,) stamps [s], one comes at 0.
+
+    Each stamp is counted from the phase of its neighbours (circular mean), which moves slowly.
+    Steps that are rounded one by one lose a cycle for good wherever two late frames lie just so.
+    """
+    share = at / cycle
+    first = np.arange(0, len(at), NEIGHBOURS)
+    turns = np.add.reduceat(np.exp(2j * np.pi * share), first)
+    middle = np.add.reduceat(at, first) / np.diff(np.append(first, len(at)))
+    phase = np.unwrap(np.angle(turns)) / (2.0 * np.pi)
+    return np.asarray(np.round(share - np.interp(at, middle, phase)))

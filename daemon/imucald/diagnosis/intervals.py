@@ -52,7 +52,7 @@ def estimate(
 ) -> Estimate:
     """Value and deviation of a hypothesis' parameters, the others free within their box.
 
-    null: the same with the box of honest files, where the model has moved out of it already.
+    null: the same with the box of correct files, where the model has moved out of it already.
     """
     gram, low, high = problem.widened(h)
     own = problem.own(h)

@@ -209,7 +209,7 @@ class VehicleMotion:
             # Wheels and speed come of one unit, and are late together.
             late = age(f.model, "wheel_speeds") + self.changes.get("speed.delay_s", 0.0)
             wheels = f.raw("wheel_speeds", late) / (1.0 + own)
-            # Tyres that are smaller than stated make wheels and speed too fast alike.
+            # Tyres that are smaller than stated make wheels and speed too fast by the same factor.
             scale = 1.0 + self.changes.get("wheel_speeds.scale", 0.0)
             scale *= 1.0 + self.changes.get("speed.scale", 0.0)
             found["speed"] = np.abs(self.v) - wheels[:, 2:].mean(axis=1) / scale

@@ -222,8 +222,9 @@ def implausible(state: State) -> tuple[Structure, ...]:
         low, high = t.plausible[i]
         signal = (signals_of(state.table, [key]) or ("accel_x",))[0]
         text = (
-            f"{t.hypothesis.name.replace('_', ' ')} with {key} off by {x:.3g} "
-            f"{PARAMETERS[key].unit} explains the numbers, but is not physically plausible "
+            f"{t.hypothesis.name.replace('_', ' ')} with {key} off by {x:.3g} +- "
+            f"{SD_95 * float(t.estimate.se[i]):.2g} {PARAMETERS[key].unit} explains the numbers, "
+            f"but {'may be more than is' if t.is_plausible else 'is not'} physically plausible "
             f"({low:.3g} to {high:.3g} is): a cause is missing"
         )
         made.append(Structure(signal, NOT_PLAUSIBLE, float(t.estimate.quantile), text))

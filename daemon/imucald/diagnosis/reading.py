@@ -64,7 +64,7 @@ class Reader:
             raw = self.raw(name, self.age(name, changes)) - sensor.bias
         else:
             raw = self.in_sensor(force, changes.get(f"{name}.delay_s", 0.0), name)
-        warm = self.warmth() if self.drive.has("temperature") else None
+        warm = self.above_reference() if self.drive.has("temperature") else None
         if warm is not None and sensor.per_kelvin.any() and force is None:
             raw = raw - warm[:, None] * sensor.per_kelvin
         if sensor.per_force.any():
@@ -101,7 +101,7 @@ class Reader:
             turned[after] = force[after] @ R
         return np.asarray(turned @ sensor_of(self.model, name, {}).gain.T)
 
-    def warmth(self) -> Array:
+    def above_reference(self) -> Array:
         """Temperature less that at which the file's zero errors hold [K]."""
         return np.asarray(self.raw("temperature", 0.0) - REFERENCE_DEGC)
 

@@ -44,12 +44,8 @@ class Recording:
     """Stream time of the last frame of ours [s]."""
     frames_read: int
     """All valid frames of the log, ours or not."""
-    frames_used: int
-    """Frames that gave samples."""
     rejected: Mapping[str, int]
     """Bad lines, frames and samples by reason."""
-    rejected_t: Mapping[str, Array] = field(default_factory=dict)
-    """By channel, when a sample of it was rejected [s]: a fault, where it would else look lost."""
     gaps: tuple[float, ...] = ()
     """Stream times at which a new segment begins after a hole or a step of the clock [s]."""
     cycle_s: Mapping[str, float] = field(default_factory=dict)
@@ -91,9 +87,7 @@ def read_samples(
         samples=kept.samples(),
         duration_s=timebase.now,
         frames_read=reader.frames_read,
-        frames_used=router.used,
         rejected=dict(sorted(rejected.items())),
-        rejected_t={c: np.concatenate(parts) for c, parts in sorted(kept.rejected.items())},
         gaps=tuple(kept.gaps),
         cycle_s=_cycles(router.routes, router.channels),
         planar=loaded.config.signals.accelerometer[0].z is None,
@@ -120,20 +114,17 @@ class _Kept:
     """What chunks came to, until the log ends."""
 
     def __init__(self) -> None:
-        self.rejected: dict[str, list[Array]] = {}
         self.gaps: list[float] = []
         self._t: dict[str, list[Array]] = {}
         self._values: dict[str, list[Array]] = {}
 
     def add(self, routed: Routed, segment: TimeSegment) -> None:
-        """Take the samples of a time segment, and when others were rejected."""
+        """Take the samples of a time segment."""
         if segment.gap:
             self.gaps.append(float(segment.t[0]))
         for channel, series in routed.samples.items():
             self._t.setdefault(channel, []).append(series.t)
             self._values.setdefault(channel, []).append(series.values)
-        for channel, rows in routed.rejected.items():
-            self.rejected.setdefault(channel, []).append(segment.t[rows])
 
     def samples(self) -> Samples:
         """All of them, in the channels' documented order."""

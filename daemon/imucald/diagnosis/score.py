@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imucald.diagnosis.blocks import Table
+from imucald.diagnosis.causes import family
 from imucald.diagnosis.signals import Array, Mask
 
 FOLDS = 8
@@ -39,6 +40,8 @@ class Hypothesis:
     """How many of the first keys must leave their tolerance; 0: any."""
     pattern: Array | None = None
     """(B,) factor on the parameters in each block; None: everywhere."""
+    error: float | None = None
+    """What the equations err by in it; None: as in the best known of its parameters."""
 
     @property
     def is_plain(self) -> bool:
@@ -73,6 +76,8 @@ class Problem:
         errors = self.table.model_error
         if h.pattern is not None:
             return np.zeros(len(h.keys))
+        if h.error is not None:
+            return np.full(len(h.keys), h.error)
         if h.directions:
             together = [[k for k, x in d.items() if x == 1.0] for d in h.directions]
             return np.array([min(errors[self.table.index(keys)]) for keys in together])
@@ -95,7 +100,7 @@ class Problem:
                 D[self.table.keys.index(name) + 1, k] = x
         if h.directions:
             # The direction takes the place of its kin in the box.
-            kin = {n for d in h.directions for n in d if _family(n) == _family(h.keys[0])}
+            kin = {n for d in h.directions for n in d if family(n) == family(h.keys[0])}
             index = self.table.index(sorted(kin))
             silent = SILENT * (high - low)[index]
             low[index], high[index] = -silent, silent
@@ -116,10 +121,6 @@ class Problem:
         if h.is_plain:
             return self.table.index(h.keys)
         return list(range(len(self.table.keys), len(self.table.keys) + len(h.keys)))
-
-
-def _family(key: str) -> str:
-    return key.rpartition(".")[0]
 
 
 def box_fit(H: Array, c: Array, low: Array, high: Array, start: Array | None = None) -> Array:

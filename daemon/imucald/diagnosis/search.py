@@ -1,7 +1,7 @@
 """From a table of blocks to names: candidates compete on data that their fit did not see.
 
 A cause is named when its held-out gain, without the best block in fifteen, exceeds what chance
-gives in all questions together, when it leaves the box of honest files, and when its value is
+gives in all questions together, when it leaves the box of correct files, and when its value is
 plausible. Rivals within two standard errors of the paired difference are named with it. Then it is
 freed, and the question is asked anew.
 """
@@ -14,11 +14,12 @@ from dataclasses import replace
 import numpy as np
 
 from imucald.diagnosis.cause_keys import with_shifts
+from imucald.diagnosis.causes import family
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, paired
 from imucald.diagnosis.shift import find_shift
 from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go
 from imucald.diagnosis.state import State, refit, shift_steps
-from imucald.diagnosis.trials import SINGLE_NATS, Trial, hypotheses, likeliest, tried
+from imucald.diagnosis.trials import SINGLE_NATS, Trial, hypotheses, joined, likeliest, tried
 
 ALIKE_SE = 2.0
 MOST_NAMED = 6
@@ -43,6 +44,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         if best is None:
             break
         alike = _alike(best, state.last)
+        best = _from_the_edge(problem, state, best)
         chosen = next(
             (t for t in [best, *alike, *_behind(best, state.last)] if t.is_plausible), None
         )
@@ -78,7 +80,8 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
     asked = hypotheses(problem.table, state.model, [*state.changes, *skip])
     base = held_out(problem)
-    return [tried(problem, h, base, len(asked)) for h in asked]
+    made = [tried(problem, h, base, len(asked)) for h in asked]
+    return [*made, *joined(problem, made, base)]
 
 
 def _winner(trials: Sequence[Trial]) -> Trial | None:
@@ -112,6 +115,21 @@ def _nearly(problem: Problem, state: State) -> Trial | None:
     there.apply(_changes(problem, best.hypothesis))
     again = asked_again(there, best)
     return again if again.named and again.is_plausible else None
+
+
+def _from_the_edge(problem: Problem, state: State, best: Trial) -> Trial:
+    """What leads beyond the plausible is asked again from its edge: a column is a slope, and that
+    of a ratio that is a third lower leads to half of it."""
+    if best.is_plausible or not best.hypothesis.is_plain:
+        return best
+    table, step = problem.table, _changes(problem, best.hypothesis)
+    for key, x in step.items():
+        low, high = table.plausible[table.keys.index(key)]
+        step[key] = float(np.clip(x, low, high))
+    there = replace(state, changes=dict(state.changes), table=None)
+    there.apply(step)
+    again = asked_again(there, best)
+    return again if again.named and again.is_plausible else best
 
 
 def _is_near(best: Trial, other: Trial) -> bool:
@@ -153,7 +171,7 @@ def _take(state: State, problem: Problem, chosen: Trial) -> None:
     half = chosen.estimate.quantile * chosen.estimate.se
     for k, d in enumerate(h.directions):
         for key in d:
-            if key.rpartition(".")[0] == h.keys[0].rpartition(".")[0]:
+            if family(key) == family(h.keys[0]):
                 state.bounds[key] = (-float(half[k]), float(half[k]))
 
 

@@ -13,7 +13,7 @@ from imucald.diagnosis.trials import SINGLE_NATS, Trial, tried
 
 
 def asked_again(state: State, trial: Trial) -> Trial:
-    """A hypothesis against the box of honest files, from where the model has moved by it."""
+    """A hypothesis against the box of correct files, from where the model has moved by it."""
     problem, h = state.evaluated(), trial.hypothesis
     table = problem.table
     kept = [k for k in h.keys if k in state.changes]
@@ -107,19 +107,25 @@ def _drop(state: State, less: State, trial: Trial) -> None:
 
 def demote(state: State) -> None:
     """What would not be named again beside all others does not stand, nor what may be beyond the
-    plausible: then something else explains it."""
+    plausible: then something else explains it, and that is said."""
     for trial in list(state.named):
         if trial.hypothesis.pattern is None:
             again = asked_again(state, trial)
-            if not (again.outside and again.is_surely_plausible):
-                _drop(state, _without(state, trial), trial)
+            if again.outside and again.is_surely_plausible:
+                continue
+            _drop(state, _without(state, trial), trial)
+            if again.outside:
+                state.implausible.append(again)
 
 
 def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
     """Causes that something else may make are not ruled out, and no more: the fit gives them what
     the other thing makes."""
-    for trial in list(state.named):
-        if doubts(trial):
+    for trial in [t for t in state.named if doubts(t)]:
+        if trial.hypothesis.pattern is None:
             _drop(state, _without(state, trial), trial)
+        else:  # it has no place in the model file: nothing moves
+            state.named.remove(trial)
+            state.doubtful.append(trial)
     state.doubtful += [t for t in state.likely if doubts(t)]
     state.likely = [t for t in state.likely if not doubts(t)]

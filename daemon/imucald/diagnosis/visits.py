@@ -8,7 +8,8 @@ from scipy.stats import binom
 from imucald.diagnosis.signals import Mask
 
 PILE_RATIO = 1.3
-"""A value that is met so many times as often as those next to it is no chance of the drive."""
+"""Codes of a converter differ in width by some 30 % (differential nonlinearity of 0.3 LSB), and so
+does how often each is met."""
 
 
 def visited_too_often(is_there: Mask, beside: int, levels: int, chance: float) -> bool:

@@ -1,6 +1,6 @@
 """How a gyroscope's axes lie to an accelerometer's: which is which, sign and unit.
 
-Two facts tell, whatever the mount. In turns speed times the rate about up is the acceleration to
+Two facts show it, whatever the mount. In turns speed times the rate about up is the acceleration to
 the left. And while the body pitches and rolls, gravity moves through the accelerometer's axes as
 the gyroscope says: g' = -omega x g. Each of the 48 ways to name and sign three axes is held against
 both, by likelihood; offsets, and acceleration that goes with speed, are fitted and do not count.

@@ -1,8 +1,8 @@
 """The heading, and what a compass's sense of turning says about the accelerometer's sign.
 
-A course is clockwise on every receiver. It is the one signal of a bus that tells a sensor of the
-specific force from one that shows its opposite (phones do, and what calls itself a gravity vector):
-upside down and backwards, such a sensor fits speed, turns and gyroscope as well.
+A course is clockwise on every receiver. It is the one signal of a bus that distinguishes a sensor
+of the specific force from one that shows its opposite (phones do, and what calls itself a
+gravity vector): upside down and backwards, such a sensor fits speed, turns and gyroscope as well.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def heading_choice(
 def doubt_what_is_turned(
     accelerometer: Choice, gyroscope: Choice | None, fit: HeadingFit | None
 ) -> None:
-    """Mark what a heading cannot tell where all signs of the gyroscope were turned before.
+    """Mark what a heading does not show where all signs of the gyroscope were turned before.
 
     They are turned to fit the accelerometer, so the heading speaks of both at once: agreement with
     an unsure turn does not prove the accelerometer, and disagreement does not prove the turn.
@@ -141,7 +141,7 @@ def hold_against_heading(
 ) -> HeadingFit | None:
     """Reverse the accelerometer, and all that follows from it, where a compass says so.
 
-    Returns the fit with the sense that it has then. Where the name does not tell that it is a
+    Returns the fit with the sense that it has then. Where the name does not say that it is a
     compass, everything that has a side is doubted.
     """
     if fit is None or fit.relation.sign > 0 or reference.up is None or reference.turn is None:

@@ -1,4 +1,4 @@
-"""What names of signals tell: axes, wheels, sides. Names break ties; the data decide."""
+"""What names of signals show: axes, wheels, sides. Names break ties; the data decide."""
 
 from __future__ import annotations
 

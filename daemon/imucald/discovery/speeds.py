@@ -1,7 +1,7 @@
 """Which of several speeds is the vehicle's.
 
 A speedometer may show up to a tenth and 4 km/h more (UN Regulation 39), and its changes show in the
-accelerometer as well as the true ones do. The wheels tell them apart.
+accelerometer as well as the true ones do. The wheels separate them.
 """
 
 from __future__ import annotations

@@ -36,6 +36,8 @@ class Bundle(msgspec.Struct, frozen=True):
     config_name: str
     databases: tuple[tuple[str, bytes], ...]
     model: bytes | None = None
+    warnings: tuple[str, ...] = ()
+    """One line for each key that has no effect."""
 
     @property
     def name(self) -> str:
@@ -55,6 +57,7 @@ def bundle_of(config: Path, databases: Iterable[Path] = ()) -> Bundle:
             config.name,
             tuple((path.name, path.read_bytes()) for path in paths),
             None if loaded.model_path is None else loaded.model_path.read_bytes(),
+            tuple(loaded.idle_keys()),
         )
     except OSError as error:
         raise ConfigError(f"{error.filename}: cannot be read: {error.strerror}") from None

@@ -1,7 +1,7 @@
 """Keeps one child process within its limits, and says how it ended.
 
 The template forks a keeper for each task, the keeper forks the child that evaluates the log. A
-child may hang, eat memory or die in C code: the keeper, which does nothing but wait, tells it in
+child may hang, eat memory or die in C code: the keeper, which does nothing but wait, reports it in
 any case. All of them die with whoever started them.
 """
 

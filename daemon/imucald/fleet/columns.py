@@ -23,7 +23,7 @@ class Column(NamedTuple):
 
 
 def floats(unit: str, meaning: str, *names: str) -> tuple[Column, ...]:
-    """Columns of numbers alike in unit."""
+    """Columns of numbers in one unit."""
     return tuple(Column(name, "float", unit, meaning) for name in names)
 
 

@@ -67,7 +67,7 @@ class BundlePlugin(WorkerPlugin):
 
 
 def about_worker() -> dict[str, str]:
-    """What must be alike on driver and workers for the same rows."""
+    """What must be equal on driver and workers for the same rows."""
     return {
         "imucald": __version__,
         "code of imucald": code_hash(),
@@ -160,7 +160,7 @@ class DaskWorkers:
         return found
 
     def call_back(self) -> None:
-        """Nothing: Dask does not tell which of the few tasks that are with it have begun."""
+        """Nothing: Dask does not say which of the few tasks that are with it have begun."""
 
     def close(self) -> None:
         """Leave the cluster."""

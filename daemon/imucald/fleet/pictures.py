@@ -124,7 +124,7 @@ def history_picture(drives: Sequence[Row], cuts: Sequence[str]) -> str:
         at = np.arange(len(drives))
         for k, axis in enumerate(AXES):
             variance = np.array([d[f"cov_{axis}{axis}_deg2"] for d in drives], dtype=float)
-            if axis == "x":  # the crown is in all drives alike
+            if axis == "x":  # the crown is the same in all drives
                 variance -= np.array([d["crown_std_deg"] for d in drives], dtype=float) ** 2
             width = 1.96 * np.sqrt(np.maximum(variance, 0.0))
             ax.errorbar(at + 0.08 * (k - 1), e[:, k], yerr=width, fmt="o", markersize=3.5,

@@ -97,7 +97,7 @@ def task_of(fleet: Fleet, source: str, size: int, options: Options, out: str = "
 
 
 def _sample_first(tasks: list[tuple[Task, Log]]) -> None:
-    """Put some of all sizes before the others: when these all fail alike, so will the rest."""
+    """Put some of all sizes before the others: when these all fail, so will the rest."""
     step = len(tasks) // SAMPLE
     if step > 1:
         chosen = range(0, step * SAMPLE, step)

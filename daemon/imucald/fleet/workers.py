@@ -1,7 +1,7 @@
 """Who evaluates logs: this machine, any `concurrent.futures.Executor`, or a Dask cluster.
 
 A task never raises, hangs or kills its worker: it runs in a child process of its own and its end is
-an `Outcome`. So all of them behave alike, and blame is exact.
+an `Outcome`. So all of them behave the same, and blame is exact.
 """
 
 from __future__ import annotations

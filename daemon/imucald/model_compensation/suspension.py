@@ -75,7 +75,7 @@ class SuspensionFilter:
         self.attitude = UPRIGHT
 
     def at(self, t: float) -> SuspensionAttitude:
-        """The lean at t [s]; upright where the newest force is too old to tell."""
+        """The lean at t [s]; upright where the newest force is too old to show it."""
         return self.attitude if t - self.t <= GAP_S else UPRIGHT
 
     def push(self, t: float, x: float, y: float) -> SuspensionAttitude:

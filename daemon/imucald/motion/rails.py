@@ -29,6 +29,9 @@ BROAD = 3
 """The tail is measured from where it holds so many times the arrivals at the extreme."""
 LONG_STAY = 4
 """Fewer samples on a value that is reached for the first time say nothing."""
+USUAL_CHANGE = 4.0
+"""A rail is left as the axis goes, by so many times its mean change from sample to sample at most
+(three deviations of noise); a contact that closes again jumps."""
 REMEMBERED = 64
 """Values that nothing has gone beyond since; they fall, so there are few of them."""
 
@@ -84,6 +87,15 @@ class Rail:
         if top is not None and top.value == value and top.pile is not None:
             top.pile.count_stay_once()
 
+    def is_held(self, value: float, left_by: float) -> bool:
+        """Whether an axis that was stuck at a value is held there by a rail.
+
+        What sticks does so anywhere; the end of a range is the largest value of a minute's drive.
+        left_by: how far the axis is from it now, and less than it goes beyond.
+        """
+        known = len(self.recent) >= LEAST_TAIL_HOPS
+        return known and left_by > 0.0 and value >= max(self.recent)
+
     def weigh(self, at: AxisHop) -> None:
         """Of the values that may be a rail the one for which most speaks."""
         last = float(at.rows.samples[self._axis, at.rows.edges[at.h + 1] - 1])
@@ -93,13 +105,26 @@ class Rail:
         piles = [
             (one.pile.surprise, one.value)
             for one in self._tops
-            if one.pile is not None and one.is_piled_up and now < one.value
+            if one.pile is not None
+            and one.is_piled_up
+            and now < one.value
+            and not self._is_apart(one.value)
         ]
         self.surprise, self.value = max(piles, default=(0.0, math.inf))
 
-    def on_rail(self) -> None:
-        """The value for which most speaks is a rail."""
-        self.found, self._rail = True, self.value
+    def on_rail(self, value: float | None = None) -> None:
+        """A value is a rail; None: the one for which most speaks."""
+        self.found, self._rail = True, self.value if value is None else value
+
+    def _is_apart(self, value: float) -> bool:
+        """Whether a value lies further beyond all other peaks than they lie apart.
+
+        The end of a range cuts a tail off, so that other peaks are close by; a contact that opens
+        jumps, to zero for example, over values that never come.
+        """
+        below = np.sort([peak for peak in self.recent if peak < value])
+        n = len(below)
+        return bool(n >= LEAST_TAIL_HOPS and value - below[-1] > below[-1] - below[n // 2])
 
     def _reached(self, value: float, on: int, step: float, hop: int) -> Top:
         """A value as the latest top; those that it goes beyond are no longer watched.
@@ -166,8 +191,10 @@ class AxisRails:
     """Both rails of an axis."""
 
     def __init__(self, axis: int) -> None:
+        self._axis = axis
         self._high, self._low = (Rail(side, axis) for side in range(SIDES))
         self._hops = 0
+        self._usual = 0.0  # mean change from sample to sample while driving
 
     def step(self, at: AxisHop, moving: bool, stuck: bool) -> bool:
         """Take a hop that has samples; return whether the axis is on a rail.
@@ -179,11 +206,14 @@ class AxisRails:
         if stuck:
             high.stick(at.tops[0])
             low.stick(at.tops[1])
+            self._look_at_end(at)
         elif moving:
             hop = self._hops
             self._hops += 1
+            change = float(at.rows.level[at.h, self._axis])
+            self._usual += (change - self._usual) / min(self._hops, TAIL_HOPS)
         is_high, is_low = high.step(at, hop), low.step(at, hop)
-        if (is_high or is_low) and max(high.recent) + max(low.recent) >= LEAST_STEPS * at.step:
+        if (is_high or is_low) and self._has_tail(at):
             if is_high:
                 high.weigh(at)
             if is_low:
@@ -195,3 +225,23 @@ class AxisRails:
                 if is_sure and not rail.found:
                     rail.on_rail()
         return high.found or low.found
+
+    def _has_tail(self, at: AxisHop) -> bool:
+        high, low = self._high.recent, self._low.recent
+        return bool(high) and max(high) + max(low) >= LEAST_STEPS * at.step
+
+    def _look_at_end(self, at: AxisHop) -> None:
+        """The axis was stuck: has that ended, and was it a rail that held it?"""
+        rows, first = at.rows, at.rows.edges[at.h]
+        own = rows.samples[self._axis, first : rows.edges[at.h + 1]]
+        value = float(rows.samples[self._axis, first - 1] if first else rows.before[self._axis])
+        other = np.flatnonzero(own != value)
+        if not len(other) or not self._has_tail(at):
+            return
+        change = float(own[other[0]]) - value
+        if abs(change) > USUAL_CHANGE * max(self._usual, at.step):
+            return
+        if self._high.is_held(value, -change):
+            self._high.on_rail(value)
+        if self._low.is_held(-value, change):
+            self._low.on_rail(-value)

@@ -1,6 +1,6 @@
 """Which sensors are fit to be used, from every sample: for what is sent and what is learnt.
 
-`SampleHealth` looks at hops of half a second (`hops`), live and by columns alike, to the last bit.
+`SampleHealth` looks at hops of half a second (`hops`), live and by columns, equal to the last bit.
 A fault counts from the end of the hop that shows it until the sensor has been sound for SOUND_S.
 """
 
@@ -57,7 +57,7 @@ Faults = Mapping[SignalFault, str]
 
 
 class FaultEvent(Struct):
-    """A fault that was told: since and until stream time [s]; None while it lasts.
+    """A fault that was reported: since and until stream time [s]; None while it lasts.
 
     axes: such as "y"; empty for a signal that has none.
     """
@@ -134,7 +134,8 @@ class _Sensor(_Judged):
         if self.channel == "gyro":
             wild[some] = self._wild.step(turning_wildly(rows.mean[some]))
         if self._unit is not None:
-            wild[some] |= self._unit.step(rows.level[some], other[some], moving[some])
+            of = rows.level[some], rows.ended[some]
+            wild[some] |= self._unit.step(*of, other[some], moving[some])
         moves, counts = moving.tolist(), rows.count.tolist()
         each = [self._judge_axis(axis, rows, moves, counts) for axis in range(self.axes)]
         shown = [(SignalFault.STUCK, AXES[i], stuck) for i, (stuck, _) in enumerate(each)]
@@ -252,11 +253,8 @@ class SampleHealth:
         moves = [self._is_moving(speed) for speed in speeds]
         moving = np.array(moves)
         rows = {c: s.rows(len(moves), more.get(c)) for c, s in self._sensors.items()}
-        level = {
-            c: np.zeros(len(moving)) if r is None else np.sqrt((r.level * r.level).sum(axis=1))
-            for c, r in rows.items()
-        }
-        nothing = np.zeros(len(moving))
+        level = {c: _change_of_all(r) for c, r in rows.items() if r is not None}
+        nothing = np.zeros((len(moving), 2))
         found = {}
         for channel, sensor in self._sensors.items():
             of = rows[channel]
@@ -296,7 +294,7 @@ class SampleHealth:
         self.signals = {c: s.faults for c, s in self._signals.items() if s.faults}
 
     def summary(self) -> dict[str, Any]:
-        """Faults now of each sensor and signal that is watched, and those told; for JSON."""
+        """Faults now of each sensor and signal that is watched, and those reported; for JSON."""
         unfit = self.unfit
         return {
             "sensors": {
@@ -336,6 +334,12 @@ class SampleHealth:
         for event in self.events:
             if event.channel == channel and event.fault is fault and event.until is None:
                 event.until = now
+
+
+def _change_of_all(rows: HopRows) -> Array:
+    """Mean change of the vector from sample to sample, and changes of the busiest axis (H, 2)."""
+    level = np.sqrt((rows.level * rows.level).sum(axis=1))
+    return np.column_stack([level, rows.ended.max(axis=1)])
 
 
 def _hop_of(series: Series, first: int) -> NDArray[np.int64]:

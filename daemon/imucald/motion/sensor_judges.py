@@ -16,6 +16,7 @@ from imucald.motion.physical_limits import ROAD_FORCE
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Counts = NDArray[np.int64]
 
 SURPRISE = 25.0
 """A fault is believed from this -log of the chance of it without one on [nats]: 1e-11, of some 1e8
@@ -25,7 +26,9 @@ SHORTEST_HOPS = 2
 MIN_RUNS = 50
 """Runs from which their lengths are known."""
 LEAST_TIMES = 3.0
-"""No run shorter than so many times the longest before is stuck, however many there were."""
+"""No run shorter than so many times the longest before is stuck, however many there were. Runs of
+an axis whose step is coarser than its noise last as long as its motion is small: on a straight
+road they are of another scale than in town. The scale may change by as much again as it has."""
 FINE_STEP = 0.6
 """At rest a step of at most so much of the noise is needed: room for a sensor 1.7 times quieter."""
 DEAD_HOPS = 40
@@ -40,6 +43,9 @@ UNIT_HOPS = 5
 """Two hops are held against two before, with one between in which the unit may have changed."""
 UNIT_LEEWAY = 2.2
 """Factor by which the noise of a second may be off: 1.3 with 10 samples, and what the road adds."""
+UNIT_CHANGES = 8
+"""A second's noise is known from so many changes of the axis, to a factor of 1.4: one that is
+coarser than its noise, or that comes seldom, has a few, and how many is chance."""
 OTHER_CHANGE = 4.0
 """A road that became rough is felt by the other sensor too: then it is no unit."""
 USUAL_HOPS = 20
@@ -51,7 +57,13 @@ class Runs:
     """Lengths of the runs of equal values that ended by themselves."""
 
     def __init__(self) -> None:
-        self.count = self.longest = 0
+        self.count = self.longest = self._samples = 0
+
+    def add(self, count: int, longest: int, samples: int) -> None:
+        """Take so many runs that ended, the longest of them, and all samples in them."""
+        self.count += count
+        self.longest = max(self.longest, longest)
+        self._samples += samples
 
     def rate(self) -> float:
         """-log of the chance that a run goes on, for one more sample [nats]; 0: not known.
@@ -66,7 +78,9 @@ class Runs:
         rate = self.rate()
         if rate == 0.0:
             return math.inf
-        return max(SURPRISE / rate, LEAST_TIMES * self.longest)
+        # of runs that noise makes, the mean times log N is no shorter than the longest
+        wandered = self.longest * self.count / (self._samples * math.log(self.count))
+        return max(SURPRISE / rate, max(LEAST_TIMES, wandered) * self.longest)
 
 
 class StuckAxis:
@@ -81,14 +95,14 @@ class StuckAxis:
     def __init__(self, noise: float) -> None:
         self._noise = noise
         self.moving, self._resting = Runs(), Runs()
-        self._moved_run = self._moved_hops = self._hops = 0
+        self._moved_run = self._moved_hops = self._hops = self._run = 0
         self._rested = False
         self._all_hops = 0
         self.stuck = False
 
     def restart(self) -> None:
         """Time jumped."""
-        self._moved_run = self._moved_hops = self._hops = 0
+        self._moved_run = self._moved_hops = self._hops = self._run = 0
         self._rested = False
 
     def step(self, moving: bool, count: int, ended: int, longest: int, run: int, q: float) -> bool:
@@ -97,12 +111,12 @@ class StuckAxis:
         count, ended, longest, run, q: of the axis, as `HopRows` has count .. run and step.
         """
         self._all_hops += 1
+        open_before, self._run = self._run, run
         if ended:
             if not self.stuck:  # else the longest is the one that was stuck
                 is_old = longest > count and self._rested
                 pool = self.moving if moving and not is_old else self._resting
-                pool.count += ended
-                pool.longest = max(pool.longest, longest)
+                pool.add(ended, longest, open_before + count - run)
             if self._hops:
                 self._moved_run = self._moved_hops = self._hops = 0
             self._rested = not moving
@@ -179,25 +193,26 @@ class UnitChange:
 
     def restart(self) -> None:
         """Time jumped: nothing is compared across it."""
-        self._levels = np.zeros((UNIT_HOPS - 1, self._axes))
-        self._others = np.zeros((UNIT_HOPS - 1, 1))
+        self._before = tuple(np.zeros((UNIT_HOPS - 1, n)) for n in (self._axes, self._axes, 2, 1))
 
-    def step(self, level: Array, other: Array, moving: Flags) -> Flags:
-        """Take the mean changes from sample to sample of hops (H, axes), and of the other sensor.
+    def step(self, level: Array, changes: Counts, other: Array, moving: Flags) -> Flags:
+        """Take the mean changes from sample to sample of hops (H, axes), and how many there were.
 
-        other: (H,), 0 where there is none; moving: (H,) whether the vehicle moved in all of a hop.
-        Returns whether the unit is another one than at first.
+        other: (H, 2) both of the other sensor, 0 where there is none; moving: (H,) whether the
+        vehicle moved in all of a hop. Returns whether the unit is another one than at first.
         """
         sizes = [
             sum(row) if moves else 0.0
             for row, moves in zip(level.tolist(), moving.tolist(), strict=True)
         ]
-        level = np.concatenate([self._levels, level])
-        other = np.concatenate([self._others, other[:, None]])
-        self._levels, self._others = level[-4:], other[-4:]
-        up = _ratio(level)
-        more = ((self._low < up) & (up < self._high)).all(axis=1)
-        less = ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
+        new = level, changes, other, moving[:, None]
+        level, count, other, moved = (
+            np.concatenate(pair) for pair in zip(self._before, new, strict=True)
+        )
+        self._before = level[-4:], count[-4:], other[-4:], moved[-4:]
+        up, known = _ratio(level), (_fewest(count) >= UNIT_CHANGES).all(axis=1)
+        more = known & ((self._low < up) & (up < self._high)).all(axis=1)
+        less = known & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
         sign = more.astype(np.int64) - less.astype(np.int64)
         out = np.zeros(len(up), dtype=bool)
         if not sign.any() and not self._changed:
@@ -206,7 +221,9 @@ class UnitChange:
                 self._usual.add(size)
             return out
         same = np.abs(np.log(np.maximum(_ratio(other)[:, 0], 1e-9))) < math.log(OTHER_CHANGE)
-        felt = (other[:-4, 0] > 0.0) & ~same
+        says = _fewest(other)[:, 1] >= UNIT_CHANGES
+        # a sensor that cannot say whether a vehicle moves off does not say that it does not
+        felt = np.where(says, ~same, _moves_off(moved[:, 0]))
         for h, found in enumerate((sign * ~felt).tolist()):
             if found and not self._wait:
                 # Not more than one step away from the unit of the first samples.
@@ -242,6 +259,17 @@ class _MeanLog:
         if size > 0.0:
             self.count += 1
             self.mean += (math.log(size) - self.mean) / self.count
+
+
+def _fewest(count: Array) -> Array:
+    """The fewer of the changes in two hops and in two before, one between left out."""
+    return np.minimum(count[:-4] + count[1:-3], count[3:-1] + count[4:])
+
+
+def _moves_off(moved: Array) -> Flags:
+    """Whether the vehicle began or ceased to move within five hops."""
+    each = np.lib.stride_tricks.sliding_window_view(moved, UNIT_HOPS)
+    return np.asarray(each.min(axis=1) != each.max(axis=1))
 
 
 def _ratio(level: Array) -> Array:

@@ -71,11 +71,12 @@ def spread_out(flags: Flags, ticks: int) -> Flags:
     return out
 
 
-def _slope(values: Array) -> Array:
-    """As numpy.gradient of ticks, which takes six times as long [1/s]."""
+def slope(values: Array) -> Array:
+    """As numpy.gradient of ticks (..., N), which takes six times as long [1/s]."""
     out = np.empty_like(values)
-    out[1:-1] = (values[2:] - values[:-2]) / (2.0 * TICK_S)
-    out[0], out[-1] = (values[1] - values[0]) / TICK_S, (values[-1] - values[-2]) / TICK_S
+    out[..., 1:-1] = (values[..., 2:] - values[..., :-2]) / (2.0 * TICK_S)
+    out[..., 0] = (values[..., 1] - values[..., 0]) / TICK_S
+    out[..., -1] = (values[..., -1] - values[..., -2]) / TICK_S
     return out
 
 
@@ -161,7 +162,7 @@ class SignalHealth:
         """
         low, high = ROAD_FORCE
         size2 = (force * force).sum(axis=1)
-        wild = np.abs(_slope(speed)) > MAX_ROAD_DVDT
+        wild = np.abs(slope(speed)) > MAX_ROAD_DVDT
         self.found |= {
             ("accel", SignalFault.IMPLAUSIBLE): ok_force & ((size2 < low**2) | (size2 > high**2)),
             ("gyro", SignalFault.IMPLAUSIBLE): turning > MAX_ROAD_RATE,
@@ -178,23 +179,23 @@ class SignalHealth:
 
     def _slipping(self, rows: Array, speed: Array, turning: Array) -> Flags:
         known: Flags = rows[:, WHEEL_SPREAD.n] > 0
-        if not known.any():
+        if not np.count_nonzero(known):
             return known
         allowed = SPREAD_FLOOR + SPREAD_SLOPE * np.abs(speed)
         allowed += CURVE_SHARE * self._track * turning
-        return known & (np.nan_to_num(rows[:, WHEEL_SPREAD.mean]) > allowed)
+        return known & (rows[:, WHEEL_SPREAD.mean] > allowed)  # False for NaN
 
     def _anywhere(self, fault: SignalFault, n: int) -> Flags:
         """Ticks (N,) with a fault of any signal and axis."""
         out = np.zeros(n, dtype=bool)
         for (_, kind), flags in self.found.items():
-            if kind is fault:
+            if kind is fault and np.count_nonzero(flags):
                 out |= flags.any(axis=1) if flags.ndim > 1 else flags
         return out
 
     def _count(self, fault: SignalFault, flags: Flags) -> bool:
         """Add the flagged ticks to a reason's number; True if there are any."""
-        if not flags.any():
-            return False
-        self.counts[fault.value] += int(flags.sum())
-        return True
+        n = int(np.count_nonzero(flags))
+        if n:
+            self.counts[fault.value] += n
+        return n > 0

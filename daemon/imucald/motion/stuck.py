@@ -68,8 +68,9 @@ class StuckSensor:
         flags = np.zeros(len(rows), dtype=bool)
         at = np.flatnonzero(rows[:, self._count] > 0)
         values = rows[at, self._axes]
-        same = (np.abs(np.diff(values, axis=0)) < SAME).all(axis=1)
-        if same.any():
+        x, y, z = (np.abs(values[1:] - values[:-1]) < SAME).T
+        same = x & y & z
+        if np.count_nonzero(same):
             self._flag_runs(rows, at, values, same & (np.diff(at) <= STUCK_HOLE), flags)
         self._held = values[-1].copy() if len(at) and flags[at[-1]] else None
         return one_more(flags)
@@ -148,7 +149,7 @@ class StuckSpeed:
             lasted[0] += self._lasted
         driving = np.abs(speed[first]) > DRIVING_SPEED
         stuck = driving & (lasted > self._limit())
-        if stuck.any():
+        if np.count_nonzero(stuck):
             for begin, end in zip(begins[stuck].tolist(), ends[stuck].tolist(), strict=True):
                 out[begin : end + 1] = True
         over = driving & ~stuck & (ends < leaving)
@@ -181,7 +182,7 @@ def zero_while_wheels_turn(rows: Array) -> Flags:
     out = np.zeros(len(rows), dtype=bool)
     zero = (rows[:, tk.SPEED.n] > 0) & (np.abs(rows[:, tk.SPEED.mean]) <= SAME_SPEED)
     at = np.flatnonzero(rows[:, tk.WHEEL_SPREAD.n] > 0)
-    if len(at) < TURNING_WHEELS or not zero.any():
+    if len(at) < TURNING_WHEELS or not np.count_nonzero(zero):
         return out
     spread = rows[at, tk.WHEEL_SPREAD.mean]
     turning = np.zeros(len(rows))

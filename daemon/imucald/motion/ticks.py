@@ -128,7 +128,7 @@ _SENSORS = {"accel": slice(ACCEL.n, ACCEL.bad + 1), "gyro": slice(GYRO.n, GYRO.b
 
 
 def emptied(row: TickRow, channels: Iterable[str]) -> TickRow:
-    """The row without what accelerometer or gyroscope said, for those among the channels."""
+    """The row without the values of accelerometer or gyroscope, for those among the channels."""
     out = list(row)
     for channel in channels:
         if channel in _SENSORS:

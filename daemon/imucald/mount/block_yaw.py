@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.motion.signal_health import slope
 from imucald.motion.ticks import TICK_S
 from imucald.mount.gravity_observer import FORCE_NOISE
 
@@ -56,17 +57,12 @@ def block_yaw(m: BlockMotion, use: Flags) -> tuple[float, float]:
     """Angle about z by which the sensor is turned from R [rad], and its information [1/rad^2]."""
     ticks = np.arange(len(use))
     accel = np.interp(ticks + m.delay / TICK_S, ticks, m.accel)
-    each = np.stack(
-        [
-            m.force[:, 0],
-            m.force[:, 1],
-            accel,
-            m.turn,
-            m.turn_rate * m.turn_rate,
-            np.gradient(m.turn_rate, TICK_S),
-            np.gradient(accel, TICK_S),
-        ]
-    )[:, use]
+    each = np.empty((7, len(use)))
+    each[:2] = m.force[:, :2].T
+    each[2], each[3], each[4] = accel, m.turn, m.turn_rate * m.turn_rate
+    each[5] = slope(m.turn_rate)
+    each[6] = slope(accel)
+    each = each[:, use]
     each -= each.mean(axis=1, keepdims=True)
     # all sums of products at once
     sums = each @ each.T

@@ -39,8 +39,8 @@ def common_errors(settings: EstimatorSettings) -> tuple[CommonError, ...]:
 
 
 GRAVITY_SHARE = 0.2
-"""Of a cross-axis error gravity shows so much in the long run: there it is a bias, which turns tell
-from tilt (`gravity_observer`). Seen in simulated drives of 6 to 20 min with 4 %: 0.1 to 0.2."""
+"""Of a cross-axis error gravity shows so much in the long run: there it is a bias, which turns
+separate from tilt (`gravity_observer`). In simulated drives of 6 to 20 min with 4 %: 0.1 to 0.2."""
 
 
 def cross_axis_errors() -> tuple[CommonError, ...]:

@@ -34,6 +34,7 @@ UNLIKE = 0.3
 """Correlation of a piece below which its signals do not show the same motion."""
 OPPOSITE = -0.3
 """The same where slope and a speed of few samples are in the signals: the wrong sign only."""
+NOTHING = (0.0, 0.0, 0.0)
 LIKE = 0.6
 """From here on they do (`check` asks for as much)."""
 TO_ACCUSE, TO_ACQUIT = 2, 2
@@ -106,7 +107,7 @@ class PairWatch:
 
     def __init__(self, least: float, unlike: float = UNLIKE, unit_known: bool = True) -> None:
         self._least, self._unlike, self._unit_known = least, unlike, unit_known
-        self._sums = np.zeros(3)  # x x, x y, y y
+        self._sums = NOTHING  # x x, x y, y y
         self._blocks = 0
         self._pieces: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
         self.accused = False
@@ -114,7 +115,7 @@ class PairWatch:
 
     def forget(self) -> None:
         """Remember no piece; what stands stands until new ones acquit."""
-        self._sums[:], self._blocks = 0.0, 0
+        self._sums, self._blocks = NOTHING, 0
         self._pieces.clear()
 
     @property
@@ -142,21 +143,21 @@ class PairWatch:
 
     def add(self, x: Array, y: Array, use: Flags) -> None:
         """Take a block; x: (N,) what is sure, y: (N,) what must follow it."""
-        if not use.any():
+        if not np.count_nonzero(use):
             return
         x, y = x[use], y[use]
-        self._sums += (float(x @ x), float(x @ y), float(y @ y))
+        xx, xy, yy = self._sums
+        self._sums = xx, xy, yy = xx + float(x @ x), xy + float(x @ y), yy + float(y @ y)
         self._blocks += 1
-        xx, xy, yy = self._sums.tolist()
         if not math.isfinite(xx + yy):
-            self._sums[:] = 0.0
+            self._sums = NOTHING
             return
         if xx >= self._least:
             correlation = xy / math.sqrt(max(xx * yy, 1e-30))
             self._pieces.append((correlation, xy / xx))
             self._judge()
         if xx >= self._least or self._blocks >= MAX_BLOCKS:
-            self._sums[:], self._blocks = 0.0, 0
+            self._sums, self._blocks = NOTHING, 0
 
     def _is_odd(self, correlation: float, gain: float) -> bool:
         is_other = not 1.0 / WRONG_UNIT < gain < WRONG_UNIT

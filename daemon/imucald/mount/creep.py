@@ -56,8 +56,8 @@ EVEN = frozenset({"yaw_dvdt", "yaw_turn", "pitch_dvdt"})
 """What these say hardly depends on the road (`UNEVEN_STD` in `shift`), so that a spread about the
 mean that is larger than from segment to segment is a drift. The lean of roads goes on."""
 SILENT = frozenset({"pitch_gravity", "pitch_axis"})
-"""What these say of town and of motorway differs too much to tell creep from it (`UNEVEN_STD` in
-`shift`)."""
+"""What these say of town and of motorway differs too much to separate creep from it (`UNEVEN_STD`
+in `shift`)."""
 
 
 class Creep(Struct, frozen=True):
@@ -81,7 +81,7 @@ def creep(
 ) -> Creep | None:
     """Fit walks and rates to what series leave over from constants; None: there is too little.
 
-    sources: the same evidence, whose variances tell by how much informations are too large.
+    sources: the same evidence, whose variances show by how much informations are too large.
     """
     n = max((len(one.score) for one in series), default=0)
     if n < FEWEST:
@@ -132,46 +132,53 @@ def _filtered(left: Array, known: Array, each: Array) -> tuple[Array, Array, Arr
     """Log likelihoods, levels at the end and their variances beyond the constant's (3, K)."""
     total = np.maximum(known.sum(axis=1), 1e-12)[:, None]
     shape = len(known), len(WALKS)
-    log, level, rate = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    # covariance of level and rate; the level at the beginning is free (restricted likelihood)
-    p_ll, p_lr = np.zeros(shape), np.zeros(shape)
-    p_rr = np.tile(RATES**2, (len(known), 1))
-    begun = np.zeros((len(known), 1), dtype=bool)
-    for k in range(left.shape[1]):
-        step = 0.5 * float(each[k - 1] + each[k]) if k else 0.0  # from middle to middle
-        new = known[:, k : k + 1]
-        noise = 1.0 / np.maximum(new, 1e-12)
-        value = left[:, k : k + 1] * noise
-        is_new = new > 0.0
-        begins, goes_on = is_new & ~begun, is_new & begun
-        ahead = step if begun.all() else np.where(begun, step, 0.0)
-        level, p_ll, p_lr = _gone_on(level, rate, p_ll, p_lr, p_rr, ahead)
-        spread = p_ll + noise
-        gain_l, gain_r = p_ll / spread, p_lr / spread
-        off = value - level
-        loss = 0.5 * (off * off / spread + np.log(spread))
-        if not goes_on.all():
-            gain_l, gain_r, loss = (np.where(goes_on, x, 0.0) for x in (gain_l, gain_r, loss))
-        log -= loss
-        p_rr = p_rr - gain_r * p_lr
-        p_lr = p_lr - gain_l * p_lr
-        p_ll = p_ll - gain_l * p_ll
-        rate = rate + gain_r * off
-        level = level + gain_l * off
-        if begins.any():
-            level, p_ll = np.where(begins, value, level), np.where(begins, noise, p_ll)
-            begun = begun | begins
-    rest = np.where(begun, 0.5 * float(each[-1]) + LATE, 0.0)
-    level, p_ll, _ = _gone_on(level, rate, p_ll, p_lr, p_rr, rest)
-    return log, level - level[:, :1], np.maximum(p_ll - 1.0 / total, 0.0)
+    # of all segments at once (n, 3, 1)
+    noise = 1.0 / np.maximum(known.T, 1e-12)[:, :, None]
+    value = left.T[:, :, None] * noise
+    is_new = known.T[:, :, None] > 0.0
+    has_begun = np.logical_or.accumulate(is_new)
+    before = np.concatenate([np.zeros_like(has_begun[:1]), has_begun[:-1]])
+    goes_on, begins = is_new & before, is_new & ~before
+    gaps = np.where(before, _gaps(each)[:, None, None], 0.0)
+    state = np.zeros((2, *shape))  # level, rate
+    # variance of the level, its covariance with the rate, and the rate's variance; the level at
+    # the beginning is free (restricted likelihood)
+    P = np.zeros((3, *shape))
+    P[2] = RATES**2
+    off, spread = np.zeros((len(each), *shape)), np.ones((len(each), *shape))
+    each_goes_on, any_begins = goes_on.all(axis=(1, 2)).tolist(), begins.any(axis=(1, 2)).tolist()
+    for k in range(len(each)):
+        _go_on(state, P, gaps[k])
+        np.subtract(value[k], state[0], out=off[k])
+        np.add(P[0], noise[k], out=spread[k])
+        gain = P[:2] / spread[k]
+        if not each_goes_on[k]:
+            gain *= goes_on[k]
+        P[2] -= gain[1] * P[1]
+        P[:2] -= gain[0] * P[:2]
+        state += gain * off[k]
+        if any_begins[k]:
+            state[0] = np.where(begins[k], value[k], state[0])
+            P[0] = np.where(begins[k], noise[k], P[0])
+    loss = 0.5 * (off * off / spread + np.log(spread))
+    log = -np.where(goes_on, loss, 0.0).sum(axis=0)
+    _go_on(state, P, np.where(has_begun[-1], 0.5 * float(each[-1]) + LATE, 0.0))
+    return log, state[0] - state[0, :, :1], np.maximum(P[0] - 1.0 / total, 0.0)
 
 
-def _gone_on(
-    level: Array, rate: Array, p_ll: Array, p_lr: Array, p_rr: Array, step: Array | float
-) -> tuple[Array, Array, Array]:
-    """Level, its variance and its covariance with the rate, so many segments on."""
-    ahead = p_ll + 2.0 * step * p_lr + step * step * p_rr + WALK_VARIANCES * step
-    return level + step * rate, ahead, p_lr + step * p_rr
+def _gaps(each: Array) -> Array:
+    """Segments from the middle of the one before (n,)."""
+    gaps = np.zeros(len(each))
+    gaps[1:] = 0.5 * (each[:-1] + each[1:])
+    return gaps
+
+
+def _go_on(state: Array, P: Array, step: Array) -> None:
+    """Level and covariance so many segments on, in place; the rate stays."""
+    state[0] += step * state[1]
+    before = P[1].copy()
+    P[1] += step * P[2]
+    P[0] += step * (before + P[1] + WALK_VARIANCES)
 
 
 def _trend(left: Array, known: Array, each: Array) -> tuple[Array, Array, Array]:

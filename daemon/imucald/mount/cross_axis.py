@@ -19,7 +19,7 @@ interval is Student's; Box and Tiao, Bayesian Inference in Statistical Analysis,
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -64,7 +64,7 @@ OWN_ROAD = 1.0 / 6.0
 difference has so much of the sum of their variances: in simulated drives without cross-axis errors
 (seeds 520,000 to 520,023) a sixteenth after 100 s, a tenth to a sixth after 5 to 20 min; with few
 turns more (seed 530,056)."""
-_OFF_DIAGONAL = ~np.eye(3, dtype=bool)
+_OFF_ROW, _OFF_COLUMN = np.nonzero(~np.eye(3, dtype=bool))
 
 
 class ForceSeen(Struct, frozen=True):
@@ -86,7 +86,8 @@ class CrossAxisFusion:
     """Fuses, and keeps what it found of the cross-axis error.
 
     bias_spread: standard deviation of the accelerometer's bias before any data [m/s^2]. scales:
-    cross-axis errors that are not among the shared ones (part), with their probabilities.
+    cross-axis errors that are not among the shared ones (part), with their probabilities; probable:
+    their rms.
     answers: of the sources that were fused last (6,) to the six terms.
     """
 
@@ -95,7 +96,7 @@ class CrossAxisFusion:
         self._sharing = CommonCovariance(common_errors(settings))
         self._scale_std = settings.accel_scale_std
         self._configured = calibration.cross_axis
-        self.scales = CERTAIN if self._configured > 0.0 else CROSS_AXIS
+        self._take(CERTAIN if self._configured > 0.0 else CROSS_AXIS)
         self.answers: Mapping[str, Array] = {}
         self.bias_spread = math.sqrt(
             calibration.accelerometer_bias**2
@@ -103,10 +104,9 @@ class CrossAxisFusion:
             + (GRAVITY * self._configured) ** 2
         )
 
-    @property
-    def probable(self) -> float:
-        """Cross-axis error beside the configured one (part, rms)."""
-        return math.sqrt(math.fsum(p * scale * scale for scale, p in self.scales))
+    def _take(self, scales: Sequence[tuple[float, float]]) -> None:
+        self.scales = scales
+        self.probable = math.sqrt(math.fsum(p * scale * scale for scale, p in scales))
 
     @property
     def std(self) -> float:
@@ -117,12 +117,12 @@ class CrossAxisFusion:
         """Fuse the sources of the error of R (3, 3)."""
         if self._configured > 0.0:
             return fuse(sources, self._sharing)
-        entries = (R[:, None, :, None] * R[None, :, None, :])[:, :, _OFF_DIAGONAL]
+        entries = R[:, None, _OFF_ROW] * R[None, :, _OFF_COLUMN]
         bias_cov = R @ force.bias_cov @ R.T
         left = np.diag(bias_cov) / (self.bias_spread * self.bias_spread)
         self.answers = _answers(sources, entries, left.tolist())
         seen = self._seen(entries, R @ force.bias, bias_cov, force)
-        self.scales = weighed_scales(sources, self._sharing, CROSS_AXIS, self.answers, seen)
+        self._take(weighed_scales(sources, self._sharing, CROSS_AXIS, self.answers, seen))
         return fuse(sources, self._sharing, self.scales, self.answers)
 
     def _seen(self, entries: Array, bias: Array, bias_cov: Array, force: ForceSeen) -> Seen:

@@ -1,4 +1,4 @@
-"""The full mount estimator: roll, pitch and yaw of the sensor with an honest covariance.
+"""The full mount estimator: roll, pitch and yaw of the sensor with a covariance that holds.
 
 What happens, in order:
 
@@ -12,7 +12,8 @@ What happens, in order:
 5. Once gyro bias and rotation are known, `RestartableSolver` goes through the first minutes again.
 6. After that `MountChanges` holds every block against what was known before it. A sensor that was
    moved makes the mount suspect; the solver starts again from what came after the change. Where the
-   change misleads nobody, it is told and in the interval until a second solver knows the new mount.
+   change misleads nobody, it is reported and the interval covers it until a second solver knows the
+   new mount.
 7. `ServedMount` gives the state, with hysteresis, and follows a good rotation without a jump.
    `MountEstimate` says all of it, and what each angle waits for.
 """
@@ -137,7 +138,7 @@ class FullEstimator:
     # block by block -------------------------------------------------------------------------
 
     def _take_block(self, p: SignalBlock) -> None:
-        """Learn from a block; numbers that no arithmetic bears freeze learning and are told."""
+        """Learn from a block; numbers that no arithmetic bears freeze learning and are reported."""
         self._failed_for = max(self._failed_for - 1, 0)
         try:
             with np.errstate(over="raise", invalid="raise", divide="raise"):
@@ -161,7 +162,7 @@ class FullEstimator:
         is_turn = signals.blocks % LAZY_BLOCKS == 0 or changes.is_near
         is_young = solvers.now.blocks <= EAGER_BLOCKS
         if (is_turn or is_young) and solvers.fit():
-            self._checks.forget_forces()  # what the forces said was said of another rotation
+            self._checks.forget_forces()  # the forces spoke of another rotation
         self._take_beside()
         solvers.follow_creep(has_shifted=bool(changes.history))
         if self._look_for_large_change(p, turned) or is_refitting:
@@ -174,7 +175,7 @@ class FullEstimator:
     def _follow_steering(self, p: SignalBlock) -> None:
         """Steering offset against the measured yaw rate; steering alone knows no offset."""
         measured = self._solver.own_gyro or "yaw_rate" in self._signals.seen
-        if not measured or not p.ok_steering.any() or self._signals.without_speed:
+        if not measured or not np.count_nonzero(p.ok_steering) or self._signals.without_speed:
             return
         use = p.ok_steering & p.ok_speed & p.learn
         self._steering.add(p.steering, p.speed, self._solver.turn_rate, use)

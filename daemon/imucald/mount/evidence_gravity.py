@@ -67,7 +67,7 @@ class GravityEvidence:
         """
         now = np.array([self._weight, *self._force, *self._motion, self.metres])
         ends = np.concatenate([self._ends, now[None]])
-        each = np.diff(ends, axis=0)
+        each = ends[1:] - ends[:-1]
         w = np.maximum(each[:, 0], 1e-9)[:, None]
         F = (each[:, 1:4] / w - bias) @ R.T
         motion = each[:, 4:6] / w
@@ -86,7 +86,7 @@ class GravityEvidence:
     def add(self, p: SignalBlock, turn: Array) -> None:
         """Take a block; turn: (N,) v r [m/s^2]."""
         use = p.learn & (p.ok_speed | p.rest)
-        if not use.any():
+        if not np.count_nonzero(use):
             return
         weight = np.where(p.rest, 0.0, np.abs(p.speed) * 0.1)
         hard2 = p.accel * p.accel + turn * turn

@@ -59,7 +59,7 @@ YOUNG = 20
 TRUST = 4.0
 """Windows after which learnt noise levels count as much as their priors, roughly."""
 LONE = 12.0
-"""A level that rests on fewer windows than this is mostly that of all windows alike."""
+"""A level that rests on fewer windows than this is mostly that of all windows together."""
 NU_MIN, NU_MAX = 1.5, 40.0
 """Degrees of freedom of a window's noise level; how even roads are is learnt per axis."""
 UNEVEN, UNEVEN_WINDOWS = 2.0, 16.0
@@ -72,13 +72,19 @@ FORCE_PRIOR, RATE_PRIOR = 0.2**2, 0.02**2
 """Noise per tick until the first windows speak."""
 MEAN_SHARE = 1.0
 """The mean of a window counts as no less noisy than that share of the band above: what is not
-known of the bias is in all windows alike, so that what they leave over does not show it."""
+known of the bias is the same in all windows, so that what they leave over does not show it."""
 LEAST_DRIFT = 0.005
 """A drift that comes to less [rad], 0.3 deg, over the windows kept does not change weights."""
 SLOW = slice(2, 4)
 """Bands above the slopes, and below where a speed that comes once a second has lost its changes."""
+_AXES = [row.axis for row in ROWS]
 _PRIOR = np.array([[FORCE_PRIOR]] * 4 + [[RATE_PRIOR]] * 2)
 _FLOOR = np.array([[FORCE_FLOOR]] * 4 + [[RATE_FLOOR]] * 2)
+
+
+def _first_of_each(group: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Places at which another group begins, in (n,) that never decrease."""
+    return np.concatenate([[0], np.flatnonzero(group[1:] != group[:-1]) + 1])
 
 
 class ResponseEvidence:
@@ -155,6 +161,10 @@ class ResponseEvidence:
             self._products[i] = sp.band_products(self._spectra[i], speed, turn)
         self._scored = 0
 
+    def forget_sums(self) -> None:
+        """Leave the windows gone by: their delay was another, and they cannot be formed afresh."""
+        self._old_score, self._old_normal = self._old_score[:, :0], self._old_normal[:, :0]
+
     def direction_sums(self) -> tuple[Array, Array, float, float]:
         """Sums over windows and bands: response to A (3,), to V (3,), power of A, of V."""
         p = self._products[: self._n].sum(axis=(0, 1))
@@ -209,17 +219,16 @@ class ResponseEvidence:
     def _turn_scores(self, turned: Array) -> None:
         """Scores about another R: to first order the angle's coefficient moves."""
         k = self._scored
-        for i, row in enumerate(ROWS):
-            e = turned[row.axis]
-            self._old_score[i] -= self._old_normal[i, :, :, 0] * e
-            self._score[i, :k] -= self._normal[i, :k, :, 0] * e
+        e = turned[_AXES][:, None, None]
+        self._old_score -= self._old_normal[:, :, :, 0] * e
+        self._score[:, :k] -= self._normal[:, :k, :, 0] * e
 
     def _fold(self) -> None:
         """Sum the oldest windows up, in whole groups, and let them go."""
         if self._fitted and self._scored < self._n:
             self._weigh(self._R)
         group = self._block_number[: self._n] // GROUP
-        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        starts = _first_of_each(group)
         cut = int(starts[np.searchsorted(starts, FOLD)])
         use = starts[starts < cut]
         s = np.add.reduceat(self._score[:, :cut], use, axis=1)
@@ -284,16 +293,16 @@ class ResponseEvidence:
         self.nu = np.minimum(nu, NU_MAX)[:, None, None]
 
     def _renew_levels(self, P: Array, weight: Array, left: Array) -> None:
-        """Noise per tick, band and axis, of windows weighted by what they tell."""
+        """Noise per tick, band and axis, of windows weighted by what they show."""
         power = np.empty_like(left)
         power[:ROLL_ROW] = P[PAIR[Term.DVDT, Term.DVDT]] + P[PAIR[Term.LATERAL, Term.LATERAL]]
         power[ROLL_ROW] = P[PAIR[Term.LATERAL, Term.LATERAL]]
         power[P_ROW:] = P[PAIR[Term.YAW_RATE, Term.YAW_RATE]]
         even = left * (weight * self.noise[:, None, :])
         total = np.maximum(power.sum(axis=1), 1e-12)
-        told = (power * even).sum(axis=1) / total
+        weighted = (power * even).sum(axis=1) / total
         windows = total * total / np.maximum((power * power).sum(axis=1), 1e-24)
-        level = (windows * told + LONE * even.mean(axis=1)) / (windows + LONE)
+        level = (windows * weighted + LONE * even.mean(axis=1)) / (windows + LONE)
         fresh = PER_TICK * level / BAND_WIDTH
         trust = 1.0 - (TRUST / (self._n + TRUST)) ** 2
         self.noise = np.maximum(trust * fresh + (1.0 - trust) * _PRIOR, _FLOOR)
@@ -302,7 +311,7 @@ class ResponseEvidence:
 
     def _sources(self) -> dict[str, AngleEvidence]:
         group = self._block_number[: self._n] // GROUP
-        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        starts = _first_of_each(group)
         score = np.add.reduceat(self._score[:, : self._n], starts, axis=1)
         normal = np.add.reduceat(self._normal[:, : self._n], starts, axis=1)
         score = np.concatenate([self._old_score, score], axis=1)

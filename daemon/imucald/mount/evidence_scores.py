@@ -47,6 +47,10 @@ _LEFT = [
 ]  # fmt: skip
 _LEFT.sort(key=lambda term: term[0])
 _LEFT_PAIR = np.array([pair for _, pair, _, _ in _LEFT])
+_LEFT_FACTOR = [
+    0 if gain < 0 else 1 + gain + (0 if square >= 0 else len(GAINS)) for _, _, gain, square in _LEFT
+]
+_ONE = np.ones((1, BANDS))
 _LEFT_START = np.searchsorted([row for row, _, _, _ in _LEFT], np.arange(len(TARGETS)))
 
 _PLACES = [(row, a) for row, spec in enumerate(ROWS) for a in range(len(spec.regressors))]
@@ -57,6 +61,7 @@ _TERMS = [
 ]
 _TERM_PAIR = np.array([pair for _, _, _, pair, _ in _TERMS])
 _TERM_ROW = np.array([row for _, row, _, _, _ in _TERMS])
+_TERM_SIGN = [1 + gain for *_, gain in _TERMS]
 _TERM_START = np.searchsorted([k for k, _, _, _, _ in _TERMS], np.arange(len(_PLACES)))
 _SCORE_ROW = np.array([row for row, _ in _PLACES])
 _SCORE_A = np.array([a for _, a in _PLACES])
@@ -79,13 +84,7 @@ def left_over(P: Array, gains: Array) -> Array:
 
     P: products in vehicle axes (pairs, n, BANDS); gains: (gains, BANDS).
     """
-    one = np.ones(BANDS)
-    factor = np.array(
-        [
-            one if gain < 0 else gains[gain] ** 2 if square >= 0 else -2.0 * gains[gain]
-            for _, _, gain, square in _LEFT
-        ]
-    )
+    factor = np.concatenate([_ONE, gains**2, -2.0 * gains])[_LEFT_FACTOR]
     terms = P[_LEFT_PAIR] * factor[:, None, :]
     out: Array = np.add.reduceat(terms, _LEFT_START, axis=0)
     return np.maximum(out, 0.0, out=out)
@@ -93,6 +92,7 @@ def left_over(P: Array, gains: Array) -> Array:
 
 _ANGLE = [term for term in _TERMS if _PLACES[term[0]][1] == 0]
 _ANGLE_PAIR = np.array([pair for _, _, _, pair, _ in _ANGLE])
+_ANGLE_SIGN = [1 + gain for *_, gain in _ANGLE]
 _ANGLE_START = np.searchsorted([row for _, row, _, _, _ in _ANGLE], np.arange(len(ROWS)))
 _ANGLE_POWER = np.array([PAIR[spec.regressors[0], spec.regressors[0]] for spec in ROWS])
 _ANGLE_AXIS = np.array([spec.axis for spec in ROWS])
@@ -100,8 +100,7 @@ _ANGLE_AXIS = np.array([spec.axis for spec in ROWS])
 
 def less_angle(left: Array, P: Array, gains: Array, angle: Array) -> Array:
     """What is left over (6, n, BANDS) once each window's own angle (n, 3) [rad] is taken off."""
-    one = np.ones(BANDS)
-    sign = np.array([one if gain < 0 else -gains[gain] for *_, gain in _ANGLE])
+    sign = np.concatenate([_ONE, -gains])[_ANGLE_SIGN]
     target = np.add.reduceat(P[_ANGLE_PAIR] * sign[:, None, :], _ANGLE_START, axis=0)
     answer = factors(gains)[:, 0][:, None, :] * angle.T[_ANGLE_AXIS][:, :, None]
     out: Array = np.maximum(left + answer * (answer * P[_ANGLE_POWER] - 2.0 * target), 0.0)
@@ -144,8 +143,7 @@ def scores(P: Array, weight: Array, gains: Array) -> tuple[Array, Array]:
     n = P.shape[1]
     weight = weight * _USED
     factor = factors(gains)
-    one = np.ones(BANDS)
-    sign = np.array([one if gain < 0 else -gains[gain] for *_, gain in _TERMS])
+    sign = np.concatenate([_ONE, -gains])[_TERM_SIGN]
     target = np.add.reduceat(P[_TERM_PAIR] * sign[:, None, :], _TERM_START, axis=0)
     mine = factor[_SCORE_ROW, _SCORE_A]
     score = np.zeros((len(ROWS), n, MAX_REGRESSORS))

@@ -251,7 +251,7 @@ def band_products(s: Spectra, tau_speed: float, tau_turn: float) -> Array:
     for k in range(BANDS):
         part = both[2 * (BAND_EDGES[k] - FIRST_BIN) : 2 * (BAND_EDGES[k + 1] - FIRST_BIN)]
         np.matmul(part.T, part, out=every[k])
-    return every.reshape(BANDS, -1)[:, _NEEDED]
+    return every.reshape(BANDS, -1).take(_NEEDED, axis=1)
 
 
 def in_vehicle_axes(

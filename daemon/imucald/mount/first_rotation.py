@@ -9,10 +9,10 @@ from imucald.mount.evidence_gravity import GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 
 SIGN_SURE = 0.3
-"""Correlation of lateral force and turning from which forward is told from backward."""
+"""Correlation of lateral force and turning from which forward is distinguished from backward."""
 MIN_WINDOWS, MIN_WINDOWS_WITHOUT_SPEED = 2, 6
 MIN_POWER = 20.0
-"""Motion [(m/s^2)^2] summed over the windows that a direction can be told from."""
+"""Motion [(m/s^2)^2] summed over the windows that a direction needs."""
 
 
 def first_rotation(gravity: GravityEvidence, response: ResponseEvidence) -> tuple[Matrix3, bool]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
 from msgspec import Struct
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from imucald.mount.road_segments import AngleEvidence
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 MAX_WIDENED = 25.0
 """Sources of equal weight that disagree widen the variance by chi^2 per degree of freedom (Birge),
@@ -72,7 +75,7 @@ def _pairs(shared: Sequence[CommonError]) -> dict[tuple[str, str], float]:
 
 
 class Seen(Struct, frozen=True):
-    """What tells of scaled errors without any angle in it: values (k,), and what else is in them.
+    """What shows scaled errors without any angle in it: values (k,), and what else is in them.
 
     covariance: (k, k) without the scaled errors. answers: (k, m) to the scaled errors at scale 1.
     """
@@ -82,31 +85,34 @@ class Seen(Struct, frozen=True):
     answers: Array
 
 
-class _Angle(Struct, frozen=True):
-    """Sources of one angle: values (n,), covariances at all scales and their inverses (K, n, n)."""
+class _Places(Struct, frozen=True):
+    """Which sources speak of which angle.
 
-    axis: int
-    names: list[str]
-    values: Array
-    V: Array
-    inverse: Array
+    angles (A,): those that any speaks of; of_source (N,): each source's among them. of_angle
+    (A, n): the sources of each, as many places as the most have. used (A, n): which of those places
+    hold one; both (A, n, n): pairs of them.
+    """
+
+    angles: Index
+    of_source: Index
+    of_angle: Index
+    used: Flags
+    both: Flags
 
 
-def _angles(
-    sources: Mapping[str, AngleEvidence],
-    sharing: CommonCovariance,
-    scales: Sequence[tuple[float, float]],
-    answers: Mapping[str, Array],
-) -> list[_Angle]:
-    squares = np.array([scale * scale for scale, _ in scales])[:, None, None]
-    found = []
-    for i, axis in enumerate(AXES):
-        names = [name for name in sources if name.startswith(axis)]
-        if names:
-            values = np.array([sources[name].value for name in names])
-            V = sharing.covariance(sources, names)[None] + squares * _scaled(names, answers)
-            found.append(_Angle(i, names, values, V, np.asarray(np.linalg.inv(V), np.float64)))
-    return found
+@cache
+def _places(names: tuple[str, ...]) -> _Places:
+    by_axis = [[i for i, name in enumerate(names) if name.startswith(axis)] for axis in AXES]
+    angles = [k for k, found in enumerate(by_axis) if found]
+    most = max(map(len, by_axis))
+    used = np.array([np.arange(most) < len(by_axis[k]) for k in angles])
+    return _Places(
+        angles=np.array(angles),
+        of_source=np.array([angles.index(AXES.index(n.partition("_")[0])) for n in names]),
+        of_angle=np.array([by_axis[k] + [0] * (most - len(by_axis[k])) for k in angles]),
+        used=used,
+        both=used[:, :, None] & used[:, None, :],
+    )
 
 
 def _scaled(names: Sequence[str], answers: Mapping[str, Array]) -> Array:
@@ -134,10 +140,9 @@ def weighed_scales(
     names = list(sources)
     n, more = len(names), len(seen.values)
     y = np.concatenate([[sources[name].value for name in names], seen.values])
-    X = np.zeros((n + more, len(AXES)))
-    for i, name in enumerate(names):
-        X[i, AXES.index(name.partition("_")[0])] = 1.0
-    X = X[:, X.any(axis=0)]
+    of_source = _places(tuple(names)).of_source
+    X = np.zeros((n + more, int(of_source.max()) + 1))
+    X[np.arange(n), of_source] = 1.0
     known = np.zeros((n + more, n + more))
     known[:n, :n] = sharing.covariance(sources, names)
     known[n:, n:] = seen.covariance
@@ -170,27 +175,36 @@ def fuse(
     the mean from that of the first scale, the smallest: sources may contradict for other reasons.
     answers: of each source (m,) to independent scaled errors at scale 1.
     """
-    return _fused(_angles(sources, sharing, scales, answers or {}), scales)
-
-
-def _fused(angles: Sequence[_Angle], scales: Sequence[tuple[float, float]]) -> Fused:
     error, variance = np.zeros(3), np.full(3, np.inf)
-    shares: dict[str, dict[str, float]] = {}
+    if not sources:
+        return Fused(error, variance, {})
+    names = tuple(sources)
+    at = _places(names)
+    squares = np.array([scale * scale for scale, _ in scales])[:, None, None]
+    V = sharing.covariance(sources, names) + squares * _scaled(names, answers or {})
+    V = V[:, at.of_angle[:, :, None], at.of_angle[:, None, :]]  # (scales, A, n, n)
+    V = np.where(at.both, V, np.eye(V.shape[-1]))  # an unused place stands alone
+    values = np.array([sources[name].value for name in names])[at.of_angle]
     probability = np.array([p for _, p in scales])
-    for one in angles:
-        n = len(one.names)
-        weight = np.maximum(one.inverse.sum(axis=2), 0.0)
-        weight /= weight.sum(axis=1, keepdims=True)
-        each = weight @ one.values
-        left = one.values - each[:, None]
-        free = max(n - 1, 1)
-        chi2 = (left * (one.inverse @ left[:, :, None])[:, :, 0]).sum(axis=1)
-        disagreement = np.minimum(np.maximum(chi2 / free, 1.0), MAX_WIDENED)
-        evenness = n / free * (1.0 - (weight * weight).sum(axis=1))
-        own = (weight * (one.V @ weight[:, :, None])[:, :, 0]).sum(axis=1)
-        own *= 1.0 + (disagreement - 1.0) * evenness
-        mean = float(probability @ each)
-        error[one.axis] = mean
-        variance[one.axis] = probability @ (own + (each - mean) ** 2) + (mean - each[0]) ** 2
-        shares[AXES[one.axis]] = dict(zip(one.names, (probability @ weight).tolist(), strict=True))
-    return Fused(error, variance, shares)
+    inverse = np.linalg.inv(V)
+    weight = np.maximum(inverse.sum(axis=3), 0.0) * at.used
+    weight /= weight.sum(axis=2, keepdims=True)
+    each = (weight * values).sum(axis=2)  # (scales, A)
+    left = (values - each[:, :, None]) * at.used
+    n = at.used.sum(axis=1)
+    free = np.maximum(n - 1, 1)
+    chi2 = (left * (inverse @ left[..., None])[..., 0]).sum(axis=2)
+    disagreement = np.minimum(np.maximum(chi2 / free, 1.0), MAX_WIDENED)
+    evenness = n / free * (1.0 - (weight * weight).sum(axis=2))
+    own = (weight * (V @ weight[..., None])[..., 0]).sum(axis=2)
+    own *= 1.0 + (disagreement - 1.0) * evenness
+    mean = probability @ each
+    error[at.angles] = mean
+    variance[at.angles] = probability @ (own + (each - mean) ** 2) + (mean - each[0]) ** 2
+    carried = (probability @ weight.reshape(len(weight), -1)).reshape(at.used.shape).tolist()
+    shares: dict[str, dict[str, float]] = {}
+    for name, angle in zip(names, at.of_source.tolist(), strict=True):
+        of_angle = shares.setdefault(AXES[at.angles[angle]], {})
+        of_angle[name] = carried[angle][len(of_angle)]
+    ordered = {axis: shares[axis] for axis in AXES if axis in shares}
+    return Fused(error, variance, ordered)

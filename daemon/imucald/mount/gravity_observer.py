@@ -8,7 +8,7 @@ the slope's changes are known and leave f_s. The pull to the accelerometer (time
     e = f_s - g u - R^T m,
 
 answers to an accelerometer bias b by (I - B) b, where B follows the same equation as u: in a
-turn the true vertical turns against the sensor and a bias does not, which tells them apart
+turn the true vertical turns against the sensor and a bias does not, which separates them
 (the alignment of inertial navigation; Groves, Principles of GNSS, Inertial and Multisensor
 Integrated Navigation Systems, ch. 14).
 """
@@ -34,7 +34,7 @@ PULL_NO_GYRO_S = 12.0
 FORCE_LARGE = 0.25
 """An innovation beyond counts less [m/s^2] (Huber)."""
 COLOUR, COLOUR_SEGMENTS = 25.0, 4.0
-"""The innovation is not white: the bias's variance is so much larger, until road segments tell."""
+"""The innovation is not white: the bias's variance is so much larger until segments show it."""
 SETTLE_TICKS = 25
 """The first ticks take the mean."""
 MAX_ALONE, MAX_BLIND = 120, 10
@@ -102,7 +102,8 @@ class GravityObserver:
         self._taken: Array | None = None
         self._use: Flags = np.zeros(BLOCK_TICKS, dtype=bool)
         self._alone = self._settling = self._seeking = 0
-        self._closed: list[tuple[Array, Array]] = []
+        self._closed_information = np.zeros((0, 3, 3))
+        self._closed_score = np.zeros((0, 3))
         self._end = np.eye(3)
         self.steps = GravityStepDetector()
 
@@ -249,30 +250,34 @@ class GravityObserver:
         Held against the pull k, a rate error d leaves the innovation e / g with k u x e / g = d.
         up: (3,) at the end.
         """
-        if p.rest.any():
+        if np.count_nonzero(p.rest):
             self.drift *= 0.5  # at rest it is measured
             return
         use = p.learn & p.ok_speed
-        if self._n < 300 or use.sum() < 0.8 * len(use):
+        if self._n < 300 or np.count_nonzero(use) < 0.8 * len(use):
             return
-        mean = np.clip(innovation.mean(axis=0), -FORCE_LARGE, FORCE_LARGE) / GRAVITY
-        (ux, uy, uz), (mx, my, mz) = up.tolist(), mean.tolist()
+        mean = (innovation.sum(axis=0) / len(innovation)).tolist()
+        mx, my, mz = (min(max(x, -FORCE_LARGE), FORCE_LARGE) / GRAVITY for x in mean)
+        ux, uy, uz = up.tolist()
         across = np.array([uy * mz - uz * my, uz * mx - ux * mz, ux * my - uy * mx])
         self.drift += across * (pull / TICK_S * len(p.t) * TICK_S / DRIFT_S)
 
     def _learn_bias(self, p: SignalBlock, answer: Array, innovation: Array, noise2: Array) -> None:
         """Take a block: answer (N, 3, 3) to a bias, innovation (N, 3), its usual square (N,)."""
         use = p.learn & p.ok_speed & ~p.rest
-        if not use.any() or self._n < 100 or np.abs(answer).max() < 0.02:
+        if not np.count_nonzero(use) or self._n < 100 or np.abs(answer).max() < 0.02:
             return
         weight = use / noise2
         weight /= np.maximum(_sizes(innovation) / FORCE_LARGE, 1.0)
-        weighted = answer * weight[:, None, None]
-        self._open_information += np.einsum("nki,nkj->ij", weighted, answer)
-        self._open_score += np.einsum("nki,nk->i", weighted, innovation)
+        rows = answer.reshape(-1, 3)  # one for each axis of each tick
+        weighted = (answer * weight[:, None, None]).reshape(-1, 3).T
+        self._open_information += weighted @ rows
+        self._open_score += weighted @ innovation.reshape(-1)
         self._open_ticks += len(p.t)
         if self._open_ticks >= 400:
-            self._closed.append((self._open_information, self._open_score))
+            closed = self._closed_information, self._open_information[None]
+            self._closed_information = np.concatenate(closed)
+            self._closed_score = np.concatenate([self._closed_score, self._open_score[None]])
             self._open_information = np.zeros((3, 3))
             self._open_score = np.zeros(3)
             self._open_ticks = 0
@@ -284,22 +289,18 @@ class GravityObserver:
             # along the vertical it tilts nothing, and squat would pass for it
             up = self._state[:, 0]
             prior += np.outer(up, up) * 1e6
-        information = self._open_information.copy()
-        score = self._open_score.copy()
-        for a, b in self._closed:
-            information += a
-            score += b
+        a, b = self._closed_information, self._closed_score
+        closed = a.sum(axis=0)
+        information, score = closed + self._open_information, b.sum(axis=0) + self._open_score
         covariance = np.asarray(np.linalg.inv(information + prior), dtype=np.float64)
         value = covariance @ score
-        if len(self._closed) < 2:
+        k = len(a)
+        if k < 2:
             scale = COLOUR
         else:
-            a = np.array([c[0] for c in self._closed])
-            b = np.array([c[1] for c in self._closed])
             left = b - a @ value
-            model = np.trace(a.sum(axis=0) @ covariance)
-            spread = np.einsum("ni,ij,nj->", left, covariance, left)
-            k = len(a)
+            model = float((closed * covariance).sum())  # the trace of their product
+            spread = float(((left @ covariance) * left).sum())
             seen = k * spread / max(model, 0.05)
             scale = (COLOUR * COLOUR_SEGMENTS + seen) / (COLOUR_SEGMENTS + k)
         scale = max(scale, 1.0)

@@ -76,13 +76,15 @@ class GravityStepHistory:
         np.maximum(part[:, :, 0], spreads, out=part[:, :, 0])
         np.minimum(part[:, :, 1], spreads, out=part[:, :, 1])
 
-    def near(self, age: int) -> Array:
-        """The largest and the least (roll and pitch, 2) about so many blocks ago."""
-        newest = max(age - 1 - AROUND, 0)
-        part = self._both[newest : age - 1 + AROUND]
-        if not len(part):
-            return np.zeros((2, 2))
-        return np.stack([part[:, :, 0].max(axis=0), part[:, :, 1].min(axis=0)], axis=1)
+    def near(self, ages: list[int]) -> Array:
+        """The largest and the least (n, roll and pitch, 2) about so many blocks ago each."""
+        newest = np.maximum(np.array(ages, dtype=np.int64) - 1 - AROUND, 0)
+        oldest = np.minimum(np.array(ages, dtype=np.int64) - 2 + AROUND, HISTORY_BLOCKS - 1)
+        places = newest[:, None] + np.arange(2 * AROUND)
+        part = self._both[np.minimum(places, oldest[:, None])]  # the oldest may come twice
+        found = np.stack([part[..., 0].max(axis=1), part[..., 1].min(axis=1)], axis=2)
+        found[newest > oldest] = 0.0
+        return found
 
 
 class GravityStepDetector:

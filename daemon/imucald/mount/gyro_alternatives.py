@@ -82,7 +82,7 @@ def _left_over(
     rates = np.matmul(rate, np.matmul(R, TRIED).transpose(0, 2, 1))  # (14, N, 3)
     turning = rates[:, :, 2]
     sides = across - (gain / GRAVITY) * speed * turning
-    smooth = [np.convolve(np.pad(x, 5, mode="edge"), SMOOTH, "valid") for x in (ahead, sides[0])]
+    smooth = [_smoothed(x) for x in (ahead, sides[0])]
     change = np.stack(
         [
             turning * smooth[1] - rates[:, :, 1],
@@ -96,3 +96,10 @@ def _left_over(
     left -= left.mean(axis=2, keepdims=True)
     out: Array = (left * left).sum(axis=2) + BLOCK_TICKS * TILT_FLOOR**2
     return out
+
+
+def _smoothed(x: Array) -> Array:
+    """Means over a second of (N,), the ends carried on."""
+    more = len(SMOOTH) // 2
+    ends = np.full(more, x[0]), np.full(more, x[-1])
+    return np.convolve(np.concatenate([ends[0], x, ends[1]]), SMOOTH, "valid")

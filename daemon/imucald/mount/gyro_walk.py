@@ -33,7 +33,7 @@ def sampling_walk(times: Array, rates: Array, longest: float) -> Array:
     before, after = gaps[:-1], gaps[1:]
     stands_for = 0.5 * (before + after)
     use = (stands_for > SELDOM) & (np.maximum(before, after) <= longest)
-    if not use.any():
+    if not np.count_nonzero(use):
         return np.zeros((3, 3))
     b = before[use] / (before[use] + after[use])
     a = 1.0 - b

@@ -25,7 +25,7 @@ class _Counter(Struct):
     over: bool = False
 
     def feed(self, values: Array) -> None:
-        if not (values > self.level).any() and not self.over:
+        if not np.count_nonzero(values > self.level) and not self.over:
             self.run = 0
             return
         for value in values.tolist():

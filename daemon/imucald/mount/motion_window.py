@@ -68,7 +68,9 @@ class MotionWindow:
         w[new, Measured.LATERAL] = turn
         w[new, SPEED_RATE] = rate * p.speed[:, None]
         w[new, RATE] = rate
-        terms = np.stack([a * a, turn * turn, r * r, a * np.abs(a), a * turn, a, turn], axis=1)
+        terms = np.empty((BLOCK_TICKS, len(_TAKEN)))
+        for k, term in enumerate((a * a, turn * turn, r * r, a * np.abs(a), a * turn, a, turn)):
+            terms[:, k] = term
         w[new, _TAKEN] = vertical.remaining(terms, p)
         w[new, Measured.DVDT_YAW] = a * r
         w[new, Measured.LATERAL_YAW] = turn * r

@@ -155,16 +155,22 @@ class MountChanges:
 
     def _variance(self, solver: MountSolver, blocks: int, *changes: tuple[Array, Array]) -> Array:
         """As `variance`; changes: sizes (3,) [rad] and probabilities (3,) of those to cover."""
-        more = np.zeros(3) if solver.creep is None else solver.creep.variance.copy()
-        for axis, moved in enumerate(self.shifted_again()):
-            since = moved / blocks * 0.5 * solver.blocks
-            more[axis] = max(more[axis], since * since)
-        known = more if solver.fused is None else more + solver.fused.variance
-        for size, part in changes:
-            missing = np.maximum(np.square(COVERING * size) - known, 0.0)
-            widened = np.minimum(part * size * size, missing)
-            more, known = more + widened, known + widened
-        return more
+        nothing = [0.0, 0.0, 0.0]
+        creeping = nothing if solver.creep is None else solver.creep.variance.tolist()
+        found = nothing if solver.fused is None else solver.fused.variance.tolist()
+        moved = self.shifted_again()
+        by_axis = [list(zip(x.tolist(), p.tolist(), strict=True)) for x, p in changes]
+        variance = []
+        for axis in range(3):
+            since = moved[axis] / blocks * 0.5 * solver.blocks
+            more = max(creeping[axis], since * since)
+            known = more + found[axis]
+            for size, part in (one[axis] for one in by_axis):
+                covering = COVERING * size
+                widened = min(part * size * size, max(covering * covering - known, 0.0))
+                more, known = more + widened, known + widened
+            variance.append(more)
+        return np.array(variance)
 
 
 def probability(excess: float) -> float:

@@ -2,7 +2,7 @@
 
 Both stay apart for as long as the daemon runs, so that every fit can say whether they contradict
 one another, and the past ones can be left again. What they have in common is counted once: the
-sensor's own errors, and the accelerometer's bias as far as neither drive could tell it. What
+sensor's own errors, and the accelerometer's bias as far as neither drive showed it. What
 changes between drives (load, springs) is an error that all earlier evidence of an angle shares.
 """
 

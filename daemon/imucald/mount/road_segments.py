@@ -45,6 +45,8 @@ def _priors() -> Array:
 
 
 _PRIORS = _priors()
+_MODEL_SHARES = MODEL_SHARE[[row.axis for row in ROWS]]
+_FEW = np.array([row.few for row in ROWS])
 
 
 def fit_regressions(
@@ -63,19 +65,19 @@ def fit_regressions(
     ]
     if not use:
         return {}, []
-    inverse = np.linalg.inv(total[use] + _PRIORS[use])
-    value = np.matmul(inverse, score[use].sum(axis=1)[:, :, None])  # (used, regressors, 1)
-    left = score[use] - np.matmul(normal[use], value[:, None])[:, :, :, 0]
+    if len(use) < len(ROWS):
+        score, normal, known, total = score[use], normal[use], known[use], total[use]
+    inverse = np.linalg.inv(total + _PRIORS[use])
+    value = np.matmul(inverse, score.sum(axis=1)[:, :, None])  # (used, regressors, 1)
+    left = score - np.matmul(normal, value[:, None])[:, :, :, 0]
     u = np.matmul(left, inverse[:, 0, :, None])[:, :, 0]
     model = inverse[:, 0, 0]
-    each = known[use]
-    sums = total[use, 0, 0]
-    own = each * (1.0 / (sums * model))[:, None]  # what the nuisance leaves
+    sums = total[:, 0, 0]
+    own = known * (1.0 / (sums * model))[:, None]  # what the nuisance leaves
     flow = u / model[:, None] + own * value[:, 0]
-    groups = sums * sums / np.maximum((each * each).sum(axis=1), 1e-12)
-    axes = [ROWS[i].axis for i in use]
-    few = np.array([ROWS[i].few for i in use])
-    variances = _variances(u, model * MODEL_SHARE[axes], groups) * (1.0 + few / (groups + 3.0))
+    groups = sums * sums / np.maximum((known * known).sum(axis=1), 1e-12)
+    variances = _variances(u, model * _MODEL_SHARES[use], groups)
+    variances *= 1.0 + _FEW[use] / (groups + 3.0)
     sources: dict[str, AngleEvidence] = {}
     series: list[ScoreSeries] = []
     for k, i in enumerate(use):
@@ -84,7 +86,7 @@ def fit_regressions(
         if without_speed and row.name.endswith("axis"):
             variance *= WITHOUT_SPEED_SHARE
         sources[row.name] = AngleEvidence(float(value[k, 0, 0]), variance, float(groups[k]))
-        fit = AngleFit(left[k, :, 0], normal[i, :, 0, :], inverse[k], float(value[k, 0, 0]))
+        fit = AngleFit(left[k, :, 0], normal[k, :, 0, :], inverse[k], float(value[k, 0, 0]))
         series.append(ScoreSeries(row.name, flow[k], own[k], fit))
     return sources, series
 

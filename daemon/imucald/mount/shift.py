@@ -7,7 +7,7 @@ of unknown time and size; Basseville and Nikiforov, Detection of Abrupt Changes,
 The spread from segment to segment before sets the scale, so that rough roads and hills make the
 test dull and not nervous.
 
-How far the sources of an angle speak for one and the same change is then told by the ratio of
+How far the sources of an angle speak for one and the same change is then the ratio of
 likelihoods with and without it. In yaw, wind and rough roads move what dv/dt says alone, and
 lever arm and sideslip what turns say alone, now and then by far: tails are heavy there, so that
 one source must stand out very far while two that agree need not. In roll and pitch, roads that
@@ -18,6 +18,7 @@ of the change is independent evidence, and is added.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from msgspec import Struct
@@ -42,12 +43,12 @@ UNEVEN_STD = {
     "yaw_dvdt": 0.0035,
 }
 """What a source says differs by that much [rad] between town and motorway, without a shift."""
-ALIKE = ("roll_turn", "roll_axis")
+SAME_NOISE = ("roll_turn", "roll_axis")
 """Both see the same noise, the lean of roads in bends: only the better one speaks."""
 TAIL = (1e6, 1e6, 8.0)
 """Degrees of freedom of Student's t, for roll, pitch and yaw; many are as good as normal."""
 MIN_SIZE = (0.026, 0.026, 0.013)
-"""A change to be told from none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
+"""A change that is tested against none is at least that large [rad]: 1.5, 1.5 and 0.75 deg."""
 STEP_MIN, STEP_MAX = 2.0, 5.5
 """A step in gravity counts from so many standard deviations on, and for so many at most, ..."""
 STEP_FROM = 2.5
@@ -240,9 +241,9 @@ def changes(series: list[ScoreSeries], spans: NDArray[np.int64]) -> tuple[Array,
 def _uneven(series: list[ScoreSeries], variances: Array, times: float) -> Array:
     """With what roads make sources differ by; of sources that see the same noise the better one."""
     variances = variances + np.array([(times * UNEVEN_STD[one.kind]) ** 2 for one in series])
-    alike = [k for k, one in enumerate(series) if one.kind in ALIKE]
-    if len(alike) == 2:
-        worse = np.where(variances[:, alike[0]] > variances[:, alike[1]], *alike)
+    same_noise = [k for k, one in enumerate(series) if one.kind in SAME_NOISE]
+    if len(same_noise) == 2:
+        worse = np.where(variances[:, same_noise[0]] > variances[:, same_noise[1]], *same_noise)
         variances[np.arange(len(variances)), worse] = np.inf
     return variances
 
@@ -257,6 +258,12 @@ def _most_likely_time(
     return int(spans[k]), float(mean[k])
 
 
+@cache
+def _subsets(n: int) -> Array:
+    """Which of n sources is in which subset that is not empty (n, 2^n - 1)."""
+    return ((np.arange(1, 2**n) >> np.arange(n)[:, None]) & 1).astype(np.float64)
+
+
 def likeliest(sizes: Array, variances: Array, tail: float, least: float) -> tuple[Array, Array]:
     """The change that all sources speak for most: size (S,), (2 log L(size) / L(0))^0.5 (S,).
 
@@ -265,12 +272,10 @@ def likeliest(sizes: Array, variances: Array, tail: float, least: float) -> tupl
     all subsets of sources, near which it is wherever some sources agree.
     """
     weight = 1.0 / variances
-    n = sizes.shape[1]
-    subset = (np.arange(1, 2**n)[:, None] >> np.arange(n)) & 1  # (2^n - 1, sources)
-    known = weight @ subset.T
-    mean = np.where(
-        known > 0.0, (weight * sizes) @ subset.T / np.where(known > 0.0, known, 1.0), 0.0
-    )
+    subset = _subsets(sizes.shape[1])
+    known = weight @ subset
+    some = known > 0.0
+    mean = np.where(some, (weight * sizes) @ subset / np.where(some, known, 1.0), 0.0)
     mean = np.sign(mean) * np.maximum(np.abs(mean), least)
     left = sizes[:, None, :] - mean[:, :, None]
     gain = np.log1p(sizes * sizes * weight / tail)[:, None, :]

@@ -218,7 +218,7 @@ class SignalBlockMaker:
     def _speed(self, t: Array, at: Array) -> tuple[Array, Flags]:
         rows = self._rows
         has = rows[:, tk.SPEED.n] > 0
-        if has.any():
+        if np.count_nonzero(has):
             self.seen.add("speed")
         has &= ~self.health.stuck("speed", rows)
         self._follow_least_speed(np.abs(rows[has, tk.SPEED.mean]))
@@ -228,7 +228,7 @@ class SignalBlockMaker:
         known = rows[:, tk.REVERSE]
         if not np.isnan(known).all():
             self.seen.add("reverse")
-        if self._reverse or (known > 0.5).any():
+        if self._reverse or np.count_nonzero(known > 0.5):
             reverse = self._held(known)[BEFORE - 1 : BEFORE + BLOCK_TICKS + 1]
             speed = np.where(reverse > 0.5, -speed, speed)
         return speed, ok
@@ -237,7 +237,7 @@ class SignalBlockMaker:
         """The least that the speed showed between two other speeds; a tick may be half zero."""
         moves = sizes > ZERO_SPEED
         between = moves[1:-1] & moves[:-2] & moves[2:]
-        if between.any():
+        if np.count_nonzero(between):
             self._least_speed = min(self._least_speed, float(sizes[1:-1][between].min()))
 
     def _held(self, known: Array) -> Array:
@@ -256,19 +256,19 @@ class SignalBlockMaker:
         rows = self._rows
         has = rows[:, tk.STEERING.n] > 0
         angle, ok_angle = np.zeros(len(at)), np.zeros(len(at), dtype=bool)
-        if has.any():
+        if np.count_nonzero(has):
             self.seen.add("steering")
             angle, ok_angle = bridged(
                 at, t[has] - 0.5 * TICK_S, rows[has, tk.STEERING.mean], YAW_GAP
             )
         self._steering = angle, ok_angle
         has = rows[:, tk.YAW_RATE.n] > 0
-        if has.any():
+        if np.count_nonzero(has):
             self.seen.add("yaw_rate")
             has &= ~self._stuck_yaw_rate()
             return bridged(at, t[has] - 0.5 * TICK_S, rows[has, tk.YAW_RATE.mean], YAW_GAP)
         s = self._settings
-        if not s.uses_steering or not ok_angle.any():
+        if not s.uses_steering or not np.count_nonzero(ok_angle):
             return np.zeros(len(at)), np.zeros(len(at), dtype=bool)
         steered, vehicle = angle - self.steering_offset, s.vehicle
         turning = (vehicle.steering_ratio, vehicle.wheelbase, s.understeer)
@@ -298,11 +298,11 @@ class SignalBlockMaker:
         """Lateral acceleration and heading at times (N,), where they come."""
         rows, found = self._rows, {}
         has = rows[:, tk.LATERAL_ACCEL.n] > 0
-        if has.any():
+        if np.count_nonzero(has):
             values = rows[has, tk.LATERAL_ACCEL.mean]
             found["lateral_accel"] = bridged(at, t[has] - 0.5 * TICK_S, values, YAW_GAP)
         has = ~np.isnan(rows[:, tk.HEADING])
-        if has.any():
+        if np.count_nonzero(has):
             values = np.unwrap(rows[has, tk.HEADING])
             found["heading"] = bridged(at, t[has] - 0.5 * TICK_S, values, SPEED_GAP)
         self.seen.update(found)
@@ -311,11 +311,14 @@ class SignalBlockMaker:
     def _rest(self, speed: Array, ok: Flags, force: Array, rate: Array, ok_rate: Flags) -> Flags:
         """At rest: speed zero (where there is one) and the force still."""
         rest = np.zeros(len(speed), dtype=bool)
-        if ok.any():
+        if np.count_nonzero(ok):
             still = ok & (np.abs(speed) < ZERO_SPEED)
         else:
             still = is_parked(force, rate if ok_rate.any() else None)
         run = self._rest_run
+        if not np.count_nonzero(still):
+            self._rest_run = 0
+            return rest
         for i, s in enumerate(still.tolist()):
             run = run + 1 if s else 0
             rest[i] = run > REST_TICKS
@@ -326,10 +329,10 @@ class SignalBlockMaker:
         """Learn the offsets at rest and take them off."""
         offsets = self.offsets
         use = p.rest & p.ok_rate & p.learn
-        if use.any():
+        if np.count_nonzero(use):
             offsets.learn_gyro(p.rate[use], p.force[use])
         use = p.rest & p.ok_yaw
-        if use.any() and "yaw_rate" in self.seen:
+        if np.count_nonzero(use) and "yaw_rate" in self.seen:
             offsets.learn_yaw_rate(p.yaw_rate[use])
         if offsets.gyro_ticks == 0.0:
             use = p.ok_rate & p.learn

@@ -197,6 +197,7 @@ class MountSolver:
             was = self.response.delays
             if abs(tau - was[0]) > START_AGAIN and not self.sure():
                 self.yaw_known = False
+                self.response.forget_sums()
             if abs(tau - was[0]) > 0.02 or abs(late - was[1]) > 0.02:
                 self.response.set_delays(tau, late)
 
@@ -302,8 +303,9 @@ class MountSolver:
     def _steps(self) -> Array:
         """How far steps in gravity stood out when the last road segments began."""
         steps, began = NO_STEPS.copy(), list(self._began)
-        for k, span in enumerate(SPANS[: max(len(began) - 1, 0)].tolist()):
-            steps[k] = self.vertical.steps.history.near(self.blocks - began[-span])
+        ages = [self.blocks - began[-span] for span in SPANS[: max(len(began) - 1, 0)].tolist()]
+        if ages:
+            steps[: len(ages)] = self.vertical.steps.history.near(ages)
         return steps
 
     def _gravity_series(self, R: Matrix3, bias: Array) -> list[ScoreSeries]:

@@ -46,7 +46,7 @@ class SteeringOffsetEstimator:
     def add(self, angle: Array, speed: Array, yaw_rate: Array, use: NDArray[np.bool_]) -> None:
         """Take a block: steering-wheel angle [rad], speed [m/s], yaw rate [rad/s], all (N,)."""
         use = use & (speed > MIN_SPEED) & (np.abs(speed * yaw_rate) < MAX_LATERAL)
-        if not use.any():
+        if not np.count_nonzero(use):
             return
         self.seen, self._fit = True, None
         v, r = speed[use], yaw_rate[use]

@@ -1,4 +1,4 @@
-"""Figures of matplotlib as short SVG text, laid out alike on every machine."""
+"""Figures of matplotlib as short SVG text, laid out the same on every machine."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from imucald.report.pointed_values import pointed_values
 
 LAYOUT_FONT = "DejaVu Sans"
-"""Comes with matplotlib, so pictures are laid out alike anywhere; it is wide."""
+"""Comes with matplotlib, so pictures are laid out the same anywhere; it is wide."""
 READERS_FONTS = "'Helvetica Neue', Arial, 'Liberation Sans', 'DejaVu Sans'"
 METADATA = ("Date", "Creator", "Format", "Type")
 PATH = re.compile(r'( d=")([^"]*)"')

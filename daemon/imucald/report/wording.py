@@ -1,4 +1,4 @@
-"""A diagnosis in words, for terminal and page alike."""
+"""A diagnosis in words, for terminal and page."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def few_of(names: Sequence[str], last: str) -> str:
 
 
 def ways_apart(group: Sequence[str]) -> list[str]:
-    """Manoeuvres that would tell causes apart, which these drives cannot."""
+    """Manoeuvres that would separate causes, which these drives cannot."""
     return list(dict.fromkeys(BY_NAME[name].separate for name in group if name in BY_NAME))
 
 

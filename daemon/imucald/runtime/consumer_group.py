@@ -1,4 +1,4 @@
-"""The consumers of one engine together: fed sample by sample, live and in replay alike."""
+"""The consumers of one engine together: fed sample by sample, live and in replay."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ whole columns (`run`); both give the same corrections to the last bit.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Protocol
@@ -290,7 +291,7 @@ class Pipeline:
             snapshots.append(Snapshot(self.k - 1, estimator.estimate(), self.quality > 0, unfit))
 
     def _take_signals(self) -> None:
-        """Let the health tell what the estimator found of the vehicle's signals in a new block."""
+        """Hand the health what the estimator found of the vehicle's signals in a new block."""
         if self._judges is None:
             return
         judged = self._judges.stuck_signals
@@ -314,7 +315,7 @@ def _judging(estimator: MountEstimator) -> JudgesSignals | None:
 
 
 def _of_tick(series: Series, k: int) -> Series:
-    low, high = np.searchsorted(np.floor(series.t * TICK_RATE), [k, k + 1])
+    low, high = (bisect_left(series.t, end, key=tick_index) for end in (k, k + 1))
     return Series(series.t[low:high], series.values[low:high])
 
 

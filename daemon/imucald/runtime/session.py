@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,14 +26,6 @@ if TYPE_CHECKING:
 
 
 def open_config(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
-    """Load a configuration, see `config_with`; reports keys without effect on standard error."""
-    loaded = config_with(path, databases)
-    for line in loaded.idle_keys():
-        print(f"imucald: warning: {line}", file=sys.stderr)
-    return loaded
-
-
-def config_with(path: Path, databases: Sequence[Path] = ()) -> LoadedConfig:
     """Load a configuration; `databases` stand in for the ones it names. Raises ConfigError."""
     loaded = load_config(path)
     if not databases:

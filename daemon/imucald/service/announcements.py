@@ -5,6 +5,7 @@ from __future__ import annotations
 from msgspec.structs import asdict
 
 from imucald.can.link.link import LinkEvent
+from imucald.config import LoadedConfig
 from imucald.mount.mount_words import reasons_line
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
@@ -23,6 +24,11 @@ class Announcements:
         self._alarms = AlarmWatch(journal)
         self._state: object = None
         self._rejected = 0
+
+    def idle_keys(self, loaded: LoadedConfig) -> None:
+        """Keys of the configuration that have no effect."""
+        for line in loaded.idle_keys():
+            self._journal.say(line, WARNING)
 
     def model(self, engine: Engine) -> None:
         """What of the model file is used, and what is not."""

@@ -86,6 +86,7 @@ class Service:
 
     def _set_up(self, loaded: LoadedConfig, engine: Engine) -> None:
         """What needs the state folder, and the bus."""
+        self._announcements.idle_keys(loaded)
         self.parts = self._maker.first(loaded, engine)
         try:
             self.daemon = Daemon(engine, self.link, self._clock, self.parts.diagnostics.uds)
@@ -175,6 +176,7 @@ class Service:
         self._rates.restart()
         self._announcements.restart_counts()
         self.journal.say(f"{self.options.config} was read again", NOTICE)
+        self._announcements.idle_keys(read[0])
         self._announcements.model(now.engine)
 
     def close(self) -> None:

@@ -135,8 +135,8 @@ def _finished(
     gain = np.array([[1 + sx, xy, xz], [yx, 1 + sy, yz], [zx, zy, 1 + sz]])
     values = true_values @ gain.T + np.array(triad.bias)
     if any(triad.bias_temperature):
-        warmth = temperature_at(temperature, timing.sampled) - REFERENCE_DEGC
-        values += warmth[:, None] * np.array(triad.bias_temperature)
+        above_reference = temperature_at(temperature, timing.sampled) - REFERENCE_DEGC
+        values += above_reference[:, None] * np.array(triad.bias_temperature)
     if triad.bias_walk > 0.0:
         steps = generator(seed, f"walk:{name}").standard_normal(values.shape)
         values += np.cumsum(steps, axis=0) * (triad.bias_walk / math.sqrt(triad.rate_hz))

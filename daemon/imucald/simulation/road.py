@@ -18,7 +18,7 @@ MIN_SLOPE_M = 7.0
 MAX_ROUGHNESS_M = 100.0
 """Waves longer than this belong to slope and cross fall."""
 MAX_TILT_WAVE_M = 20.0
-"""Longer waves lift both tracks alike."""
+"""Longer waves lift both tracks equally."""
 SMOOTHER_FROM_MPS = 15.0
 """Faster roads are smoother: the density of roughness falls by 1 + (v / this)^2, and the lengths of
 slopes grow by the root of that."""

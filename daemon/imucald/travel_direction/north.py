@@ -2,8 +2,8 @@
 
 Field model, in a frame P that is level and kept by the gyroscope: m = h + C^T M + noise, with h the
 hard iron of the terminal and M the earth's field in P, which turns with the gyroscope's zero error
-about the vertical. h does not turn when the terminal does, and that is how the two are told
-apart. A Kalman filter of seven states (h, M in uT; zero error in rad/s) has all three.
+about the vertical. h does not turn when the terminal does, and that separates the
+two. A Kalman filter of seven states (h, M in uT; zero error in rad/s) has all three.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class Adapter:
         return echoes is not None and echoes.is_own(_can_id(message), bytes(message.data))
 
     def is_same_interface(self) -> bool:
-        """Whether the adapter is still there: only an error would tell."""
+        """Whether the adapter is still there: only an error would show it."""
         return True
 
     def is_up(self) -> bool:

@@ -1,7 +1,7 @@
 """A raw SocketCAN socket, read in batches: kernel filters, kernel time stamps, counted losses.
 
 python-can serves every other interface (see link.py). Here the socket is our own, because that is
-what makes a gateway's bus cheap and honest: filters are set before the socket is bound, so nothing
+what makes a gateway's bus cheap and exact: filters are set before the socket is bound, so nothing
 foreign is ever queued; `SO_RXQ_OVFL` says how many of our frames the kernel had to drop; and a read
 costs one system call and no object but a tuple.
 

@@ -31,7 +31,7 @@ MAX_DIGITS: Final = 18
 """Decimal digits that surely fit into 64 bits."""
 
 ID_BYTES: Final = 9
-"""Characters behind the head that tell the kind of frame: ``12345678#`` or ``123##F``."""
+"""Characters behind the head that show the kind of frame: ``12345678#`` or ``123##F``."""
 
 _HIGH: Final = repeated(0xF0)
 

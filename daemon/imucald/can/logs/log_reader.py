@@ -1,6 +1,6 @@
 """Recorded logs, one after another, as columns of frames.
 
-A file's first bytes tell its format and its compression (gzip, xz, bzip2, Zstandard); its name
+A file's first bytes show its format and its compression (gzip, xz, bzip2, Zstandard); its name
 counts where they do not. "-" is standard input. Several files are read in the order given and as
 one recording: where a later file begins at an earlier time, so do its frames, and whoever makes
 stream time of it meets a discontinuity.

@@ -1,8 +1,8 @@
 """Types of vehicles: their mount, how far vehicles differ, which vehicle or batch stands out.
 
 Rotation vectors about the type's mount, in the vehicle's axes [deg]. One vehicle counts once, by
-its first segment: as it was delivered. The road crown is in every vehicle alike; it cancels in all
-differences and enters the intervals of mounts once, not divided by the number of vehicles.
+its first segment: as it was delivered. The road crown is the same in every vehicle; it cancels in
+all differences and enters the intervals of mounts once, not divided by the number of vehicles.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ it, and so looks like what drives differ by."""
 OWN_FREEDOM = 20
 """A type with fewer differences between drives has the D of all types together."""
 FREEDOMS = (5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
-"""Tails of the null distribution that are tried. A few hundred pairs of drives cannot tell a t
+"""Tails of the null distribution that are tried. A few hundred pairs of drives cannot separate a t
 distribution of 30 freedoms from a normal one, but thresholds of p = 0.002 feel the difference: so
 normal tails are never taken for granted. Chosen on simulated fleets (seeds from 1000) by
 `python -m benchmarks.fleet --only statistics`."""

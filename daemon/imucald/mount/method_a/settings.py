@@ -64,13 +64,13 @@ class PublishedSettings(MountSettings, frozen=True):
     settle: float = 1.5
     """Straight motion [s] after a turn before anything is learnt: body roll swings out."""
     min_speed_unknown_gear: float = 2.0
-    """Speed [m/s] below which nothing is learnt where no signal tells reverse gear: nobody reverses
+    """Speed [m/s] below which nothing is learnt where no signal shows reverse gear: nobody reverses
     faster for long."""
 
     # Step 5: the target angle and its sign.
     wander_speed: float = 2.4
     """Speed [m/s] at which a block counts half: the faster, the more slope and bank wander while
-    speed changes (beyond the publication). 0: all count alike."""
+    speed changes (beyond the publication). 0: all count the same."""
     use_speed: bool = True
     """There is a speed: use dv/dt for gate, sign and weight (beyond the publication for gate and
     weight)."""

@@ -28,7 +28,7 @@ FIRST_MOTION_FORCE = 0.7
 BRAKE_FORCE = 0.6
 """The same for a braking that counts."""
 TURN_RATE = math.radians(6.0)
-"""Yaw rate of a turn that tells left from right [rad/s]."""
+"""Yaw rate of a turn that distinguishes left from right [rad/s]."""
 TURN_FORCE = 0.8
 """Mean horizontal force of such a turn [m/s^2]."""
 TURN_S = 1.5
@@ -84,7 +84,7 @@ class _Gathered:
 
 
 class SignEvidence:
-    """Watches intervals for what tells forward from backward, and votes. Offset is off the force.
+    """Watches intervals for forward against backward, and votes. Offset is off the force.
 
     sources: which of "brake", "turn", "first_motion" may vote.
     """
