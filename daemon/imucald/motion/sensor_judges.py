@@ -233,9 +233,8 @@ class UnitChange:
         # unit alone.
         drives = (lowest > 0.0).tolist()
         for h, found in enumerate((sign * ~felt).tolist()):
-            if found < 0 and not drives[h] and self._changed <= 0:
-                found = 0
-            if found and not self._wait:
+            is_change = found > 0 or (found < 0 and (drives[h] or self._changed > 0))
+            if is_change and not self._wait:
                 # Not more than one step away from the unit of the first samples.
                 self._changed = max(-1, min(1, self._changed + found))
                 self._wait = UNIT_HOPS
