@@ -2,8 +2,8 @@
 
 A cause is named when its held-out gain, without the best block in fifteen, exceeds what chance
 gives in all questions together, when it leaves the box of correct files, and when its value is
-plausible. Rivals within two standard errors of the paired difference are named with it. Then it is
-freed, and the question is asked anew.
+plausible. Rivals within two standard errors of the paired difference, or behind by less than what
+names a cause, are named with it. Then it is freed, and the question is asked anew.
 """
 
 from __future__ import annotations
@@ -138,13 +138,16 @@ def _is_near(best: Trial, other: Trial) -> bool:
 
 
 def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
-    """Other causes that do as well within two standard errors; one form of each."""
+    """Other causes that do as well within two standard errors, or whose likelihood ratio on unseen
+    data is less than what names a cause: what is ruled out is so at the error rate of what is
+    named. One form of each."""
     found: dict[str, Trial] = {}
     for t in sorted(trials, key=lambda t: -t.gain.sum()):
         name = t.hypothesis.name
         if name == best.hypothesis.name or name in found or not t.could_be:
             continue
-        if _is_near(best, t):
+        behind, se = paired(best.gain, t.gain)
+        if behind <= max(ALIKE_SE * se, best.needed):
             found[name] = t
     return list(found.values())
 
