@@ -91,6 +91,11 @@ def _winner(trials: Sequence[Trial]) -> Trial | None:
     if not passing:
         return None
     best = max(passing, key=lambda t: t.gain.sum())
+    if len(best.hypothesis.directions) > 1:
+        # Elements that joined one by one imitate what one other cause does by itself.
+        fewer = [t for t in passing if len(t.hypothesis.keys) < len(best.hypothesis.keys)]
+        best = max((t for t in fewer if _is_near(best, t)), default=best,
+                   key=lambda t: t.gain.sum())  # fmt: skip
     same = [t for t in passing if _is_form_of(t, best)]
     simple = [t for t in same if _is_near(best, t)]
     return min(simple, key=lambda t: (len(t.hypothesis.keys), -t.gain.sum()))
