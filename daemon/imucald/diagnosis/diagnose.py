@@ -15,7 +15,7 @@ import numpy as np
 from imucald.core.errors import EstimateError
 from imucald.core.samples import Samples
 from imucald.diagnosis import outcome
-from imucald.diagnosis.adequacy import goes_against, too_much, what_is_left
+from imucald.diagnosis.adequacy import goes_against, too_much, uneven, what_is_left
 from imucald.diagnosis.blocks import Table
 from imucald.diagnosis.cause_keys import extended, mount_of, with_delay_rate, with_shifts
 from imucald.diagnosis.chance import beyond_chance
@@ -40,7 +40,7 @@ from imucald.diagnosis.result import (
 from imucald.diagnosis.score import Hypothesis, Problem
 from imucald.diagnosis.search import search
 from imucald.diagnosis.signals import DriveSignals, drive_of, require
-from imucald.diagnosis.stability import unstable
+from imucald.diagnosis.stability import drift_of, unstable
 from imucald.diagnosis.state import State, final_estimates, shift_steps
 from imucald.diagnosis.stuck import Fault
 from imucald.model.model import VehicleModel
@@ -151,6 +151,7 @@ def _left(state: State) -> tuple[Structure, ...]:
     problem = state.evaluated()
     return (
         *too_much(problem, state),
+        *uneven(problem, drift_of(state)),
         *outcome.implausible(state),
         *held_values(state.drives),
         *beyond_chance([*patterns(problem, state.forwards), *unstable(problem, state)]),

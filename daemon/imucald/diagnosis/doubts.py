@@ -34,9 +34,14 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
 
+    missing = max((t.shown for t in state.implausible), default=0.0)
+
     def is_doubtful(trial: Trial) -> bool:
-        if left:
+        if any(s.kind != NOT_PLAUSIBLE for s in left):
             # A cause is missing, and a fit shares out what it makes among those that it knows.
+            return True
+        if trial.estimate.pull**2 < 2.0 * missing:
+            # Of what cannot be it is known how much it explains: that much may lie along this one.
             return True
         if trial.hypothesis.pattern is not None:
             return False

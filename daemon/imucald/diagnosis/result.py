@@ -110,6 +110,8 @@ WANDERS = "wanders"
 """Kind where a zero or a gain is another from piece to piece of a drive."""
 DIFFERS = "differs by condition"
 """Kind where it is another when the vehicle is driven otherwise."""
+UNEVEN = "some segments leave more"
+"""Kind where some segments leave what neither their noise nor a correct file leaves."""
 NOT_PLAUSIBLE = "not plausible"
 """Kind where a cause explains the numbers, but cannot be: a cause is missing."""
 

@@ -42,8 +42,7 @@ def unstable(problem: Problem, state: State) -> list[Question]:
     """Zeros and gains that wander from piece to piece, or differ between conditions."""
     if problem.table.blocks < LEAST_BLOCKS:
         return []
-    drift = next((t.hypothesis for t in state.named if t.hypothesis.pattern is not None), None)
-    scores, gram = _scores(problem, drift)
+    scores, gram = _scores(problem, drift_of(state))
     asked = [j for j, key in enumerate(problem.table.keys)
              if any(part in ASKED for part in key.split(".")) and gram[:, j, j].any()]  # fmt: skip
     return [
@@ -51,6 +50,11 @@ def unstable(problem: Problem, state: State) -> list[Question]:
         *_jumping(problem, scores, gram, asked),
         *_conditional(problem, scores, gram, asked, conditions(problem, state)),
     ]
+
+
+def drift_of(state: State) -> Hypothesis | None:
+    """What was named and has no place in the model file."""
+    return next((t.hypothesis for t in state.named if t.hypothesis.pattern is not None), None)
 
 
 def _scores(problem: Problem, drift: Hypothesis | None) -> tuple[Array, Array]:
