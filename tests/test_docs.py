@@ -19,6 +19,7 @@ from imucald.config import Config, json_schema, load_config, parse_config
 from imucald.config.base import Settings
 from imucald.config_check import Check
 from imucald.core.errors import ConfigError
+from imucald.core.locations import Document
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml
 from imucald.fleet.fleet_file import FleetSettings
@@ -209,7 +210,7 @@ def test_configurations_in_the_documentation_are_valid() -> None:
         for text in blocks(page, "yaml"):
             if text.startswith("# fleet.yaml"):
                 data, marks = read_yaml(text, page.name)
-                assert typed(data, FleetSettings, marks, page.name, "fleet file").logs
+                assert typed(data, FleetSettings, Document(page.name, marks, "fleet file")).logs
                 continue
             loaded = parse_config(text, page)
             with pytest.raises(ConfigError, match=r"car\.dbc"):  # which nobody has

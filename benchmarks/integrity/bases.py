@@ -155,10 +155,8 @@ def measured(name: str) -> Base | None:
         return None
     if name.startswith("second_world/"):
         return _second_world(name, folder)
-    shipped = MEASURED_DRIVES / f"{name}.yaml"
-    config = shipped if shipped.exists() else folder / "car.yaml"
-    samples = _decoded(name, config, folder / "drive.log.gz")
-    side = open_config(config).config.vehicle.driving_side
+    samples = recorded(name)
+    side = open_config(_configuration(name)).config.vehicle.driving_side
     end = max(float(s.t[-1]) for s in samples.values())
     if name in CREEPING:
         return Base(name, samples, end, np.eye(3), (False, False, False), side=side)
@@ -172,8 +170,19 @@ def measured(name: str) -> Base | None:
     return Base(name, samples, end, R, reference_std=(std[0], std[1], std[2]), side=side)
 
 
+def _configuration(name: str) -> Path:
+    shipped = MEASURED_DRIVES / f"{name}.yaml"
+    return shipped if shipped.exists() else DATA / name / "car.yaml"
+
+
+def recorded(name: str) -> Samples:
+    """All samples of a measured log that is here, in SI units."""
+    logs = DATA / name / "drive.log.gz", DATA / name / "can.log.gz"
+    return _decoded(name, _configuration(name), next(log for log in logs if log.exists()))
+
+
 def _second_world(name: str, folder: Path) -> Base:
-    samples = _decoded(name, folder / "car.yaml", folder / "can.log.gz")
+    samples = recorded(name)
     truth = json.loads((folder / "truth.json").read_text("utf-8"))
     imu = truth["parameters"]["imu"]
     after = truth["mount_after_shift"]

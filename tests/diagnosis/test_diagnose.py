@@ -184,3 +184,25 @@ def test_a_sensitivity_to_the_force_is_no_zero_error_besides():
     d = diagnosed("g_sensitivity")
     assert "g_sensitivity" in names(d)
     assert "gyro_bias" not in {c.name for c in d.causes}
+
+
+@pytest.mark.parametrize("seed", [160_040, 160_041])
+def test_three_elements_of_a_gain_are_one_cause_and_no_zero_error(seed):
+    made = hidden_drive(seed, (Effect("accel_cross_axis", "large"),), 12.0)
+    true = {k: x for k, x in made.truth["accel_cross_axis"].items() if abs(x) > 0.05}
+    assert len(true) == 3
+    d = diagnose([made.samples], model_from_mapping(dict(made.model), "baseline"))
+    (cause,) = d.causes
+    assert cause.name == "accel_cross_axis"
+    assert {k: p.value for k, p in cause.parameters.items()} == pytest.approx(true, abs=0.02)
+
+
+def test_a_ratio_that_is_a_third_lower_is_plausible():
+    """By the slope at the stated one it would be half of it."""
+    made = drive()
+    true = made.parameters["chassis.steering_ratio"]
+    model = model_from_mapping(dict(made.model), "baseline")
+    d = diagnose([made.samples], model.with_changes({"chassis.steering_ratio": 1.5 * true}))
+    (cause,) = d.causes
+    assert cause.name == "steering_ratio"
+    assert cause.parameters["chassis.steering_ratio"].value == pytest.approx(true, rel=0.05)

@@ -11,7 +11,7 @@ FINE, USABLE, SUSPECT = MountState.FINE, MountState.USABLE, MountState.SUSPECT
 
 
 def levels(enough: bool = True) -> tuple[Level, Level]:
-    return Level(FINE, 0.3, 0.7, enough), Level(USABLE, 1.0, 2.0, enough)
+    return Level(FINE, 0.3, 0.7, enough, 1.5), Level(USABLE, 1.0, 2.0, enough, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -22,11 +22,11 @@ def levels(enough: bool = True) -> tuple[Level, Level]:
         (MountState.LEVELLED, 0.2, 0.8, USABLE),
         (MountState.LEVELLED, 1.1, 0.5, None),
         (FINE, 0.4, 0.9, FINE),
-        (FINE, 0.5, 0.9, USABLE),
-        (FINE, 1.3, 2.7, USABLE),
+        (FINE, 0.46, 0.9, USABLE),
+        (FINE, 1.9, 3.9, USABLE),
         (USABLE, 0.4, 0.5, USABLE),
-        (USABLE, 1.39, 0.5, USABLE),
-        (USABLE, 1.41, 0.5, None),
+        (USABLE, 1.99, 0.5, USABLE),
+        (USABLE, 2.01, 0.5, None),
         (SUSPECT, 1.3, 0.5, None),
         (SUSPECT, 0.4, 0.5, USABLE),
     ],
@@ -34,8 +34,8 @@ def levels(enough: bool = True) -> tuple[Level, Level]:
 def test_a_state_is_taken_at_its_limits_and_left_beyond_them(
     before: MountState, yaw: float, tilt: float, found: MountState | None
 ) -> None:
-    assert best_level(levels(), before, yaw, tilt, 1.4) is found
+    assert best_level(levels(), before, yaw, tilt) is found
 
 
 def test_certainty_alone_is_not_enough() -> None:
-    assert best_level(levels(enough=False), MountState.LEVELLED, 0.1, 0.1, 1.4) is None
+    assert best_level(levels(enough=False), MountState.LEVELLED, 0.1, 0.1) is None

@@ -14,7 +14,13 @@ from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.manoeuvres import Manoeuvres
 from imucald.mount.shift import NO_STEPS, UNEVEN_STD, ScoreSeries, largest_change
-from imucald.mount.states import SLACK, MountKnowledge, judged, waiting_for
+from imucald.mount.states import (
+    FINE_SLACK,
+    USABLE_SLACK,
+    MountKnowledge,
+    judged,
+    waiting_for,
+)
 from imucald.simulation import random_model, simulate
 from mount_settings import full
 
@@ -41,14 +47,17 @@ def test_a_small_standard_deviation_without_manoeuvres_is_not_believed():
 
 
 @pytest.mark.parametrize(
-    ("state", "limit"),
-    [(MountState.USABLE, SETTINGS.limits.usable_yaw), (MountState.FINE, SETTINGS.limits.fine_yaw)],
+    ("state", "limit", "slack"),
+    [
+        (MountState.USABLE, SETTINGS.limits.usable_yaw, USABLE_SLACK),
+        (MountState.FINE, SETTINGS.limits.fine_yaw, FINE_SLACK),
+    ],
 )
-def test_a_state_is_left_only_well_beyond_its_limit(state, limit):
-    just_over = known(math.degrees(limit) * (SLACK - 0.05))
+def test_a_state_is_left_only_well_beyond_its_limit(state, limit, slack):
+    just_over = known(math.degrees(limit) * (slack - 0.05))
     assert judged(just_over, MountState.LEVELLED, SETTINGS) != state
     assert judged(just_over, state, SETTINGS) == state
-    assert judged(known(math.degrees(limit) * (SLACK + 0.05)), state, SETTINGS) != state
+    assert judged(known(math.degrees(limit) * (slack + 0.05)), state, SETTINGS) != state
 
 
 def test_a_cross_axis_error_that_no_driving_makes_less_is_the_reason_for_yaw():

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imucald.commands.options import add_config, configuration, print_problems
+from imucald.commands.options import LOG_HELP, add_config, configuration, print_problems
 from imucald.core.extras import how_to_install
 
 if TYPE_CHECKING:
@@ -26,8 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help="one drive each: candump log (.log, .gz, '-' for standard input), or .asc .blf .trc "
-        ".csv .mf4",
+        help=f"one drive each: {LOG_HELP}",
     )
     add_config(parser)
     parser.add_argument(

@@ -33,7 +33,13 @@ def positive(text: str) -> float:
 
 def add_config(parser: argparse.ArgumentParser) -> None:
     """Which configuration, and databases in place of those that it names."""
-    parser.add_argument("--config", required=True, type=Path, metavar="FILE", help="configuration")
+    parser.add_argument(
+        "--config",
+        required=True,
+        type=Path,
+        metavar="FILE",
+        help="configuration (YAML); 'imucald init' proposes one",
+    )
     parser.add_argument(
         "--database",
         action="append",

@@ -33,6 +33,7 @@ def run(options: argparse.Namespace) -> int:
     """Give the order."""
     from imucald.config.calibration import KnownMount
     from imucald.core.errors import ImucaldError
+    from imucald.core.locations import Document
     from imucald.core.typed import typed
 
     try:
@@ -43,5 +44,6 @@ def run(options: argparse.Namespace) -> int:
         raise ImucaldError("--std takes one number, or three about x,y,z such as 0.3,0.3,0.5")
     mount = {f"{name}_deg": getattr(options, name) for name in ANGLES}
     mount |= {"std_deg": given[0] if len(given) == 1 else given, "hold": options.hold}
-    typed(mount, KnownMount, {}, "set-mount", "the mount")  # the daemon's own words are terser
+    # the daemon's own words are terser
+    typed(mount, KnownMount, Document("set-mount", {}, "the mount"))
     return give(options, "set-mount", mount=mount)

@@ -25,7 +25,7 @@ from imucald.config.uds import Uds
 from imucald.config.vehicle import ModelFile, VehicleSettings
 from imucald.config.without_effect import idle_keys, impossible
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Marks, Place, located
+from imucald.core.locations import Document, Marks, Place
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml, read_yaml_file
 
@@ -71,6 +71,7 @@ class LoadedConfig:
         self.config = config
         self.path = path
         self._marks = marks
+        self._document = Document(_name(path), marks, _WHOLE)
 
     def database_path(self, database: DatabaseSettings) -> Path:
         """Return a database's absolute path: relative ones are relative to the configuration."""
@@ -110,7 +111,7 @@ class LoadedConfig:
     def idle_keys(self) -> list[str]:
         """A line for each key of the file that has no effect, with its place and the reason."""
         return [
-            f"{located(_name(self.path), self._marks, place, _WHOLE)}: {why}"
+            f"{self._document.located(place)}: {why}"
             for place, why in idle_keys(self.config, lambda place: place in self._marks)
         ]
 
@@ -120,7 +121,7 @@ class LoadedConfig:
         for part in place:  # a single source may stand where a list of them is meant
             if not isinstance(part, int) or (*written, part) in self._marks:
                 written = (*written, part)
-        return ConfigError(f"{located(_name(self.path), self._marks, written, _WHOLE)}: {text}")
+        return ConfigError(f"{self._document.located(written)}: {text}")
 
 
 def load_config(path: Path) -> LoadedConfig:
@@ -144,7 +145,7 @@ def _checked(data: Any, marks: Marks, path: Path | None) -> LoadedConfig:
     name = _name(path)
     if not isinstance(data, dict):
         raise ConfigError(f"{name}:1: a configuration is a mapping with 'database' and 'signals'")
-    config = typed(data, Config, marks, name, _WHOLE, full=spelled_out(data))
+    config = typed(data, Config, Document(name, marks, _WHOLE), full=spelled_out(data))
     loaded = LoadedConfig(config, path, marks)
     mistakes = [str(loaded.error(place, text)) for place, text in impossible(config)]
     if mistakes:

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import msgspec
 from msgspec import Struct
 
-from imucald.core.locations import Marks, Place, located
+from imucald.core.locations import Document, Place
 
 _NAMES = {
     "float": "a number",
@@ -35,9 +35,7 @@ SHOWN_KEYS = 4
 Mistake = tuple[Place, str]
 
 
-def explain(
-    data: Any, full: Any, kind: Any, marks: Marks, name: str, whole: str, at: Place = ()
-) -> Iterator[str]:
+def explain(data: Any, full: Any, kind: Any, document: Document, at: Place = ()) -> Iterator[str]:
     """One line for each mistake: file, line, key, reason, remedy.
 
     full: the data as checked, with all short forms spelled out; data: as they were written.
@@ -48,7 +46,7 @@ def explain(
         place = (*at, *_real_place(long_place, data))
         if (place, reason) not in reported:
             reported.add((place, reason))
-            yield f"{located(name, marks, place, whole)}: {reason}"
+            yield f"{document.located(place)}: {reason}"
 
 
 def _real_place(long_place: Place, data: Any) -> Place:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 Place = tuple[str | int, ...]
 Marks = dict[Place, int]
@@ -35,11 +35,18 @@ def dotted(place: Place) -> str:
     return text
 
 
-def located(name: str, marks: Marks, place: Place, whole: str = "configuration") -> str:
-    """File, line and key, as every mistake in a YAML file begins.
+class Document(NamedTuple):
+    """What data were read from: the file's name, and the lines that its keys stand in.
 
     marks: empty where the data come from no text; then there is no line. whole: what the file is
     called where no key is to blame.
     """
-    where = f"{name}:{line_of(marks, place)}" if marks else name
-    return f"{where}: {dotted(place) or whole}"
+
+    name: str
+    marks: Marks
+    whole: str = "configuration"
+
+    def located(self, place: Place) -> str:
+        """File, line and key, as every mistake in a YAML file begins."""
+        where = f"{self.name}:{line_of(self.marks, place)}" if self.marks else self.name
+        return f"{where}: {dotted(place) or self.whole}"

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
 
 def median(values: Iterable[float]) -> float:
     """Return the median; of an even number the mean of the middle two. ValueError: no value."""
-    ordered = sorted(values)
-    if not ordered:
+    ordered = np.sort(values) if isinstance(values, np.ndarray) else sorted(values)
+    if not len(ordered):
         raise ValueError("no value has no median")
     middle = len(ordered) // 2
     if len(ordered) % 2:
         return float(ordered[middle])
-    return (ordered[middle - 1] + ordered[middle]) / 2.0
+    return float((ordered[middle - 1] + ordered[middle]) / 2.0)

@@ -8,7 +8,7 @@ import msgspec
 
 from imucald.core.errors import ConfigError
 from imucald.core.explain import explain
-from imucald.core.locations import Marks, Place, infinite_places, located
+from imucald.core.locations import Document, Place, infinite_places
 
 T = TypeVar("T")
 
@@ -16,21 +16,19 @@ T = TypeVar("T")
 def typed(
     data: Any,
     kind: type[T],
-    marks: Marks,
-    name: str,
-    whole: str,
+    document: Document,
     *,
     full: Any = None,
     at: Place = (),
 ) -> T:
     """Return data as a value of a kind (a msgspec structure, or any type of a field).
 
-    marks, name: lines and file that the data come from. whole: what the file is. full: the data
-    with all short forms spelled out, where they have any. at: the key that the data stand at.
+    full: the data with all short forms spelled out, where they have any. at: the key that the
+    data stand at.
     Raises ConfigError with one line for each mistake.
     """
     infinite = [
-        f"{located(name, marks, (*at, *place), whole)}: must be a finite number"
+        f"{document.located((*at, *place))}: must be a finite number"
         for place in infinite_places(data)
     ]
     if infinite:
@@ -39,6 +37,6 @@ def typed(
     try:
         return msgspec.convert(full, kind)
     except (ValueError, OverflowError) as error:  # msgspec.ValidationError is a ValueError
-        lines = list(explain(data, full, kind, marks, name, whole, at))
-        lines = lines or [f"{located(name, marks, at, whole)}: {error}"]
+        lines = list(explain(data, full, kind, document, at))
+        lines = lines or [f"{document.located(at)}: {error}"]
         raise ConfigError("\n".join(lines)) from None

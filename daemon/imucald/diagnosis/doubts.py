@@ -21,7 +21,9 @@ from imucald.diagnosis.trials import Trial
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
     """Take back what may be owed to structure that is left, to a fault, or to a low-pass."""
     every = [fault for part in faults for fault in part]
-    clipped = {fault.signal for fault in every if fault.cause == "saturation"}
+    shifted = {fault.signal for fault in every if fault.cause == "saturation"}
+    # A cause is missing there, and gains and zeros take its place; a delay shows in the timing.
+    shifted |= {name for s in left if s.kind == NOT_PLAUSIBLE for name in TAKES[s.signal]}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
     missing = max((t.shown for t in state.implausible), default=0.0)
@@ -42,7 +44,7 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         # Where the largest values are lost, what is left of them is no fair sample: a slope that is
         # fitted to it is off (truncated regression; Hausman and Wise 1977).
         sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
-        return bool(sensors & clipped) or _may_be_a_low_pass(state.table, trial, delays)
+        return bool(sensors & shifted) or _may_be_a_low_pass(state.table, trial, delays)
 
     unsettle(state, is_doubtful)
     if left:

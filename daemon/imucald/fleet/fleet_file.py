@@ -12,7 +12,7 @@ import msgspec
 
 from imucald.config.base import Settings
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Marks, located
+from imucald.core.locations import Document, Marks
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.fleet.bundle import Bundle, bundle_of
@@ -76,7 +76,9 @@ class Fleet:
         self.bundles: dict[str, Bundle] = {b.name: b for b in (self.default, *others)}
 
     def _error(self, key: str, text: str) -> ConfigError:
-        return ConfigError(f"{located(str(self._path), self._marks, (key,), _WHOLE)}: {text}")
+        return ConfigError(
+            f"{Document(str(self._path), self._marks, _WHOLE).located((key,))}: {text}"
+        )
 
     def _read_vehicles(self) -> dict[str, list[VehicleFacts]]:
         if self.settings.vehicles is None:
@@ -137,7 +139,7 @@ def read_settings(
     if not isinstance(data, dict):
         raise ConfigError(f"{path}:1: a fleet file is a mapping with 'logs' and 'config'")
     data = data | dict(changes or {})
-    return typed(data, FleetSettings, marks, str(path), _WHOLE), marks
+    return typed(data, FleetSettings, Document(str(path), marks, _WHOLE)), marks
 
 
 def patterns(settings: FleetSettings) -> Sequence[str]:

@@ -99,7 +99,7 @@ class Conversion(Struct, frozen=True):
         codes[~np.isfinite(physical)] = 2
         for number in self.not_available:
             codes[raw == number] = 1
-        if codes.any():
+        if np.count_nonzero(codes):
             values = np.where(codes == OK, values, np.nan)
         return values, codes
 

@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from imucald.core.errors import ConfigError
+from imucald.core.locations import Document
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.model.plain import plain
@@ -122,7 +123,7 @@ def model_from_mapping(data: Mapping[str, Any], name: str) -> VehicleModel:
 
     name: what the texts call it.
     """
-    return typed(plain(data), VehicleModel, {}, name, WHOLE)
+    return typed(plain(data), VehicleModel, Document(name, {}, WHOLE))
 
 
 def load_model(path: Path | str) -> VehicleModel:
@@ -131,4 +132,4 @@ def load_model(path: Path | str) -> VehicleModel:
     Raises ConfigError with one line for each mistake: file, line, key, reason, remedy.
     """
     data, marks = read_yaml_file(Path(path), WHOLE)
-    return typed({} if data is None else data, VehicleModel, marks, str(path), WHOLE)
+    return typed({} if data is None else data, VehicleModel, Document(str(path), marks, WHOLE))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from imucald.core.errors import ConfigError
-from imucald.core.locations import Marks, located
+from imucald.core.locations import Document, Marks
 from imucald.core.typed import typed
 from imucald.core.yaml_lines import read_yaml_file
 from imucald.model.model import WHOLE, VehicleModel
@@ -29,11 +29,11 @@ class WrittenModel:
     """
 
     def __init__(self, data: Any, marks: Marks, name: str) -> None:
-        self._marks, self._name = marks, name
+        self._document = Document(name, marks, WHOLE)
         self._mistakes: dict[str, None] = {}
         data = {} if data is None else plain(data)
         if not isinstance(data, dict):
-            raise ConfigError(f"{located(name, marks, (), WHOLE)}: must be a mapping of sections")
+            raise ConfigError(f"{self._document.located(())}: must be a mapping of sections")
         self._data: dict[str, dict[str, Any]] = {}
         self.unknown: list[str] = []
         for section, content in data.items():
@@ -75,7 +75,7 @@ class WrittenModel:
             return absent
         data, place = self._data[section][key], (section, key)
         try:
-            return typed(data, types[key], self._marks, self._name, WHOLE, at=place)
+            return typed(data, types[key], self._document, at=place)
         except ConfigError as error:
             self._mistakes |= dict.fromkeys(str(error).splitlines())
             return absent
@@ -83,7 +83,7 @@ class WrittenModel:
     def refuse(self, section: str, key: str | None, reason: str) -> None:
         """Note a mistake that the schema does not know of."""
         place = (section,) if key is None else (section, key)
-        self._mistakes[f"{located(self._name, self._marks, place)}: {reason}"] = None
+        self._mistakes[f"{self._document.located(place)}: {reason}"] = None
 
     def check(self) -> None:
         """Raise ConfigError with a line for each mistake so far, if there is any."""

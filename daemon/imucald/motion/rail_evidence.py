@@ -60,20 +60,19 @@ class Pile(Struct):
 
         What was sent twice is not new. side: 0 for the largest value, 1 for the smallest, negated.
         """
-        rows, first, stop = at.rows, at.rows.edges[at.h], at.rows.edges[at.h + 1]
-        before = rows.samples[:, first - 1] if first else rows.before
-        hop = np.column_stack([before, rows.samples[:, first:stop]])
-        own = hop[axis] if side == 0 else -hop[axis]
+        samples, first, stop = at.rows.samples, at.rows.edges[at.h], at.rows.edges[at.h + 1]
+        sample = value if side == 0 else -value
         at_it, seen = self.at_it, self.seen
-        for k in np.flatnonzero(own[1:] == value).tolist():
-            two = hop[:, k : k + 2]
+        for k in (first + np.flatnonzero(samples[axis, first:stop] == sample)).tolist():
+            before = samples[:, k - 1 : k] if k else at.rows.before[:, None]
+            two = np.concatenate([before, samples[:, k : k + 1]], axis=1)
             if len(seen) == MOST_SAMPLES or (two[:, 0] == two[:, 1]).all():
                 continue
             known = len(seen)
             seen[two.tobytes()] = None
             if len(seen) > known:
                 self.at_it += 1
-                self.stays += bool(own[k] == value)
+                self.stays += bool(two[axis, 0] == sample)
         return self.at_it > at_it
 
     def count_stay_once(self) -> None:

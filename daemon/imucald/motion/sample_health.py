@@ -38,6 +38,8 @@ SOUND_S = 10.0
 pauses, of which each costs two seconds at most."""
 SPEED_HOPS = 6
 """A speed is known for so many hops (3 s): sources of one a second, with two lost."""
+BRAKING = 4.0
+"""A vehicle whose speed was heard some time ago may have braked since by so much [m/s^2]."""
 NOISE: Mapping[str, float] = {"accel": 0.0018, "gyro": 0.00012, "mag": 8e-8}
 """Noise densities of consumer sensors per root of hertz: 180 ug, 0.007 deg/s (BMI160 data sheet),
 0.6 uT rms at 20 Hz and more (BMM150 data sheet, regular preset: 0.08 uT by that is less)."""
@@ -275,7 +277,8 @@ class SampleHealth:
         self._speed_age += 1
         if speed is not None:
             self._speed, self._speed_age = speed, 0
-        moves = self._speed_age < SPEED_HOPS and abs(self._speed) > ROLLING_SPEED
+        least = ROLLING_SPEED + BRAKING * HOP_S * self._speed_age
+        moves = self._speed_age < SPEED_HOPS and abs(self._speed) > least
         before, self._moved = self._moved, moves
         return moves and before
 

@@ -48,6 +48,8 @@ UNIT_CHANGES = 8
 coarser than its noise, or that comes seldom, has a few, and how many is chance."""
 OTHER_CHANGE = 4.0
 """A road that became rough is felt by the other sensor too: then it is no unit."""
+SOME_CHANGES = 3
+"""Of a quieter axis fewer are left: one alone is that of a sender that had stopped."""
 USUAL_HOPS = 20
 """Hops of driving (10 s) whose mean noise is that of a unit: a road is up to four times as rough as
 another, and half way to the nearest unit, as a ratio, is 7.6 times."""
@@ -97,7 +99,7 @@ class StuckAxis:
         self.moving, self._resting = Runs(), Runs()
         self._moved_run = self._moved_hops = self._hops = self._run = 0
         self._rested = False
-        self._all_hops = 0
+        self._rest_hops = 0
         self.stuck = False
 
     def restart(self) -> None:
@@ -110,7 +112,7 @@ class StuckAxis:
 
         count, ended, longest, run, q: of the axis, as `HopRows` has count .. run and step.
         """
-        self._all_hops += 1
+        self._rest_hops += not moving
         open_before, self._run = self._run, run
         if ended:
             if not self.stuck:  # else the longest is the one that was stuck
@@ -137,8 +139,11 @@ class StuckAxis:
                 return True
             if self.moving.count < MIN_RUNS and self._moved_hops >= DEAD_HOPS:
                 return True
-        changes = (self.moving.count + self._resting.count) / (self._all_hops * HOP_S)
-        if self._hops < SHORTEST_HOPS or q > FINE_STEP * self._noise * math.sqrt(0.5 * changes):
+        if self._hops < SHORTEST_HOPS or not self._rest_hops:
+            return False
+        # noise changes twice in its bandwidth, which a filter in the sensor makes less
+        bandwidth = 0.5 * self._resting.count / (self._rest_hops * HOP_S)
+        if q > FINE_STEP * self._noise * math.sqrt(bandwidth):
             return False
         return run > self._resting.limit()
 
@@ -210,9 +215,12 @@ class UnitChange:
             np.concatenate(pair) for pair in zip(self._before, new, strict=True)
         )
         self._before = level[-4:], count[-4:], other[-4:], moved[-4:]
-        up, known = _ratio(level), (_fewest(count) >= UNIT_CHANGES).all(axis=1)
-        more = known & ((self._low < up) & (up < self._high)).all(axis=1)
-        less = known & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
+        up, (early, late), (_, some) = _ratio(level), _enough(count), _enough(count, SOME_CHANGES)
+        lowest, highest = _within_five(moved[:, 0])
+        more = early & late & ((self._low < up) & (up < self._high)).all(axis=1)
+        # at rest a hand may have let go; what shakes in driving becomes less by a unit alone
+        late |= some & (lowest > 0.0)
+        less = early & late & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
         sign = more.astype(np.int64) - less.astype(np.int64)
         out = np.zeros(len(up), dtype=bool)
         if not sign.any() and not self._changed:
@@ -221,9 +229,8 @@ class UnitChange:
                 self._usual.add(size)
             return out
         same = np.abs(np.log(np.maximum(_ratio(other)[:, 0], 1e-9))) < math.log(OTHER_CHANGE)
-        says = _fewest(other)[:, 1] >= UNIT_CHANGES
         # a sensor that cannot say whether a vehicle moves off does not say that it does not
-        felt = np.where(says, ~same, _moves_off(moved[:, 0]))
+        felt = np.where(np.logical_and(*_enough(other[:, 1:])), ~same, lowest != highest)
         for h, found in enumerate((sign * ~felt).tolist()):
             if found and not self._wait:
                 # Not more than one step away from the unit of the first samples.
@@ -261,15 +268,16 @@ class _MeanLog:
             self.mean += (math.log(size) - self.mean) / self.count
 
 
-def _fewest(count: Array) -> Array:
-    """The fewer of the changes in two hops and in two before, one between left out."""
-    return np.minimum(count[:-4] + count[1:-3], count[3:-1] + count[4:])
+def _enough(count: Array, least: int = UNIT_CHANGES) -> tuple[Flags, Flags]:
+    """Whether every axis changed often enough in two hops, and in two later, one left out."""
+    early, late = count[:-4] + count[1:-3], count[3:-1] + count[4:]
+    return (early >= least).all(axis=1), (late >= least).all(axis=1)
 
 
-def _moves_off(moved: Array) -> Flags:
-    """Whether the vehicle began or ceased to move within five hops."""
-    each = np.lib.stride_tricks.sliding_window_view(moved, UNIT_HOPS)
-    return np.asarray(each.min(axis=1) != each.max(axis=1))
+def _within_five(moved: Array) -> tuple[Array, Array]:
+    """Smallest and largest of every five hops: both 1 where the vehicle moved in all of them."""
+    five = np.lib.stride_tricks.sliding_window_view(moved, UNIT_HOPS)
+    return five.min(axis=1), five.max(axis=1)
 
 
 def _ratio(level: Array) -> Array:

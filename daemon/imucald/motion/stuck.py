@@ -148,8 +148,9 @@ class StuckSpeed:
         if abs(speed[0] - self._value) <= SAME_SPEED:
             lasted[0] += self._lasted
         driving = np.abs(speed[first]) > DRIVING_SPEED
-        stuck = driving & (lasted > self._limit())
+        stuck = driving & (lasted > MIN_STUCK_S)
         if np.count_nonzero(stuck):
+            stuck &= lasted > self._limit()
             for begin, end in zip(begins[stuck].tolist(), ends[stuck].tolist(), strict=True):
                 out[begin : end + 1] = True
         over = driving & ~stuck & (ends < leaving)

@@ -58,14 +58,19 @@ class StuckYawRate:
         first, last, change = runs_of(value, SAME_RATE)
         begins, ends = at[first], at[last]
         turned = np.where(driving, np.convolve(turning, SMOOTH, mode="same"), math.nan)
-        low, high = np.fmin.reduceat(turned, begins), np.fmax.reduceat(turned, begins)
-        driven = np.append(0.0, np.cumsum(driving))
+        driven = np.zeros(len(rows) + 1)
+        np.cumsum(driving, out=driven[1:])
         lasted = driven[ends + 1] - driven[begins]
-        if abs(value[0] - self._value) <= SAME_RATE:
+        goes_on = abs(value[0] - self._value) <= SAME_RATE
+        if goes_on:
             lasted[0] += self._lasted
-            low[0], high[0] = np.fmin(low[0], self._low), np.fmax(high[0], self._high)
-        limit, least = self._limits()
-        stuck = (lasted > limit) & (high - low > least)
+        stuck = lasted > MIN_STUCK_S / TICK_S
+        if np.count_nonzero(stuck):
+            low, high = np.fmin.reduceat(turned, begins), np.fmax.reduceat(turned, begins)
+            if goes_on:
+                low[0], high[0] = np.fmin(low[0], self._low), np.fmax(high[0], self._high)
+            limit, least = self._limits()
+            stuck = (lasted > limit) & (high - low > least)
         for begin, end in zip(begins[stuck].tolist(), ends[stuck].tolist(), strict=True):
             out[begin : end + 1] = True
         over = ~stuck & (ends < leaving) & (lasted > 0.0)

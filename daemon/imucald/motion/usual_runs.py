@@ -31,8 +31,10 @@ class EqualRuns(NamedTuple):
 def runs_of(values: Array, same: float) -> EqualRuns:
     """The runs in values (N,), N > 0, that differ by no more than `same` from one to the next."""
     change = np.abs(values[1:] - values[:-1])
-    last = np.append(np.flatnonzero(change > same), len(values) - 1)
-    return EqualRuns(np.append(0, last[:-1] + 1), last, change)
+    ended = np.flatnonzero(change > same)
+    first, last = np.zeros((2, len(ended) + 1), np.int64)
+    first[1:], last[:-1], last[-1] = ended + 1, ended, len(values) - 1
+    return EqualRuns(first, last, change)
 
 
 class UsualRuns:
@@ -44,6 +46,8 @@ class UsualRuns:
 
     def add(self, lasted: Array, change: Array) -> None:
         """Remember runs that ended: (M,) how long, (M,) the change after."""
+        if not len(lasted):
+            return
         place = (self._ended + np.arange(len(lasted))) % RUNS_REMEMBERED
         self._runs[place, 0], self._runs[place, 1] = lasted, change
         self._ended += len(lasted)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 from msgspec import Struct, field
@@ -43,7 +44,7 @@ class Limits(NamedTuple):
     fine_tilt: float
 
 
-class MountSettings(Struct, frozen=True):
+class MountSettings(Struct, frozen=True, dict=True):
     """What both estimators take from the configuration, and what a model file knows better.
 
     crown_mean: mean lean of the roads towards the kerb (tangent); None: the configuration's.
@@ -56,13 +57,13 @@ class MountSettings(Struct, frozen=True):
     vehicle: VehicleSettings = field(default_factory=VehicleSettings)
     crown_mean: float | None = None
 
-    @property
+    @cached_property
     def crown(self) -> float:
         """Expected lean as roll of the vehicle [rad]: positive where traffic keeps right."""
         mean = self.vehicle.crown_mean if self.crown_mean is None else self.crown_mean
         return self.vehicle.kerb * mean
 
-    @property
+    @cached_property
     def limits(self) -> Limits:
         """Limits of the states: the configured ones, else the estimator's own."""
         given, own = self.calibration.states, self.OWN_LIMITS
@@ -73,7 +74,7 @@ class MountSettings(Struct, frozen=True):
             given.fine_tilt or own.fine_tilt,
         )
 
-    @property
+    @cached_property
     def targets(self) -> Targets:
         """The same about each axis of the vehicle, with the crown that roll cannot be rid of."""
         limits, crown = self.limits, self.vehicle.crown_std

@@ -95,7 +95,7 @@ class GravityEvidence:
         if moved:
             self._stop_used, self._resting = 0.0, False
         resting = p.rest & use
-        n = int(resting.sum())
+        n = np.count_nonzero(resting)
         if n:
             if not self._resting:
                 self._resting = True

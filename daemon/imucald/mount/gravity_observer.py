@@ -194,27 +194,27 @@ class GravityObserver:
         gain = np.where(count > SETTLE_TICKS, pull, np.maximum(pull, 1.0 / np.maximum(count, 1)))
         gain = np.where(use, gain, 0.0)[:, None, None]
         self._n = int(count[-1])
-        whole = np.empty((n, 3, 7))  # turn, then target
-        whole[:, :, :3] = (1.0 - gain) * turn
+        # a carry is a matrix (7, 7): it turns the state's rows, and adds the target, which stands
+        # below them as it is
+        whole = np.zeros((n, 7, 7))
+        whole[:, :3, :3] = (1.0 - gain) * turn
         if first:
-            whole[:first, :, :3] = _EYE  # nothing to turn yet
-        whole[:, :, 3] = (gain[:, 0] / GRAVITY) * force
-        whole[:, :, 4:] = gain * _EYE
-        carries = whole.reshape(-1, CARRY_TICKS, 3, 7)
-        alone = carries[:, :, :, :3].copy()
+            whole[:first, :3, :3] = _EYE  # nothing to turn yet
+        whole[:, :3, 3] = (gain[:, 0] / GRAVITY) * force
+        whole[:, :3, 4:] = gain * _EYE
+        whole[:, 3:, 3:] = np.eye(4)
+        carries = whole.reshape(-1, CARRY_TICKS, 7, 7)
+        each = carries[:, :, :3].copy()
         for j in range(1, CARRY_TICKS):
-            before = alone[:, j] @ carries[:, j - 1]
-            before[:, :, 3:] += carries[:, j, :, 3:]
-            carries[:, j] = before
-        starts = np.empty((len(carries), 1, 3, 7))
+            np.matmul(each[:, j], carries[:, j - 1], out=carries[:, j, :3])
+        starts = np.zeros((len(carries), 1, 7, 7))
+        starts[:, 0, 3:, :4] = np.eye(4)
         state = np.concatenate([self._state, _EYE], axis=1)
         np.matmul(turn[0], state, out=states[0])
-        for carry, end in enumerate(carries[:, -1]):
-            starts[carry, 0] = state
-            state = end[:, :3] @ state
-            state[:, :4] += end[:, 3:]
-        drawn = carries[:, :, :, :3] @ starts
-        drawn[:, :, :, :4] += carries[:, :, :, 3:]
+        for start, end in zip(starts[:, 0], carries[:, -1, :3], strict=True):
+            start[:3] = state
+            state = end @ start
+        drawn = carries[:, :, :3] @ starts
         np.matmul(turn[1:], drawn.reshape(n, 3, 7)[:-1], out=states[1:])
         states[:first] = 0.0
         self._state, self._end = state[:, :4], state[:, 4:]

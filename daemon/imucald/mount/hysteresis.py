@@ -15,24 +15,26 @@ class Level(NamedTuple):
     """A good state, and what it takes.
 
     yaw_std, tilt_std: largest standard deviations [rad]. enough: whether enough was driven for it.
+    slack: once reached it is left only beyond its limits times this.
     """
 
     state: MountState
     yaw_std: float
     tilt_std: float
     enough: bool
+    slack: float
 
 
 def best_level(
-    levels: Iterable[Level], before: MountState, yaw_std: float, tilt_std: float, slack: float
+    levels: Iterable[Level], before: MountState, yaw_std: float, tilt_std: float
 ) -> MountState | None:
     """Return the first state whose limits hold, None where none does.
 
     levels: the best first. before: the state so far; its own limits, and those of lesser levels,
-    are taken times the slack.
+    are taken times their slack.
     """
     for level in levels:
-        times = slack if before in GOOD and before >= level.state else 1.0
+        times = level.slack if before in GOOD and before >= level.state else 1.0
         yaw_holds = yaw_std < level.yaw_std * times
         tilt_holds = tilt_std < level.tilt_std * times
         if level.enough and yaw_holds and tilt_holds:

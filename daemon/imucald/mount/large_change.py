@@ -220,6 +220,8 @@ class LargeChangeDetector:
         first = 0
         if not rest.all():  # it has moved within the block: another stop, if any
             self._forget_standing()
+            if not rest[-1]:
+                return None
             first = int(np.flatnonzero(~rest)[-1]) + 1
         ticks = np.concatenate([p.force, p.rate * p.ok_rate[:, None]], axis=1)[first:]
         standing = np.concatenate([self._standing, ticks])

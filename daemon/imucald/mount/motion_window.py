@@ -82,7 +82,7 @@ class MotionWindow:
         keep_mean: the means of the columns count as well. needs_motion: without motion by the
         speed it shows nothing.
         """
-        if self._mask.sum() < LEAST_TICKS:
+        if np.count_nonzero(self._mask) < LEAST_TICKS:
             return None
         s = spectra(self._values, self._mask, keep_mean=keep_mean)
         power = s[:, 3:5].real ** 2 + s[:, 3:5].imag ** 2

@@ -308,13 +308,15 @@ def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, 
     inverse = np.array([fit.inverse for fit in fits])
     n = rows[:, :, 0]
     spans = np.minimum(spans, n.shape[1] - 1)
+    longest = int(spans.max())
+    new, backwards = slice(-longest, None), slice(-1, -longest - 1, -1)
     old = (np.arange(n.shape[1]) < (n.shape[1] - spans)[:, None]).astype(np.float64)  # (S, G)
-    w = np.cumsum(rows[:, ::-1], axis=1)[:, spans - 1]
+    w = np.cumsum(rows[:, backwards], axis=1)[:, spans - 1]
     turned = w @ inverse
     known = w[:, :, 0] - (turned * w).sum(axis=2)
     use = known > MIN_KNOWN * n.sum(axis=1)[:, None]
     known = np.where(use, known, 0.0)
-    size = np.cumsum(left[:, ::-1], axis=1)[:, spans - 1] / np.where(use, known, 1.0) * use
+    size = np.cumsum(left[:, backwards], axis=1)[:, spans - 1] / np.where(use, known, 1.0) * use
     # against the fit to the old ones
     alone = left[:, None] + size[:, :, None] * (turned @ rows.transpose(0, 2, 1))
     expected = np.maximum(n - ((rows @ inverse) * rows).sum(axis=2), 0.0)
@@ -323,8 +325,9 @@ def _changes_of(fits: list[AngleFit], spans: NDArray[np.int64]) -> tuple[Array, 
     scale = (PRIOR_SEGMENTS * PRIOR_SPREAD + segments * np.maximum(ratio, MIN_SPREAD)) / (
         PRIOR_SEGMENTS + segments
     )
-    limit = CLIP * np.sqrt(scale[:, :, None] * n[:, None])
-    clipped = ((1.0 - old) * np.clip(alone, -limit, limit)).sum(axis=2)
+    limit = CLIP * np.sqrt(scale[:, :, None] * n[:, None, new])
+    clipped = np.minimum(np.maximum(alone[:, :, new], -limit), limit)
+    clipped = ((1.0 - old[:, new]) * clipped).sum(axis=2)
     return clipped / np.maximum(w[:, :, 0], 1e-12) * use, known / scale
 
 

@@ -166,7 +166,7 @@ class MountSolver:
         return bool(self.fused.variance[2] - unseen < SURE_STD**2)
 
     def _turn_rate(self, p: SignalBlock, up: Array | None) -> Array:
-        if up is not None and p.ok_rate.mean() > 0.5:
+        if up is not None and np.count_nonzero(p.ok_rate) > 0.5 * len(p.ok_rate):
             self.own_gyro = True
             return np.asarray(p.rate @ up)
         self.own_gyro = False

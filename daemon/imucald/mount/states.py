@@ -11,8 +11,10 @@ from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.hysteresis import GOOD, Level, best_level
 from imucald.mount.manoeuvres import HARD_ACCEL
 
-SLACK = 1.4
-"""A state that was reached is left only beyond its limit times this."""
+FINE_SLACK, USABLE_SLACK = 1.4, 2.0
+"""A state that was reached is left only beyond its limit times this. A deviation that half a dozen
+pieces of evidence gave is itself known to 30 % (1 / sqrt(2 n)): twice its limit is beyond what
+chance makes of a mount that nothing contradicts. Frames go on with the deviation that is stated."""
 NEEDED = 3
 """Launches or brakings before yaw can be usable."""
 
@@ -44,10 +46,10 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     limits = s.limits
     enough = known.straight >= NEEDED or before in GOOD
     levels = (
-        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough),
-        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, enough),
+        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough, FINE_SLACK),
+        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, enough, USABLE_SLACK),
     )
-    return best_level(levels, before, yaw, max(roll, pitch), SLACK) or MountState.LEVELLED
+    return best_level(levels, before, yaw, max(roll, pitch)) or MountState.LEVELLED
 
 
 def reported(

@@ -216,9 +216,10 @@ class Pipeline:
             rows.append(self.correction)
             quality.append(self.quality)
             closed = ticks_from_samples(samples, first + 1, last, rejected)
+            all_fit = not any(faults)
             while self.k < last:
                 left = closed[self.k - first - 1 :]
-                quiet = 0 if any(faults) else self._keep_quiet(left, taken)
+                quiet = self._keep_quiet(left, taken) if all_fit else 0
                 if not quiet:
                     row = left[0].tolist()
                     self._close(row, taken, faults[(self.k + 1) // HOP_TICKS - hop])

@@ -107,15 +107,20 @@ class TimeBase:
         stop, width, newest = start, 64, self._newest
         while stop < len(stamps):
             rows = stamps[stop : stop + width]
-            before = np.maximum.accumulate(np.concatenate([[newest], rows]))[:-1]
+            stop += len(rows)
+            width *= 2
+            before = np.concatenate([[newest], rows[:-1]])
+            change = rows - before
+            if change.min() >= 0.0 and change.max() <= min(FORWARD_STEP, BACKWARD_STEP):
+                newest = float(rows[-1])  # as nearly always
+                continue
+            before = np.maximum.accumulate(before)
             change = rows - before
             limit = np.where(rows > self._highest, FORWARD_STEP, BACKWARD_STEP)
             bad = np.flatnonzero((change < -BACKWARD_STEP) | (change > limit))
             if len(bad):
-                return stop + int(bad[0])
+                return stop - len(rows) + int(bad[0])
             newest = max(float(before[-1]), float(rows[-1]))
-            stop += len(rows)
-            width *= 2
         return stop
 
     def _begin_segment(self, stamp: float) -> None:

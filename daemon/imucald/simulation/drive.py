@@ -139,13 +139,9 @@ def simulate(model: VehicleModel, seed: int, minutes: float) -> Drive:
     placed = mounts(model.mount)
     samples: dict[str, Series] = {}
     if model.accel.enabled:
-        samples["accel"] = accel_series(
-            model.accel, model.temperature, placed, body.force, driving.speed, seed, rate
-        )
+        samples["accel"] = accel_series(model, placed, body, driving.speed, seed)
     if model.gyro.enabled:
-        samples["gyro"] = gyro_series(
-            model.gyro, model.temperature, placed, body.rate, body.force, driving.speed, seed, rate
-        )
+        samples["gyro"] = gyro_series(model, placed, body, driving.speed, seed)
     signals = VehicleSignals(model, seed, driving, handling, body)
     samples.update(signals.all())
     if model.heading.enabled:

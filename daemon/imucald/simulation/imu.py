@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, rotation_from_angles
 from imucald.core.samples import Series
-from imucald.model.sensors import Accelerometer, Gyroscope, Temperature, TriaxialSensor
+from imucald.model.model import VehicleModel
+from imucald.model.sensors import Temperature, TriaxialSensor
 from imucald.model.vehicle import Mount
+from imucald.simulation.body import BodyMotion
 from imucald.simulation.filters import Array, butterworth, filtered, generator
 from imucald.simulation.timing import Timing, at_times, frame_timing, quantised
 
@@ -56,16 +58,11 @@ def temperature_at(temperature: Temperature, t: Array) -> Array:
 
 
 def accel_series(
-    accel: Accelerometer,
-    temperature: Temperature,
-    mount: Mounts,
-    force: tuple[Array, Array, Array],
-    speed: Array,
-    seed: int,
-    rate: float,
+    model: VehicleModel, mount: Mounts, body: BodyMotion, speed: Array, seed: int
 ) -> Series:
-    """Accelerometer samples from the specific force in body axes on the grid."""
-    shaken = list(force)
+    """Accelerometer samples of a moving body, at the model's `grid_hz`; speed: (N,) [m/s]."""
+    accel, rate = model.accel, model.grid_hz
+    shaken = list(body.force)
     if accel.vibration:
         rng = generator(seed, "vibration:accel")
         amount = np.sqrt(np.abs(speed) / REFERENCE_SPEED_MPS)
@@ -76,21 +73,15 @@ def accel_series(
     timing = frame_timing(accel, "accel", seed, (len(speed) - 1) / rate)
     values = _sampled(accel, shaken, timing, rate)
     values = turned(mount, timing.sampled - accel.delay_s, values)
-    return _finished(accel, "accel", temperature, timing, values, seed)
+    return _finished(accel, "accel", model.temperature, timing, values, seed)
 
 
 def gyro_series(
-    gyro: Gyroscope,
-    temperature: Temperature,
-    mount: Mounts,
-    angular_rate: tuple[Array, Array, Array],
-    force: tuple[Array, Array, Array],
-    speed: Array,
-    seed: int,
-    rate: float,
+    model: VehicleModel, mount: Mounts, body: BodyMotion, speed: Array, seed: int
 ) -> Series:
-    """Gyroscope samples from the angular rate (and force, for g-sensitivity) in body axes."""
-    shaken = list(angular_rate)
+    """Gyroscope samples of a moving body (its force for g-sensitivity); else as `accel_series`."""
+    gyro, rate = model.gyro, model.grid_hz
+    shaken = list(body.rate)
     if gyro.vibration and gyro.vibration_radps > 0.0:
         rng = generator(seed, "vibration:gyro")
         amount = gyro.vibration_radps * np.sqrt(np.abs(speed) / REFERENCE_SPEED_MPS)
@@ -99,9 +90,9 @@ def gyro_series(
     when = timing.sampled - gyro.delay_s
     values = turned(mount, when, _sampled(gyro, shaken, timing, rate))
     if any(gyro.g_sensitivity):
-        felt = turned(mount, when, _sampled(gyro, list(force), timing, rate))
+        felt = turned(mount, when, _sampled(gyro, list(body.force), timing, rate))
         values += np.array(gyro.g_sensitivity) * felt
-    return _finished(gyro, "gyro", temperature, timing, values, seed)
+    return _finished(gyro, "gyro", model.temperature, timing, values, seed)
 
 
 def _sampled(

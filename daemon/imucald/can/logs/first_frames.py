@@ -61,7 +61,7 @@ class FirstFrames:
         the time stamps are not in seconds."""
         if len(frames) < MIN_FRAMES:
             return
-        factor = _by_date(median(frames.t.tolist())) or self._by_cycles(frames)
+        factor = _by_date(median(frames.t)) or self._by_cycles(frames)
         if factor is not None:
             raise LogError(
                 f"{path}: its time stamps are {UNITS[factor]}, it seems, such as "
@@ -81,7 +81,7 @@ class FirstFrames:
             for index in sorted(set(frames.channel[ours].tolist())):
                 if match.channel in (None, frames.channels[index]):
                     between = np.diff(frames.t[ours & (frames.channel == index)])
-                    found += [median(between.tolist()) / cycle] if len(between) else []
+                    found += [median(between) / cycle] if len(between) else []
         if len(found) < MIN_MESSAGES:
             return None
         least, most = min(found), max(found)

@@ -43,10 +43,10 @@ def _good(known: TiltAndAngle, before: MountState, s: PublishedSettings) -> Moun
     usable = n >= s.usable_manoeuvres
     fine = n >= s.fine_manoeuvres and usable
     levels = (
-        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, fine),
-        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, usable),
+        Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, fine, s.hysteresis),
+        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, usable, s.hysteresis),
     )
-    return best_level(levels, before, angle.std, tilt.std, s.hysteresis)
+    return best_level(levels, before, angle.std, tilt.std)
 
 
 def waiting_for(known: TiltAndAngle, s: PublishedSettings) -> dict[str, tuple[str, Missing]]:
