@@ -99,9 +99,9 @@ def _measured(case: Case) -> tuple[Samples, VehicleModel, tuple[str, ...], Any]:
     """A piece with an effect, and the model that the other pieces gave."""
     log = read_log(case.log)
     pieces = log.pieces(case.pieces)
-    model = _model(case)
+    model = piece_model(case)
     samples = pieces[case.piece]
-    rng, R = _rng(case), mount_of(model)
+    rng, R = rng_of(case), mount_of(model)
     if case.part == "outside":
         made = of_medium_size(case)
         if made is None:
@@ -129,7 +129,7 @@ def of_medium_size(case: Case) -> tuple[Samples, float, Seen] | None:
     put, size, needs = OUTSIDE[case.effect]
     if needs not in samples:
         return None
-    model = _model(case)
+    model = piece_model(case)
     try:
         ideal = _ideal(case.log, case.pieces, case.piece)
     except EstimateError:
@@ -137,7 +137,7 @@ def of_medium_size(case: Case) -> tuple[Samples, float, Seen] | None:
     made = []
     for factor in FACTORS:
         changed = dict(samples)
-        put(changed, factor * size, _rng(case), mount_of(model))
+        put(changed, factor * size, rng_of(case), mount_of(model))
         seen = ideal.of(changed)[0]
         made.append((changed, factor * size, seen))
         if seen.ratio >= 1.0:
@@ -148,14 +148,14 @@ def of_medium_size(case: Case) -> tuple[Samples, float, Seen] | None:
 @cache
 def _ideal(log: str, pieces: int, piece: int) -> Ideal:
     case = Case("outside", log, pieces=pieces, piece=piece)
-    return Ideal(read_log(log).pieces(pieces)[piece], _model(case))
+    return Ideal(read_log(log).pieces(pieces)[piece], piece_model(case))
 
 
-def _rng(case: Case) -> np.random.Generator:
+def rng_of(case: Case) -> np.random.Generator:
     return np.random.default_rng(int(hashlib.sha256(case.key.encode()).hexdigest()[:8], 16))
 
 
-def _model(case: Case) -> VehicleModel:
+def piece_model(case: Case) -> VehicleModel:
     """Kept on the disk, by the code that made it."""
     FOLDER.mkdir(exist_ok=True)
     path = FOLDER / f"diagnosis-{STATE}-{case.log}-{case.piece}of{case.pieces}.pkl"

@@ -232,3 +232,5 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "speedometer": (_speedometer, 4.0 / 3.6, "speed"),
 }
 """Effect, medium size [SI], signal that it is put into."""
+NOT_RUN = ("gyro_highpass", "supply_dips", "speedometer")
+"""Not run before the judge of draw 15."""

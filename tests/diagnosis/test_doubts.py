@@ -8,9 +8,16 @@ import pytest
 from hidden import Effect, hidden_drive
 from imucald.core.samples import Samples, Series
 from imucald.diagnosis.diagnose import diagnose
-from imucald.diagnosis.doubts import _unsure_sensors
+from imucald.diagnosis.doubts import doubt
 from imucald.diagnosis.intervals import Estimate
-from imucald.diagnosis.result import DIFFERS, WANDERS, Diagnosis, Structure
+from imucald.diagnosis.result import (
+    DIFFERS,
+    NOT_PLAUSIBLE,
+    UNEVEN,
+    WANDERS,
+    Diagnosis,
+    Structure,
+)
 from imucald.diagnosis.score import Hypothesis
 from imucald.diagnosis.standing import unsettle
 from imucald.diagnosis.state import State
@@ -69,24 +76,36 @@ def test_stamps_that_run_off_are_no_delay_besides():
     assert not {"signal_delay", "delay_rate"} & (names(d) | {c.name for c in d.likely})
 
 
-def left_over(kind: str, signal: str = "accel_x", parameter: str = "accel.scale.0") -> Structure:
-    return Structure(signal, kind, 2.0, "", parameter)
-
-
-def test_a_gain_that_goes_with_the_driving_leaves_no_sensor_of_its_equation_sure():
-    assert _unsure_sensors([left_over(DIFFERS)]) == {"accel", "gyro", "speed"}
-    assert _unsure_sensors([left_over(WANDERS)]) == set()
-
-
-def test_a_drift_that_is_doubted_is_not_ruled_out_and_moves_nothing():
+def with_a_drift(pull: float) -> tuple[State, Trial]:
     one = np.ones(1)
-    e = Estimate(one, 0.1 * one, 3.0, 5.0, 0.0 * one)
+    e = Estimate(one, 0.1 * one, 3.0, pull, 0.0 * one)
     h = Hypothesis("accel_bias_drift", ("accel.bias.x",), pattern=np.ones(4))
     range_of = np.array([[-1.0, 1.0]])
     drift = Trial(h, e, np.ones(4), 20.0, 0.1 * one, range_of, 8.0, 2.0, 0.1 * one)
     model = VehicleModel()
-    state = State((), model, model, {}, changes={"accel.bias.x": 0.3}, named=[drift])
+    return State((), model, model, {}, changes={"accel.bias.x": 0.3}, named=[drift]), drift
+
+
+def test_a_drift_that_is_doubted_is_not_ruled_out_and_moves_nothing():
+    state, drift = with_a_drift(5.0)
     unsettle(state, [drift].__contains__)
     assert state.named == []
     assert state.doubtful == [drift]
     assert state.changes == {"accel.bias.x": 0.3}
+
+
+@pytest.mark.parametrize("kind", [DIFFERS, WANDERS, UNEVEN])
+def test_beside_anything_that_is_left_no_fit_names_a_cause(kind):
+    state, drift = with_a_drift(5.0)
+    doubt(state, [Structure("accel_x", kind, 2.0, "", "speed.scale")], [])
+    assert state.named == []
+    assert state.doubtful == [drift]
+
+
+@pytest.mark.parametrize(("pull", "stands"), [(6.0, False), (6.6, True)])
+def test_beside_what_cannot_be_stands_what_is_larger_than_all_that_it_explains(pull, stands):
+    """20 nats, which are sqrt(40) = 6.3 deviations."""
+    state, drift = with_a_drift(pull)
+    state.implausible.append(drift)
+    doubt(state, [Structure("accel_x", NOT_PLAUSIBLE, 2.0, "")], [])
+    assert (state.named == [drift]) == stands

@@ -7,13 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imucald.diagnosis.blocks import TAKES, Table
-from imucald.diagnosis.causes import family
 from imucald.diagnosis.outcome import signals_of
 from imucald.diagnosis.result import (
-    GOES_WITH_SHAKING,
     NOT_PLAUSIBLE,
-    VALUE_HELD,
-    WANDERS,
     Structure,
 )
 from imucald.diagnosis.standing import unsettle
@@ -25,15 +21,11 @@ from imucald.diagnosis.trials import Trial
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
     """Take back what may be owed to structure that is left, to a fault, or to a low-pass."""
     every = [fault for part in faults for fault in part]
-    unsure = _unsure_sensors(left)
-    changing = {family(s.parameter) for s in left if s.parameter}
     shifted = {fault.signal for fault in every if fault.cause == "saturation"}
-    shifted |= {"accel" for s in left if s.kind == GOES_WITH_SHAKING}
     # A cause is missing there, and gains and zeros take its place; a delay shows in the timing.
     shifted |= {name for s in left if s.kind == NOT_PLAUSIBLE for name in TAKES[s.signal]}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
-
     missing = max((t.shown for t in state.implausible), default=0.0)
 
     def is_doubtful(trial: Trial) -> bool:
@@ -46,31 +38,19 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         if trial.hypothesis.pattern is not None:
             return False
         keys = trial.hypothesis.keys
-        sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
-        if changing & {family(key) for key in keys}:
-            # One number is no statement about what is another from piece to piece.
-            return True
         if all("delay" in key for key in keys):
             # Stamps that run off each other make another delay in each minute.
-            return bool(sensors & unsure) or clocks_differ
+            return clocks_differ
         # Where the largest values are lost, what is left of them is no fair sample: a slope that is
         # fitted to it is off (truncated regression; Hausman and Wise 1977).
-        return bool(sensors & (unsure | shifted)) or _may_be_a_low_pass(state.table, trial, delays)
+        sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
+        return bool(sensors & shifted) or _may_be_a_low_pass(state.table, trial, delays)
 
     unsettle(state, is_doubtful)
     if left:
         # A cause is missing, and may be what a weaker statement rests on.
         state.doubtful += state.likely
         state.likely = []
-
-
-def _unsure_sensors(left: Sequence[Structure]) -> set[str]:
-    """Sensors of which one at least does not feel what the equations say, nor any cause."""
-    sensors = {s.signal.partition("_")[0] for s in left if s.kind == VALUE_HELD}
-    for s in left:
-        if s.kind not in (VALUE_HELD, GOES_WITH_SHAKING, NOT_PLAUSIBLE, WANDERS):
-            sensors |= set(TAKES[s.signal])
-    return sensors
 
 
 def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:
