@@ -33,23 +33,22 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     shifted |= {name for s in left if s.kind == NOT_PLAUSIBLE for name in TAKES[s.signal]}
     clocks_differ = any(fault.cause == "clock_drift" for fault in every)
     delays = {key: x for key, x in state.changes.items() if key.endswith("delay_s")}
-
     missing = max((t.shown for t in state.implausible), default=0.0)
 
     def is_doubtful(trial: Trial) -> bool:
-        if any(s.kind != NOT_PLAUSIBLE for s in left):
+        if any(s.kind not in (NOT_PLAUSIBLE, WANDERS) for s in left):
             # A cause is missing, and a fit shares out what it makes among those that it knows.
             return True
         if trial.estimate.pull**2 < 2.0 * missing:
             # Of what cannot be it is known how much it explains: that much may lie along this one.
             return True
-        if trial.hypothesis.pattern is not None:
-            return False
         keys = trial.hypothesis.keys
-        sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
         if changing & {family(key) for key in keys}:
             # One number is no statement about what is another from piece to piece.
             return True
+        if trial.hypothesis.pattern is not None:
+            return False
+        sensors = {s for name in signals_of(state.table, keys) for s in TAKES[name]}
         if all("delay" in key for key in keys):
             # Stamps that run off each other make another delay in each minute.
             return bool(sensors & unsure) or clocks_differ
