@@ -378,3 +378,87 @@ def test_a_clipped_axis_in_a_loop_is_reported() -> None:
         for c, s in once.items()
     }
     assert reported(watched(twice)) == [("gyro", "saturated", "z")]
+
+
+def smooth_bends(top: float) -> dict[str, Series]:
+    """A gyroscope without noise in bends; its rate never goes beyond `top` [rad/s]."""
+    samples = drive(400.0)
+    t = samples["gyro"].t
+    moves = t % 60.0 >= 20.0
+    rate = moves * (0.3 * np.sin(2 * np.pi * t / 17.0) + 0.05 * np.sin(2 * np.pi * t / 3.1))
+    rate = rate.clip(None, top)
+    stepped = np.round(rate / GYRO_STEP) * GYRO_STEP
+    stepped -= np.where(rate < top, GYRO_STEP * (np.arange(len(t)) % 2), 0.0)  # it is alive
+
+    def smooth(_: np.ndarray, values: np.ndarray) -> None:
+        values[:, 2] = stepped
+
+    return edited(samples, "gyro", smooth)
+
+
+def test_a_smooth_axis_that_is_held_by_its_rail_for_long_is_saturated_and_not_only_stuck() -> None:
+    assert not reported(watched(smooth_bends(9.0)))
+    health = watched(smooth_bends(0.2))
+    first = next(e for e in health.events if e.fault is SignalFault.SATURATED)
+    assert first.axes == "z"
+    assert first.since < 45.0, "as the axis leaves it after 15 s of driving: a bend from 37 to 41 s"
+    assert health.faults["gyro"][SignalFault.SATURATED] == "z", "until something lies beyond"
+
+
+def test_a_loose_contact_that_drops_to_zero_is_on_no_rail() -> None:
+    """Gravity's axis is never near zero else: a jump over values that never come."""
+    samples = drive(400.0)
+    rng = np.random.default_rng(5)
+    begins = rng.choice(np.arange(10000, 38000), 60, replace=False)
+
+    def drop(_: np.ndarray, values: np.ndarray) -> None:
+        for k in begins.tolist():
+            values[k : k + int(rng.integers(3, 30)), 2] = 0.0
+
+    assert not reported(watched(edited(samples, "accel", drop)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sensor_that_is_laid_down_in_a_parked_vehicle_has_no_other_unit(seed: int) -> None:
+    """A hand's turns, and then hardly a change of a coarse gyroscope; the force is noise."""
+    samples = drive(120.0, seed=seed)
+    rng = np.random.default_rng(seed)
+
+    def handled(t: np.ndarray, values: np.ndarray) -> None:
+        hand = 0.05 * rng.standard_normal(values.shape)
+        rare = 0.001 * (rng.random(values.shape) < 0.02)
+        parked = t < 20.0
+        values[parked] = np.where(t[parked, None] < 10.0, hand[parked], rare[parked])
+        values[:] = np.round(values / 0.001) * 0.001
+
+    assert not reported(watched(edited(samples, "gyro", handled)))
+
+
+def test_a_rough_road_is_no_unit_beside_an_accelerometer_that_is_too_coarse_to_feel_it() -> None:
+    samples = drive(200.0)
+    shaken = edited(
+        samples,
+        "gyro",
+        lambda t, values: np.multiply(
+            values, np.where(t % 60.0 < 20.0, 0.3, 2.0)[:, None], out=values
+        ),
+    )
+
+    def coarse(_: np.ndarray, values: np.ndarray) -> None:
+        values[:] = np.round(values / 2.0) * 2.0
+
+    fault = [one for one in reported(watched(edited(shaken, "accel", coarse))) if one[0] == "gyro"]
+    assert not fault
+
+
+def test_a_filtered_axis_whose_step_is_coarser_than_what_noise_is_left_may_stay() -> None:
+    """A consumer's gyroscope below 1 Hz, in steps of 0.02 deg/s."""
+    samples = drive(600.0)
+    part = 1.0 - np.exp(-2.0 * np.pi / HZ)
+
+    def filtered(_: np.ndarray, values: np.ndarray) -> None:
+        for k in range(1, len(values)):
+            values[k] = values[k - 1] + part * (values[k] - values[k - 1])
+        values[:] = np.round(values / 0.00035) * 0.00035
+
+    assert not reported(watched(edited(samples, "gyro", filtered)))

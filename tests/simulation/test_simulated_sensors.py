@@ -197,6 +197,18 @@ def test_frames_are_lost_dropped_out_and_stuck_where_asked():
     assert np.ptp(samples["steering"].values[inside]) == 0.0
 
 
+@pytest.mark.parametrize("name", ["speed", "wheel_speeds"])
+def test_a_stuck_speed_repeats_itself_exactly_and_leaves_all_else_as_it_is(name: str) -> None:
+    noise = {f"{name}.noise_mps": 0.05, f"{name}.lsb": 0.0}
+    stuck = {f"{name}.stuck": ({"start_s": 40.0, "duration_s": 10.0},)}
+    sound, held = run(noise).samples[name], run(noise | stuck).samples[name]
+    inside = (held.t > 40.05) & (held.t < 49.95)
+    assert np.all(np.ptp(held.values[inside], axis=0) == 0.0)
+    assert np.all(np.ptp(sound.values[inside], axis=0) > 0.1), "noise and driving"
+    outside = (held.t < 39.9) | (held.t > 50.1)
+    assert np.array_equal(held.values[outside], sound.values[outside])
+
+
 def test_clocks_drift_and_frames_are_late_but_in_order():
     samples = run({"accel.clock_drift_ppm": 500.0, "speed.jitter_s": 0.002}, minutes=5.0).samples
     period = np.median(np.diff(samples["accel"].t))

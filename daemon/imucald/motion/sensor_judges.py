@@ -218,9 +218,7 @@ class UnitChange:
         up, (early, late), (_, some) = _ratio(level), _enough(count), _enough(count, SOME_CHANGES)
         lowest, highest = _within_five(moved[:, 0])
         more = early & late & ((self._low < up) & (up < self._high)).all(axis=1)
-        # at rest a hand may have let go; what shakes in driving becomes less by a unit alone
-        late |= some & (lowest > 0.0)
-        less = early & late & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
+        less = early & some & ((up > 0.0) & (up < 1.0 / self._low)).all(axis=1)
         sign = more.astype(np.int64) - less.astype(np.int64)
         out = np.zeros(len(up), dtype=bool)
         if not sign.any() and not self._changed:
@@ -231,8 +229,12 @@ class UnitChange:
         same = np.abs(np.log(np.maximum(_ratio(other)[:, 0], 1e-9))) < math.log(OTHER_CHANGE)
         # a sensor that cannot say whether a vehicle moves off does not say that it does not
         felt = np.where(np.logical_and(*_enough(other[:, 1:])), ~same, lowest != highest)
+        # At rest a hand lets go, or the body ceases to rock: the noise of driving is made less by a
+        # unit alone.
+        drives = (lowest > 0.0).tolist()
         for h, found in enumerate((sign * ~felt).tolist()):
-            if found and not self._wait:
+            is_change = found > 0 or (found < 0 and (drives[h] or self._changed > 0))
+            if is_change and not self._wait:
                 # Not more than one step away from the unit of the first samples.
                 self._changed = max(-1, min(1, self._changed + found))
                 self._wait = UNIT_HOPS
@@ -271,7 +273,7 @@ class _MeanLog:
 def _enough(count: Array, least: int = UNIT_CHANGES) -> tuple[Flags, Flags]:
     """Whether every axis changed often enough in two hops, and in two later, one left out."""
     early, late = count[:-4] + count[1:-3], count[3:-1] + count[4:]
-    return (early >= least).all(axis=1), (late >= least).all(axis=1)
+    return np.all(early >= least, axis=1), np.all(late >= least, axis=1)
 
 
 def _within_five(moved: Array) -> tuple[Array, Array]:

@@ -199,7 +199,7 @@ class FullEstimator:
         if is_off_vertical(p, solver.R, p.speed * solver.turn_rate):
             self._begin_without_rotation([p])
             return True
-        changes.add(p, solver, not self._signals.without_speed)
+        changes.add(p, solver, self._signals)
         if self.state not in GOOD:  # nothing is served as good, and the fit is young
             if turned is not None:
                 self._begin_without_rotation()

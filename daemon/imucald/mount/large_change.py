@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3, vector_from_rotation
 from imucald.motion.ticks import TICK_S
+from imucald.mount.alternatives import MAX_REVERSE
 from imucald.mount.block_yaw import BlockMotion, block_yaw
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.signal_blocks import SignalBlock
@@ -54,6 +55,9 @@ CLEAR, CLEAR_BLOCKS = 3.0, 2
 """In yaw, blocks to which a change would be so many of their own deviations; so many must be."""
 STANDING_TURN = math.radians(3.0)
 """A vehicle that stands does not turn or tilt by so much [rad]; people getting in make a half."""
+BACKWARDS = math.radians(150.0)
+"""A yaw that is turned by more is that of a vehicle in reverse, where no signal says whether it is
+and its speed is one of reverse gear: sensors are seldom turned by just half a turn."""
 LEAST_RADIUS = 4.0
 """Of the circle that the middle of a car's rear axle goes round [m]; turning circles are 10 to 11 m
 wide. A speed that begins at 3 km/h says zero while a vehicle creeps round it at 12 deg/s."""
@@ -104,8 +108,10 @@ class LargeChangeDetector:
         self._e, self._metres = self._e[-blocks:], self._metres[-blocks:]
         self._weight = self._weight[-blocks:]
 
-    def add(self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_speed: bool) -> None:
-        """Take a block and its motion; R: the rotation so far."""
+    def add(
+        self, p: SignalBlock, R: Matrix3, motion: BlockMotion, has_speed: bool, has_reverse: bool
+    ) -> None:
+        """Take a block and its motion; R: the rotation so far. has_reverse: as a signal."""
         if self._R is not None and R is not self._R:
             moved = vector_from_rotation(R @ self._R.T)
             if math.sqrt(moved @ moved) > 0.35:
@@ -121,6 +127,8 @@ class LargeChangeDetector:
         x -= float(motion.accel[use].sum()) / len(force)
         y -= float(motion.turn[use].sum()) / len(force)
         yaw, known = block_yaw(motion, use)
+        if abs(yaw) > BACKWARDS and not has_reverse and np.abs(p.speed[use]).max() < MAX_REVERSE:
+            known = 0.0
         metres = float(np.abs(p.speed[use]).sum()) * TICK_S
         row = np.array([math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), yaw])
         self._e = np.concatenate([self._e[1 - REMEMBERED :], row[None]])

@@ -70,10 +70,11 @@ class MountChanges:
             change = self._large.while_driving(p, solver.R, motion, "yaw_rate" in signals.seen)
         return change
 
-    def add(self, p: SignalBlock, solver: MountSolver, has_speed: bool) -> None:
+    def add(self, p: SignalBlock, solver: MountSolver, signals: SignalBlockMaker) -> None:
         """Take a block to be held against those before and after it."""
         assert solver.R is not None
-        self._large.add(p, solver.R, solver.motion(p, solver.R), has_speed)
+        has = not signals.without_speed, "reverse" in signals.seen
+        self._large.add(p, solver.R, solver.motion(p, solver.R), *has)
 
     def large(self, solver: MountSolver) -> LargeChange | None:
         """A turn by several degrees within the last blocks."""

@@ -99,6 +99,16 @@ class VehicleSignals:
             *(at_times(column, self._rate, when)[index] for column in columns),
         )
 
+    def _sent(self, name: str, message: Transmission) -> NDArray[np.int64] | slice:
+        """Rows whose values the frames carry: the same one again while the signal is stuck."""
+        if not message.stuck:
+            return slice(None)
+        timing = frame_timing(message, name, self._seed, self._duration)
+        _, first, which = np.unique(
+            timing.source[timing.kept], return_index=True, return_inverse=True
+        )
+        return first[which]
+
     def _noise(self, name: str, shape: tuple[int, ...], rms: float) -> NDArray[np.float64]:
         return rms * generator(self._seed, f"noise:{name}").standard_normal(shape)
 
@@ -109,8 +119,9 @@ class VehicleSignals:
         if speed.time_constant_s > 0.0:
             true = first_order(true, self._rate, speed.time_constant_s)
         t, v = self._sample("speed", speed, true)
-        return Series(t, _rolling(v, speed.scale, speed.dead_band_mps, speed.lsb,
-                                  self._noise("speed", v.shape, speed.noise_mps)))  # fmt: skip
+        noise = self._noise("speed", v.shape, speed.noise_mps)
+        values = _rolling(v, speed.scale, speed.dead_band_mps, speed.lsb, noise)
+        return Series(t, values[self._sent("speed", speed)])
 
     def _wheel_speeds(self) -> Series:
         wheels, chassis = self._model.wheel_speeds, self._model.chassis
@@ -131,9 +142,8 @@ class VehicleSignals:
         t, *sampled = self._sample("wheel_speeds", wheels, *true)
         values = np.column_stack(sampled)
         noise = self._noise("wheel_speeds", values.shape, wheels.noise_mps)
-        return Series(
-            t, _rolling(values, np.array(wheels.scale), wheels.dead_band_mps, wheels.lsb, noise)
-        )
+        values = _rolling(values, np.array(wheels.scale), wheels.dead_band_mps, wheels.lsb, noise)
+        return Series(t, values[self._sent("wheel_speeds", wheels)])
 
     def _grip(self) -> list[Array | float]:
         """Factor on each wheel's speed: 1, less in the segments where wheels slip."""
