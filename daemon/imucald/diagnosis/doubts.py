@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from imucald.diagnosis.blocks import TAKES, Table
+from imucald.diagnosis.causes import family
 from imucald.diagnosis.outcome import signals_of
 from imucald.diagnosis.result import (
     NOT_PLAUSIBLE,
+    WANDERS,
     Structure,
 )
 from imucald.diagnosis.standing import unsettle
@@ -21,6 +23,7 @@ from imucald.diagnosis.trials import Trial
 def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fault]]) -> None:
     """Take back what may be owed to structure that is left, to a fault, or to a low-pass."""
     every = [fault for part in faults for fault in part]
+    changing = {family(s.parameter) for s in left if s.parameter}
     shifted = {fault.signal for fault in every if fault.cause == "saturation"}
     # A cause is missing there, and gains and zeros take its place; a delay shows in the timing.
     shifted |= {name for s in left if s.kind == NOT_PLAUSIBLE for name in TAKES[s.signal]}
@@ -29,15 +32,18 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
     missing = max((t.shown for t in state.implausible), default=0.0)
 
     def is_doubtful(trial: Trial) -> bool:
-        if any(s.kind != NOT_PLAUSIBLE for s in left):
+        if any(s.kind not in (NOT_PLAUSIBLE, WANDERS) for s in left):
             # A cause is missing, and a fit shares out what it makes among those that it knows.
             return True
         if trial.estimate.pull**2 < 2.0 * missing:
             # Of what cannot be it is known how much it explains: that much may lie along this one.
             return True
+        keys = trial.hypothesis.keys
+        if changing & {family(key) for key in keys}:
+            # One number is no statement about what is another from piece to piece.
+            return True
         if trial.hypothesis.pattern is not None:
             return False
-        keys = trial.hypothesis.keys
         if all("delay" in key for key in keys):
             # Stamps that run off each other make another delay in each minute.
             return clocks_differ
