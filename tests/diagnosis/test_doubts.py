@@ -94,12 +94,19 @@ def test_a_drift_that_is_doubted_is_not_ruled_out_and_moves_nothing():
     assert state.changes == {"accel.bias.x": 0.3}
 
 
-@pytest.mark.parametrize("kind", [DIFFERS, WANDERS, UNEVEN])
+@pytest.mark.parametrize("kind", [DIFFERS, UNEVEN])
 def test_beside_anything_that_is_left_no_fit_names_a_cause(kind):
     state, drift = with_a_drift(5.0)
     doubt(state, [Structure("accel_x", kind, 2.0, "", "speed.scale")], [])
     assert state.named == []
     assert state.doubtful == [drift]
+
+
+@pytest.mark.parametrize(("wanders", "stands"), [("speed.scale", True), ("accel.bias.x", False)])
+def test_beside_a_wander_stands_what_is_not_of_the_same_parameter(wanders, stands):
+    state, drift = with_a_drift(5.0)
+    doubt(state, [Structure("accel_x", WANDERS, 2.0, "", wanders)], [])
+    assert (state.named == [drift]) == stands
 
 
 @pytest.mark.parametrize(("pull", "stands"), [(6.0, False), (6.6, True)])
