@@ -42,9 +42,12 @@ def told(
 def test_a_sensor_that_sticks_is_told_with_its_time(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    lines = [line for line in told(capsys, tmp_path, STICKS_AT) if "accel stuck" in line]
-    assert len(lines) == 1
-    assert lines[0].startswith("at 1:4")
+    lines = told(capsys, tmp_path, STICKS_AT)
+    events = [line for line in lines if "accel stuck" in line]
+    assert len(events) == 1
+    assert events[0].startswith("at 1:4")
+    waiting = next(line for line in lines if line.startswith("waiting for"))
+    assert "faulty" in waiting
 
 
 def test_a_sound_drive_has_no_such_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

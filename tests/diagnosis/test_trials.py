@@ -6,6 +6,7 @@ import numpy as np
 
 from imucald.diagnosis.intervals import Estimate
 from imucald.diagnosis.score import Hypothesis
+from imucald.diagnosis.search import _alike
 from imucald.diagnosis.trials import Trial, likeliest
 
 BLOCKS = 40
@@ -40,3 +41,9 @@ def test_what_stays_within_its_tolerance_or_cannot_be_is_not_likely():
     assert names([trial("a", 20.0, value=0.1)]) == []
     assert names([trial("a", 20.0, pull=1.0)]) == []
     assert names([trial("a", 20.0, value=1.5)]) == []
+
+
+def test_a_rival_is_ruled_out_by_as_many_nats_as_name_a_cause():
+    """However sure the difference is: eight nats are asked for here, and noise is nearly none."""
+    best, near, far = trial("a", 30.0), trial("b", 24.0), trial("c", 18.0)
+    assert [t.hypothesis.name for t in _alike(best, [best, near, far])] == ["b"]

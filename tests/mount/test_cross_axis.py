@@ -82,16 +82,13 @@ def made(
         sources[name] = AngleEvidence(noisy, NOISE[name] ** 2 + more, 20.0)
     road = 0.01 * rng.standard_normal()
     turn = -F[2, 1] + road + 0.002 * rng.standard_normal()
-    responses = {
-        **sources,
-        "roll_turn": AngleEvidence(turn, 1e-4, 20.0),
-        "roll_axis": AngleEvidence(road, 1e-4, 20.0),
-    }
+    responses = {**sources, "roll_turn": AngleEvidence(turn, 1e-4, 20.0)}
+    turning = AngleEvidence(turn - road, 0.002**2, 20.0)
     speed = 0.01 * rng.standard_normal()
     gains = tuple(F[i, i] + speed + 0.01 * rng.standard_normal() for i in (0, 1))
     mean = R.T @ (GRAVITY * F[:, 2]) + bias
     cov = (1.0 - share) * spread**2 * np.eye(3)
-    return sources, ForceSeen(mean, bias_found, cov, (gains[0], gains[1]), responses)
+    return sources, ForceSeen(mean, bias_found, cov, (gains[0], gains[1]), responses, turning)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.005, 0.01, 0.02, 0.04])

@@ -24,6 +24,7 @@ from imucald.mount.saved_information import (
     MAX_SEGMENTS,
     SavedInformation,
     SavedSource,
+    kept_evidence,
     saved_from,
     together,
 )
@@ -90,8 +91,7 @@ def test_it_says_what_the_estimate_stated():
     assert sum(p for _, p in cross_axis.scales) == pytest.approx(1.0)
     sharing = CommonCovariance(common_errors(settings))
     kept = evidence()
-    pieces = {n: AngleEvidence(p.value, p.variance + p.bias, 1.0) for n, p in kept.sources.items()}
-    fused = fuse(pieces, sharing, cross_axis.scales, cross_axis.answers)
+    fused = fuse(kept_evidence(kept), sharing, cross_axis.scales, cross_axis.answers)
     assert np.abs(fused.error).max() < 1e-9
     crown = loaded().config.vehicle.crown_spread_percent / 100.0
     claimed = np.diag(stored().covariance) - [crown**2, 0.0, 0.0]

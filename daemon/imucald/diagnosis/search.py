@@ -2,8 +2,8 @@
 
 A cause is named when its held-out gain, without the best block in fifteen, exceeds what chance
 gives in all questions together, when it leaves the box of correct files, and when its value is
-plausible. Rivals within two standard errors of the paired difference are named with it. Then it is
-freed, and the question is asked anew.
+plausible. Rivals within two standard errors of the paired difference, or behind by less than what
+names a cause, are named with it. Then it is freed, and the question is asked anew.
 """
 
 from __future__ import annotations
@@ -91,6 +91,11 @@ def _winner(trials: Sequence[Trial]) -> Trial | None:
     if not passing:
         return None
     best = max(passing, key=lambda t: t.gain.sum())
+    if len(best.hypothesis.directions) > 1:
+        # Elements that joined one by one imitate what one other cause does by itself.
+        fewer = [t for t in passing if len(t.hypothesis.keys) < len(best.hypothesis.keys)]
+        best = max((t for t in fewer if _is_near(best, t)), default=best,
+                   key=lambda t: t.gain.sum())  # fmt: skip
     same = [t for t in passing if _is_form_of(t, best)]
     simple = [t for t in same if _is_near(best, t)]
     return min(simple, key=lambda t: (len(t.hypothesis.keys), -t.gain.sum()))
@@ -138,13 +143,16 @@ def _is_near(best: Trial, other: Trial) -> bool:
 
 
 def _alike(best: Trial, trials: Sequence[Trial]) -> list[Trial]:
-    """Other causes that do as well within two standard errors; one form of each."""
+    """Other causes that do as well within two standard errors, or whose likelihood ratio on unseen
+    data is less than what names a cause: what is ruled out is so at the error rate of what is
+    named. One form of each."""
     found: dict[str, Trial] = {}
     for t in sorted(trials, key=lambda t: -t.gain.sum()):
         name = t.hypothesis.name
         if name == best.hypothesis.name or name in found or not t.could_be:
             continue
-        if _is_near(best, t):
+        behind, se = paired(best.gain, t.gain)
+        if behind <= max(ALIKE_SE * se, best.needed):
             found[name] = t
     return list(found.values())
 

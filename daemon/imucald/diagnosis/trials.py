@@ -75,6 +75,9 @@ class Trial:
     def is_surely_plausible(self) -> bool:
         """The same by a deviation at least, as for the tolerance."""
         v, half = self.estimate.value, self.estimate.se
+        if self.hypothesis.directions:
+            # A zero within its tolerance moves it by as much: that is no sign of another cause.
+            half = np.maximum(half - self.reach, 0.0)
         low, high = self.plausible.T
         within = (v - half >= low) & (v + half <= high)
         return bool(np.all((np.abs(v) <= self.tolerance) | within))

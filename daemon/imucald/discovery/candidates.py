@@ -78,6 +78,11 @@ class SeenSignal:
         """Whether it never changed."""
         return self.least == self.largest
 
+    @property
+    def is_switch(self) -> bool:
+        """Whether it was only ever one of two values, without a unit: on or off."""
+        return 0 < len(self.levels) <= 2 and self.has_no_unit
+
     def may_be(self, dimension: str) -> bool:
         """Whether its unit allows the dimension: it names it, or says nothing."""
         return self.has_no_unit or factor_of(self.unit, dimension) is not None

@@ -75,7 +75,11 @@ def find_scalar(
 
     sides: what separates left from right; empty where nothing does, or where the sign has none.
     """
-    usable = [c for c in candidates if c.may_be(quantity.dimension) and not c.is_constant]
+    usable = [
+        c
+        for c in candidates
+        if c.may_be(quantity.dimension) and not c.is_constant and not c.is_switch
+    ]
     if reference is None:
         return by_unit_and_name(quantity.name, quantity.dimension, usable)
     matches = []

@@ -107,8 +107,8 @@ def creep(
     weight /= weight.sum(axis=1, keepdims=True)
     probability = 1.0 - weight[:, 0]
     level = (weight * mean).sum(axis=1)
-    extra = (weight * (variance + (mean - level[:, None]) ** 2)).sum(axis=1)
-    extra += (HIDDEN * level) ** 2
+    hidden = (HIDDEN * mean) ** 2
+    extra = (weight * (variance + hidden + (mean - level[:, None]) ** 2)).sum(axis=1)
     rate, moved, since_middle = _trend(left, known, each)
     return Creep(level, extra, probability, rate, moved, since_middle)
 

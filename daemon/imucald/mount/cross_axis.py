@@ -59,11 +59,6 @@ SHOWN = {
     "pitch_gravity": (-1.0, 0, 2),
 }
 """Of each source the entry of C that it shows, and its sign; axes of rotation show none."""
-OWN_ROAD = 1.0 / 6.0
-"""Roll from turns and from the axis of turning see the same pitch rate of the road. Their
-difference has so much of the sum of their variances: in simulated drives without cross-axis errors
-(seeds 520,000 to 520,023) a sixteenth after 100 s, a tenth to a sixth after 5 to 20 min; with few
-turns more (seed 530,056)."""
 _OFF_ROW, _OFF_COLUMN = np.nonzero(~np.eye(3, dtype=bool))
 
 
@@ -72,7 +67,8 @@ class ForceSeen(Struct, frozen=True):
 
     mean: (3,) of the drive. bias: (3,) of the accelerometer, bias_cov: (3, 3). gains: of the
     response to dv/dt and to turns, None where no gyroscope takes the body's leaning out of them.
-    responses: the responses' sources as they are, before any is widened.
+    responses: the responses' sources as they are, before any is widened. turning: how far roll from
+    turns lies from roll from their axis; both see the same pitch rate of the road.
     """
 
     mean: Array
@@ -80,6 +76,7 @@ class ForceSeen(Struct, frozen=True):
     bias_cov: Array
     gains: tuple[float, float] | None
     responses: Mapping[str, AngleEvidence]
+    turning: AngleEvidence | None = None
 
 
 class CrossAxisFusion:
@@ -140,10 +137,9 @@ class CrossAxisFusion:
                 own = spread**2 + 1.0 / (data * GRAVITY**2)
                 rows.append((value / (variance * data) / GRAVITY, own))
                 answers.append(entries[i, 2])
-        if {"roll_turn", "roll_axis"} <= known.keys():
-            turn, axis = known["roll_turn"], known["roll_axis"]
-            own = OWN_ROAD * (turn.variance + axis.variance) + scale2 + GYRO_MISALIGNMENT_STD**2
-            rows.append((turn.value - axis.value, own))
+        if force.turning is not None:
+            own = force.turning.variance + scale2 + GYRO_MISALIGNMENT_STD**2
+            rows.append((force.turning.value, own))
             answers.append(-entries[2, 1])
         has_gains = force.gains is not None and {"yaw_dvdt", "yaw_turn"} <= known.keys()
         if force.gains is not None and has_gains:

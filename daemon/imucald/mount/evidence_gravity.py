@@ -29,6 +29,8 @@ STOP_METRES = 12.0
 REST_METRES_PER_TICK = 0.5
 MIN_WEIGHT = 20.0
 """A road segment shorter than this [m] says nothing of gravity."""
+ROAD_SHARE = {"roll_gravity": 1.7, "pitch_gravity": 1.5}
+"""Superelevation, squat and leaning of the body widen the spread of slopes."""
 SHARE = 0.1
 """Share of the motion that may be missed; weighs ticks of hard driving down."""
 STILL = 0.15

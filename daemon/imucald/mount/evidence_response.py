@@ -38,7 +38,7 @@ from imucald.mount.evidence_spectra import (
     Measured,
     Term,
 )
-from imucald.mount.road_segments import AngleEvidence, fit_regressions
+from imucald.mount.road_segments import AngleEvidence, apart, fit_regressions
 from imucald.mount.shift import ScoreSeries
 from imucald.mount.signal_blocks import BLOCK_TICKS
 
@@ -215,6 +215,11 @@ class ResponseEvidence:
         if self._scored < self._n:
             self._weigh(R)
         return self._sources()
+
+    def apart(self, one: str, other: str) -> AngleEvidence | None:
+        """How far two sources of an angle lie apart; None where one is missing or knows little."""
+        found = {series.kind: series for series in self.series}
+        return apart(found[one], found[other]) if {one, other} <= found.keys() else None
 
     def _turn_scores(self, turned: Array) -> None:
         """Scores about another R: to first order the angle's coefficient moves."""

@@ -19,6 +19,11 @@ MAX_WIDENED = 25.0
 """Sources of equal weight that disagree widen the variance by chi^2 per degree of freedom (Birge),
 at most this; where one carries nearly all, another's dissent says more of that other."""
 AXES = ("roll", "pitch", "yaw")
+SAME_ROAD = ("_gravity", "_axis")
+"""Of an angle and a drive, by how their names end. A vehicle that turns on a slope turns about the
+vertical, and so its axis of turning leans as gravity does. Of the mean slope of a road and any
+other mean of it, as that over turns, the covariance is the former's variance, as long as the latter
+is no better (Gauss and Markov)."""
 
 
 class CommonError(Struct, frozen=True):
@@ -61,6 +66,13 @@ class CommonCovariance:
         """Covariance of the sources of those names, their own variances included."""
         known = self.errors(names).copy()
         known.flat[:: len(names) + 1] += [sources[name].variance for name in names]
+        for i, gravity in enumerate(names):
+            axis = gravity.replace(*SAME_ROAD)
+            if axis != gravity and axis in names:
+                j = names.index(axis)
+                shared = min(sources[gravity].road, sources[axis].variance)
+                known[i, j] += shared
+                known[j, i] += shared
         return known
 
 

@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from imucald.core.rotations import Matrix3
@@ -25,6 +26,7 @@ from imucald.mount.saved_information import (
     SavedInformation,
     SavedSource,
     axis_of,
+    kept_evidence,
 )
 from imucald.mount.shift import ScoreSeries
 
@@ -73,10 +75,8 @@ class PastDrives:
         bias: variance of the accelerometer's bias in roll and pitch from gravity, in the sources.
         cross_axis: error that the sources are probably off by (part).
         """
-        now, kept = dict(sources), self.kept.about(R).sources
-        before = {
-            n: AngleEvidence(p.value, p.variance + p.bias, len(p.score)) for n, p in kept.items()
-        }
+        turned = self.kept.about(R)
+        now, kept, before = dict(sources), turned.sources, kept_evidence(turned)
         shared = [*self._shared, *_on_both_sides(cross_axis_errors(), cross_axis)]
         for name, present in zip(GRAVITY_KINDS, bias, strict=True):
             if name in now and name in kept:
@@ -123,7 +123,7 @@ def _on_both_sides(shared: Sequence[CommonError], times: float = 1.0) -> list[Co
 
 
 def _less(source: AngleEvidence, variance: float) -> AngleEvidence:
-    return AngleEvidence(source.value, source.variance - variance, source.groups)
+    return replace(source, variance=source.variance - variance)
 
 
 def _contradiction(

@@ -18,18 +18,21 @@ calibration tolerance), today's about 1 %, and a unit that was set at the end of
 better. Half of it turns into a tilt (`common_errors`): 0.08 deg."""
 CROSS_AXIS = ((0.001, 0.12), (0.005, 0.18), (0.01, 0.2), (0.02, 0.22), (0.04, 0.18), (0.08, 0.1))
 """Cross-axis error (part, rms) where none is configured, with probabilities. Of its size hardly
-more than the order is known, so sizes from a half to 4 % are about as probable as one another: half
-of all units have the 1 to 2 % that data sheets of bare parts state (2 %: MPU-6050), one in eight
-was set at the end of its line to a tenth of 1 %, others are soldered, glued and bent to several
-times as much. The largest is twice the largest that is usual, for 4 % to lie within what is
-reckoned with. The rest is for the evidence to say (`cross_axis`)."""
+more than the order is known, so sizes from a half to 4 % are about as probable as one another. Data
+sheets of bare parts state 2 % (MPU-6050, 6.2; ICM-20948, DS-000189, 3.2) and 3 % (ADXL350, table
+1) and do not say whether that is usual or the most; one unit in eight was set at the end of its
+line to a tenth of 1 %, others are soldered, glued and bent to several times as much. The largest is
+twice the largest that is usual, for 4 % to lie within what is reckoned with. The rest is for the
+evidence to say (`cross_axis`)."""
 SPEED_SCALE_STD = 0.02
 """Scale error of a speed (part): tyres from new to worn down to 1.6 mm roll 2 % less, and a change
 of load or pressure makes 1 % (assumption)."""
-GAIN_STD = 0.01
-"""What else is in the response to dv/dt or to turns (part): the gyroscope's scale, squat, and
-leaning that the vertical follows. In simulated drives the two differ by 0.012 to 0.015 (seeds
-520,000 to 520,023)."""
+GAIN_STD = 0.017
+"""What else is in the response to dv/dt or to turns (part), above all the gyroscope's scale: within
+3 % (MPU-6050, 6.1). Of limits without more knowledge the standard deviation is their root-third
+(evaluation of measurement data, JCGM 100:2008, 4.3.7). Squat, and leaning that the vertical
+follows, are smaller: a third of 1 to 2 deg/g, as a manoeuvre of 5 s is a third of its time
+constant, is 1 %."""
 GYRO_MISALIGNMENT_STD = 0.002
 """Turn of the gyroscope's triad against the accelerometer's [rad], 0.1 deg: both are in a package.
 A calibrated unit states that from axis to axis (ADIS16475 data sheet, features); of a bare part it

@@ -23,16 +23,22 @@ MODEL_SHARE = np.array([1.5, 1.5, 1.15])
 rule."""
 WITHOUT_SPEED_SHARE = 3.0
 """Without speed A r is not known: variances of rotation axes are so much larger."""
+FEWEST = 3.0
+"""Of fewer segments alone no spread is told."""
 MIN_INFORMATION = 50.0
 """Less than this [1/rad^2], 8 deg, is not worth a source."""
 
 
 class AngleEvidence(Struct):
-    """What one source says about one angle: value [rad], variance, road segments in it."""
+    """What one source says about one angle: value [rad], variance, road segments in it.
+
+    road: what the mean slope or lean of the road driven makes of the variance.
+    """
 
     value: float
     variance: float
     groups: float
+    road: float = 0.0
 
 
 def _priors() -> Array:
@@ -89,6 +95,30 @@ def fit_regressions(
         fit = AngleFit(left[k, :, 0], normal[k, :, 0, :], inverse[k], float(value[k, 0, 0]))
         series.append(ScoreSeries(row.name, flow[k], own[k], fit))
     return sources, series
+
+
+def apart(one: ScoreSeries, other: ScoreSeries) -> AngleEvidence | None:
+    """How far a source's angle lies from another's of the same segments; None without fits.
+
+    Noise that both see (the road's) is not in it, so its variance comes from the segments' shares
+    in the difference itself; of n segments it is Student's, n / (n - 2) times theirs.
+    """
+    if one.fit is None or other.fit is None:
+        return None
+    u = _shares(one, one.fit) - _shares(other, other.fit)
+    known = np.minimum(one.information, other.information)
+    groups = float(known.sum() ** 2 / max(float((known * known).sum()), 1e-12))
+    if groups < FEWEST:
+        return None
+    spread, beside = float(u @ u), float(u[1:] @ u[:-1])
+    variance = max(spread + 2.0 * beside, spread) * groups / (groups - 2.0)
+    return AngleEvidence(one.fit.value - other.fit.value, variance, groups)
+
+
+def _shares(of: ScoreSeries, fit: AngleFit) -> Array:
+    """What each segment makes of a fitted angle's error (G,) [rad]."""
+    shares: Array = fit.inverse[0, 0] * (of.score - of.information * fit.value)
+    return shares
 
 
 def _variances(u: Array, model: Array, groups: Array) -> Array:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from imucald.core.errors import EstimateError
 from imucald.core.rotations import Matrix3, orthonormalised, vector_from_rotation
 from imucald.mount.estimate import BETWEEN_DRIVES_STD
+from imucald.mount.evidence_gravity import ROAD_SHARE
 from imucald.mount.evidence_rows import ROWS
 from imucald.mount.fusion import AXES
 from imucald.mount.road_segments import AngleEvidence
@@ -119,6 +120,19 @@ def axis_of(name: str) -> int:
 def named_series(series: list[ScoreSeries]) -> dict[str, ScoreSeries]:
     """Flows by the names of their sources."""
     return {one.kind: one for one in series}
+
+
+def kept_evidence(kept: SavedInformation) -> dict[str, AngleEvidence]:
+    """What was kept, as sources of angles about its rotation."""
+    return {
+        name: AngleEvidence(
+            one.value,
+            one.variance + one.bias,
+            len(one.score),
+            one.variance / ROAD_SHARE[name] if name in ROAD_SHARE else 0.0,
+        )
+        for name, one in kept.sources.items()
+    }
 
 
 def saved_sources(

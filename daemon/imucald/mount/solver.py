@@ -22,7 +22,7 @@ from imucald.mount.creep import P_CONSTANT, Creep, creep
 from imucald.mount.cross_axis import CrossAxisFusion, ForceSeen
 from imucald.mount.delay import DelaySearch
 from imucald.mount.estimator_settings import DelayPrior, EstimatorSettings
-from imucald.mount.evidence_gravity import GravityEvidence
+from imucald.mount.evidence_gravity import ROAD_SHARE, GravityEvidence
 from imucald.mount.evidence_response import ResponseEvidence
 from imucald.mount.first_rotation import first_rotation
 from imucald.mount.fusion import Fused
@@ -52,8 +52,6 @@ from imucald.mount.source_variances import widened
 
 Array = NDArray[np.float64]
 
-CROSS_FALL_SHARE, SLOPE_SHARE = 1.7, 1.5
-"""Superelevation, squat and leaning of the body widen the spread of slopes."""
 SETTLED_BLOCKS = 20
 """Until then (128 s) each fit goes round twice: the rotation still moves much."""
 DELAY_AFTER, DELAY_AGAIN = (4, 6, 8, 12, 16), 32
@@ -215,7 +213,9 @@ class MountSolver:
             responses = self.response.fit(self.R) if self.yaw_known else {}
             sources = self._sources(self.R, bias, bias_cov, responses)
             gains = self.response.slow_gains() if self.own_gyro else None
-            seen = ForceSeen(self.gravity.mean_force(), bias, bias_cov, gains, responses)
+            turning = self.response.apart("roll_turn", "roll_axis")
+            mean = self.gravity.mean_force()
+            seen = ForceSeen(mean, bias, bias_cov, gains, responses, turning)
             fused = self._cross_axis.fused(sources, self.R, seen)
             if self.past_drives is not None:
                 probable = self._cross_axis.probable
@@ -241,9 +241,10 @@ class MountSolver:
         ex, ey = self.gravity.tilt(R, bias, gains)
         slope = self.gravity.variance(s.slope_std, s.slope_length, missed)
         b = R @ bias_cov @ R.T / GRAVITY**2
-        sources["roll_gravity"] = AngleEvidence(ex, CROSS_FALL_SHARE * slope + b[1, 1], 0.0)
-        sources["pitch_gravity"] = AngleEvidence(ey, SLOPE_SHARE * slope + b[0, 0], 0.0)
         self._tilt_bias = (float(b[1, 1]), float(b[0, 0]))
+        for name, value, of_bias in zip(GRAVITY_KINDS, (ex, ey), self._tilt_bias, strict=True):
+            variance = ROAD_SHARE[name] * slope + of_bias
+            sources[name] = AngleEvidence(value, variance, 0.0, slope)
         return sources
 
     def step(self) -> GravityStep | None:

@@ -17,6 +17,7 @@ pieces of evidence gave is itself known to 30 % (1 / sqrt(2 n)): twice its limit
 chance makes of a mount that nothing contradicts. Frames go on with the deviation that is stated."""
 NEEDED = 3
 """Launches or brakings before yaw can be usable."""
+NO_SAMPLES = "samples of the accelerometer that can be used: they are faulty, or come too seldom"
 
 
 class MountKnowledge(Struct, frozen=True):
@@ -75,7 +76,7 @@ def waiting_for(known: MountKnowledge, s: EstimatorSettings) -> dict[str, tuple[
     """One reason per angle, in words and as a code; no entry where nothing is missing."""
     if not known.accelerometer:
         text = (
-            ("the accelerometer" if known.begun else "the first 6 s of samples"),
+            (NO_SAMPLES if known.begun else "the first 6 s of samples"),
             Missing.ACCELEROMETER,
         )
         return {"roll": text, "pitch": text, "yaw": text}

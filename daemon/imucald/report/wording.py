@@ -21,7 +21,7 @@ from imucald.diagnosis.result import (
 from imucald.report.numbers import number, typographic
 from imucald.report.titles import cause_title, key_title, signal_title
 
-AS_WELL = " does as well within two standard errors"
+AS_WELL = " does as well on data that no fit saw"
 """How the diagnosis ends what it says of rivals."""
 MANY = 4
 """Of more names than this a sentence shows the first ones."""
