@@ -60,6 +60,12 @@ def test_a_state_is_left_only_well_beyond_its_limit(state, limit, slack):
     assert judged(known(math.degrees(limit) * (slack + 0.05)), state, SETTINGS) != state
 
 
+def test_beside_past_drives_a_deviation_grows_by_contradiction():
+    wide = known(math.degrees(SETTINGS.limits.usable_yaw) * (FINE_SLACK + 0.05))
+    assert judged(wide, MountState.USABLE, SETTINGS) == MountState.USABLE
+    assert judged(replace(wide, has_past=True), MountState.USABLE, SETTINGS) < MountState.USABLE
+
+
 def test_a_cross_axis_error_that_no_driving_makes_less_is_the_reason_for_yaw():
     usable = replace(known(0.4), yaw_seen=0.05 * DEG)
     text, code = waiting_for(replace(usable, cross_axis=0.008), SETTINGS)["yaw"]

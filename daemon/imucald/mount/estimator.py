@@ -274,6 +274,7 @@ class FullEstimator:
             speed=not self._signals.without_speed and bool(p.ok_speed.any()),
             frozen=int((~p.learn & p.ok_force).sum()) >= FROZEN_TICKS,
             yaw_seen=solver.yaw_seen,
+            has_past=solver.past_drives is not None,
             cross_axis=solver.cross_axis_std,
         )
 

@@ -14,7 +14,8 @@ from imucald.mount.manoeuvres import HARD_ACCEL
 FINE_SLACK, USABLE_SLACK = 1.4, 2.0
 """A state that was reached is left only beyond its limit times this. A deviation that half a dozen
 pieces of evidence gave is itself known to 30 % (1 / sqrt(2 n)): twice its limit is beyond what
-chance makes of a mount that nothing contradicts. Frames go on with the deviation that is stated."""
+chance makes of a mount that nothing contradicts. Frames go on with the deviation that is
+stated. Beside evidence of past drives it is no young one: there it grows by contradiction."""
 NEEDED = 3
 """Launches or brakings before yaw can be usable."""
 NO_SAMPLES = "samples of the accelerometer that can be used: they are faulty, or come too seldom"
@@ -35,6 +36,8 @@ class MountKnowledge(Struct, frozen=True):
     frozen: bool = False
     yaw_seen: float = math.inf
     """What the best source of yaw alone is off by, all common errors of the sensor left out."""
+    has_past: bool = False
+    """Evidence of past drives is in it."""
     cross_axis: float = 0.0
     """Cross-axis error of the accelerometer that is reckoned with (part)."""
 
@@ -46,9 +49,10 @@ def judged(known: MountKnowledge, before: MountState, s: EstimatorSettings) -> M
     roll, pitch, yaw = known.std
     limits = s.limits
     enough = known.straight >= NEEDED or before in GOOD
+    slack = FINE_SLACK if known.has_past else USABLE_SLACK
     levels = (
         Level(MountState.FINE, limits.fine_yaw, limits.fine_tilt, enough, FINE_SLACK),
-        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, enough, USABLE_SLACK),
+        Level(MountState.USABLE, limits.usable_yaw, limits.usable_tilt, enough, slack),
     )
     return best_level(levels, before, yaw, max(roll, pitch)) or MountState.LEVELLED
 
