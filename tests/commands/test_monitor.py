@@ -182,6 +182,15 @@ def test_events_are_reported_once_with_the_time_of_day(silent, status):
     assert moved.clock == time.strftime("%H:%M:%S", time.localtime(moved.at))
 
 
+def test_what_is_known_later_of_an_event_takes_its_place(silent, status):
+    shift = {"t": 40.0, "angle": "yaw", "size_deg": 5.0, "turn_deg": None}
+    first, later = copy.deepcopy(status), copy.deepcopy(status)
+    first["details"] = {"shifts": [shift]}
+    later["details"] = {"shifts": [shift | {"turn_deg": [0.0, 0.1, 7.0]}]}
+    moved = [e for e in events_of(silent, first, later).events if e.kind == "moved"]
+    assert [e.text for e in moved] == ["the sensor was moved: by +7.0 deg about z (yaw)"]
+
+
 def test_a_mount_that_nothing_has_confirmed_is_not_called_usable(silent, status):
     stated = copy.deepcopy(status) | {"state": "restored", "quality": 1}
     for one, is_stated in ((stated, False), (status, True)):

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from imucald.core.rotations import vector_from_rotation
+from imucald.core.rotations import rotation_from_angles, vector_from_rotation
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
-from imucald.mount.mount_changes import MountChanges, probability
+from imucald.mount.mount_changes import MountChanges, TakenChange, probability
 from imucald.mount.shift import Shift
 from imucald.simulation import random_model, simulate
 from mount_settings import full
@@ -59,13 +60,34 @@ def test_the_interval_of_95_percent_reaches_from_the_old_angle_to_the_new_one():
     std = np.degrees(np.sqrt(known.fused.variance + watched.variance(known, 100)))
     assert 1.96 * std[YAW] >= 0.88
     assert std[PITCH] == pytest.approx(0.1)
-    assert [block for block, _ in watched.history] == [70]
+    assert [one.block for one in watched.history] == [70]
 
 
 def test_a_deviation_that_covers_a_change_already_is_left_alone():
     watched, known = changes(), solver(1.0)
     watched.bear(shift(PITCH, 1.5), 70)
     assert watched.variance(known, 100)[PITCH] == 0.0
+
+
+def by_rows(R: Any) -> Any:
+    return tuple(np.asarray(R, dtype=float).ravel().tolist())
+
+
+def test_a_turn_is_measured_by_the_mounts_before_and_after_it():
+    """R_after = turn R_before, about the vehicle's axes; not known where one is missing."""
+    before = rotation_from_angles(0.3, -0.2, 2.0)
+    turn = np.array([0.0, 0.17, 0.02])
+    after = Rotation.from_rotvec(turn).as_matrix() @ before
+    watched = changes()
+    for served in (None, by_rows(before)):
+        watched.history.append(TakenChange(50, shift(0, 3.0), served, False))
+    assert watched.turns(None) == [None, None]
+    first, second = watched.turns(by_rows(after))
+    assert first is None
+    assert second == pytest.approx(turn)
+    watched.bear(shift(YAW, 0.8), 70)
+    assert watched.turns(by_rows(after))[-1] is None, "the mount went on as it was"
+    assert watched.turns(by_rows(after))[1] == pytest.approx(turn)
 
 
 def test_the_same_change_is_reported_once_and_the_way_back_again():

@@ -16,6 +16,7 @@ from imucald.mount.mount_words import (
     half_width,
     how_it_sits,
     mirror_note,
+    moved_words,
     plus_minus,
     reasons_line,
     steep_note,
@@ -111,3 +112,16 @@ def test_the_line_for_systemd_has_now_target_and_words():
     assert "x points forward, 11 deg right" in line
     assert line.endswith("waiting for yaw: more driving")
     assert status_line(MountEstimate(MountState.WAITING), "down") == "bus down; waiting"
+
+
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [
+        (None, "it shows as +3.6 deg about x (roll)"),
+        ([0.4, 9.9, -0.8], "by +9.9 deg about y (pitch)"),
+        ([6.0, -8.0, 0.0], "by 10.0 deg (+6.0, -8.0, +0.0 about x, y, z)"),
+    ],
+)
+def test_a_moved_sensor_is_said_by_the_mounts_before_and_after_where_both_are_known(turn, words):
+    shift = {"t": 5.0, "angle": "roll", "size_deg": 3.6, "turn_deg": turn}
+    assert moved_words(shift) == words

@@ -272,6 +272,10 @@ def test_a_moved_sensor_is_suspect_then_found_again():
     (shift_found,) = estimator.estimate().details["shifts"]
     assert shift_found["angle"] == "yaw"
     assert abs(abs(shift_found["size_deg"]) - 5.0) < 2.0
+    x, y, z = shift_found["turn_deg"]
+    assert abs(abs(z) - 5.0) < 1.0
+    assert math.copysign(1.0, z) == math.copysign(1.0, shift_found["size_deg"])
+    assert max(abs(x), abs(y)) < 1.5
     R = estimator.estimate().R_vehicle_from_sensor
     assert R is not None
     apart = np.degrees(np.abs(made.truth.R_vehicle_from_sensor() - R).max())

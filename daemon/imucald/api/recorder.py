@@ -22,7 +22,8 @@ from imucald.api.columns import (
 )
 from imucald.core.angles import DEG_PER_RAD
 from imucald.motion.ticks import TICK_RATE
-from imucald.mount.estimate import ANGLES, MountEstimate
+from imucald.mount.estimate import MountEstimate
+from imucald.mount.mount_words import moved_words
 from imucald.runtime.engine import Engine
 from imucald.runtime.pipeline import Snapshot
 from imucald.runtime.segment_samples import SegmentSamples
@@ -50,11 +51,11 @@ class Recorder:
         self._seen: MountEstimate | None = None
         self._known: MountEstimate | None = None
         self._figures: list[float] = []
-        self._events: list[tuple[float, str, str, int, float]] = []
+        self._events: list[tuple[float, str, str]] = []
         self.events_left_out = 0
         self._state = "waiting"
         self._faults: tuple[str, ...] = ()
-        self._shifts = 0
+        self._shifts: list[tuple[float, Mapping[str, Any]]] = []
         self._segments: list[tuple[float, float]] = []  # stream time of the start, stamp minus it
         self._last_stamp = math.nan
         self._parts: dict[str, list[tuple[Array, Array, list[NDArray[Any]]]]] = {}
@@ -111,16 +112,15 @@ class Recorder:
                 self._event(snapshot.t, "contradiction", fault)
         self._faults = estimate.faults
         shifts = estimate.details.get("shifts")
-        if isinstance(shifts, list):
-            for shift in shifts[self._shifts :]:
-                axis, size = ANGLES.index(shift["angle"]), float(shift["size_deg"])
-                text = f"{shift['angle']} by {size:+.2f} deg"
-                self._event(snapshot.t, "shift", text, axis, size)
-            self._shifts = len(shifts)
+        if isinstance(shifts, list) and len(self._shifts) <= len(shifts) <= MAX_EVENTS:
+            # by how much the sensor was turned at each is known later than that it was
+            seen = [t for t, _ in self._shifts]
+            seen += [snapshot.t] * (len(shifts) - len(seen))
+            self._shifts = list(zip(seen, shifts, strict=True))
 
-    def _event(self, t: float, kind: str, text: str, axis: int = -1, size: float = 0.0) -> None:
+    def _event(self, t: float, kind: str, text: str) -> None:
         if len(self._events) < MAX_EVENTS:
-            self._events.append((t, kind, text, axis, size))
+            self._events.append((t, kind, text))
         else:
             self.events_left_out += 1
 
@@ -135,9 +135,13 @@ class Recorder:
 
     def events(self, lead: float, engine: Engine) -> Columns:
         """Changes of state, shifts, contradictions, segments, and faults of sensors."""
-        rows = [*self._events, *_sensor_faults(engine)]
+        shifts = [(t, "shift", moved_words(shift)) for t, shift in self._shifts]
+        rows = [*self._events, *_sensor_faults(engine), *shifts]
         t = np.array([row[0] for row in rows], dtype=float)
-        size = [[row[4] if row[3] == i else math.nan for row in rows] for i in range(3)]
+        unknown = [math.nan] * 3
+        turns = [unknown] * (len(rows) - len(shifts))
+        turns += [shift["turn_deg"] or unknown for _, shift in self._shifts]
+        size = [[turn[axis] for turn in turns] for axis in range(3)]
         texts = [[row[1] for row in rows], [row[2] for row in rows]]
         found = columns_from(EVENT_COLUMNS, [t + lead, self._times(t), *texts, *size])
         return found.sorted_by_time()
@@ -179,13 +183,13 @@ def _gap_text(before: float, stamp: float) -> str:
     return f"hole of {change:.1f} s" if change > 0 else f"clock set back by {-change:.1f} s"
 
 
-def _sensor_faults(engine: Engine) -> list[tuple[float, str, str, int, float]]:
+def _sensor_faults(engine: Engine) -> list[tuple[float, str, str]]:
     found = []
     for event in engine.pipeline.health.summary()["events"]:
         until = event["until_s"]
         end = "to the end" if until is None else f"until {until:.1f} s"
         text = f"{event['sensor']} {event['fault']} {event['axes']} {end}"
-        found.append((float(event["since_s"]), "sensor_fault", text, -1, 0.0))
+        found.append((float(event["since_s"]), "sensor_fault", text))
     return found
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from imucald.mount.mount_words import reasons_line
@@ -41,7 +42,7 @@ class LiveEvents:
         self._state: str | None = None
         self._link: str | None = None
         self._alarms: frozenset[str] = frozenset()
-        self._listed: set[tuple[float, str, str]] = set()
+        self._listed: dict[tuple[float, str, str], LiveEvent] = {}
 
     def update(self, status: Mapping[str, Any], now: float) -> None:
         """Take a status at wall clock `now` [s]."""
@@ -49,10 +50,15 @@ class LiveEvents:
         first = self._state is None
         found = []
         for event in reported_events(status):
-            key = event.t, event.kind, event.text.partition(",")[0]
-            if key not in self._listed:
-                self._listed.add(key)
-                found.append(LiveEvent(began + event.t, event.kind, event.text))
+            key = event.t, event.kind, re.split("[:,]", event.text)[0]
+            before = self._listed.get(key)
+            if before is None:
+                self._listed[key] = LiveEvent(began + event.t, event.kind, event.text)
+                found.append(self._listed[key])
+            elif before.text != event.text:  # more is known of it by now
+                self._listed[key] = replace(before, text=event.text)
+                same = [self._listed[key] if e is before else e for e in self.events]
+                self.events = deque(same, maxlen=KEPT)
         if first and status["state"] != "restored":  # not confirmed, and in force
             found += [
                 LiveEvent(began + status[f"first_{name}_s"], "state", f"{name} for the first time")

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from imucald.mount.creep import BELIEVED, Creep
-from imucald.mount.estimate import ANGLES
+from imucald.mount.estimate import ANGLES, Correction
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlockMaker
@@ -27,10 +29,12 @@ def estimate_details(
     changes: MountChanges,
     checks: SignalChecks,
     steering: tuple[float, float] | None,
+    good: Correction | None,
 ) -> dict[str, object]:
     """Return the details of an estimate.
 
     steering: zero offset of the steering-wheel angle and its deviation [rad], where it is known.
+    good: the rotation that is good now, by rows.
     """
     fused, bias = solver.fused, solver.bias
     return {
@@ -55,12 +59,13 @@ def estimate_details(
         "distance": solver.gravity.metres,
         "shifts": [
             {
-                "t": block * BLOCK_S,
-                "angle": ANGLES[shift.axis],
-                "size_deg": math.degrees(shift.size),
-                "deviations": shift.deviations,
+                "t": one.block * BLOCK_S,
+                "angle": ANGLES[one.change.axis],
+                "size_deg": math.degrees(one.change.size),
+                "deviations": one.change.deviations,
+                "turn_deg": None if turn is None else np.degrees(turn).tolist(),
             }
-            for block, shift in changes.history
+            for one, turn in zip(changes.history, changes.turns(good), strict=True)
         ],
         "creep": creep_details(solver.creep),
         "cross_axis_std": solver.cross_axis_std,

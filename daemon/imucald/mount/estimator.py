@@ -35,7 +35,7 @@ from imucald.mount.estimate_details import creep_details, estimate_details
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since
+from imucald.mount.mount_changes import MountChange, MountChanges, TakenChange, blocks_since
 from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.reported_rotation import ReportedRotation
 from imucald.mount.restartable_solver import RestartableSolver
@@ -218,7 +218,7 @@ class FullEstimator:
             if changes.bear(found, block):
                 self._solvers.begin_beside(after, self._signals.offsets)
             return
-        changes.history.append((block, found))
+        changes.history.append(TakenChange(block, found, self._served.good, False))
         if abs(found.size) > AFRESH:
             self._begin_without_rotation(after)
             return
@@ -305,7 +305,7 @@ class FullEstimator:
             R, covariance = self._rotation.of(solver, self._moving())
             steering = self._steering_fitted()
             details = estimate_details(
-                solver, self._signals, self._known, changes, checks, steering
+                solver, self._signals, self._known, changes, checks, steering, self._served.good
             )
         targets = self._settings.targets
         return MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)

@@ -10,8 +10,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
+from imucald.core.rotations import vector_from_rotation
+from imucald.mount.estimate import Correction
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.evidence_response import GROUP
 from imucald.mount.gravity_step import GravityStep
@@ -40,17 +43,31 @@ alarm in 300 h and angle, with 140 road segments an hour and two independent spa
 of 1.2e-5, two-sided."""
 
 
+class TakenChange(Struct, frozen=True):
+    """A change that was found.
+
+    block: its number in the drive. change: what the test saw of it, of one angle. served: the
+    rotation R_vehicle_from_sensor that was good until then, by rows; None where none was.
+    is_borne: it misleads nobody, and that rotation went on.
+    """
+
+    block: int
+    change: MountChange
+    served: Correction | None
+    is_borne: bool
+
+
 class MountChanges:
     """Tests of a drive for a moved sensor.
 
-    history: each change that was taken, with the number of its block. is_near: whether a change
+    history: each change that was found. is_near: whether a change
     that is none yet comes near the threshold. borne: by how much each angle has moved (3,) [rad]
     since what is applied was found, where that misleads nobody.
     """
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._large = LargeChangeDetector(settings)
-        self.history: list[tuple[int, MountChange]] = []
+        self.history: list[TakenChange] = []
         self.is_near = False
         self.borne = np.zeros(3)
         self._doubted = np.zeros(3)
@@ -109,7 +126,7 @@ class MountChanges:
         borne = float(self.borne[found.axis])
         is_new = borne == 0.0 or borne * found.size < 0.0
         if is_new:
-            self.history.append((block, found))
+            self.history.append(TakenChange(block, found, None, True))
         if is_new or abs(found.size) > abs(borne):
             self.borne[found.axis] = found.size
         return is_new
@@ -136,8 +153,28 @@ class MountChanges:
 
     def shifted_again(self) -> list[float]:
         """How far each angle has moved [rad] where it was found to have shifted again; else 0."""
-        by_axis = [[s.size for _, s in self.history if s.axis == axis] for axis in range(3)]
+        every = [one.change for one in self.history]
+        by_axis = [[change.size for change in every if change.axis == axis] for axis in range(3)]
         return [math.fsum(x) if len(x) > SHIFTS_ALLOWED else 0.0 for x in by_axis]
+
+    def turns(self, now: Correction | None) -> list[Array | None]:
+        """By how far the mount is turned since each change: rotation vectors (3,) [rad] about the
+        vehicle's axes, of the good rotations before and after it.
+
+        now: the rotation that is good now, by rows. None where none was good before or after, and
+        for a change that is borne.
+        """
+        found: list[Array | None] = []
+        after = now
+        for one in reversed(self.history):
+            turn = None
+            if not one.is_borne:
+                if one.served is not None and after is not None:
+                    R_after, R_before = (np.array(R).reshape(3, 3) for R in (after, one.served))
+                    turn = vector_from_rotation(R_after @ R_before.T)
+                after = one.served
+            found.append(turn)
+        return found[::-1]
 
     def variance(self, solver: MountSolver, blocks: int) -> Array:
         """Variance (3,) [rad^2] from a mount that moves: as it creeps, or as it has moved so far.

@@ -9,7 +9,7 @@ from typing import Any
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.orientation_words import leaning_words, sits_words, steep_words
 from imucald.mount.contradictions import WORDS
-from imucald.mount.estimate import MountEstimate
+from imucald.mount.estimate import ANGLES, MountEstimate
 
 SD_95 = 2.0
 """Half of a 95 % interval in standard deviations, everywhere that people read "±"."""
@@ -18,6 +18,8 @@ ABOUT = f"{CONVENTION}; targets are for turns about the vehicle's axes"
 """Stands once on each screen that shows a mount."""
 TURNS_ABOUT = ("x (roll)", "y (pitch)", "z (yaw)")
 """Turns about the vehicle's axes, which states are judged by, and what they are called there."""
+MOST_OF_A_TURN = math.cos(math.radians(30.0))
+"""A turn whose axis lies within 30 deg of a vehicle's axis is one about that axis in words."""
 EVIDENCE_KINDS = {
     "turn": "turns",
     "dvdt": "acceleration",
@@ -114,3 +116,21 @@ def reasons_line(waiting_for: Mapping[str, str]) -> str:
     troubles = [text for _, text in found if is_trouble(text)]
     parts = ([f"waiting for {'; '.join(waits)}"] if waits else []) + troubles
     return "; ".join(parts)
+
+
+def moved_words(shift: Mapping[str, Any]) -> str:
+    """What is known of a moved sensor; shift: an item of `details.shifts`.
+
+    The test that finds it looks at one angle, and may see the turn about another one there: by how
+    much the sensor was turned is said by the mount that is found after it.
+    """
+    turn = shift.get("turn_deg")
+    if turn is None:
+        about = dict(zip(ANGLES, TURNS_ABOUT, strict=True))[shift["angle"]]
+        return f"it shows as {shift['size_deg']:+.1f} deg about {about}"
+    largest = max(range(3), key=lambda axis: abs(turn[axis]))
+    angle = math.hypot(*turn)
+    text = f"{turn[largest]:+.1f} deg about {TURNS_ABOUT[largest]}"
+    if abs(turn[largest]) < MOST_OF_A_TURN * angle:
+        text = f"{angle:.1f} deg ({', '.join(f'{x:+.1f}' for x in turn)} about x, y, z)"
+    return f"by {text}"

@@ -35,6 +35,11 @@ class ServedMount:
         return self._slewed.correction
 
     @property
+    def good(self) -> Correction | None:
+        """The rotation to apply, unless the sensor was moved since it was good."""
+        return None if self.has_moved else self.correction
+
+    @property
     def has_arrived(self) -> bool:
         """Whether what is applied is the rotation that was found last."""
         return self._slewed.has_arrived

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from imucald.mount.contradictions import WORDS
-from imucald.mount.estimate import ANGLES
-from imucald.mount.mount_words import TURNS_ABOUT, reasons_line
+from imucald.mount.mount_words import moved_words, reasons_line
 
 STATE_WORDS: Mapping[str, str] = {
     "waiting": "nothing is known yet",
@@ -45,9 +44,7 @@ def reported_events(result: Mapping[str, Any], gaps: Sequence[float] = ()) -> It
     """What a result (or a daemon's status) says about moved sensors, faults and sensor health."""
     details = result.get("details", {})
     for shift in details.get("shifts", ()):
-        about = dict(zip(ANGLES, TURNS_ABOUT, strict=True))[shift["angle"]]
-        text = f"the sensor was moved: {shift['size_deg']:+.1f} deg about {about}"
-        yield Event(float(shift["t"]), "moved", text)
+        yield Event(float(shift["t"]), "moved", f"the sensor was moved: {moved_words(shift)}")
     for fault in details.get("faults", ()):
         yield Event(float(fault["t"]), "fault", _fault_words(str(fault["fault"])))
     for one in result.get("signal_health", {}).get("events", ()):
