@@ -89,8 +89,8 @@ def test_minutes_later_it_is_known_how_far_a_step_stood_out_and_when(axis, degre
     moved[axis] = degrees * DEG
     watched(90, 60, moved, 3, tracker=tracker)
     history = tracker.steps.history
-    largest, least = history.near(30)[axis]
+    largest, least = history.near([30])[0, axis]
     assert (largest if degrees > 0.0 else -least) > 4.0
     assert (-least if degrees > 0.0 else largest) < 3.0
-    assert np.abs(history.near(60 - 20)).max() < 3.0, "long before it"
-    assert not history.near(200).any(), "longer ago than is remembered"
+    assert np.abs(history.near([60 - 20])).max() < 3.0, "long before it"
+    assert not history.near([200]).any(), "longer ago than is remembered"
