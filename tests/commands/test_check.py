@@ -172,6 +172,17 @@ def test_an_accelerometer_without_gravity_is_named_and_not_taken_for_a_unit() ->
     assert "unit" not in text
 
 
+def test_a_spike_does_not_take_gravity_out_of_a_sound_accelerometer() -> None:
+    drive = simulate(random_model(6, standing_first=True), 6, MINUTES)
+    accel = drive.samples["accel"]
+    values = accel.values.copy()
+    values[len(values) // 2] = [1500.0, 0.0, 0.0]
+    samples = {**drive.samples, "accel": replace(accel, values=values)}
+    spiked = dataclasses.replace(drive, samples=samples)
+    report = checked(list(bus_frames(spiked, BusEncoder(example_config()))))
+    assert "accelerometer" not in findings(report, "error")
+
+
 def seldom(frames: Frames, can_id: int, cycle: float) -> Frames:
     """The frames with one identifier's thinned out to a cycle [s]."""
     kept = []

@@ -21,6 +21,7 @@ from imucald.commands.live_events import LiveEvents
 from imucald.commands.monitor_view import monitor_picture
 from imucald.commands.status import exit_status
 from imucald.commands.status_view import picture
+from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.service.journal import Journal
 from imucald.service.service import Service
 from imucald.service.service_options import ServiceOptions
@@ -189,6 +190,14 @@ def test_what_is_known_later_of_an_event_takes_its_place(silent, status):
     later["details"] = {"shifts": [shift | {"turn_deg": [0.0, 0.1, 7.0]}]}
     moved = [e for e in events_of(silent, first, later).events if e.kind == "moved"]
     assert [e.text for e in moved] == ["the sensor was moved: by +7.0 deg about z (yaw)"]
+
+
+def test_two_faults_of_one_moment_are_both_listed(silent, status):
+    both = copy.deepcopy(status)
+    names = [StandingFault.ORIENTATION, StandingFault.FORWARD]
+    both["details"] = {"faults": [{"t": 40.0, "fault": name.value} for name in names]}
+    listed = [e.text for e in events_of(silent, both, both).events if e.kind == "fault"]
+    assert listed == [WORDS[name] for name in names]
 
 
 def test_a_mount_that_nothing_has_confirmed_is_not_called_usable(silent, status):

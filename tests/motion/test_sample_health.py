@@ -11,7 +11,7 @@ import pytest
 
 from imucald.core.samples import GRAVITY, Series
 from imucald.motion.sample_health import SOUND_S, SampleHealth
-from imucald.motion.sensor_judges import USUAL_HOPS
+from imucald.motion.sensor_judges import USUAL_HOPS, Runs
 from imucald.motion.signal_health import SignalFault
 
 HZ = 100.0
@@ -462,3 +462,11 @@ def test_a_filtered_axis_whose_step_is_coarser_than_what_noise_is_left_may_stay(
         values[:] = np.round(values / 0.00035) * 0.00035
 
     assert not reported(watched(edited(samples, "gyro", filtered)))
+
+
+def test_a_first_sample_after_a_gap_ends_no_run():
+    """A sensor that starts later than the speed gave 50 runs without a sample: a division by 0."""
+    runs = Runs()
+    for _ in range(60):
+        runs.add(1, 0, 0)
+    assert runs.limit() == math.inf

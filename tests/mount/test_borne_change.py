@@ -14,7 +14,7 @@ from imucald.core.rotations import rotation_from_angles, vector_from_rotation
 from imucald.motion.ticks import ticks_from_samples
 from imucald.mount.estimate import MountState
 from imucald.mount.estimator import FullEstimator
-from imucald.mount.mount_changes import MountChanges, TakenChange, probability
+from imucald.mount.mount_changes import MountChanges, probability
 from imucald.mount.shift import Shift
 from imucald.simulation import random_model, simulate
 from mount_settings import full
@@ -79,15 +79,25 @@ def test_a_turn_is_measured_by_the_mounts_before_and_after_it():
     turn = np.array([0.0, 0.17, 0.02])
     after = Rotation.from_rotvec(turn).as_matrix() @ before
     watched = changes()
-    for served in (None, by_rows(before)):
-        watched.history.append(TakenChange(50, shift(0, 3.0), served, False))
+    for good in (None, by_rows(before)):
+        watched.end_of_mounting(good)
+        watched.take(shift(0, 3.0), 50, good)
     assert watched.turns(None) == [None, None]
     first, second = watched.turns(by_rows(after))
     assert first is None
     assert second == pytest.approx(turn)
+
+
+def test_what_comes_later_does_not_change_the_turn_that_was_measured():
+    before, after, later = (rotation_from_angles(0.3, p, 2.0) for p in (-0.2, -0.1, 0.3))
+    watched = changes()
+    watched.take(shift(PITCH, 3.0), 50, by_rows(before))
+    watched.end_of_mounting(by_rows(after))
     watched.bear(shift(YAW, 0.8), 70)
-    assert watched.turns(by_rows(after))[-1] is None, "the mount went on as it was"
-    assert watched.turns(by_rows(after))[1] == pytest.approx(turn)
+    turn, borne = watched.turns(by_rows(later))
+    assert borne is None, "the mount went on as it was"
+    assert turn is not None
+    assert math.hypot(*turn) == pytest.approx(0.1)
 
 
 def test_the_same_change_is_reported_once_and_the_way_back_again():

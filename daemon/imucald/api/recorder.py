@@ -56,6 +56,7 @@ class Recorder:
         self._state = "waiting"
         self._faults: tuple[str, ...] = ()
         self._shifts: list[tuple[float, Mapping[str, Any]]] = []
+        self._shifts_left_out = 0
         self._segments: list[tuple[float, float]] = []  # stream time of the start, stamp minus it
         self._last_stamp = math.nan
         self._parts: dict[str, list[tuple[Array, Array, list[NDArray[Any]]]]] = {}
@@ -112,11 +113,13 @@ class Recorder:
                 self._event(snapshot.t, "contradiction", fault)
         self._faults = estimate.faults
         shifts = estimate.details.get("shifts")
-        if isinstance(shifts, list) and len(self._shifts) <= len(shifts) <= MAX_EVENTS:
+        if isinstance(shifts, list) and len(shifts) >= len(self._shifts):
             # by how much the sensor was turned at each is known later than that it was
             seen = [t for t, _ in self._shifts]
-            seen += [snapshot.t] * (len(shifts) - len(seen))
-            self._shifts = list(zip(seen, shifts, strict=True))
+            seen += [snapshot.t] * (min(len(shifts), MAX_EVENTS) - len(seen))
+            self.events_left_out += max(len(shifts) - MAX_EVENTS, 0) - self._shifts_left_out
+            self._shifts_left_out = max(len(shifts) - MAX_EVENTS, 0)
+            self._shifts = list(zip(seen, shifts, strict=False))
 
     def _event(self, t: float, kind: str, text: str) -> None:
         if len(self._events) < MAX_EVENTS:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -50,7 +49,8 @@ class LiveEvents:
         first = self._state is None
         found = []
         for event in reported_events(status):
-            key = event.t, event.kind, re.split("[:,]", event.text)[0]
+            name = "" if event.kind == "moved" else event.text.partition(",")[0]
+            key = event.t, event.kind, name
             before = self._listed.get(key)
             if before is None:
                 self._listed[key] = LiveEvent(began + event.t, event.kind, event.text)

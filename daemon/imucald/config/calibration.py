@@ -113,7 +113,7 @@ class MethodASettings(Settings, frozen=True):
 
 
 class StateLimits(Settings, frozen=True):
-    """From which standard deviations on the estimate is used; left again at 1.4 times.
+    """From which standard deviations on the estimate is used; docs say at how many times it ends.
 
     Where they are not given, each estimator has its own.
     """

@@ -193,7 +193,7 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
     size = float(np.linalg.norm(gravity))
     ratio = size / GRAVITY
     text = f"{size:.2f} m/s² {when} (gravity is {GRAVITY:.2f})"
-    if _lacks_gravity(motion.accel, size):
+    if ratio < 1.0 - REST_WRONG and _lacks_gravity(motion.accel, size):
         yield Finding("error", "accelerometer", f"{text}: {WITHOUT_GRAVITY}")
     elif abs(ratio - 1.0) > REST_WRONG:
         yield Finding("error", "accelerometer", f"{text}: {gain_guess(ratio, unit_advice)}")
@@ -213,13 +213,18 @@ def _at_rest(motion: Motion, unit_advice: str | None) -> Iterator[Finding]:
 
 
 def _lacks_gravity(accel: Array, size: float) -> bool:
-    """Whether readings (n, 3) change by more than their mean's size: by no unit a vehicle's.
+    """Whether readings (n, 3) usually change by more than their mean's size: by no unit a
+    vehicle's.
 
-    With a wrong unit both are wrong alike: changes of more than gravity itself would have to be
-    there, of 1 g and more on the average of a drive.
+    A wrong unit makes both wrong by the same factor: changes of more than gravity itself would
+    have to be there, of 1 g and more on the average of a drive. Usually: half of them are within
+    0.67 deviations (normal); single spikes do not count.
     """
     known = accel[np.isfinite(accel).all(axis=1)]
-    return len(known) >= MIN_TICKS and float(np.linalg.norm(known.std(axis=0))) > size
+    if len(known) < MIN_TICKS:
+        return False
+    usual = np.median(np.abs(known - np.median(known, axis=0)), axis=0) / 0.67
+    return float(np.linalg.norm(usual)) > size
 
 
 def _along(motion: Motion, unit_advice: Mapping[str, str]) -> Iterator[Finding]:

@@ -62,7 +62,12 @@ class Runs:
         self.count = self.longest = self._samples = 0
 
     def add(self, count: int, longest: int, samples: int) -> None:
-        """Take so many runs that ended, the longest of them, and all samples in them."""
+        """Take so many runs that ended, the longest of them, and all samples in them.
+
+        A sensor's first sample ends a run of none: that is no run.
+        """
+        if not samples:
+            return
         self.count += count
         self.longest = max(self.longest, longest)
         self._samples += samples

@@ -35,7 +35,7 @@ from imucald.mount.estimate_details import creep_details, estimate_details
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
-from imucald.mount.mount_changes import MountChange, MountChanges, TakenChange, blocks_since
+from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since
 from imucald.mount.off_vertical_limit import is_off_vertical
 from imucald.mount.reported_rotation import ReportedRotation
 from imucald.mount.restartable_solver import RestartableSolver
@@ -213,18 +213,19 @@ class FullEstimator:
     def _take_change(self, found: MountChange) -> None:
         """The sensor was moved: what came in the blocks after is all that counts."""
         after = blocks_since(found, self._solvers.kept)
-        changes, block = self._changes, self._signals.blocks
+        changes, block, good = self._changes, self._signals.blocks, self._served.good
+        changes.end_of_mounting(good)
         if self.state in GOOD and changes.is_bearable(found, self._solver, block):
             if changes.bear(found, block):
                 self._solvers.begin_beside(after, self._signals.offsets)
             return
-        changes.history.append(TakenChange(block, found, self._served.good, False))
         if abs(found.size) > AFRESH:
             self._begin_without_rotation(after)
-            return
-        self._served.has_moved = True
-        changes.restart()
-        self._solvers.begin_after_change(after, self._signals.offsets)
+        else:
+            self._served.has_moved = True
+            changes.restart()
+            self._solvers.begin_after_change(after, self._signals.offsets)
+        changes.take(found, block, good)
 
     def _take_beside(self) -> None:
         """Go on with what came after a change that misled nobody, once it knows the mount."""
@@ -235,6 +236,7 @@ class FullEstimator:
 
     def _begin_without_rotation(self, blocks: Iterable[SignalBlock] = ()) -> None:
         """Begin anew from these blocks: not even the rotation so far is a hint."""
+        self._changes.end_of_mounting(self._served.good)
         self._served.has_moved = True
         self._changes.restart()
         self._checks.restart()

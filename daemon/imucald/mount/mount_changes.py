@@ -43,18 +43,20 @@ alarm in 300 h and angle, with 140 road segments an hour and two independent spa
 of 1.2e-5, two-sided."""
 
 
-class TakenChange(Struct, frozen=True):
+class TakenChange(Struct):
     """A change that was found.
 
-    block: its number in the drive. change: what the test saw of it, of one angle. served: the
-    rotation R_vehicle_from_sensor that was good until then, by rows; None where none was.
-    is_borne: it misleads nobody, and that rotation went on.
+    block: its number in the drive. change: what the test saw of it, of one angle. before, after:
+    the rotation R_vehicle_from_sensor, by rows, that was good until then, and the one that was good
+    when the next change came; None where none was. is_borne: it misleads nobody, and the rotation
+    went on.
     """
 
     block: int
     change: MountChange
-    served: Correction | None
-    is_borne: bool
+    before: Correction | None = None
+    after: Correction | None = None
+    is_borne: bool = False
 
 
 class MountChanges:
@@ -68,6 +70,7 @@ class MountChanges:
     def __init__(self, settings: EstimatorSettings) -> None:
         self._large = LargeChangeDetector(settings)
         self.history: list[TakenChange] = []
+        self._is_open = False  # the mount after the last change may still become better known
         self.is_near = False
         self.borne = np.zeros(3)
         self._doubted = np.zeros(3)
@@ -126,10 +129,21 @@ class MountChanges:
         borne = float(self.borne[found.axis])
         is_new = borne == 0.0 or borne * found.size < 0.0
         if is_new:
-            self.history.append(TakenChange(block, found, None, True))
+            self.history.append(TakenChange(block, found, is_borne=True))
         if is_new or abs(found.size) > abs(borne):
             self.borne[found.axis] = found.size
         return is_new
+
+    def take(self, found: MountChange, block: int, good: Correction | None) -> None:
+        """Take a change after which the mount is found anew; good: the rotation until then."""
+        self.history.append(TakenChange(block, found, before=good))
+        self._is_open = True
+
+    def end_of_mounting(self, good: Correction | None) -> None:
+        """Another change comes, or all begins anew; good: the rotation until now."""
+        if self._is_open:
+            self.history[-1].after = good
+        self._is_open = False
 
     def skip(self) -> None:
         """Blocks come that cannot be compared with any rotation."""
@@ -164,17 +178,16 @@ class MountChanges:
         now: the rotation that is good now, by rows. None where none was good before or after, and
         for a change that is borne.
         """
+        last = len(self.history) - 1
         found: list[Array | None] = []
-        after = now
-        for one in reversed(self.history):
-            turn = None
-            if not one.is_borne:
-                if one.served is not None and after is not None:
-                    R_after, R_before = (np.array(R).reshape(3, 3) for R in (after, one.served))
-                    turn = vector_from_rotation(R_after @ R_before.T)
-                after = one.served
-            found.append(turn)
-        return found[::-1]
+        for i, one in enumerate(self.history):
+            after = now if self._is_open and i == last else one.after
+            if one.before is None or after is None:
+                found.append(None)
+                continue
+            R_after, R_before = (np.array(R).reshape(3, 3) for R in (after, one.before))
+            found.append(vector_from_rotation(R_after @ R_before.T))
+        return found
 
     def variance(self, solver: MountSolver, blocks: int) -> Array:
         """Variance (3,) [rad^2] from a mount that moves: as it creeps, or as it has moved so far.
