@@ -198,12 +198,19 @@ def one_signal(line: str, size: int = 8, more: str = "") -> Message:
         ('S : 0|8@1+ (0,0) [0|0] ""', "no physical value"),
         ('S : 0|8@1+ (1e400,0) [0|0] ""', "no physical value"),
         ('S : 0|8@1+ (1,-1e305) [0|0] ""', "no physical value"),
+        ('S : 0|8@1+ (1e300,0) [0|0] ""', r"factor 1e\+300 and offset 0 make no physical value"),
     ],
 )
 def test_a_signal_that_makes_no_sense_is_refused_by_name(line: str, reason: str) -> None:
     with pytest.raises(DatabaseError, match=reason) as caught:
         compile_decode(one_signal(line, 16 if "|65@" in line else 8), ["S"])
     assert "x.dbc: M.S" in str(caught.value)
+
+
+def test_a_reason_is_as_short_as_a_line_of_the_file_is_long() -> None:
+    with pytest.raises(DatabaseError, match="cannot be read") as caught:
+        load_database_text("W" * 50_000, "dbc", "x.dbc")
+    assert len(str(caught.value)) < 500
 
 
 def test_a_broken_signal_does_not_hinder_the_others() -> None:

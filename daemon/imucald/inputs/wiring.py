@@ -193,8 +193,11 @@ def _rails(signal: Signal | None, source: cfg.SourceSettings) -> tuple[float, fl
     """Physical values at which the sensor has run into its end."""
     if signal is None or signal.is_float:
         return None
-    ends = [raw * signal.scale + signal.offset for raw in raw_limits(signal)]
-    low, high = float(min(ends)), float(max(ends))
+    try:
+        ends = [float(raw * signal.scale + signal.offset) for raw in raw_limits(signal)]
+    except OverflowError:  # whole numbers of any size; who decodes the signal refuses it
+        return None
+    low, high = min(ends), max(ends)
     if source.range is None and signal.minimum is not None and signal.maximum is not None:
         low, high = max(low, signal.minimum), min(high, signal.maximum)
     return (low, high) if low < high else None

@@ -18,6 +18,9 @@ from imucald.can.dbc.message import Message, Signal
 from imucald.core.errors import DatabaseError
 from imucald.core.partial_import import standing_in
 
+MAX_REASON = 300
+"""Characters of a reason that are shown."""
+
 
 def parse(text: str, database_format: str, source: str) -> list[Message]:
     """Return the messages of a database's text.
@@ -54,12 +57,13 @@ def _is_out_of_memory(error: Exception) -> bool:
 
 
 def _reason(error: Exception) -> str:
-    """One line of a parser's error, without the other formats' complaints."""
+    """One line of a parser's error, without the other formats' complaints; no longer than a person
+    reads, for the parser quotes the whole line of the file."""
     if isinstance(error, RecursionError):
         return "nested too deeply"
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     text = lines[0] if lines else type(error).__name__
-    return f"cannot be read: {text}"
+    return f"cannot be read: {text[:MAX_REASON]}{'...' if len(text) > MAX_REASON else ''}"
 
 
 def _message(found: Any, source: str) -> Message:

@@ -163,6 +163,14 @@ def _is_whole(value: int | float) -> bool:
     return isinstance(value, int) or value.is_integer()
 
 
+def _short(number: float) -> str:
+    """A number of a file, that may have any number of digits."""
+    try:
+        return f"{number:g}"
+    except OverflowError:
+        return "above 1e308"
+
+
 def _check(signal: Signal, place: str) -> None:
     if not 0 < signal.length <= MAX_SIGNAL_BITS:
         raise DatabaseError(f"{place}: {signal.length} bits are no number (1 to {MAX_SIGNAL_BITS})")
@@ -175,6 +183,6 @@ def _check(signal: Signal, place: str) -> None:
         reach = math.inf
     if not reach < MAX_PHYSICAL or scale == 0.0:
         raise DatabaseError(
-            f"{place}: factor {str(signal.scale)[:20]} and offset {str(signal.offset)[:20]} "
+            f"{place}: factor {_short(signal.scale)} and offset {_short(signal.offset)} "
             "make no physical value"
         )
