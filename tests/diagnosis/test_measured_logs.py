@@ -55,6 +55,20 @@ def said(d):
     return {c.name: c for c in d.causes}
 
 
+def test_a_gyroscope_that_wanders_in_an_unmodified_log_is_said_and_nothing_is_invented():
+    """About one axis its zero is another after the first long stop, by a witness (HISTORY.md)."""
+    recording, model = log("vehsense_2018_08_04")
+    d = diagnose([recording.samples], model)
+    assert d.verdict == "unknown"
+    assert any(s.parameter.startswith("gyro.bias") for s in d.structure)
+    assert set(said(d)) <= {"accel_bias", "gyro_bias"}
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="beside a gyroscope's zero that differs between even and braking driving no fit names "
+    "a cause: 1.1 times what a correct file may",
+)
 def test_a_known_bias_is_found_in_an_unmodified_log():
     """|f| at rest is 10.04 there, forward is off by -0.23 to -0.32 m/s^2 by independent fits."""
     recording, model = log("vehsense_2018_08_04")

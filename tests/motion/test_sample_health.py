@@ -405,7 +405,7 @@ def test_a_smooth_axis_that_is_held_by_its_rail_for_long_is_saturated_and_not_on
     assert health.faults["gyro"][SignalFault.SATURATED] == "z", "until something lies beyond"
 
 
-def test_a_loose_contact_that_drops_to_zero_is_on_no_rail() -> None:
+def test_a_loose_contact_that_drops_to_zero_for_a_moment_is_stuck_and_on_no_rail() -> None:
     """Gravity's axis is never near zero else: a jump over values that never come."""
     samples = drive(400.0)
     rng = np.random.default_rng(5)
@@ -413,9 +413,24 @@ def test_a_loose_contact_that_drops_to_zero_is_on_no_rail() -> None:
 
     def drop(_: np.ndarray, values: np.ndarray) -> None:
         for k in begins.tolist():
-            values[k : k + int(rng.integers(3, 30)), 2] = 0.0
+            values[k : k + int(rng.integers(8, 90)), 2] = 0.0
 
-    assert not reported(watched(edited(samples, "accel", drop)))
+    events = watched(edited(samples, "accel", drop)).events
+    assert {e.fault for e in events} <= {SignalFault.STUCK, SignalFault.IMPLAUSIBLE}
+    assert {e.axes for e in events if e.fault is SignalFault.STUCK} == {"z"}
+    assert min(e.since for e in events) < samples["accel"].t[begins.min()] + 1.5
+
+
+@pytest.mark.parametrize("samples_late", [4, 30, 90])
+def test_a_sender_that_repeats_a_value_whose_successor_is_late_is_sound(samples_late: int) -> None:
+    rng = np.random.default_rng(6)
+    begins = rng.choice(np.arange(5000, 38000), 200, replace=False)
+
+    def repeat(_: np.ndarray, values: np.ndarray) -> None:
+        for k in begins.tolist():
+            values[k : k + samples_late] = values[k]
+
+    assert not reported(watched(edited(drive(400.0), "accel", repeat)))
 
 
 @pytest.mark.parametrize("seed", range(3))

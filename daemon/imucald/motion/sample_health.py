@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from imucald.core.angles import DEG_PER_RAD
 from imucald.core.samples import Samples, Series
 from imucald.motion.hops import HOP_S, HOP_TICKS, SIDES, Carry, HopRows, hop_rows
+from imucald.motion.lost_contact import LostContact
 from imucald.motion.rail_evidence import AxisHop
 from imucald.motion.rails import AxisRails
 from imucald.motion.sensor_judges import (
@@ -101,14 +102,16 @@ class _Sensor(_Judged):
         self.carry = Carry.none(axes)
         self.stuck = [StuckAxis(NOISE[channel]) for _ in range(axes)]
         self.rails = [AxisRails(axis) for axis in range(axes)]
+        self.contacts = [LostContact() for _ in range(axes)]
         self._wild = Lasting(FORCE_HOPS if channel == "accel" else RATE_HOPS)
         self._unit = UnitChange(_UNITS[channel], axes) if channel in _UNITS else None
 
     def restart(self) -> None:
         self.pending = []
         self.carry.restart()
-        for axis in self.stuck:
+        for axis, contact in zip(self.stuck, self.contacts, strict=True):
             axis.restart()
+            contact.restart()
         if self._unit is not None:
             self._unit.restart()
 
@@ -155,7 +158,7 @@ class _Sensor(_Judged):
         self, axis: int, rows: HopRows, moves: list[bool], counts: list[int]
     ) -> tuple[list[bool], list[bool]]:
         """At the end of which hops an axis is stuck, and on a rail; False without samples."""
-        judge, rails = self.stuck[axis], self.rails[axis]
+        judge, rails, contact = self.stuck[axis], self.rails[axis], self.contacts[axis]
         columns = [x[:, axis].tolist() for x in (rows.ended, rows.longest, rows.run, rows.step)]
         of_sides = [
             zip(*(x[:, side, axis].tolist() for side in range(SIDES)), strict=True)
@@ -167,7 +170,8 @@ class _Sensor(_Judged):
             if count:
                 hop = AxisHop(rows, h, judge.moving, step, tops, on_tops)
                 saturated[h] = rails.step(hop, moving, judge.stuck)
-                stuck[h] = judge.step(moving, count, ended, longest, run, step)
+                lost, jumped = contact.step(rows, h, axis, judge.usual(moving))
+                stuck[h] = judge.step(moving, count, ended, longest, run, step, jumped) or lost
         return stuck, saturated
 
 

@@ -112,15 +112,22 @@ class StuckAxis:
         self._moved_run = self._moved_hops = self._hops = self._run = 0
         self._rested = False
 
-    def step(self, moving: bool, count: int, ended: int, longest: int, run: int, q: float) -> bool:
+    def usual(self, moving: bool) -> Runs:
+        """The runs that ended so far, in motion or at rest."""
+        return self.moving if moving else self._resting
+
+    def step(
+        self, moving: bool, count: int, ended: int, longest: int, run: int, q: float, jumped: bool
+    ) -> bool:
         """Take a hop; whether the axis is stuck at its end.
 
         count, ended, longest, run, q: of the axis, as `HopRows` has count .. run and step.
+        jumped: the longest lies between jumps, and is no usual run.
         """
         self._rest_hops += not moving
         open_before, self._run = self._run, run
         if ended:
-            if not self.stuck:  # else the longest is the one that was stuck
+            if not self.stuck and not jumped:  # else the longest is the one that was stuck
                 is_old = longest > count and self._rested
                 pool = self.moving if moving and not is_old else self._resting
                 pool.add(ended, longest, open_before + count - run)

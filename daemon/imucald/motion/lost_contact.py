@@ -1,0 +1,72 @@
+"""Does an axis jump to a value, stay on exactly that one, and jump back? A loose contact does.
+
+It is shorter than what counts as stuck. A run of equal values that noise never makes may also come
+from a sender that repeats a value because the next one is late; that value is one of the road's,
+so that nothing jumps to it and away from it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from imucald.motion.hops import HopRows
+from imucald.motion.sensor_judges import Runs
+
+JUMP = 5.0
+"""A jump is so many times the axis's mean change, where it changes at all (an axis that is coarser
+than its noise seldom does, by its step): four deviations of normal changes. At both ends of the same repeated value that is a chance of 4e-9, of some 1e5 late values
+in 100 h."""
+MIN_RUN = 3
+"""Shorter runs are not looked at: noise makes them."""
+
+
+class LostContact:
+    """Watches one axis, hop by hop."""
+
+    def __init__(self) -> None:
+        self._open = 0  # samples of the run at the end of the last hop
+        self._entry = 0.0  # the change with which it began
+        self._change = 0.0
+        self._changes = 0
+
+    def restart(self) -> None:
+        """Time jumped."""
+        self._open, self._entry = 0, 0.0
+
+    def step(self, rows: HopRows, h: int, axis: int, usual: Runs) -> tuple[bool, bool]:
+        """Take hop h of an axis.
+
+        usual: the runs of equal values of this axis so far. Returns whether a value between two
+        jumps that lasted longer than those ended in it, and whether its longest run is none to
+        learn from.
+        """
+        count, run, longest = int(rows.count[h]), int(rows.run[h, axis]), int(rows.longest[h, axis])
+        found = jumped = False
+        if longest >= MIN_RUN and longest > usual.longest:
+            lasted = self._between_jumps(rows, h, axis)
+            jumped = longest == lasted
+            found = lasted > usual.limit()
+        if not jumped:
+            self._change += float(rows.level[h, axis]) * count
+            self._changes += int(rows.ended[h, axis])
+        if run <= count:  # it began in this hop
+            at = int(rows.edges[h + 1]) - run
+            values = rows.samples[axis]
+            before = values[at - 1] if at else rows.before[axis]
+            self._entry = float(abs(values[at] - before))
+        self._open = run
+        return found, jumped
+
+    def _between_jumps(self, rows: HopRows, h: int, axis: int) -> int:
+        """The longest run between two jumps that ended in the hop [samples]."""
+        first, last = int(rows.edges[h]), int(rows.edges[h + 1])
+        values = rows.samples[axis]
+        before = values[first - 1] if first else rows.before[axis]
+        change = np.abs(np.diff(values[first:last], prepend=before))
+        new = np.flatnonzero(change)
+        lasted = np.diff(new, prepend=-self._open)
+        size: NDArray[np.float64] = change[new]
+        entry = np.append(self._entry, size[:-1])
+        jump = JUMP * self._change / max(self._changes, 1)
+        return int(lasted[(entry > jump) & (size > jump)].max(initial=0))
