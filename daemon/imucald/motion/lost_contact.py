@@ -15,8 +15,8 @@ from imucald.motion.sensor_judges import Runs
 
 JUMP = 5.0
 """A jump is so many times the axis's mean change, where it changes at all (an axis that is coarser
-than its noise seldom does, by its step): four deviations of normal changes. At both ends of the same repeated value that is a chance of 4e-9, of some 1e5 late values
-in 100 h."""
+than its noise seldom does, by its step): four deviations of normal changes. At both ends of the
+same repeated value that is a chance of 4e-9, of some 1e5 late values in 100 h."""
 MIN_RUN = 3
 """Shorter runs are not looked at: noise makes them."""
 
@@ -34,14 +34,17 @@ class LostContact:
         """Time jumped."""
         self._open, self._entry = 0, 0.0
 
-    def step(self, rows: HopRows, h: int, axis: int, usual: Runs) -> tuple[bool, bool]:
+    def step(
+        self, rows: HopRows, h: int, axis: int, counts: tuple[int, int, int, int], usual: Runs
+    ) -> tuple[bool, bool]:
         """Take hop h of an axis.
 
-        usual: the runs of equal values of this axis so far. Returns whether a value between two
+        counts: its count, ended, longest and run, as `HopRows` has them. usual: the runs of equal
+        values of this axis so far. Returns whether a value between two
         jumps that lasted longer than those ended in it, and whether its longest run is none to
         learn from.
         """
-        count, run, longest = int(rows.count[h]), int(rows.run[h, axis]), int(rows.longest[h, axis])
+        count, ended, longest, run = counts
         found = jumped = False
         if longest >= MIN_RUN and longest > usual.longest:
             lasted = self._between_jumps(rows, h, axis)
@@ -49,7 +52,7 @@ class LostContact:
             found = lasted > usual.limit()
         if not jumped:
             self._change += float(rows.level[h, axis]) * count
-            self._changes += int(rows.ended[h, axis])
+            self._changes += ended
         if run <= count:  # it began in this hop
             at = int(rows.edges[h + 1]) - run
             values = rows.samples[axis]

@@ -170,7 +170,8 @@ class _Sensor(_Judged):
             if count:
                 hop = AxisHop(rows, h, judge.moving, step, tops, on_tops)
                 saturated[h] = rails.step(hop, moving, judge.stuck)
-                lost, jumped = contact.step(rows, h, axis, judge.usual(moving))
+                runs = count, ended, longest, run
+                lost, jumped = contact.step(rows, h, axis, runs, judge.usual(moving))
                 stuck[h] = judge.step(moving, count, ended, longest, run, step, jumped) or lost
         return stuck, saturated
 
