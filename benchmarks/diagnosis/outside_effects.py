@@ -9,8 +9,10 @@ loose_contact and heated_gain were written on 2026-11-22 at 19:08, before anythi
 changed that day, and not run before the judge of draw 14. Since then (19:20) all are put in on the
 sensor's own levels: before, a gain made every value but 0 a level of its own, which gave it away.
 gyro_highpass, supply_dips and speedometer were written on 2026-11-22 at 22:26, each from a
-published source, before anything of the tests was looked at or changed that evening, and are not
-run before the judge of draw 15.
+published source, before anything of the tests was looked at or changed that evening, and not run
+before the judge of draw 15. g_sensitivity, clock_step and tyre_growth were written on 2026-11-23 at
+01:45, before anything of the tests was changed that day, and are not run before the judge of draw
+16.
 """
 
 from __future__ import annotations
@@ -214,6 +216,32 @@ def _speedometer(s: Drive, size: float, rng: np.random.Generator, R: Array) -> f
     return size
 
 
+def _g_sensitivity(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """A gyroscope that feels acceleration: each axis shows size [rad/s per m/s²] times the force
+    along it (ADXRS300 data sheet, 2004: linear acceleration effect, any axis, 0.2 deg/s/g)."""
+    t, rate, force = s["gyro"].t, s["gyro"].values, s["accel"]
+    felt = [np.interp(t, force.t, column) for column in force.values.T]
+    _set(s, "gyro", rate + size * np.column_stack(felt))
+    return size
+
+
+def _clock_step(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """The unit that stamps the speed sets its clock once: from then on stamps are late by size [s]
+    (ntpd steps a clock that is off by more than 0.128 s, RFC 5905, STEPT)."""
+    t = s["speed"].t
+    at = t[0] + rng.uniform(0.35, 0.65) * (t[-1] - t[0])
+    s["speed"] = Series(t + size * (t >= at), s["speed"].values)
+    return size
+
+
+def _tyre_growth(s: Drive, size: float, rng: np.random.Generator, R: Array) -> float:
+    """Tyres grow with the square of the speed, by this share at 40 m/s, and wheels that count turns
+    show too little (Pacejka, Tyre and Vehicle Dynamics, 2012, 8.3.1: growth of the free radius)."""
+    v = s["speed"].values
+    _set(s, "speed", v * (1.0 - size * (v / 40.0) ** 2))
+    return size
+
+
 OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "shaking": (_shaking, 0.3, "accel"),
     "swing": (_swing, 0.4, "accel"),
@@ -230,7 +258,10 @@ OUTSIDE: Mapping[str, tuple[Put, float, str]] = {
     "gyro_highpass": (_gyro_highpass, 0.016, "gyro"),
     "supply_dips": (_supply_dips, 0.005, "accel"),
     "speedometer": (_speedometer, 4.0 / 3.6, "speed"),
+    "g_sensitivity": (_g_sensitivity, np.radians(0.2) / 9.80665, "gyro"),
+    "clock_step": (_clock_step, 0.15, "speed"),
+    "tyre_growth": (_tyre_growth, 0.015, "speed"),
 }
 """Effect, medium size [SI], signal that it is put into."""
-NOT_RUN = ("gyro_highpass", "supply_dips", "speedometer")
-"""Not run before the judge of draw 15."""
+NOT_RUN = ("g_sensitivity", "clock_step", "tyre_growth")
+"""Not run before the judge of draw 16."""
