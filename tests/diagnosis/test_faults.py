@@ -244,9 +244,9 @@ def test_answers_whose_lateness_adds_up_have_no_clock(seed):
     """Asked again on the answer, in 0.10 or 0.13 s as an OBD-II dongle is: some walks stay near a
     cycle for minutes, and it is nobody's."""
     rng, samples = np.random.default_rng(seed), drive()
-    slow = rng.random(1558) < 0.18
-    quick = rng.normal(0.103, 0.006, 1558)
-    t = np.cumsum(np.where(slow, rng.normal(0.129, 0.008, 1558), quick))
+    is_slow = rng.random(1558) < 0.18
+    slow, quick = rng.normal(0.129, 0.008, 1558), rng.normal(0.103, 0.006, 1558)
+    t = np.cumsum(np.where(is_slow, slow, quick))
     samples["speed"] = Series(t, np.round(40.0 + 10.0 * np.sin(t / 11.0)) / 3.6)
     model = MODEL.with_changes({"speed.rate_hz": 1.0 / 0.105})
     assert "clock_drift:speed" not in causes(samples, model)
