@@ -102,6 +102,16 @@ def test_beside_anything_that_is_left_no_fit_names_a_cause(kind):
     assert state.doubtful == [drift]
 
 
+@pytest.mark.parametrize("kind", [None, WANDERS])
+def test_what_is_only_likely_stands_where_nothing_is_left(kind):
+    state, drift = with_a_drift(5.0)
+    state.named, state.likely = [], [drift]
+    left = [] if kind is None else [Structure("accel_x", kind, 2.0, "", "speed.scale")]
+    doubt(state, left, [])
+    stands = kind is None
+    assert (state.likely == [drift], state.doubtful == [drift]) == (stands, not stands)
+
+
 @pytest.mark.parametrize(("wanders", "stands"), [("speed.scale", True), ("accel.bias.x", False)])
 def test_beside_a_wander_stands_what_is_not_of_the_same_parameter(wanders, stands):
     state, drift = with_a_drift(5.0)

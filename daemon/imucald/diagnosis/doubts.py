@@ -53,10 +53,10 @@ def doubt(state: State, left: Sequence[Structure], faults: Sequence[Sequence[Fau
         return bool(sensors & shifted) or _may_be_a_low_pass(state.table, trial, delays)
 
     unsettle(state, is_doubtful)
-    if left:
-        # A cause is missing, and may be what a weaker statement rests on.
-        state.doubtful += state.likely
-        state.likely = []
+    likely, state.likely = state.likely, []
+    for trial in likely:
+        # Where anything is left a cause is missing, and may be what a weaker statement rests on.
+        (state.doubtful if left or is_doubtful(trial) else state.likely).append(trial)
 
 
 def _may_be_a_low_pass(table: Table | None, trial: Trial, delays: Mapping[str, float]) -> bool:

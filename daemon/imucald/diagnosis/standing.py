@@ -119,13 +119,11 @@ def demote(state: State) -> None:
 
 
 def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
-    """Causes that something else may make are not ruled out, and no more: the fit gives them what
-    the other thing makes."""
+    """Named causes that something else may make are not ruled out, and no more: the fit gives them
+    what the other thing makes."""
     for trial in [t for t in state.named if doubts(t)]:
         if trial.hypothesis.pattern is None:
             _drop(state, _without(state, trial), trial)
         else:  # it has no place in the model file: nothing moves
             state.named.remove(trial)
             state.doubtful.append(trial)
-    state.doubtful += [t for t in state.likely if doubts(t)]
-    state.likely = [t for t in state.likely if not doubts(t)]
