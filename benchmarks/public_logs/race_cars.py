@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.public_logs.frames import Array, Message, Signal, triad
-from benchmarks.public_logs.repositories import RACECHRONO, REVS
+from benchmarks.public_logs.repositories import RACECAPTURE, RACECHRONO, REVS
 
 TAUPO = "Test/session_20260103_141321_race_1_lap4.rcz"
 BOX = ("2_301_0", "3_302_0")
@@ -74,5 +74,94 @@ def targa_250lm(data: Path) -> list[Message]:
         )),
         Message(0x32, "STEER", t, (
             Signal("roadWheelAngle", "deg", 0.005, np.degrees(column("delta"))),
+        )),
+    ]  # fmt: skip
+
+
+COURSE_FIXES = 5
+"""Fixes over which a course is taken: half a second, where positions have steps of 0.1 m."""
+COURSE_WAY = 1.5
+"""Metres in between from which on there is a course."""
+
+
+def sonoma_car(data: Path) -> list[Message]:
+    """Race car, 18.6 min of a race track: logger's accelerometer, gyroscope 25 Hz, GPS 10 Hz.
+
+    The gyroscope, called deg/s, was never calibrated: its numbers are 3.8 times the rates, and at
+    rest it shows -57 to -60.
+    """
+    column = _racecapture(RACECAPTURE.file(data, "test/sonoma.log").decode())
+    t = column["Interval"] / 1000.0
+    has = np.isfinite(column["AccelX"])
+    has_steering = np.isfinite(column["Steering"])
+    return [
+        _columns(0x501, "RCP_ACCEL", t[has], "G", 0.01,
+                 {name: column[name][has] for name in ("AccelX", "AccelY", "AccelZ")}),
+        _columns(0x502, "RCP_GYRO", t[has], "deg/s", 0.1,
+                 {name: column[name][has] for name in ("Yaw", "Pitch", "Roll")}),
+        _columns(0x503, "RCP_STEER", t[has_steering], "", 1.0,
+                 {"Steering": column["Steering"][has_steering]}),
+        *_gps(column, t),
+    ]  # fmt: skip
+
+
+def seattle_car(data: Path) -> list[Message]:
+    """Car in streets, 18.6 min round a block: accelerometer and yaw rate 30 Hz, GPS 10 Hz.
+
+    Only rows with a fix have a time; those in between are spread evenly. The logger's box lies
+    loose: gravity wanders by 13 deg, forward by some 20.
+    """
+    text = RACECAPTURE.file(data, "test/predictive_time_test_lap.log").decode()
+    column = _racecapture(text)
+    clock = column["Time"]
+    fixes = np.flatnonzero(np.isfinite(clock))
+    seconds = clock // 10000 * 3600 + clock // 100 % 100 * 60 + clock % 100
+    rows = np.arange(len(clock))
+    t = np.interp(rows, fixes, seconds[fixes])
+    names = ("AccelX", "AccelY", "AccelZ", "Yaw")
+    has = np.isfinite(np.stack([column[name] for name in names])).all(axis=0)
+    has &= (rows >= fixes[0]) & (rows <= fixes[-1])
+    return [
+        _columns(0x511, "RCP_ACCEL", t[has], "G", 0.001,
+                 {name: column[name][has] for name in names[:3]}),
+        _columns(0x512, "RCP_YAW", t[has], "deg/s", 0.01, {"Yaw": column["Yaw"][has]}),
+        *_gps(column, t),
+    ]  # fmt: skip
+
+
+def _racecapture(text: str) -> dict[str, Array]:
+    """Columns of RaceCapture's log: its first line names them, an empty field is NaN."""
+    head, *lines = text.splitlines()
+    names = [field.split("|")[0].strip('"#') for field in head.split(",")]
+    rows = [line.split(",") for line in lines if line and not line.startswith(("#", '"'))]
+    values = np.array([[float(x) if x else np.nan for x in row] for row in rows
+                       if len(row) == len(names)])  # fmt: skip
+    return dict(zip(names, values.T, strict=True))
+
+
+def _columns(
+    id_: int, name: str, t: Array, unit: str, step: float, columns: dict[str, Array]
+) -> Message:
+    return Message(id_, name, t, tuple(
+        Signal(key, unit, step, values) for key, values in columns.items()
+    ))  # fmt: skip
+
+
+def _gps(column: dict[str, Array], t: Array) -> list[Message]:
+    """The receiver's speed, and the course of its positions over half a second before."""
+    is_fix = np.isfinite(column["Speed"]) & np.isfinite(column["Latitude"])
+    is_fix[is_fix] = np.concatenate([[True], np.diff(t[is_fix]) > 0.0])
+    t, speed, latitude, longitude = (
+        x[is_fix] for x in (t, column["Speed"], column["Latitude"], column["Longitude"])
+    )
+    north = (latitude[COURSE_FIXES:] - latitude[:-COURSE_FIXES]) * 111_194.0
+    east = (longitude[COURSE_FIXES:] - longitude[:-COURSE_FIXES]) * 111_194.0
+    east *= np.cos(np.radians(np.median(latitude)))
+    has_course = np.hypot(north, east) > COURSE_WAY
+    course = np.degrees(np.arctan2(east, north)) % 360.0
+    return [
+        Message(0x510, "RCP_GPS", t, (Signal("Speed", "mph", 0.01, speed, False),)),
+        Message(0x520, "RCP_COURSE", t[COURSE_FIXES:][has_course], (
+            Signal("Course", "deg", 0.01, course[has_course], False),
         )),
     ]  # fmt: skip

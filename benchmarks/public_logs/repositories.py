@@ -123,3 +123,18 @@ NORTHEASTERN = Repository(
 PUNE = Repository(
     "AnuragKamblekar", "Interncodes", "c3169c1d55a4438260ab76399c4fc8184a1bd8b6", "none stated"
 )
+RACECAPTURE = Repository(
+    "autosportlabs", "RaceCapture-Pro_firmware", "fa6ecf6d71b88b9b2e751ef7745aaf4d892b53f2",
+    "GPL-3.0",
+)  # fmt: skip
+GENESIS = Repository(
+    "MPC-Berkeley", "genesis_path_follower", "7f62ff6d1d16bcfef317181575305811b9460e8a",
+    "MIT",
+)  # fmt: skip
+KITTI_TENSORS = Repository(
+    "mkutay", "nn-dead-reckoning", "16d316edfa843ab2923a418085c72c5dd9a1ee96",
+    "none stated; KITTI's is CC-BY-NC-SA 3.0",
+)  # fmt: skip
+AMSTERDAM = Repository(
+    "LarsdeWolf", "ML4QS-G28", "13679fcc366306cb5a8963feb67951274b139654", "none stated"
+)

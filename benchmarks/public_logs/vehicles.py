@@ -12,6 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from scipy.io import loadmat
 
 from benchmarks.public_logs.frames import Array, Message, Signal, triad
 from benchmarks.public_logs.repositories import (
@@ -19,6 +20,7 @@ from benchmarks.public_logs.repositories import (
     COMMA2K19,
     DTU,
     EVERETT,
+    GENESIS,
     KAU,
     TORONTO_IMU,
     TORONTO_OBD,
@@ -190,6 +192,29 @@ def toronto_sienna(data: Path) -> list[Message]:
         triad(0x62, "IMU_W", "w", "rad/s", 0.00002, imu[:, 0], imu[:, 4:7], "_x _y _z"),
         Message(0x63, "OBD", speed[:, 0], (Signal("odom_speed", "m/s", 0.001, speed[:, 1]),)),
     ]
+
+
+def genesis_lap(data: Path, lap: str) -> list[Message]:
+    """Hyundai Genesis on a proving ground, a lap of 4 to 6 min: the car's own ESP sensors 100 Hz.
+
+    Speed and heading are those of an INS; the steering is the angle of the front wheels.
+    """
+    recorded = loadmat(io.BytesIO(GENESIS.file(data, f"paths/cpg_{lap}_lap.mat")))
+    column = {name: recorded[name].ravel() for name in ("t", "a_long", "a_lat", "wz", "df", "v",
+                                                        "psi")}  # fmt: skip
+    t = column["t"]
+    return [
+        Message(0x220, "ESP", t, (
+            Signal("a_long", "m/s^2", 0.01, column["a_long"]),
+            Signal("a_lat", "m/s^2", 0.01, column["a_lat"]),
+            Signal("wz", "rad/s", 0.0001, column["wz"]),
+        )),
+        Message(0x2B0, "MDPS", t, (Signal("df", "rad", 0.0001, column["df"]),)),
+        Message(0x2C0, "INS", t, (
+            Signal("v", "m/s", 0.002, column["v"], False),
+            Signal("psi", "rad", 0.0002, column["psi"]),
+        )),
+    ]  # fmt: skip
 
 
 def dtu_ugv(data: Path) -> list[Message]:
