@@ -44,7 +44,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         if best is None:
             break
         alike = _alike(best, state.last)
-        best = _from_the_edge(problem, state, best)
+        best, edge = _from_the_edge(problem, state, best)
         chosen = next(
             (t for t in [best, *alike, *_behind(best, state.last)] if t.is_plausible), None
         )
@@ -60,6 +60,10 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         if chosen.hypothesis.pattern is not None:
             # The model file has no place for a drift: like a shift, it ends the search.
             break
+        if edge and chosen is best:
+            # It was asked from the edge, and is taken from there.
+            state.apply({key: edge[key] for key in beyond(chosen)})
+            problem = state.evaluated()
         _take(state, problem, chosen)
         refit(state)
         dropped += let_go(state)
@@ -149,11 +153,12 @@ def _nearly(problem: Problem, state: State) -> Trial | None:
     return again if again.named and again.is_plausible else None
 
 
-def _from_the_edge(problem: Problem, state: State, best: Trial) -> Trial:
+def _from_the_edge(problem: Problem, state: State, best: Trial) -> tuple[Trial, dict[str, float]]:
     """What leads beyond the plausible is asked again from its edge: a column is a slope, and that
-    of a ratio that is a third lower leads to half of it."""
+    of a ratio that is a third lower leads to half of it. Returns the trial, and the step to where
+    it was asked; none where that did not help."""
     if best.is_plausible or not best.hypothesis.is_plain:
-        return best
+        return best, {}
     table, step = problem.table, _changes(problem, best.hypothesis)
     for key, x in step.items():
         low, high = table.plausible[table.keys.index(key)]
@@ -161,7 +166,7 @@ def _from_the_edge(problem: Problem, state: State, best: Trial) -> Trial:
     there = replace(state, changes=dict(state.changes), table=None)
     there.apply(step)
     again = asked_again(there, best)
-    return again if again.named and again.is_plausible else best
+    return (again, step) if again.named and again.is_plausible else (best, {})
 
 
 def _is_near(best: Trial, other: Trial) -> bool:

@@ -128,9 +128,7 @@ def set_aside(state: State, trial: Trial) -> None:
 
 
 def unsettle(state: State, doubts: Callable[[Trial], bool]) -> None:
-    """Causes that something else may make are not ruled out, and no more: the fit gives them what
-    the other thing makes."""
+    """Named causes that something else may make are not ruled out, and no more: the fit gives them
+    what the other thing makes."""
     for trial in [t for t in state.named if doubts(t)]:
         set_aside(state, trial)
-    state.doubtful += [t for t in state.likely if doubts(t)]
-    state.likely = [t for t in state.likely if not doubts(t)]
