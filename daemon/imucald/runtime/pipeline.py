@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from imucald.core.samples import Samples, Series
 from imucald.motion.column_ticks import ticks_from_samples
+from imucald.motion.faults_in_force import Faults
 from imucald.motion.hops import HOP_TICKS
-from imucald.motion.sample_health import Faults, SampleHealth
+from imucald.motion.sample_health import SampleHealth
 from imucald.motion.ticks import (
     SPEED,
     TICK_RATE,
