@@ -113,7 +113,8 @@ def _grown(
 
 def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
     """Of look-alikes any may be the right one. What else is named does not stand where another of
-    them alone does as well: it may be no more than what the one that was taken leaves."""
+    them alone does as well, and leaves nothing of it: it may be what the one that was taken leaves.
+    """
     for first in list(state.named):
         if first.hypothesis.pattern is not None:
             continue
@@ -121,6 +122,8 @@ def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
                   if t.hypothesis.pattern is None]  # fmt: skip
         for trial in [t for t in state.named if t is not first]:
             h = trial.hypothesis
+            if set(h.keys) & set(first.hypothesis.keys) and h.pattern is None:
+                continue
             for rival in rivals:
                 if late() or first not in state.named or trial not in state.named:
                     break
@@ -131,9 +134,12 @@ def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
                     other = without(other, trial)
                 _take(other, other.evaluated(), rival)
                 refit(other)
+                alone = held_out(other.evaluated())
                 both = held_out(state.evaluated(), None if h.pattern is None else h)
-                behind, se = paired(held_out(other.evaluated()), both)
-                if behind <= max(ALIKE_SE * se, trial.needed):
+                behind, se = paired(alone, both)
+                if behind > max(ALIKE_SE * se, trial.needed):
+                    continue
+                if not tried(other.evaluated(), h, alone, max(len(state.last), 1)).named:
                     set_aside(state, trial)
 
 
