@@ -17,7 +17,7 @@ from imucald.diagnosis.cause_keys import with_shifts
 from imucald.diagnosis.causes import family
 from imucald.diagnosis.score import Hypothesis, Problem, fitted, held_out, paired
 from imucald.diagnosis.shift import find_shift
-from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go
+from imucald.diagnosis.standing import asked_again, demote, eliminate, let_go, set_aside, without
 from imucald.diagnosis.state import State, refit, shift_steps
 from imucald.diagnosis.trials import SINGLE_NATS, Trial, hypotheses, joined, likeliest, tried
 
@@ -69,6 +69,7 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
         dropped += let_go(state)
     eliminate(state, late)
     demote(state)
+    _beside_rivals(state, late)
     if state.doubtful:
         state.last = _trials(state.evaluated(), state, [*skip, *dropped])
     known = {t.hypothesis.name for t in (*state.named, *state.doubtful)}
@@ -79,6 +80,32 @@ def search(state: State, tick: Tick, late: Callable[[], bool], skip: Sequence[st
             if t.hypothesis.name not in known
             and all(_is_form_of(t, other) for other in _alike(t, state.last))
         ]
+
+
+def _beside_rivals(state: State, late: Callable[[], bool]) -> None:
+    """Of look-alikes any may be the right one. What else is named does not stand where another of
+    them alone does as well: it may be no more than what the one that was taken leaves."""
+    for first in list(state.named):
+        if first.hypothesis.pattern is not None:
+            continue
+        rivals = [t for t in state.rivals.get(first.hypothesis.name, [])
+                  if t.hypothesis.pattern is None]  # fmt: skip
+        for trial in [t for t in state.named if t is not first]:
+            h = trial.hypothesis
+            for rival in rivals:
+                if late() or first not in state.named or trial not in state.named:
+                    break
+                if set(rival.hypothesis.keys) & set(h.keys) and h.pattern is None:
+                    continue
+                other = without(state, first)
+                if h.pattern is None:
+                    other = without(other, trial)
+                _take(other, other.evaluated(), rival)
+                refit(other)
+                both = held_out(state.evaluated(), None if h.pattern is None else h)
+                behind, se = paired(held_out(other.evaluated()), both)
+                if behind <= max(ALIKE_SE * se, trial.needed):
+                    set_aside(state, trial)
 
 
 def _trials(problem: Problem, state: State, skip: Sequence[str]) -> list[Trial]:
