@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from imucald.mount.creep import BELIEVED, Creep, creep
 from imucald.mount.road_segments import AngleEvidence
-from imucald.mount.shift import ScoreSeries
+from imucald.mount.score_series import ScoreSeries
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import pytest
 
 from imucald.mount.fusion import CommonCovariance, fuse
 from imucald.mount.road_segments import AngleEvidence, apart
-from imucald.mount.shift import AngleFit, ScoreSeries
+from imucald.mount.score_series import AngleFit, ScoreSeries
 
 SEGMENTS = 40
 

@@ -28,7 +28,7 @@ from imucald.mount.saved_information import (
     saved_from,
     together,
 )
-from imucald.mount.shift import ScoreSeries
+from imucald.mount.score_series import ScoreSeries
 from imucald.runtime.estimators import estimator_for
 from simulated_bus import drive, loaded
 

@@ -13,7 +13,8 @@ from imucald.mount.estimate import Missing, MountState
 from imucald.mount.estimator import FullEstimator
 from imucald.mount.estimator_settings import EstimatorSettings
 from imucald.mount.manoeuvres import Manoeuvres
-from imucald.mount.shift import NO_STEPS, UNEVEN_STD, ScoreSeries, largest_change
+from imucald.mount.score_series import ScoreSeries
+from imucald.mount.shift import NO_STEPS, UNEVEN_STD, largest_change
 from imucald.mount.states import (
     SLACK,
     YOUNG_SLACK,

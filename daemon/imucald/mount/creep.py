@@ -22,7 +22,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.mount.road_segments import AngleEvidence
-from imucald.mount.shift import ScoreSeries
+from imucald.mount.score_series import ScoreSeries
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from imucald.mount.evidence_rows import MAX_REGRESSORS, ROWS, WITHOUT_SPEED
-from imucald.mount.shift import AngleFit, ScoreSeries
+from imucald.mount.score_series import AngleFit, ScoreSeries
 
 Array = NDArray[np.float64]
 

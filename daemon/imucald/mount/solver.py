@@ -40,11 +40,11 @@ from imucald.mount.saved_information import (
     saved_sources,
     together,
 )
+from imucald.mount.score_series import ScoreSeries
 from imucald.mount.shift import (
     MIN_BEFORE,
     NO_STEPS,
     SPANS,
-    ScoreSeries,
     Shift,
     largest_change,
 )
