@@ -51,7 +51,7 @@ def all_lost(samples: Samples) -> dict[str, Lost]:
 
 
 def as_structure(name: str, lost: Lost) -> Structure:
-    """What is told of them."""
+    """The finding, in words and with its number of visits."""
     unit = "m/s^2" if "accel" in name else "rad/s"
     value = " ".join(f"{x + 0.0:.3g}" for x in lost.value)
     text = (
