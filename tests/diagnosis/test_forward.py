@@ -103,6 +103,22 @@ def test_no_column_is_the_raw_signal_of_its_own_equation():
             assert abs(np.corrcoef(column, own)[0, 1]) < 0.95, (key, name)
 
 
+def gain_alone(samples) -> float:
+    """The speed's gain by the forward equation alone."""
+    table = table_of([drive_of(samples)], world()[1])[0]
+    gram, at = table.plain["accel_x"].sum(axis=(0, 1)), table.keys.index("speed.scale") + 1
+    return float(gram[0, at] / gram[at, at])
+
+
+def test_noise_of_the_accelerometer_is_no_gain_where_the_speed_knows_better():
+    """It stands in the equation, and would stand in the column that is made of its signal."""
+    samples = dict(world()[0].samples)
+    rng, accel = np.random.default_rng(4), samples["accel"]
+    noise = 1.0 * rng.standard_normal(accel.values.shape)
+    samples["accel"] = Series(accel.t, accel.values + noise)
+    assert gain_alone(samples) == pytest.approx(gain_alone(world()[0].samples), abs=0.02)
+
+
 @pytest.mark.parametrize(("changes", "key"), [
     ({"accel.bias.x": 0.2}, "accel.bias.x"),
     ({"gyro.scale.2": 0.03}, "gyro.scale.2"),

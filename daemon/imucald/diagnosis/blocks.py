@@ -161,7 +161,7 @@ def _rows(
     """Residual and columns of each equation, transformed."""
     base = f.residuals({})
     masks = f.usable()
-    f.settle(f.tilts(base, masks))
+    f.settle(f.tilts(base, masks), f.inertial_share(base, masks, top["accel_x"]))
     settled = f.residuals({}, by_inertia=True)
     made = {}
     for name, x in base.of.items():

@@ -18,7 +18,7 @@ from imucald.core.samples import GRAVITY
 from imucald.diagnosis.cause_keys import Changes, age, along_vehicle, rear_slip
 from imucald.diagnosis.reading import Reader, Reference
 from imucald.diagnosis.signals import STEP_S, Array
-from imucald.diagnosis.single_track import followed_angle, slip_delay
+from imucald.diagnosis.single_track import SLOW_MPS, followed_angle, slip_delay
 
 SMOOTH_STEPS = 5
 """What comes of the speed's slopes, and the road's lean, are smoothed over so many steps."""
@@ -113,8 +113,10 @@ class VehicleMotion:
         turned = np.exp(1j * psi)
         return (_from_middle(turned * (-q + 1j * p)) / turned).ravel(), (1.0 / turned).ravel()
 
-    def reference(self, tilt: Array) -> Reference:
-        """Signals for columns, with the tilt (B, 2) of each block."""
+    def reference(self, tilt: Array, inertial: Array) -> Reference:
+        """Signals for columns, with the tilt (B, 2) of each block. inertial: (B,) share of the
+        accelerometer in the slope of the speed; all of it where the vehicle hardly moves, and
+        speeds jump to 0."""
         f, force = self.f, self.force.copy()
         x = force[:, 0]
         if self.f.has_turning:
@@ -125,7 +127,11 @@ class VehicleMotion:
             x = x - GRAVITY * u.real
             force[:, 1] += GRAVITY * u.imag
         force[:, 2] = GRAVITY
-        slopes = self._mean_slopes(x + self.r * self.v_y) * (1.0 + f.model.speed.scale)
+        along = x + self.r * self.v_y
+        by_speed = np.where(np.abs(self.v) > SLOW_MPS, np.repeat(1.0 - inertial, f.rows), 0.0)
+        moved = by_speed * (self.held(self.slopes) - along)
+        force[:, 0] += moved
+        slopes = self._mean_slopes(along + moved) * (1.0 + f.model.speed.scale)
         return Reference(slopes, force, self.force[:, 1] - self.v * self.r)
 
     # equations -----------------------------------------------------------------------------------

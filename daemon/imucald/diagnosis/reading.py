@@ -20,9 +20,10 @@ class Reference:
     """Signals for columns, each without the noise of the equation in which it stands."""
 
     slopes: Array
-    """Of the speed between its knots, by the accelerometer."""
+    """Of the speed between its knots, by speed and accelerometer."""
     force: Array
-    """(N, 3) along the vehicle: forward as measured, sideways as predicted, upward gravity."""
+    """(N, 3) along the vehicle: forward by speed and accelerometer, sideways as predicted, upward
+    gravity."""
     leaning: Array
     """(N,) sideways force less speed times yaw rate, as measured: what leans the vehicle."""
 
