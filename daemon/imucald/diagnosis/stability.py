@@ -13,12 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
+from imucald.diagnosis.box import box_fit
 from imucald.diagnosis.causes import PARAMETERS
 from imucald.diagnosis.chance import FALSE_SHARE, Question
 from imucald.diagnosis.forward import Forward
 from imucald.diagnosis.outcome import signals_of
 from imucald.diagnosis.result import DIFFERS, WANDERS, Structure
-from imucald.diagnosis.score import REACH, Hypothesis, Problem, box_fit
+from imucald.diagnosis.score import REACH, Hypothesis, Problem
 from imucald.diagnosis.signals import STEP_S, Array, DriveSignals, Mask
 from imucald.diagnosis.state import State
 from imucald.mount.mount_words import SD_95
