@@ -128,6 +128,9 @@ ROWS = (
     ),
     Row("signals", "rates 57.3 times too small", 7, faults.small_rates, whole=False),
     Row("signals", "speed stuck", 7, faults.speed_stuck, whole=False),
+    Row("steps", "zero steps by 1 m/s2", 7, faults.zero_step(1.0), FOUND, whole=False),
+    Row("steps", "gain steps by 10 %", 7, faults.gain_step(0.1), FOUND, whole=False),
+    Row("steps", "gyroscope sign turns", 7, faults.gyro_sign, FOUND, whole=False),
 )
 QUIET = Row("quiet", "no fault", 1, faults.none)
 AS_RECORDED = Row("recorded", "as recorded", 9, faults.none)

@@ -138,6 +138,33 @@ def unit_change(base: Base, put: Put) -> Faulty:
     return _later(base, channel, put, lambda _, after: factor * after)
 
 
+def zero_step(size: float) -> Edit:
+    """The zero of one axis of the accelerometer steps [m/s^2]."""
+
+    def edit(base: Base, put: Put) -> Faulty:
+        i, step = put.variant % 3, put.sign * size
+        return _later(base, "accel", put, lambda _, after: _with(after, i, after[:, i] + step))
+
+    return edit
+
+
+def gain_step(share: float) -> Edit:
+    """The gain of the whole accelerometer steps by a share."""
+
+    def edit(base: Base, put: Put) -> Faulty:
+        return _later(base, "accel", put, lambda _, after: (1.0 + put.sign * share) * after)
+
+    return edit
+
+
+def gyro_sign(base: Base, put: Put) -> Faulty:
+    """The sign of one axis of the gyroscope turns, or of all."""
+    if "gyro" not in base.samples:
+        return none(base, put)
+    signs = -np.ones(3) if put.variant % 4 == 3 else _one(put.variant % 4, -1.0)
+    return _later(base, "gyro", put, lambda _, after: after * signs)
+
+
 def small_rates(base: Base, put: Put) -> Faulty:
     """From the start on the rate in rad/s where deg/s is stated."""
     if "gyro" not in base.samples:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -118,3 +120,12 @@ def test_what_is_held_at_the_edge_of_its_box_makes_no_gain_differ():
     (found,) = beyond_chance(asked)
     # From the 5th to the 95th part in a hundred of the segments, over twice the tolerance.
     assert found.size == pytest.approx(0.2 * 0.9 / 0.02, rel=0.15)
+
+
+def test_of_several_drives_the_one_in_which_a_gain_jumps_is_told():
+    p = problem(7, 4.0 * TOLERANCE * (np.arange(BLOCKS) >= 30))
+    drive = (np.arange(BLOCKS) >= 24).astype(int)
+    start = 30.0 * (np.arange(BLOCKS) % 24)
+    p = replace(p, table=replace(p.table, drive=drive, start_s=start))
+    [found] = beyond_chance(list(_jumping(p, Fit.of(p, None), [0, 1])))
+    assert "from 180 s of drive 2 on" in found.text

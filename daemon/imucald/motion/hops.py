@@ -75,6 +75,10 @@ class HopRows(Struct, frozen=True):
     edges: Index
     before: Array
 
+    def previous(self, k: int) -> Array:
+        """(axes,) the sample before sample k, NaN if none."""
+        return self.samples[:, k - 1] if k else self.before
+
 
 def hop_rows(values: Array, hop: Index, hops: int, carry: Carry) -> HopRows:
     """Return the figures of hops 0 .. hops-1, and bring `carry` up to their end.

@@ -234,7 +234,7 @@ class AxisRails:
         """The axis was stuck: has that ended, and was it a rail that held it?"""
         rows, first = at.rows, at.rows.edges[at.h]
         own = rows.samples[self._axis, first : rows.edges[at.h + 1]]
-        value = float(rows.samples[self._axis, first - 1] if first else rows.before[self._axis])
+        value = float(rows.previous(first)[self._axis])
         other = np.flatnonzero(own != value)
         if not len(other) or not self._has_tail(at):
             return

@@ -72,6 +72,7 @@ class StandingFault(enum.StrEnum):
     GYRO_AXES = "gyroscope_axes"
     ORIENTATION = "accelerometer_against_orientation"
     FORWARD = "forward_against_orientation"
+    ACCEL_LEVEL = "accelerometer_zero_or_gain"
     NUMERICS = "numbers_out_of_range"
 
 
@@ -91,6 +92,8 @@ WORDS = {
     "signs of the accelerometer ('sign: -1'), or that line",
     StandingFault.FORWARD: "the axis that 'orientation: {forward: ...}' names points back: that "
     "line is wrong, or the reverse signal",
+    StandingFault.ACCEL_LEVEL: "the accelerometer's zero or gain has changed in mid-drive: gravity "
+    "is larger or smaller than before",
     StandingFault.NUMERICS: "numbers out of range: a unit is wrong",
 }
 

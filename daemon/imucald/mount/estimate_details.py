@@ -12,6 +12,7 @@ import numpy as np
 from imucald.mount.creep import BELIEVED, Creep
 from imucald.mount.estimate import ANGLES, Correction
 from imucald.mount.evidence_response import GROUP
+from imucald.mount.force_level import LevelChange
 from imucald.mount.mount_changes import MountChanges
 from imucald.mount.signal_blocks import BLOCK_S, SignalBlockMaker
 from imucald.mount.signal_checks import SignalChecks
@@ -73,6 +74,11 @@ def estimate_details(
         "not_checked": list(checks.not_checked),
         "frozen_ticks": dict(signals.health.counts),
     }
+
+
+def level_details(change: LevelChange | None) -> dict[str, float] | None:
+    """Size of gravity [m/s^2] before and after the accelerometer's zero or gain changed."""
+    return None if change is None else {"before": change.before, "after": change.after}
 
 
 def creep_details(creep: Creep | None) -> dict[str, dict[str, float]]:

@@ -7,7 +7,7 @@ What happens, in order:
 2. `MountSolver.add` takes the block: the gyroscope carries the vertical through it, what is left
    of the force goes to windows in the frequency domain and to the mean of gravity.
 3. `SignalChecks` holds the signals against one another: a contradiction that begins or ends makes
-   the solver begin anew.
+   the solver begin anew. `ForceLevel` holds the size of gravity against its own past.
 4. `MountSolver.fit` turns all evidence so far into one rotation with variances.
 5. Once gyro bias and rotation are known, `RestartableSolver` goes through the first minutes again.
 6. After that `MountChanges` holds every block against what was known before it. A sensor that was
@@ -31,8 +31,9 @@ from imucald.motion.ticks import TickRow
 from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import StandingFault
 from imucald.mount.estimate import Correction, MountEstimate, MountState
-from imucald.mount.estimate_details import creep_details, estimate_details
+from imucald.mount.estimate_details import creep_details, estimate_details, level_details
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.force_level import ForceLevel
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.large_change import LargeChange
 from imucald.mount.mount_changes import MountChange, MountChanges, blocks_since
@@ -77,6 +78,7 @@ class FullEstimator:
         self._solvers = RestartableSolver(self._settings)
         self._checks = SignalChecks(self._settings)
         self._changes = MountChanges(self._settings)
+        self._level = ForceLevel()
         self._failed_for = 0
         self._known = MountKnowledge(begun=False, accelerometer=False)
         self._rotation = ReportedRotation(self._settings)
@@ -153,6 +155,8 @@ class FullEstimator:
         solvers, signals, changes = self._solvers, self._signals, self._changes
         solvers.take(p, signals.without_speed)
         self._follow_steering(p)
+        if solvers.can_compare or p.rest.all():  # the vertical is free of the motion
+            self._level.add(p, solvers.now.vertical.up)
         turned = changes.at_once(p, solvers.now, signals) if solvers.can_compare else None
         if turned is not None:  # by hand: that contradicts no sign and no unit
             self._checks.forget_forces()
@@ -249,6 +253,8 @@ class FullEstimator:
         if self._failed_for:
             checks.accuse(StandingFault.NUMERICS)
         checks.hold_against_orientation(solver, self._signals.blocks)
+        if self._level.change is not None:
+            checks.accuse_lasting(StandingFault.ACCEL_LEVEL, self._signals.blocks)
         self._known = self._knowledge(p)
         self._served.judge(
             self._known,
@@ -296,7 +302,9 @@ class FullEstimator:
     def _new_estimate(self) -> MountEstimate:
         solver, state, changes, checks = self._solver, self.state, self._changes, self._checks
         creeping = creep_details(solver.creep)
-        troubles = mount_troubles(state, checks.standing, creeping, changes.shifted_again())
+        troubles = mount_troubles(
+            state, checks.standing, creeping, changes.shifted_again(), self._level.change
+        )
         words, codes = waiting_reasons(
             self._known, state, self._settings, self._acceptance(), troubles
         )
@@ -309,6 +317,7 @@ class FullEstimator:
             details = estimate_details(
                 solver, self._signals, self._known, changes, checks, steering, self._served.good
             )
+            details["gravity_change"] = level_details(self._level.change)
         targets = self._settings.targets
         return MountEstimate(state, R, covariance, words, codes, details, self.faults, targets)
 

@@ -29,6 +29,10 @@ AGAINST_A_PERSON: dict[Stated, StandingFault] = {
 }
 
 
+OF_NO_PAIR = frozenset({*AGAINST_A_PERSON.values(), StandingFault.ACCEL_LEVEL})
+"""Faults that are not of signals against one another: another rotation ends none of them."""
+
+
 class SignalChecks:
     """Holds the signals of a drive against one another.
 
@@ -68,7 +72,7 @@ class SignalChecks:
             solver.delay_speed.value if solver.delay_speed.is_known else None,
         )
         self._alternatives.add(kept, R, solver.bias, solver.gains(), signals.seen, offset)
-        before = tuple(f for f in self.standing if f not in AGAINST_A_PERSON.values())
+        before = tuple(f for f in self.standing if f not in OF_NO_PAIR)
         self.standing = self._contradictions.faults
         if self._alternatives.gyro_accused and (solver.sure() or StandingFault.GYRO_AXES in before):
             self.accuse(StandingFault.GYRO_AXES)
@@ -90,7 +94,10 @@ class SignalChecks:
         stated = self._alternatives.contradicted_orientation(solver.R, solver.yaw_known)
         if stated is None:
             return
-        fault = AGAINST_A_PERSON[stated]
+        self.accuse_lasting(AGAINST_A_PERSON[stated], block)
+
+    def accuse_lasting(self, fault: StandingFault, block: int) -> None:
+        """The same of a fault that is found outside, block by block; block: its number."""
         self.accuse(fault)
         if fault not in {seen for _, seen in self.history}:
             self.history.append((block, fault))

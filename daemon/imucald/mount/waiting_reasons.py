@@ -9,6 +9,7 @@ from imucald.mount.acceptance import Acceptance
 from imucald.mount.contradictions import WORDS, StandingFault
 from imucald.mount.estimate import ANGLES, Missing, MountState
 from imucald.mount.estimator_settings import EstimatorSettings
+from imucald.mount.force_level import LevelChange
 from imucald.mount.hysteresis import GOOD
 from imucald.mount.states import MountKnowledge, waiting_for
 
@@ -45,14 +46,19 @@ def mount_troubles(
     faults: Sequence[StandingFault],
     creeping: Mapping[str, Mapping[str, float]],
     shifted: Sequence[float],
+    level: LevelChange | None = None,
 ) -> dict[str, str]:
     """What more driving does not mend, per angle: contradictions, and a mount that moves.
 
     creeping: see `estimate_details.creep_details`. shifted: how far roll, pitch, yaw have moved
-    [rad] where they were found to have shifted again, else 0.
+    [rad] where they were found to have shifted again, else 0. level: how the size of gravity has
+    changed, where that is a fault.
     """
     if faults:
-        return dict.fromkeys(ANGLES, "; ".join(WORDS[fault] for fault in faults))
+        text = "; ".join(WORDS[fault] for fault in faults)
+        if level is not None:
+            text += f" ({level.before:.2f} to {level.after:.2f} m/s^2)"
+        return dict.fromkeys(ANGLES, text)
     if state is MountState.FINE:
         return {}
     if state in GOOD:

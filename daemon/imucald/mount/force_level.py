@@ -1,0 +1,109 @@
+"""Did the accelerometer's zero or gain change in mid-drive? Gravity's size against its own past.
+
+The mean force of a block along the vertical is g, whatever the road and the driving: what is
+horizontal does not show in it, and a vehicle has the same height on average. So its level moves by
+the sensor's own errors only. Temperature moves a zero by 1 mg/K and a gain by 0.03 %/K (BMI160
+data sheet): slowly. A change from one minute to the next is a fault of the sensor.
+
+For each of the last blocks as the time of a change the mean before is held against the mean after,
+as in `large_change`. A sensor that is turned shows another mixture of the zeros of its axes, so a
+change has to be larger than what that can make of it.
+
+What lies across the vertical shows as a tilt and not here.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from imucald.mount.large_change import LEAST_TICKS
+from imucald.mount.signal_blocks import SignalBlock
+
+Array = NDArray[np.float64]
+
+REMEMBERED = 50
+"""Blocks of the past (320 s)."""
+LEAST_BEFORE = 10
+"""Blocks that a change is held against (64 s)."""
+AFTER = range(4, 10)
+"""Blocks since the change that are tried (26 to 58 s)."""
+LEAST = 0.3
+"""A change is at least that large [m/s^2], 30 mg: 1 mg/K over 30 K, within five minutes."""
+ZEROS = 0.5
+"""Zeros of two axes differ by up to so much [m/s^2]: 50 mg (BMI160: 40 mg over its life)."""
+NOISE, NOISE_BLOCKS = 0.05, 10.0
+"""Level of a block beside the drive's own spread [m/s^2], and its weight: 0.3 m/s of height that is
+gained or lost from its beginning to its end, as over the crest of a hill."""
+DEVIATIONS = 6.0
+"""Of a normal variable 2e-9, two-sided (`large_change.LIMITS`)."""
+AGREEING = 0.5
+"""Every block since a change shows at least that share of it; the level is back where it was once
+no block of the last ones does."""
+
+
+class LevelChange(Struct, frozen=True):
+    """A change of the force along the vertical: levels before and after it [m/s^2], blocks ago."""
+
+    before: float
+    after: float
+    blocks: int
+
+
+class ForceLevel:
+    """The level of the force along the vertical, block by block.
+
+    change: what stands, until the level is back; None while it is what it was.
+    """
+
+    def __init__(self) -> None:
+        self._rows = np.zeros((0, 4))  # level, mean force (3,) in sensor axes
+        self.change: LevelChange | None = None
+
+    def add(self, p: SignalBlock, up: Array | None) -> None:
+        """Take a block; up: the vertical (3,) in sensor axes, of any length; None: not known."""
+        use = p.learn & p.ok_force
+        n = int(np.count_nonzero(use))
+        if up is None or n < LEAST_TICKS:
+            return
+        force = use @ p.force / n
+        level = float(force @ up) / max(math.sqrt(float(up @ up)), 1e-9)
+        row = np.array([[level, *force.tolist()]])
+        self._rows = np.concatenate([self._rows[1 - REMEMBERED - AFTER.stop :], row])
+        if self.change is None:
+            self.change = self._found()
+        elif self._is_back(self.change):
+            self._rows, self.change = self._rows[-AFTER.start :], None
+
+    def _is_back(self, change: LevelChange) -> bool:
+        size = change.after - change.before
+        shown = (self._rows[-AFTER.start :, 0] - change.before) / size
+        return float(np.abs(shown).max()) < 1.0 - AGREEING
+
+    def _found(self) -> LevelChange | None:
+        level, best = self._rows[:, 0], None
+        most = DEVIATIONS
+        for after in AFTER:
+            k = len(level) - after
+            if k < LEAST_BEFORE:
+                break
+            before = float(level[:k].sum()) / k
+            since = level[k:] - before
+            size = float(since.sum()) / after
+            if abs(size) < LEAST or float((since / size).min()) < AGREEING:
+                continue
+            left = level[:k] - before
+            variance = (NOISE_BLOCKS * NOISE**2 + float(left @ left)) / (NOISE_BLOCKS + k)
+            deviations = abs(size) / math.sqrt(variance * (1.0 / after + 1.0 / k))
+            if deviations > most and abs(size) > LEAST + ZEROS * self._turned(k):
+                best, most = LevelChange(before, before + size, after), deviations
+        return best
+
+    def _turned(self, k: int) -> float:
+        """The chord by which the mean force's direction differs from row k on."""
+        sums = self._rows[:k, 1:].sum(axis=0), self._rows[k:, 1:].sum(axis=0)
+        before, after = (x / max(math.sqrt(float(x @ x)), 1e-9) for x in sums)
+        return math.sqrt(float((after - before) @ (after - before)))

@@ -1,0 +1,105 @@
+"""The size of gravity against its own past: zeros and gains of the accelerometer that step."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_estimator import GOOD, drive
+
+from imucald.core.samples import GRAVITY, Series
+from imucald.motion.ticks import ticks_from_samples
+from imucald.mount.contradictions import StandingFault
+from imucald.mount.estimator import FullEstimator
+from imucald.mount.force_level import ForceLevel
+from imucald.mount.signal_blocks import BLOCK_TICKS
+from mount_settings import full
+from signal_block import block
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def watched(forces: list[np.ndarray], seed: int = 0) -> list[bool]:
+    """Whether a change stands after each block; forces: mean force of each [m/s^2]."""
+    rng = np.random.default_rng(seed)
+    level, found = ForceLevel(), []
+    for k, mean in enumerate(forces):
+        block_mean = np.asarray(mean) + 0.05 * rng.standard_normal(3)
+        force = block_mean + 0.5 * rng.standard_normal((BLOCK_TICKS, 3))
+        level.add(block(6.4 * k, force=force), np.asarray(mean) / GRAVITY)
+        found.append(level.change is not None)
+    return found
+
+
+@pytest.mark.parametrize("step", [0.5, -0.5, 1.0])
+def test_a_zero_that_steps_along_the_vertical_is_found_within_half_a_minute(step):
+    found = watched([GRAVITY * UP] * 30 + [(GRAVITY + step) * UP] * 6)
+    assert not any(found[:30])
+    assert any(found[30:35])
+
+
+def test_the_sizes_before_and_after_are_told():
+    level = ForceLevel()
+    for k in range(30):
+        size = GRAVITY * (1.1 if k >= 20 else 1.0)
+        level.add(block(6.4 * k, force=np.tile(size * UP, (BLOCK_TICKS, 1))), UP)
+    assert level.change is not None
+    assert level.change.before == pytest.approx(GRAVITY)
+    assert level.change.after == pytest.approx(1.1 * GRAVITY)
+
+
+def test_a_drift_by_temperature_is_no_step():
+    """1 mg/K and 20 K within ten minutes, twice what a cabin warms by."""
+    drift = np.linspace(0.0, 0.02 * GRAVITY, 94)
+    assert not any(watched([(GRAVITY + more) * UP for more in drift]))
+
+
+def test_the_fault_ends_when_the_level_is_back():
+    found = watched([GRAVITY * UP] * 30 + [1.1 * GRAVITY * UP] * 20 + [GRAVITY * UP] * 10)
+    assert all(found[35:50])
+    assert not found[-1]
+
+
+def test_a_sensor_that_is_turned_shows_the_zero_of_another_axis_and_is_not_accused():
+    zeros = np.array([0.3, 0.0, -0.1])
+    before, after = GRAVITY * UP + zeros, GRAVITY * np.array([1.0, 0.0, 0.0]) + zeros
+    assert not any(watched([before] * 30 + [after] * 20))
+
+
+def test_the_largest_wave_of_a_hilly_road_is_none():
+    """Every minute over a crest: 1 m/s^2 up or down for a second, as large a sum as comes back."""
+    waves = [0.15 * np.sin(2.0 * np.pi * k / 9.0) for k in range(200)]
+    assert not any(watched([(GRAVITY + wave) * UP for wave in waves]))
+
+
+EDITS = {
+    "gain 10 %": (1.1, 0.0),
+    "gain -5 %": (0.95, 0.0),
+    "zero of the most upright axis by 1 m/s^2": (1.0, 1.0),
+    "... by -0.5 m/s^2": (1.0, -0.5),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(EDITS))
+def test_a_step_in_mid_drive_is_never_good_after_a_minute_and_says_why(name):
+    at, samples = 480.0, dict(drive(minutes=15.0).samples)
+    upright = drive().truth.R_vehicle_from_sensor()[2]
+    axis = np.zeros(3)
+    axis[np.argmax(np.abs(upright))] = 1.0
+    series = samples["accel"]
+    late = (series.t >= at)[:, None]
+    gain, zero = EDITS[name]
+    values = np.where(late, gain * series.values + zero * axis, series.values)
+    samples["accel"] = Series(series.t, values)
+    estimator, since = FullEstimator(full()), []
+    for k, row in enumerate(ticks_from_samples(samples, 0, 9000, {}).tolist()):
+        estimator.step(row)
+        if k >= 10 * (at + 60.0):
+            since.append(estimator.state in GOOD)
+        elif k == 10 * at:
+            assert estimator.state in GOOD
+    assert not any(since)
+    estimate = estimator.estimate()
+    assert StandingFault.ACCEL_LEVEL.value in estimate.faults
+    assert "zero or gain has changed" in estimate.waiting_for["roll"]
+    assert f"{estimate.details['gravity_change']['after']:.2f} m/s^2" in estimate.waiting_for["yaw"]
