@@ -76,3 +76,9 @@ def test_a_peak_at_the_cut_off_of_a_found_low_pass_swings_not():
     assert _peaks(spectra, _cut_offs({"gyro.delay_s": 0.1, "gyro.scale.0": 0.4})) != []
     assert _peaks(spectra, _cut_offs({"steering.delay_s": 0.45})) != []
     assert _cut_offs({"gyro.delay_s": 0.01}) == []
+
+
+def test_what_is_younger_than_stated_lets_the_signals_beside_it_be_low_passed():
+    assert "steering" not in {s for s, _, _ in _cut_offs({"steering.delay_s": -0.45})}
+    assert {"gyro", "yaw_rate"} <= {s for s, _, _ in _cut_offs({"steering.delay_s": -0.45})}
+    assert {s for s, _, _ in _cut_offs({"steering.delay_s": 0.45})} == {"steering"}

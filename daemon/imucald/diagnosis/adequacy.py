@@ -58,6 +58,7 @@ PEAKED = ("accel_y", "yaw_rate")
 FIRST_ORDER_S_HZ = 1.0 / (2.0 * np.pi)
 """Delay of a first-order low-pass well below its cut-off, times the cut-off."""
 OCTAVE = 2.0
+SENSED = tuple(dict.fromkeys(signal for signals in TAKES.values() for signal in signals))
 DRIVING_MPS = 2.0
 QUICK_HZ = 40.0
 """An accelerometer that is sampled faster sees the shaking."""
@@ -241,13 +242,16 @@ def _left_of(z: Spectra, known: Spectra) -> Spectra:
 def _cut_offs(changes: Mapping[str, float]) -> list[tuple[str, float, float]]:
     """Signal, and from where to where [Hz] the low-pass that a found delay x may be leaves a peak:
     within an octave of its cut-off, 1/(2 pi x) of first order, sqrt 2/(2 pi x) of second. Below it
-    a delay does as well, above it no motion is."""
-    late = {key: abs(x) for key, x in changes.items() if key.endswith("delay_s") and x}
-    return [
-        (key.partition(".")[0], FIRST_ORDER_S_HZ / x / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / x)
-        for key, x in late.items()
-        if x > PARAMETERS[key].tolerance
-    ]
+    a delay does as well, above it no motion is. What is younger than stated is late nowhere: the
+    signals beside it are."""
+    made = []
+    for key, x in changes.items():
+        if key.endswith("delay_s") and abs(x) > PARAMETERS[key].tolerance:
+            own = key.partition(".")[0]
+            late = [own] if x > 0.0 else [s for s in SENSED if s != own]
+            band = FIRST_ORDER_S_HZ / abs(x) / OCTAVE, OCTAVE * BUTTERWORTH_S_HZ / abs(x)
+            made += [(signal, *band) for signal in late]
+    return made
 
 
 def _peaks(

@@ -225,7 +225,7 @@ class UnitChange:
         level, count, other, moved = (
             np.concatenate(pair) for pair in zip(self._before, new, strict=True)
         )
-        self._before = level[-4:], count[-4:], other[-4:], moved[-4:]
+        self._before = tuple(rows[1 - UNIT_HOPS :] for rows in (level, count, other, moved))
         up, (early, late), (_, some) = _ratio(level), _enough(count), _enough(count, SOME_CHANGES)
         lowest, highest = _within_five(moved[:, 0])
         more = early & late & ((self._low < up) & (up < self._high)).all(axis=1)

@@ -17,6 +17,7 @@ from msgspec import Struct, field
 from numpy.typing import NDArray
 
 from imucald.core.samples import Samples, Series
+from imucald.motion.column_ticks import ticks_from_samples
 from imucald.motion.hops import HOP_TICKS
 from imucald.motion.sample_health import Faults, SampleHealth
 from imucald.motion.ticks import (
@@ -26,7 +27,6 @@ from imucald.motion.ticks import (
     TickRow,
     emptied,
     tick_index,
-    ticks_from_samples,
 )
 from imucald.mount.estimate import (
     Correction,
